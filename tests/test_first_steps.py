@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.cli import main
 from oee_tabular.estimators import Estimate, ModelBased
-from oee_tabular.report.contents import answers, first_words
 
 
 def dock(slip=0.1):
@@ -105,10 +104,10 @@ def test_a_value_outside_its_likelihood_interval_is_not_the_answer(value):
     )
     assert report.notes["mine", "oee"] == (1,)
     assert report.records()[0]["value"] == end
-    assert f"is worth about {end:.3f}, and with 95% confidence between" in first_words(report, answers(report))[0]
+    assert f"is worth about {end:.3f}, and with 95% confidence between" in report.headline
     calm = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(middle)})
     assert calm.warnings == ()
-    assert f"is worth about {middle:.3f}" in first_words(calm, answers(calm))[0]
+    assert f"is worth about {middle:.3f}" in calm.headline
 
 
 def test_a_free_plan_is_written_as_shares(tmp_path, capsys):
@@ -187,7 +186,7 @@ def test_what_a_navigation_grid_is_told_is_in_its_own_words():
     simulator = grid.with_names(places, words)
     table = recorded().rename(columns={"place": "state", "arrived": "next_state", "run": "episode"})
     report = oee.evaluate(oee.Problem(simulator, table), {"north": lambda place: "north"}, estimators=["oee"], seed=0)
-    assert "What would help most: moves of action north in state r" in report.sureness.sentences[-1]
+    assert "Record action north in state r" in report.uncertainty.sentences[-1]
     with pytest.raises(ValueError, match=r"it is 'r0c9' \(did you mean 'r0c"):
         oee.Problem(simulator, table.drop(columns="episode").assign(state="r0c9"))
     with pytest.raises(

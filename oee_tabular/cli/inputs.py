@@ -236,8 +236,5 @@ def embedded(
     policies: dict[str, Any] = default.policies
     if policy is not None:
         policies = policies_of(policy, named_task("gridworld:10,slip=0.3", discount=options["discount"]))
-    if common["estimators"] is None:
-        names = "simulator,oee,oee-product,ratio-of-ratios,model-based,pdis,wpdis,oracle-product"
-        common = common | {"estimators": names.split(",")}
     scaled = True if normalized is None else normalized
     return run(default.problem, policies, target=default.target, normalized=scaled, **common)

@@ -164,6 +164,7 @@ def compare(
 ) -> None:
     """Which policy is worth most in the target: differences with their intervals, P(best), or that the log cannot say."""
     from oee_tabular.report import contest
+    from oee_tabular.report.terminal import render_comparison
     from oee_tabular.tasks.arguments import named_specs
 
     if is_continuous(simulator):
@@ -181,8 +182,18 @@ def compare(
     task, problem = given_problem(simulator, log, None, options)
     found = contest(problem, policies_of(policy, task), confidence=confidence, quick=quick, **box_of(box))
     warnings = [str(finding) for finding in problem.findings]
-    text = "\n".join([str(found), *(["", "Read before use:"] if warnings else []), *(f"  {text}" for text in warnings)])
-    answer("compare", text, found.to_dict() | {"warnings": warnings}, json)
+    text = "\n".join([render_comparison(found), *([""] if warnings else []), *warnings])
+    rows = found.comparison()
+    record = {
+        "confidence": found.confidence, "best": found.best, "sentence": found.headline, "policies": rows,
+        "differences": [
+            {"policy": row["policy"], "than": rows[0]["policy"], "difference": -row["less_by"],
+             "lower": -row["less_by_upper"], "upper": -row["less_by_lower"]}
+            for row in rows[1:]
+        ],
+        "warnings": warnings,
+    }  # fmt: skip
+    answer("compare", text, record, json)
 
 
 def plan(

@@ -41,7 +41,8 @@ from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_proba
 from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import default_names, named_estimators
-from oee_tabular.report.evaluation import Report, evaluate
+from oee_tabular.report.evaluation import evaluate
+from oee_tabular.report.results import Report
 
 CALIBRATIONS = (*KINDS, "none")
 ON_GRID, LINEAR = "oee on the grid", "linear model of the log"
@@ -141,13 +142,13 @@ def evaluate_continuous(
         return report_on_rows(problem, tables, rows, tuple(said), first, seed=seed, facts=known, **options)
     report = evaluate(problem, tables, estimators=rows, seed=seed, facts=made.facts | dict(facts or {}), **options)
     said.append(lost(made.plain, mc, tables, steps))
-    sure = replace(
-        report.sureness,
-        next=placed(report.sureness.next, made.model),
-        distance=(first, *report.sureness.distance),
+    uncertainty = replace(
+        report.uncertainty,
+        next=placed(report.uncertainty.next, made.model),
+        distance=(first, *report.uncertainty.distance),
     )
     every = [placed(text, made.model) for text in (*report.warnings, *said)]
-    return replace(report, warnings=tuple(every), sureness=sure)
+    return replace(report, warnings=tuple(every), uncertainty=uncertainty)
 
 
 def _numbered(

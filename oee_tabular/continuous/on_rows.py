@@ -16,10 +16,9 @@ from oee_tabular.continuous.task import StatePolicy, check_probabilities
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimator, Problem
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.report.evaluation import Report
-from oee_tabular.report.quoting import quoted, sentences
-from oee_tabular.report.results import Result
-from oee_tabular.report.sureness import Sureness
+from oee_tabular.report.interval_choice import choose_interval, group_findings
+from oee_tabular.report.results import Report, Result
+from oee_tabular.report.uncertainty import Uncertainty
 
 
 def on_rows(log: ContinuousTransitions, n_actions: int, horizon: int, discount: float) -> Problem:
@@ -81,8 +80,8 @@ def report_on_rows(
     for i, (policy, table) in enumerate(tables.items()):
         for j, (name, estimator) in enumerate(rows.items()):
             estimate = estimator(problem, table, seed=_checks.seed_sequence(seed, (i, j)))
-            results.append(Result(policy, name, quoted(estimate, None, level, scale)))
-    told = sentences([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
+            results.append(Result(policy, name, choose_interval(estimate, None, level, scale)))
+    told = group_findings([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
     notes = {
         (r.policy, r.estimator): tuple(
             k for k, (_, pairs) in enumerate(told, start=1) if (r.policy, r.estimator) in pairs
@@ -90,5 +89,6 @@ def report_on_rows(
         for r in results
     }
     every = (*(sentence for sentence, _ in told), *said)
-    sure = Sureness(distance=(first,))
-    return Report(tuple(results), {}, every, notes, level, normalized, discount, problem.horizon, seed, facts, sure)
+    uncertainty = Uncertainty(distance=(first,))
+    return Report(tuple(results), {}, every, notes, level, normalized, discount, problem.horizon, seed, facts,
+                  uncertainty)  # fmt: skip

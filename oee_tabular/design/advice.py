@@ -16,7 +16,7 @@ from oee_tabular.mdp.naming import Names
 from oee_tabular.ratio import Conditional
 from oee_tabular.ratio.arguments import Box
 
-NOTHING = "More moves would not narrow it."
+NOTHING = "More transitions would not narrow it."
 
 
 def next_pairs(
@@ -48,16 +48,16 @@ def advice_sentence(
         return NOTHING
     state, action = pairs[0]
     n, why = counts[state, action], "never recorded"
-    so_far = f"{n:.4g} {'move' if n == 1 else 'moves'} so far"
+    so_far = f"{n:.4g} {'transition' if n == 1 else 'transitions'} so far"
     if optimistic[state, action]:
-        why = f"{so_far}; the model holds its outcome for certain"
+        why = f"{so_far}; the model has one outcome"
     elif n > 0:
         variance = table / np.maximum(counts, 1.0)
         total = variance.sum(axis=(1, 2))
         share = np.divide(variance[:, state, action], total, out=np.zeros_like(total), where=total > 0.0).mean()
         why = f"{so_far}, {share:.0%} of the variance"
     where = f"action {_quote(names.action(action))} in state {_quote(names.state(state))}"
-    return f"What would help most: moves of {where} ({why})."
+    return f"Record {where} first ({why})."
 
 
 def _quote(name: str) -> str:

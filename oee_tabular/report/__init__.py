@@ -5,17 +5,15 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.report.contest import Contest, contest
-from oee_tabular.report.evaluation import Report, evaluate
+from oee_tabular.report.evaluation import contest, evaluate
 from oee_tabular.report.files import check_output, check_page
-from oee_tabular.report.results import Result
+from oee_tabular.report.results import Report, Result
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.simulator import Settings
 
 __all__ = [
-    "Contest",
     "Report",
     "Result",
     "Settings",

@@ -1,112 +1,29 @@
-"""``evaluate``: policies by estimators, each with a seed of its own, and what a reader must know about them: ``Report``."""
+"""``evaluate``: policies by estimators, each with a seed of its own, and what a reader must know; ``contest``: policies alone."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from oee_tabular import _checks, _files, _progress
+from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators import Estimate, Estimator, Problem, Simulator
+from oee_tabular.estimators import Estimate, Estimator, Problem
 from oee_tabular.estimators.findings import MADE_FROM_LOG, WEIGHTLESS
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
+from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.evidence import gather
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
-from oee_tabular.report import contents
+from oee_tabular.report import text
 from oee_tabular.report.assumptions import Assumptions
-from oee_tabular.report.files import check_page
-from oee_tabular.report.quoting import LIKELIHOOD, quoted, sentences, way
-from oee_tabular.report.results import Evaluation, Result, headline
-from oee_tabular.report.sureness import SHARED, Sureness, how_sure, ranked
-
-
-class Report(Evaluation):
-    """What ``oee evaluate`` prints and draws.
-
-    Attributes
-    ----------
-    results : one entry per policy and estimator; estimates are raw discounted sums
-    truth : exact value of each policy in the target, where the target is known
-    warnings : what the numbers do not tell, in plain language
-    notes : for each (policy, estimator), the numbers (from 1) of the warnings that concern it
-    confidence : of the intervals
-    normalized : whether table, picture and JSON multiply values by (1 - discount)
-    discount, horizon, seed, facts : how it was computed
-    sureness : likelihood (and guaranteed) intervals of each policy, the comparison of the policies, and the sentences that end
-        the report
-    problem, policies : what was evaluated, for the pictures of ``to_html``
-
-    Examples
-    --------
-    >>> import oee_tabular as oee
-    >>> pair = oee.testing.case("ragged")
-    >>> report = oee.evaluate(pair.problem(1000, seed=0), pair.policy, estimators=["pdis"], target=pair.target, seed=0)
-    >>> [(row["estimator"], round(row["value"], 2), round(row["error"], 2)) for row in report.records()]
-    [('pdis', 10.51, 0.44)]
-    """
-
-    @property
-    def answer(self) -> str:
-        """What the page says first: each policy's value in the target with the interval to quote, beside the simulator's.
-
-        >>> import oee_tabular as oee
-        >>> pair = oee.testing.case("ragged")
-        >>> oee.evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, seed=0).answer.split("about")[0]
-        'In the target, the policy “new” is worth '
-        """
-        return " ".join(filter(None, contents.first_words(self, contents.answers(self))))
-
-    def to_html(
-        self,
-        path: str | os.PathLike[str] | None = None,
-        *,
-        title: str | None = None,
-        grid: tuple[int, int] | None = None,
-    ) -> str:
-        """The report as one self-contained page, for people who did not run it; written to ``path`` if one is given.
-
-        Parameters
-        ----------
-        path : .html or .htm file; its folder is made, the file appears whole or not at all
-        title : of the page
-        grid : (rows, columns) of a task whose states are cells, row * columns + column; None: the simulator's layout,
-            or the moves that it makes (``plots.map_of``). Other tasks get a picture of the states where a policy spends
-            its time
-
-        Returns
-        -------
-        The page's text. The same input and seed give the same text.
-
-        Raises
-        ------
-        ValueError
-            A path that cannot be written, a grid that has not as many cells as there are states.
-
-        Examples
-        --------
-        >>> import oee_tabular as oee
-        >>> simulator, target = oee.tasks.gridworld(3, slip=0.3), oee.tasks.gridworld(3, slip=0.1)
-        >>> log = oee.sample_episodes(target, oee.uniform_policy(target), 20, horizon=30, seed=0)
-        >>> page = oee.evaluate(oee.Problem(simulator, log), oee.tasks.gridworld_expert(3), seed=0).to_html()
-        >>> page[:15], "Where simulator and target differ most" in page
-        ('<!doctype html>', True)
-        """
-        from oee_tabular.report.page import render
-
-        if title is not None:
-            _checks.instance(title, str, "title", "string")
-        file = None if path is None else check_page(path)
-        text = render(self, title=title, grid=grid)
-        if file is not None:
-            _files.write_all(file.parent, {file.name: text.encode()})
-        return text
+from oee_tabular.report.interval_choice import choose_interval, group_findings
+from oee_tabular.report.results import Report, Result, headline
+from oee_tabular.report.uncertainty import LIKELIHOOD, SHARED, assess, with_ranking
 
 
 @one_thread
@@ -163,7 +80,7 @@ def evaluate(
     >>> report = evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, estimators=["simulator", "wpdis"], seed=0)
     >>> report.table[["policy", "estimator", "value"]].round(2).values.tolist()
     [['new', 'simulator', 7.97], ['new', 'wpdis', 10.57]]
-    >>> report.sureness.sentences[0].split(":")[0]
+    >>> report.uncertainty.sentences[0].split(":")[0]
     'The target differs from the simulator'
     """
     _checks.boolean(normalized, "normalized")
@@ -195,42 +112,82 @@ def evaluate(
         truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named_policies.items()}
     scale = 1.0 - problem.simulator.discount if normalized else 1.0
     with _progress.show_steps(only_terminal=True):
-        raw = _estimated(problem, named_policies, chosen, seed)
+        raw = _run_estimators(problem, named_policies, chosen, seed)
+        hidden: frozenset[tuple[str, str]] = frozenset()
         if estimators is None:
-            raw, lost = _weighted(raw)
-            left_out += lost
-        sure = how_sure(
+            raw, reasons = _drop_weightless(raw)
+            left_out += reasons
+            hidden = frozenset((r.policy, r.estimator) for r in raw if any(f.kind == "weights" for f in r.estimate.findings))
+        known = assess(
             problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale, assumed=assumptions
         )
-    results = []
     made_from_log = {name for name, policy in named_policies.items() if is_best_in_log(problem, policy)}
+    results = []
     for result in raw:
-        if result.policy in made_from_log and result.estimate.is_from_log and result.estimate.status == "ok":
-            warned = replace(result.estimate, findings=(MADE_FROM_LOG, *result.estimate.findings))
-            result = replace(result, estimate=warned)
+        estimate = result.estimate
+        if result.policy in made_from_log and estimate.is_from_log and estimate.status == "ok":
+            estimate = replace(estimate, findings=(MADE_FROM_LOG, *estimate.findings))
         key = SHARED if result.estimator in own else LIKELIHOOD
-        likelihood = sure.intervals.get(result.policy, {}).get(key)
-        results.append(replace(result, estimate=quoted(result.estimate, likelihood, level, scale)))
-    sure = _told(sure, results, problem, named_policies, chosen, scale)
-    warnings, notes = _noted(problem, results, left_out)
-    known = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
-    known |= {"target": str(assumptions)} if str(assumptions) else {}
-    known |= facts or {}
+        likelihood = known.intervals.get(result.policy, {}).get(key)
+        results.append(replace(result, estimate=choose_interval(estimate, likelihood, level, scale)))
+    by_policy = {name: [result for result in results if result.policy == name] for name in named_policies}
+    known = with_ranking(known, {name: headline(own).estimate.value for name, own in by_policy.items()}, scale)
+    warnings, notes = _collect_warnings(problem, results, left_out)
+    told = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
+    told |= {"target": str(assumptions)} if str(assumptions) else {}
     return Report(
-        tuple(results),
-        truth,
-        warnings,
-        notes,
-        level,
-        normalized,
-        problem.simulator.discount,
-        problem.horizon,
-        seed,
-        known,
-        sure,
-        problem,
-        named_policies,
-    )  # fmt: skip
+        results=tuple(results),
+        truth=truth,
+        warnings=warnings,
+        notes=notes,
+        confidence=level,
+        normalized=normalized,
+        discount=problem.simulator.discount,
+        horizon=problem.horizon,
+        seed=seed,
+        facts=told | dict(facts or {}),
+        uncertainty=known,
+        problem=problem,
+        policies=named_policies,
+        hidden=hidden,
+    )
+
+
+def contest(problem: Problem, policies: object, **options: Any) -> Report:
+    """Compare policies on one log: ``evaluate`` by off-environment evaluation alone, which is exact; of two or more policies.
+
+    Parameters
+    ----------
+    problem : Problem
+    policies : two or more, as for ``evaluate``
+    options : confidence (of the values' intervals, and of all differences from the best together), quick, lower_ratio,
+        upper_ratio, tie, features, as for ``evaluate``
+
+    Returns
+    -------
+    Report
+        ``best`` is the policy that is worth most, None where the log cannot say; ``comparison()`` has the differences.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two policies; discount 1 without a horizon; bad arguments.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> found = contest(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> print(found.headline)
+    Of 2 policies, “new” is worth most in the target. It is better than “recorded” by 3.255 (95%: 3.134 to 3.389).
+    >>> [round(found.comparison()[1][key], 2) for key in ("less_by", "less_by_lower", "less_by_upper")]
+    [3.26, 3.13, 3.39]
+    """
+    _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
+    several_policies(policies, problem.simulator)
+    if problem.simulator.discount == 1.0 and problem.horizon is None:
+        raise ValueError("horizon must be given at discount 1")
+    return evaluate(problem, policies, estimators=["oee"], seed=0, **options)
 
 
 def is_best_in_log(problem: Problem, policy: Array) -> bool:
@@ -252,17 +209,15 @@ def _is_optimal(model: Model, policy: Array) -> bool:
     return bool(lost[reached].max() <= 1e-9 * max(1.0, float(np.abs(values).max())))
 
 
-def _weighted(raw: Sequence[Result]) -> tuple[list[Result], list[str]]:
+def _drop_weightless(raw: Sequence[Result]) -> tuple[list[Result], list[str]]:
     """Without importance sampling that has no positive weight, and a sentence about that."""
     kept = [result for result in raw if WEIGHTLESS not in result.estimate.findings]
     lost = [result for result in raw if WEIGHTLESS in result.estimate.findings]
-    if not lost:
-        return kept, []
-    names = ", ".join(dict.fromkeys(result.policy for result in lost))
-    return kept, [f"Importance sampling is left out ({names}): {lost[0].estimate.status}."]
+    names = list(dict.fromkeys(result.policy for result in lost))
+    return kept, [text.without_weights(names, lost[0].estimate.status)] if lost else []
 
 
-def _estimated(
+def _run_estimators(
     problem: Problem, policies: Mapping[str, Any], chosen: Mapping[str, Estimator], seed: Any
 ) -> list[Result]:
     raw = []
@@ -270,39 +225,19 @@ def _estimated(
         for j, estimator in enumerate(chosen):
             _progress.report_step(f"{estimator} of “{policy}” (policy {i + 1} of {len(policies)})")
             stream = _checks.seed_sequence(seed, (i, j))
-            found = chosen[estimator](problem, policies[policy], seed=stream)
-            _checks.instance(found, Estimate, f"what estimator {estimator!r} returns", "Estimate, Estimate(value)")
-            raw.append(Result(policy, estimator, found))
+            estimate = chosen[estimator](problem, policies[policy], seed=stream)
+            _checks.instance(estimate, Estimate, f"what estimator {estimator!r} returns", "Estimate, Estimate(value)")
+            raw.append(Result(policy, estimator, estimate))
     return raw
 
 
-def _told(
-    sure: Sureness,
-    results: Sequence[Result],
-    problem: Problem,
-    policies: Mapping[str, Array],
-    chosen: Mapping[str, Estimator],
-    scale: float,
-) -> Sureness:
-    """With how each policy's value moves from simulator to log, and whether the log tells which policy is worth most."""
-    about, values = {}, {}
-    known = next((name for name, estimator in chosen.items() if type(estimator) is Simulator), None)
-    for name, policy in policies.items():
-        own = [result for result in results if result.policy == name]
-        values[name] = headline(own).estimate.value
-        by_name = {result.estimator: result.estimate for result in own}
-        simulator = Simulator()(problem, policy) if known is None else by_name[known]
-        about[name] = " ".join(filter(None, (sure.policies.get(name), way(by_name, simulator.value, scale))))
-    return ranked(replace(sure, policies=about), values, scale)
-
-
-def _noted(
+def _collect_warnings(
     problem: Problem, results: Sequence[Result], left_out: Sequence[str]
 ) -> tuple[tuple[str, ...], dict[tuple[str, str], tuple[int, ...]]]:
     """Every sentence to be read before use, and of each (policy, estimator) the numbers of those that concern it."""
     general = [*left_out, *(str(finding) for finding in problem.findings)]
     on_models = tuple(k for k, f in enumerate(problem.findings, start=1 + len(left_out)) if f.severity > 0)
-    told = sentences([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
+    told = group_findings([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
     notes = {
         (r.policy, r.estimator): (() if r.estimate.is_from_episodes else on_models)
         + tuple(k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (r.policy, r.estimator) in pairs)

@@ -22,8 +22,9 @@ from oee_tabular.mdp.naming import NAMELESS, Names
 from oee_tabular.plots import Map, map_of
 from oee_tabular.plots.values import credible_span
 from oee_tabular.ratio import transition_ratio
-from oee_tabular.report.contents import Answer, alone, number, within
-from oee_tabular.report.results import Evaluation
+from oee_tabular.report.results import Report
+from oee_tabular.report.text import Answer, number, within
+from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
 
 WIDTH = 4.6  # inches: text that is readable on a phone as well
 MOST_POLICIES, MOST_ROWS = 6, 10
@@ -65,7 +66,7 @@ class Portrait:
 
     @property
     def never(self) -> int:
-        """In how many states, of those that can be left, the log has no move."""
+        """In how many states, of those that can be left, the log has no transition."""
         return int(((self.counts.sum(axis=1) == 0) & ~self.over).sum())
 
     @property
@@ -155,10 +156,26 @@ def changed_rows(portrait: Portrait) -> tuple[list[dict[str, Any]], bool]:
     return rows, certain
 
 
-def forest(report: Evaluation, answer: Answer, name: str) -> str:
+def intervals_alone(report: Report, policy: str) -> dict[str, tuple[float, float] | None]:
+    """The intervals of a policy that stand beside no value, by name; None where the method gave none."""
+    beside = {row["interval_method"] for row in report.records() if row["policy"] == policy}
+    intervals = report.uncertainty.intervals.get(policy, {})
+    shown = {
+        f"{'guaranteed' if method == GUARANTEED else method} interval": found
+        for method, found in intervals.items()
+        if method not in beside
+    }
+    alone = {name: (found.lower, found.upper) if found.status == "ok" else None for name, found in shown.items()}
+    likelihood = intervals.get(LIKELIHOOD)
+    if likelihood is not None and likelihood.sampling not in (None, (likelihood.lower, likelihood.upper)):
+        alone["sampling interval"] = likelihood.sampling
+    return alone
+
+
+def forest(report: Report, answer: Answer, name: str) -> str:
     """Values and intervals of one policy, by estimator."""
     rows = [row for row in report.records() if row["policy"] == answer.policy]
-    sure = {name: ends for name, ends in alone(report, answer.policy).items() if ends is not None}
+    sure = {name: ends for name, ends in intervals_alone(report, answer.policy).items() if ends is not None}
     labels = [*(row["estimator"] for row in rows), *sure]
     values = [*(row["value"] for row in rows), *(math.nan for _ in sure)]
     lower, upper = (
@@ -190,8 +207,8 @@ def recorded(portrait: Portrait, name: str) -> str:
     places, moves = portrait.map, portrait.counts.sum(axis=1)
     return plots.figure_svg(
         lambda ax: plots.plot_coverage(portrait.counts, places, ax, over=portrait.over),
-        name=name, size=_size(places), title="Moves recorded in each state",
-        description=f"A grid of {len(places.rows)} rows and {len(places.columns)} columns. The log has moves from "
+        name=name, size=_size(places), title="Transitions recorded in each state",
+        description=f"A grid of {len(places.rows)} rows and {len(places.columns)} columns. The log has transitions from "
         f"{portrait.alive - portrait.never} of the {portrait.alive} states that can be left; the most, {int(moves.max())}, are "
         f"from {portrait.where(int(moves.argmax()))}.",
     )  # fmt: skip
@@ -236,11 +253,11 @@ def changed(portrait: Portrait, name: str) -> str:
     most = int(np.argmax(least))
     return plots.figure_svg(
         lambda ax: plots.plot_grid(
-            shown, places, ax, text=words, label="moves that end elsewhere, at least (%)"
+            shown, places, ax, text=words, label="transitions that end elsewhere, at least (%)"
         ),
         name=name, size=_size(places), title="Where the target differs from the simulator for certain",
         description="For each state the largest certain change of its actions. The largest is at least "
-        f"{100 * least[most]:.0f}% of moves, in {portrait.where(most)}; {portrait.changes.n_certain} state-action pairs differ "
+        f"{100 * least[most]:.0f}% of transitions, in {portrait.where(most)}; {portrait.changes.n_certain} state-action pairs differ "
         "for certain.",
     )  # fmt: skip
 

@@ -7,23 +7,30 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import shlex
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from oee_tabular import _printing
+from oee_tabular import __version__, _printing
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
-from oee_tabular.report import contents, figures
-from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, changed_rows, portray
-from oee_tabular.report.results import COLUMNS, Evaluation, diagnostic_cells, shown
+from oee_tabular.estimators.names import NAMED
+from oee_tabular.report import figures, text
+from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, changed_rows, intervals_alone, portray
+from oee_tabular.report.results import Report
+from oee_tabular.report.terminal import DIAGNOSTICS, diagnostic_cells, shown
+from oee_tabular.report.text import Answer
+
+LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "gymnasium", "matplotlib", "jinja2")
 
 
-def render(report: Evaluation, *, title: str | None = None, grid: tuple[int, int] | None = None) -> str:
+def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | None = None) -> str:
     """The page of a report."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
@@ -33,44 +40,41 @@ def render(report: Evaluation, *, title: str | None = None, grid: tuple[int, int
         portrait = portray(report.problem, report.policies, report.confidence, grid)
     elif grid is not None:
         raise ValueError("grid must be None for a report without its problem: there is nothing to draw")
-    found = contents.answers(report)
-    sentence, beside = contents.first_words(report, found)
+    answers = report.answers
     environment = Environment(
         loader=PackageLoader("oee_tabular.report"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters |= {
-        "number": contents.number, "between": contents.between, "within": contents.within, "legible": legible,
-        "share": _printing.share,
+        "number": text.number, "between": text.between, "within": text.within, "legible": legible, "share": _printing.share,
     }  # fmt: skip
+    name = answers[0].policy if len(answers) == 1 else f"{len(answers)} policies"
     page = environment.get_template("report.html.j2").render(
-        title=title or _title(found),
+        title=title or f"Evaluation of {name}",
         style=Markup(environment.get_template("report.css").render()),
         report=report,
-        level=f"{100 * report.confidence:.4g}%",
-        sentence=sentence,
-        simulated=any(answer.simulator is not None and answer.from_log for answer in found),
-        beside=beside,
+        level=text.level(report.confidence),
+        has_simulator=any(answer.simulator is not None and answer.is_from_log for answer in answers),
+        comparison={row["policy"]: row for row in report.comparison()},
         answers=[
             {
                 "about": answer,
+                "sentence": report.uncertainty.policies.get(answer.policy, ""),
                 "picture": Markup(figures.forest(report, answer, f"forest{k}")),
-                "rows": _result_rows(report, answer),
+                "rows": _rows(report, answer),
             }
-            for k, answer in enumerate(found)
+            for k, answer in enumerate(answers)
         ],
-        distance=" ".join(report.sureness.distance),
-        advice=report.sureness.next,
         command=plan_command(report),
         stamp=_stamp(report),
         coverage=None if portrait is None else _coverage(portrait, report, Markup),
         changes=None if portrait is None else _changes(portrait, Markup),
         diagnostics=_diagnostics(report),
-        diagnostics_header=["std. error", *(["error"] if report.truth else []), *(title for _, title, _ in COLUMNS)],
-        methods=contents.method_facts(report),
-        versions=contents.versions(),
-        seed=contents.seed_words(report.seed),
-        glossary=contents.glossary(report),
+        diagnostics_header=["std. error", *(["error"] if report.truth else []), *(title for _, title, _ in DIAGNOSTICS)],
+        facts=_facts(report),
+        versions=_versions(),
+        seed=f"seed {report.seed}" if isinstance(report.seed, int) else "no whole number as seed",
+        glossary=_glossary(report),
     )
     return legible(page) + "\n"
 
@@ -80,7 +84,7 @@ def legible(text: object) -> str:
     return "".join(c if c in "\n\t" or c.isprintable() or c.isspace() else "\ufffd" for c in str(text))
 
 
-def _stamp(report: Evaluation) -> str:
+def _stamp(report: Report) -> str:
     """Which inputs the page was made from: their names, their day, their hash."""
     told = [*names(report), date(report)]
     if report.problem is not None:
@@ -88,41 +92,75 @@ def _stamp(report: Evaluation) -> str:
     return " · ".join(filter(None, told))
 
 
-def _title(found: list[contents.Answer]) -> str:
-    names = [answer.policy for answer in found]
-    if len(names) == 1:
-        return f"Evaluation of {names[0]}"
-    return f"Evaluation of {len(names)} policies"
+def _rows(report: Report, answer: Answer) -> list[dict[str, Any]]:
+    """The rows of one policy's table: the intervals that stand alone, then one row an estimator; the answer's is strong."""
+    rows: list[dict[str, Any]] = [
+        {"name": name, "value": "", "method": "", "notes": (), "strong": False,
+         "interval": "none" if ends is None else text.between(*(end * report.scale for end in ends))}
+        for name, ends in intervals_alone(report, answer.policy).items()
+    ]  # fmt: skip
+    for row in report.records():
+        if row["policy"] == answer.policy:
+            ends = row["lower"], row["upper"]
+            rows.append(
+                {"name": row["estimator"], "value": text.within(row["value"], *ends), "interval": text.between(*ends),
+                 "method": row["interval_method"] or "", "notes": row["notes"],
+                 "strong": row["estimator"] == answer.estimator}
+            )  # fmt: skip
+    return rows
 
 
-def _result_rows(report: Evaluation, answer: contents.Answer) -> list[dict[str, Any]]:
-    """Intervals that stand alone, then one row an estimator; the answer's is strong."""
-    alone: list[dict[str, object]] = [
-        {
-            "name": name,
-            "value": "",
-            "interval": contents.interval_words(found, report.scale),
-            "method": "",
-            "notes": (),
-            "strong": False,
-        }
-        for name, found in contents.alone(report, answer.policy).items()
+def _facts(report: Report) -> list[tuple[str, str]]:
+    """How it was computed."""
+    facts = dict(report.facts)
+    unit = f"{report.unit} ({'normalised' if report.normalized else 'not normalised'})"
+    paid = "the log's mean where it has any" if facts.get("rewards") == "log" else "the simulator's"
+    names = ", ".join(dict.fromkeys(result.estimator for result in report.results))
+    specs = ", ".join(f"{name}: {spec}" for name, spec in facts.get("policy_names", {}).items())
+    rows = {
+        "A value is": unit,
+        "Simulator": facts["simulator"],
+        "Simulator from": facts.get("simulator_name"),
+        "Log of the target": facts["log"],
+        "Log from": facts.get("log_name"),
+        "Target": facts.get("target"),
+        "Rewards of model-based values": paid,
+        "Horizon": "infinite" if report.horizon is None else f"{report.horizon} rewards",
+        "Discount": f"{report.discount:g}",
+        "Estimators": names,
+        "Seed": report.seed,
+        "Policies from": specs or None,
+    }
+    told = {"simulator", "simulator_name", "log", "log_name", "log_files", "target", "rewards", "policy_names", "date",
+            "discount"}  # fmt: skip
+    rows |= {str(key).replace("_", " "): value for key, value in facts.items() if key not in told and value}
+    return [(name, str(value)) for name, value in rows.items() if value is not None]
+
+
+def _versions() -> list[tuple[str, str]]:
+    """oee_tabular's, Python's and the libraries' versions."""
+    versions = [("oee_tabular", __version__), ("Python", platform.python_version())]
+    for name in LIBRARIES:
+        try:
+            versions.append((name, metadata.version(name)))
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def _glossary(report: Report) -> list[tuple[str, str]]:
+    """What the words of the tables mean, for a reader who did not run it."""
+    used = dict.fromkeys(result.estimator for result in report.results)
+    methods = dict.fromkeys(row["interval_method"] for row in report.records() if row["interval_method"] in text.METHODS)
+    alone = {name for policy in report.uncertainty.intervals for name in intervals_alone(report, policy)}
+    return [
+        *((name, NAMED[name].meaning) for name in used if name in NAMED),
+        *((f"interval: {name}", f"{text.METHODS[name][0].upper()}{text.METHODS[name][1:]}") for name in methods),
+        *((name, meaning) for name, meaning in text.GLOSSARY.items() if name in alone or not name.endswith("interval")),
     ]
-    return alone + [
-        {
-            "name": row["estimator"],
-            "value": contents.within(row["value"], row["lower"], row["upper"]),
-            "interval": contents.between(row["lower"], row["upper"]),
-            "method": row["interval_method"] or "",
-            "notes": row["notes"],
-            "strong": row["estimator"] == answer.estimator,
-        }
-        for row in report.records()
-        if row["policy"] == answer.policy
-    ]
 
 
-def _coverage(portrait: Portrait, report: Evaluation, markup: Any) -> dict[str, Any]:
+def _coverage(portrait: Portrait, report: Report, markup: Any) -> dict[str, Any]:
     rows = [
         {
             "policy": name,
@@ -137,7 +175,7 @@ def _coverage(portrait: Portrait, report: Evaluation, markup: Any) -> dict[str, 
         "left_out": max(0, len(report.policies) - MOST_POLICIES) if portrait.visits else 0,
         "never": portrait.never,
         "alive": portrait.alive,
-        "moves": int(portrait.counts.sum()),
+        "transitions": int(portrait.counts.sum()),
         "pairs": int((portrait.counts[~portrait.over] == 0).sum()),
         "all_pairs": portrait.alive * portrait.counts.shape[1],
         "notable": NOTABLE,
@@ -159,7 +197,7 @@ def _changes(portrait: Portrait, markup: Any) -> dict[str, Any]:
     }
 
 
-def _diagnostics(report: Evaluation) -> list[dict[str, Any]]:
+def _diagnostics(report: Report) -> list[dict[str, Any]]:
     table = []
     for row in report.records():
         errors = [shown(row["standard_error"], ".2g"), *([shown(row["error"], "+.2g")] if report.truth else [])]
@@ -177,7 +215,7 @@ def date_of(files: Iterable[str | os.PathLike[str]]) -> str:
     return _day(max(file.stat().st_mtime for file in there)) if there else ""
 
 
-def date(report: Evaluation) -> str:
+def date(report: Report) -> str:
     """The day to print: of SOURCE_DATE_EPOCH where it is set, else of the newest input file; "" where there are no files."""
     given = os.environ.get(EPOCH, "")
     if not given:
@@ -193,7 +231,7 @@ def _day(seconds: float) -> str:
     return f"{day.day} {day:%B %Y}"
 
 
-def names(report: Evaluation) -> list[str]:
+def names(report: Report) -> list[str]:
     """The inputs' names, as far as they are known."""
     facts = report.facts
     specs = facts.get("policy_names", {})
@@ -217,7 +255,7 @@ def fingerprint(problem: Problem, policies: Mapping[str, object]) -> str:
     return digest.hexdigest()[:8]
 
 
-def plan_command(report: Evaluation) -> str:
+def plan_command(report: Report) -> str:
     """What plans the next recording, ready to be typed: the command in the files' own names, or the call in Python.
 
     "" where neither can (a continuous task's log).

@@ -1,4 +1,4 @@
-"""What an evaluation found: as rows, as text, as JSON and as files."""
+"""What an evaluation found: as text, as rows, as JSON and as files."""
 
 from __future__ import annotations
 
@@ -6,32 +6,26 @@ import json
 import math
 import os
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oee_tabular import __version__, _files, _printing
+from oee_tabular import __version__, _checks, _files
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.inference import Interval
-from oee_tabular.report.files import check_output
-from oee_tabular.report.quoting import LIKELIHOOD, METHODS, OWN
-from oee_tabular.report.sureness import Sureness, as_records, sampling_columns
+from oee_tabular.report import terminal, text
+from oee_tabular.report.files import check_output, check_page
+from oee_tabular.report.interval_choice import OWN
+from oee_tabular.report.text import Answer
+from oee_tabular.report.uncertainty import LIKELIHOOD, Uncertainty, sampling_columns
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (  # of diagnostics, in the table and on the page
-    ("effective_sample_size", "eff. n", "{:.0f}".format),
-    ("coverage", "coverage", _printing.share),
-    ("largest_weight", "max weight", "{:.3g}".format),
-    ("row_sum_error", "row-sum err.", lambda error: "0" if error < 1e-9 else f"{error:.2g}"),
-)
 
 
 @dataclass(frozen=True)
@@ -65,8 +59,30 @@ def headline(results: Sequence[Result]) -> Result:
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """A ``Report`` but for its page; its attributes are explained there."""
+class Report:
+    """What ``oee evaluate`` prints and draws; ``print(report)`` begins with the answer.
+
+    Attributes
+    ----------
+    results : one entry per policy and estimator; estimates are raw discounted sums
+    truth : exact value of each policy in the target, where the target is known
+    warnings : what the numbers do not tell, in plain language
+    notes : for each (policy, estimator), the numbers (from 1) of the warnings that concern it
+    confidence : of the intervals
+    normalized : whether table, picture and JSON multiply values by (1 - discount)
+    discount, horizon, seed, facts : how it was computed
+    uncertainty : intervals of each policy, the comparison of the policies, and their sentences
+    problem, policies : what was evaluated, for the pictures of ``to_html``
+    hidden : the (policy, estimator) whose rows a short table leaves out: importance sampling that rests on a few episodes
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> pair = oee.testing.case("ragged")
+    >>> report = oee.evaluate(pair.problem(1000, seed=0), pair.policy, estimators=["pdis"], target=pair.target, seed=0)
+    >>> [(row["estimator"], round(row["value"], 2), round(row["error"], 2)) for row in report.records()]
+    [('pdis', 10.51, 0.44)]
+    """
 
     results: tuple[Result, ...]
     truth: Mapping[str, float]
@@ -78,13 +94,14 @@ class Evaluation:
     horizon: int | None
     seed: Any
     facts: Mapping[str, Any]
-    sureness: Sureness = field(default_factory=Sureness)
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
     problem: Problem | None = field(default=None, repr=False, compare=False)
     policies: Mapping[str, Array] = field(default_factory=dict, repr=False, compare=False)
+    hidden: frozenset[tuple[str, str]] = frozenset()
 
     @property
     def unit(self) -> str:
-        """What a value is, in words."""
+        """What a value is, as a formula."""
         span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
         factor = "(1 - discount) * " if self.normalized else ""
         return f"{factor}sum of discount^t * reward over {span}, discount {self.discount:g}"
@@ -102,6 +119,62 @@ class Evaluation:
         """(1 - discount) if normalized, else 1."""
         return 1.0 - self.discount if self.normalized else 1.0
 
+    @property
+    def answers(self) -> list[Answer]:
+        """What there is to say of each policy: the value that the log corrects, where there is one, with its interval."""
+        answers, rows = [], self.records()
+        for policy in dict.fromkeys(result.policy for result in self.results):
+            own = [result for result in self.results if result.policy == policy]
+            first = headline(own)
+            row = rows[self.results.index(first)]
+            simulator = next((r.estimate for r in own if not r.estimate.is_from_log), None)
+            error = None if simulator is None else simulator.standard_error
+            likelihood = self.uncertainty.intervals.get(policy, {}).get(LIKELIHOOD)
+            unrecorded = 0 if likelihood is None else int(likelihood.diagnostics.get("unvisited_rows", 0))
+            answers.append(
+                Answer(
+                    policy, row["estimator"], row["value"], row["lower"], row["upper"], row["interval_method"],
+                    None if simulator is None else simulator.value * self.scale,
+                    None if error is None else error * self.scale,
+                    row["true_value"], row.get("coverage"), unrecorded, first.estimate.is_from_log,
+                )
+            )  # fmt: skip
+        return answers
+
+    @property
+    def headline(self) -> str:
+        """The answer in a sentence or two: the policy's value, or which of several policies is worth most.
+
+        A log that contradicts the simulator's rewards, or covers less than half of what a policy does, is said first.
+        """
+        answers = [answer for answer in self.answers if math.isfinite(answer.value)]
+        if not answers:
+            return text.NO_VALUE
+        conflict = None if self.problem is None or self.problem.rewards == "log" else self.problem.reward_conflict
+        first = "" if conflict is None else text.contradicting_rewards(
+            conflict.rows, conflict.of_rows, at_most=conflict.at_most
+        )  # fmt: skip
+        if len(self.answers) == 1:
+            told = text.worth(answers[0], self.confidence)
+        else:
+            told = " ".join(filter(None, (text.nearly_silent(answers), self.uncertainty.ranking)))
+        return " ".join(filter(None, (first, told)))
+
+    @property
+    def answer(self) -> str:
+        """The headline; of several policies also the value of each, with its interval, beside the simulator's.
+
+        >>> import oee_tabular as oee
+        >>> pair = oee.testing.case("ragged")
+        >>> oee.evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, seed=0).answer.split("about")[0]
+        'In the target, the policy “new” is worth '
+        """
+        answers = [answer for answer in self.answers if math.isfinite(answer.value)]
+        if len(self.answers) == 1 or not answers:
+            return self.headline
+        ordered = sorted(answers, key=lambda answer: -answer.value)
+        return " ".join([self.headline, *(text.worth(answer, self.confidence) for answer in ordered)])
+
     def records(self) -> list[dict[str, Any]]:
         """The results as plain rows, in the report's unit (diagnostics that are values as well)."""
         rows = []
@@ -117,7 +190,7 @@ class Evaluation:
                     "standard_error": None if error is None else error * factor,
                     "lower": None if interval is None else interval[0] * factor,
                     "upper": None if interval is None else interval[1] * factor,
-                    **sampling_columns(self._likelihood(result), factor),
+                    **sampling_columns(self._quoted_likelihood(result), factor),
                     "interval_method": None if interval is None else estimate.diagnostics.get("interval_method", OWN),
                     "true_value": None if truth is None else truth * factor,
                     "error": None if truth is None else (estimate.value - truth) * factor,
@@ -132,11 +205,11 @@ class Evaluation:
             )
         return rows
 
-    def _likelihood(self, result: Result) -> Interval | None:
+    def _quoted_likelihood(self, result: Result) -> Interval | None:
         """The likelihood interval, where the result quotes it."""
         if result.estimate.diagnostics.get("interval_method") != LIKELIHOOD:
             return None
-        return self.sureness.intervals.get(result.policy, {}).get(LIKELIHOOD)
+        return self.uncertainty.intervals.get(result.policy, {}).get(LIKELIHOOD)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -145,72 +218,88 @@ class Evaluation:
 
         return pd.DataFrame(self.records())
 
-    def _header(self) -> list[str]:
-        interval = [f"{self.confidence:.0%} interval", *(["error"] if self.truth else [])]
-        return ["policy", "estimator", "value", "std. error", *interval, *(title for _, title, _ in COLUMNS), "note"]
+    def comparison(self) -> list[dict[str, Any]]:
+        """A row each policy, best first: its value and interval, P(best), and by how much it is worth less than the best.
 
-    def _legend(self) -> list[str]:
-        """What the column of intervals holds: for each method its estimators, and what it is."""
-        members: dict[str, dict[str, None]] = {}
-        for row in self.records():
-            if row["interval_method"] is not None:
-                members.setdefault(row["interval_method"], {})[row["estimator"]] = None
-        return [
-            f"{self.confidence:.0%} interval of {', '.join(names)} ({method}): {METHODS.get(method, method)}."
-            for method, names in members.items()
-        ]
+        P(best) is None where the log cannot say. The intervals of all differences hold at once. [] of a single policy.
+        """
+        compared, decision = self.uncertainty.comparison, self.uncertainty.decision
+        if compared is None or decision is None:
+            return []
+        answers = sorted(self.answers, key=lambda answer: -answer.value if math.isfinite(answer.value) else math.inf)
+        rows, best = [], compared.names.index(answers[0].policy)
+        for answer in answers:
+            k, less = compared.names.index(answer.policy), answers[0].value - answer.value
+            ends = (float(x[best, k]) * self.scale for x in (compared.lower, compared.upper))
+            lower, upper = (None, None) if k == best else ends
+            rows.append(
+                {
+                    "policy": answer.policy,
+                    "value": answer.value,
+                    "lower": answer.lower,
+                    "upper": answer.upper,
+                    **sampling_columns(self.uncertainty.likelihood.get(answer.policy), self.scale),
+                    "probability_best": decision.probability_best[answer.policy],
+                    "unseen_share": float(compared.unseen_share[k]),
+                    "less_by": None if k == best else less,
+                    "less_by_lower": None if lower is None else min(lower, less),
+                    "less_by_upper": None if upper is None else max(upper, less),
+                }
+            )
+        return rows
+
+    @property
+    def best(self) -> str | None:
+        """The policy that is worth most; None where the log cannot say, or several are worth the same."""
+        return self.uncertainty.best
 
     def __repr__(self) -> str:
         return str(self)
 
     def __str__(self) -> str:
-        body = [self._cells(row) for row in self.records()]
-        lines = aligned([self._header(), *body], numeric_from=2)
-        lines.insert(1, "-" * max(len(line) for line in lines))
-        text = [f"Value: {self.unit}", f"Simulator: {self.facts['simulator']}", f"Log: {self.facts['log']}"]
-        text += [*([f"Target: {self.facts['target']}"] if "target" in self.facts else []), "", *lines]
-        if self._legend():
-            text += ["", *self._legend()]
-        if self.truth:
-            values = ", ".join(f"{name}: {value * self.scale:.6g}" for name, value in self.truth.items())
-            text += ["", f"Exact value in the target: {values}"]
-        if self.warnings:
-            numbered = (f"  [{k}] {warning}" for k, warning in enumerate(self.warnings, start=1))
-            text += ["", "Read before use:", *numbered]
-        if self.sureness.sentences:
-            text += ["", *self.sureness.sentences]
-        return "\n".join(text)
+        return self.to_text()
 
-    def _cells(self, row: Mapping[str, Any]) -> list[str]:
-        ends = row["lower"], row["upper"]
-        form, interval = (".5g", "") if ends[0] is None else (_printing.spec(*ends), _printing.interval(*ends))
-        return [
-            row["policy"],
-            row["estimator"],
-            format(row["value"], form),
-            shown(row["standard_error"], ".2g"),
-            interval,
-            *([shown(row["error"], "+.2g")] if self.truth else []),
-            *diagnostic_cells(row),
-            "".join(f"[{k}]" for k in row["notes"]),
-        ]
+    def to_text(self, *, all: bool = False, verbose: bool = False) -> str:
+        """The report as text for a terminal of 100 columns.
+
+        Parameters
+        ----------
+        all : whether rows stand there that a short report leaves out (importance sampling that rests on a few episodes)
+        verbose : whether every note stands there, and the table has columns of diagnostics
+        """
+        return terminal.render(self, all=_checks.boolean(all, "all"), verbose=_checks.boolean(verbose, "verbose"))
+
+    def rows(self, *, all: bool = False) -> list[dict[str, Any]]:
+        """The records that stand in the table: ``all``, or those of a short report."""
+        return [row for row in self.records() if all or (row["policy"], row["estimator"]) not in self.hidden]
+
+    def legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+        """What the column of intervals holds, for each method."""
+        members: dict[str, dict[str, None]] = {}
+        for row in rows:
+            if row["interval_method"] is not None:
+                members.setdefault(row["interval_method"], {})[row["estimator"]] = None
+        return [text.legend(method, list(names), self.confidence) for method, names in members.items()]
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as plain values (nan and infinities become None)."""
         found: dict[str, object] = plain(
             {
                 "version": __version__,
+                "answer": self.answer,
                 "unit": self.unit,
                 "discount": self.discount,
                 "horizon": self.horizon,
                 "normalized": self.normalized,
                 "confidence": self.confidence,
-                "interval": self._legend(),
+                "interval": self.legend(self.records()),
                 "seed": self.seed if isinstance(self.seed, int) else None,
                 "facts": dict(self.facts),
                 "results": self.records(),
-                "intervals": as_records(self.sureness, self.scale),
-                "conclusion": list(self.sureness.sentences),
+                "intervals": self.uncertainty.records(self.scale),
+                "best": self.best,
+                "comparison": self.comparison(),
+                "conclusion": list(self.uncertainty.sentences),
                 "warnings": list(self.warnings),
             }
         )
@@ -237,41 +326,52 @@ class Evaluation:
         _files.write_all(target, contents)
         return [target / name for name in contents]
 
+    def to_html(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        title: str | None = None,
+        grid: tuple[int, int] | None = None,
+    ) -> str:
+        """The report as one self-contained page, for people who did not run it; written to ``path`` if one is given.
+
+        Parameters
+        ----------
+        path : .html or .htm file; its folder is made, the file appears whole or not at all
+        title : of the page
+        grid : (rows, columns) of a task whose states are cells, row * columns + column; None: the simulator's layout, or the
+            transitions that it makes (``plots.map_of``). Other tasks get a picture of the states where a policy spends its time
+
+        Returns
+        -------
+        The page's text. The same input and seed give the same text.
+
+        Raises
+        ------
+        ValueError
+            A path that cannot be written, a grid that has not as many cells as there are states.
+
+        Examples
+        --------
+        >>> import oee_tabular as oee
+        >>> simulator, target = oee.tasks.gridworld(3, slip=0.3), oee.tasks.gridworld(3, slip=0.1)
+        >>> log = oee.sample_episodes(target, oee.uniform_policy(target), 20, horizon=30, seed=0)
+        >>> page = oee.evaluate(oee.Problem(simulator, log), oee.tasks.gridworld_expert(3), seed=0).to_html()
+        >>> page[:15], "Where simulator and target differ most" in page
+        ('<!doctype html>', True)
+        """
+        from oee_tabular.report.page import render
+
+        if title is not None:
+            _checks.instance(title, str, "title", "string")
+        file = None if path is None else check_page(path)
+        page = render(self, title=title, grid=grid)
+        if file is not None:
+            _files.write_all(file.parent, {file.name: page.encode()})
+        return page
+
     def _repr_html_(self) -> str:
-        return _printing.table(
-            self._header(),
-            [self._cells(row) for row in self.records()],
-            caption=f"Value: {self.unit} ({'normalised' if self.normalized else 'not normalised'})",
-            text_columns=2,
-            below=[
-                *self._legend(),
-                *(f"{name}: exact value in the target {value * self.scale:.6g}" for name, value in self.truth.items()),
-                *(f"[{k}] {warning}" for k, warning in enumerate(self.warnings, start=1)),
-                *self.sureness.sentences,
-            ],
-        )
-
-
-def shown(value: float | None, form: str) -> str:
-    """A number, or nothing."""
-    return "" if value is None else format(value, form)
-
-
-def diagnostic_cells(row: Mapping[str, Any]) -> list[str]:
-    """A record's ``COLUMNS``, empty where it has none."""
-    return ["" if row.get(key) is None else words(row[key]) for key, _, words in COLUMNS]
-
-
-def aligned(rows: Sequence[Sequence[str]], *, numeric_from: int) -> list[str]:
-    """The lines of a table; columns from ``numeric_from`` on stand to the right."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.rjust(width) if k >= numeric_from else cell.ljust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+        return terminal.render_html(self)
 
 
 def plain(value: object) -> Any:

@@ -10,7 +10,7 @@ from scipy import optimize, special, stats
 
 import oee_tabular as oee
 from oee_tabular import inference
-from oee_tabular.report.quoting import quoted
+from oee_tabular.report.interval_choice import choose_interval
 from oee_tabular.theory import kl_path_sides, normalised_sides, path_kl, unnormalised_sides
 
 
@@ -177,6 +177,6 @@ def test_path_bounds_by_every_path(form):
 def test_a_value_at_an_end_of_the_interval_but_for_rounding_stays_and_the_end_goes_with_it(value):
     estimate = oee.Estimate(value, model_value=value)
     sure = inference.Interval(0.0, 1.0, 0.95, "likelihood", {})
-    found = quoted(estimate, sure, 0.95)
+    found = choose_interval(estimate, sure, 0.95)
     assert found.value == value
     assert found.interval == (min(0.0, value), max(1.0, value))

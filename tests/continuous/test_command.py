@@ -378,10 +378,10 @@ def test_the_corrected_simulator_comes_first():
     assert first["upper"] - first["lower"] < 0.5 * abs(before - truth.value)
     assert first["interval_method"] == "refits"
     assert headline(report.results).estimator == "oee (residual)"
-    assert report.sureness.sentences[0].startswith(
+    assert report.uncertainty.sentences[0].startswith(
         "The target's steps differ from the simulator's in x_dot (residuals "
     )
-    assert "theta_dot" in report.sureness.sentences[0]
+    assert "theta_dot" in report.uncertainty.sentences[0]
     assert "oee (residual)" not in str(
         evaluate_continuous(
             simulator, LOG, {"mixed": policy}, settings=Settings(grid=(16, 16), episodes=50), seed=0,
@@ -431,7 +431,7 @@ def test_hidden_state_is_said_and_not_put_in_front():
     assert headline(report.results).estimator == "oee (residual, last action)"
     hidden = report.results[1].estimate
     assert "the state is not all that the next one depends on" in hidden.status
-    assert "Hidden state: " in report.sureness.sentences[0]
+    assert "Hidden state: " in report.uncertainty.sentences[0]
     truth = monte_carlo_value(target, target.policy(policy), 5000, 100, seed=0).value
     values = {row["estimator"]: row["value"] for row in report.records()}
     assert abs(values["oee (residual, last action)"] - truth) < abs(values["simulator (continuous)"] - truth) / 3
@@ -573,7 +573,7 @@ def test_the_advice_says_where_a_cell_is_and_the_calibrated_value_keeps_its_inte
     report = evaluate_continuous(
         simulator, log, {"expert": simulator.expert}, settings=few, seed=0, estimators=["oee"], horizon=20
     )
-    assert re.search(r"What would help most: moves of action \d in state \d+ \(theta=.*, theta_dot=", str(report))
+    assert re.search(r"Record action \d in state \d+ \(theta=.*, theta_dot=", str(report))
 
     def raw(problem, policy, *, seed=None):
         return Estimate(

@@ -109,7 +109,7 @@ def test_the_command_takes_files_of_names(tmp_path, capsys):
         assert not ended.value.code
         told.append([line for line in capsys.readouterr().out.splitlines() if ".csv" not in line])
     assert told[0] == told[1]
-    assert "What would help most: moves of action " in "\n".join(told[0])
+    assert "Record action " in "\n".join(told[0])
 
 
 TEXTS = r"must hold integers; it holds <U1 \(numbers written as text\? \.astype\(int\)\)$"

@@ -176,7 +176,7 @@ def test_a_value_that_no_move_changes_needs_none(pay):
     log = oee.Transitions([0, 0, 0, 1, 2], [0, 0, 0, 1, 1], [1, 2, 2, 0, 1])
     problem = oee.Problem(simulator, log, horizon=1)
     policy = np.full((3, 2), 0.5)
-    assert oee.plan_data_collection(problem, policy, n=5).advice == "More moves would not narrow it."
+    assert oee.plan_data_collection(problem, policy, n=5).advice == "More transitions would not narrow it."
 
 
 @given(rngs)
@@ -188,7 +188,7 @@ def test_a_report_and_a_plan_give_one_piece_of_advice(rng):
     share[0, 0] = 0.0 if share.size > 1 else 1.0
     log = oee.sample_transitions(simulator, share / share.sum(), int(rng.integers(1, 200)), seed=1)
     problem = oee.Problem(simulator, log)
-    said = oee.evaluate(problem, policies, estimators=["simulator"], quick=True).sureness.next
+    said = oee.evaluate(problem, policies, estimators=["simulator"], quick=True).uncertainty.next
     for sampling in ("free", "behavior"):
         plan = oee.plan_data_collection(problem, policies, n=50, sampling=sampling)
         assert plan.advice == said
@@ -340,7 +340,7 @@ def test_how_a_plan_reads():
         "Plan for 1000 transitions, by a behaviour policy",
         "90% width",
         "delta 0.9",
-        "What would help most: moves of action ",
+        "Record action ",
         "then, one move each (s, a): ",
         "%",
     ):

@@ -75,7 +75,7 @@ def test_they_are_copied_and_read_only():
 
 def test_a_report_leaves_out_what_needs_whole_moves():
     report = oee.evaluate(oee.Problem(SIMULATOR, LOG, 20, counts=SOFT), EXPERT, estimators=["oee"], seed=0)
-    assert report.sureness.intervals == {}
+    assert report.uncertainty.intervals == {}
     assert "likelihood intervals, which need whole and independent moves, are left out" in str(report)
     with pytest.raises(ValueError, match="guaranteed must be False where counts are given"):
         oee.evaluate(oee.Problem(SIMULATOR, LOG, 20, counts=SOFT), EXPERT, estimators=["oee"], guaranteed=True)
@@ -136,7 +136,7 @@ def test_soft_counts_without_a_log_turn_intervals_off():
     problem = oee.Problem(SIMULATOR, SOFT, 20)
     assert problem.soft
     assert not WHOLE.soft
-    assert oee.evaluate(problem, EXPERT, estimators=["oee"], seed=0).sureness.intervals == {}
+    assert oee.evaluate(problem, EXPERT, estimators=["oee"], seed=0).uncertainty.intervals == {}
     with pytest.raises(ValueError, match="counts must be whole numbers to be resampled; some are not"):
         oee.interval(problem, EXPERT, method="bootstrap", seed=0)
 

@@ -77,7 +77,7 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     assert_allclose(row[["sampling_lower", "sampling_upper"]].astype(float), 0.1 * np.array(found.sampling), rtol=1e-9)
     assert np.isnan(report.table.set_index("estimator").sampling_lower["model-based"])
     share = f"{100 * found.diagnostics['unvisited_share']:.1f}% of the policy's time"
-    sentence = next(x for x in report.sureness.sentences if "from the recorded transitions alone" in x)
+    sentence = next(x for x in report.uncertainty.sentences if "from the recorded transitions alone" in x)
     assert f"that were never recorded ({share}) do anything that the simulator allows" in sentence
     assert "with those pairs as estimated, the value lies between" in sentence
     report.save(tmp_path)

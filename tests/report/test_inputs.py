@@ -12,7 +12,6 @@ from oee_tabular.cli import main
 from oee_tabular.estimators.names import NAMED
 from oee_tabular.plots.style import COLORS, places, series
 from oee_tabular.report import page
-from oee_tabular.report.contents import answers, first_words
 
 
 def problem(slip=0.3, seed=0, **options):
@@ -106,8 +105,8 @@ def test_a_title_needs_a_page(capsys):
 
 def test_the_answer_is_one_sentence_with_the_one_interval_beside_the_simulator():
     report = oee.evaluate(problem(), EXPERT, estimators=["simulator", "oee"])
-    sure = report.sureness.intervals["expert"]["likelihood"]
-    assert report.answer == first_words(report, answers(report))[0]
+    sure = report.uncertainty.intervals["expert"]["likelihood"]
+    assert report.answer == report.headline
     assert re.fullmatch(
         r"In the target, the policy “expert” is worth about −[\d.]+, and with 95% confidence between −[\d.]+ and "
         r"−[\d.]+; the simulator says −[\d.]+\.",

@@ -16,7 +16,7 @@ from oee_tabular import _files
 from oee_tabular.cli import main
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
 from oee_tabular.report import Report
-from oee_tabular.report.contents import answers, between, first_words, number, within
+from oee_tabular.report.text import between, number, within
 
 VOID = {"meta", "link", "br", "hr", "img", "input"}
 
@@ -108,7 +108,7 @@ def test_every_picture_has_a_title_and_a_description(page):
 def test_it_says_the_answer_and_how_it_was_found(report, page):
     text = Page(page).text
     value = next(row["value"] for row in report.records() if (row["policy"], row["estimator"]) == ("bold", "oee"))
-    sure = report.sureness.intervals["bold"]["likelihood"]
+    sure = report.uncertainty.intervals["bold"]["likelihood"]
     assert "Of 2 policies, “bold” is worth most in the target" in text
     assert f"Between {between(sure.lower, sure.upper, ' and ')} with 95% confidence" in text
     assert within(value, sure.lower, sure.upper) in text
@@ -223,14 +223,14 @@ def test_the_sentence_for_one_policy_for_none_and_without_intervals():
     problem = Problem(oee.tasks.gridworld(2, 0.3, discount=1.0), oee.Transitions([0], [0], [2]))
     uniform = np.full((4, 4), 0.25)
     one = oee.evaluate(problem, {"mine": uniform}, estimators={"own": constant(2.0)}, confidence=0.9)
-    assert first_words(one, answers(one)) == ("In the target, the policy “mine” is worth about 2.000.", "")
+    assert first_words(one, one.answers) == ("In the target, the policy “mine” is worth about 2.000.", "")
     sure = oee.evaluate(problem, {"mine": uniform}, estimators={"own": constant(2.0, 1.0)}, confidence=0.999)
-    assert "about 2.000, and with 99.9% confidence between −1.291 and 5.291" in first_words(sure, answers(sure))[0]
+    assert "about 2.000, and with 99.9% confidence between −1.291 and 5.291" in sure.headline
     none = oee.evaluate(problem, {"mine": uniform}, estimators={"own": constant(math.nan)})
-    assert first_words(none, answers(none))[0] == "No estimator could give the value of a policy in the target."
+    assert none.headline == "No estimator could give the value of a policy in the target."
     assert "the sensor was off" in none.to_html()
     two = oee.evaluate(problem, {"a": uniform, "b": uniform}, estimators={"own": constant(2.0, 1.0)})
-    assert first_words(two, answers(two))[0].startswith("At discount 1 policies are ranked only with a horizon")
+    assert two.headline.startswith("At discount 1 policies are ranked only with a horizon")
 
 
 def test_numbers_are_set_for_reading():

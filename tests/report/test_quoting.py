@@ -20,7 +20,7 @@ import oee_tabular as oee
 from oee_tabular import _printing
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
 from oee_tabular.report import evaluation
-from oee_tabular.report.contents import answers, between, within
+from oee_tabular.report.text import between, within
 
 SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3, discount=0.9), oee.tasks.gridworld(4, 0.1, discount=0.9)
 MINE = oee.tasks.gridworld_policy(4, 0.5)
@@ -74,7 +74,7 @@ def test_every_value_stands_inside_its_interval(rng, n):
         assert row["interval_method"] != "standard error" or row["lower"] < row["upper"]
         if row["estimator"] == "model-based":
             assert row["coverage"] >= 0.9
-    for answer in answers(report):
+    for answer in report.answers:
         assert answer.lower is None or answer.lower <= answer.value <= answer.upper
 
 
@@ -121,7 +121,7 @@ def test_the_same_interval_stands_everywhere(tmp_path):
     assert (told["lower"], told["upper"], told["interval_method"]) == (*ends, "likelihood")
     kept = next(csv.DictReader(io.StringIO((tmp_path / "table.csv").read_text())))
     assert (float(kept["lower"]), float(kept["upper"]), kept["interval_method"]) == (*ends, "likelihood")
-    (answer,) = answers(report)
+    (answer,) = report.answers
     assert (answer.lower, answer.upper, answer.method) == (*ends, "likelihood")
     page = report.to_html()
     assert between(*ends) in page
@@ -129,9 +129,9 @@ def test_the_same_interval_stands_everywhere(tmp_path):
 
 
 def test_where_there_is_no_likelihood_interval_the_estimators_own_stands_at_the_level_asked_for(monkeypatch):
-    from oee_tabular.report import sureness
+    from oee_tabular.report import uncertainty
 
-    monkeypatch.setattr(sureness, "LARGEST", 10)
+    monkeypatch.setattr(uncertainty, "MAX_TRANSITIONS", 10)
     found = oee.evaluate(even(400), {"mine": MINE}, estimators={"oee": Corrected(2.0)})
     assert row_of(found)["interval_method"] == "one-step"
     assert_allclose([row_of(found)[end] for end in ("lower", "upper")], [1.804, 2.196])
@@ -237,25 +237,25 @@ def test_a_standard_error_of_zero_makes_no_interval():
 def test_policies_that_the_log_separates_are_ranked_and_others_are_not():
     good, bad = (oee.tasks.gridworld_policy(4, x) for x in (0.9, 0.4))
     report = oee.evaluate(even(4000), {"bad": bad, "good": good}, estimators=["oee"])
-    compared = report.sureness.comparison
+    compared = report.uncertainty.comparison
     text = "Of 2 policies, “good” is worth most in the target. It is better than “bad” by "
-    assert report.sureness.ranking.startswith(text)
-    assert report.sureness.ranking.endswith(").")  # intervals apart: no more to say
-    assert f"(95%: {compared.lower[0, 1]:.3f} to {compared.upper[0, 1]:.3f})" in report.sureness.ranking
-    assert report.sureness.ranking in str(report)
-    assert report.sureness.ranking in report.to_html()
+    assert report.uncertainty.ranking.startswith(text)
+    assert report.uncertainty.ranking.endswith(").")  # intervals apart: no more to say
+    assert f"(95%: {compared.lower[0, 1]:.3f} to {compared.upper[0, 1]:.3f})" in report.uncertainty.ranking
+    assert report.uncertainty.ranking in str(report)
+    assert report.uncertainty.ranking in report.to_html()
     tied = oee.evaluate(even(4000), {"bad": bad, "good": good, "same": good}, estimators=["oee"])
-    assert tied.sureness.ranking == "“good” and “same” are worth the same in the target; the other 1 is worth less."
-    assert tied.sureness.ranking in tied.to_html()
+    assert tied.uncertainty.ranking == "“good” and “same” are worth the same in the target; the other 1 is worth less."
+    assert tied.uncertainty.ranking in tied.to_html()
     assert "“good” is worth about" in tied.answer
 
 
 def test_a_paired_comparison_ranks_where_intervals_overlap():
     policies = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.5, 0.4)}
     report = oee.evaluate(even(1000, 3), policies, estimators=["oee"])
-    sure = [report.sureness.intervals[name]["likelihood"] for name in policies]
+    sure = [report.uncertainty.intervals[name]["likelihood"] for name in policies]
     assert sure[0].lower < sure[1].upper
-    best, why = report.sureness.ranking.split(".5” is worth most in the target. It is better than “delta=0.4” by ")
+    best, why = report.uncertainty.ranking.split(".5” is worth most in the target. It is better than “delta=0.4” by ")
     assert best == "Of 2 policies, “delta=0"
     assert why.endswith("known more precisely than either value because both rest on the same transitions.")
 
@@ -263,12 +263,12 @@ def test_a_paired_comparison_ranks_where_intervals_overlap():
 def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradict_it():
     policies = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.9, 0.4)}
     near = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.9, 0.9001)}
-    assert oee.evaluate(even(100), near, estimators=["oee"]).sureness.ranking.startswith("The log cannot say which of ")
+    assert oee.evaluate(even(100), near, estimators=["oee"]).uncertainty.ranking.startswith("The log cannot say which of ")
     half = oee.evaluate(even(20_000, rows=8), policies, estimators=["oee"])
-    assert half.sureness.ranking.startswith("The log cannot say which of ")
-    sure = half.sureness
+    assert half.uncertainty.ranking.startswith("The log cannot say which of ")
+    sure = half.uncertainty
     assert evaluation.ranked(sure, {"delta=0.9": math.nan, "delta=0.4": math.nan}) == sure
-    clear = oee.evaluate(even(20_000), policies, estimators=["oee"]).sureness
+    clear = oee.evaluate(even(20_000), policies, estimators=["oee"]).uncertainty
     assert evaluation.ranked(clear, {"delta=0.9": 2.0, "delta=0.4": 1.0}).ranking.startswith(
         "Of 2 policies, “delta=0.9”"
     )

@@ -209,7 +209,7 @@ def test_what_to_record_next_is_said_once():
     log = oee.Transitions([0], [0], [3])
     policies = {"a": oee.uniform_policy(simulator), "b": oee.tasks.gridworld_policy(3, 0.5)}
     text = str(oee.evaluate(Problem(simulator, log), policies, estimators="oee"))
-    assert text.count("What would help most: moves of action ") == 1
+    assert text.count("Record action ") == 1
     assert "Record first" not in text
 
 

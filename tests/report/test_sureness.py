@@ -19,10 +19,10 @@ def report(recorded, n, share=None, **options):
 
 def test_much_data_of_another_environment():
     found = report(TARGET, 60_000, guaranteed=True, target=TARGET)
-    far, sure, advice = found.sureness.sentences
+    far, sure, advice = found.uncertainty.sentences
     assert far.startswith("The target differs from the simulator: the log rules the simulator out in 60 of the 60 ")
     assert " nats of the difference on average" in far
-    intervals = found.sureness.intervals["mine"]
+    intervals = found.uncertainty.intervals["mine"]
     assert set(intervals) == {"likelihood", "robust"}
     assert found.truth["mine"] in intervals["likelihood"]
     assert intervals["robust"].lower < intervals["likelihood"].lower
@@ -33,12 +33,12 @@ def test_much_data_of_another_environment():
     assert "; guaranteed, between " in sure
     assert str(found).endswith(f"{sure}\n{advice}")
     told = json.loads(found.to_json())
-    assert told["conclusion"] == list(found.sureness.sentences)
+    assert told["conclusion"] == list(found.uncertainty.sentences)
     assert [row["method"] for row in told["intervals"]] == ["likelihood", "robust"]
 
 
 def test_little_data_tells_by_all_moves_together():
-    far = report(TARGET, 400).sureness.sentences[0]
+    far = report(TARGET, 400).uncertainty.sentences[0]
     assert "do its own moves contradict the simulator, but all of them together do (z = " in far
     assert "moves that the simulator holds likely come more often in the target" in far
 
@@ -46,7 +46,7 @@ def test_little_data_tells_by_all_moves_together():
 def test_the_simulator_itself():
     assert (
         report(SIMULATOR, 2000)
-        .sureness.sentences[0]
+        .uncertainty.sentences[0]
         .endswith("nor do moves that it holds likely come more or less often on the whole.")
     )
 
@@ -55,33 +55,33 @@ def test_what_was_never_recorded_comes_first():
     share = np.full((16, 4), 1.0)
     share[0, 0] = 0.0
     found = report(TARGET, 5000, share / share.sum())
-    assert found.sureness.sentences[2] == "What would help most: moves of action 0 in state 0 (never recorded)."
-    assert "(the reachable state-action pair never recorded at its worst)" in found.sureness.sentences[1]
+    assert found.uncertainty.sentences[2] == "Record action 0 in state 0 (never recorded)."
+    assert "(the reachable state-action pair never recorded at its worst)" in found.uncertainty.sentences[1]
 
 
 def test_values_are_in_the_reports_unit():
     plain, scaled = report(TARGET, 3000), report(TARGET, 3000, normalized=True)
     row, small = (json.loads(found.to_json())["intervals"][0] for found in (plain, scaled))
     assert np.isclose(small["lower"], 0.1 * row["lower"])
-    assert "guaranteed" not in plain.sureness.sentences[1]
+    assert "guaranteed" not in plain.uncertainty.sentences[1]
 
 
 def test_a_certain_simulator_has_nothing_to_learn():
     chain = oee.FiniteMDP(np.array([[[0.0, 1.0]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9)
     problem = oee.Problem(chain, oee.Transitions([0], [0], [1]))
-    sentences = oee.evaluate(problem, {"only": np.ones((2, 1))}, estimators=["oee"]).sureness.sentences
+    sentences = oee.evaluate(problem, {"only": np.ones((2, 1))}, estimators=["oee"]).uncertainty.sentences
     assert sentences[0] == "The log has no move that could tell the target from the simulator."
     assert sentences[2] == (
-        "What would help most: moves of action 0 in state 0 (1 move so far; the model holds its outcome for certain)."
+        "Record action 0 in state 0 (1 move so far; the model holds its outcome for certain)."
     )
     over = oee.Problem(oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9), oee.Transitions([0], [0], [0]))
-    assert oee.evaluate(over, {"only": [0]}, estimators=["oee"]).sureness.next == "More moves would not narrow it."
+    assert oee.evaluate(over, {"only": [0]}, estimators=["oee"]).uncertainty.next == "More transitions would not narrow it."
 
 
 def test_a_sentence_says_how_the_value_moves_from_simulator_to_log():
     found = report(TARGET, 400)
     value = found.results[0].estimate.value
-    (said,) = found.sureness.policies.values()
+    (said,) = found.uncertainty.policies.values()
     says = oee.policy_value(SIMULATOR, POLICY["mine"])
     assert f"The simulator says {says:.4g}. Corrected by the log: {value:.3f}." in said
 
@@ -96,17 +96,17 @@ def test_diagnostics_that_are_values_are_in_the_reports_unit():
 
 def test_where_there_are_no_likelihood_intervals_it_is_said(monkeypatch):
     """At discount 1 without a horizon, and of too many moves; guaranteed ones are refused there."""
-    from oee_tabular.report import sureness
+    from oee_tabular.report import uncertainty
 
     log = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 900, seed=0)
     endless = oee.Problem(SIMULATOR.with_discount(1.0), log)
     found = oee.evaluate(endless, POLICY, estimators=["oee"], seed=0)
-    assert found.sureness.intervals == {}
-    assert found.sureness.sentences[1] == "There are no likelihood intervals: at discount 1 they need a horizon."
+    assert found.uncertainty.intervals == {}
+    assert found.uncertainty.sentences[1] == "There are no likelihood intervals: at discount 1 they need a horizon."
     with pytest.raises(ValueError, match="guaranteed must be False here: at discount 1 they need a horizon"):
         oee.evaluate(endless, POLICY, estimators=["oee"], seed=0, guaranteed=True)
-    monkeypatch.setattr(sureness, "LARGEST", 10)
-    text = report(TARGET, 400).sureness.sentences[1]
+    monkeypatch.setattr(uncertainty, "MAX_TRANSITIONS", 10)
+    text = report(TARGET, 400).uncertainty.sentences[1]
     assert text == "There are no likelihood intervals: the reachable moves are 232, more than 10."
 
 
@@ -115,9 +115,9 @@ def test_quick_leaves_the_likelihood_intervals_out():
     problem = pair.problem(300, seed=0)
     report = oee.evaluate(problem, pair.policy, estimators=["oee"], seed=0, quick=True)
     full = oee.evaluate(problem, pair.policy, estimators=["oee"], seed=0)
-    assert report.sureness.intervals == {}
-    assert "There are no likelihood intervals: quick was asked for." in report.sureness.distance
-    assert report.sureness.distance[0] == full.sureness.distance[0]
+    assert report.uncertainty.intervals == {}
+    assert "There are no likelihood intervals: quick was asked for." in report.uncertainty.distance
+    assert report.uncertainty.distance[0] == full.uncertainty.distance[0]
     assert report.results[0].estimate.diagnostics["model_value"] == full.results[0].estimate.diagnostics["model_value"]
     with pytest.raises(ValueError, match="guaranteed must be False where quick is True"):
         oee.evaluate(problem, pair.policy, quick=True, guaranteed=True)

@@ -1,0 +1,251 @@
+"""Every sentence of a report: the answer, how sure it is, what the columns mean; each a function of numbers.
+
+What estimators themselves warn of is in ``estimators.findings``, and the advice on recording in ``design.advice``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+from oee_tabular import _printing
+
+NEARLY_SILENT = 0.5  # share of the policy's time that the log covers: below it that is what a reader must know first
+METHODS: Mapping[str, str] = {  # kinds of intervals
+    "likelihood": "every value that agrees with the log. Where there are no data, the interval allows every outcome that the "
+    "simulator allows, with any probability.",
+    "likelihood under the tie": "every value of the tied model that agrees with the log: transitions of one key change alike.",
+    "likelihood under the features": "every value of the model that agrees with the log: rows change along the features "
+    "alone.",
+    "one-step": "value ± normal quantile × standard error. Pairs that were never recorded count as recorded once.",
+    "refits": "value ± t quantile × standard error, by refits on resampled episodes; the rollouts' noise is included.",
+    "calibrated": "value ± normal quantile × standard error, which includes the gap between two calibrations.",
+    "simulator's samples": "value ± normal quantile × standard error: the simulator's sampling noise, not the target's.",
+    "the estimator's own": "as the estimator gives it.",
+    "standard error": "value ± normal quantile × standard error (sampling noise only; says nothing about unrecorded pairs).",
+}
+GLOSSARY: Mapping[str, str] = {  # columns and intervals of the page
+    "guaranteed interval": "It covers with the confidence given however few transitions the log has; the widest.",
+    "sampling interval": "From the recorded transitions alone: value ± normal quantile × standard error. State-action pairs "
+    "that were never recorded are as estimated.",
+    "std. error": "Standard error, in the unit of the value.",
+    "eff. n": "Effective sample size: how many equally informative transitions (or episodes) the value rests on.",
+    "coverage": "Share of the policy's discounted time in state-action pairs that the log has recorded.",
+    "max weight": "The largest ratio, target over simulator or policy over behaviour.",
+    "row-sum err.": "How far rows of corrected probabilities are from summing to 1.",
+}
+NO_VALUE = "No estimator could give the value of a policy in the target. The notes say why."
+NOT_TESTED = "The log has no transition that could tell the target from the simulator."
+SOFT = (
+    "The counts were given beside the log. Tests of the simulator and likelihood intervals need whole and independent "
+    "transitions, so they are left out."
+)
+NEEDS_HORIZON = "At discount 1 policies are ranked only with a horizon (horizon=, --horizon)."
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a report says of one policy, in the report's unit.
+
+    Attributes
+    ----------
+    policy, estimator : whose value stands in front
+    value : nan where there is none
+    lower, upper, method : the interval and its kind; None without one
+    simulator, simulator_error : the simulator's value; its standard error where the simulator was sampled
+    truth : the exact value in the target, where it is known
+    coverage : share of the policy's discounted time in state-action pairs that the log has; None where nobody measured it
+    unrecorded : how many reachable state-action pairs were never recorded
+    is_from_log : False of what the simulator alone says
+    """
+
+    policy: str
+    estimator: str
+    value: float
+    lower: float | None
+    upper: float | None
+    method: str | None
+    simulator: float | None
+    simulator_error: float | None
+    truth: float | None
+    coverage: float | None
+    unrecorded: int
+    is_from_log: bool
+
+    @property
+    def is_nearly_silent(self) -> bool:
+        """Whether the log covers less than half of what the policy does."""
+        return self.coverage is not None and self.coverage < NEARLY_SILENT
+
+
+# numbers
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Write a number with a real minus sign; an en dash for None."""
+    if value is None:
+        return "–"
+    if math.isnan(value):
+        return "no value"
+    return f"{value:#.{digits}g}".removesuffix(".").replace("-", "−") if value else "0"
+
+
+def within(value: float | None, lower: float | None, upper: float | None) -> str:
+    """Write a number with as many digits as its interval has."""
+    if value is None or lower is None or upper is None or not math.isfinite(value):
+        return number(value)
+    return format(value, _printing.spec(lower, upper)).replace("-", "−")
+
+
+def between(lower: float | None, upper: float | None, joint: str = " to ") -> str:
+    """Write an interval."""
+    if lower is None or upper is None:
+        return "–"
+    return f"{within(lower, lower, upper)}{joint}{within(upper, lower, upper)}"
+
+
+def level(confidence: float) -> str:
+    """Write a confidence, 95% or 99.9%."""
+    return f"{confidence:.4%}".rstrip("0%").rstrip(".") + "%"
+
+
+def list_names(policies: Sequence[str]) -> str:
+    """List names: “a”, “b” and “c”."""
+    quoted = [f"“{name}”" for name in policies]
+    return quoted[0] if len(quoted) == 1 else f"{', '.join(quoted[:-1])} and {quoted[-1]}"
+
+
+# the answer
+
+
+def contradicting_rewards(rows: int, of_rows: int, *, at_most: bool) -> str:
+    """Say that the log does not pay what the simulator pays."""
+    return (
+        f"The log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of {of_rows} transitions, so this rests on "
+        "rewards that may be wrong."
+    )
+
+
+def worth(answer: Answer, confidence: float) -> str:
+    """Say what one policy is worth, beside what the simulator says."""
+    ends = answer.lower, answer.upper
+    if answer.is_nearly_silent and answer.coverage is not None:
+        told = f"The log covers {_printing.share(answer.coverage)} of what the policy “{answer.policy}” does: "
+        known = f"between {between(*ends, ' and ')} ({level(confidence)} interval)"
+        told += known if answer.lower is not None else f"about {number(answer.value)}, without an interval"
+    else:
+        told = f"In the target, the policy “{answer.policy}” is worth about {within(answer.value, *ends)}"
+        told += f" ({level(confidence)} interval: {between(*ends)})" if answer.lower is not None else ""
+    if answer.simulator is not None and answer.is_from_log:
+        told += f"; the simulator says {within(answer.simulator, *ends)}"
+        if answer.simulator_error is not None:
+            told += f" (standard error {number(answer.simulator_error, 2)}, because it was sampled)"
+    if answer.truth is not None:
+        told += f". The exact value, known here, is {number(answer.truth)}"
+    return f"{told}."
+
+
+def nearly_silent(answers: Sequence[Answer]) -> str:
+    """Say of which policies the log is nearly silent; "" of none."""
+    silent = [answer for answer in answers if answer.is_nearly_silent]
+    shares = ", ".join(f"{_printing.share(a.coverage or 0.0)} of what “{a.policy}” does" for a in silent)
+    return f"The log covers only {shares}." if silent else ""
+
+
+# which policy is best
+
+
+def best_policy(
+    best: str, following: str, n_policies: int, margin: tuple[float, float, float], confidence: float, *, overlap: bool
+) -> str:
+    """Say which policy is worth most, and by how much: ``margin`` (difference, lower, upper)."""
+    told = f"Of {n_policies} policies, “{best}” is worth most in the target."
+    if math.isfinite(margin[0]):
+        told += f" It is better than “{following}” by {within(*margin)} ({level(confidence)}: {between(*margin[1:])})."
+        if overlap:
+            told += " The difference is known more precisely than either value because both rest on the same transitions."
+    return told
+
+
+def undecided(candidates: Sequence[str], n_policies: int, *, are_equal: bool) -> str:
+    """Say that the log cannot say, or that the candidates are worth the same."""
+    others = n_policies - len(candidates)
+    less = f"; the other {others} {'is' if others == 1 else 'are'} worth less" if others else ""
+    if are_equal:
+        return f"{list_names(candidates)} are worth the same in the target{less}."
+    return f"The log cannot say which of {list_names(candidates)} is worth most in the target{less}."
+
+
+# how sure
+
+
+def rejected_pairs(rejected: int, tested: int) -> str:
+    """Say in how many pairs the data reject the simulator."""
+    return (
+        f"The target differs from the simulator: the data reject the simulator in {rejected} of the {tested} state-action "
+        "pairs recorded."
+    )
+
+
+def rejected_together(z: float) -> str:
+    """Say that the data reject the simulator, though in no single pair."""
+    return (
+        f"No single state-action pair shows it, but together the data reject the simulator (z = {z:.1f}): transitions that "
+        f"the simulator calls likely are {'more' if z > 0 else 'less'} frequent in the target."
+    )
+
+
+def not_rejected(tested: int) -> str:
+    """Say that the data agree with the simulator."""
+    pairs = f"any of the {tested} state-action pairs" if tested > 1 else "the one state-action pair"
+    return f"The data do not reject the simulator, neither in {pairs} recorded nor together."
+
+
+def no_intervals(reason: str) -> str:
+    """Say why there are no likelihood intervals."""
+    return f"There are no likelihood intervals: {reason}."
+
+
+def assumed_at_worst(unrecorded: int, share: float, *, dropped: bool) -> str:
+    """Say what the quoted interval lets unrecorded pairs do; "" where there are none."""
+    told = ""
+    if unrecorded:
+        pairs = "one state-action pair that was" if unrecorded == 1 else f"{unrecorded} state-action pairs that were"
+        told = f"The interval assumes the worst for {pairs} never recorded ({_printing.share(share)} of the policy's time)."
+    return f"{told}{' ' * bool(told)}Dropped transitions may lead anywhere in it." if dropped else told
+
+
+def narrower(lower: float, upper: float, confidence: float) -> str:
+    """Say what the recorded transitions alone leave open."""
+    quantile = NormalDist().inv_cdf(0.5 + confidence / 2.0)
+    return (
+        f"From the recorded transitions alone, with those pairs as estimated, the value lies between "
+        f"{between(lower, upper, ' and ')} (value ± {quantile:.3g} standard errors)."
+    )
+
+
+def guaranteed(lower: float, upper: float) -> str:
+    """Say the interval that holds at any sample size."""
+    return f"The interval guaranteed at any sample size is {between(lower, upper)}."
+
+
+# the table
+
+
+def legend(method: str, estimators: Sequence[str], confidence: float) -> str:
+    """Say what the intervals of some estimators are."""
+    return f"{level(confidence)} interval of {', '.join(estimators)} ({method}): {METHODS.get(method, method)}"
+
+
+def left_out(notes: int, rows: int) -> str:
+    """Say what a short report leaves out; "" where that is nothing."""
+    told = [f"{notes} more note{'s' * (notes > 1)} with --verbose"] * bool(notes)
+    told += [f"{rows} more row{'s' * (rows > 1)} with --all"] * bool(rows)
+    return f"{' and '.join(told)} (in Python: to_text(verbose=True, all=True))." if told else ""
+
+
+def without_weights(policies: Sequence[str], status: str) -> str:
+    """Say why importance sampling is left out."""
+    return f"Importance sampling is left out ({', '.join(policies)}): {status}."
