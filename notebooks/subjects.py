@@ -7,7 +7,7 @@ import oee_tabular
 SUBJECTS = {
     "report": {
         "From a problem to a report": ("evaluate", "evaluate_continuous", "Report", "Result", "Settings"),
-        "Which policy is better": ("contest", "Contest"),
+        "Which policy is better": ("contest",),
         "Files": ("check_output", "check_page"),
     },
     "mdp": {"Simulators": ("FiniteMDP", "displacements"), "Policies": ("check_policy", "uniform_policy", "mix")},

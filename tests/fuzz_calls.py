@@ -48,7 +48,7 @@ ALIASES = {  # words of the command line, which the same errors serve
     "tie": ("frame",),
 }
 LEFT_OUT = """
-Method SgdTrace Finding Comparison Decision Contest corrected_value EstimationCounterexample Outlook RowChanges Selection
+Method SgdTrace Finding Comparison Decision corrected_value EstimationCounterexample Outlook RowChanges Selection
 Sides SimulationLemma Families League Assumptions Result ArmCells Closure Discretization KinovaHand
 MonteCarlo Moves NamedTask Case Verdict Verdicts Family Estimator ContinuousTask StatePolicy arm_cells train_expert
 fit_hand kinova_model check_estimator run league_of families garnet_worse evaluate_continuous record_goals hand_log

@@ -143,7 +143,7 @@ def changed_rows(portrait: Portrait) -> tuple[list[dict[str, Any]], bool]:
             ),
             "cell": portrait.place(s),
             "action": a,
-            "moves": int(changes.counts[s, a]),
+            "transitions": int(changes.counts[s, a]),
             "certain": float(changes.certain[s, a]),
             "estimated": float(changes.estimated[s, a]),
             "next": int(changes.next_state[s, a]),
@@ -204,13 +204,13 @@ def forest(report: Report, answer: Answer, name: str) -> str:
 def recorded(portrait: Portrait, name: str) -> str:
     """What the log has seen, on the grid."""
     assert portrait.map is not None
-    places, moves = portrait.map, portrait.counts.sum(axis=1)
+    places, recorded_in = portrait.map, portrait.counts.sum(axis=1)
     return plots.figure_svg(
         lambda ax: plots.plot_coverage(portrait.counts, places, ax, over=portrait.over),
         name=name, size=_size(places), title="Transitions recorded in each state",
         description=f"A grid of {len(places.rows)} rows and {len(places.columns)} columns. The log has transitions from "
-        f"{portrait.alive - portrait.never} of the {portrait.alive} states that can be left; the most, {int(moves.max())}, are "
-        f"from {portrait.where(int(moves.argmax()))}.",
+        f"{portrait.alive - portrait.never} of the {portrait.alive} states that are not terminal; the most, {int(recorded_in.max())}, are "
+        f"from {portrait.where(int(recorded_in.argmax()))}.",
     )  # fmt: skip
 
 

@@ -19,8 +19,8 @@ def test_a_box_narrows_intervals_and_comparison_and_leaves_values():
     for one, two in zip(plain, boxed, strict=True):
         assert one["value"] == two["value"]
         assert one["lower"] < two["lower"] <= two["value"] <= two["upper"] < one["upper"]
-    (wide,), (narrow,) = (contest(PROBLEM, POLICIES, **box).to_dict()["differences"] for box in ({}, BOX))
-    assert wide["lower"] < narrow["lower"] < narrow["upper"] < wide["upper"]
+    (_, wide), (_, narrow) = (contest(PROBLEM, POLICIES, **box).comparison() for box in ({}, BOX))
+    assert wide["less_by_lower"] < narrow["less_by_lower"] < narrow["less_by_upper"] < wide["less_by_upper"]
     assert contest(PROBLEM, POLICIES).best is None
     assert contest(PROBLEM, POLICIES, **BOX).best == "mine"
 

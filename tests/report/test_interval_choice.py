@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular import _printing
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
-from oee_tabular.report import evaluation
+from oee_tabular.report import uncertainty
 from oee_tabular.report.text import between, within
 
 SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3, discount=0.9), oee.tasks.gridworld(4, 0.1, discount=0.9)
@@ -129,16 +129,13 @@ def test_the_same_interval_stands_everywhere(tmp_path):
 
 
 def test_where_there_is_no_likelihood_interval_the_estimators_own_stands_at_the_level_asked_for(monkeypatch):
-    from oee_tabular.report import uncertainty
-
     monkeypatch.setattr(uncertainty, "MAX_TRANSITIONS", 10)
     found = oee.evaluate(even(400), {"mine": MINE}, estimators={"oee": Corrected(2.0)})
     assert row_of(found)["interval_method"] == "one-step"
     assert_allclose([row_of(found)[end] for end in ("lower", "upper")], [1.804, 2.196])
     wide = row_of(oee.evaluate(even(400), {"mine": MINE}, estimators={"oee": Corrected(2.0)}, confidence=0.99))
     assert_allclose(wide["upper"] - 2.0, 0.196 * NormalDist().inv_cdf(0.995) / NormalDist().inv_cdf(0.975))
-    says = oee.policy_value(SIMULATOR, MINE)
-    assert f"mine: The simulator says {says:.4g}. Corrected by the log: 2.000." in str(found)
+    assert "is worth about 2.000 (95% interval: 1.804 to 2.196)" in found.headline
 
 
 @pytest.mark.parametrize("end", ["lower", "upper"])
@@ -188,7 +185,6 @@ def test_ratios_of_every_kind_have_the_interval_to_quote():
         row = row_of(report, name)
         assert (row["lower"], row["upper"], row["interval_method"]) == (sure.lower, sure.upper, "likelihood")
     assert row_of(report, "tied")["replaced_by"].startswith("the interval's ")
-    assert "orrected by the log: tied " in str(report)
     product = OffEnvironment(evaluation="monte_carlo")
     other = oee.evaluate(
         problem, {"mine": MINE}, estimators={"product": product, "quotient": OffEnvironment("ratio_of_ratios")}
@@ -242,7 +238,7 @@ def test_policies_that_the_log_separates_are_ranked_and_others_are_not():
     assert report.uncertainty.ranking.startswith(text)
     assert report.uncertainty.ranking.endswith(").")  # intervals apart: no more to say
     assert f"(95%: {compared.lower[0, 1]:.3f} to {compared.upper[0, 1]:.3f})" in report.uncertainty.ranking
-    assert report.uncertainty.ranking in str(report)
+    assert " ".join(str(report).split()).startswith(report.uncertainty.ranking)
     assert report.uncertainty.ranking in report.to_html()
     tied = oee.evaluate(even(4000), {"bad": bad, "good": good, "same": good}, estimators=["oee"])
     assert tied.uncertainty.ranking == "“good” and “same” are worth the same in the target; the other 1 is worth less."
@@ -267,12 +263,12 @@ def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradic
     half = oee.evaluate(even(20_000, rows=8), policies, estimators=["oee"])
     assert half.uncertainty.ranking.startswith("The log cannot say which of ")
     sure = half.uncertainty
-    assert evaluation.ranked(sure, {"delta=0.9": math.nan, "delta=0.4": math.nan}) == sure
+    assert uncertainty.with_ranking(sure, {"delta=0.9": math.nan, "delta=0.4": math.nan}) == sure
     clear = oee.evaluate(even(20_000), policies, estimators=["oee"]).uncertainty
-    assert evaluation.ranked(clear, {"delta=0.9": 2.0, "delta=0.4": 1.0}).ranking.startswith(
+    assert uncertainty.with_ranking(clear, {"delta=0.9": 2.0, "delta=0.4": 1.0}).ranking.startswith(
         "Of 2 policies, “delta=0.9”"
     )
-    assert evaluation.ranked(clear, {"delta=0.9": 1.0, "delta=0.4": 2.0}).ranking.startswith("The log cannot say")
+    assert uncertainty.with_ranking(clear, {"delta=0.9": 1.0, "delta=0.4": 2.0}).ranking.startswith("The log cannot say")
 
 
 def test_sentences_without_information_are_gone():

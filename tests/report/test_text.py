@@ -1,0 +1,100 @@
+"""Each sentence of a report, with its numbers."""
+
+import pytest
+
+from oee_tabular.report import text
+from oee_tabular.report.text import Answer
+
+
+def answer(**changes):
+    usual = {
+        "policy": "new", "estimator": "oee", "value": -6.41, "lower": -8.0, "upper": -5.0, "method": "likelihood",
+        "simulator": -7.0, "simulator_error": None, "truth": None, "coverage": 0.9, "unrecorded": 0, "is_from_log": True,
+    }  # fmt: skip
+    return Answer(**usual | changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({}, "In the target, the policy “new” is worth about −6.410 (95% interval: −8.000 to −5.000); the simulator says −7.000."),
+        ({"lower": None, "upper": None}, "In the target, the policy “new” is worth about −6.410; the simulator says −7.000."),
+        ({"simulator": None, "truth": -6.0},
+         "In the target, the policy “new” is worth about −6.410 (95% interval: −8.000 to −5.000). The exact value, known here, "
+         "is −6.000."),
+        ({"simulator_error": 0.25},
+         "In the target, the policy “new” is worth about −6.410 (95% interval: −8.000 to −5.000); the simulator says −7.000 "
+         "(standard error 0.25, because it was sampled)."),
+        ({"coverage": 0.17, "lower": -20.0, "upper": 5.0},
+         "The log covers 17.0% of what the policy “new” does: between −20.00 and 5.00 (95% interval); the simulator says "
+         "−7.00."),
+        ({"coverage": 0.17, "lower": None, "upper": None, "simulator": None},
+         "The log covers 17.0% of what the policy “new” does: about −6.410, without an interval."),
+        ({"is_from_log": False, "lower": None, "upper": None}, "In the target, the policy “new” is worth about −6.410."),
+    ],
+)  # fmt: skip
+def test_what_a_policy_is_worth(changes, sentence):
+    assert text.worth(answer(**changes), 0.95) == sentence
+
+
+@pytest.mark.parametrize(
+    ("made", "sentence"),
+    [
+        (text.contradicting_rewards(3000, 3000, at_most=False),
+         "The log's rewards contradict the simulator's in 3000 of 3000 transitions, so this rests on rewards that may be wrong."),
+        (text.contradicting_rewards(2, 9, at_most=True),
+         "The log's rewards contradict the simulator's in up to 2 of 9 transitions, so this rests on rewards that may be wrong."),
+        (text.nearly_silent([answer(), answer(policy="b", coverage=0.2)]), "The log covers only 20.0% of what “b” does."),
+        (text.nearly_silent([answer()]), ""),
+        (text.best_policy("a", "b", 3, (0.25, 0.125, 0.5), 0.95, overlap=False),
+         "Of 3 policies, “a” is worth most in the target. It is better than “b” by 0.2500 (95%: 0.1250 to 0.5000)."),
+        (text.best_policy("a", "b", 2, (0.25, 0.125, 0.5), 0.999, overlap=True),
+         "Of 2 policies, “a” is worth most in the target. It is better than “b” by 0.2500 (99.9%: 0.1250 to 0.5000). The "
+         "difference is known more precisely than either value because both rest on the same transitions."),
+        (text.best_policy("a", "b", 2, (float("nan"), 0.0, 0.0), 0.95, overlap=True),
+         "Of 2 policies, “a” is worth most in the target."),
+        (text.undecided(["a", "b"], 4, are_equal=False),
+         "The log cannot say which of “a” and “b” is worth most in the target; the other 2 are worth less."),
+        (text.undecided(["a", "b", "c"], 4, are_equal=True),
+         "“a”, “b” and “c” are worth the same in the target; the other 1 is worth less."),
+        (text.undecided(["a", "b"], 2, are_equal=False), "The log cannot say which of “a” and “b” is worth most in the target."),
+        (text.rejected_pairs(3, 40),
+         "The target differs from the simulator: the data reject the simulator in 3 of the 40 state-action pairs recorded."),
+        (text.rejected_together(24.51),
+         "No single state-action pair shows it, but together the data reject the simulator (z = 24.5): transitions that the "
+         "simulator calls likely are more frequent in the target."),
+        (text.rejected_together(-4.0),
+         "No single state-action pair shows it, but together the data reject the simulator (z = -4.0): transitions that the "
+         "simulator calls likely are less frequent in the target."),
+        (text.not_rejected(60),
+         "The data do not reject the simulator, neither in any of the 60 state-action pairs recorded nor together."),
+        (text.not_rejected(1),
+         "The data do not reject the simulator, neither in the one state-action pair recorded nor together."),
+        (text.no_intervals("quick was asked for"), "There are no likelihood intervals: quick was asked for."),
+        (text.assumed_at_worst(1, 0.003, dropped=False),
+         "The interval assumes the worst for one state-action pair that was never recorded (0.3% of the policy's time)."),
+        (text.assumed_at_worst(4, 0.25, dropped=True),
+         "The interval assumes the worst for 4 state-action pairs that were never recorded (25.0% of the policy's time). Dropped "
+         "transitions may lead anywhere in it."),
+        (text.assumed_at_worst(0, 0.0, dropped=True), "Dropped transitions may lead anywhere in it."),
+        (text.assumed_at_worst(0, 0.0, dropped=False), ""),
+        (text.narrower(-2.0, 1.0, 0.95),
+         "From the recorded transitions alone, with those pairs as estimated, the value lies between −2.000 and 1.000 (value ± "
+         "1.96 standard errors)."),
+        (text.guaranteed(-3.0, 2.0), "The interval guaranteed at any sample size is −3.000 to 2.000."),
+        (text.legend("one-step", ["oee", "mine"], 0.9),
+         "90% interval of oee, mine (one-step): value ± normal quantile × standard error. Pairs that were never recorded count "
+         "as recorded once."),
+        (text.left_out(0, 0), ""),
+        (text.left_out(2, 1), "2 more notes with --verbose and 1 more row with --all (in Python: to_text(verbose=True, all=True))."),
+        (text.without_weights(["a", "b"], "no weight"), "Importance sampling is left out (a, b): no weight."),
+    ],
+)  # fmt: skip
+def test_sentences(made, sentence):
+    assert made == sentence
+
+
+def test_numbers_and_lists():
+    assert [text.level(x) for x in (0.95, 0.999, 0.9)] == ["95%", "99.9%", "90%"]
+    assert text.list_names(["a"]) == "“a”"
+    assert text.within(-0.123456, -1.0, 1.0) == "−0.123"
