@@ -99,5 +99,7 @@ def test_the_page_draws_them():
     simulator = corridor()
     log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 20, 20, seed=0)
     page = oee.evaluate(oee.Problem(simulator, log), oee.optimal_policy(simulator), seed=0).to_html()
-    assert "A grid of 3 rows and 2 columns. The log has moves from 4 of the 4 states that can be left" in page
+    assert (
+        "A grid of 3 rows and 2 columns. The log has transitions from 4 of the 4 states that are not terminal" in page
+    )
     assert "state (0, 1) (row 0, column 1)" in page

@@ -18,10 +18,13 @@ POLICIES = {"<b>bold</b>": oee.tasks.gridworld_policy(3, 0.9), "mild & slow": oe
 BOLD = POLICIES["<b>bold</b>"]
 
 RESULTS = {
-    "report": (lambda: oee.evaluate(PROBLEM, POLICIES, target=TARGET), "discount 0.99 (not normalised)"),
+    "report": (
+        lambda: oee.evaluate(PROBLEM, POLICIES, target=TARGET),
+        "sum of discount^t * reward over t = 0..19, discount 0.99",
+    ),
     "normalised report": (
         lambda: oee.evaluate(PROBLEM, POLICIES, normalized=True),
-        "(1 - discount) * sum of discount^t * reward over t = 0..19, discount 0.99 (normalised)",
+        "(1 - discount) * sum of discount^t * reward over t = 0..19, discount 0.99",
     ),
     "estimate": (lambda: oee.estimators.OffEnvironment()(PROBLEM, BOLD), _printing.SUM),
     "evaluated estimate": (lambda: oee.evaluate(PROBLEM, BOLD, estimators="oee").results[0].estimate, _printing.SUM),

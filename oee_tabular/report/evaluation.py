@@ -1,4 +1,4 @@
-"""``evaluate``: policies by estimators, each with a seed of its own, and what a reader must know; ``contest``: policies alone."""
+"""``evaluate``: policies by estimators, with what a reader must know; ``contest``: which policy is best."""
 
 from __future__ import annotations
 
@@ -117,7 +117,9 @@ def evaluate(
         if estimators is None:
             raw, reasons = _drop_weightless(raw)
             left_out += reasons
-            hidden = frozenset((r.policy, r.estimator) for r in raw if any(f.kind == "weights" for f in r.estimate.findings))
+            hidden = frozenset(
+                (r.policy, r.estimator) for r in raw if any(f.kind == "weights" for f in r.estimate.findings)
+            )
         known = assess(
             problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale, assumed=assumptions
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,9 +22,11 @@ from oee_tabular.mdp.naming import NAMELESS, Names
 from oee_tabular.plots import Map, map_of
 from oee_tabular.plots.values import credible_span
 from oee_tabular.ratio import transition_ratio
-from oee_tabular.report.results import Report
 from oee_tabular.report.text import Answer, number, within
 from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
+
+if TYPE_CHECKING:
+    from oee_tabular.report.results import Report
 
 WIDTH = 4.6  # inches: text that is readable on a phone as well
 MOST_POLICIES, MOST_ROWS = 6, 10
@@ -208,9 +210,9 @@ def recorded(portrait: Portrait, name: str) -> str:
     return plots.figure_svg(
         lambda ax: plots.plot_coverage(portrait.counts, places, ax, over=portrait.over),
         name=name, size=_size(places), title="Transitions recorded in each state",
-        description=f"A grid of {len(places.rows)} rows and {len(places.columns)} columns. The log has transitions from "
-        f"{portrait.alive - portrait.never} of the {portrait.alive} states that are not terminal; the most, {int(recorded_in.max())}, are "
-        f"from {portrait.where(int(recorded_in.argmax()))}.",
+        description=f"A grid of {len(places.rows)} rows and {len(places.columns)} columns. The log has "
+        f"transitions from {portrait.alive - portrait.never} of the {portrait.alive} states that are not terminal; the most, "
+        f"{int(recorded_in.max())}, are from {portrait.where(int(recorded_in.argmax()))}.",
     )  # fmt: skip
 
 
@@ -257,8 +259,8 @@ def changed(portrait: Portrait, name: str) -> str:
         ),
         name=name, size=_size(places), title="Where the target differs from the simulator for certain",
         description="For each state the largest certain change of its actions. The largest is at least "
-        f"{100 * least[most]:.0f}% of transitions, in {portrait.where(most)}; {portrait.changes.n_certain} state-action pairs differ "
-        "for certain.",
+        f"{100 * least[most]:.0f}% of transitions, in {portrait.where(most)}; {portrait.changes.n_certain} state-action pairs "
+        "differ for certain.",
     )  # fmt: skip
 
 

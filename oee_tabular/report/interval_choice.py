@@ -49,7 +49,9 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
         return estimate
     if error <= 1e-12 * abs(estimate.value):  # 0, to roundoff: what does not vary has no error to show
         findings = (*estimate.findings, NEVER_VARIED)
-        return replace(estimate, standard_error=None, diagnostics={"standard_error_of": "log"} | facts, findings=findings)
+        return replace(
+            estimate, standard_error=None, diagnostics={"standard_error_of": "log"} | facts, findings=findings
+        )
     ends = (estimate.value - quantile * error, estimate.value + quantile * error)
     return replace(estimate, interval=ends, diagnostics=facts | {"interval_method": NOISE})
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,9 +23,11 @@ from oee_tabular.estimators import Problem
 from oee_tabular.estimators.names import NAMED
 from oee_tabular.report import figures, text
 from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, changed_rows, intervals_alone, portray
-from oee_tabular.report.results import Report
 from oee_tabular.report.terminal import DIAGNOSTICS, diagnostic_cells, shown
 from oee_tabular.report.text import Answer
+
+if TYPE_CHECKING:
+    from oee_tabular.report.results import Report
 
 LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "gymnasium", "matplotlib", "jinja2")
 
@@ -70,7 +72,11 @@ def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | 
         coverage=None if portrait is None else _coverage(portrait, report, Markup),
         changes=None if portrait is None else _changes(portrait, Markup),
         diagnostics=_diagnostics(report),
-        diagnostics_header=["std. error", *(["error"] if report.truth else []), *(title for _, title, _ in DIAGNOSTICS)],
+        diagnostics_header=[
+            "std. error",
+            *(["error"] if report.truth else []),
+            *(title for _, title, _ in DIAGNOSTICS),
+        ],
         facts=_facts(report),
         versions=_versions(),
         seed=f"seed {report.seed}" if isinstance(report.seed, int) else "no whole number as seed",
@@ -96,7 +102,7 @@ def _rows(report: Report, answer: Answer) -> list[dict[str, Any]]:
     """The rows of one policy's table: the intervals that stand alone, then one row an estimator; the answer's is strong."""
     rows: list[dict[str, Any]] = [
         {"name": name, "value": "", "method": "", "notes": (), "strong": False,
-         "interval": "none" if ends is None else text.between(*(end * report.scale for end in ends))}
+         "interval": "none" if ends is None else text.between(ends[0] * report.scale, ends[1] * report.scale)}
         for name, ends in intervals_alone(report, answer.policy).items()
     ]  # fmt: skip
     for row in report.records():
@@ -151,7 +157,9 @@ def _versions() -> list[tuple[str, str]]:
 def _glossary(report: Report) -> list[tuple[str, str]]:
     """What the words of the tables mean, for a reader who did not run it."""
     used = dict.fromkeys(result.estimator for result in report.results)
-    methods = dict.fromkeys(row["interval_method"] for row in report.records() if row["interval_method"] in text.METHODS)
+    methods = dict.fromkeys(
+        row["interval_method"] for row in report.records() if row["interval_method"] in text.METHODS
+    )
     alone = {name for policy in report.uncertainty.intervals for name in intervals_alone(report, policy)}
     return [
         *((name, NAMED[name].meaning) for name in used if name in NAMED),

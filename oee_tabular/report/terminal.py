@@ -97,7 +97,9 @@ def exact_values(report: Report) -> list[str]:
 
 def inputs(report: Report) -> list[str]:
     """What a value is, and what it was made from."""
-    known = (f"{key.capitalize()}: {report.facts[key]}" for key in ("simulator", "log", "target") if key in report.facts)
+    known = (
+        f"{key.capitalize()}: {report.facts[key]}" for key in ("simulator", "log", "target") if key in report.facts
+    )
     return [f"Value: {report.unit}", *known]
 
 

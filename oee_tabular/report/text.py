@@ -123,8 +123,8 @@ def list_names(policies: Sequence[str]) -> str:
 def contradicting_rewards(rows: int, of_rows: int, *, at_most: bool) -> str:
     """Say that the log does not pay what the simulator pays."""
     return (
-        f"The log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of {of_rows} transitions, so this rests on "
-        "rewards that may be wrong."
+        f"The log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of {of_rows} transitions, so this rests "
+        "on rewards that may be wrong."
     )
 
 
@@ -165,7 +165,9 @@ def best_policy(
     if math.isfinite(margin[0]):
         told += f" It is better than “{following}” by {within(*margin)} ({level(confidence)}: {between(*margin[1:])})."
         if overlap:
-            told += " The difference is known more precisely than either value because both rest on the same transitions."
+            told += (
+                " The difference is known more precisely than either value because both rest on the same transitions."
+            )
     return told
 
 

@@ -20,7 +20,9 @@ from oee_tabular.inference.robust import independent_radius
 from oee_tabular.report import text
 from oee_tabular.report.assumptions import Assumptions
 
-MAX_TRANSITIONS = 10_000_000  # that can be reached: beyond, the likelihood interval is left out, since it takes many minutes
+MAX_TRANSITIONS = (
+    10_000_000  # that can be reached: beyond, the likelihood interval is left out, since it takes many minutes
+)
 MIN_Z = 3.0  # of the test of all transitions together
 MUCH_WIDER = 1.5  # times the interval from the recorded transitions alone: from there on the report explains both
 LIKELIHOOD, GUARANTEED, SHARED = "likelihood", "robust", "shared"  # keys of intervals; shared: under a tie or features

@@ -77,8 +77,8 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     assert_allclose(row[["sampling_lower", "sampling_upper"]].astype(float), 0.1 * np.array(found.sampling), rtol=1e-9)
     assert np.isnan(report.table.set_index("estimator").sampling_lower["model-based"])
     share = f"{100 * found.diagnostics['unvisited_share']:.1f}% of the policy's time"
-    sentence = next(x for x in report.uncertainty.sentences if "from the recorded transitions alone" in x)
-    assert f"that were never recorded ({share}) do anything that the simulator allows" in sentence
+    sentence = next(x for x in report.uncertainty.sentences if "From the recorded transitions alone" in x)
+    assert f"state-action pairs that were never recorded ({share})." in sentence
     assert "with those pairs as estimated, the value lies between" in sentence
     report.save(tmp_path)
     kept = next(r for r in csv.DictReader((tmp_path / "table.csv").read_text().splitlines()) if r["estimator"] == "oee")
@@ -87,7 +87,7 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     assert float(kept["sampling_upper"]) == told["sampling_upper"] == results["intervals"][0]["sampling_upper"]
     page = report.to_html()
     assert "sampling interval" in page
-    assert "from the recorded transitions alone" in page
+    assert "From the recorded transitions alone" in page
 
 
 def test_the_report_says_it_once_where_both_are_alike():

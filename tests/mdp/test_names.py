@@ -119,7 +119,7 @@ def test_sentences_speak_names():
     problem = oee.Problem(mdp, log)
     assert "s=hall, a=go -> s'=('room', 1) pays -2 in the log, -1 in the simulator" in str(problem.reward_conflict)
     report = oee.evaluate(problem, {"run": ["go"] * 3}, estimators=["oee"], seed=0)
-    assert "moves of action go in state ('room', 1) (3 moves so far" in report.uncertainty.sentences[-1]
+    assert "Record action go in state ('room', 1) first (3 transitions so far" in report.uncertainty.sentences[-1]
     assert "('room', 1)" in report.to_html()
     plan = str(oee.plan_data_collection(problem, ["go"] * 3, n=10))
     assert "most of it: s=('room', 1), a=go" in plan
@@ -130,7 +130,7 @@ def test_sentences_speak_names():
     advice = oee.evaluate(
         oee.Problem(spaced, oee.Transitions([1], [0], [2])), [0] * 3, estimators=["oee"]
     ).uncertainty.next
-    assert "action “call in” in state “day shift” (never recorded)." in advice
+    assert "action “call in” in state “day shift” first (never recorded)." in advice
 
 
 @pytest.mark.parametrize(

@@ -259,7 +259,9 @@ def test_a_paired_comparison_ranks_where_intervals_overlap():
 def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradict_it():
     policies = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.9, 0.4)}
     near = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.9, 0.9001)}
-    assert oee.evaluate(even(100), near, estimators=["oee"]).uncertainty.ranking.startswith("The log cannot say which of ")
+    assert oee.evaluate(even(100), near, estimators=["oee"]).uncertainty.ranking.startswith(
+        "The log cannot say which of "
+    )
     half = oee.evaluate(even(20_000, rows=8), policies, estimators=["oee"])
     assert half.uncertainty.ranking.startswith("The log cannot say which of ")
     sure = half.uncertainty
@@ -268,7 +270,9 @@ def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradic
     assert uncertainty.with_ranking(clear, {"delta=0.9": 2.0, "delta=0.4": 1.0}).ranking.startswith(
         "Of 2 policies, “delta=0.9”"
     )
-    assert uncertainty.with_ranking(clear, {"delta=0.9": 1.0, "delta=0.4": 2.0}).ranking.startswith("The log cannot say")
+    assert uncertainty.with_ranking(clear, {"delta=0.9": 1.0, "delta=0.4": 2.0}).ranking.startswith(
+        "The log cannot say"
+    )
 
 
 def test_sentences_without_information_are_gone():

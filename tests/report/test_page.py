@@ -117,7 +117,7 @@ def test_it_says_the_answer_and_how_it_was_found(report, page):
     assert f"oee_tabular {oee.__version__}, seed 3" in text
     for warning in report.warnings:
         assert " ".join(warning.split()) in text
-    for word in ("numpy", "Python", "likelihood interval", "Importance sampling, reward by reward", "FiniteMDP("):
+    for word in ("numpy", "Python", "interval: likelihood", "Importance sampling, reward by reward", "FiniteMDP("):
         assert word in text
     assert "col. 0" in text  # the lake is drawn as a grid
     assert "ends elsewhere than the simulator says" in text

@@ -17,7 +17,8 @@ def answer(**changes):
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({}, "In the target, the policy “new” is worth about −6.410 (95% interval: −8.000 to −5.000); the simulator says −7.000."),
+        ({},
+         "In the target, the policy “new” is worth about −6.410 (95% interval: −8.000 to −5.000); the simulator says −7.000."),
         ({"lower": None, "upper": None}, "In the target, the policy “new” is worth about −6.410; the simulator says −7.000."),
         ({"simulator": None, "truth": -6.0},
          "In the target, the policy “new” is worth about −6.410 (95% interval: −8.000 to −5.000). The exact value, known here, "
@@ -41,9 +42,11 @@ def test_what_a_policy_is_worth(changes, sentence):
     ("made", "sentence"),
     [
         (text.contradicting_rewards(3000, 3000, at_most=False),
-         "The log's rewards contradict the simulator's in 3000 of 3000 transitions, so this rests on rewards that may be wrong."),
+         "The log's rewards contradict the simulator's in 3000 of 3000 transitions, so this rests on "
+         "rewards that may be wrong."),
         (text.contradicting_rewards(2, 9, at_most=True),
-         "The log's rewards contradict the simulator's in up to 2 of 9 transitions, so this rests on rewards that may be wrong."),
+         "The log's rewards contradict the simulator's in up to 2 of 9 transitions, so this rests on "
+         "rewards that may be wrong."),
         (text.nearly_silent([answer(), answer(policy="b", coverage=0.2)]), "The log covers only 20.0% of what “b” does."),
         (text.nearly_silent([answer()]), ""),
         (text.best_policy("a", "b", 3, (0.25, 0.125, 0.5), 0.95, overlap=False),
@@ -57,7 +60,8 @@ def test_what_a_policy_is_worth(changes, sentence):
          "The log cannot say which of “a” and “b” is worth most in the target; the other 2 are worth less."),
         (text.undecided(["a", "b", "c"], 4, are_equal=True),
          "“a”, “b” and “c” are worth the same in the target; the other 1 is worth less."),
-        (text.undecided(["a", "b"], 2, are_equal=False), "The log cannot say which of “a” and “b” is worth most in the target."),
+        (text.undecided(["a", "b"], 2, are_equal=False),
+         "The log cannot say which of “a” and “b” is worth most in the target."),
         (text.rejected_pairs(3, 40),
          "The target differs from the simulator: the data reject the simulator in 3 of the 40 state-action pairs recorded."),
         (text.rejected_together(24.51),
@@ -74,8 +78,8 @@ def test_what_a_policy_is_worth(changes, sentence):
         (text.assumed_at_worst(1, 0.003, dropped=False),
          "The interval assumes the worst for one state-action pair that was never recorded (0.3% of the policy's time)."),
         (text.assumed_at_worst(4, 0.25, dropped=True),
-         "The interval assumes the worst for 4 state-action pairs that were never recorded (25.0% of the policy's time). Dropped "
-         "transitions may lead anywhere in it."),
+         "The interval assumes the worst for 4 state-action pairs that were never recorded (25.0% of the policy's time). "
+         "Dropped transitions may lead anywhere in it."),
         (text.assumed_at_worst(0, 0.0, dropped=True), "Dropped transitions may lead anywhere in it."),
         (text.assumed_at_worst(0, 0.0, dropped=False), ""),
         (text.narrower(-2.0, 1.0, 0.95),
@@ -86,7 +90,8 @@ def test_what_a_policy_is_worth(changes, sentence):
          "90% interval of oee, mine (one-step): value ± normal quantile × standard error. Pairs that were never recorded count "
          "as recorded once."),
         (text.left_out(0, 0), ""),
-        (text.left_out(2, 1), "2 more notes with --verbose and 1 more row with --all (in Python: to_text(verbose=True, all=True))."),
+        (text.left_out(2, 1),
+         "2 more notes with --verbose and 1 more row with --all (in Python: to_text(verbose=True, all=True))."),
         (text.without_weights(["a", "b"], "no weight"), "Importance sampling is left out (a, b): no weight."),
     ],
 )  # fmt: skip

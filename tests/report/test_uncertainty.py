@@ -40,7 +40,9 @@ def test_little_data_tells_by_all_moves_together():
 
 
 def test_the_simulator_itself():
-    expected = "The data do not reject the simulator, neither in any of the 60 state-action pairs recorded nor together."
+    expected = (
+        "The data do not reject the simulator, neither in any of the 60 state-action pairs recorded nor together."
+    )
     assert report(SIMULATOR, 2000).uncertainty.sentences[0] == expected
 
 
@@ -66,7 +68,10 @@ def test_a_certain_simulator_has_nothing_to_learn():
     assert sentences[0] == "The log has no transition that could tell the target from the simulator."
     assert sentences[1] == "Record action 0 in state 0 first (1 transition so far; the model has one outcome)."
     over = oee.Problem(oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9), oee.Transitions([0], [0], [0]))
-    assert oee.evaluate(over, {"only": [0]}, estimators=["oee"]).uncertainty.next == "More transitions would not narrow it."
+    assert (
+        oee.evaluate(over, {"only": [0]}, estimators=["oee"]).uncertainty.next
+        == "More transitions would not narrow it."
+    )
 
 
 def test_diagnostics_that_are_values_are_in_the_reports_unit():
