@@ -114,7 +114,8 @@ def comparison_table(report: Report) -> list[str]:
         best = "-" if row["probability_best"] is None else f"{row['probability_best']:.1%}"
         value, interval = value_and_interval(row["value"], row["lower"], row["upper"])
         table.append([row["policy"], value, interval, best, " ".join(less).strip()])
-    return aligned(table, numeric_from=1)
+    has_no_best = any(row["probability_best"] is None for row in rows)
+    return [*aligned(table, numeric_from=1), *([text.NO_P_BEST] if has_no_best else [])]
 
 
 def estimator_table(report: Report, rows: Sequence[Mapping[str, Any]], *, verbose: bool) -> list[str]:

@@ -42,6 +42,7 @@ SOFT = (
     "The counts were given beside the log. Tests of the simulator and likelihood intervals need whole and independent "
     "transitions, so they are left out."
 )
+NO_P_BEST = "There is no P(best): the log covers too little of the policies' time, or cannot say which is best."
 NEEDS_HORIZON = "At discount 1 policies are ranked only with a horizon (horizon=, --horizon)."
 
 
