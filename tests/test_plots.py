@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from matplotlib.colors import LogNorm
+from matplotlib import pyplot
 from matplotlib.figure import Figure
 
 import oee_tabular as oee
 from oee_tabular import plots
-from oee_tabular.plots.style import series
+from oee_tabular.estimators.names import NAMED
+from oee_tabular.plots.style import COLORS, ESTIMATORS, places, series
 
 
 @pytest.fixture
@@ -63,17 +64,74 @@ def test_variance_growth_is_against_the_horizon(ax):
     drawn(ax)
 
 
+def labels(ax):
+    """What stands beside the lines, from the top."""
+    ticks = sorted(zip(ax.get_yticks(), [label.get_text() for label in ax.get_yticklabels()], strict=True))
+    assert ax.get_ylim()[0] > ax.get_ylim()[1]
+    return [text for _, text in ticks]
+
+
 def test_intervals_are_a_forest(ax):
     plots.plot_intervals(
         ["first", "wild", "lost", "sure"], [1.0, 9e9, np.nan, np.nan], [0.5, 8e9, np.nan, 0.2], [1.5, 1e10, np.nan, 1.8],
-        ax, truth=1.1, limits=(0.0, 2.0),
+        ax, truth=1.1, limits=(0.0, 2.0), title="The log knows little",
     )  # fmt: skip
-    assert [label.get_text() for label in ax.get_yticklabels()] == ["sure", "lost", "wild", "first"]
-    assert words(ax) == ["9e+09", "no value"]
+    assert labels(ax) == ["", "first", "wild", "lost", "sure"]
+    assert words(ax) == ["9e+09", "no value", "true value 1.1"]
     assert ax.get_xlim() == (0.0, 2.0)
     assert any(np.array_equal(line.get_xdata(), [0.5, 1.5]) for line in ax.get_lines())
     assert any(np.array_equal(line.get_xdata(), [0.2, 1.8]) for line in ax.get_lines())
     assert "discounted sum" in ax.get_xlabel()
+    assert ax.get_title() == "The log knows little"
+    drawn(ax)
+
+
+def test_values_stand_by_policy_and_outliers_at_the_edge(ax):
+    def row(policy, estimator, value, lower=None, upper=None):
+        truth = {"trained policy": 3.0, "old policy": None}[policy]
+        ends = {"lower": lower, "upper": upper, "true_value": truth}
+        return {"policy": policy, "estimator": estimator, "value": value} | ends
+
+    rows = [
+        row("trained policy", "simulator", 5.0),
+        row("old policy", "oee", 1.0, 0.5, 1.5),
+        row("trained policy", "oee", 3.2, 2.8, 3.6),
+        row("trained policy", "ratio-of-ratios", -3.5e34, -9e34, 1e34),
+        row("old policy", "pdis", 900.0),
+        row("old policy", "mine", np.nan),
+    ]
+    plots.plot_values(rows, ax, title="One " * 30, unit="sum of rewards")
+    assert labels(ax) == [
+        "trained policy", "simulator", "oee", "ratio-of-ratios", "old policy", "oee", "pdis", "mine",
+    ]  # fmt: skip
+    assert words(ax) == ["−3.5e+34", "900", "no value", "true value 3"]
+    assert ax.get_xlim() == pytest.approx((0.5 - 0.27, 5.0 + 0.27))  # what intervals, truth and simulator span
+    (truth,) = (line for line in ax.get_lines() if np.array_equal(line.get_xdata(), [3.0, 3.0]))
+    assert ax.get_yticks()[ax.get_yticks().tolist().index(3)] < truth.get_ydata()[1] < 4.0  # not through the others
+    marks = {line.get_color() for line in ax.get_lines() if line.get_marker() == series(1)["marker"]}
+    assert marks == {series(1)["color"]}  # an estimator looks alike everywhere
+    assert ax.get_xlabel() == "value in the target: sum of rewards"
+    assert ax.get_title().count("\n") > 0
+    drawn(ax)
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "ends"),
+    [
+        ([1.0], [0.0], [2.0], (0.0, 2.0)),
+        ([3.0], [np.nan], [np.nan], (3.0, 3.0)),
+        ([3.0, 3.0], [3.0, np.nan], [3.0, np.nan], (3.0, 3.0)),
+        ([0.0], [0.0], [0.0], (0.0, 0.0)),
+        ([np.nan], [np.nan], [7.0], (7.0, 7.0)),
+        ([1.0, 1.1, -1e300], [np.nan] * 3, [np.nan] * 3, (1.0, 1.1)),
+        ([1.0, 1.1, 90.0], [0.9, 1.0, -1e300], [1.1, 1.2, 1e300], (0.9, 1.2)),
+        ([1.0, 1.1, 4.0], [0.9, 1.0, np.nan], [1.1, 1.2, np.nan], (0.9, 4.0)),
+    ],
+)
+def test_the_axis_is_that_of_the_intervals(value, low, high, ends, ax):
+    left, right = plots.plot_intervals([str(k) for k in range(len(value))], value, low, high, ax).get_xlim()
+    assert left < ends[0] <= ends[1] < right
+    assert right - left <= max(1.2 * (ends[1] - ends[0]), 0.01 * abs(ends[0])) or ends == (0.0, 0.0)
     drawn(ax)
 
 
@@ -87,33 +145,25 @@ def test_more_than_eight_series_are_told_apart():
     drawn(plots.plot_curves([1.0, 2.0], {name: [k, k] for k, name in enumerate(names)}, Figure().subplots()))
 
 
-def test_intervals_choose_their_limits():
-    for values, low, high in (([1.0], [0.0], [2.0]), ([3.0], [np.nan], [np.nan]), ([np.nan], [np.nan], [np.nan])):
-        ax = plots.plot_intervals(["a"], values, low, high, Figure().subplots())
-        left, right = ax.get_xlim()
-        assert left < right
-        assert not np.isfinite(values[0]) or left < values[0] < right
-
-
 def test_a_grid_is_drawn_as_it_is_numbered(ax):
     plots.plot_grid(np.arange(6.0), (2, 3), ax, label="J (reward)", text=list("abcdef"), crossed=[0, 0, 0, 0, 1, 0])
     mesh = ax.collections[0]
     np.testing.assert_array_equal(mesh.get_array(), [[0, 1, 2], [3, 4, 5]])
     assert ax.get_ylim() == (2, 0)  # row 0 on top
     assert words(ax) == list("abcdef")
+    assert [text.get_color() for text in ax.texts] == ["#ffffff"] * 3 + ["#000000"] * 3
     assert ax.get_lines()[0].get_xydata().tolist() == [[1.5, 1.5]]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("column", "row")
     assert ax.figure.axes[1].get_ylabel() == "J (reward)"
     drawn(ax)
 
 
-def test_large_grids_are_images_and_carry_no_words(ax):
-    plots.plot_grid(np.arange(2500.0), (50, 50), ax, label="x", text=["w"] * 2500)
-    assert ax.images
-    assert not ax.texts
-    text = plots.figure_svg(
-        lambda ax: plots.plot_grid(np.arange(2500.0), (50, 50), ax, label="x"), name="m", title="t", description="d"
-    )
+def test_large_grids_are_images_and_carry_no_words():
+    def draw(ax):
+        plots.plot_grid(np.arange(2500.0), (50, 50), ax, label="x", text=["w"] * 2500)
+        assert not ax.texts
+
+    text = plots.figure_svg(draw, name="m", title="t", description="d")
     assert "data:image/png;base64" in text
     assert text.count("<path") < 200
 
@@ -121,9 +171,9 @@ def test_large_grids_are_images_and_carry_no_words(ax):
 def test_ratios_are_centred_on_one(ax):
     plots.plot_ratio([0.5, 1.0, 4.0, np.nan], (2, 2), ax)
     norm = ax.collections[0].norm
-    assert isinstance(norm, LogNorm)
     assert norm.vmin * norm.vmax == pytest.approx(1.0)
     assert words(ax) == ["0.5", "1", "4"]
+    assert [t.get_text() for t in ax.figure.axes[1].get_yticklabels()] == ["0.25", "0.5", "1", "2", "4"]
     drawn(ax)
     even = plots.plot_ratio(np.ones(4), (2, 2), Figure().subplots())
     assert even.collections[0].norm.vmax == 2.0
@@ -137,6 +187,7 @@ def test_coverage_crosses_out_what_was_never_recorded(ax):
     assert ax.get_lines()[0].get_xydata().tolist() == [[1.5, 0.5]]
     assert [t.get_text() for t in ax.figure.axes[1].get_yticklabels()] == ["1", "10", "100", "1000"]
     drawn(ax)
+    drawn(plots.plot_coverage(np.zeros(4), (2, 2), Figure().subplots()))
 
 
 def test_occupancy_is_in_percent(ax):
@@ -148,15 +199,60 @@ def test_occupancy_is_in_percent(ax):
 
 
 def test_states_are_ranked(ax):
-    plots.plot_states([0.1, 0.6, 0.0, 0.3], [5, 0, 0, 12345], ax, seen=[1.0, 0.0, 0.0, 0.5])
-    assert [label.get_text() for label in ax.get_yticklabels()] == ["state 1", "state 3", "state 0"]
-    assert words(ax) == ["none recorded", "12\u202f345", "5"]
+    time = [[0.1, 0], [0.3, 0.3], [0, 0], [0.15, 0.15]]
+    plots.plot_states(time, [[5, 0], [0, 0], [0, 0], [12345, 0]], ax)
+    assert labels(ax) == ["state 1", "state 3", "state 0"]
+    assert words(ax) == ["none recorded", "12\u202f345 recorded", "5 recorded"]
     widths = [bar.get_width() for bar in ax.patches]
-    np.testing.assert_allclose(widths, [0, 15, 10, 60, 15, 0], atol=1e-9)
+    np.testing.assert_allclose(widths, [0, 15, 10, 60, 15, np.nan], atol=1e-9)
     drawn(ax)
     one = plots.plot_states([0.1, 0.6], [1, 1], Figure().subplots(), top=1, names=["$a", "b$"])
-    assert [label.get_text() for label in one.get_yticklabels()] == ["b$"]
+    assert labels(one) == ["b$"]
     drawn(plots.plot_states(np.zeros(3), np.zeros(3), Figure().subplots()))
+
+
+ROW = {"policy": "p", "estimator": "oee", "value": 1.0, "lower": 0.5, "upper": 1.5, "true_value": None}
+CALLS = [
+    lambda ax: plots.plot_curves([0, 1], {"a": [1, 2]}, ax),
+    lambda ax: plots.plot_errors([1, 2], {"a": [1, 2]}, ax),
+    lambda ax: plots.plot_variance_growth({"a": [1, 2]}, ax),
+    lambda ax: plots.plot_intervals(["a"], [1], [0], [2], ax),
+    lambda ax: plots.plot_values([ROW], ax),
+    lambda ax: plots.plot_states([1], [1], ax),
+    lambda ax: plots.plot_grid([1, 2], (1, 2), ax, label="x"),
+    lambda ax: plots.plot_ratio([1, 2], (1, 2), ax),
+    lambda ax: plots.plot_coverage([1, 2], (1, 2), ax),
+    lambda ax: plots.plot_occupancy([0, 1], (1, 2), ax),
+]
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_every_plot_makes_axes_where_it_is_given_none(call, ax):
+    assert call(ax) is ax
+    own = call(None)
+    drawn(own)
+    pyplot.close(own.figure)
+    with pytest.raises(ValueError, match="ax must be matplotlib Axes, or None for new ones; got 'left'"):
+        call("left")
+
+
+def test_results_draw_themselves(ax):
+    pair = oee.testing.case("ragged")
+    problem, policies = pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior}
+    interval = oee.interval(problem, pair.policy)
+    assert interval.plot(ax) is ax
+    assert ax.get_title() == str(interval).replace("sum ", "sum\n")
+    compared = oee.inference.compare_policies(problem, policies).plot(Figure().subplots())
+    assert labels(compared) == ["", "recorded less new"]
+    assert (words(compared), compared.get_title()) == (["no difference: 0"], "“new” is worth most")
+    plan = oee.plan_data_collection(problem, pair.policy, n=1000).plot(Figure().subplots())
+    assert labels(plan) == ["state 0", "state 1", "state 2"]
+
+
+def test_an_estimator_that_reports_show_has_a_colour_of_its_own():
+    assert [series(k)["color"] for k in places(ESTIMATORS)] == list(COLORS)
+    assert places(["simulator", "mine", "oee", "yours", "mine"]) == [0, 2, 1, 3, 2]
+    assert set(ESTIMATORS) <= set(NAMED)
 
 
 @pytest.mark.parametrize("name", ["$x$ and $y", "\\frac{", "a\x00b", "<b>&", "x" * 200])
@@ -234,30 +330,54 @@ def walk(following):
     ("call", "text"),
     [
         (lambda ax: plots.plot_curves([0, 1], {}, ax), "curves must hold at least one"),
-        (lambda ax: plots.plot_curves([0, 1], {"a": [1]}, ax), "curve 'a' must have 2 values, one a point; it has 1"),
+        (lambda ax: plots.plot_curves([0, 1], {"a": [np.nan] * 2}, ax), "curves must hold at least one finite number"),
+        (
+            lambda ax: plots.plot_curves([0, 1], {"a": [1]}, ax),
+            r"curves\['a'\] must have 2 values, one a point; it has 1",
+        ),
         (lambda ax: plots.plot_curves([0, np.nan], {"a": [1, 2]}, ax), r"x\[1\] must be finite; it is nan"),
         (
             lambda ax: plots.plot_curves([0], {"a": [1]}, ax, bands={"b": ([0], [1])}),
-            "bands must be of names in curves; 'b' is not",
+            "bands must be of names in curves",
         ),
         (lambda ax: plots.plot_errors([0, 1], {"a": [1, 2]}, ax), r"n\[0\] must be positive; it is 0"),
         (lambda ax: plots.plot_errors([1, 2], {"a": [1, -2]}, ax), r"errors\['a'\]\[1\] must be nonnegative; it is -2"),
+        (
+            lambda ax: plots.plot_errors([1, 2], {"a": [0, 0]}, ax),
+            "errors must hold at least one finite positive number",
+        ),
         (lambda ax: plots.plot_variance_growth({}, ax), "variances must hold at least one"),
         (lambda ax: plots.plot_variance_growth({"a": [-1.0]}, ax), r"variances\['a'\]\[0\] must be nonnegative"),
         (
             lambda ax: plots.plot_intervals(["a"], [1], [0, 1], [2], ax),
-            "names, values, lower and upper must have one length; they have 1, 1, 2 and 1",
+            "must have one length; they have 1, 1, 2, 1 and 1",
+        ),
+        (
+            lambda ax: plots.plot_intervals(["a"], [1], [0], [2], ax, groups=[]),
+            "one length; they have 1, 1, 1, 1 and 0",
         ),
         (lambda ax: plots.plot_intervals(["a"], [1], [0], [2], ax, limits=(1, 1)), r"limits must be \(low, high\)"),
+        (lambda ax: plots.plot_intervals([], [], [], [], ax), "values must have a finite number, or lower and upper"),
+        (lambda ax: plots.plot_intervals(["a"], [np.nan], [np.nan], [np.nan], ax), "there is nothing to draw"),
+        (lambda ax: plots.plot_values([], ax), "records must hold at least one finite value; there is nothing to draw"),
+        (lambda ax: plots.plot_values([ROW | {"value": np.nan}], ax), "records must hold at least one finite value"),
         (lambda ax: plots.plot_grid([1, 2, 3], (2, 2), ax, label="x"), "values must have 4 entries.*it has 3"),
+        (lambda ax: plots.plot_grid([np.nan], (1, 1), ax, label="x"), "values must hold at least one finite number"),
         (lambda ax: plots.plot_grid([1], 1, ax, label="x"), r"shape must be \(rows, columns\); got 1"),
         (lambda ax: plots.plot_grid([1], (1, 0), ax, label="x"), r"shape\[1\] must be a positive integer; it is 0"),
         (lambda ax: plots.plot_grid([1], (1, 1), ax, label="x", crossed=[0, 1]), "crossed must have 1 entries"),
         (lambda ax: plots.plot_ratio([1, -1], (1, 2), ax), r"values\[1\] must be nonnegative; it is -1"),
+        (lambda ax: plots.plot_ratio([np.nan], (1, 1), ax), "values must hold at least one finite number"),
         (lambda ax: plots.plot_coverage([1, -1], (1, 2), ax), r"counts\[1\] must be nonnegative; it is -1"),
         (lambda ax: plots.plot_coverage([1, 1], (1, 2), ax, over=[True]), "over must have 2 entries"),
         (lambda ax: plots.plot_occupancy([1, 0], (1, 2), ax, unseen=[True]), "unseen must have 2 entries"),
-        (lambda ax: plots.plot_states([1.0], [1, 2], ax), "recorded must have 1 entries, one a state; it has 2"),
+        (lambda ax: plots.plot_occupancy([np.nan], (1, 1), ax), "time must hold at least one finite number"),
+        (lambda ax: plots.plot_states([], [], ax), "time must hold at least one state; it is empty"),
+        (lambda ax: plots.plot_states([np.nan], [1], ax), r"time\[0\] must be finite; it is nan"),
+        (
+            lambda ax: plots.plot_states([1.0], [1, 2], ax),
+            r"recorded must have the shape of time, \(1,\); it has \(2,\)",
+        ),
         (lambda ax: plots.plot_states([1.0], [1], ax, top=0), "top must be a positive integer; it is 0"),
         (lambda ax: plots.label_ends(ax, fontsize=0), r"fontsize must be in \(0, 100\); it is 0"),
     ],

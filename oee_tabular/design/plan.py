@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import special
@@ -13,6 +13,10 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.design.advice import advice_sentence
 from oee_tabular.design.programs import evaluate
 from oee_tabular.mdp.naming import NAMELESS, Names, name_text
+from oee_tabular.plots import plot_states
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -183,6 +187,14 @@ class Plan:
     def _largest_shares(self) -> list[tuple[int, int]]:
         order = np.argsort(-self.distribution, axis=None, kind="stable")[:5]
         return [divmod(int(row), self.distribution.shape[1]) for row in order]
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the states where the plan records most, and how often the log has them; without ``ax`` on new axes."""
+        numbers = range(len(self.counts))
+        names = [f"state {s}" if self.names.states is None else self.names.state(s) for s in numbers]
+        return plot_states(
+            self.distribution, self.counts, ax, names=names, xlabel="share of the planned transitions (%)"
+        )
 
     def __repr__(self) -> str:
         return str(self)

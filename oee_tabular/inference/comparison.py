@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,10 @@ from oee_tabular.inference.intervals import Interval
 from oee_tabular.inference.margins import outside_margin
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
+from oee_tabular.plots import plot_intervals
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 ENOUGH = 0.9  # of a policy's time in pairs that the log has: below it what counts the log's noise alone says nothing
 
@@ -156,6 +160,16 @@ class Comparison:
             numbers = f"{self.values[i]:.5g}", f"{self.standard_errors[i]:.2g}"
             rows.append([name, *numbers, "-" if share is None else f"{share:.1%}", difference])
         return rows
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw by how much each policy differs from the best, with its interval; without ``ax`` on new axes."""
+        ends = self.differences[1:, 0], self.lower[1:, 0], self.upper[1:, 0]
+        names = [f"{name} less {self.names[0]}" for name in self.names[1:]]
+        best = self.decide().best
+        return plot_intervals(
+            names, *ends, ax, truth=0.0, truth_label="no difference:", xlabel="difference (discounted sum of rewards)",
+            title="The log cannot say which policy is worth most" if best is None else f"“{best}” is worth most",
+        )  # fmt: skip
 
     def _repr_html_(self) -> str:
         header, *rows = self._rows()

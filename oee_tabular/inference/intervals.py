@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from statistics import NormalDist
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -27,6 +27,10 @@ from oee_tabular.inference.margins import outside_margin
 from oee_tabular.inference.robust import extreme_value, find_contradictions, radii
 from oee_tabular.inference.shared import shared_directions, shared_ends
 from oee_tabular.mdp import check_policy
+from oee_tabular.plots import plot_intervals
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 Method = Literal["likelihood", "delta", "bootstrap", "robust"]
@@ -89,6 +93,10 @@ class Interval:
         if self.status != "ok":
             return f"no {what}: {self.status}"
         return f"{_printing.interval(self.lower, self.upper)}, {what}; {_printing.SUM}"
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the interval on a line (``oee_tabular.plots.plot_intervals``); without ``ax`` on new axes."""
+        return plot_intervals(["value"], [np.nan], [self.lower], [self.upper], ax, title=str(self))
 
     def _repr_html_(self) -> str:
         spec = _printing.spec(self.lower, self.upper)

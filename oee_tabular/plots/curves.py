@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.plots.style import ink, literally, series, shown
+from oee_tabular.plots.style import check_axes, ink, literally, series, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+SPACE = 1.25  # between two names, in letters' heights
 
 
 def plot_curves(
     x: object,
     curves: Mapping[str, object],
-    ax: Axes,
+    ax: Axes | None = None,
     *,
     bands: Mapping[str, tuple[object, object]] | None = None,
     truth: object = None,
@@ -26,13 +28,13 @@ def plot_curves(
     xlabel: str = "parameter",
     ylabel: str = "value (discounted sum of rewards)",
 ) -> Axes:
-    """Curves against a parameter, each with its band; the truth in ink.
+    """Draw curves against a parameter, each with its band; the truth is a dashed line.
 
     Parameters
     ----------
     x : (k,) the parameter (delta, a slip, n)
     curves : name -> (k,); nan where there is no value
-    ax : matplotlib Axes
+    ax : matplotlib Axes; None makes them
     bands : name -> (lower, upper), each (k,): quantiles, or an interval's ends
     truth, truth_label : None, a number, or (k,); its name in the legend
     xlabel, ylabel : with units
@@ -44,33 +46,37 @@ def plot_curves(
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['oee', 'true value']
     """
-    where, found = _curves(x, curves, "x")
-    for k, (name, y) in enumerate(found.items()):
-        style = series(k)
-        ax.plot(where, y, ms=5, lw=1.6, label=shown(name), **style)
-        if bands is not None and name in bands:
-            low, high = (_like(end, where, f"bands[{name!r}]") for end in bands[name])
-            ax.fill_between(where, low, high, color=style["color"], alpha=0.18, lw=0)
+    where, found = _check_curves(x, curves, "x", "curves")
     unknown = [name for name in bands or {} if name not in found]
     if unknown:
         raise ValueError(f"bands must be of names in curves; {unknown[0]!r} is not")
-    if truth is not None:
-        line = np.broadcast_to(_checks.float_array(truth, "truth"), where.shape)
+    ends = {name: [_check_like(end, where, f"bands[{name!r}]") for end in pair] for name, pair in (bands or {}).items()}
+    line = None if truth is None else np.broadcast_to(_checks.float_array(truth, "truth"), where.shape)
+    ax = check_axes(ax)
+    for k, (name, y) in enumerate(found.items()):
+        ax.plot(where, y, ms=5, lw=1.6, label=shown(name), **series(k))
+        if name in ends:
+            ax.fill_between(where, ends[name][0], ends[name][1], color=series(k)["color"], alpha=0.18, lw=0)
+    if line is not None:
         ax.plot(where, line, color=ink(), lw=1.2, ls=(0, (4, 2)), zorder=1, label=truth_label)
-    return _finish(ax, xlabel, ylabel)
+    ax.set_xlabel(xlabel)
+    ax.set_ylabel(ylabel)
+    ax.grid(visible=True)
+    literally(ax.legend(fontsize="small").get_texts())
+    return ax
 
 
 def plot_errors(
     n: object,
     errors: Mapping[str, object],
-    ax: Axes,
+    ax: Axes | None = None,
     *,
     bands: Mapping[str, tuple[object, object]] | None = None,
     slope: float | None = -0.5,
     xlabel: str = "transitions of the target, n",
     ylabel: str = "mean L1 error",
 ) -> Axes:
-    """Errors against n on logarithmic axes, with a line of ``slope`` (None: none) from the first curve's first point.
+    """Draw errors against n on logarithmic axes, with a line of ``slope`` (None: none) from the first curve's first point.
 
     Parameters
     ----------
@@ -85,31 +91,31 @@ def plot_errors(
     >>> plot_errors([100, 10_000], {"oee": [0.2, 0.02]}, Figure().subplots()).get_xscale()
     'log'
     """
-    where, found = _curves(n, errors, "n")
+    where, found = _check_curves(n, errors, "n", "errors", is_logarithmic=True)
     if not (where > 0).all():
         k = int(np.argmin(where > 0))
         raise ValueError(f"n[{k}] must be positive; it is {where[k]:g}")
-    plot_curves(where, _positive(found, "errors"), ax, bands=bands)
+    ax = plot_curves(where, found, ax, bands=bands, xlabel=xlabel, ylabel=ylabel)
     first = next(iter(found.values()))
-    start = np.flatnonzero(first > 0)
+    start = np.flatnonzero(np.isfinite(first))
     if slope is not None and start.size and len(where) > 1:
-        k = int(start[0])
-        line = first[k] * (where / where[k]) ** slope
+        line = first[start[0]] * (where / where[start[0]]) ** slope
         ax.plot(where, line, color=ink(), lw=1.0, ls=":", zorder=0, label=f"slope {slope:g}")
+        literally(ax.legend(fontsize="small").get_texts())
     ax.set_xscale("log")
     ax.set_yscale("log")
-    return _finish(ax, xlabel, ylabel)
+    return ax
 
 
 def plot_variance_growth(
-    variances: Mapping[str, Any],
-    ax: Axes,
+    variances: Mapping[str, object],
+    ax: Axes | None = None,
     *,
-    horizons: Any = None,
+    horizons: object = None,
     xlabel: str = "horizon T (number of rewards)",
     ylabel: str = "variance (squared units of the return)",
 ) -> Axes:
-    """Variances against the horizon, the variance on a logarithmic axis.
+    """Draw variances against the horizon, the variance on a logarithmic axis.
 
     Parameters
     ----------
@@ -123,54 +129,46 @@ def plot_variance_growth(
     >>> plot_variance_growth({"product": [1.0, 4.0, 16.0]}, Figure().subplots()).get_yscale()
     'log'
     """
-    if not variances:
-        raise ValueError("variances must hold at least one curve; it is empty")
-    length = len(next(iter(variances.values())))
-    where, found = _curves(np.arange(1, length + 1) if horizons is None else horizons, variances, "horizons")
-    plot_curves(where, _positive(found, "variances"), ax, xlabel=xlabel, ylabel=ylabel)
+    if horizons is None:
+        first = next(iter(variances.values()), ())
+        horizons = 1 + np.arange(_checks.float_array(first, "variances").size)
+    where, found = _check_curves(horizons, variances, "horizons", "variances", is_logarithmic=True)
+    ax = plot_curves(where, found, ax, xlabel=xlabel, ylabel=ylabel)
     for line in ax.get_lines()[-len(found) :]:
         line.set_markevery(max(1, len(where) // 8))  # markers tell the curves apart, they are not the data
     ax.set_yscale("log")
     return ax
 
 
-def _positive(curves: Mapping[str, Array], name: str) -> dict[str, Array]:
-    """Without zeros, which a logarithmic axis cannot show."""
-    for label, y in curves.items():
+def _check_curves(
+    x: object, curves: Mapping[str, object], x_name: str, name: str, *, is_logarithmic: bool = False
+) -> tuple[Array, dict[str, Array]]:
+    """x and the curves as arrays; without zeros, which a logarithmic axis cannot show."""
+    where = _checks.float_array(x, x_name, ndim=1)
+    _checks.require_finite(where, x_name)
+    if not curves:
+        raise ValueError(f"{name} must hold at least one curve; it is empty")
+    found = {str(label): _check_like(y, where, f"{name}[{label!r}]") for label, y in curves.items()}
+    for label, y in found.items() if is_logarithmic else ():
         if (y < 0).any():
             k = int(np.argmax(y < 0))
             raise ValueError(f"{name}[{label!r}][{k}] must be nonnegative; it is {y[k]:g}")
-    return {label: np.where(y > 0, y, np.nan) for label, y in curves.items()}
+        found[label] = np.where(y > 0, y, np.nan)
+    if not any(np.isfinite(y).any() for y in found.values()):
+        rule = "positive number, for a logarithmic axis" if is_logarithmic else "number"
+        raise ValueError(f"{name} must hold at least one finite {rule}; there is nothing to draw")
+    return where, found
 
 
-def _curves(x: object, curves: Mapping[str, object], name: str) -> tuple[Array, dict[str, Array]]:
-    where = _checks.float_array(x, name, ndim=1)
-    _checks.require_finite(where, name)
-    if not curves:
-        raise ValueError("curves must hold at least one; it is empty")
-    return where, {str(label): _like(y, where, f"curve {label!r}") for label, y in curves.items()}
-
-
-def _like(values: object, where: Array, name: str) -> Array:
+def _check_like(values: object, where: Array, name: str) -> Array:
     array = _checks.float_array(values, name, ndim=1)
     if len(array) != len(where):
         raise ValueError(f"{name} must have {len(where)} values, one a point; it has {len(array)}")
     return array
 
 
-def _finish(ax: Axes, xlabel: str, ylabel: str) -> Axes:
-    ax.set_xlabel(xlabel)
-    ax.set_ylabel(ylabel)
-    ax.grid(visible=True)
-    literally(ax.legend(fontsize="small").get_texts())
-    return ax
-
-
-SPACE = 1.25  # between two names, in letters' heights
-
-
 def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
-    """Each line's name to the right of the axes, at the height of its last point and in its colour; no legend.
+    """Write each line's name to the right of the axes, at the height of its last point and in its colour; no legend.
 
     Names that would overlap are moved apart, no more than it takes. To be called last: limits and scales stay as they are.
 
@@ -188,15 +186,18 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
     (['low', 'high'], None)
     """
     _checks.number_in(fontsize, "fontsize", 0.0, 100.0, open_ends=True)
-    lines = [line for line in ax.get_lines() if not str(line.get_label()).startswith("_")]
-    named = [(line, end) for line in lines if (end := _end(np.asarray(line.get_xydata()))) is not None]
+    named = []
+    for line in ax.get_lines():
+        points = np.asarray(line.get_xydata())
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) and not str(line.get_label()).startswith("_"):
+            named.append((line, points[-1]))
     if named:
         ax.get_ylim()  # brings the limits, and with them transData, up to date
         to_axes = ax.transData + ax.transAxes.inverted()
         ends = np.clip([to_axes.transform(end)[1] for _, end in named], 0.0, 1.0)
         height = ax.get_window_extent().height * 72.0 / ax.figure.dpi
-        places = apart(ends, SPACE * fontsize / height)
-        for (line, _), place in zip(named, places, strict=True):
+        for (line, _), place in zip(named, _move_apart(ends, SPACE * fontsize / height), strict=True):
             ax.text(1.02, place, str(line.get_label()), transform=ax.transAxes, color=line.get_color(),
                     fontsize=fontsize, va="center")  # fmt: skip
     literally(ax.texts)
@@ -206,22 +207,16 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
     return ax
 
 
-def _end(points: Array) -> Array | None:
-    """The last point that is there."""
-    there = points[np.isfinite(points).all(axis=1)]
-    return there[-1] if len(there) else None
-
-
-def apart(heights: Array, gap: float) -> Array:
+def _move_apart(heights: Array, gap: float) -> Array:
     """Heights at least ``gap`` apart in the same order, nearest to those given (least squares).
 
-    >>> apart(np.array([0.5, 0.5, 0.9]), 0.1).round(9).tolist()
+    >>> _move_apart(np.array([0.5, 0.5, 0.9]), 0.1).round(9).tolist()
     [0.45, 0.55, 0.9]
     """
     from scipy.optimize import isotonic_regression
 
     order = np.argsort(heights, kind="stable")
-    shifts = heights[order] - gap * np.arange(len(order))  # which may not fall
+    steps = gap * np.arange(len(order))
     found = np.empty(len(order))
-    found[order] = isotonic_regression(shifts).x + gap * np.arange(len(order))
+    found[order] = isotonic_regression(heights[order] - steps).x + steps  # what is left of the steps may not fall
     return found

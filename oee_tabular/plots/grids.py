@@ -1,42 +1,42 @@
-"""Maps of a gridworld's states: values, ratios, what the log has seen, where a policy goes."""
+"""Maps of a gridworld's states: values, ratios, what the log has recorded, where a policy goes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
 from oee_tabular.plots.maps import Map, as_map
-from oee_tabular.plots.style import COLORS, DIVERGING, PAPER, SEQUENTIAL, literally
+from oee_tabular.plots.style import COLORS, DIVERGING, PAPER, SEQUENTIAL, check_axes, literally
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-VECTOR = 1600  # cells up to which each is a shape of its own; beyond, the map is an image
-NUMBERED = 12  # rows and columns up to which cells can hold text
+N_VECTOR_CELLS = 1600  # up to which each cell of a map is a shape of its own; beyond, the map is an image
+N_TEXT_CELLS = 12  # rows and columns up to which cells can hold text
 
 
 def plot_grid(
     values: object,
     shape: tuple[int, int] | Map,
-    ax: Axes,
+    ax: Axes | None = None,
     *,
     label: str,
     norm: Any = None,
     colormap: str = SEQUENTIAL,
-    text: Any = None,
+    text: Sequence[object] | None = None,
     crossed: object = None,
     ticks: Any = None,
 ) -> Axes:
-    """A heat map of one number a state; row 0 is on top. A cell without a state stays blank.
+    """Draw a heat map of one number a state; row 0 is on top. A cell without a state stays blank.
 
     Parameters
     ----------
     values : (S,), or (rows, columns); nan for a cell without colour
     shape : (rows, columns) of states numbered row * columns + column; or a ``Map``, as ``map_of`` makes it
-    ax : matplotlib Axes
+    ax : matplotlib Axes; None makes them
     label : of the colour bar, with the unit
     norm, colormap : matplotlib's; None: linear
     text : (S,) words to write into the cells (left out beyond 12 rows or columns)
@@ -52,50 +52,43 @@ def plot_grid(
     """
     places = as_map(shape)
     rows, columns = places.shape
-    n_states = len(places.cell)
-    cells = np.ma.masked_invalid(places.spread(_states(values, n_states, "values")).reshape(rows, columns))
-    if rows * columns <= VECTOR:
-        drawn: Any = ax.pcolormesh(cells, cmap=colormap, norm=norm, linewidth=0.5, edgecolor="face")
-    else:
-        drawn = ax.imshow(
-            cells, cmap=colormap, norm=norm, extent=(0, columns, rows, 0), interpolation="nearest", aspect="equal"
-        )
-    ax.set_xlim(0, columns)
-    ax.set_ylim(rows, 0)
-    ax.set_aspect("equal")
-    if crossed is not None:
-        row, column = np.divmod(places.cell[_mask(crossed, n_states, "crossed") & (places.cell >= 0)], columns)
-        size = min(9.0, 120.0 / max(rows, columns))
-        for color, width in ((PAPER, 3.6), (COLORS[1], 1.8)):  # a halo, so that it is seen on every shade
-            ax.plot(column + 0.5, row + 0.5, ls="none", marker="x", ms=size, mec=color, mew=width)
-    if text is not None and max(rows, columns) <= NUMBERED:
-        _write(ax, drawn, cells, places.cell, list(text))
-    ax.set_xlabel("column")
-    ax.set_ylabel("row")
+    number = _check_states(values, places, "values", allow_blank=text is not None or crossed is not None)
+    is_crossed = _check_mask(crossed, places, "crossed")
+    ax = check_axes(ax, (5.4, 4.2))
+    cells = np.ma.masked_invalid(places.spread(number).reshape(rows, columns))
+    mesh = ax.pcolormesh(
+        cells, cmap=colormap, norm=norm, linewidth=0.5, edgecolor="face", rasterized=cells.size > N_VECTOR_CELLS
+    )
+    ax.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row")
+    row, column = np.divmod(places.cell[is_crossed & (places.cell >= 0)], columns)
+    size = min(9.0, 120.0 / max(rows, columns))
+    for color, width in ((PAPER, 3.6), (COLORS[1], 1.8)):  # a halo, so that it is seen on every shade
+        ax.plot(column + 0.5, row + 0.5, ls="none", marker="x", ms=size, mec=color, mew=width)
+    if text is not None and max(rows, columns) <= N_TEXT_CELLS:
+        _write(ax, mesh, cells, places, text)
     for axis, called in ((ax.xaxis, places.columns), (ax.yaxis, places.rows)):
-        every = max(1, -(-len(called) // 10))
-        numbers = range(0, len(called), every)
-        axis.set_ticks([k + 0.5 for k in numbers], [f"{called[k]:.6g}" for k in numbers])
+        shown = range(0, len(called), max(1, -(-len(called) // 10)))
+        axis.set_ticks([k + 0.5 for k in shown], [f"{called[k]:.6g}" for k in shown])
         axis.set_tick_params(length=0)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
-    bar = ax.figure.colorbar(drawn, ax=ax, fraction=0.05, pad=0.03, ticks=ticks, drawedges=False)
-    bar.set_label(label)
-    if ticks is not None:
-        bar.set_ticks(ticks, labels=[f"{tick:g}" if tick == round(tick) else f"{tick:.2g}" for tick in ticks])
-        bar.minorticks_off()
+    ax.spines[:].set_visible(False)
+    bar = ax.figure.colorbar(mesh, ax=ax, fraction=0.05, pad=0.03, ticks=ticks, format="%g", label=label)
+    bar.minorticks_off()
     bar.outline.set_visible(False)
     return ax
 
 
 def plot_ratio(
-    values: object, shape: tuple[int, int] | Map, ax: Axes, *, label: str = "ratio P_target / P_simulator"
+    values: object,
+    shape: tuple[int, int] | Map,
+    ax: Axes | None = None,
+    *,
+    label: str = "ratio P_target / P_simulator",
 ) -> Axes:
-    """A heat map of ratios, logarithmic around 1: one colour for more often than in the simulator, one for less often.
+    """Draw a heat map of ratios, logarithmic around 1: a colour for more often than in the simulator, one for less often.
 
     Parameters
     ----------
-    values : (S,) positive, nan where there is none; a 0 is drawn as the smallest
+    values : (S,) nonnegative, nan where there is none; a 0 is drawn as the smallest
     shape, ax, label : as in ``plot_grid``
 
     Examples
@@ -106,36 +99,35 @@ def plot_ratio(
     """
     from matplotlib.colors import LogNorm
 
-    ratio = _states(values, len(as_map(shape).cell), "values")
+    ratio = _check_states(values, as_map(shape), "values")
     if (ratio < 0).any():
         k = int(np.argmax(ratio < 0))
         raise ValueError(f"values[{k}] must be nonnegative; it is {ratio[k]:g}")
     positive = ratio[np.isfinite(ratio) & (ratio > 0)]
-    far = float(np.abs(np.log2(positive)).max()) if positive.size else 0.0
-    reach = 2.0 ** max(1.0, np.ceil(far))
-    shades = np.where(ratio == 0, 1.0 / reach, ratio)
-    ends = [1.0 / reach, 1.0 / np.sqrt(reach), 1.0, np.sqrt(reach), reach] if reach > 2 else [0.5, 1.0, 2.0]
+    power = max(1, int(np.ceil(np.abs(np.log2(positive)).max(initial=0.0))))
+    reach = 2.0**power
     return plot_grid(
-        shades, shape, ax, label=label, norm=LogNorm(1.0 / reach, reach), colormap=DIVERGING,
-        text=["" if np.isnan(r) else f"{r:.2g}" for r in ratio], ticks=ends,
+        np.where(ratio == 0, 1.0 / reach, ratio), shape, ax, label=label, norm=LogNorm(1.0 / reach, reach),
+        colormap=DIVERGING, text=["" if np.isnan(r) else f"{r:.2g}" for r in ratio],
+        ticks=[2.0**k for k in sorted({-power, -(power // 2), 0, power // 2, power})],
     )  # fmt: skip
 
 
 def plot_coverage(
     counts: object,
     shape: tuple[int, int] | Map,
-    ax: Axes,
+    ax: Axes | None = None,
     *,
     over: object = None,
-    label: str = "moves recorded in the state (logarithmic)",
+    label: str = "recorded transitions from the state (logarithmic)",
 ) -> Axes:
-    """How many moves the log has from each state, logarithmic; states without any are crossed out.
+    """Draw how many transitions the log has from each state, logarithmic; states without any are crossed out.
 
     Parameters
     ----------
     counts : (S,) or (S, A), summed over actions
     shape, ax, label : as in ``plot_grid``
-    over : (S,) mask of states where an episode is over (left blank, "end")
+    over : (S,) mask of terminal states (left blank, "end")
 
     Examples
     --------
@@ -145,38 +137,36 @@ def plot_coverage(
     """
     from matplotlib.colors import LogNorm
 
-    n_states = len(as_map(shape).cell)
     given = _checks.float_array(counts, "counts", ndim=(1, 2))
     _checks.require_nonnegative(given, "counts")
-    seen = _states(given.sum(axis=1) if given.ndim == 2 else given, n_states, "counts")
-    ended = _mask(over, n_states, "over")
-    most = max(float(seen.max()), 1.0)
-    top = 10.0 ** max(1.0, np.ceil(np.log10(most)))
-    ticks = [10.0**k for k in range(round(np.log10(top)) + 1)]
+    places = as_map(shape)
+    total = _check_states(given.sum(axis=1) if given.ndim == 2 else given, places, "counts")
+    is_over = _check_mask(over, places, "over")
+    power = max(1, int(np.ceil(np.log10(max(float(total.max()), 1.0)))))
     return plot_grid(
-        np.where((seen > 0) & ~ended, seen, np.nan), shape, ax, label=label, norm=LogNorm(1.0, top),
-        text=["end" if e else "" if s == 0 else _short(s) for s, e in zip(seen, ended, strict=True)],
-        crossed=(seen == 0) & ~ended, ticks=ticks,
+        np.where((total > 0) & ~is_over, total, np.nan), shape, ax, label=label, norm=LogNorm(1.0, 10.0**power),
+        text=["end" if e else _count_text(n) for n, e in zip(total, is_over, strict=True)],
+        crossed=(total == 0) & ~is_over, ticks=[10.0**k for k in range(power + 1)],
     )  # fmt: skip
 
 
 def plot_occupancy(
     time: object,
     shape: tuple[int, int] | Map,
-    ax: Axes,
+    ax: Axes | None = None,
     *,
     unseen: object = None,
     over: object = None,
     label: str = "share of the policy's discounted time (%)",
 ) -> Axes:
-    """Where a policy spends its time; ``unseen`` states are crossed out.
+    """Draw where a policy spends its time; ``unseen`` states are crossed out.
 
     Parameters
     ----------
     time : (S,) shares that sum to at most 1
     shape, ax, label : as in ``plot_grid``
     unseen : (S,) mask of states to cross out
-    over : (S,) mask of states where an episode is over (left blank, "end")
+    over : (S,) mask of terminal states (left blank, "end")
 
     Examples
     --------
@@ -186,55 +176,47 @@ def plot_occupancy(
     """
     from matplotlib.colors import PowerNorm
 
-    n_states = len(as_map(shape).cell)
-    share = 100.0 * _states(time, n_states, "time")
-    ended = _mask(over, n_states, "over")
-    share = np.where(ended, np.nan, share)
-    most = float(np.nanmax(share)) if np.isfinite(share).any() else 0.0
-    crossed = _mask(unseen, n_states, "unseen") & ~ended
-    words = ["end" if e else "" if c else _percent(s) for s, e, c in zip(share, ended, crossed, strict=True)]
-    norm = PowerNorm(0.5, 0.0, most if most > 0 else 1.0)
-    return plot_grid(share, shape, ax, label=label, norm=norm, text=words, crossed=crossed)
+    places = as_map(shape)
+    is_over = _check_mask(over, places, "over")
+    crossed = _check_mask(unseen, places, "unseen") & ~is_over
+    share = np.where(is_over, np.nan, 100.0 * _check_states(time, places, "time"))
+    most = float(np.max(share, where=np.isfinite(share), initial=0.0))
+    text = ["end" if e else "" if c else _percent_text(s) for s, e, c in zip(share, is_over, crossed, strict=True)]
+    return plot_grid(share, shape, ax, label=label, norm=PowerNorm(0.5, 0.0, most or 1.0), text=text, crossed=crossed)
 
 
-def _write(ax: Axes, drawn: Any, cells: Any, places: IntArray, words: list[str]) -> None:
-    from matplotlib.colors import to_rgb
-
-    columns = cells.shape[1]
-    size = 8.0 if columns <= 8 else 7.2
-    for cell, word in zip(places, words, strict=False):
-        if cell < 0:
+def _write(ax: Axes, mesh: Any, cells: Any, places: Map, words: Sequence[object]) -> None:
+    """Write words into cells, black on light shades and white on dark ones."""
+    shades = mesh.to_rgba(cells).reshape(-1, 4)[:, :3] @ [0.2126, 0.7152, 0.0722]
+    for cell, word in zip(places.cell, words, strict=False):
+        if cell < 0 or not word:
             continue
-        row, column = divmod(int(cell), columns)
-        value = cells[row, column]
-        style: dict[str, Any] = {}
-        if value is not np.ma.masked:
-            red, green, blue = to_rgb(drawn.cmap(drawn.norm(value)))
-            style["color"] = "#000000" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.45 else "#ffffff"
-        if word:
-            found = ax.text(column + 0.5, row + 0.5, word, ha="center", va="center", fontsize=size, **style)
-            literally([found])
+        is_blank = np.ma.getmaskarray(cells).flat[cell]
+        color: dict[str, Any] = {} if is_blank else {"color": "#000000" if shades[cell] > 0.45 else "#ffffff"}
+        row, column = divmod(int(cell), cells.shape[1])
+        size = 8.0 if cells.shape[1] <= 8 else 7.2
+        text = ax.text(column + 0.5, row + 0.5, str(word), ha="center", va="center", fontsize=size, **color)
+        literally([text])
 
 
-def _short(count: float) -> str:
+def _count_text(count: float) -> str:
     if count < 1000:
-        return f"{count:.3g}"
+        return f"{count:.3g}" if count else ""
     return f"{count / 1000:.2g}k" if count < 1e4 else f"{count / 1000:.0f}k" if count < 1e6 else f"{count:.0e}"
 
 
-def _percent(share: float) -> str:
+def _percent_text(share: float) -> str:
     return "" if share < 0.05 else f"{share:.1f}" if share < 9.95 else f"{share:.0f}"
 
 
-def _states(values: object, n_states: int, name: str) -> Array:
+def _check_states(values: object, places: Map, name: str, *, allow_blank: bool = False) -> Any:
     array = _checks.float_array(values, name).reshape(-1)
-    if array.size != n_states:
-        raise ValueError(f"{name} must have {n_states} entries, one a cell of the grid; it has {array.size}")
+    if array.size != len(places.cell):
+        raise ValueError(f"{name} must have {len(places.cell)} entries, one a cell of the grid; it has {array.size}")
+    if not allow_blank and not np.isfinite(array).any():
+        raise ValueError(f"{name} must hold at least one finite number; there is nothing to draw")
     return array
 
 
-def _mask(mask: object, n_states: int, name: str) -> Any:
-    found = np.zeros(n_states, dtype=np.bool_) if mask is None else np.asarray(mask, dtype=np.bool_).reshape(-1)
-    if found.size != n_states:
-        raise ValueError(f"{name} must have {n_states} entries, one a state; it has {found.size}")
-    return found
+def _check_mask(mask: object, places: Map, name: str) -> Any:
+    return _check_states(np.zeros(len(places.cell)) if mask is None else mask, places, name) != 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry
 
 if TYPE_CHECKING:
@@ -94,35 +94,30 @@ def map_of(mdp: FiniteMDP) -> Map | None:
     return None if shape is None else Map.of_shape(*shape)
 
 
-def _from_places(layout: Array, over: Any) -> Map | None:
-    axes = [_even(place, len(layout) / SPARSEST) for place in layout.T]
-    if axes[0] is None or axes[1] is None:
-        return None
-    (rows, row), (columns, column) = axes[0], axes[1]
+def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
+    """The map of places on a grid with even steps, from the least coordinate to the largest; None where there is none."""
+    coordinates, numbers = [], []
+    for place in layout.T:
+        found = np.unique(place)
+        gaps = np.diff(found)
+        gaps = gaps[gaps > CLOSE * np.abs(found).max()]
+        step = float(gaps.min()) if len(gaps) else 1.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            at = (place - found[0]) / step
+            number = np.rint(at)
+            is_even = (number < len(layout) / SPARSEST) & (np.abs(at - number) <= CLOSE)
+        if not is_even.all():
+            return None
+        coordinates.append(tuple((found[0] + step * np.arange(int(number.max()) + 1)).tolist()))
+        numbers.append(number.astype(np.int64))
+    (rows, columns), (row, column) = coordinates, numbers
     if len(layout) < SPARSEST * len(rows) * len(columns):
         return None
     cell = row * len(columns) + column
-    order = np.argsort(over, kind="stable")  # those that can be left come first
-    first = order[np.unique(cell[order], return_index=True)[1]]
-    hidden = np.ones(len(cell), dtype=np.bool_)
-    hidden[first] = False
-    if (hidden & ~over).any():
-        return None
-    return Map(rows, columns, np.where(hidden, -1, cell))
-
-
-def _even(place: Array, most: float) -> tuple[tuple[float, ...], IntArray] | None:
-    """The coordinates from the least to the largest in even steps, and the step of each; None where they are uneven."""
-    found = np.unique(place)
-    apart = np.diff(found)
-    gaps = apart[apart > CLOSE * np.abs(found).max()] if len(apart) else apart
-    step = float(gaps.min()) if len(gaps) else 1.0
-    with np.errstate(over="ignore", invalid="ignore"):
-        at = (place - found[0]) / step
-        number = np.rint(at)
-        if not ((number < most) & (np.abs(at - number) <= CLOSE)).all():
-            return None
-    return tuple((found[0] + step * np.arange(int(number.max()) + 1)).tolist()), number.astype(np.int64)
+    order = np.argsort(is_over, kind="stable")  # those that can be left come first
+    is_hidden = np.ones(len(cell), dtype=np.bool_)
+    is_hidden[order[np.unique(cell[order], return_index=True)[1]]] = False
+    return None if (is_hidden & ~is_over).any() else Map(rows, columns, np.where(is_hidden, -1, cell))
 
 
 def as_map(shape: tuple[int, int] | Map) -> Map:

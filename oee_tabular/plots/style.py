@@ -1,4 +1,4 @@
-"""Colours, markers and lines that colour-blind readers can tell apart; figures as a PNG or as an SVG for a page."""
+"""Colours, markers and lines that colour-blind readers can tell apart; new axes; figures as a PNG or as an SVG for a page."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.estimators.names import NAMED
+from oee_tabular import _checks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,11 +20,13 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F
 MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
 LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 3)), (0, (3, 1)), (0, (1, 3)))
 SEQUENTIAL, DIVERGING = "cividis", "PuOr_r"
+# those that reports show by themselves: each has one of the eight series to itself
+ESTIMATORS = ("simulator", "oee", "oee-product", "ratio-of-ratios", "model-based", "pdis", "wpdis", "oracle-product")
 
 # what an SVG's ink becomes: CSS variables of the page that it stands in, these colours where there are none
 INK, QUIET, PAPER = "#1b1f23", "#8b9198", "#fdfdfe"
 _ON_PAGE = {INK: "ink", QUIET: "quiet", PAPER: "paper"} | {color: f"series-{k}" for k, color in enumerate(COLORS)}
-_SVG_STYLE = {
+_SVG_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",  # text stays text
     "svg.hashsalt": "oee_tabular",  # the same picture, the same bytes
     "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": QUIET, "axes.titlecolor": INK,
@@ -50,21 +52,15 @@ def marks(k: int) -> dict[str, Any]:
     return series(k) | {"linestyle": "none"}
 
 
-SOLID = ("simulator", "oee", "oee-product", "ratio-of-ratios", "model-based", "pdis", "wpdis", "oracle-product")
-
-
 def places(names: Sequence[str]) -> list[int]:
-    """The series of each name: an estimator that has a short name has its own everywhere, others take what is left, in order.
+    """The series of each name: its own for one of ``ESTIMATORS``, in every picture; others take what is left, in order.
 
-    The first eight, which have colours of their own, are those that reports show by themselves.
-
-    >>> places(["model-based", "mine", "oee"]), places(["a", "b"])
-    ([4, 0, 1], [0, 1])
+    >>> places(["model-based", "mine", "oee", "mine"]), places(["a", "b"])
+    ([4, 0, 1, 0], [0, 1])
     """
-    known = {name: k for k, name in enumerate(dict.fromkeys((*SOLID, *NAMED)))}
-    taken = {known[name] for name in names if name in known}
-    free = (k for k in itertools.count() if k not in taken)
-    return [known[name] if name in known else next(free) for name in names]
+    found = {name: ESTIMATORS.index(name) for name in names if name in ESTIMATORS}
+    free = (k for k in itertools.count() if k not in found.values())
+    return [found[name] if name in found else found.setdefault(name, next(free)) for name in names]
 
 
 def ink() -> str:
@@ -86,6 +82,17 @@ def literally(texts: Sequence[Text]) -> None:
         text.set_parse_math(False)
 
 
+def check_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.8)) -> Axes:
+    """``ax``, or for None the axes of a new pyplot figure of ``size`` inches."""
+    if ax is None:
+        from matplotlib import pyplot
+
+        ax = pyplot.subplots(figsize=size, layout="constrained")[1]
+    if not hasattr(ax, "get_xaxis"):
+        raise ValueError(f"ax must be matplotlib Axes, or None for new ones; got {_checks.show(ax)}")
+    return ax
+
+
 def figure_png(draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)) -> bytes:
     """The picture that ``draw`` makes on one axis, as the bytes of a PNG (no display, no global state).
 
@@ -99,15 +106,7 @@ def figure_png(draw: Callable[[Axes], object], *, size: tuple[float, float] = (9
     >>> figure_png(lambda ax: ax.plot([0, 1]), size=(2.0, 1.5))[1:4]
     b'PNG'
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, layout="constrained")
-    draw(figure.subplots())
-    buffer = io.BytesIO()
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.print_png(buffer, metadata={"Software": None})
-    return buffer.getvalue()
+    return _save(draw, size, "png", {"Software": None})
 
 
 def figure_svg(
@@ -115,9 +114,8 @@ def figure_svg(
 ) -> str:
     """The picture that ``draw`` makes on one axis, as an ``<svg>`` to stand inside a page.
 
-    It has ``title`` and ``description`` as its text alternative, ids that start with ``name`` (unique on the page), no
-    date, and as colours the page's CSS variables --ink, --quiet, --paper and --series-0 to --series-7 where it has them.
-    The same call gives the same text.
+    Its ids start with ``name``. Its colours are the page's CSS variables --ink, --quiet, --paper and --series-0 to
+    --series-7 where it has them. The same call gives the same text.
 
     Parameters
     ----------
@@ -133,28 +131,17 @@ def figure_svg(
     ('<svg ', True)
     """
     import matplotlib
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(_SVG_STYLE):  # type: ignore[arg-type]  # names that matplotlib knows
-        figure = Figure(figsize=size, layout="constrained")
-        draw(figure.subplots())
-        buffer = io.StringIO()
-        canvas: Any = FigureCanvasSVG(figure)
-        canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    return _for_page(buffer.getvalue(), name, title, description)
-
-
-def _for_page(text: str, name: str, title: str, description: str) -> str:
-    """Without what a page does not need or already has; ids and colours made the page's own."""
+    with matplotlib.rc_context(_SVG_STYLE):
+        text = _save(draw, size, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type"))).decode()
     body = text[text.index("<svg") :]
     box = re.search(r'viewBox="[^"]*"', body)
     inside = body[body.index(">") + 1 :]
+    # without what a page does not need or has already
     inside = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", inside, flags=re.S)
     inside = re.sub(r'<defs>\s*<style type="text/css">.*?</style>\s*</defs>', "", inside, count=1, flags=re.S)
-    inside = re.sub(r'\bid="', f'id="{name}-', inside)
-    inside = re.sub(r"url\(#", f"url(#{name}-", inside)
-    inside = re.sub(r'(xlink:href|href)="#', rf'\1="#{name}-', inside)
+    # ids and colours made the page's own
+    inside = re.sub(r'(\bid="|url\(#|href="#)', rf"\1{name}-", inside)
     for color, variable in _ON_PAGE.items():
         inside = re.sub(rf"(fill|stroke): {color}\b", rf"\1: var(--{variable}, {color.lower()})", inside, flags=re.I)
     inside = re.sub(r"\s*\n\s*", "\n", inside)
@@ -164,3 +151,16 @@ def _for_page(text: str, name: str, title: str, description: str) -> str:
         f'<title id="{name}-title">{html.escape(title)}</title>\n<desc id="{name}-desc">{html.escape(description)}</desc>'
     )
     return head + inside.rstrip()
+
+
+def _save(draw: Callable[[Axes], object], size: tuple[float, float], form: str, metadata: dict[str, Any]) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    draw(figure.subplots())
+    canvas: Any = FigureCanvasAgg(figure) if form == "png" else FigureCanvasSVG(figure)
+    buffer = io.BytesIO()
+    getattr(canvas, f"print_{form}")(buffer, metadata=metadata)  # savefig would read SOURCE_DATE_EPOCH
+    return buffer.getvalue()

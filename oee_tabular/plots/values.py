@@ -1,102 +1,63 @@
-"""Values and their intervals, side by side or as a forest plot; and the states where a policy spends its time, ranked."""
+"""Values and their intervals, a line each, by policy; and the states where a policy spends its time, ranked."""
 
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular.plots.style import COLORS, ink, literally, marks, places, shown
+from oee_tabular._checks import Array
+from oee_tabular.plots.style import COLORS, check_axes, ink, literally, marks, places, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+REACH = 15.0  # widths of a typical interval: what is further from the intervals than that does not stretch the axis
+LETTERS = 11.0  # in an inch of text
 
-def plot_values(records: Sequence[Mapping[str, Any]], ax: Axes, *, unit: str = "") -> Axes:
-    """Values with their intervals, grouped by policy; exact target values as black lines; returns ``ax``.
 
-    The axis spans what is credible: estimates far outside it (an exploding product) are drawn as open markers at the
-    edge, with their value.
+def plot_values(
+    records: Sequence[Mapping[str, Any]],
+    ax: Axes | None = None,
+    *,
+    title: str = "",
+    unit: str = "",
+    limits: tuple[float, float] | None = None,
+) -> Axes:
+    """Draw the values of a report with their intervals: policies one below the other, a line for each estimator.
+
+    Exact values in the target are dashed lines.
 
     Parameters
     ----------
     records : a Report's ``records()``
-    ax : matplotlib Axes
-    unit : what a value is, the title
+    ax : matplotlib Axes; None makes them
+    title : what the picture shows, in a sentence
+    unit : what a value is, below the axis
+    limits : of the axis, as in ``plot_intervals``
 
     Examples
     --------
     >>> from matplotlib.figure import Figure
     >>> row = {"policy": "new", "estimator": "oee", "value": 1.0, "lower": 0.5, "upper": 1.5, "true_value": 1.2}
-    >>> ax = plot_values([row, row | {"estimator": "pdis", "value": 9.0, "n_episodes": 10}], Figure().subplots())
-    >>> [text.get_text() for text in ax.get_legend().get_texts()], [text.get_text() for text in ax.texts]
-    (['oee', 'pdis', 'true value'], ['9'])
+    >>> rows = [row, row | {"estimator": "pdis", "value": 99.0, "lower": None, "upper": None}]
+    >>> ax = plot_values(rows, Figure().subplots())
+    >>> [label.get_text() for label in ax.get_yticklabels()], [text.get_text() for text in ax.texts]
+    (['new', 'oee', 'pdis'], ['true value 1.2', '99'])
     """
-    policies = list(dict.fromkeys(row["policy"] for row in records))
-    estimators = list(dict.fromkeys(row["estimator"] for row in records))
-    looks = [marks(k) for k in places(estimators)]
-    low, high = credible_span(records)
-    handles: dict[str, Any] = {}
-    for row in records:
-        group, member = policies.index(row["policy"]), estimators.index(row["estimator"])
-        x = group + 0.8 * ((member + 0.5) / len(estimators) - 0.5)
-        style = looks[member]
-        color, marker = style["color"], style["marker"]
-        value = row["value"]
-        if not math.isfinite(value) or not low <= value <= high:
-            edge = low if math.isfinite(value) and value < low else high
-            handle: Any = ax.plot(x, edge, marker=marker, mfc="none", mec=color, ls="none", clip_on=False, ms=7)[0]
-            text = f"{value:.2g}" if math.isfinite(value) else "no value"
-            ax.annotate(
-                text, (x, edge), xytext=(0, 8 if edge == low else -8), textcoords="offset points", rotation=90,
-                ha="center", va="bottom" if edge == low else "top", fontsize=8, color=color,
-            )  # fmt: skip
-            handles.setdefault(row["estimator"], handle)
-            continue
-        if row["lower"] is not None:
-            middle, half = 0.5 * (row["lower"] + row["upper"]), 0.5 * (row["upper"] - row["lower"])
-            ax.errorbar(x, middle, yerr=half, fmt="none", color=color, capsize=3)
-        handles.setdefault(row["estimator"], ax.plot(x, value, ms=6, **style)[0])
-    for group, policy in enumerate(policies):
-        truth = next((row["true_value"] for row in records if row["policy"] == policy), None)
-        if truth is not None:
-            line = ax.hlines(truth, group - 0.45, group + 0.45, colors=ink(), lw=1.2)
-            handles.setdefault("true value", line)
-    ax.set_ylim(low, high)
-    ax.set_xlim(-0.6, len(policies) - 0.4)
-    ax.set_xticks(range(len(policies)), policies)
-    literally(ax.get_xticklabels())
-    ax.set_xlabel("policy")
-    ax.set_ylabel("value in the target")
-    ax.set_title(unit, fontsize=9)
-    ax.grid(axis="y", alpha=0.3)
-    legend = ax.legend(handles.values(), handles.keys(), loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
-    literally(legend.get_texts())
-    return ax
-
-
-def credible_span(records: Sequence[Mapping[str, Any]], *, margin: float = 0.5) -> tuple[float, float]:
-    """Around truths, simulator and exact model values; wild estimates do not stretch it. ``margin`` on each side: a share."""
-    calm = [
-        row["value"]
-        for row in records
-        if row.get("row_sum_error", 0.0) < 1e-6 and "n_rollouts" not in row and "n_episodes" not in row
-    ]
-    anchors = [row["true_value"] for row in records if row["true_value"] is not None] + calm
-    anchors += [
-        row[end] for row in records for end in ("lower", "upper") if row["value"] in calm and row[end] is not None
-    ]
-    finite = [value for value in anchors if math.isfinite(value)] or [
-        row["value"] for row in records if math.isfinite(row["value"])
-    ]
-    if not finite:
-        return 0.0, 1.0
-    low, high = min(finite), max(finite)
-    room = margin * (high - low) or 0.5 * abs(high) or 0.5
-    return low - room, high + room
+    if limits is None and not any(math.isfinite(row["value"]) for row in records):
+        raise ValueError("records must hold at least one finite value; there is nothing to draw")
+    rows = [row for name in dict.fromkeys(row["policy"] for row in records) for row in records if row["policy"] == name]
+    values, lower, upper = ([row[key] for row in rows] for key in ("value", "lower", "upper"))
+    return plot_intervals(
+        [row["estimator"] for row in rows], values, lower, upper, ax, groups=[row["policy"] for row in rows],
+        truth={row["policy"]: row["true_value"] for row in rows if row["true_value"] is not None},
+        limits=limits, xlabel=f"value in the target: {unit}" if unit else "value in the target", title=title,
+    )  # fmt: skip
 
 
 def plot_intervals(
@@ -104,105 +65,150 @@ def plot_intervals(
     values: object,
     lower: object,
     upper: object,
-    ax: Axes,
+    ax: Axes | None = None,
     *,
-    truth: float | None = None,
+    groups: Sequence[str] | None = None,
+    truth: float | Mapping[str, float] | None = None,
+    truth_label: str = "true value",
     limits: tuple[float, float] | None = None,
     xlabel: str = "value (discounted sum of rewards)",
+    title: str = "",
 ) -> Axes:
-    """A forest plot: one line a name, from the top, with its value and interval; ``truth`` as a vertical line.
+    """Draw a forest plot: one line a name, from the top, with its value and interval; the truth as a dashed line.
 
     Parameters
     ----------
     names : k names
     values, lower, upper : (k,); an end that is nan leaves the interval out, a nan value with an interval the marker
-    ax : matplotlib Axes
-    truth : number or None
-    limits : of the axis; None: what values, ends and truth span. What lies outside is an open marker at the edge, with its
-        value; a nan value is said in words
+    ax : matplotlib Axes; None makes them
+    groups : k names (of policies): lines of one group stand together, under its name; None: one group without a name
+    truth : number, or group -> number; None: not known
+    truth_label : what ``truth`` is
+    limits : of the axis; None: what truths and intervals span. Values and ends that are far outside (estimates that
+        explode) do not stretch it. A value outside is an open marker at the edge, with its number
     xlabel : what the value is, with its unit
+    title : what the picture shows, in a sentence
 
     Examples
     --------
     >>> from matplotlib.figure import Figure
     >>> ax = plot_intervals(["oee", "pdis"], [0.20, 0.12], [0.16, 0.04], [0.23, 0.20], Figure().subplots(), truth=0.19)
     >>> [label.get_text() for label in ax.get_yticklabels()]
-    ['pdis', 'oee']
+    ['', 'oee', 'pdis']
     """
-    centre, low, high = (
-        _checks.float_array(a, name, ndim=1)
-        for a, name in ((values, "values"), (lower, "lower"), (upper, "upper"))
-    )  # fmt: skip
-    if not len(names) == len(centre) == len(low) == len(high):
+    arrays = [
+        _checks.float_array(array, name, ndim=1)
+        for array, name in ((values, "values"), (lower, "lower"), (upper, "upper"))
+    ]
+    value, low, high = arrays
+    group = np.array([""] * len(names) if groups is None else [str(name) for name in groups], dtype=object)
+    if not len(names) == len(group) == len(value) == len(low) == len(high):
         raise ValueError(
-            f"names, values, lower and upper must have one length; they have {len(names)}, {len(centre)}, {len(low)} and "
-            f"{len(high)}"
+            f"names, values, lower, upper and groups must have one length; they have {len(names)}, {len(value)}, "
+            f"{len(low)}, {len(high)} and {len(group)}"
         )
-    left, right = _limits([centre, low, high], truth) if limits is None else limits
+    if not len(names) or (limits is None and not np.isfinite(arrays).any()):
+        raise ValueError("values must have a finite number, or lower and upper an interval; there is nothing to draw")
+    exact = dict(truth) if isinstance(truth, Mapping) else {} if truth is None else dict.fromkeys(group, truth)
+    left, right = _span(value, low, high, group, [*exact.values()]) if limits is None else limits
     if not left < right:
         raise ValueError(f"limits must be (low, high) with low < high; got {limits}")
+
+    # the lines from the top; above each group one for its name and the truth's
+    starts = [k for k in range(len(names)) if k == 0 or group[k] != group[k - 1]] if exact or groups is not None else []
+    y = np.arange(len(names)) + np.searchsorted(starts, np.arange(len(names)), side="right")
+    labels = dict(zip(y.tolist(), map(shown, names), strict=True)) | {int(y[k]) - 1: shown(group[k]) for k in starts}
+    ax = check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
     for k, place in enumerate(places(names)):
-        style = marks(place)
-        y = len(names) - 1 - k
-        value = float(centre[k])
-        if np.isfinite([low[k], high[k]]).all():
-            inner = np.clip([low[k], high[k]], left, right)
-            marker = "|" if math.isnan(value) else None  # an interval without a value has ends
-            ax.plot(inner, [y, y], color=style["color"], lw=2.0, marker=marker, ms=9, mew=2.0)
-        if left <= value <= right:
-            ax.plot(value, y, ms=7, **style)
-            continue
-        if math.isnan(value) and np.isfinite([low[k], high[k]]).any():
-            continue  # an interval alone
-        edge = left if not math.isfinite(value) or value < left else right
-        ax.plot(edge, y, ms=7, clip_on=False, **style | {"markerfacecolor": "none"})
-        ax.annotate(
-            f"{value:.3g}" if math.isfinite(value) else "no value", (edge, y), fontsize="small", va="bottom",
-            xytext=(6 if edge == left else -6, 2), textcoords="offset points", ha="left" if edge == left else "right",
-        )  # fmt: skip
-    if truth is not None:
-        ax.axvline(truth, color=ink(), lw=1.2, ls=(0, (4, 2)), zorder=0)
+        _draw_interval(ax, y[k], value[k], np.clip([low[k], high[k]], left, right), (left, right), marks(place))
+    for start, end in zip(starts, [*starts[1:], len(names)], strict=False):
+        if left <= exact.get(group[start], math.nan) <= right:
+            name = f"{truth_label} {_text_of(exact[group[start]])}"
+            _draw_truth(ax, exact[group[start]], y[start] - 1, y[end - 1] + 0.4, (left, right), name)
     ax.set_xlim(left, right)
-    ax.set_ylim(-0.6, len(names) - 0.4)
-    ax.set_yticks(range(len(names)), [shown(name) for name in reversed(names)])
+    ax.set_ylim(len(labels) - 0.4, -0.6)
+    ax.set_yticks(list(labels), list(labels.values()))
+    for label in ax.get_yticklabels()[len(names) :]:
+        label.set_fontweight("bold")
     literally(ax.get_yticklabels())
     ax.tick_params(axis="y", length=0, pad=9)
-    ax.spines["left"].set_visible(False)
+    ax.spines[["left", "top", "right"]].set_visible(False)
     ax.locator_params(axis="x", nbins=5)
-    ax.set_xlabel(xlabel)
-    ax.grid(axis="x")
+    ax.grid(axis="x", alpha=0.3)
+    letters = max(20, int(LETTERS * ax.bbox.width / ax.figure.dpi))
+    ax.set_xlabel(textwrap.fill(xlabel, letters))
+    if title:
+        literally([ax.set_title(textwrap.fill(title, letters), fontsize="medium")])
     return ax
 
 
-def _limits(arrays: Sequence[object], truth: float | None) -> tuple[float, float]:
-    """What finite numbers span, with a margin."""
-    every = np.concatenate([*arrays, [] if truth is None else [truth]])
-    finite = every[np.isfinite(every)]
-    if not finite.size:
-        return 0.0, 1.0
-    low, high = float(finite.min()), float(finite.max())
-    margin = 0.06 * (high - low) or 0.06 * abs(high) or 0.5
-    return low - margin, high + margin
+def _draw_interval(ax: Axes, y: float, value: float, ends: Array, span: tuple[float, float], style: Any) -> None:
+    """Draw an interval and its value; a value outside the axis as an open marker at the edge, with its number."""
+    if np.isfinite(ends).all():
+        marker = "|" if math.isnan(value) else None  # an interval without a value has ends
+        ax.plot(ends, [y, y], color=style["color"], lw=2.0, marker=marker, ms=9, mew=2.0)
+    if span[0] <= value <= span[1]:
+        ax.plot(value, y, ms=7, **style)
+    elif not math.isnan(value) or not np.isfinite(ends).any():
+        is_right = math.isfinite(value) and value > span[1]
+        ax.plot(span[int(is_right)], y, ms=7, clip_on=False, **style | {"markerfacecolor": "none"})
+        ax.annotate(
+            _text_of(value), (span[int(is_right)], y), fontsize="small", va="center", textcoords="offset points",
+            xytext=(-8 if is_right else 8, 0), ha="right" if is_right else "left",
+        )  # fmt: skip
+
+
+def _draw_truth(ax: Axes, x: float, top: float, bottom: float, span: tuple[float, float], name: str) -> None:
+    """Draw a dashed line from ``top`` to ``bottom`` with its name above."""
+    ax.plot([x, x], [top + 0.35, bottom], color=ink(), lw=1.2, ls=(0, (4, 2)), zorder=1)
+    quarter = min(3, int(4.0 * (x - span[0]) / (span[1] - span[0])))
+    side = ("left", "center", "center", "right")[quarter]
+    literally([ax.text(x, top, name, ha=side, va="center", fontsize="small")])
+
+
+def _text_of(value: float) -> str:
+    return f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
+
+
+def _span(value: Array, low: Array, high: Array, group: Array, truth: list[float]) -> tuple[float, float]:
+    """The ends of an axis for the truths, in each group the narrower half of the intervals, and what is near to them."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        width = high - low
+    core, widths = [float(x) for x in truth if math.isfinite(x)], []
+    for name in dict.fromkeys(group):
+        rows = np.flatnonzero((group == name) & np.isfinite(width))
+        rows = rows[np.argsort(width[rows], kind="stable")[: (len(rows) + 1) // 2]]
+        widths += width[rows].tolist()
+        core += [*low[rows].tolist(), *high[rows].tolist()]
+        own = value[(group == name) & np.isfinite(value)]
+        if not len(rows) and len(own):  # without intervals: the half of the values that is nearest to their median
+            core += own[np.argsort(np.abs(own - np.median(own)), kind="stable")][: len(own) // 2 + 1].tolist()
+    if not core:  # an interval with one end
+        core = [x for x in (*low.tolist(), *high.tolist()) if math.isfinite(x)]
+    first, last, scale = min(core), max(core), 1e-3 * max(map(abs, core))
+    far = max(0.5 * (last - first), REACH * max(float(np.median(widths or [0.0])), scale))
+    points = np.array([*core, *value, *low, *high])
+    points = points[(points >= first - far) & (points <= last + far)]
+    margin = max(0.06 * float(points.max() - points.min()), scale) or 0.5
+    return float(points.min()) - margin, float(points.max()) + margin
 
 
 def plot_states(
     time: object,
     recorded: object,
-    ax: Axes,
+    ax: Axes | None = None,
     *,
-    seen: object = None,
     top: int = 20,
     names: Sequence[str] | None = None,
     xlabel: str = "share of the policy's discounted time (%)",
 ) -> Axes:
-    """Bars of the states where a policy spends most time, each in the part that the log has seen and the part it has not.
+    """Draw bars of the states where a policy spends most time, each in the part that the log has recorded and the rest.
 
     Parameters
     ----------
-    time : (S,) shares, which sum to at most 1
-    recorded : (S,) moves of the log from each state, written beside the bars
-    ax : matplotlib Axes
-    seen : (S,) share of the state's time that is in actions that the log has seen; None: 1 where moves are recorded
+    time : (S,) or (S, A) shares, which sum to at most 1
+    recorded : of the same shape: how many transitions the log has of each state or (s, a); the sum stands beside the bar
+    ax : matplotlib Axes; None makes them
     top : how many states to show; those without time are left out
     names : of the states; None: their numbers
     xlabel : what the bars are, with the unit
@@ -214,34 +220,33 @@ def plot_states(
     >>> [label.get_text() for label in ax.get_yticklabels()]
     ['state 1', 'state 0']
     """
-    share = _checks.float_array(time, "time", ndim=1)
-    _checks.require_nonnegative(share, "time")
-    moves = _checks.float_array(recorded, "recorded", ndim=1)
-    known = (moves > 0).astype(np.float64) if seen is None else _checks.float_array(seen, "seen", ndim=1)
-    for array, name in ((moves, "recorded"), (known, "seen")):
-        if array.shape != share.shape:
-            raise ValueError(f"{name} must have {len(share)} entries, one a state; it has {len(array)}")
-    number = _checks.positive_integer(top, "top")
-    order = np.argsort(-share, kind="stable")[:number]
+    shares = _checks.float_array(time, "time", ndim=(1, 2))
+    counts = _checks.float_array(recorded, "recorded", ndim=(1, 2))
+    _checks.require_nonnegative(shares, "time")
+    if not shares.size:
+        raise ValueError("time must hold at least one state; it is empty")
+    if counts.shape != shares.shape:
+        raise ValueError(f"recorded must have the shape of time, {shares.shape}; it has {counts.shape}")
+    parts = shares, np.where(counts > 0, shares, 0.0), counts
+    share, known, total = (array.reshape(len(shares), -1).sum(axis=1) for array in parts)
+    order = np.argsort(-share, kind="stable")[: _checks.positive_integer(top, "top")]
     order = order[share[order] > 0]
-    y = np.arange(len(order))[::-1]
-    good, bad = 100.0 * share[order] * known[order], 100.0 * share[order] * (1.0 - known[order])
+    y, good, every = np.arange(len(order)), 100.0 * known[order], 100.0 * share[order]
+    ax = check_axes(ax, (6.4, 1.1 + 0.25 * len(order)))
     ax.barh(y, good, color=COLORS[0], height=0.72, label="action recorded")
-    ax.barh(y, bad, left=good, color="none", edgecolor=COLORS[1], hatch="////", height=0.72, label="never recorded")
-    for place, state in zip(y, order, strict=True):
-        count = moves[state]
-        words = "none recorded" if count == 0 else f"{count:,.0f}".replace(",", "\u202f")
+    ax.barh(y, np.where(good < every, every - good, np.nan), left=good, color="none", edgecolor=COLORS[1],
+            hatch="////", height=0.72, label="never recorded")  # fmt: skip
+    for place, state in enumerate(order):
+        count = f"{total[state]:,.0f}".replace(",", "\u202f") if total[state] else "none"
         ax.annotate(
-            words, (100.0 * share[state], place), xytext=(4, 0), textcoords="offset points", va="center",
+            f"{count} recorded", (every[place], place), xytext=(4, 0), textcoords="offset points", va="center",
             fontsize="small", color=ink(),
         )  # fmt: skip
-    labels = [f"state {s}" if names is None else shown(names[s]) for s in order]
-    ax.set_yticks(y, labels)
+    ax.set_yticks(y, [f"state {s}" if names is None else shown(names[s]) for s in order])
     literally(ax.get_yticklabels())
     ax.tick_params(axis="y", length=0)
-    most = float((100.0 * share[order]).max()) if len(order) else 1.0
-    ax.set_xlim(0.0, 1.25 * most)
-    ax.set_ylim(-0.6, max(len(order), 1) - 0.4)
+    ax.set_xlim(0.0, 1.25 * every.max(initial=0.0) or 1.0)
+    ax.set_ylim(max(len(order), 1) - 0.4, -0.6)
     ax.set_xlabel(xlabel)
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize="small", borderaxespad=0.2)
     return ax

@@ -20,7 +20,6 @@ from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.mdp.naming import NAMELESS, Names
 from oee_tabular.plots import Map, map_of
-from oee_tabular.plots.values import credible_span
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report.text import Answer, number, within
 from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
@@ -185,16 +184,13 @@ def forest(report: Report, answer: Answer, name: str) -> str:
          *(ends[k] * report.scale for ends in sure.values())]
         for k, end in enumerate(("lower", "upper"))
     )  # fmt: skip
-    span = credible_span(rows, margin=0.15)
-    inside = [*lower[len(rows) :], *upper[len(rows) :]]
-    low, high = min([span[0], *inside]), max([span[1], *inside])
-    margin = 0.04 * (high - low)
+    limits = None if np.isfinite([*values, *lower]).any() else (0.0, 1.0)  # lines that say "no value"
     factor = "(1 − discount) × " if report.normalized else ""
     told = "; ".join(f"{row['estimator']} {within(row['value'], row['lower'], row['upper'])}" for row in rows)
     truth = "" if answer.truth is None else f" The dashed line is the exact value, {number(answer.truth)}."
     return plots.figure_svg(
         lambda ax: plots.plot_intervals(
-            labels, values, lower, upper, ax, truth=answer.truth, limits=(low - margin, high + margin),
+            labels, values, lower, upper, ax, truth=answer.truth, limits=limits,
             xlabel=f"value: {factor}discounted sum of rewards",
         ),
         name=name, size=(WIDTH, 0.85 + 0.31 * len(labels)),
@@ -233,11 +229,10 @@ def visited(portrait: Portrait, policy: str, visits: Visits, name: str) -> str:
             lambda ax: plots.plot_occupancy(time, places, ax, unseen=visits.unseen > NOTABLE, over=portrait.over),
             name=name, size=_size(places), title=title, description=description,
         )  # fmt: skip
-    seen = 1.0 - np.divide(visits.unseen, time, out=np.zeros_like(time), where=time > 0)
     bars = min(20, max(1, int((time > 0).sum())))
     return plots.figure_svg(
         lambda ax: plots.plot_states(
-            time, portrait.counts.sum(axis=1), ax, seen=np.clip(seen, 0.0, 1.0),
+            visits.time, portrait.counts, ax,
             names=None if portrait.names.states is None else [portrait.names.state(s) for s in range(len(time))],
         ),
         name=name, size=(WIDTH, 1.1 + 0.25 * bars), title=title, description=description,

@@ -9,8 +9,6 @@ import pytest
 
 import oee_tabular as oee
 from oee_tabular.cli import main
-from oee_tabular.estimators.names import NAMED
-from oee_tabular.plots.style import COLORS, places, series
 from oee_tabular.report import page
 
 
@@ -118,16 +116,6 @@ def test_the_answer_is_one_sentence_with_the_one_interval_beside_the_simulator()
     assert "^" not in above
     assert "* reward" not in above
     assert page.index('id="changes"') < page.index('id="coverage"')
-
-
-def test_an_estimator_has_one_colour_everywhere():
-    assert [places([name, "oee"])[0] for name in NAMED] == [places([name])[0] for name in NAMED]
-    assert len(set(places(list(NAMED)))) == len(NAMED)
-    own = places(["simulator", "mine", "oee", "yours"])
-    assert own[1:] == [2, 1, 3]
-    assert places(["a", "b", "c"]) == [0, 1, 2]
-    defaults = ["simulator", "oee", "oee-product", "ratio-of-ratios", "model-based", "pdis", "wpdis", "oracle-product"]
-    assert [series(k)["color"] for k in places(defaults)] == list(COLORS)
 
 
 def test_importance_sampling_without_weight_is_left_out_of_the_default_table():

@@ -166,11 +166,11 @@ def test_the_picture_holds_what_is_credible_and_marks_the_rest(problem, policies
     report = oee.evaluate(problem, policies, estimators={"oee": OffEnvironment(), "wild": wild}, target=target, seed=0)
     ax = Figure().subplots()
     plots.plot_values(report.records(), ax, unit=report.unit)
-    low, high = ax.get_ylim()
+    low, high = ax.get_xlim()
     assert -100 < low < high < 10
-    assert {text.get_text() for text in ax.get_legend().get_texts()} == {"oee", "wild", "true value"}
     assert any("1e+30" in text.get_text() for text in ax.texts)
-    assert [label.get_text() for label in ax.get_xticklabels()] == ["cautious", "bold"]
+    lines = {label.get_text() for label in ax.get_yticklabels()}
+    assert lines == {"cautious", "bold", "oee", "wild"}
 
 
 def test_reward_conflicts_are_noted_on_every_value_that_a_model_gives():
