@@ -247,6 +247,11 @@ def test_results_draw_themselves(ax):
     assert (words(compared), compared.get_title()) == (["no difference: 0"], "“new” is worth most")
     plan = oee.plan_data_collection(problem, pair.policy, n=1000).plot(Figure().subplots())
     assert labels(plan) == ["state 0", "state 1", "state 2"]
+    report = oee.evaluate(problem, policies, seed=0)
+    values = report.plot(Figure().subplots())
+    assert labels(values)[:2] == ["new", "simulator"]
+    assert " ".join(values.get_title().split()) == report.headline
+    assert len(labels(report.plot(Figure().subplots(), all=True))) == 2 + len(report.results)
 
 
 def test_an_estimator_that_reports_show_has_a_colour_of_its_own():

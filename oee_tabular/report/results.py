@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.inference import Interval
+from oee_tabular.plots import figure_png, plot_values
 from oee_tabular.report import terminal, text
 from oee_tabular.report.files import check_output, check_page
 from oee_tabular.report.interval_choice import OWN
@@ -26,6 +26,7 @@ from oee_tabular.report.uncertainty import LIKELIHOOD, Uncertainty, sampling_col
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -309,19 +310,27 @@ class Report:
         """``to_dict`` as JSON."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
+    def plot(self, ax: Axes | None = None, *, all: bool = False) -> Axes:
+        """Draw the values with their intervals (``plots.plot_values``); without ``ax`` on new axes.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes; None makes them
+        all : whether rows stand there that a short report leaves out
+        """
+        rows = self.rows(all=all)
+        has_value = any(math.isfinite(row["value"]) for row in rows)
+        limits = None if has_value else (0.0, 1.0)  # lines that say "no value"
+        return plot_values(rows, ax, title=self.headline, unit=self.meaning, limits=limits)
+
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write report.json, table.csv and values.png into ``folder``: all of them or none."""
-        from oee_tabular import plots
-
         check_output(folder, "folder")
         target = Path(folder)
         contents = {
             "report.json": (self.to_json() + "\n").encode(),
             "table.csv": _files.csv_bytes(self.table),
-            "values.png": plots.figure_png(
-                lambda ax: plots.plot_values(self.records(), ax, unit=textwrap.fill(self.meaning, 60)),
-                size=(min(9.0, 3.4 + 0.35 * len(self.results)), 4.8),
-            ),
+            "values.png": figure_png(self.plot, size=(7.2, 1.8 + 0.27 * (len(self.rows()) + len(self.answers)))),
         }
         _files.write_all(target, contents)
         return [target / name for name in contents]
