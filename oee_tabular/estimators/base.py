@@ -304,8 +304,11 @@ class RatioEstimator(TabularEstimator):
         elif callable(self.ratio):
             zeta = self.ratio(problem.observed, problem.simulator)
         else:
-            return self._method.fit(
-                problem.observed,
+            method = self._method
+            # only quotients of two ratios look at the log itself; its counts are made once a problem
+            looks_at_log = "simulator_data" in method.USES
+            return method.fit(
+                problem.observed if looks_at_log else problem.counts,
                 problem.simulator,
                 values_of=policy,
                 horizon=problem.horizon,
