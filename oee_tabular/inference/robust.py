@@ -65,7 +65,7 @@ class Extreme(NamedTuple):
     sweeps: int
 
 
-def extreme_value(evidence: Evidence, radius: Array, sign: float, *, most: int = N_SWEEPS) -> Extreme:
+def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
     """The extreme of J over the rectangular set, largest for sign 1, certified (at discount 1 to rounding)."""
     model, policy = evidence.model, evidence.policy
     p, guesses = evidence.phat.copy(), np.zeros(len(radius))
@@ -85,7 +85,7 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float, *, most: int =
         return Extreme(value, value, 0.0, steps)
     values = state_values(evidence.fitted, policy)
     residual, rise, sweeps, stalled = np.inf, 0.0, 0, 0
-    while sweeps < most:
+    while sweeps < N_SWEEPS:
         sweeps += 1
         backed = back_up(values, policy)
         rise = max(float((sign * (backed - values)).max()), 0.0)

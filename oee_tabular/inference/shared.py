@@ -17,7 +17,7 @@ need not cover, however many transitions there are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -25,14 +25,14 @@ from scipy.special import gammaincinv
 
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import ReweightedModel, policy_value, transition_gradient
+from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.features import feature_array
 from oee_tabular.ratio.prior._ridge import evaluate, minimise, sum_columns
 from oee_tabular.ratio.prior.directions import Directions, own_directions
-from oee_tabular.ratio.prior.ridge import Ridge, fit_ridge
+from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.ratio.ties import tie_keys
 
@@ -61,96 +61,66 @@ def shared_directions(simulator: FiniteMDP, tie: object, features: object) -> Di
 
 def shared_ends(problem: Problem, policy: Array, directions: Directions, level: float) -> tuple[float, float, float]:
     """Lower end, upper end, and J at theta_hat."""
-    whole = Rows.of(problem.simulator)
+    rows, horizon = Rows.of(problem.simulator), problem.horizon
     counts = aligned_counts(problem.counts, problem.simulator)
-    visited = whole.select((whole.sums(counts) > 0) & (np.diff(whole.indptr) > 1))
+    visited = rows.select((rows.sums(counts) > 0) & (np.diff(rows.indptr) > 1))
     if not len(visited):
         raise ValueError("log must have a transition of a state-action pair with more than one next state; it has none")
-    observed = counts[visited.entries]
+    observed, columns = counts[visited.entries], directions.columns(visited)
     fit = fit_ridge(directions, visited, observed, None, by_evidence=False)
-    risk = visited.sums(observed), sum_columns(directions.columns(visited), observed, visited.n_actions)
-    model = _SharedModel(problem, policy, fit, whole, risk, visited)
-    middle = model.value(fit.theta[0])
-    rise = float(gammaincinv(0.5, level))  # half of chi-square's quantile
-    lower, upper = (_end(model, rise, sign, middle) for sign in (-1.0, 1.0))
-    return lower, upper, middle
+    mass, pulled = visited.sums(observed), sum_columns(columns, observed, visited.n_actions)
+    action = np.zeros((len(fit.theta), 1))
+    action[0] = 1.0  # no parameters of an action alone
+    least = evaluate(columns, (mass, pulled), fit.theta, fit.penalty)[0]
+    limit = least + float(gammaincinv(0.5, level))  # half of chi-square's quantile
 
+    def value(theta: Array) -> float:
+        return policy_value(with_rows(problem.model, replace(fit, theta=theta).at(rows)), policy, horizon=horizon)
 
-@dataclass(frozen=True, eq=False)
-class _SharedModel:
-    """The directions' model on a problem's counts: f, J and its gradient in theta (d,)."""
+    def gradient(theta: Array) -> Array:
+        tilt = replace(fit, theta=theta)
+        target = with_rows(problem.model, tilt.at(rows))
+        slope = transition_gradient(target, policy, horizon=horizon)
+        return np.asarray(action * tilt.pull(rows, slope * target.transitions.data).sum(axis=0))
 
-    problem: Problem
-    policy: Array
-    fit: Ridge
-    whole: Rows
-    risk: tuple[Array, Array]
-    visited: Rows
-
-    def value(self, theta: Array) -> float:
-        """J(P_theta)."""
-        return policy_value(self._target(self._tilt(theta)), self.policy, horizon=self.problem.horizon)
-
-    def gradient(self, theta: Array) -> Array:
-        """dJ / dtheta."""
-        tilt = self._tilt(theta)
-        target = self._target(tilt)
-        slope = transition_gradient(target, self.policy, horizon=self.problem.horizon)
-        return np.asarray(tilt.pull(self.whole, slope * target.transitions.data).sum(axis=0))
-
-    def rise(self, theta: Array) -> float:
-        """f(theta) - f(theta_hat)."""
-        columns = self.fit.directions.columns(self.visited)
-        here, best = (self._tilt(theta).theta, self.fit.theta)
-        return float(np.subtract(*(evaluate(columns, self.risk, x, self.fit.penalty)[0] for x in (here, best))))
-
-    def minimise(self, force: Array) -> Array:
+    def minimise_against(force: Array) -> Array:
         """argmin f(theta) - force . theta."""
-        mass, pulled = self.risk
-        moved = pulled.copy()
-        moved[0] += force
-        columns = self.fit.directions.columns(self.visited)
-        theta, _, _ = minimise(columns, (mass, moved), self.fit.theta, self.fit.penalty, 1e-22)
-        return np.asarray(theta[0])
+        return np.asarray(action * minimise(columns, (mass, pulled + force[:-1]), fit.theta, fit.penalty, 1e-22)[0])
 
-    def _tilt(self, theta: Array) -> Ridge:
-        """With no parameters of an action alone."""
-        full = np.zeros(self.fit.theta.shape)
-        full[0] = theta
-        return replace(self.fit, theta=full)
+    def maximise_on_boundary(force: Array) -> Array:
+        """argmax force . theta where f is at most the limit."""
+        force = force / np.abs(force).max()
 
-    def _target(self, tilt: Ridge) -> ReweightedModel:
-        return with_rows(self.problem.model, tilt.at(self.whole))
+        def excess(log_c: float) -> float:
+            theta = minimise_against(np.exp(log_c) * force)
+            rise: float = evaluate(columns, (mass, pulled), theta, fit.penalty)[0] - limit
+            return rise
 
+        low = high = 0.0
+        while excess(high) < 0 and high < LARGEST_LOG_FORCE:
+            low, high = high, high + 2.0
+        while excess(low) > 0 and low > -LARGEST_LOG_FORCE:
+            low, high = low - 2.0, low
+        if excess(low) < 0.0 < excess(high):
+            low = brentq(excess, low, high, xtol=1e-10)
+        return minimise_against(np.exp(low) * force)
 
-def _end(model: _SharedModel, rise: float, sign: float, middle: float) -> float:
-    """The farthest J in the direction ``sign``."""
-    theta, end = model.fit.theta[0], middle
-    for _ in range(N_LINEARISATIONS):
-        force = sign * model.gradient(theta)
-        if not np.abs(force).max() > 0:
-            break
-        step = _maximise_on_boundary(model, force, rise) - theta
-        length, last = 1.0, end
-        while length > 1e-3 and sign * (end := model.value(theta + length * step)) <= sign * last:
-            length *= 0.5  # what lies between two members is one: the set is convex
-        if sign * (end - last) <= TOLERANCE * abs(end - middle):
-            return sign * max(sign * end, sign * last)
-        theta = theta + length * step
-    return end
+    middle = value(fit.theta)
 
+    def find_end(sign: float) -> float:
+        """The farthest J in the direction ``sign``."""
+        theta, end = fit.theta, middle
+        for _ in range(N_LINEARISATIONS):
+            force = sign * gradient(theta)
+            if not np.abs(force).max() > 0:
+                break
+            step = maximise_on_boundary(force) - theta
+            length, last = 1.0, end
+            while length > 1e-3 and sign * (end := value(theta + length * step)) <= sign * last:
+                length *= 0.5  # what lies between two members is one: the set is convex
+            if sign * (end - last) <= TOLERANCE * abs(end - middle):
+                return sign * max(sign * end, sign * last)
+            theta = theta + length * step
+        return end
 
-def _maximise_on_boundary(model: _SharedModel, force: Array, rise: float) -> Array:
-    """argmax force . theta where f is at most ``rise`` above its minimum."""
-
-    def excess(log_c: float) -> float:
-        return model.rise(model.minimise(np.exp(log_c) / np.abs(force).max() * force)) - rise
-
-    low = high = 0.0
-    while excess(high) < 0 and high < LARGEST_LOG_FORCE:
-        low, high = high, high + 2.0
-    while excess(low) > 0 and low > -LARGEST_LOG_FORCE:
-        low, high = low - 2.0, low
-    if excess(low) < 0.0 < excess(high):
-        low = brentq(excess, low, high, xtol=1e-10)
-    return model.minimise(np.exp(low) / np.abs(force).max() * force)
+    return find_end(-1.0), find_end(1.0), middle

@@ -9,12 +9,10 @@ import pytest
 from helpers import dense, random_mdp, random_policy, rngs
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from inference.rectangular import rectangular_program
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy import stats
 
 import oee_tabular as oee
-from oee_tabular.exact import evaluate_policy
 from oee_tabular.inference import _robust as kernel
 from oee_tabular.inference import evidence as evidences
 from oee_tabular.inference import robust
@@ -179,24 +177,6 @@ def test_33_four_times_the_same_moves_give_an_interval_inside(rng):
         assert many.upper <= few.upper + slack
 
 
-def test_the_rectangular_set_as_one_conic_program():
-    """CLARABEL equals robust policy evaluation (3e-7; 1e-6 asked for)."""
-    rng = np.random.default_rng(3)
-    for trial in range(6):
-        _, _, problem, policy = case(rng, n=40, form=2)
-        box = {"lower_ratio": 0.2, "upper_ratio": 4.0} if trial % 2 else {}
-        evidence = evidences.gather(problem, policy, **box)
-        size = robust.radii(evidence, 0.9, "independent")
-        if robust.find_contradictions(evidence, 0.9, "independent").size:
-            continue
-        for sign in (1.0, -1.0):
-            end = robust.extreme_value(evidence, size, sign)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                peer = rectangular_program(evidence, size, sign)
-            assert_allclose(end.value, peer, rtol=1e-6, atol=1e-6)
-
-
 def test_39_two_states_by_brute_force():
     """One uncertain row with two outcomes: J on a fine grid of its probability."""
     simulator = oee.FiniteMDP(np.array([[[0.6, 0.4]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9)
@@ -307,20 +287,6 @@ def test_with_much_data_the_methods_agree():
     assert guaranteed.lower < delta.lower < delta.upper < guaranteed.upper
 
 
-def test_the_bootstrap_draws_each_resample_anew_from_the_users_seed():
-    simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
-    policy = oee.uniform_policy(simulator)
-    problem = oee.Problem(simulator, oee.sample_episodes(target, policy, 30, 10, seed=0))
-    evidence = evidences.gather(problem, policy)
-    for by in ("transitions", "episodes"):
-        first, again, other = (
-            bootstrap_values(problem, evidence, n_bootstrap=40, by=by, seed=seed) for seed in (1, 1, 2)
-        )
-        assert_array_equal(first, again)
-        together = np.concatenate([first, other])
-        assert len(np.unique(np.round(together, 9))) == 80  # no resample is used twice, none is another seed's
-
-
 def test_bootstrap_by_episodes():
     """A resample is the model of the drawn episodes, each as often as it was drawn; its law is that of episodes."""
     simulator, target = oee.tasks.gridworld(3, 0.3, discount=0.9), oee.tasks.gridworld(3, 0.1, discount=0.9)
@@ -344,22 +310,6 @@ def test_bootstrap_by_episodes():
     bag = oee.Problem(simulator, log.draw(50, seed=0))
     with pytest.raises(ValueError, match="log must have episodes to be resampled by episodes; it has none"):
         oee.interval(bag, policy, method="bootstrap", resample="episodes")
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_robust_value_that_stops_early_is_still_a_bound(sign, monkeypatch):
-    """Values that the sweep did not improve: the Bellman residual counts 1 / (1 - discount) times, less would not do here."""
-    simulator = oee.tasks.gridworld(3, 0.3, discount=0.95)
-    log = oee.sample_transitions(oee.tasks.gridworld(3, 0.1), np.full((9, 4), 1 / 36), 400, seed=0)
-    evidence = evidences.gather(oee.Problem(simulator, log), oee.uniform_policy(simulator), 0.3, 3.0)
-    radius = robust.radii(evidence, 0.95, "independent")
-    exact = robust.extreme_value(evidence, radius, sign)
-    start = evaluate_policy(evidence.fitted, evidence.policy)
-    monkeypatch.setattr(robust, "evaluate_policy", lambda *_: start)
-    early = robust.extreme_value(evidence, radius, sign, most=1)
-    assert early.sweeps == 1
-    assert sign * early.bound >= sign * exact.value
-    assert sign * (early.value + sign * early.residual) < sign * exact.value - 0.01
 
 
 def test_a_box_that_the_counts_contradict_is_refused_by_name():
@@ -433,34 +383,3 @@ def test_two_steps_that_never_succeeded_are_both_raised():
         found = oee.interval(oee.Problem(simulator, log, horizon=horizon), np.ones((4, 1)))
         p = 1 - np.exp(-stats.chi2.ppf(0.95, 1) / 2 / 2 / 20)
         assert_allclose((found.lower, found.upper), (0.0, 0.9 * p * p), rtol=1e-6, atol=1e-15)
-
-
-@settings(max_examples=20)
-@given(rngs)
-@example(np.random.default_rng(395572101))  # a row whose values differ by rounding alone: u of 1e16
-def test_no_member_of_the_profile_set_is_outside(rng):
-    """Sparse rewards and few moves; members on the way from the frequencies to random rows, each as far as the set goes."""
-    simulator = random_mdp(rng, n_states=5, n_actions=2)
-    reward = np.zeros(simulator.n_states)
-    reward[-1] = 1.0
-    simulator = oee.FiniteMDP(simulator.transitions, reward, simulator.initial, 0.8)
-    log = oee.sample_transitions(simulator, np.full((5, 2), 0.1), int(rng.integers(3, 30)), seed=int(rng.integers(99)))
-    policy = rng.dirichlet(np.ones(2), 5)
-    found = oee.interval(oee.Problem(simulator, log), policy)
-    evidence = evidences.gather(oee.Problem(simulator, log), policy)
-    limit = stats.chi2.ppf(0.95, 1) / 2
-    n = evidence.rows.spread(evidence.n)
-    held = (n > 0) & (evidence.phat > 0)
-    weight, phat = (n * evidence.phat)[held], evidence.phat[held]
-    for _ in range(10):
-        weights = rng.exponential(size=len(evidence.phat)) ** 4
-        q = evidence.rows.frequencies(weights)
-        q = evidence.rows.frequencies(np.where((n == 0) & (q > 0.5), 1.0, q))
-        near, far = 0.0, 1.0
-        for _ in range(50):  # as far towards q as the limit allows, and all the way in rows without data
-            share = 0.5 * (near + far)
-            inside = -weight @ np.log1p(share * (q[held] / phat - 1.0)) <= limit
-            near, far = (share, far) if inside else (near, share)
-        rows = np.where(n > 0, (1 - near) * evidence.phat + near * q, q)
-        value = oee.policy_value(evidence.with_rows(rows), policy)
-        assert found.lower - 1e-9 <= value <= found.upper + 1e-9
