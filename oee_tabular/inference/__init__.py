@@ -14,7 +14,7 @@ takes rows without data as estimated. ``shared``: the same where rows share para
 *Large samples* (``asymptotic``): Var J = sum_x Var_phat(G_x) / n_x, or resamples; rows without data are the simulator's.
 
 *Guaranteed* (``robust``, ``_robust``): P'_x in {KL(phat_x || P'_x) <= epsilon_x, nu P <= P' <= mu P} for all x at once, at any
-sample size, and V = sum_a pi max_{P'_x} P'_x (r + gamma V). ``ranges`` has the box alone, Assumption V.1, before any log.
+sample size, and V = sum_a pi max_{P'_x} P'_x (r + gamma V). ``value_range`` has the box alone, Assumption V.1.
 
 *Comparison* (``comparison``): Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), and one rule, ``Comparison.decide``, for the
 ranking, P(best) and every sentence about it.
@@ -32,8 +32,7 @@ import importlib
 
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.inference.comparison import Comparison, Decision, Selection, compare_policies, selection_measures
-from oee_tabular.inference.intervals import Interval, interval
-from oee_tabular.inference.ranges import value_range
+from oee_tabular.inference.intervals import Interval, interval, value_range
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""``interval``: how sure a value is, by four methods, or why the log and the assumptions contradict each other."""
+"""How sure a value is: ``interval``, by four methods, and ``value_range``, what Assumption V.1 says before any log."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from oee_tabular.inference.asymptotic import bootstrap_values, value_covariances
 from oee_tabular.inference.evidence import (
     Evidence,
     describe_rows,
+    evidence_of,
     gather,
     reachable_rows,
     require_squares,
@@ -24,9 +25,9 @@ from oee_tabular.inference.evidence import (
 )
 from oee_tabular.inference.likelihood import likelihood_ends
 from oee_tabular.inference.margins import outside_margin
-from oee_tabular.inference.robust import extreme_value, find_contradictions, radii
+from oee_tabular.inference.robust import extreme_value, find_contradictions, radii, require_end
 from oee_tabular.inference.shared import shared_directions, shared_ends
-from oee_tabular.mdp import check_policy
+from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.plots import plot_intervals
 
 if TYPE_CHECKING:
@@ -243,6 +244,63 @@ def interval(
         facts["standard_error"] = np.nan
         return Interval(np.nan, np.nan, level, method, facts, NO_VARIATION)
     return Interval(lower, upper, level, method, facts, sampling=sampling)
+
+
+@one_thread
+def value_range(
+    simulator: FiniteMDP,
+    policy: PolicyLike,
+    lower_ratio: float | None,
+    upper_ratio: float | None,
+    *,
+    horizon: int | None = None,
+) -> Interval:
+    """Return the values of a policy in all targets with lower_ratio * P <= P' <= upper_ratio * P (Assumption V.1).
+
+    Parameters
+    ----------
+    simulator : FiniteMDP
+    policy : as for ``policy_value``; with a horizon T also (T, S, A)
+    lower_ratio : nu in [0, 1]; 0 (or None) sets no lower bound
+    upper_ratio : mu in [1, inf]; inf (or None) sets no upper bound
+    horizon : number of rewards; None: the infinite discounted sum
+
+    Returns
+    -------
+    Interval
+        Both ends are attained by models in the box, so that nothing narrower is true of all of them. ``confidence`` is 1, and
+        ``method`` "range". ``diagnostics``: the number of ``sweeps``, and by how much at most rounding widened an end
+        (``certified_beyond``).
+
+    Raises
+    ------
+    ValueError
+        Bad arguments; discount 1 without a horizon where the sum diverges in some model of the box.
+
+    Notes
+    -----
+    ``interval`` with this box tends to the range of the models that agree with the log: where nothing is recorded the two
+    are the same. With a horizon the target may change from step to step. Cost: some policy evaluations, and O(nnz) a sweep.
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> simulator = oee.tasks.gridworld(4, slip=0.3)
+    >>> expert = oee.tasks.gridworld_expert(4)
+    >>> print(value_range(simulator, expert, 0.5, 2.0))
+    [-13.48, -3.82], range over all models in the box; discounted sum of rewards, not normalised
+    """
+    _checks.instance(simulator, FiniteMDP, "simulator")
+    horizon = _checks.optional_horizon(horizon)
+    pi = check_policy(policy, simulator, horizon=horizon)
+    evidence = evidence_of(simulator, pi, horizon, None, lower_ratio, upper_ratio)
+    if simulator.discount == 1.0 and horizon is None:
+        require_end(evidence)
+    free = np.full(len(evidence.n), np.inf)
+    low, high = (extreme_value(evidence, free, sign) for sign in (-1.0, 1.0))
+    beyond = max(abs(end.bound - end.value) for end in (low, high))
+    facts = {"sweeps": max(low.sweeps, high.sweeps), "certified_beyond": beyond}
+    return Interval(low.bound, high.bound, 1.0, "range", facts)
 
 
 def _interval_under(

@@ -26,8 +26,6 @@ NeurIPS 2020.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -151,24 +149,25 @@ class Ascent(NamedTuple):
 
 
 def likelihood_ends(evidence: Evidence, confidence: float) -> tuple[End, End]:
-    """Find the smallest and the largest value in the set."""
+    """Find the smallest and the largest value in the set.
+
+    Ascents begin along the gradient at the frequencies, along r + gamma V of the simulator, and along drawn directions.
+    """
     rows = PolicyRows.from_evidence(evidence)
     base, own = _begin(rows, rows.phat), _begin(rows, evidence.rows.weights[rows.entries])
     base.numbers["limit"] = float(gammaincinv(0.5, confidence))  # half of chi-square's quantile
-    ahead = rows.pay + rows.discount * own.values[rows.column]
-    low, high = (_find_end(rows, evidence, base, ahead, sign) for sign in (-1.0, 1.0))
+    drawn, ahead = _draw_directions(rows), rows.pay + rows.discount * own.values[rows.column]
+    low, high = (
+        _find_end(rows, evidence, base, [sign * base.slope, sign * ahead, *drawn], sign) for sign in (-1.0, 1.0)
+    )
     return low, high
 
 
-def _find_end(rows: PolicyRows, evidence: Evidence, base: Ascent, ahead: Array, sign: float) -> End:
-    """The farthest end of ascents from several directions: its value to rounding, its rows, and what is promised.
-
-    Directions are the gradient at the frequencies, r + gamma V of the simulator (``ahead``), and those that are drawn.
-    """
-    is_large = len(rows.initial) > N_DENSE
-    settled, end = SCOUTED if is_large else SETTLED, base
-    for x in itertools.chain([sign * base.slope, sign * ahead], _draw_directions(rows)):
-        ascent = _ascend(rows, base, x, sign, settled)
+def _find_end(rows: PolicyRows, evidence: Evidence, base: Ascent, directions: list[Array], sign: float) -> End:
+    """The farthest end of ascents from several directions: its value to rounding, its rows, and what is promised."""
+    is_large, end = len(rows.initial) > N_DENSE, base
+    for x in directions:
+        ascent = _ascend(rows, base, x, sign, SCOUTED if is_large else SETTLED)
         if end is base or sign * (ascent.numbers["value"] - end.numbers["value"]) > 0.0:
             end = ascent
     if is_large:
@@ -185,14 +184,15 @@ def _find_end(rows: PolicyRows, evidence: Evidence, base: Ascent, ahead: Array, 
     return End(value, whole, promised, int(numbers["iterations"]), float(numbers["divergence"]), change)
 
 
-def _draw_directions(rows: PolicyRows) -> Iterator[Array]:
-    """Drawn V, every other time each row's best state alone."""
-    rng, is_observed = np.random.default_rng(5), (rows.phat > 0.0) & rows.has_data
-    affordable = AFFORDED // (len(rows.phat) * (rows.n_steps or N_SWEEPS))
-    for k in range(min(DRAWS_EACH * int((~is_observed).sum()), max(affordable, 1), N_DRAWS)):
-        drawn = rng.random(len(rows.initial))[rows.column]
-        largest = np.repeat(np.maximum.reduceat(drawn, rows.indptr[:-1]), np.diff(rows.indptr))
-        yield (drawn == largest).astype(np.float64) if k % 2 else drawn
+def _draw_directions(rows: PolicyRows) -> Array:
+    """Drawn V, every other time each row's best state alone: a line each."""
+    lengths, is_observed = np.diff(rows.indptr), (rows.phat > 0.0) & rows.has_data
+    affordable = max(AFFORDED // (len(rows.phat) * (rows.n_steps or N_SWEEPS)), 1)
+    number = min(DRAWS_EACH * int((~is_observed).sum()), affordable, N_DRAWS)
+    drawn = np.random.default_rng(5).random((number, len(rows.initial)))[:, rows.column]
+    largest = np.repeat(np.maximum.reduceat(drawn, rows.indptr[:-1], axis=1), lengths, axis=1)
+    drawn[1::2] = (drawn == largest)[1::2]
+    return drawn
 
 
 def _begin(rows: PolicyRows, p: Array) -> Ascent:

@@ -7,10 +7,19 @@ The best rows for V, then V for these rows, until the Bellman residual is roundi
 upper bound each (``_robust``), and what is left of the residual widens the interval. The radii hold for all rows at once with
 the confidence asked for (a union over the rows).
 
+Before any log there is the box of Assumption V.1 alone, nu P <= P' <= mu P. With u(s') = r(s, a, s') + gamma V-(s') the least
+value of the models within it is [3, 4]
+
+    V-(s) = sum_a pi(a | s) [nu E_P u + (1 - nu) CVaR_tau(u)],    tau = (1 - nu) / (mu - nu),
+
+CVaR_tau the mean of u over its worst share tau under P: each row keeps nu P and sends the remaining 1 - nu to the worst next
+states, (mu - nu) P at most to each. The largest value V+ has the best share in place of the worst.
+
 Sources: [1] R. Agrawal, Finite-sample concentration of the multinomial in relative entropy, IEEE Trans. Information Theory 66,
 2020. [2] A. Jonsson et al., Planning in Markov decision processes with gap-dependent sample complexity, NeurIPS 2020. [3] G.
 Iyengar, Robust dynamic programming, Mathematics of Operations Research 30, 2005; A. Nilim and L. El Ghaoui, Robust control of
-Markov decision processes, Operations Research 53, 2005.
+Markov decision processes, Operations Research 53, 2005. [4] A. Bennett, N. Kallus, M. Oprescu, W. Sun and K. Wang, Efficient
+and sharp off-policy evaluation in robust Markov decision processes, NeurIPS 2024, arXiv 2404.00099.
 """
 
 from __future__ import annotations
@@ -20,9 +29,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._threads import dot
 from oee_tabular.exact import evaluate_policy, state_values
+from oee_tabular.exact.system import policy_system, recurrent_states
 from oee_tabular.inference import _robust as kernels
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.mdp.horizons import optional_horizon_length
@@ -112,3 +123,28 @@ def _solve_rows(evidence: Evidence, radius: Array, v: Array, guesses: Array, p: 
     part = evidence
     kernels.worst_rows(radius, part.phat, v, part.low, part.high, part.rows.indptr, guesses, p, bound, kl)
     return bound, kl
+
+
+def require_end(evidence: Evidence) -> None:
+    """Refuse a box in which some model keeps the policy for ever among states that it leaves in the simulator.
+
+    The largest set X of such states: of each of its rows nothing has to leave X (nu = 0 or no successor outside), and X can
+    take all mass (mu P(X) >= 1).
+    """
+    model, rows = evidence.model, evidence.rows
+    system, rewards = policy_system(model, evidence.policy), (evidence.policy * model.rewards).sum(axis=1)
+    inside = ~recurrent_states(system, rewards, model.names)  # which refuses a simulator whose own sum diverges
+    taken = evidence.policy.reshape(-1) > 0
+    while inside.any():
+        kept = inside[rows.arrival]
+        leaving = rows.sums(np.where(kept, 0.0, evidence.low))
+        room = rows.sums(np.where(kept, evidence.high, 0.0))
+        closed = ~taken | ((leaving <= 0.0) & (room >= 1.0 - _checks.SUM_TOLERANCE))
+        smaller = inside & closed.reshape(-1, model.n_actions).all(axis=1)
+        if (smaller == inside).all():
+            state = model.names.state(np.flatnonzero(inside)[0])
+            raise ValueError(
+                "horizon must be given: at discount 1 the infinite sum exists only where the policy is absorbed in every "
+                f"model of the box; with lower_ratio 0 it may stay for ever among states of which s={state} is one"
+            )
+        inside = smaller
