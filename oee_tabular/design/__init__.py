@@ -27,24 +27,20 @@ occupancy polytope of the collection MDP, which starts again after a transition 
 
     q >= 0,   sum_a q(s', a) = rho mu_0(s') + (1 - rho) sum_x q(x) P'(s' | x)   for every s'.
 
-Up to 4000 rows it is solved as cvxpy states it, with a second-order cone a row; above by columns [2]: q is a mixture of a few
-occupancies, mixed by the multiplicative algorithm [3]. The weights w of the policies define one objective sum_k w_k F_k with
-slopes g_x = sum_k w_k C_kx / (b_x + q_x)^2. New columns are the best policy of the collection MDP that pays g (Frank and
-Wolfe's: the linear oracle is planning [4]), and the policy made of the minimising q below, v the value of beta = q / sum_a q.
+It is solved by an interior point method [2]: a Newton step for q, the multipliers v of the flow (M q = m, kappa = M' v) and
+z of q >= 0, where conjugate gradients solve for v; and one for the weights w of the policies, of which sum_k w_k F_k is
+least. Then q is what the policy q / sum_a q records.
 
 **Certificate.** For any v, with kappa = v(s) - (1 - rho) E_P' v(s') made nonnegative by a constant added to v (Lagrange),
 
-    sum_x min_{q >= 0} [sum_k w_k C_kx / (b_x + q) + kappa_x q]  -  rho mu_0 . v   <=   min_q max_k F_k(q),
+    sum_x min_{q >= 0} [sum_k w_k C_kx / (b_x + q) + kappa_x q]  -  rho mu_0 . v   <=   min_q max_k F_k(q).
 
-with v the value of beta, where kappa is g less the advantage and the error is of second order, or of the best policy,
-no less than Frank and Wolfe's bound. ``Plan.gap`` is the distance of the two sides over the value, however q was found;
-gap = 0 is the equivalence theorem [5].
+``Plan.gap`` is the distance of the two sides over the value, however q was found; gap = 0 is the equivalence theorem [3].
 
 **Advice** (``advice``). The next pairs, one transition after another, that take most off the widths of the intervals.
 
-References: [1] J. Neyman, J. Royal Statistical Society 97, 1934. [2] B. von Hohenbalken, Mathematical Programming 13, 1977.
-[3] S. Silvey, D. Titterington and B. Torsney, Communications in Statistics A7, 1978. [4] T. Zahavy et al., Reward is enough
-for convex MDPs, NeurIPS 2021. [5] F. Pukelsheim, Optimal Design of Experiments, 1993, chapter 7.
+References: [1] J. Neyman, J. Royal Statistical Society 97, 1934. [2] S. Wright, Primal-Dual Interior-Point Methods, 1997.
+[3] F. Pukelsheim, Optimal Design of Experiments, 1993, chapter 7.
 """
 
 from oee_tabular.design.collection import plan_data_collection

@@ -77,8 +77,11 @@ def plan_data_collection(
     restart : in (0, 1), "behavior" only; default 1 - discount (1 / horizon at discount 1)
     restart_costs_a_move : False: the next recorded move after an episode's end is from a start; True: one more move is recorded
         in the state that ended it
-    solver : "frank_wolfe" (columns by planning, to a gap of 0.1%), "CLARABEL" (the statement in cvxpy), or "auto": the
-        second up to 4000 (s, a), the first above and where the second is not close
+    solver : "auto"
+        In closed form for one policy and free sampling, else by an interior point method, to a gap of 0.01%. "frank_wolfe"
+        is an older name of it.
+        "CLARABEL"
+        The statement in cvxpy, which is closer, and slow above 4000 (s, a).
     confidence : in (0, 1), of the intervals whose widths are predicted (J -+ z standard errors)
 
     Returns
@@ -96,8 +99,8 @@ def plan_data_collection(
     Predictions are first-order and at ``model``: the variance of maximum likelihood with the counts that the plan expects. An
     (s, a) that matters and has no data makes the present error infinite, and gets some. An estimator that lets all rows tell
     about each (``OffEnvironment()``, by its tilt) has smaller errors, and gains less by planning. Cost: free,
-    O(S A log(S A)) after two solves a policy; several policies or behaviour, a conic program with a cone a row, or 5 to 200
-    rounds of one policy iteration and a few solves in the collection MDP.
+    O(S A log(S A)) after two solves a policy; several policies or behaviour, 10 to 40 steps of 20 to 300
+    products with the collection MDP's transitions.
 
     Examples
     --------
