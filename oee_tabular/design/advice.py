@@ -74,10 +74,11 @@ def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -
     shape = (mdp.n_states, mdp.n_actions)
     counts = row_sums(problem.counts)
     model = reweight(mdp, Conditional().fit(problem.observed, problem.simulator, made=problem.made))
-    costs = row_costs(
+    table, optimistic = row_costs(
         mdp, model, list(policies.values()), counts, horizon=problem.horizon, box=Box(0.0, np.inf), confidence=confidence,
         optimistic=True,
     )  # fmt: skip
-    pairs = next_pairs(costs.table, counts, shape[1], 1, confidence)
-    table, optimistic = costs.table.reshape(-1, *shape), costs.optimistic.reshape(shape)
-    return advice_sentence(pairs, table, counts.reshape(shape), optimistic, mdp.names)
+    pairs = next_pairs(table, counts, shape[1], 1, confidence)
+    return advice_sentence(
+        pairs, table.reshape(-1, *shape), counts.reshape(shape), optimistic.reshape(shape), mdp.names
+    )

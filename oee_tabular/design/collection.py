@@ -125,14 +125,14 @@ def plan_data_collection(
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given at discount 1")
     truth, source = _check_model(problem, mdp, model)
-    found = row_costs(mdp, truth, pis, counts, horizon=steps, box=box, confidence=level, optimistic=optimistic)
+    table, certain = row_costs(mdp, truth, pis, counts, horizon=steps, box=box, confidence=level, optimistic=optimistic)
     collection = None
     if sampling == "behavior":
         chance = 1.0 / steps if steps is not None and mdp.discount == 1.0 else 1.0 - mdp.discount
         if restart is not None:
             chance = _checks.number_in(restart, "restart", 0.0, 1.0, open_ends=True)
         collection = collection_mdp(truth, chance, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move)
-    base, costs = counts / number, found.table / number
+    base, costs = counts / number, table / number
     matters = costs.max(axis=1) > 0.0
     least, free = np.zeros(len(pis)), np.zeros(len(pis))
     if matters.any():
@@ -161,10 +161,10 @@ def plan_data_collection(
             for k, name in enumerate(named)
         ),
         gap=design.gap,
-        next_pairs=next_pairs(found.table, counts, shape[1], min(number, 10), level),
+        next_pairs=next_pairs(table, counts, shape[1], min(number, 10), level),
         counts=counts.reshape(shape),
-        costs={name: c.reshape(shape) for name, c in zip(named, found.table, strict=True)},
-        optimistic=found.optimistic.reshape(shape),
+        costs={name: c.reshape(shape) for name, c in zip(named, table, strict=True)},
+        optimistic=certain.reshape(shape),
         restart=None if collection is None else 1.0 - collection.discount,
         model=source,
         solver=design.solver,

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions, plan_data_collection
-from oee_tabular.design import costs, programs
+from oee_tabular.design import programs
 from oee_tabular.design.programs import collection_mdp
 from oee_tabular.tasks.gridworld import gridworld_policy
 
@@ -94,17 +94,6 @@ def test_deterministic_rows_have_an_optimistic_cost():
     # R(. | 0, 0) = 0.975 on state 1 (the mean of both actions gives 0.05 / 2), 0.075 on state 0; at most 2 R
     boxed = plan_data_collection(chain, ahead, n=100, upper_ratio=2.0, lower_ratio=0.5)
     assert_allclose(boxed.costs["policy"][0, 0], 81 * 0.1**2 * 0.8**2 * 0.15 * 0.85, rtol=1e-9)
-
-
-def test_rows_are_costed_some_at_a_time(monkeypatch):
-    mdp = oee.tasks.gridworld(5, 0.0)
-    problem = Problem(mdp, log_of(mdp, np.arange(100).reshape(25, 4) % 3))
-    plans = []
-    for number in (10**6, 7):
-        monkeypatch.setattr(costs, "N_ROWS_AT_A_TIME", number)
-        plans.append(plan_data_collection(problem, oee.uniform_policy(mdp), n=9, upper_ratio=3.0))
-    assert_allclose(plans[1].costs["policy"], plans[0].costs["policy"], rtol=1e-12)
-    assert plans[0].optimistic.any()
 
 
 def test_optimism_fades_with_observations():
