@@ -16,7 +16,6 @@ from oee_tabular.design.costs import row_costs
 from oee_tabular.design.plan import Outlook, Plan
 from oee_tabular.design.programs import (
     LARGEST_GAP,
-    Design,
     Solver,
     behavior_of,
     collection_mdp,
@@ -135,39 +134,42 @@ def plan_data_collection(
     base, costs = counts / number, table / number
     matters = costs.max(axis=1) > 0.0
     least, free = np.zeros(len(pis)), np.zeros(len(pis))
+    gap, status, solved_by = 0.0, "nothing to learn: no transition probability bears on these policies' values", "none"
     if matters.any():
-        uncertain = [pis[k] for k in np.flatnonzero(matters)]
-        design, least[matters], free[matters] = solve_for_all(costs[matters], base, collection, uncertain, solver)
-        status = "ok"
-        if design.gap > LARGEST_GAP:
-            status = f"not finished: another plan may be better by up to {design.gap:.1%} of the variance"
-    else:
+        uncertain = [pi for pi, does in zip(pis, matters, strict=True) if does]
+        (q, value, bound), least[matters], free[matters] = solve_for_all(
+            costs[matters], base, collection, uncertain, solver
+        )
+        gap, status = max(0.0, 1.0 - bound / value), "ok"
+        if gap > LARGEST_GAP:
+            status = f"not finished: another plan may be better by up to {gap:.1%} of the variance"
+        is_closed_form = collection is None and len(uncertain) == 1
+        solved_by = solver if solver == "CLARABEL" else "closed form" if is_closed_form else "interior point"
+    elif collection is None:
         q = np.full(base.size, 1.0 / base.size)
-        if collection is not None:
-            q = occupancy(collection, uniform_policy(collection)).reshape(-1)
-        design = Design(q, 1.0, 1.0, "none")
-        status = "nothing to learn: no transition probability bears on these policies' values"
-    now, after = (evaluate(costs, base, q) for q in (np.zeros_like(base), design.q))
+    else:
+        q = occupancy(collection, uniform_policy(collection)).reshape(-1)
+    now, after = (evaluate(costs, base, x) for x in (np.zeros_like(base), q))
     to_least, to_free = (np.divide(after, x, out=np.ones_like(after), where=x > 0.0) for x in (least, free))
     shape = (mdp.n_states, mdp.n_actions)
     return Plan(
         sampling=sampling,
         n=number,
         confidence=level,
-        distribution=design.q.reshape(shape),
-        behavior_policy=behavior_of(design.q, shape),
+        distribution=q.reshape(shape),
+        behavior_policy=behavior_of(q, shape),
         policies=tuple(
             Outlook(name, float(now[k]), float(after[k]), float(to_least[k]), float(to_free[k]), level)
             for k, name in enumerate(named)
         ),
-        gap=design.gap,
+        gap=gap,
         next_pairs=next_pairs(table, counts, shape[1], min(number, 10), level),
         counts=counts.reshape(shape),
         costs={name: c.reshape(shape) for name, c in zip(named, table, strict=True)},
         optimistic=certain.reshape(shape),
         restart=None if collection is None else 1.0 - collection.discount,
         model=source,
-        solver=design.solver,
+        solver=solved_by,
         status=status,
         names=mdp.names,
     )

@@ -12,36 +12,22 @@ from typing import Any, Literal
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import LinearOperator, cg
+from scipy.sparse.linalg import aslinearoperator, cg
 
 from oee_tabular._checks import Array, BoolArray
-from oee_tabular._sparse import canonical, row_sums
+from oee_tabular._sparse import canonical
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio.statements import SolverStatusError, run
 
 Solver = Literal["auto", "frank_wolfe", "CLARABEL"]
+Solution = tuple[Array, float, float]  # q (S*A,), its largest F_k, and a lower bound of that of every q
 TOLERANCE = 1e-4  # the relative gap at which the interior point method ends
 LARGEST_GAP = 0.01  # a plan that is certified no closer than this says so
 N_NEWTON_STEPS, N_CG_STEPS, CG_TOLERANCE = 200, 2000, 1e-3  # the residual that CG leaves is removed by the next step
 BARRIER_FALL = 0.3  # a Newton step aims at this much of the mean of q z: with 0.1 a log's rows take twice as long
 UNREACHED = 1e12  # times the variance of free sampling: episodes do not get where it matters
 NEGLIGIBLE = 1e-60  # a row that the start reaches more seldom costs nothing, and is left out
-
-
-@dataclass(frozen=True, eq=False)
-class Design:
-    """``q`` (S*A,), its largest F_k ``value``, and a lower ``bound`` of every q's."""
-
-    q: Array
-    value: float
-    bound: float
-    solver: str
-
-    @property
-    def gap(self) -> float:
-        """(value - bound) / value: by how much, relatively, another q could be better at most."""
-        return max(0.0, 1.0 - self.bound / self.value)
 
 
 def evaluate(costs: Array, base: Array, q: Array) -> Array:
@@ -89,7 +75,6 @@ def collection_mdp(
         to_start = np.asarray(matrix @ is_end.astype(np.float64))
         matrix = matrix @ sparse.diags_array(1.0 - is_end)
     transitions = canonical(matrix + sparse.csr_array(to_start[:, None]) @ start, drop_zeros=True)
-    transitions = sparse.diags_array(1.0 / row_sums(transitions)) @ transitions
     return FiniteMDP(transitions, np.zeros(model.n_states), model.initial, 1.0 - restart)
 
 
@@ -112,18 +97,14 @@ class Program:
     collection: FiniteMDP | None
 
     def start(self, policies: list[Array]) -> Array:
-        """A feasible q that is positive where another one can usefully be.
+        """A feasible q, positive where another can usefully be: best for all costs at once, or what the policies record.
 
-        Free: the best q of each policy, and of all. Else the mean of what the uniform policy, the policies, and what one
-        would record at will, made a policy, record. Raises ValueError where that is not what matters to a policy.
+        Raises ValueError where that is not what matters to a policy.
         """
-        mean = self.costs.mean(axis=0)
         if self.collection is None:
-            best = np.mean([fill(cost, self.base) for cost in (*self.costs, mean)], axis=0)
-            return np.asarray(0.9 * best + 0.1 * (mean > 0.0) / np.sum(mean > 0.0))
-        uniform = uniform_policy(self.collection)
-        at_will = 0.9 * behavior_of(fill(mean, self.base), uniform.shape) + 0.1 * uniform
-        visits = [occupancy(self.collection, policy) for policy in (uniform, *policies, at_will)]
+            mean = self.costs.mean(axis=0)
+            return np.asarray(0.9 * fill(mean, self.base) + 0.1 * (mean > 0.0) / np.sum(mean > 0.0))
+        visits = [occupancy(self.collection, policy) for policy in (uniform_policy(self.collection), *policies)]
         q = np.mean(visits, axis=0).reshape(-1)
         worst = float(evaluate(self.costs, self.base, q).max())
         if not worst < UNREACHED:
@@ -131,7 +112,7 @@ class Program:
                 f"restart must let episodes reach the (s, a) that matter; at {1.0 - self.collection.discount:g} what their "
                 f"own policies and the uniform one record leaves {worst:.2g} times the variance of free sampling"
             )
-        return q
+        return np.asarray(q)
 
     def equations(self) -> tuple[sparse.csr_array, Array]:
         """(M, m): q >= 0 is feasible where M q = m: sum q = 1, or the flow of the collection MDP."""
@@ -166,20 +147,20 @@ class Program:
 
 def solve_for_all(
     costs: Array, base: Array, collection: FiniteMDP | None, policies: list[Array], solver: Solver
-) -> tuple[Design, Array, Array]:
-    """The design, and of each policy the least variance of a plan for it alone: sampling as here, and at will."""
+) -> tuple[Solution, Array, Array]:
+    """The solution, and of each policy the least variance of a plan for it alone: sampling as here, and at will."""
     free = np.array([float(evaluate(c[None], base, fill(c, base))[0]) for c in costs])
     scaled = costs / free[:, None]
     if collection is None:
         return solve(Program(scaled, base, None), policies, solver), free, free
     alone = [solve(Program(scaled[[k]], base, collection), [pi], solver) for k, pi in enumerate(policies)]
-    least = free * np.array([design.value for design in alone])
+    least = free * np.array([value for _, value, _ in alone])
     if len(policies) == 1:
         return alone[0], least, free
     return solve(Program(costs / least[:, None], base, collection), policies, solver), least, free
 
 
-def solve(program: Program, policies: list[Array], solver: Solver) -> Design:
+def solve(program: Program, policies: list[Array], solver: Solver) -> Solution:
     """Solve by cvxpy where it is asked for, else in closed form, or by the interior point method."""
     start = program.start(policies)
     if solver == "CLARABEL":
@@ -187,11 +168,11 @@ def solve(program: Program, policies: list[Array], solver: Solver) -> Design:
     if program.collection is None and len(program.costs) == 1:
         q = fill(program.costs[0], program.base)
         value = float(evaluate(program.costs, program.base, q)[0])
-        return Design(q, value, value, "closed form")
+        return q, value, value
     return solve_by_interior_point(program, start)
 
 
-def solve_by_interior_point(program: Program, start: Array) -> Design:
+def solve_by_interior_point(program: Program, start: Array) -> Solution:
     """Take primal-dual Newton steps until the relative gap is at most 0.01%; after 200 steps end with the gap there is.
 
     For weights w of the policies and c = w . C the conditions of the least sum_x c_x / (b_x + q_x) are, with z the
@@ -205,7 +186,6 @@ def solve_by_interior_point(program: Program, start: Array) -> Design:
     """
     used = start > NEGLIGIBLE
     costs, base, q = program.costs[:, used], program.base[used], start[used]
-    unused_costs = evaluate(program.costs[:, ~used], program.base[~used], np.zeros(int(np.sum(~used))))
     matrix, right = program.equations()
     matrix = matrix[:, np.flatnonzero(used)]
     transposed, squared = sparse.csr_array(matrix.T), matrix.power(2)
@@ -214,9 +194,9 @@ def solve_by_interior_point(program: Program, start: Array) -> Design:
     weights, v, z = np.full(len(costs), 1.0 / len(costs)), np.zeros(len(right)), value * BARRIER_FALL / (len(q) * q)
     smallest_barrier = 0.1 * TOLERANCE * value / len(q)
     point, prices = np.zeros(len(start)), np.full(len(start), np.inf)
-    theta = 2.0 * costs.mean(axis=0) / (base + q) ** 3 + z / q
+    theta, step = 2.0 * costs.mean(axis=0) / (base + q) ** 3 + z / q, 1.0
     for _ in range(N_NEWTON_STEPS):
-        weights = update_weights(weights, unused_costs + evaluate(costs, base, q), costs / (base + q) ** 2, theta)
+        weights += step * (update_weights(weights, costs, base + q, theta) - weights)
         prices[used], point[used] = transposed @ v, q
         bound = max(bound, program.lower_bound(weights, prices, float(right @ v)))
         candidate = program.project(point)
@@ -229,28 +209,25 @@ def solve_by_interior_point(program: Program, start: Array) -> Design:
         barrier = max(BARRIER_FALL * float(np.mean(q * z)), smallest_barrier)
         theta = 2.0 * cost / total**3 + z / q
         residual = prices[used] - cost / total**2 - barrier / q
-        diagonal = squared @ (1.0 / theta)
-        diagonal[diagonal == 0.0] = 1.0  # a state that is never reached
-        system, preconditioner = (
-            LinearOperator((len(v), len(v)), matvec=f, dtype=np.float64)
-            for f in (lambda x: matrix @ ((transposed @ x) / theta), lambda x: x / diagonal)  # noqa: B023
-        )
-        change = matrix @ (q - residual / theta) - right
-        dv, _ = cg(system, change, rtol=CG_TOLERANCE, maxiter=N_CG_STEPS, M=preconditioner)
+        scale = 1.0 / np.sqrt(np.maximum(squared @ (1.0 / theta), 1e-300))  # 1 on the diagonal of the system
+        half = aslinearoperator(sparse.diags_array(scale) @ matrix @ sparse.diags_array(1.0 / np.sqrt(theta)))
+        change = scale * (matrix @ (q - residual / theta) - right)
+        dv = scale * cg(half @ half.T, change, rtol=CG_TOLERANCE, maxiter=N_CG_STEPS)[0]
         dq = -(residual + transposed @ dv) / theta
         dz = (barrier - z * dq) / q - z
         step = min(1.0, 0.95 / max(1e-300, float(np.max(-dq / q)), float(np.max(-dz / z))))
         q, z, v = q + step * dq, z + step * dz, v + step * dv
-    return Design(best, value, bound, "interior point")
+    return best, value, bound
 
 
-def update_weights(weights: Array, values: Array, slopes: Array, theta: Array) -> Array:
-    """Take a Newton step for the conditions F_k = t, or w_k = 0 and F_k < t, of the worst policies.
+def update_weights(weights: Array, costs: Array, total: Array, theta: Array) -> Array:
+    """Take a Newton step for the conditions of the worst policies: F_k = t, or w_k = 0 and F_k < t.
 
-    With dF = -S dw, S = G diag(1 / theta) G', G (K, rows) the ``slopes`` C / (b + q)^2: what a change of the weights moves
-    where q needs no flow, so never too far. A policy below t has slack, which takes its weight to 0.
+    With dF = -S dw, S = G diag(1 / theta) G', G_kx = C_kx / (b_x + q_x)^2: what a change of the weights moves where q needs
+    no flow, so never too far. A policy below t has slack, which takes its weight to 0.
     """
-    slack = np.maximum(weights @ values - values, 0.0)
+    values, slopes = np.sum(costs / total, axis=1), costs / total**2
+    slack = values.max() - values
     curvature = (slopes / theta) @ slopes.T
     curvature += np.diag(1e-9 * np.trace(curvature) + slack / weights)
     ahead, level = np.linalg.solve(curvature, np.stack([values, np.ones(len(values))], axis=1)).T
@@ -259,7 +236,7 @@ def update_weights(weights: Array, values: Array, slopes: Array, theta: Array) -
     return np.asarray(moved / moved.sum())
 
 
-def solve_by_clarabel(program: Program) -> Design:
+def solve_by_clarabel(program: Program) -> Solution:
     """Solve the statement in cvxpy by Clarabel; its point is made feasible, and gets a bound by its multipliers.
 
     Raises SolverStatusError (a RuntimeError) for any status but "optimal". Cost: a conic program with a cone a row.
@@ -284,4 +261,4 @@ def solve_by_clarabel(program: Program) -> Design:
     weights, v = np.maximum(np.ravel(inefficiency.dual_value), 0.0), np.ravel(feasible.dual_value)
     point = program.project(unit * y.value)
     bound = program.lower_bound(weights / weights.sum(), matrix.T @ v, float(right @ v))
-    return Design(point, float(evaluate(costs, base, point).max()), bound, "CLARABEL")
+    return point, float(evaluate(costs, base, point).max()), bound
