@@ -182,16 +182,6 @@ def test_the_evidence_is_the_probability_of_the_moves_one_after_the_other():
     assert_allclose(choice.curve, at_grid, atol=2e-6)
 
 
-def test_kappa_is_where_the_evidence_is_largest():
-    rng = np.random.default_rng(2)
-    model = rng.dirichlet(np.ones(4), size=12)
-    counts = np.array([rng.multinomial(40, rng.dirichlet(15.0 * row)) for row in model]).astype(float)
-    choice = choose_strength(counts.reshape(-1), model.reshape(-1), rows_of(model.reshape(-1), np.arange(0, 49, 4)))
-    best, score = strengths(counts, model, np.zeros(12, dtype=int))
-    assert abs(np.log(choice.strength / best[0])) < 0.04
-    assert score - 1e-2 < choice.score <= score + 1e-6
-
-
 def leaves(P):
     """(S, 1): whether some action leaves the state."""
     return np.array([[(P[s, :, s] < 1).any()] for s in range(len(P))])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import dense, dense_occupancy, dense_values, random_mdp, random_policy, rngs, survival_chain
+from helpers import random_mdp, random_policy, rngs, survival_chain
 from hypothesis import given, settings
 from numpy.testing import assert_allclose
 
@@ -48,21 +48,6 @@ def inefficiency(plan, q):
 
 
 # costs
-
-
-@given(rngs)
-def test_costs_are_the_efficiency_bounds_terms(rng):
-    mdp = random_mdp(rng, form=2, discount=0.9)
-    policy = random_policy(rng, mdp)
-    plan = plan_data_collection(mdp, policy, n=10, optimistic=False)
-    kernel, _ = dense(mdp)
-    values = dense_values(mdp, policy)
-    spread = kernel @ values**2 - (kernel @ values) ** 2
-    by_hand = (0.9 / 0.1) ** 2 * dense_occupancy(mdp, policy) ** 2 * spread
-    assert_allclose(plan.costs["policy"], by_hand, atol=1e-9 * max(1.0, by_hand.max()))
-    uniform = np.full((mdp.n_states, mdp.n_actions), 1 / (mdp.n_states * mdp.n_actions))
-    bound = oee.efficiency_bound(mdp, policy, uniform)
-    assert_allclose(np.sum(plan.costs["policy"] / uniform), bound, rtol=1e-9, atol=1e-9)
 
 
 def test_an_undiscounted_horizon_restarts_once_in_it():
@@ -126,18 +111,6 @@ def test_rewards_of_moves_that_the_simulator_does_not_make():
 # free sampling
 
 
-def test_free_design_is_neymans():
-    plan = plan_data_collection(SIMULATOR, POLICY, n=500, model=TARGET)
-    root = np.sqrt(plan.costs["policy"])
-    assert_allclose(plan.distribution, root / root.sum(), atol=1e-14)
-    assert_allclose(plan.policies[0].variance_after, root.sum() ** 2 / 500, rtol=1e-12)
-    assert plan.gap <= 1e-12
-    assert plan.expected_standard_error[0] == np.inf
-    assert_allclose(plan.expected_width[1], 2 * 1.959964 * root.sum() / np.sqrt(500), rtol=1e-6)
-    assert plan.allocation.sum() == 500
-    assert np.abs(plan.allocation - 500 * plan.distribution).max() < 1
-
-
 @given(rngs)
 def test_a_free_plan_levels_what_one_transition_more_gains(rng):
     """c / (n_x + n q_x)^2 is one level where q > 0, and no larger elsewhere."""
@@ -199,7 +172,7 @@ def test_every_plan_keeps_its_certificate(rng):
     others = [oee.occupancy(world, pi) for pi in behaviors]
     for sampling in ("free", "behavior"):
         options = {"n": 30, "sampling": sampling, "model": "simulator"}
-        plans = [plan_data_collection(known, policies, solver=x, **options) for x in ("auto", "frank_wolfe")]
+        plans = [plan_data_collection(known, policies, solver=x, **options) for x in ("auto", "CLARABEL")]
         assert plans[0].gap < 1e-3
         if plans[0].status.startswith("nothing"):
             continue
@@ -211,21 +184,6 @@ def test_every_plan_keeps_its_certificate(rng):
             assert plan.inefficiency == pytest.approx(inefficiency(plan, plan.distribution), rel=1e-9)
             for q in (*others, *uniform):
                 assert plan.inefficiency * (1 - plan.gap) <= inefficiency(plan, q) * (1 + 1e-9)
-
-
-def test_kiefer_and_wolfowitz():
-    """max over q' of <q', c / q*^2> = sum c / q*; for any other q it is larger."""
-    plan = plan_data_collection(SIMULATOR, POLICY, n=100, model=TARGET, sampling="behavior", solver="CLARABEL")
-    assert plan.gap < 1e-8
-    world, cost = collection_mdp(TARGET, 0.05), plan.costs["policy"]
-
-    def largest(q):
-        paid = world.with_rewards(np.divide(cost, q**2, out=np.zeros_like(cost), where=cost > 0))
-        return 0.05 * oee.policy_value(paid, oee.optimal_policy(paid))
-
-    assert_allclose(largest(plan.distribution), 100 * plan.policies[0].variance_after, rtol=1e-4)
-    uniform = oee.occupancy(world, oee.uniform_policy(world))
-    assert largest(uniform) > 1.5 * np.sum(cost[cost > 0] / uniform[cost > 0])
 
 
 # known figures
@@ -301,9 +259,6 @@ def test_sequential_use():
     assert_allclose(second.distribution, first.distribution, atol=1e-3)
     assert_allclose(second.after(4000)["policy"].variance_after, second.policies[0].variance_after, rtol=1e-12)
     assert_allclose(second.after(16_000)["policy"].width[1], second.expected_width[0] / np.sqrt(5), rtol=1e-3)
-    pair = second.next_pairs[0]
-    fall = second.costs["policy"] / np.maximum(second.counts * (second.counts + 1), 1)
-    assert fall[pair] == fall.max()
     three = plan_data_collection(problem, THREE, n=4000, sampling="behavior")
     assert three.gap < 0.01
     assert three.model == "the estimate from the log"

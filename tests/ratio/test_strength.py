@@ -6,7 +6,7 @@ from helpers import rows_of
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import gammaln
 
-from oee_tabular.ratio.prior.strength import StrengthChoice, _weighted_median, choose_strength, kinds_of_rows, meaning
+from oee_tabular.ratio.prior.strength import StrengthChoice, choose_strength, kinds_of_rows, meaning
 
 
 def many_rows(kappa, seed=0, n=60, rows=40):
@@ -59,22 +59,6 @@ def test_kinds_of_rows():
     four = enough.copy()
     four[18:21] = 0.0  # one of the five rows never visited
     assert kinds_of_rows(four, rows_of(weights, indptr))[6] == 0
-
-
-def test_a_kind_that_was_never_visited_is_pooled():
-    weights = np.array([[0.5, 0.5]] * 5 + [[0.7, 0.3]] * 2).reshape(-1)
-    observed = np.array([[20.0, 20.0]] * 5 + [[0.0, 0.0]] * 2).reshape(-1)
-    assert_array_equal(kinds_of_rows(observed, rows_of(weights, np.arange(8) * 2)), [1] * 5 + [0] * 2)
-
-
-def test_the_median_move():
-    """The value of the row that holds the middle one of all moves; without moves the largest."""
-    values = np.array([3.0, 1.0, 2.0])
-    assert _weighted_median(values, np.array([1.0, 1.0, 1.0])) == 2.0
-    assert _weighted_median(values, np.array([5.0, 1.0, 1.0])) == 3.0
-    assert _weighted_median(values, np.array([0.0, 1.0, 0.0])) == 1.0
-    assert _weighted_median(values, np.zeros(3)) == 3.0
-    assert _weighted_median(values[:1], np.ones(1)) == 3.0
 
 
 def test_what_the_strength_means():
