@@ -4,6 +4,7 @@ python -m sphinx -W notebooks build/site
 """
 
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import dependencies
 import docstrings
 import subjects
+from docutils import nodes
 
 import oee_tabular
 
@@ -50,6 +52,18 @@ SILENT = 'console.log = (log => (...words) => String(words[0]).startsWith("[PST]
 def plain_docstrings(app, what, name, obj, options, lines):
     """Before napoleon reads them."""
     lines[:] = docstrings.plain(lines)
+
+
+def describe_pictures(app, doctree):
+    """A picture of a notebook is described by the titles in the code that draws it."""
+    for picture in doctree.findall(nodes.image):
+        cell = picture.parent
+        while cell and "cell" not in cell.get("classes", ()):
+            cell = cell.parent
+        if cell:
+            code = next(cell.findall(nodes.literal_block)).astext()
+            titles = re.findall(r'title(?:\(|=)\s*"([^"]+)"', code)
+            picture["alt"] = "; ".join(titles).replace("$", "") or "The picture that the code above draws"
 
 
 def nest_modules(app, page, template, context, doctree):
@@ -125,5 +139,6 @@ def setup(app):
     """Called by Sphinx."""
     app.connect("builder-inited", write_api)
     app.connect("autodoc-process-docstring", plain_docstrings, priority=100)
+    app.connect("doctree-read", describe_pictures)
     app.connect("html-page-context", nest_modules)
     app.add_js_file(None, body=SILENT)

@@ -223,7 +223,7 @@ def leaving():
 
 # exercise -> (the right answer, answers that readers are likely to give instead, a word of the hint)
 CASES = {
-    "00_a": (sure_arrival, [1.0, 0.99**14, 14, 0.99], "7 moves down"),
+    "00_a": (sure_arrival, [1.0, 0.99**14, 14, 0.99], "7 steps down"),
     "01_a": (slow_motor, [5.9375, 10.0, 0.67857], "V(1)"),
     "01_b": (horizon_for_the_rest, [527, 529, 69, 527.2], "left out"),
     "01_c": (episodes_for_a_tenth, [2782, 279, 278.2, 1668], "variance"),
@@ -236,9 +236,9 @@ CASES = {
     "04_a": (lambda: one_move(0.3, 0.1), [1.0, 1.1571, 0.1905, 1.4444], "four directions"),
     "04_b": (lambda: one_move(0.1, 0.3), [1.1905, 0.4444, 1.0], "exchanged"),
     "04_c": (paths_for_one, [624, 6.6e6, 63, 3890], "horizons[7]"),
-    "05_a": (shrunk_ratio, [0.75, 9 / 7, 1.2, 0, -1.071, math.nan, math.inf], "30 pretended moves"),
+    "05_a": (shrunk_ratio, [0.75, 9 / 7, 1.2, 0, -1.071, math.nan, math.inf], "30 pretended transitions"),
     "05_b": (lambda: tilt_to(0.1), [1.694, 0.9, 0.68, -0.435], "the target's are 27"),
-    "05_c": (evidence_gained, [1.5, 0.585, 0.176, -0.405], "second move has probability"),
+    "05_c": (evidence_gained, [1.5, 0.585, 0.176, -0.405], "second transition has probability"),
     "05_d": (lambda: tilt_to(0.5), [0.435, 0.565, 0.694, -0.45], "theta is negative"),
     "05_e": (lambda: False, [0, 1], "two equal values of P"),
     "06_a": (distance_of_one, [0.0, 16 / 21, 0.2857, 1.0], "four distances"),

@@ -50,6 +50,7 @@ def test_every_notebook_s_formulas_and_pictures_are_on_its_page(site):
         html = site[f"{path.stem}.html"].read_text()
         counts[path.stem] = count(nbformat.read(path, as_version=4))
         assert (html.count('class="math '), html.count('<img alt="')) == counts[path.stem], path.stem
+        assert '<img alt="_images' not in html, path.stem
     assert all(formulas >= 5 and pictures >= 1 for formulas, pictures in counts.values())
 
 
