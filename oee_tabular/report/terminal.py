@@ -32,9 +32,8 @@ def render(report: Report, *, all: bool, verbose: bool) -> str:
         fold([report.headline]),
         comparison_table(report),
         estimator_table(report, rows, verbose=verbose),
-        fold([*exact_values(report), *report.legend(rows), *details(report)]),
-        fold([f"[{k}] {report.warnings[k - 1]}" for k in first], indent="    "),
-        fold([rest]),
+        fold([*report.legend(rows), *details(report)]),
+        [*fold([f"[{k}] {report.warnings[k - 1]}" for k in first], indent="    "), *fold([rest])],
         fold(inputs(report)),
     )
 
@@ -53,7 +52,6 @@ def render_html(report: Report) -> str:
         caption=report.headline,
         text_columns=2,
         below=[
-            *exact_values(report),
             *report.legend(rows),
             *details(report),
             *(f"[{k}] {report.warnings[k - 1]}" for k in notes_of(report, rows)),
@@ -89,12 +87,6 @@ def details(report: Report) -> list[str]:
     return [sentence for sentence in report.uncertainty.sentences if sentence != report.uncertainty.ranking]
 
 
-def exact_values(report: Report) -> list[str]:
-    """The exact values, where the target is known."""
-    values = ", ".join(f"{name}: {value * report.scale:.6g}" for name, value in report.truth.items())
-    return [f"Exact value in the target: {values}"] if values else []
-
-
 def inputs(report: Report) -> list[str]:
     """What a value is, and what it was made from."""
     known = (
@@ -108,12 +100,14 @@ def comparison_table(report: Report) -> list[str]:
     rows = report.comparison()
     if not rows:
         return []
-    table = [["policy", "value", f"{report.confidence:.0%} interval", "P(best)", "worth less than the best by"]]
+    titles = ["policy", "value", f"{report.confidence:.0%} interval", "P(best)", "worth less than the best by"]
+    table = [[*titles, *(["exact value"] if report.truth else [])]]
     for row in rows:
         less = value_and_interval(row["less_by"], row["less_by_lower"], row["less_by_upper"])
         best = "-" if row["probability_best"] is None else f"{row['probability_best']:.1%}"
         value, interval = value_and_interval(row["value"], row["lower"], row["upper"])
-        table.append([row["policy"], value, interval, best, " ".join(less).strip()])
+        exact = [f"{report.truth[row['policy']] * report.scale:.6g}"] if report.truth else []
+        table.append([row["policy"], value, interval, best, " ".join(less).strip(), *exact])
     has_no_best = any(row["probability_best"] is None for row in rows)
     return [*aligned(table, numeric_from=1), *([text.NO_P_BEST] if has_no_best else [])]
 

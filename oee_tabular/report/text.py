@@ -8,23 +8,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 
 from oee_tabular import _printing
 
 NEARLY_SILENT = 0.5  # share of the policy's time that the log covers: below it that is what a reader must know first
 METHODS: Mapping[str, str] = {  # kinds of intervals
-    "likelihood": "every value that agrees with the log. Where there are no data, the interval allows every outcome that the "
-    "simulator allows, with any probability.",
-    "likelihood under the tie": "every value of the tied model that agrees with the log: transitions of one key change alike.",
-    "likelihood under the features": "every value of the model that agrees with the log: rows change along the features "
-    "alone.",
+    "likelihood": "all values that the log and the simulator's support allow.",
+    "likelihood under the tie": "all values of the tied model that the log allows: transitions of one key change alike.",
+    "likelihood under the features": "all values of the model that the log allows: rows change along the features alone.",
     "one-step": "value ± normal quantile × standard error. Pairs that were never recorded count as recorded once.",
     "refits": "value ± t quantile × standard error, by refits on resampled episodes; the rollouts' noise is included.",
     "calibrated": "value ± normal quantile × standard error, which includes the gap between two calibrations.",
     "simulator's samples": "value ± normal quantile × standard error: the simulator's sampling noise, not the target's.",
     "the estimator's own": "as the estimator gives it.",
-    "standard error": "value ± normal quantile × standard error (sampling noise only; says nothing about unrecorded pairs).",
+    "standard error": "value ± quantile × standard error (sampling noise).",
 }
 GLOSSARY: Mapping[str, str] = {  # columns and intervals of the page
     "guaranteed interval": "It covers with the confidence given however few transitions the log has; the widest.",
@@ -215,18 +212,14 @@ def assumed_at_worst(unrecorded: int, share: float, *, dropped: bool) -> str:
     """Say what the quoted interval lets unrecorded pairs do; "" where there are none."""
     told = ""
     if unrecorded:
-        pairs = "one state-action pair that was" if unrecorded == 1 else f"{unrecorded} state-action pairs that were"
-        told = f"The interval assumes the worst for {pairs} never recorded ({_printing.share(share)} of the policy's time)."
+        pairs = f"{unrecorded} unrecorded state-action pair{'s' * (unrecorded > 1)}"
+        told = f"The interval assumes the worst for {pairs} ({_printing.share(share)} of the time)."
     return f"{told}{' ' * bool(told)}Dropped transitions may lead anywhere in it." if dropped else told
 
 
-def narrower(lower: float, upper: float, confidence: float) -> str:
+def narrower(lower: float, upper: float) -> str:
     """Say what the recorded transitions alone leave open."""
-    quantile = NormalDist().inv_cdf(0.5 + confidence / 2.0)
-    return (
-        f"From the recorded transitions alone, with those pairs as estimated, the value lies between "
-        f"{between(lower, upper, ' and ')} (value ± {quantile:.3g} standard errors)."
-    )
+    return f"The recorded transitions alone, with those pairs as estimated, give {between(lower, upper)}."
 
 
 def guaranteed(lower: float, upper: float) -> str:

@@ -207,7 +207,7 @@ def _describe(found: Mapping[str, Interval], scale: float) -> str:
     dropped = bool(facts.get("dropped_moves", 0.0))
     told = [text.assumed_at_worst(int(facts["unvisited_rows"]), facts["unvisited_share"], dropped=dropped)]
     if quoted.sampling is not None and quoted.width > MUCH_WIDER * (quoted.sampling[1] - quoted.sampling[0]):
-        told.append(text.narrower(quoted.sampling[0] * scale, quoted.sampling[1] * scale, quoted.confidence))
+        told.append(text.narrower(quoted.sampling[0] * scale, quoted.sampling[1] * scale))
     if GUARANTEED in found:
         told.append(text.guaranteed(found[GUARANTEED].lower * scale, found[GUARANTEED].upper * scale))
     return " ".join(filter(None, told))

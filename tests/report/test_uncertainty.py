@@ -51,7 +51,7 @@ def test_what_was_never_recorded_comes_first():
     share[0, 0] = 0.0
     found = report(TARGET, 5000, share / share.sum())
     assert found.uncertainty.sentences[2] == "Record action 0 in state 0 first (never recorded)."
-    assert "assumes the worst for one state-action pair that was never recorded (" in found.uncertainty.sentences[1]
+    assert "assumes the worst for 1 unrecorded state-action pair (" in found.uncertainty.sentences[1]
 
 
 def test_values_are_in_the_reports_unit():
