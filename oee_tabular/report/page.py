@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import re
 import shlex
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
@@ -87,7 +88,11 @@ def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | 
 
 def legible(text: object) -> str:
     """Without the control characters that a name from a file may hold, which no page can show."""
-    return "".join(c if c in "\n\t" or c.isprintable() or c.isspace() else "\ufffd" for c in str(text))
+
+    def replace_controls(match: re.Match[str]) -> str:
+        return match[0] if match[0].isprintable() or match[0].isspace() else "\ufffd"
+
+    return re.sub(r"[^\t\n -~]", replace_controls, str(text))
 
 
 def _stamp(report: Report) -> str:

@@ -152,9 +152,7 @@ class Report:
         if not answers:
             return text.NO_VALUE
         conflict = None if self.problem is None or self.problem.rewards == "log" else self.problem.reward_conflict
-        first = "" if conflict is None else text.contradicting_rewards(
-            conflict.rows, conflict.of_rows, at_most=conflict.at_most
-        )  # fmt: skip
+        first = "" if conflict is None else text.contradicting_rewards(str(conflict))
         if len(self.answers) == 1:
             told = text.worth(answers[0], self.confidence)
         else:

@@ -118,12 +118,9 @@ def list_names(policies: Sequence[str]) -> str:
 # the answer
 
 
-def contradicting_rewards(rows: int, of_rows: int, *, at_most: bool) -> str:
-    """Say that the log does not pay what the simulator pays."""
-    return (
-        f"The log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of {of_rows} transitions, so this rests "
-        "on rewards that may be wrong."
-    )
+def contradicting_rewards(conflict: str) -> str:
+    """Say that the log does not pay what the simulator pays; ``conflict`` says where."""
+    return f"{conflict[0].upper()}{conflict[1:]}, so this rests on rewards that may be wrong."
 
 
 def worth(answer: Answer, confidence: float) -> str:
