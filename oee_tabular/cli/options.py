@@ -17,7 +17,8 @@ from oee_tabular.cli.simulators import POLICY_HELP, SIMULATOR_HELP
 
 SHAPES: Mapping[str, Mapping[str, str]] = {
     "evaluate": {
-        "version": "of oee_tabular", "answer": "in sentences", "unit": "what a value is", "discount": "", "horizon": "", "normalized": "",
+        "version": "of oee_tabular", "answer": "in sentences", "unit": "what a value is",
+        "discount": "", "horizon": "", "normalized": "",
         "confidence": "of the intervals", "interval": "what each kind of interval is", "seed": "", "facts": "inputs",
         "results": "a row each policy and estimator: value, standard_error, lower, upper, sampling_lower, sampling_upper, "
         "interval_method, notes, ...",

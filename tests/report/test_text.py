@@ -42,7 +42,8 @@ def test_what_a_policy_is_worth(changes, sentence):
     ("made", "sentence"),
     [
         (text.contradicting_rewards("the log's rewards contradict the simulator's in 3 of 3 transitions (s=0)"),
-         "The log's rewards contradict the simulator's in 3 of 3 transitions (s=0), so this rests on rewards that may be wrong."),
+         "The log's rewards contradict the simulator's in 3 of 3 transitions (s=0), so this rests on "
+         "rewards that may be wrong."),
         (text.nearly_silent([answer(), answer(policy="b", coverage=0.2)]), "The log covers only 20.0% of what “b” does."),
         (text.nearly_silent([answer()]), ""),
         (text.best_policy("a", "b", 3, (0.25, 0.125, 0.5), 0.95, overlap=False),
