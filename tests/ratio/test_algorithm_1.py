@@ -73,14 +73,6 @@ def test_the_quotient_is_within_what_the_tables_bounds_make_of_it(logs, fitted):
     assert np.abs(fitted.values.data - zeta).mean() < 0.15 * np.abs(zeta - 1).mean()
 
 
-def test_it_is_the_code_of_density_ratio(logs, fitted):
-    rng = np.random.default_rng(1)
-    for beta, (p, q, _) in zip(fitted.details["beta"], tables(logs), strict=True):
-        alone = oee.density_ratio(np.round(3000 * p), np.round(3000 * q), **BOX, solver="sgd", seed=rng, **vars(SGD))
-        assert_array_equal(alone.ratio, beta.ratio)
-        assert_array_equal(alone.trace.excess, beta.trace.excess)
-
-
 def test_the_page_of_the_paper_agrees(logs):
     D_te, D_tr = (np.column_stack([log.state, log.action, log.next_state]) for log in logs[1:])
     found = paper.algorithm_1(D_te, D_tr, (3, 2), NU, MU, eta=0.02, N=128, iterations=10_000, seed=2)

@@ -1,7 +1,5 @@
 """Methods of ratios as objects: what a name stands for, what is refused, limits, and estimators that take them."""
 
-import functools
-
 import numpy as np
 import pytest
 from helpers import dense
@@ -62,20 +60,6 @@ def test_the_paper_s_quotient_is_two_ratios_apart():
     assert_allclose(value, oee.policy_value(model, POLICY), rtol=1e-10)
 
 
-def test_algorithm_1_trains_both_tables():
-    """The same seed gives the same bits; both traces end near the exact statements."""
-    method = Quotient(normalized=False, solver=Sgd(step_size=0.1, batch_size=256), lower=0.1, upper=5.0, data="exact")
-    first, again, other = (method.fit(LOG, SIMULATOR, seed=seed) for seed in (1, 1, 2))
-    assert_array_equal(first.values.data, again.values.data)
-    assert np.abs(first.values.data - other.values.data).max() > 1e-6
-    exact = Quotient(normalized=False, lower=0.1, upper=5.0, data="exact").fit(LOG, SIMULATOR)
-    for trained, best in zip(first.details["beta"], exact.details["beta"], strict=True):
-        assert best.trace is None
-        assert trained.trace.excess[-1] < 0.3 * trained.trace.excess[0]
-        assert_allclose(trained.objective - best.objective, trained.trace.excess[-1], atol=1e-9)
-        assert trained.gap >= trained.trace.excess[-1] - 1e-12
-
-
 @pytest.mark.parametrize(
     "method",
     [Conditional(prior="simulator"), Quotient(lower=1e-3, upper=1e3), Joint(lower=1e-3, upper=1e3)],
@@ -105,39 +89,3 @@ def test_an_estimator_passes_on_what_a_method_heeds():
         expected = oee.transition_ratio(LOG, SIMULATOR, method=method, **given)
         found = OffEnvironment(method).fit(problem, POLICY, np.random.default_rng(0))
         assert_array_equal(found.values.data, expected.values.data)
-
-
-zeta = functools.partial(oee.transition_ratio, LOG, SIMULATOR)
-WRONG = {
-    "an option that a class has not": (lambda: Quotient(tie=SHIFT), TypeError, "tie"),
-    "an option that no method has": (lambda: zeta(priors="tilt"), TypeError, "^priors must be an option of a method: "),
-    "options beside an object": (lambda: zeta(method=Joint(), lower=1.0),
-        TypeError, "^lower must be given to the method object"),
-    "a policy where it has no use": (
-        lambda: zeta(method=Joint(), values_of=POLICY), ValueError, "^values_of must not be given with method 'joint'",
-    ),
-    "a policy for a prior without": (
-        lambda: zeta(method=Conditional(prior="tilt"), values_of=POLICY),
-        ValueError, "^values_of must be left out with prior 'tilt'",
-    ),
-    "no features": (lambda: InClass(), ValueError, "^features must be given"),
-    "features and a kernel": (
-        lambda: InClass(features=STATE, kernel="gaussian", coordinates=STATE),
-        ValueError, "^features must be left out with a kernel",
-    ),
-    "no tie": (lambda: Tied(), ValueError, "^tie must be given"),
-    "a word for a ridge": (lambda: Quotient(ridge="loo"), ValueError, "^ridge must be a number or a function of n"),
-    "neither yes nor no": (lambda: Quotient(normalized="raw"), ValueError, "^normalized must be True or False"),
-    "no solver": (lambda: Quotient(solver=3), ValueError, r"^solver must be a name or Sgd\(...\); got 3"),
-    "training with a constraint": (
-        lambda: Quotient(solver=Sgd()).fit(LOG, SIMULATOR), ValueError, '^solver "sgd" must have normalized=False',
-    ),
-    "no method": (lambda: OffEnvironment(3), ValueError, "^ratio must be a method's name"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_bad_calls(name):
-    call, kind, text = WRONG[name]
-    with pytest.raises(kind, match=text):
-        call()

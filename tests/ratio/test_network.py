@@ -67,16 +67,6 @@ def test_the_ridge_is_in_the_risk(logs):
 
 
 @trained
-def test_batches_and_early_stopping_come_near(logs):
-    found, best = fit(logs, batch_size=256), exact(logs)
-    moves, table = found.details["beta"][0], best.details["beta"][0]
-    assert moves.gap < 0.1 * moves.trace.excess[0]
-    held = moves.details["held_out_risk"]
-    assert moves.details["kept"] == moves.trace.iteration[np.argmin(held)]
-    assert np.abs(moves.ratio - table.ratio).mean() == pytest.approx(moves.trace.error[np.argmin(held)])
-
-
-@trained
 def test_training_stops_where_the_held_out_risk_has_no_new_least(logs):
     found = fit(logs, patience=3, n_iterations=20_000, batch_size=64)
     for beta in found.details["beta"]:
@@ -84,22 +74,6 @@ def test_training_stops_where_the_held_out_risk_has_no_new_least(logs):
         assert len(held) == len(beta.trace.iteration) < 201
         assert np.argmin(held) == len(held) - 4
         assert beta.status == f"trained for {beta.trace.iteration[-1]} iterations"
-
-
-@trained
-def test_two_states_at_one_place_have_one_ratio(logs):
-    """Coordinates are all that such a network sees of a state, and actions stay apart."""
-    found = fit(logs, inputs=[0.0, 1.0, 1.0], n_iterations=300).details["beta"][1].ratio.reshape(3, 2)
-    assert_array_equal(found[1], found[2])
-    assert (found[0] != found[1]).all()
-    assert (found[:, 0] != found[:, 1]).all()
-
-
-@trained
-def test_exact_data_of_the_simulator_are_trained_and_stopped_on_whole(logs):
-    exact = fit(logs, data="exact", n_iterations=300)
-    assert exact.details["beta"][0].gap < 0.1
-    assert (np.diff(exact.details["beta"][0].details["held_out_risk"]) < 0.01).all()
 
 
 @trained
@@ -132,15 +106,6 @@ def test_a_full_batch_finds_the_rows_optimum(logs, options):
     assert found.details["trace"].excess[0] > 5 * found.gap
     assert found.details["trace"].excess[-1] == pytest.approx(found.gap, abs=1e-12)
     assert found.details["kept"] == found.details["iterations"] == 1500
-
-
-@trained
-def test_the_gap_is_the_logs_mean_log_ratio_to_maximum_likelihood(logs):
-    simulator, te, _ = logs
-    found, best = by_rows(logs, n_iterations=200), Conditional(prior="none").fit(te, simulator)
-    counts = te.counts(3, 2).toarray().reshape(-1)
-    assert found.gap == pytest.approx(counts @ np.log(best.values.data / found.values.data) / 4000, abs=1e-12)
-    assert found.gap > 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -261,47 +226,6 @@ def test_without_the_extra_everything_imports_and_a_network_is_one_sentence():
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     sentence = "Network needs jax, equinox and optax, which are not installed; in a clone: pip install '.[neural]'"
     assert said.splitlines() == [sentence, sentence]
-
-
-def quotient(**options):
-    return lambda: Quotient(**BOX | {"functions": Network()} | options)
-
-
-def rows(**options):
-    return lambda: Conditional(**{"functions": Network()} | options)
-
-
-@pytest.mark.parametrize(
-    ("call", "text"),
-    [
-        (lambda: Network((0,)), r"^layers\[0\] must be a positive integer; it is 0$"),
-        (lambda: Network(64), r"^layers must be a collection of widths of hidden layers; got int$"),
-        (lambda: Network(activation="sinus"), r"^activation must be one of 'relu', .*'sinus'"),
-        (lambda: Network(optimizer="adagrad"), r"^optimizer must be one of 'adam', 'sgd'.*'adagrad'"),
-        (lambda: Network(inputs="pixels"), r"^inputs must be one of 'one_hot'.*'pixels'"),
-        (lambda: Network(step_size=0), r"^step_size must be in \(0, inf\); it is 0$"),
-        (lambda: Network(batch_size=0), r"^batch_size must be a positive integer; it is 0$"),
-        (lambda: Network(n_iterations=1.5), r"^n_iterations must be a positive integer; got 1.5$"),
-        (lambda: Network(held_out=1), r"^held_out must leave moves to train on; it is 1$"),
-        (lambda: Network(held_out=-0.1), r"^held_out must be in \[0, 1\]; it is -0.1$"),
-        (lambda: Network(patience=0), r"^patience must be a positive integer; it is 0$"),
-        (quotient(functions="mlp"), r"^functions must be a Network\(\.\.\.\); got str$"),
-        (quotient(normalized=True), r"^normalized must be False with functions"),
-        (quotient(solver="CLARABEL"), r"^solver must be left out with functions=.*; got 'CLARABEL'$"),
-        (quotient(upper=np.inf), r"^lower and upper must be a box with 0 < lower .*; it is \[0\.2, inf\]$"),
-        (quotient(lower=None), r"^lower and upper must be a box .*; it is \[0, 5\]$"),
-        (quotient(toward=None, ridge=1.0), r"^toward must be a number with functions"),
-        (rows(functions="mlp"), r"^functions must be a Network\(\.\.\.\); got str$"),
-        (rows(solver="CLARABEL"), r"^solver must be left out with functions=.*; got 'CLARABEL'$"),
-        (rows(prior="tilt"), r"^prior must be left out with functions=.*; got 'tilt'$"),
-        (rows(features=[1.0]), r"^features must be left out with prior 'none'"),
-        (rows(upper=5.0), r"^lower and upper must be left out with functions=.*; it is \[0, 5\]$"),
-        (rows(lower=0.1), r"^lower and upper must be left out with functions=.*; it is \[0\.1, inf\]$"),
-    ],
-)
-def test_bad_options(call, text):
-    with pytest.raises(ValueError, match=text):
-        call()
 
 
 @trained

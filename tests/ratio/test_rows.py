@@ -54,32 +54,6 @@ def test_entries_and_sums_of_chosen_rows(rng):
 
 
 @given(rngs)
-def test_all_rows(rng):
-    simulator = random_mdp(rng)
-    rows = Rows.of(simulator)
-    assert len(rows) == simulator.n_states * simulator.n_actions
-    assert rows.entries == slice(0, simulator.transitions.nnz)
-    assert_array_equal(rows.indptr, simulator.transitions.indptr)
-    assert_array_equal(rows.arrival, simulator.transitions.indices)
-
-
-def test_weights_that_sum_to_one_but_for_rounding_are_divided():
-    simulator = random_mdp(np.random.default_rng(0), n_states=4, n_actions=2)
-    slack = 1 + 1e-9
-    simulator = simulator.with_transitions((simulator.transitions.toarray() * slack).reshape(4, 2, 4))
-    rows = Rows.of(simulator)
-    assert_allclose(rows.sums(rows.weights), 1.0, rtol=1e-15)
-
-
-@pytest.mark.parametrize("d", [1, 3])
-def test_the_mean_of_centred_values_is_zero_in_each_row(d):
-    rng = np.random.default_rng(1)
-    rows = Rows.of(random_mdp(rng, n_states=6, n_actions=3))
-    values = rng.normal(size=(len(rows.arrival), d))
-    assert_allclose(rows.sums(rows.weights[:, None] * rows.center(values)), 0.0, atol=1e-14)
-
-
-@given(rngs)
 def test_distinct_rows_are_numpys(rng):
     table = rng.integers(-2, 2, size=(rng.integers(1, 40), rng.integers(1, 4))) / 3
     kinds, kind = distinct_rows(table)

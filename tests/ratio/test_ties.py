@@ -75,24 +75,6 @@ def test_rows_sum_to_one_where_the_tie_is_wrong():
     zeta.target_model(base)
 
 
-BAD = [
-    (lambda: fit_tied(TARGET.transitions, SIMULATOR, np.zeros(3, dtype=int)), r"tie must have shape \(72,\)"),
-    (lambda: fit_tied(TARGET.transitions, SIMULATOR, np.zeros(72)), "tie must have integer keys; they are float64"),
-    (
-        lambda: fit_tied(TARGET.transitions, SIMULATOR, displacement, strength=-1),
-        r"strength must be in \[0, inf\); it is -1",
-    ),
-    (lambda: fit_tied([1], SIMULATOR, displacement), "log_or_counts must be Transitions or sparse counts; got list"),
-    (lambda: fit_tied(TARGET.transitions, None, displacement), "simulator must be a FiniteMDP; got NoneType"),
-]
-
-
-@pytest.mark.parametrize(("call", "text"), BAD)
-def test_bad_calls(call, text):
-    with pytest.raises(ValueError, match=text):
-        call()
-
-
 def test_no_mass_left_in_a_row():
     simulator = oee.FiniteMDP([[[0.5, 0.5]], [[0.0, 1.0]]], [0.0, 1.0], [1.0, 0.0], 0.9)
     counts = csr_on_pattern(simulator.transitions, np.array([4.0, 0.0, 0.0]))
@@ -114,31 +96,6 @@ def test_transition_ratio_takes_a_tie():
         log.counts(SIMULATOR.n_states, SIMULATOR.n_actions, discount=0.5), SIMULATOR, displacement, strength=3.0
     )
     assert_allclose(fit.values.data, by_hand.values.data, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"method": "tied"}, "^tie must be given with method 'tied': a key for each entry"),
-        (
-            {"tie": displacement, "method": "linear"},
-            "^tie must not be given with method 'linear', which does not use it",
-        ),
-        (
-            {"tie": displacement, "ridge": 1.0},
-            "^ridge must not be given with method 'tied', which does not use it; got 1.0",
-        ),
-        (
-            {"tie": displacement, "upper": 2.0},
-            "^upper must not be given with method 'tied', which does not use it; got 2.0",
-        ),
-        ({"tie": displacement, "prior": "tilt"}, "^prior must not be given with method 'tied'"),
-        ({"tie": displacement, "strength": "loo"}, "^strength must be a number with method 'tied'; got 'loo'"),
-    ],
-)
-def test_what_a_tie_goes_with(options, text):
-    with pytest.raises(ValueError, match=text):
-        transition_ratio(100 * TARGET.transitions, SIMULATOR, **options)
 
 
 def test_a_tied_ratio_says_that_unseen_rows_come_from_the_tie():
