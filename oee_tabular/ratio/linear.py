@@ -102,14 +102,13 @@ def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> C
     ratio = np.clip(g, np.maximum(program.lower, np.where(p > 0, np.finfo(float).tiny, 0.0)), program.upper)
     off = float(q @ ratio) - 1.0 if program.normalized else 0.0
     violation = max(abs(off), float(np.abs(g - ratio).max()))
-    top = np.minimum(program.upper, program.ceiling)
-    free = (p == 0) & (top == np.inf)
+    free = (p == 0) & (program.upper == np.inf)
     tie = tie + np.where(free, np.maximum(LEAST_SLOPE - (1.0 + eta) * q - tie, 0.0), 0.0)
     weight = np.where(p > 0, p / np.maximum(ratio, 1e-100) ** 2, 1e-6)
     curvature = phi.T @ (weight[:, None] * phi)
     for _ in range(2):  # twice for rounding's sake
         tie = tie + weight * (phi @ np.linalg.lstsq(curvature, ridge * weights - phi.T @ tie)[0])
-    rest, top = ridge * weights - phi.T @ tie, np.maximum(np.where(free, LARGEST_RATIO, top), ratio)
+    rest, top = ridge * weights - phi.T @ tie, np.maximum(np.where(free, LARGEST_RATIO, program.upper), ratio)
     gap = _certificate.excesses((1.0 + eta) * q + tie, p, ratio, program.lower, top) + abs(eta * off) + violation
     if ridge > 0.0:
         gap += 0.5 / ridge * float(rest @ rest)
@@ -136,14 +135,7 @@ def _refuse_class_without_room(program: LinearProgram) -> None:
 def fit_cells(p: Array, q: Array, features: Array, box: Box, ridge: float, normalized: bool, solver: str) -> ClassFit:
     """g = Phi w for distributions p and q on the same cells."""
     _refuse_thin_box(box, normalized)
-    ceiling = bound_from_sum(q, box.lower) if normalized else np.full(len(p), np.inf)
-    return solve_class(LinearProgram(p, q, features, 0.0, ridge, *box, normalized, ceiling), solver)
-
-
-def bound_from_sum(weights: Array, lower: float) -> Array:
-    """The largest g_x that sum weights g = 1 leaves, weights summing to 1 and g >= lower."""
-    room = 1.0 - lower * (1.0 - weights)
-    return np.divide(room, weights, out=np.full_like(weights, np.inf), where=weights > 0)
+    return solve_class(LinearProgram(p, q, features, 0.0, ridge, *box, normalized), solver)
 
 
 def _refuse_thin_box(box: Box, normalized: bool) -> None:
@@ -235,9 +227,7 @@ class InClass(Method):
         n = float(observed.sum())
         lam = 1.0 / n if self.ridge is None else check_ridge(self.ridge, n)
         mass = rows.spread(rows.sums(observed) / n) * q
-        ceiling = bound_from_sum(q, box.lower)
-        program = LinearProgram(observed / n, mass, phi, 1.0, lam, *box, False, ceiling)
-        found = solve_class(program, self.solver)
+        found = solve_class(LinearProgram(observed / n, mass, phi, 1.0, lam, *box, False), self.solver)
         zeta = found.ratio
         safe = np.maximum(zeta, 1e-12)
         details |= {"weights": found.weights, "ridge": lam, "lower": box.lower, "upper": box.upper}

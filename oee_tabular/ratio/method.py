@@ -50,12 +50,11 @@ class RatioInput:
         rows: Rows = self.get_or_compute(_visited)
         return rows
 
-    def get_or_compute(self, make: Callable[..., Any], *arguments: Any) -> Any:
-        """``make(given, *arguments)``, which looks at counts and simulator alone, for all fits that share ``made``."""
-        key = (make, *arguments)
-        if key not in self.made:
-            self.made[key] = make(self, *arguments)
-        return self.made[key]
+    def get_or_compute(self, make: Callable[..., Any]) -> Any:
+        """``make(given)``, which looks at counts and simulator alone, for all fits that share ``made``."""
+        if make not in self.made:
+            self.made[make] = make(self)
+        return self.made[make]
 
     def ratio(
         self, zeta: Array, method: str, gap: float, details: dict[str, Any], influence: Influence | None = None

@@ -62,7 +62,6 @@ class LinearProgram(NamedTuple):
     """The program of ``ratio.linear`` over g = offset + features w.
 
     p, q are (n,), features (n, d); ``penalty`` is that of |w|^2 / 2; ``normalized`` says whether sum q g = 1 is imposed.
-    ``ceiling`` (n,) is an upper bound on every feasible g that the constraints imply, for the certificate's sake.
     """
 
     p: Array
@@ -73,7 +72,6 @@ class LinearProgram(NamedTuple):
     lower: float
     upper: float
     normalized: bool
-    ceiling: Array
 
 
 class TiltProgram(NamedTuple):
