@@ -97,7 +97,7 @@ class Conditional(Method):
         _checks.instance(self.solver, str, "solver")
         box, prior = check_box(self.lower, self.upper, normalized=True), self.prior
         if self.functions is not None:
-            check_network(self.functions, solver=self.solver)
+            check_network(self)
             if prior not in (None, "none"):
                 raise ValueError(
                     f"prior must be left out with functions=Network(...), which has none; got {_checks.show(prior)}"

@@ -95,27 +95,25 @@ class Network:
         _checks.positive_integer(self.patience, "patience")
 
 
-def check_network(network: object, *, solver: object) -> None:
+def check_network(method: Any) -> None:
     """What no method can have with a network: a ValueError, at the making of the method."""
-    _checks.instance(network, Network, "functions", "Network(...)")
-    if solver != "dual":
+    _checks.instance(method.functions, Network, "functions", "Network(...)")
+    if method.solver != "dual":
         raise ValueError(
-            f"solver must be left out with functions=Network(...), which has its own; got {_checks.show(solver)}"
+            f"solver must be left out with functions=Network(...), which has its own; got {_checks.show(method.solver)}"
         )
 
 
-def check_boxed_network(
-    network: object, *, lower: object, upper: object, ridge: object, toward: object, normalized: bool, solver: object
-) -> None:
+def check_boxed_network(method: Any) -> None:
     """Nor eq. 3.7 without rows."""
-    check_network(network, solver=solver)
-    if normalized:
+    check_network(method)
+    if method.normalized:
         raise ValueError("normalized must be False with functions=Network(...): Algorithm 1 imposes no sum q g = 1")
-    box = check_box(lower, upper, normalized=False)
+    box = check_box(method.lower, method.upper, normalized=False)
     if not 0.0 < box.lower < box.upper < np.inf:
         raise ValueError(
             "lower and upper must be a box with 0 < lower < upper < inf with functions=Network(...); "
             f"it is [{box.lower:g}, {box.upper:g}]"
         )
-    if toward is None and (callable(ridge) or ridge != 0):
+    if method.toward is None and (callable(method.ridge) or method.ridge != 0):
         raise ValueError("toward must be a number with functions=Network(...) and a ridge: sum g^2 has no batches")

@@ -88,10 +88,7 @@ class Quotient(Method):
         check_box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
         if self.functions is not None:
-            check_boxed_network(
-                self.functions, lower=self.lower, upper=self.upper, ridge=self.ridge, toward=self.toward,
-                normalized=self.normalized, solver=self.solver,
-            )  # fmt: skip
+            check_boxed_network(self)
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The quotient of the exact ratios; training is no part of it."""

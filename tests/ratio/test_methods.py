@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from helpers import dense
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.estimators import DoublyRobust, OffEnvironment
-from oee_tabular.ratio import Conditional, InClass, Joint, Quotient, Sgd, Tied, density_ratio
+from oee_tabular.ratio import Conditional, InClass, Joint, Quotient, Sgd, Tied
 
 SIMULATOR, TARGET = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1)
 POLICY = oee.tasks.gridworld_policy(3, 0.5)
@@ -31,33 +30,6 @@ def test_a_name_stands_for_an_object(name):
     for found in (oee.transition_ratio(LOG, SIMULATOR, method=method, seed=3), method.fit(LOG, SIMULATOR, seed=3)):
         assert_array_equal(found.values.data, named.values.data)
         assert (found.method, found.gap) == (named.method, named.gap)
-
-
-def test_the_paper_s_quotient_is_two_ratios_apart():
-    """Without sum beta q = 1: eq. 3.7 as printed on both tables, then eq. 4.4."""
-    method = Quotient(normalized=False, toward=None, ridge=0.1, lower=0.05, upper=4.0, data="exact")
-    found = method.fit(LOG, SIMULATOR)
-    taken = LOG.counts(9, 4).toarray().reshape(9, 4, 9).sum(axis=2)
-    total = taken.sum(axis=1, keepdims=True)
-    behavior = np.where(total > 0, taken / np.maximum(total, 1), 0.25)
-    horizon = int(LOG.timestep.max()) + 1
-    q = (
-        oee.occupancy(SIMULATOR.with_discount(1.0), behavior, horizon=horizon, of="transition")
-        .toarray()
-        .reshape(9, 4, 9)
-    )
-    q[8] = 0.0  # logs stop at the goal
-    p = LOG.counts(9, 4).toarray().reshape(9, 4, 9)
-    options = {"lower": 0.05, "upper": 4.0, "ridge": 0.1, "normalized": False}
-    moves = density_ratio(p.ravel(), q.ravel(), **options).ratio.reshape(9, 4, 9)
-    pairs = density_ratio(p.sum(axis=2).ravel(), q.sum(axis=2).ravel(), **options).ratio.reshape(9, 4)
-    expected = np.where((p > 0) | (q > 0), moves / pairs[:, :, None], 1.0)
-    support = dense(SIMULATOR)[0] > 0
-    assert_allclose(found.values.toarray().reshape(9, 4, 9)[support], expected[support], rtol=1e-9)
-    assert found.row_sum_error > 0.01
-    model = oee.exact.reweight(SIMULATOR, found)
-    value = OffEnvironment(method)(oee.Problem(SIMULATOR, LOG), POLICY).value
-    assert_allclose(value, oee.policy_value(model, POLICY), rtol=1e-10)
 
 
 @pytest.mark.parametrize(

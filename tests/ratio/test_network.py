@@ -146,16 +146,6 @@ def test_batches_of_rows_come_near_and_stop_on_held_out_moves(logs):
 
 
 @trained
-def test_coordinates_share_what_rows_of_a_grid_have_in_common(ragged):
-    simulator, log, target = ragged
-    places = np.stack(np.divmod(np.arange(16), 4), axis=1)
-    true = oee.true_ratio(target, simulator).values.data
-    network = by_rows(ragged, layers=(32,), activation="tanh", inputs=places, n_iterations=3000, batch_size=256)
-    errors = [np.abs(fit.values.data - true).mean() for fit in (network, Conditional(prior="none").fit(log, simulator))]
-    assert errors[0] < 0.8 * errors[1]
-
-
-@trained
 def test_the_limit_of_rows_is_the_targets(ragged):
     simulator, log, target = ragged
     pi = oee.uniform_policy(simulator)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from helpers import dense
 from numpy.testing import assert_allclose, assert_array_equal
 from ratio.problem import COUNTS, FEATURES, PLACES, SIMULATOR, TARGET, fit
 from scipy import sparse
@@ -149,10 +148,3 @@ def test_the_one_step_correction_row_by_row():
     assert_allclose(step.standard_error, np.sqrt(variance), rtol=1e-12)
     assert_allclose(step.change_error, np.sqrt(own), rtol=1e-12)
     assert_allclose(step.unseen, np.sqrt(unseen), rtol=1e-12)
-
-
-def test_the_true_ratio_entry_by_entry():
-    found = oee.true_ratio(TARGET, SIMULATOR)
-    assert_allclose(found.values.toarray().reshape(3, 2, 3), dense(TARGET)[0] / dense(SIMULATOR)[0], rtol=1e-14)
-    assert (found.method, found.gap, found.details) == ("true", 0.0, {})
-    assert found.visited.all()
