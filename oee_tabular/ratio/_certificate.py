@@ -3,8 +3,7 @@
 With the multipliers fixed, the Lagrangian of an entry is b g - p log g + a/2 g^2 up to a constant, and its least value over
 the box has a closed form. The gap is the sum of what the handed-over g is above those, a sum of terms that are none of them
 negative, plus |multiplier| times what an equality is missed by, and the miss itself where it is more than the rounding of
-its sum: a wrong g, a wrong multiplier and a point outside the constraints all show. The box of a program is an
-``arguments.Box``.
+its sum: a wrong g, a wrong multiplier and a point outside the constraints all show.
 """
 
 from math import log1p

@@ -124,9 +124,12 @@ class Conditional(Method):
         rule = f"must be left out with prior {self.prior!r}, which does not use them"
         return rule if name in self.USES else super()._refusal(name)
 
+    def _exact(self) -> Conditional:
+        return replace(self, functions=None)
+
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """The exact P_target / P_simulator on the rows that have data, the prior's elsewhere."""
-        fitted = super(Conditional, replace(self, functions=None)).limit(population)
+        fitted = super().limit(population)
         if self.lower is not None or self.upper is not None or self.ridge != 0.0:
             return fitted
         matrix = population.simulator.transitions

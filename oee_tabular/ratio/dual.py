@@ -1,10 +1,8 @@
 """The structured solver: rows of a separable program, each through a one-dimensional dual root, with its gap.
 
-Program of a row (eq. 3.7 with the constraint sum beta q = 1; with q g^2 / 2 - p g for q g - p log g where it is least squares):
+    minimise  sum_x q g - p log g + A/2 (g - c)^2   subject to  lower <= g <= upper,  sum_x q g = sum_x q    (eq. 3.7)
 
-    minimise  sum_x q g - p log g + A/2 (g - c)^2   subject to  lower <= g <= upper,  sum_x q g = sum_x q.
-
-The kernels solve q g - p log g - pull g + a/2 g^2; gaps are those of the program above (``_certificate``).
+in each row. The kernels solve q g - p log g - pull g + a/2 g^2; gaps are those of the program as stated (``_certificate``).
 """
 
 from __future__ import annotations

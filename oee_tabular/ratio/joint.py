@@ -15,13 +15,12 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike
 from oee_tabular.ratio import _certificate, _joint, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
-from oee_tabular.ratio.method import Method, Population, RatioInput, SimulatorData
+from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
 from oee_tabular.ratio.quotient import check_simulator_data, simulator_weights
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.statements import JointPoint, JointProgram
@@ -75,9 +74,8 @@ class Joint(Method):
     def _ratio_box(self) -> Box:
         return check_box(self.ratio_lower, self.ratio_upper, normalized=True, names=("ratio_lower", "ratio_upper"))
 
-    def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
-        """The program's ratio with exact rates on both sides."""
-        return super(Joint, replace(self, data=None)).limit(population)
+    def _exact(self) -> Joint:
+        return replace(self, data=None)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
         counts, rows = given.observed, given.rows

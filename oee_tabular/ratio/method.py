@@ -216,8 +216,8 @@ class Method:
         return found
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
-        """zeta as the number of moves grows, recorded as ``population`` says."""
-        return self.fit(
+        """zeta as the number of moves grows, recorded as ``population`` says; training is no part of it."""
+        return self._exact().fit(
             population.counts(),
             population.simulator,
             values_of=population.policy,
@@ -225,6 +225,10 @@ class Method:
             simulator_data="exact",
             behavior_policy=population.behavior,
         )
+
+    def _exact(self) -> Method:
+        """The same program with exact data of the simulator and without training."""
+        return self
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
         raise NotImplementedError

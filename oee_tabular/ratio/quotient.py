@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, PolicyLike
@@ -16,7 +15,7 @@ from oee_tabular.exact import occupancy
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio.arguments import check_box
 from oee_tabular.ratio.density import RatioFit, density_ratio
-from oee_tabular.ratio.method import Method, Population, RatioInput, SimulatorData
+from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
 from oee_tabular.ratio.network import Network, check_boxed_network
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
@@ -90,11 +89,9 @@ class Quotient(Method):
         if self.functions is not None:
             check_boxed_network(self)
 
-    def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
-        """The quotient of the exact ratios; training is no part of it."""
-        trained = isinstance(self.solver, Sgd)
-        exact = replace(self, solver="dual" if trained else self.solver, data=None, functions=None)
-        return super(Quotient, exact).limit(population)
+    def _exact(self) -> Quotient:
+        solver = "dual" if isinstance(self.solver, Sgd) else self.solver
+        return replace(self, solver=solver, data=None, functions=None)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
         # one stream: the simulator's data, then the training

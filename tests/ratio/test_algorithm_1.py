@@ -73,15 +73,6 @@ def test_the_quotient_is_within_what_the_tables_bounds_make_of_it(logs, fitted):
     assert np.abs(fitted.values.data - zeta).mean() < 0.15 * np.abs(zeta - 1).mean()
 
 
-def test_the_page_of_the_paper_agrees(logs):
-    D_te, D_tr = (np.column_stack([log.state, log.action, log.next_state]) for log in logs[1:])
-    found = paper.algorithm_1(D_te, D_tr, (3, 2), NU, MU, eta=0.02, N=128, iterations=10_000, seed=2)
-    for g, (p, q, best) in zip(found, tables(logs), strict=True):
-        excess = paper.risk(g.ravel(), p, q) - paper.risk(best, p, q)
-        assert 0 <= excess < 0.05 * (paper.risk(np.ones_like(best), p, q) - paper.risk(best, p, q))
-        assert np.sqrt(p @ (g.ravel() - best) ** 2) <= MU * np.sqrt(2 * excess)
-
-
 def test_algorithm_1_step_by_step():
     """The same draws, one update at a time, and its trace."""
     p, q = np.array([3.0, 1.0, 4.0]) / 8, np.array([2.0, 4.0, 2.0]) / 8

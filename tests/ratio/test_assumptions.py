@@ -1,19 +1,9 @@
-"""Boxes, ridges and the paper's assumptions about them."""
+"""The paper's assumptions about p, q and the box."""
 
 import numpy as np
 from numpy.testing import assert_allclose
 
-from oee_tabular.ratio.arguments import check_box, check_ridge
 from oee_tabular.ratio.support import check_assumptions
-
-
-def test_boxes_and_ridges():
-    box = check_box(None, None, normalized=True)
-    assert (box.lower, box.upper) == (0.0, np.inf)
-    assert check_box(1.0, 1.0, normalized=True).upper == 1.0
-    assert check_box(2.0, 3.0, normalized=False).lower == 2.0
-    assert check_ridge(lambda n: 1 / n, 4.0) == 0.25
-    assert check_ridge(0, 4.0) == 0.0
 
 
 def test_assumptions_that_hold_and_fail():
