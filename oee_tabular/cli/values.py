@@ -3,169 +3,197 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from oee_tabular.cli.inputs import (
-    ESTIMATORS_HELP,
-    FEATURES_HELP,
-    TIE_HELP,
-    box_of,
-    embedded,
-    from_files,
-    given_problem,
-    refuse_settings,
-    write_array,
-)
-from oee_tabular.cli.options import (
-    INPUT,
-    LOG_HELP,
-    OUTPUT,
-    VALUE,
-    Actions,
-    Box,
-    Calibration,
-    Confidence,
-    Discount,
-    Floor,
-    Grid,
-    Horizon,
-    Impossible,
-    Initial,
-    Log,
-    Noise,
-    Outside,
-    Overwrite,
-    Policies,
-    Quick,
-    Rewards,
-    Seed,
-    Simulations,
-    SimulatorOption,
-    State,
-    Strict,
-    answer,
-    json_option,
-    option,
-)
-from oee_tabular.cli.simulators import POLICY_HELP, SIMULATOR_HELP, policies_of
-from oee_tabular.continuous.command import from_states, is_continuous, settings_of
+from oee_tabular._arguments import literal, named_specs
+from oee_tabular.cli.inputs import read_box, read_knowledge, read_problem, refuse, write_array
+from oee_tabular.cli.options import answer
+from oee_tabular.cli.simulators import policies_of, task_of
+from oee_tabular.continuous.command import evaluate_files, is_continuous, task_options
+
+if TYPE_CHECKING:
+    from oee_tabular.report import Report
+
+PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
 
 
 def evaluate(
-    simulator: Annotated[str | None, option(INPUT, f"{SIMULATOR_HELP}.", metavar="SIM")] = None,
-    log: Annotated[list[str] | None, option(INPUT, LOG_HELP, metavar="FILE")] = None,
-    policy: Policies = None,
-    behavior: Annotated[
-        str | None, option(INPUT, "Policy that recorded the log, as for --policy.", metavar="SPEC")
-    ] = None,
-    target: Annotated[
-        str | None, option(INPUT, "The true target, as for --simulator, to show errors.", metavar="SIM")
-    ] = None,
-    initial: Initial = None,
-    action_noise: Noise = 0.0,
-    impossible: Impossible = "refuse",
-    features: Annotated[Path | None, option(INPUT, FEATURES_HELP, metavar="FILE")] = None,
-    tie: Annotated[Path | None, option(INPUT, TIE_HELP, metavar="FILE")] = None,
-    box: Box = None,
-    horizon: Horizon = None,
-    discount: Discount = None,
-    normalized: Annotated[
-        bool | None, option(VALUE, "Multiply values by (1 - discount).", "--normalized/--raw", show_default=False)
-    ] = None,
-    estimators: Annotated[str | None, option(VALUE, f"Comma-separated: {ESTIMATORS_HELP}.", metavar="NAME,...")] = None,
-    rewards: Rewards = "simulator",
-    confidence: Confidence = 0.95,
-    guaranteed: Annotated[
-        bool, option(VALUE, "Give the intervals that hold at any sample size as well.", "--guaranteed")
-    ] = False,
-    quick: Quick = False,
-    seed: Seed = 0,
-    output: Annotated[
-        Path | None, option(OUTPUT, "Folder for report.json, table.csv and values.png.", metavar="FOLDER")
-    ] = None,
-    page: Annotated[
-        Path | None,
-        option(OUTPUT, "One self-contained page, for people who did not run it.", "--report", metavar="FILE.html"),
-    ] = None,
-    title: Annotated[str | None, option(OUTPUT, "Of the page that --report writes.", metavar="TEXT")] = None,
-    json: Annotated[bool, json_option("evaluate")] = False,
-    grid: Grid = None,
-    outside: Outside = None,
-    strict: Strict = False,
-    calibration: Calibration = None,
-    floor: Floor = None,
-    simulations: Simulations = None,
-    state: State = None,
-    actions: Actions = None,
+    simulator: str | None = None,
+    log: list[str] | None = None,
+    policy: list[str] | None = None,
+    behavior: str | None = None,
+    target: str | None = None,
+    initial: str | None = None,
+    action_noise: float = 0.0,
+    impossible: str = "refuse",
+    features: Path | None = None,
+    tie: Path | None = None,
+    task_option: list[str] | None = None,
+    box: str | None = None,
+    horizon: int | None = None,
+    discount: float | None = None,
+    normalized: bool | None = None,
+    estimators: str | None = None,
+    rewards: str = "simulator",
+    confidence: float = 0.95,
+    guaranteed: bool = False,
+    quick: bool = False,
+    seed: int = 0,
+    output: Path | None = None,
+    report: Path | None = None,
+    title: str | None = None,
+    json: bool = False,
 ) -> None:
-    """Value of policies in the target, from a simulator and a log. Without arguments: the paper's 10 x 10 grid."""
+    """Estimate the value of policies in the target.
+
+    It takes a simulator and a log of the target; without arguments, it evaluates the paper's 10 x 10 grid.
+
+    Input:
+    --behavior SPEC  Policy that recorded the log, as for --policy.
+    --target SIM  The true target, as for --simulator, to show errors.
+    --features FILE  Your own features of transitions, as a row oee-features: {TRANSITIONS}, with a last axis for several.
+    --tie FILE  Integer keys, transitions with one key share one ratio, as a row oee-tied: {TRANSITIONS}.
+    --task-option NAME=VALUE  Of a continuous task, repeatable; what is left out is the task's own. grid=60x60: vertices along
+        each feature, or none. outside=error|drop|nearest: states of the log outside the grid; drop leaves out transitions
+        without support too. strict=true: an error, not a warning, for actions of the log that are not in the task's set.
+        calibration=ratio|difference|none. floor=0.001: share of other steps in the simulator (defensive). simulations=50000:
+        Monte Carlo episodes of each policy. state=MODULE:GET,SET: functions get(env) and set(env, state) of a Gymnasium
+        environment whose state is not found. actions=9 or -2,0,2: levels of each coordinate of a Gymnasium Box of actions, or
+        the commands.
+    Value:
+    --normalized/--raw  Multiply values by (1 - discount).
+    --estimators NAME,...  Comma-separated: {ESTIMATORS}.
+    --guaranteed  Give the intervals that hold at any sample size as well.
+    Output:
+    --output FOLDER  Folder for report.json, table.csv and values.png.
+    --report FILE.html  One self-contained page, for people who did not run it.
+    --title TEXT  Page title (with --report).
+    --json  Print JSON instead, with version, answer, unit, discount, horizon, normalized, confidence, interval, seed, facts,
+        results, intervals, best, comparison, conclusion, warnings.
+    """
     from oee_tabular.report import check_output, check_page
+    from oee_tabular.report import evaluate as evaluate_problem
+    from oee_tabular.report.page import date_of
 
     if output is not None:
         check_output(output)
-    if page is not None:
-        check_page(page)
+    if report is not None:
+        check_page(report)
     elif title is not None:
         raise ValueError("--title needs --report FILE.html, whose title it is")
-    options: dict[str, object] = {
-        "horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise, "features": features,
-        "tie": tie, "initial": initial, "impossible": impossible, "box": box,
+    common: dict[str, Any] = {
+        "estimators": None if estimators is None else [name for part in estimators.split(",") if (name := part.strip())],
+        "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick,
     }  # fmt: skip
-    chosen = None if estimators is None else [name.strip() for name in estimators.split(",") if name.strip()]
-    settings = settings_of(grid, outside, strict, calibration, floor, simulations)
-    continuous = is_continuous(simulator)
-    if not continuous:
-        refuse_settings(
-            simulator, settings | {name: value for name, value in (("state", state), ("actions", actions)) if value}
-        )
-    common = {"estimators": chosen, "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick}
+    options = task_options(task_option)
+    changes: dict[str, Any] = {"action_noise": action_noise, "initial": initial, "impossible": impossible}
+    if options and not is_continuous(simulator):
+        if simulator is not None:
+            task_of(simulator)  # which may not be there at all
+        raise ValueError("--task-option needs a continuous task (--simulator cartpole:gravity=10)")
     if simulator is None and not log:
-        report = embedded(policy, behavior, target, options, normalized, common)
-    elif simulator is None or not log:
-        given, lacking = ("log", "simulator") if log else ("simulator", "log")
-        raise ValueError(f"--{lacking} must be given with --{given} (record a log with: oee sample)")
-    elif continuous:
-        report = from_states(
-            simulator, log, policy, behavior, target, options, bool(normalized), common, settings, state, actions
+        refuse(
+            {"behavior": behavior, "target": target, "features": features, "tie": tie, "box": box} | changes,
+            "needs --simulator and --log",
         )
+        given = {"horizon": horizon, "discount": discount, "rewards": rewards}
+        options = {name: value for name, value in given.items() if value is not None}
+        found = _evaluate_default(policy, normalized is not False, options, common)
+    elif simulator is None or not log:
+        there, lacking = ("log", "simulator") if log else ("simulator", "log")
+        raise ValueError(f"--{lacking} must be given with --{there} (record a log with: oee sample)")
+    elif is_continuous(simulator):
+        refuse(
+            {"rewards": rewards, "features": features, "tie": tie, "box": box} | changes,
+            "must be left out for a continuous task, whose states have no numbers; it is {}",
+        )
+        found = evaluate_files(
+            simulator, log, policy, behavior, target, options, horizon=horizon,
+            discount=0.99 if discount is None else discount, normalized=bool(normalized), **common,
+        )  # fmt: skip
     else:
-        report = from_files(simulator, log, policy, behavior, target, options, bool(normalized), common)
-    answer("evaluate", str(report), report.to_dict() if json else {}, json)
+        task, problem = read_problem(
+            simulator, log, behavior=behavior, horizon=horizon, discount=discount, rewards=rewards, **changes
+        )
+        known, facts = read_knowledge(features, tie, box, task.mdp)
+        facts |= {
+            "simulator_name": simulator,
+            "log_name": ", ".join(log),
+            "log_files": log,
+            "action_noise": action_noise,
+        }
+        others = {"initial": initial, "impossible": impossible, "discount": discount}
+        facts |= {name: value for name, value in others.items() if value not in (None, "refuse")}
+        specs = named_specs(policy or ["optimal"])
+        facts |= {"policy_names": specs, "date": date_of([simulator, *log, *specs.values()])}
+        if action_noise:
+            facts["simulator"] = f"{simulator} with action noise {action_noise:g}: {task.mdp!r}"
+        truth = None if target is None else task_of(target, task.mdp.discount, initial).mdp
+        found = evaluate_problem(
+            problem,
+            policies_of(policy, task),
+            target=truth,
+            normalized=bool(normalized),
+            facts=facts,
+            **known,
+            **common,
+        )
+    answer(str(found), found.to_dict() if json else {}, json)
     before = {
-        *(() if output is None or not output.exists() else output.iterdir()),
-        *([page] if page and page.exists() else ()),
+        *(output.iterdir() if output and output.exists() else ()),
+        *([report] if report and report.exists() else ()),
     }
-    written = [] if output is None else report.save(output)
-    if page is not None:
-        report.to_html(page, title=title)
-        written.append(page)
+    written = [] if output is None else found.save(output)
+    if report is not None:
+        found.to_html(report, title=title)
+        written.append(report)
     if written and not json:
         typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in before else str(path) for path in written)}")
 
 
+def _evaluate_default(
+    policy: list[str] | None, normalized: bool, options: dict[str, Any], common: dict[str, Any]
+) -> Report:
+    """The report on the paper's 10 x 10 grid; ``options``: horizon, discount and rewards, where they are given."""
+    from oee_tabular.experiments import embedded_default
+    from oee_tabular.report import evaluate as evaluate_problem
+
+    default = embedded_default(seed=common["seed"], **options)
+    policies: dict[str, Any] = default.policies
+    if policy is not None:
+        policies = policies_of(policy, task_of("gridworld:10,slip=0.3", options.get("discount")))
+    return evaluate_problem(default.problem, policies, target=default.target, normalized=normalized, **common)
+
+
 def compare(
-    simulator: SimulatorOption,
-    log: Log,
-    policy: Annotated[
-        list[str], option(INPUT, f"NAME=SPEC or SPEC, two or more; SPEC: {POLICY_HELP}.", metavar="NAME=SPEC")
-    ],
-    initial: Initial = None,
-    action_noise: Noise = 0.0,
-    impossible: Impossible = "refuse",
-    horizon: Horizon = None,
-    discount: Discount = None,
-    rewards: Rewards = "simulator",
-    confidence: Confidence = 0.95,
-    box: Box = None,
-    quick: Quick = False,
-    json: Annotated[bool, json_option("compare")] = False,
+    simulator: str,
+    log: list[str],
+    policy: list[str],
+    initial: str | None = None,
+    action_noise: float = 0.0,
+    impossible: str = "refuse",
+    box: str | None = None,
+    horizon: int | None = None,
+    discount: float | None = None,
+    rewards: str = "simulator",
+    confidence: float = 0.95,
+    quick: bool = False,
+    json: bool = False,
 ) -> None:
-    """Which policy is worth most in the target: differences with their intervals, P(best), or that the log cannot say."""
+    """Say which of several policies is worth most.
+
+    It prints differences with their intervals and P(best), or says that the log cannot tell.
+
+    Input:
+    --policy NAME=SPEC  NAME=SPEC or SPEC, two or more; SPEC: {POLICY}.
+    Output:
+    --json  Print JSON instead, with version, confidence, best (null where the log cannot say), sentence, policies (best first),
+        differences (from the best), warnings.
+    """
     from oee_tabular.report import contest
     from oee_tabular.report.terminal import render_comparison
-    from oee_tabular.tasks.arguments import named_specs
 
     if is_continuous(simulator):
         raise ValueError(
@@ -175,68 +203,76 @@ def compare(
         raise ValueError(
             f"--policy must be given twice or more, for there is nothing to compare; there is {policy[0]!r}"
         )
-    options = {
-        "horizon": horizon, "discount": discount, "rewards": rewards, "action_noise": action_noise, "initial": initial,
-        "impossible": impossible,
-    }  # fmt: skip
-    task, problem = given_problem(simulator, log, None, options)
-    found = contest(problem, policies_of(policy, task), confidence=confidence, quick=quick, **box_of(box))
+    known = read_box(box)
+    task, problem = read_problem(
+        simulator, log, initial=initial, action_noise=action_noise, impossible=impossible, horizon=horizon,
+        discount=discount, rewards=rewards,
+    )  # fmt: skip
+    found = contest(problem, policies_of(policy, task), confidence=confidence, quick=quick, **known)
     warnings = [str(finding) for finding in problem.findings]
     text = "\n".join([render_comparison(found), *([""] if warnings else []), *warnings])
     rows = found.comparison()
-    record = {
-        "confidence": found.confidence, "best": found.best, "sentence": found.headline, "policies": rows,
-        "differences": [
-            {"policy": row["policy"], "than": rows[0]["policy"], "difference": -row["less_by"],
-             "lower": -row["less_by_upper"], "upper": -row["less_by_lower"]}
-            for row in rows[1:]
-        ],
-        "warnings": warnings,
-    }  # fmt: skip
-    answer("compare", text, record, json)
+    differences = [
+        {"policy": row["policy"], "than": rows[0]["policy"], "difference": -row["less_by"], "lower": -row["less_by_upper"],
+         "upper": -row["less_by_lower"]}
+        for row in rows[1:]
+    ]  # fmt: skip
+    record = {"confidence": found.confidence, "best": found.best, "sentence": found.headline, "policies": rows}
+    answer(text, record | {"differences": differences, "warnings": warnings}, json)
 
 
 def plan(
-    simulator: SimulatorOption,
-    log: Log,
-    transitions: Annotated[int, option(INPUT, "How many more transitions to record.", metavar="N")],
-    policy: Policies = None,
-    initial: Initial = None,
-    action_noise: Noise = 0.0,
-    impossible: Impossible = "refuse",
-    free: Annotated[bool, option(INPUT, "Any (s, a) can be set up and recorded, not only episodes.", "--free")] = False,
-    horizon: Horizon = None,
-    discount: Discount = None,
-    confidence: Confidence = 0.95,
-    output: Annotated[
-        Path | None,
-        option(
-            OUTPUT,
-            "The behaviour policy to record with (--free: each (s, a)'s share): .npy.",
-            metavar="FILE",
-        ),
-    ] = None,
-    overwrite: Overwrite = False,
-    json: Annotated[bool, json_option("plan")] = False,
+    simulator: str,
+    log: list[str],
+    transitions: int,
+    policy: list[str] | None = None,
+    initial: str | None = None,
+    action_noise: float = 0.0,
+    impossible: str = "refuse",
+    free: bool = False,
+    plan_option: list[str] | None = None,
+    box: str | None = None,
+    horizon: int | None = None,
+    discount: float | None = None,
+    confidence: float = 0.95,
+    output: Path | None = None,
+    overwrite: bool = False,
+    json: bool = False,
 ) -> None:
-    """What to record next: a behaviour policy, and the width of each value's interval before and after."""
-    from oee_tabular import _files, _progress
+    """Plan what to record next.
+
+    It prints a behaviour policy, and the width of each value's interval before and after.
+
+    Input:
+    --transitions N  How many more transitions to record.
+    --free  Any state-action pair can be set up and recorded, not only episodes.
+    --plan-option NAME=VALUE  Of plan_data_collection, repeatable: model=estimate|simulator, optimistic=true|false,
+        restart=0.01, restart_costs_a_move=true|false, solver=auto|frank_wolfe|CLARABEL.
+    Output:
+    --output FILE  The behaviour policy to record with (--free: each state-action pair's share): .npy.
+    --json  Print JSON instead, with version, sampling, n, confidence, status, gap, policies, most, advice, next, file.
+    """
+    from oee_tabular import _checks, _files, _progress
     from oee_tabular.design import plan_data_collection
 
     if output is not None:
         _files.new_file(output, "--output", overwrite=overwrite)
+    _checks.positive_integer(transitions, "--transitions")
     options = {
-        "horizon": horizon, "discount": discount, "rewards": "simulator", "action_noise": action_noise, "initial": initial,
-        "impossible": impossible,
-    }  # fmt: skip
-    task, problem = given_problem(simulator, log, None, options)
+        name: literal(text) for name, text in named_specs(plan_option or [], "--plan-option", PLAN_OPTIONS).items()
+    }
+    options |= read_box(box)
+    task, problem = read_problem(
+        simulator, log, initial=initial, action_noise=action_noise, impossible=impossible, horizon=horizon,
+        discount=discount,
+    )  # fmt: skip
     policies = policies_of(policy, task)
     _progress.report_step(f"plan for {transitions} transitions")
-    sampling: Any = "free" if free else "behavior"
-    found = plan_data_collection(problem, policies, n=transitions, sampling=sampling, confidence=confidence)
+    found = plan_data_collection(
+        problem, policies, n=transitions, sampling="free" if free else "behavior", confidence=confidence, **options
+    )
+    text, record = str(found), found.to_dict() | {"file": None if output is None else str(output)}
     if output is not None:
         write_array(output, found.distribution if free else found.behavior_policy)
-    text = str(found)
-    if output is not None:
-        text += f"\n{output}: {'shares of the moves, (S, A), that sum to 1' if free else 'policy to record with'}"
-    answer("plan", text, found.to_dict() | {"file": None if output is None else str(output)}, json)
+        text += f"\n{output}: {'shares of the pairs, (S, A), that sum to 1' if free else 'policy to record with'}"
+    answer(text, record, json)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-import ast
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from oee_tabular._arguments import literal, named_specs
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.simulator import ContinuousSimulator
     from oee_tabular.continuous.task import StatePolicy
     from oee_tabular.report import Report
+
+TASK_OPTIONS = ("grid", "outside", "strict", "calibration", "floor", "simulations", "state", "actions")
 
 
 def is_continuous(spec: str | None) -> bool:
@@ -24,59 +28,48 @@ def is_continuous(spec: str | None) -> bool:
     return names.is_continuous(spec)
 
 
-def actions_of(text: str | None) -> Any:
-    """The option --actions: a number of levels, levels or commands, as ``actions.action_set`` takes them."""
-    if text is None:
-        return None
-    try:
-        found = ast.literal_eval(text)
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
-        found = None
-    if isinstance(found, int) and not isinstance(found, bool):
-        return found
-    if not isinstance(found, list | tuple):
+def task_options(given: list[str] | None, known: Sequence[str] = TASK_OPTIONS) -> dict[str, Any]:
+    """The values of ``--task-option NAME=VALUE`` by name; what is not given is the task's own."""
+    from oee_tabular import _checks
+
+    options: dict[str, Any] = dict(named_specs(given or [], "--task-option", known))
+    if "grid" in options:
+        options["grid"] = _grid_shape(options["grid"])
+    for name in {"strict", "floor", "simulations", "actions"} & set(options):
+        options[name] = literal(options[name], f"--task-option {name}")
+    if "strict" in options:
+        _checks.boolean(options["strict"], "--task-option strict")
+    if "simulations" in options:
+        _checks.positive_integer(options["simulations"], "--task-option simulations")
+    actions = options.get("actions", 1)
+    if isinstance(actions, bool) or not isinstance(actions, int | list | tuple):
         raise ValueError(
-            f"--actions must be a number of levels (9), levels (-2,0,2) or commands ([[-1,0],[1,0]]); got {text!r}"
+            "--task-option actions must be a number of levels (9), levels (-2,0,2) or commands ([[-1,0],[1,0]]); "
+            f"got {actions!r}"
         )
-    return list(found)
+    return options
 
 
-def settings_of(
-    grid: str | None,
-    outside: str | None,
-    strict: bool,
-    calibration: str | None,
-    floor: float | None,
-    episodes: int | None,
-) -> dict[str, Any]:
-    """The options that were given, by the names of ``Settings``."""
-    shape: tuple[int, ...] | None = None
-    if grid == "none":
-        shape = ()
-    elif grid is not None:
-        try:
-            shape = tuple(int(part) for part in grid.lower().split("x"))
-        except ValueError:
-            raise ValueError(f"--grid must be like 32x32, or none; got {grid!r}") from None
-    given = {"grid": shape, "outside": outside, "strict": strict or None, "calibration": calibration, "floor": floor,
-             "episodes": episodes}  # fmt: skip
-    return {name: value for name, value in given.items() if value is not None}
+def _grid_shape(text: str) -> tuple[int, ...]:
+    try:
+        return () if text == "none" else tuple(int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise ValueError(f"--task-option grid must be like 32x32, or none; got {text!r}") from None
 
 
-def from_states(
+def evaluate_files(
     spec: str,
     log: list[str],
     policy: list[str] | None,
     behavior: str | None,
     target: str | None,
     options: dict[str, Any],
-    normalized: bool,
-    common: dict[str, Any],
-    settings: dict[str, Any],
-    state: str | None = None,
-    actions: str | None = None,
+    **common: Any,
 ) -> Report:
-    """The report on a continuous simulator, a log of continuous states and policies."""
+    """The report on a continuous simulator, a log of continuous states and policies.
+
+    ``options``: by ``task_options``; ``common``: what ``evaluate_continuous`` takes.
+    """
     from oee_tabular.continuous.actions import commands_of
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.gymnasium_named import is_continuous_id
@@ -84,66 +77,39 @@ def from_states(
     from oee_tabular.continuous.names import continuous_simulator
     from oee_tabular.continuous.simulator import Settings
 
-    plains = {"rewards": "simulator", "action_noise": 0.0, "impossible": "refuse", "initial": None, "box": None}
-    for name, plain in plains.items():
-        if options[name] != plain:
-            raise ValueError(
-                f"--{name.replace('_', '-')} must be left out for a continuous task; it is {options[name]}"
-            )
-    for name in ("features", "tie"):
-        if options[name] is not None:
-            raise ValueError(
-                f"--{name} must be left out for a continuous task, whose moves are not between numbered states; "
-                f"it is {str(options[name])!r}"
-            )
     recorded = ContinuousTransitions.load(log)
-    given = actions_of(actions)
-    if given is None and is_continuous_id(spec):
-        given = commands_of(recorded)
-    simulator = continuous_simulator(spec, state=state, actions=given)
-    if simulator.task.actions.ndim == 2 and recorded.action.ndim == 1 and given is None and is_continuous_id(spec):
+    state, actions = options.get("state"), options.get("actions")
+    is_registered = is_continuous_id(spec)
+    if actions is None and is_registered:
+        actions = commands_of(recorded)
+    simulator = continuous_simulator(spec, state=state, actions=actions)
+    if simulator.task.actions.ndim == 2 and recorded.action.ndim == 1 and actions is None and is_registered:
         raise ValueError(
-            f"--actions must be given for {simulator.task.name}, whose actions are commands: the log has their numbers alone"
+            f"--task-option actions must be given for {simulator.task.name}, whose actions are commands: the log has their "
+            "numbers alone"
         )
     if target is not None and not is_continuous(target):
         raise ValueError(f"--target must be a continuous task as the simulator is; got {target!r}")
+    settings = {name: value for name, value in options.items() if name not in ("state", "actions", "simulations")}
     return evaluate_continuous(
         simulator,
         recorded,
         _policies(policy, simulator),
-        settings=Settings(**settings),
+        settings=Settings(**settings, episodes=options.get("simulations")),
         behavior=None if behavior is None else _named(behavior, simulator, "--behavior"),
-        target=None if target is None else continuous_simulator(target, state=state, actions=given).task,
-        horizon=options["horizon"],
-        discount=0.99 if options["discount"] is None else options["discount"],
-        normalized=normalized,
+        target=None if target is None else continuous_simulator(target, state=state, actions=actions).task,
         facts={"simulator_name": spec, "log_name": ", ".join(log)},
         **common,
     )
 
 
-def recorded_states(
-    spec: str,
-    policy: str,
-    transitions: int | None,
-    episodes: int | None,
-    horizon: int | None,
-    seed: int,
-    state: str | None = None,
-    actions: str | None = None,
-) -> ContinuousTransitions:
+def record_log(spec: str, policy: str, options: dict[str, Any], **limits: Any) -> ContinuousTransitions:
     """A log of the continuous task that ``spec`` names; actions that are commands are written as such."""
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.names import continuous_simulator
 
-    simulator = continuous_simulator(spec, state=state, actions=actions_of(actions))
-    log = simulator.record(
-        _named(policy, simulator, "policy"),
-        n_transitions=transitions,
-        n_episodes=episodes,
-        max_steps=horizon,
-        seed=seed,
-    )
+    simulator = continuous_simulator(spec, **options)
+    log = simulator.record(_named(policy, simulator, "policy"), **limits)
     if simulator.task.actions.ndim == 1:
         return log
     return ContinuousTransitions(**(log.columns() | {"action": simulator.task.actions[log.action]}))
@@ -152,7 +118,6 @@ def recorded_states(
 def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:
     """Policies from NAME=SPEC or SPEC; the expert where there are none."""
     from oee_tabular.mdp.policies import read_policy_array
-    from oee_tabular.tasks.arguments import named_specs
 
     if specs is None and simulator.expert is None:
         raise ValueError(

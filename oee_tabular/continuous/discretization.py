@@ -234,7 +234,9 @@ class Discretization(Places):
             found = f"{rows.size} of {len(states)} rows are not; the first, row {rows[0]}, is at {place}"
             text = f"{name} must be inside {self.cells.extent()}: {found}"
             if outside == "error":
-                raise ValueError(f"{text}. A wider grid, or outside='nearest' or 'drop' (--outside), takes them")
+                raise ValueError(
+                    f"{text}. A wider grid, or outside='nearest' or 'drop' (--task-option outside=), takes them"
+                )
             done = "left out" if outside == "drop" else "moved to the nearest place inside"
             warnings.warn(f"{text}. They are {done}", stacklevel=5)
         return gone

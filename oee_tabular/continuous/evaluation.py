@@ -117,7 +117,8 @@ def evaluate_continuous(
             made = on_cells(given, numbered, chosen, steps, discount, seed)
         except NoCellsError as reason:
             made = None
-            warnings.warn(f"The rows on the grid are left out: {reason}", stacklevel=2)
+            if chosen.grid != ():  # asked for
+                warnings.warn(f"The rows on the grid are left out: {reason}", stacklevel=2)
     told = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
     tables, functions = _policies(policies, made, given.task, numbered)
     stream = _checks.seed_sequence(seed, (10**6,))

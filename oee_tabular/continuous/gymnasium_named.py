@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from oee_tabular._arguments import arguments
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular.continuous.actions import action_set
 from oee_tabular.continuous.gymnasium_physics import maker, vector_maker
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
-from oee_tabular.tasks.arguments import arguments
 from oee_tabular.testing.command import own_module, own_modules, own_object
 
 OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")  # MODULE:EnvId-v0
@@ -182,11 +182,11 @@ def _given(state: str) -> Way:
     """From "module:get,set"."""
     first, comma, second = state.partition(",")
     if not comma:
-        raise ValueError(f"--state must be like my_module:get,set, two functions; got {state!r}")
+        raise ValueError(f"--task-option state must be like my_module:get,set, two functions; got {state!r}")
     module = first.partition(":")[0]
     with own_modules():
         functions = [
-            own_object(name if ":" in name else f"{module}:{name}", "--state", "my_module:get,set")
+            own_object(name if ":" in name else f"{module}:{name}", "--task-option state", "my_module:get,set")
             for name in (first.strip(), second.strip())
         ]
     return Way(*functions)
@@ -209,7 +209,7 @@ def _found(env: Any, identifier: str) -> Way:
         raise ValueError(
             f"environment {identifier!r} must have a state that can be set, unwrapped.state (numbers) or "
             "unwrapped.set_state(qpos, qvel); it has neither. Write two functions, get(env) -> numbers and set(env, numbers), "
-            "and name them: --state MODULE:GET,SET (tasks.GymnasiumTask in Python)"
+            "and name them: --task-option state=MODULE:GET,SET (tasks.GymnasiumTask in Python)"
         )
     return Way(_read, _write)
 

@@ -19,7 +19,7 @@ FEW = 0.05  # share of steps that may be another (contacts, whose solvers rememb
 DIFFER = (
     "get_state and set_state must have all that decides the next step, and chance must come from np_random: {} differ from the "
     "record when stepped again from its states. Read and set the rest as well, such as other bodies' velocities and timers "
-    "(--state MODULE:GET,SET)"
+    "(--task-option state=MODULE:GET,SET)"
 )
 
 

@@ -231,7 +231,7 @@ class ContinuousTransitions(LogColumns):
             if away[worst] > _half_apart(table):
                 raise ValueError(
                     f"log.action must lie among the task's {len(table)} actions, no farther off than half of what they are "
-                    f"apart; {found}. Name actions that reach as far (tasks.GymnasiumTask(actions=), --actions)"
+                    f"apart; {found}. Name actions that reach as far (tasks.GymnasiumTask(actions=), --task-option actions=)"
                 )
             warnings.warn(f"log.action is moved to the nearest of the task's actions: {found}", stacklevel=3)
         return np.asarray(nearest, dtype=np.int64)

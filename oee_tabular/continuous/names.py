@@ -10,12 +10,12 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from oee_tabular._arguments import arguments
 from oee_tabular.continuous.cartpole import cartpole
 from oee_tabular.continuous.gymnasium_named import gymnasium_simulator, is_continuous_id
 from oee_tabular.continuous.kinova import kinova
 from oee_tabular.continuous.reacher import reacher
 from oee_tabular.continuous.simulator import ContinuousSimulator
-from oee_tabular.tasks.arguments import arguments
 
 CONTINUOUS: Mapping[str, Callable[..., ContinuousSimulator]] = {
     "cartpole": cartpole,
@@ -55,10 +55,10 @@ def continuous_simulator(spec: str, *, state: str | None = None, actions: object
                 f"got {spec!r}"
             )
         return gymnasium_simulator(spec, state=state, actions=actions)
-    for option, given in (("--state", state), ("--actions", actions)):
+    for option, given in (("state", state), ("actions", actions)):
         if given is not None:
             raise ValueError(
-                f"{option} must be left out for {name}, which is no Gymnasium environment; it is {given!r}"
+                f"--task-option {option} must be left out for {name}, which is no Gymnasium environment; it is {given!r}"
             )
     positional, keywords = arguments(rest)
     if positional:

@@ -183,8 +183,8 @@ def on_cells(
 def no_support(model: Discretization, share: float, floor: float) -> str:
     """Why the cells cannot take the log, and the ways out that are not in force."""
     more = f", with a defensive share of {floor:g}" if floor > 0.0 else ""
-    ways = [*(() if floor > 0.0 else ("a defensive share (--floor 0.001)",)), "a coarser grid (--grid)",
-            "without those moves (--outside drop)"]  # fmt: skip
+    ways = [] if floor > 0.0 else ["a defensive share (--task-option floor=0.001)"]
+    ways += ["a coarser grid (--task-option grid=NxM)", "without those moves (--task-option outside=drop)"]
     return (
         f"the log must stay where the simulator has probability: {share:.2g} of its moves have none on "
         f"{model.cells.extent()}{more}, and no ratio exists there. Ways out: {', '.join(ways[:-1])}, or {ways[-1]}"

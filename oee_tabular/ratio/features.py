@@ -22,6 +22,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.data.frames import is_frame
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.rows import Rows, distinct_rows
 
 Kernel = Callable[[Array, Array], Any]
@@ -164,16 +165,19 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
     moves = rows.transitions
     given = features(*moves) if callable(features) else features
     array = _checks.float_array(given, "features")
-    shape = (simulator.n_states, simulator.n_actions, simulator.n_states)
+    shape, written = (simulator.n_states, simulator.n_actions, simulator.n_states), array.shape
     if array.ndim >= 3 and array.shape[:3] == shape:
         array = array[moves]
     if array.ndim not in (1, 2) or array.shape[0] != matrix.nnz or array.size == 0:
         raise ValueError(
             f"features must have {matrix.nnz} rows, one for each transition of the simulator, or shape {shape} (+ d); "
-            f"they have shape {array.shape}"
+            f"they have shape {written}"
         )
-    _checks.require_finite(array, "features")
-    return array.reshape(matrix.nnz, -1)
+    array = array.reshape(matrix.nnz, -1)
+    for entry, k in np.argwhere(~np.isfinite(array))[:1].tolist():
+        where = name_transition(matrix, entry, simulator.n_actions, simulator.names)
+        raise ValueError(f"features must be finite; feature {k} at {where} is {array[entry, k]}")
+    return array
 
 
 def _check_points(coordinates: object, n: int, rule: str) -> Array:

@@ -124,7 +124,7 @@ class Tied(Method):
 
 
 def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
-    """Keys numbered from 0, one for each entry."""
+    """Keys numbered from 0, one for each entry, from (entries,) or (S, A, S), a function or a data frame."""
     if callable(tie):
         tie = tie(*rows.transitions)
     elif is_frame(tie):
@@ -132,6 +132,8 @@ def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
 
         tie = keys_in(tie, simulator, "tie")
     given = _checks.as_array(tie, "tie")
+    if given.shape == (simulator.n_states, simulator.n_actions, simulator.n_states):
+        given = given[rows.transitions]
     if given.shape != rows.arrival.shape:
         raise ValueError(
             f"tie must have shape {rows.arrival.shape}, a key for each entry of simulator.transitions; it has shape "

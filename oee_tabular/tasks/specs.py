@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from oee_tabular import _checks
+from oee_tabular._arguments import arguments
 from oee_tabular._checks import Array
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.tasks.arguments import arguments
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
 

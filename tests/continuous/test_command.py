@@ -30,7 +30,7 @@ from oee_tabular.tasks import (
     record,
 )
 
-SMALL = ["--grid", "16x16", "--simulations", "400", "--estimators", "simulator,oee,model-based"]
+SMALL = ["--task-option=grid=16x16", "--task-option=simulations=400", "--estimators", "simulator,oee,model-based"]
 COARSE = "ignore:the 16 x 16 grid .* is too coarse"
 LOG = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=1500, max_steps=100, seed=0)
 
@@ -126,8 +126,7 @@ def test_the_files_of_a_task(capsys, tmp_path):
         "cartpole",
         "--log",
         log,
-        "--simulations",
-        2000,
+        "--task-option=simulations=2000",
         "--estimators",
         "oee",
         "--json",
@@ -209,24 +208,35 @@ BAD = {
         NARROW, [], "log.state must have the 4 coordinates of CartPole (x, x_dot, theta, theta_dot); it has 2",
     ),
     "outside": (FAST, [], "x [-3.2, 3.2]: 2 of 1500 rows are not; the first, row 3, is at theta="),
-    "the way out": (FAST, [], "outside='nearest' or 'drop' (--outside), takes them"),
+    "the way out": (FAST, [], "outside='nearest' or 'drop' (--task-option outside=), takes them"),
     "strict": (
-        PUSHED, ["--strict"], "log.action must be one of the task's 2 actions; 1 of 1500 rows do not; the farthest, row 5",
+        PUSHED, ["--task-option=strict=true"], "log.action must be one of the task's 2 actions; 1 of 1500 rows do not;",
     ),
     "no such action": (changed(action=lambda a: a + 1), [], "must be in 0..1, the numbers of the task's actions; it is 2"),
-    "outside how": (LOG, ["--outside", "clip"], "outside must be one of 'error', 'nearest', 'drop'; got 'clip'"),
-    "a grid in words": (LOG, ["--grid", "fine"], "--grid must be like 32x32, or none; got 'fine'"),
+    "outside how": (LOG, ["--task-option=outside=clip"], "outside must be one of 'error', 'nearest', 'drop'; got 'clip'"),
+    "a grid in words": (LOG, ["--task-option=grid=fine"], "--task-option grid must be like 32x32, or none; got 'fine'"),
     "a line": (
-        LOG, ["--grid", "32"], "shape must have 2 numbers, one for each feature of CartPole (theta, theta_dot); it is (32,)",
+        LOG, ["--task-option=grid=32"], "one for each feature of CartPole (theta, theta_dot); it is (32,)",
     ),
-    "calibration": (LOG, ["--calibration", "both"], "calibration must be one of 'ratio', 'difference', 'none'; got 'both'"),
-    "floor": (LOG, ["--floor", "2"], "floor must be in [0, 1]; it is 2"),
-    "simulations": (LOG, ["--simulations", "0"], "n_episodes must be a positive integer; it is 0"),
+    "calibration": (LOG, ["--task-option=calibration=both"], "must be one of 'ratio', 'difference', 'none'; got 'both'"),
+    "floor": (LOG, ["--task-option=floor=2"], "floor must be in [0, 1]; it is 2"),
+    "simulations": (LOG, ["--task-option=simulations=0"], "--task-option simulations must be a positive integer; it is 0"),
+    "twice an option": (
+        LOG, ["--task-option=floor=0.1", "--task-option=floor=0.2"], "--task-option names must differ; 'floor' is given twice",
+    ),
+    "unknown": (
+        LOG, ["--task-option=gird=9x9"], "--task-option must be NAME=VALUE, NAME one of grid, outside, strict, calibration, "
+        "floor, simulations, state, actions; got 'gird=9x9' (did you mean grid=VALUE?)",
+    ),
+    "no value": (LOG, ["--task-option=strict"], "got 'strict' (did you mean strict=VALUE?)"),
+    "no truth": (LOG, ["--task-option=strict=x"], "--task-option strict must be True or False; got 'x'"),
+    "no share": (LOG, ["--task-option=floor=x"], "floor must be"),
     "policy": (LOG, ["--policy", "optimal"], "must be uniform, expert, mix:WEIGHT or MODULE:FUNCTION of states; got"),
     "mixture": (LOG, ["--policy", "mix:2"], "the weight of --policy 'mix:2' must be in [0, 1]; it is 2"),
     "twice": (LOG, ["--policy", "a=expert", "--policy", "a=uniform"], "--policy names must differ; 'a' is given twice"),
     "noise": (LOG, ["--action-noise", "0.1"], "--action-noise must be left out for a continuous task; it is 0.1"),
     "rewards": (LOG, ["--rewards", "log"], "--rewards must be left out for a continuous task; it is log"),
+    "box": (LOG, ["--box", "0.5,2"], "--box must be left out for a continuous task, whose states have no numbers; it is 0.5,2"),
     "target": (LOG, ["--target", "gridworld:3,slip=0.1"], "--target must be a continuous task as the simulator is"),
     "guaranteed": (LOG, ["--guaranteed"], "guaranteed must be False where counts are given"),
 }  # fmt: skip
@@ -237,8 +247,9 @@ def test_bad_calls(capsys, tmp_path, case):
     log, options, text = BAD[case]
     log.save(tmp_path / "log.npz")
     words = ["evaluate", "--simulator", "cartpole", "--log", tmp_path / "log.npz", "--estimators", "oee", *options]
-    for option, value in (("--grid", "16x16"), ("--simulations", 50)):
-        words += [] if option in options else [option, value]
+    for option in ("--task-option=grid=16x16", "--task-option=simulations=50"):
+        is_given = any(word.rpartition("=")[0] == option.rpartition("=")[0] for word in options)
+        words += [] if is_given else [option]
     said = run(capsys, *words, code=2).splitlines()
     assert text in said[-1]
     assert said[-1].startswith("oee: ")
@@ -259,9 +270,9 @@ def test_states_that_are_no_numbers(capsys, tmp_path):
         (["sample", "cartpole:10", "--episodes", "1", "--output", "l.csv"], "must give its arguments as key=value; found 10"),
         (["sample", "cartpole:gravity=-1", "--episodes", "1", "--output", "l.csv"], "gravity must be in [0, inf); it is -1"),
         (["sample", "cartpole", "--episodes", "1", "--output", "l.txt"], "path must end in .npz, .csv, .parquet"),
-        (["evaluate", "--grid", "8x8"], "--grid needs a continuous task"),
-        (["evaluate", "--strict"], "--strict needs a continuous task"),
-        (["evaluate", "--simulations", "5"], "--simulations needs a continuous task"),
+        (["evaluate", "--task-option=grid=8x8"], "--task-option needs a continuous task"),
+        (["evaluate", "--task-option=strict=true"], "--task-option needs a continuous task"),
+        (["evaluate", "--task-option=simulations=5"], "--task-option needs a continuous task"),
         (["evaluate", "--simulator", "cartpole"], "--log must be given with --simulator"),
     ],
 )  # fmt: skip
@@ -464,13 +475,15 @@ def test_a_way_out_that_is_in_force_is_not_advised():
             report = evaluate_continuous(simulator, bag, policies, settings=settings, seed=0, estimators=["oee"])
         assert report.records()[-1]["estimator"] == "oee on the grid"
     assert report.facts["moves_left_out"] > 0.01
-    said = r"left out: .* none on .*, and no ratio exists there. Ways out: a defensive share \(--floor 0.001\), a coarser grid"
+    said = r"left out: .* none on .*, and no ratio exists there. Ways out: a defensive share \(--task-option floor=0.001\), a c"
     settings = replace(few, floor=0.0)
     with pytest.warns(UserWarning, match=said):
         report = evaluate_continuous(simulator, bag, policies, settings=settings, seed=0, estimators=["oee"])
     assert [row["estimator"] for row in report.records()] == ["oee (residual)", "simulator (continuous)"]
     text = no_support(GridInterpolation((6, 6), closure_episodes=0).build(CartPole()), 0.3, 0.01)
-    assert text.endswith("Ways out: a coarser grid (--grid), or without those moves (--outside drop)")
+    assert text.endswith(
+        "Ways out: a coarser grid (--task-option grid=NxM), or without those moves (--task-option outside=drop)"
+    )
 
 
 def test_calibration_by_difference_and_none():
@@ -521,7 +534,7 @@ def test_reacher_from_the_command_line(capsys, tmp_path):
         "--policy",
         "mix:0.5",
     ]
-    words += ["--estimators", "simulator,oee", "--simulations", 1000, "--json"]
+    words += ["--estimators", "simulator,oee", "--task-option=simulations=1000", "--json"]
     report = json.loads(run(capsys, *words, "--target", "reacher:length=0.2,tamed=True"))
     value = {row["estimator"]: row["value"] for row in report["results"]}
     right = value["target (continuous)"]
@@ -530,7 +543,7 @@ def test_reacher_from_the_command_line(capsys, tmp_path):
     assert report["facts"]["floor"] == 1.0
     assert "links as long times one of 0.5, 0.7, 1.0, 1.4, 2.0" in report["facts"]["simulator"]
     assert any(text.startswith("standard errors and intervals are of the log alone") for text in report["warnings"])
-    plain = json.loads(run(capsys, *words[:-1], "--floor", 0.2, "--json"))
+    plain = json.loads(run(capsys, *words[:-1], "--task-option=floor=0.2", "--json"))
     assert plain["facts"]["uncovered_mass"] == report["facts"]["uncovered_mass"] > 0.1  # of the plain simulator
     text = run(capsys, *words, "--policy", f"file={tmp_path / 'pi.npy'}", code=2)
     assert "--policy must be uniform, expert or mix:WEIGHT for Reacher, whose cells are made of the log; got" in text
@@ -542,7 +555,7 @@ def test_the_arm_from_the_command_line(capsys, tmp_path):
     log = tmp_path / "log.npz"
     run(capsys, "sample", "kinova:velocity_scale=1.4", "--policy", "expert", "--episodes", 50, "--output", log)
     words = ["evaluate", "--simulator", "kinova", "--log", log, "--policy", "expert", "--estimators", "simulator,oee"]
-    words += ["--simulations", 40, "--target", "kinova:velocity_scale=1.4", "--json"]
+    words += ["--task-option=simulations=40", "--target", "kinova:velocity_scale=1.4", "--json"]
     report = json.loads(run(capsys, *words))
     value = {row["estimator"]: row["value"] for row in report["results"]}
     right = value["target (continuous)"]
@@ -555,7 +568,7 @@ def test_the_arm_from_the_command_line(capsys, tmp_path):
     assert said
     assert all("comes from moves of the same kind elsewhere (the tie)" in text for text in said)
     assert "half or one and a half times as far" in report["facts"]["simulator"]
-    assert "grid must be left out for kinova" in run(capsys, *words, "--grid", "9x9x9", code=2)
+    assert "grid must be left out for kinova" in run(capsys, *words, "--task-option=grid=9x9x9", code=2)
 
 
 def test_the_arm_needs_a_form(capsys, tmp_path):

@@ -131,7 +131,7 @@ def test_collinear_features_are_solved_with_a_warning():
     ("features", "text"),
     [
         (np.zeros(7), r"features must have 376 rows, one for each transition of the simulator, or shape \(25, 4, 25\)"),
-        (np.full(376, np.nan), r"features\[0\] must be finite; it is nan"),
+        (np.full(376, np.nan), r"features must be finite; feature 0 at s=0, a=0 -> s'=\d+ is nan"),
         ("log", r"features must be an array of numbers"),
         (lambda s, a, t: np.zeros(3), r"features must have 376 rows"),
     ],

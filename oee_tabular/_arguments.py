@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import ast
+import difflib
+from collections.abc import Sequence
 from typing import Any
 
 
-def named_specs(specs: list[str]) -> dict[str, str]:
-    """Name -> SPEC from NAME=SPEC, or from SPEC, which is its own name."""
-    found: dict[str, str] = {}
-    for text in specs:
+def named_specs(given: list[str], option: str = "--policy", known: Sequence[str] = ()) -> dict[str, str]:
+    """Name -> SPEC from NAME=SPEC, or from SPEC, which is its own name.
+
+    ``known``: the names there are, where there are no others; each then needs its value.
+    """
+    specs: dict[str, str] = {}
+    for text in given:
         name, equals, spec = text.partition("=")
-        label, source = (name, spec) if equals else (text, text)
-        if label in found:
-            raise ValueError(f"--policy names must differ; {label!r} is given twice")
-        found[label] = source
-    return found
+        if known and (not equals or name not in known):
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f" (did you mean {near[0]}=VALUE?)" if near else ""
+            raise ValueError(f"{option} must be NAME=VALUE, NAME one of {', '.join(known)}; got {text!r}{hint}")
+        if name in specs:
+            raise ValueError(f"{option} names must differ; {name!r} is given twice")
+        specs[name] = spec if equals else text
+    return specs
 
 
 def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
@@ -31,9 +39,9 @@ def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
         if equals and key.strip().isidentifier():
             if key.strip() in keywords:
                 raise ValueError(f"{key.strip()} must be given once; {text!r} has it twice")
-            keywords[key.strip()] = _literal(value.strip(), key.strip())
+            keywords[key.strip()] = literal(value.strip(), key.strip())
         else:
-            positional.append(_literal(part.strip()))
+            positional.append(literal(part.strip()))
     return positional, keywords
 
 
@@ -55,7 +63,8 @@ def _split(text: str) -> list[str]:
     return [part for part in [*parts, current] if part.strip()]
 
 
-def _literal(text: str, name: str = "an argument") -> Any:
+def literal(text: str, name: str = "an argument") -> Any:
+    """A Python literal, true, false, none, a fraction, or else the word itself."""
     lowered = {"true": True, "false": False, "none": None}
     if text.lower() in lowered:
         return lowered[text.lower()]

@@ -1,0 +1,217 @@
+"""The frame of the command: help, options, errors, JSON, progress, and what it imports."""
+
+import json
+import re
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import typer.main
+
+import oee_tabular as oee
+from oee_tabular import _progress
+from oee_tabular.cli.commands import app
+
+COMMANDS = typer.main.get_command(app).commands
+SLOW = {"cvxpy", "pandas", "pyarrow", "gymnasium", "matplotlib", "oee_tabular.testing", "oee_tabular.continuous.names"}
+
+
+def imported(words, slow, folder=None):
+    """What is printed, and those of ``slow`` that the command imports."""
+    script = f"import sys, oee_tabular.cli as c\ntry:\n    c.main({words})\nexcept SystemExit:\n    pass\n"
+    script += f"print(sorted({slow} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=folder)
+    return done.stdout, done.stdout.splitlines()[-1]
+
+
+def test_nothing_slow_is_imported_without_need(folder):
+    told, slow = imported(["--help"], SLOW | {"numba", "scipy"})
+    assert "evaluate" in told
+    assert slow == "[]"
+    np.save("p.npy", np.full((9, 4), 0.25))
+    words = ["evaluate", "--simulator", "sim.npz", "--log", "log.csv", "--policy", "p.npy"]
+    told, slow = imported(words, SLOW, folder)
+    assert "95% interval of oee (likelihood)" in told
+    assert slow == "[]"
+
+
+# ---------------------------------------------------------------- help and options
+
+
+@pytest.mark.parametrize("asked", ["-h", "--help"])
+def test_help_in_groups(run, asked):
+    text = run("evaluate", asked)
+    titles = [line for line in text.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert titles == ["Input:", "Value:", "Output:", "Options:"]
+    assert "--simulator SIM" in text
+    assert "<" not in text.replace("0 < EPS", "")
+    commands = run(asked)
+    assert "--install-completion" in commands
+    assert "..." not in commands.split("Commands:")[1]
+    assert run("--version").startswith("oee 0.")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_are_few_and_each_has_its_group_and_a_word_for_its_value(name):
+    options = [p for p in COMMANDS[name].params if p.param_type_name == "option"]
+    assert len(options) <= (28 if name == "evaluate" else 16)
+    for option in options:
+        assert option.rich_help_panel in ("Input", "Value", "Output")
+        assert option.help
+        assert option.is_flag or option.metavar
+
+
+SINGLE = [
+    (name, option)
+    for name, command in COMMANDS.items()
+    for option in command.params
+    if option.param_type_name == "option" and not option.multiple
+]
+
+
+@pytest.mark.parametrize(("name", "option"), SINGLE, ids=lambda value: getattr(value, "name", value))
+def test_an_option_given_twice_is_refused(run, name, option):
+    word = option.opts[0] if option.is_flag else f"{option.opts[0]} 1"
+    places = " ".join("1" for p in COMMANDS[name].params if p.param_type_name == "argument")
+    needed = [p for p in COMMANDS[name].params if p.required and p.param_type_name == "option" and p is not option]
+    words = " ".join(f"{p.opts[0]} 1" for p in needed)
+    said = run(name, places, words, word, word, code=2)
+    assert said == f"oee: {option.opts[0]} must be given once; it is given 2 times\n"
+
+
+# ---------------------------------------------------------------- errors
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("evaluate --simulator gridworld:4,slip=0.3", "--log must be given with --simulator"),
+        ("evaluate --log x.npz", "--simulator must be given with --log"),
+        ("evaluate --estimators oe", "got 'oe' (did you mean 'oee'?)"),
+        ("evaluate --target gridworld:10,slip=0.1", "--target needs --simulator and --log"),
+        ("evaluate --initial 1", "--initial needs --simulator and --log"),
+        ("evaluate --features f.npy", "--features needs --simulator and --log"),
+        ("evaluate --confidence 1.5", "--confidence must be in (0, 1); it is 1.5"),
+        ("evaluate --horizon 0", "--horizon must be a positive integer; it is 0"),
+        ("evaluate --rewards mine", "--rewards must be one of 'simulator', 'log'; got 'mine'"),
+        ("evaluate --policy mix:x", "--policy must be like mix:0.5; got 'mix:x'"),
+        ("evaluate --policy best", "or a .npy, .npz or .csv file; got 'best'"),
+        ("evaluate --policy optimum", "got 'optimum' (did you mean 'optimal'?)"),
+        ("evaluate --policy a=uniform --policy a=optimal", "--policy names must differ; 'a' is given twice"),
+        ("evaluate --policy nowhere.npy", "no such file: nowhere.npy"),
+        ("evaluate --output /proc/version/below", "--output must be a folder that can be written"),
+        ("evaluate --title x", "--title needs --report FILE.html"),
+        ("evaluate --quick --guaranteed", "--guaranteed must be False where quick is True"),
+        ("sample gridworld:3,slip=0.1 --output l.npz", "one of --transitions and --episodes must be given"),
+        (
+            "sample gridworld:3,slip=0.1 --output l.npz --transitions 0",
+            "--transitions must be a positive integer; it is 0",
+        ),
+        ("sample FrozenLake-v1 --output l.npz --episodes 0", "--episodes must be a positive integer; it is 0"),
+        (
+            "sample gridworld:3,slip=0.1 --output l.npz --episodes 1 --horizon 0",
+            "--horizon must be a positive integer; it is 0",
+        ),
+        ("sample gridworld:3,slip=0.1 --output l.npz --episodes 1 --seed -1", "Invalid value for '--seed'"),
+        ("sample nowhere-v1 --episodes 1 --output l.npz", "'nowhere-v1' is neither"),
+        ("sample gridworld:3,slip=0.1 --episodes 1 --output l.txt", "must end in .npz, .csv, .csv.gz, .parquet"),
+        ("info nowhere.npz", "no such file: nowhere.npz"),
+        ("info nofile", "no such file: nofile"),
+    ],
+)
+def test_errors_are_one_line_and_leave_nothing(run, tmp_path, words, text):
+    assert text in " ".join(run(words, code=2).split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_warnings_are_lines_not_python(tmp_path):
+    (tmp_path / "typo.csv").write_text("state,action,next_state,behaviour_probability\n0,0,3,0.25\n")
+    words = [sys.executable, "-m", "oee_tabular", "info", "typo.csv"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert done.stderr.startswith("oee: warning: ")
+    assert "behaviour_probability (did you mean behavior_probability?)" in done.stderr
+    assert ".py" not in done.stderr
+
+
+# ---------------------------------------------------------------- JSON
+
+
+DATA = "--simulator sim.npz --log log.csv"
+SHORT = {
+    "evaluate": f"{DATA} --estimators simulator",
+    "compare": f"{DATA} --policy uniform --policy optimal --quick",
+    "plan": f"{DATA} --transitions 50 --horizon 20",
+    "sample": "gridworld:3,slip=0.1 --episodes 2 --output l.npz",
+    "policy": "sim.npz uniform --output p.npy",
+    "export": "gridworld:3,slip=0.1 --output e.npz",
+    "counts": "log.csv --output c.npz",
+    "info": "sim.npz",
+    "reproduce": "--list",
+    "bench": "--sizes 1 --seeds 1 --families ring --jobs 1 --output b",
+    "check": "mine:Mine --repetitions 3",
+}
+
+
+def test_every_command_has_json_with_the_keys_of_its_help(run, folder):
+    assert set(SHORT) == set(COMMANDS)
+    for name in set(SHORT) - {"bench", "check"}:  # which take longer, and have tests of their own
+        found = json.loads(run(name, SHORT[name], "--json"))
+        (option,) = (p for p in COMMANDS[name].params if p.name == "json")
+        keys = re.sub(r" \([^)]*\)", "", option.help.removeprefix("Print JSON instead, with ")[:-1]).split(", ")
+        assert set(found) == set(keys)
+        assert found["version"] == oee.__version__
+
+
+def test_json_is_alone_on_stdout(folder):
+    script = "import sys; from oee_tabular import _progress; _progress.SECONDS = 0.001\n"
+    script += "from oee_tabular.cli import main; main(sys.argv[1:])"
+    words = f"evaluate {SHORT['evaluate']} --json".split()
+    done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
+    assert "results" in json.loads(done.stdout)
+    assert re.match(r"oee: \d+ s: ", done.stderr)
+
+
+# ---------------------------------------------------------------- progress
+
+
+def test_slow_steps_are_told_once_on_stderr(capsys, monkeypatch):
+    monkeypatch.setattr(_progress, "SECONDS", 0.02)
+    told = ""
+
+    def wait_for(word):
+        nonlocal told
+        for _ in range(500):
+            captured = capsys.readouterr()
+            assert captured.out == ""
+            told += captured.err
+            if word in told:
+                return
+            time.sleep(0.02)
+        raise AssertionError("not told")
+
+    _progress.report_step("nobody listens")
+    with _progress.show_steps():
+        _progress.report_step("a first step")
+        with _progress.show_steps():
+            wait_for("first")
+        _progress.report_step("a second step")
+        wait_for("second")
+        time.sleep(0.1)
+    told += capsys.readouterr().err
+    assert re.sub(r"\d+ s", "N s", told).splitlines() == ["oee: N s: a first step", "oee: N s: a second step"]
+
+
+def test_what_is_done_is_told_by_policy_and_interval(folder, monkeypatch):
+    steps = []
+    monkeypatch.setattr("oee_tabular._progress.report_step", steps.append)
+    problem = oee.Problem(oee.FiniteMDP.load("sim.npz"), oee.Transitions.load("log.csv"))
+    oee.evaluate(problem, {"a": np.full((9, 4), 0.25), "b": [0] * 9}, estimators=["oee"])
+    assert steps == [
+        "oee of “a” (policy 1 of 2)",
+        "oee of “b” (policy 2 of 2)",
+        "likelihood interval of “a” (policy 1 of 2)",
+        "likelihood interval of “b” (policy 2 of 2)",
+        "comparison of the policies, and what to record next",
+    ]

@@ -1,0 +1,152 @@
+"""The commands of files, and logs of several of them."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import oee_tabular as oee
+
+GRID = "gridworld:3,slip=0.3"
+
+
+def test_sampling_steps_gymnasium(run):
+    run("sample FrozenLake-v1:map_name=4x4 --transitions 200 --seed 3 --output lake.npz")
+    import gymnasium
+
+    log = oee.record_episodes(gymnasium.make("FrozenLake-v1"), np.full((16, 4), 0.25), n_transitions=200, seed=3)
+    assert_array_equal(oee.Transitions.load("lake.npz").next_state, log.next_state)
+
+
+def test_the_horizon_ends_episodes_that_would_not(run):
+    """CliffWalking has no limit of its own; going up for ever would never end."""
+    np.save("up.npy", np.eye(4)[np.zeros(48, dtype=int)])
+    words = "sample CliffWalking-v1 --policy up.npy --episodes 2 --horizon 7 --output l.npz"
+    assert "14 transitions in 2 episodes of 7 steps" in run(words)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".npz"])
+def test_what_is_sampled_has_names_and_is_read_again(run, folder, ending):
+    mdp = oee.tasks.gridworld(3, slip=0.2).with_names([(s // 3, s % 3) for s in range(9)], ["n", "e", "s", "w"])
+    mdp.save("named.npz")
+    run(f"sample named.npz --transitions 300 --output by_name{ending}")
+    log = oee.Transitions.load(f"by_name{ending}")
+    assert log.action_names is not None
+    same = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 60, 1000, seed=0).first(300)
+    assert_allclose(log.numbered(mdp).next_state, same.next_state)
+    assert "named states" in run(f"info by_name{ending}")
+    run(f"counts by_name{ending} --simulator named.npz --output counts.npz")
+    ask = "evaluate --simulator named.npz --estimators oee --json --log"
+    values = [json.loads(run(ask, file))["results"][0]["value"] for file in (f"by_name{ending}", "counts.npz")]
+    assert values[0] == values[1]
+
+
+def test_a_minari_folder_of_named_states_holds_numbers(run):
+    pytest.importorskip("minari")
+    oee.tasks.gridworld(3, slip=0.2).with_names(action_names=["n", "e", "s", "w"]).save("named.npz")
+    run("sample named.npz --episodes 2 --output folder")
+    assert oee.Transitions.load("folder").action_names is None
+
+
+def test_files_that_exist(run):
+    for words in (f"export {GRID} --output m.npz", f"policy {GRID} uniform --output p.npy"):
+        assert "(replaced)" not in run(words)
+        assert "(replaced)" in run(words)
+    words = f"sample {GRID} --episodes 1 --output l.npz"
+    run(words)
+    assert "--output must be a new file, or be given with --overwrite" in run(words, code=2)
+    run(words, "--overwrite")
+
+
+def test_info(run, tmp_path):
+    oee.tasks.gridworld(3, 0.3).save("m.npz")
+    said = run("info m.npz")
+    assert "FiniteMDP(9 states, 4 actions" in said
+    assert "1 state in which an episode is over" in said
+    assert json.loads(run("info m.npz --json"))["kind"] == "finite_mdp"
+    oee.Transitions([0], [0], [3]).save("l.csv")
+    assert "Transitions(1 transitions" in run("info l.csv")
+    np.savez("p.npz", policy=np.full((9, 4), 0.25), other=np.ones((9, 4)))
+    said = run("info p.npz")
+    assert "policy of 9 states and 4 actions ('policy'): float64 of shape (9, 4)" in said
+    assert "array ('other')" in said
+    run("evaluate --estimators oee --output out")
+    for path in ("out", "out/report.json"):
+        said = run("info", path)
+        assert "Report of (1 - discount)" in said
+        assert "] (likelihood)" in said
+    (tmp_path / "other.json").write_text("{}")
+    assert "must be a report that oee evaluate wrote" in run("info other.json", code=2)
+
+
+# ---------------------------------------------------------------- logs of several files
+
+
+@pytest.fixture
+def parts(run, tmp_path):
+    """A folder of three files, each a log of ten episodes, and one file with all."""
+    pytest.importorskip("pyarrow")
+    grid, logs = oee.tasks.gridworld(3, slip=0.1), []
+    (tmp_path / "log").mkdir()
+    for k in range(3):
+        logs.append(oee.sample_episodes(grid, oee.uniform_policy(grid), 10, 20, seed=k))
+        logs[k].save(f"log/part-{k}.parquet")
+    oee.Transitions.concatenate(logs).save("joined.npz")
+    return tmp_path / "log"
+
+
+WAYS = {"files": [f"log/part-{k}.parquet" for k in range(3)], "pattern": ["'log/part-*.parquet'"], "folder": ["log"]}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    "command",
+    ["evaluate --quick --policy uniform", "compare --quick --policy uniform --policy expert", "plan --transitions 10"],
+)
+def test_a_log_may_be_several_files(run, parts, command, way):
+    records = []
+    for log in (WAYS[way], ["joined.npz"]):
+        logs = " ".join(f"--log {file}" for file in log)
+        records.append(json.loads(run(command, "--simulator", GRID, logs, "--json")))
+        records[-1].pop("facts", None)
+    assert records[0] == records[1]
+    assert "in 30 episodes" in run("info", *WAYS[way])
+
+
+def test_a_pattern_without_files_is_refused(run):
+    assert "nothing*.csv" in run(f"evaluate --simulator {GRID} --log 'nothing*.csv'", code=2)
+
+
+def test_counts_stand_for_the_log(run, parts):
+    told = run(f"counts log --output counts.npz --simulator {GRID}")
+    assert told.startswith("counts.npz: ")
+    assert "of 3 files in 30 episodes" in told
+    ask = f"evaluate --simulator {GRID} --json --log"
+    ours, plain = (json.loads(run(ask, file))["results"] for file in ("counts.npz", "joined.npz"))
+    assert [(row["value"], row["lower"]) for row in ours] == [(row["value"], row["lower"]) for row in plain]
+    assert "TransitionCounts(" in run("info counts.npz")
+    run(f"plan --simulator {GRID} --log counts.npz --transitions 50")
+
+
+def test_bad_rows_are_refused_or_dropped(run, parts, tmp_path):
+    part = oee.Transitions.load(parts / "part-1.parquet").columns()
+    part["state"] = np.where(np.arange(len(part["state"])) == 5, 77, part["state"])
+    pd.DataFrame(part).to_parquet(parts / "part-1.parquet", index=False)
+    words = f"counts log --output c.npz --simulator {GRID}"
+    assert "part-1.parquet': state[5] must be in 0..8; it is 77" in run(words, code=2)
+    assert not (tmp_path / "c.npz").exists()
+    told = run(words, "--bad-rows drop")
+    assert "1 bad rows dropped, 1 episodes broken" in told
+    assert "part-1.parquet': state[5] must be in 0..8; it is 77" in told
+    evaluated = run(f"evaluate --simulator {GRID} --log c.npz --quick")
+    assert "1 bad rows of the log were not counted" in " ".join(evaluated.split())
+    assert "--output must be a new file, or be given with --overwrite" in run(words, code=2)
+    run(words, "--bad-rows drop --overwrite")
+
+
+def test_a_scheduler_that_does_not_answer(run, parts):
+    pytest.importorskip("distributed")
+    said = run("counts log --output c.npz --dask tcp://127.0.0.1:9", code=2)
+    assert "no dask scheduler answers at 'tcp://127.0.0.1:9'" in said
