@@ -122,7 +122,7 @@ def test_a_free_plan_is_written_as_shares(tmp_path, capsys):
         assert not ended.value.code
         found = np.load(tmp_path / "next.npy")
         assert_allclose(found.sum() if free else found.sum(axis=1), 1.0)
-        assert ("shares of the moves" in capsys.readouterr().out) == free
+        assert ("shares of the pairs" in capsys.readouterr().out) == free
 
 
 # ---------------------------------------------------------------- a new user's own problem, as they would type it

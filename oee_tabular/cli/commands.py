@@ -10,6 +10,7 @@ from typer.core import TyperCommand
 
 from oee_tabular.cli import files, studies, values
 from oee_tabular.cli.options import ARGUMENTS, GROUPS, with_options
+from oee_tabular.continuous.command import TASK_OPTIONS
 
 
 class Command(TyperCommand):
@@ -31,6 +32,8 @@ class Command(TyperCommand):
             name, must, rule = str(error).partition(" must ")
             argument = ARGUMENTS.get(name, name)
             options = [p.opts[0] for p in self.params if p.name == argument and p.opts[0].startswith("-")]
+            if argument in TASK_OPTIONS and ctx.params.get("task_option"):
+                options = [f"--task-option {argument}"]
             if must and options:
                 raise ValueError(f"{options[0]} must {rule}") from error
             raise

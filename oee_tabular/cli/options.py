@@ -57,7 +57,7 @@ Output:
 GROUPS = ("Input", "Value", "Output")
 # what the functions that the commands call name otherwise
 ARGUMENTS = {
-    "n": "transitions", "n_transitions": "transitions", "n_episodes": "episodes", "max_steps": "horizon",
+    "n": "transitions", "n_transitions": "transitions", "n_episodes": "episodes", "max_steps": "horizon", "shape": "grid",
     "behavior_policy": "behavior", "lower_ratio and upper_ratio": "box",
 }  # fmt: skip
 

@@ -199,63 +199,40 @@ BOTH = [
     ("f.npy", np.array([{}, None] * (NNZ // 2)), "'f.npy' must be an npz or npy file of plain arrays; "),
     ("f.csv", "", "'f.csv' must be a CSV table with a header; "),
     ("f.csv", "state,action,next_state,x\n0,0,3,1,1\n", "'f.csv' must be a CSV table with a header"),
-    ("f.csv", b"\xff\x00x", "'f.csv' must be a CSV table with a header, in UTF-8; "),
     ("f.npy", np.array(["a"] * NNZ), "must"),
     ("f.npy", np.zeros(NNZ) * 1j, "{name} must"),
-    ("f.npy", KEYS[1:], "{name} must have"),
     ("f.npy", KEYS[1:], f" shape ({NNZ - 1},)"),
-    ("f.npy", np.zeros((9, 4, 8), dtype=int), " shape (9, 4, 8)"),
     ("f.npy", np.zeros((9, 4, 9, 1, 1), dtype=int), " shape (9, 4, 9, 1, 1)"),
     ("f.npy", np.zeros((NNZ, 0), dtype=int), f" shape ({NNZ}, 0)"),
     ("f.npy", np.array(1), " shape ()"),
-    (
-        "f.csv",
-        table(x=1).drop(columns="action"),
-        "{name} must have the columns state, action, next_state; it has state,",
-    ),
+    ("f.csv", table(x=1).drop(columns="action"), "{name} must have the columns state, action, next_state; it has state,"),
     ("f.csv", table(), "{name} must have a column of numbers beside its moves; it has none"),
-    (
-        "f.csv",
-        table(x=KEYS).reset_index(names=""),
-        "must have a name for every column; it has Unnamed: 0, state, action,",
-    ),
+    ("f.csv", table(x=KEYS).reset_index(names=""), "must have a name for every column; it has Unnamed: 0, state, action,"),
     ("f.csv", table(x=1).iloc[:0], "{name} must have at least one row; it has none"),
     ("f.csv", changed(3, "kind", ""), f"column 'kind' {NUMBER} 3 has none or nan"),
-    ("f.csv", changed(5, "kind", "-inf"), f"column 'kind' {NUMBER} 5 has -inf"),
     ("f.csv", changed(7, "kind", "left"), f"column 'kind' {NUMBER} 7 has left"),
     ("f.csv", changed(2, "state", "s1"), f"column 'state' {NUMBER} 2 has s1"),
     ("f.csv", changed(2, "state", 0.5), "column 'state' of {name} must have an integer in every row; row 2 has 0.5"),
     ("f.csv", changed(4, "next_state", 9), "column 'next_state' of {name} must be in 0..8; row 4 has 9"),
-    ("f.csv", changed(4, "state", -1), "column 'state' of {name} must be in 0..8; row 4 has -1"),
     ("f.csv", changed(4, "action", 4), "column 'action' of {name} must be in 0..3; row 4 has 4"),
     ("f.csv", changed(0, "next_state", 8), "a move of the simulator, which gives probability 0 to s=0, a=0 -> s'=8\n"),
-    ("f.csv", table(x=1).assign(next_state=8), "-> s'=8 ("),
     ("f.csv", pd.concat([table(x=1), table(x=1).iloc[2:4]]), TWICE),
-]
+]  # fmt: skip
 nan, inf = FILES["features"].copy(), FILES["features"].copy()
 nan[3, 1], inf[-1, 0] = np.nan, np.inf
 FEATURES = [
     ("f.npy", nan, f"features must be finite; feature 1 at s={STATE[3]}, a={ACTION[3]} -> s'={NEXT[3]} is nan"),
     ("f.npy", dense(inf), "features must be finite; feature 0 at s=8, a=3 -> s'=8 is inf"),
-]
+]  # fmt: skip
 TIES = [
     ("f.npy", KEYS.astype(float), "tie must have integer keys; they are float64"),
-    ("f.npy", KEYS > 3, "tie must have integer keys; they are bool"),
     ("f.npy", np.column_stack([KEYS, KEYS]), f" shape ({NNZ}, 2)"),
     ("f.npy", np.zeros((9, 4, 9, 2), dtype=int), " shape (9, 4, 9, 2)"),
     ("f.csv", changed(6, "kind", 1.5), "column 'kind' of {name} must have an integer in every row; row 6 has 1.5"),
     ("f.csv", changed(6, "kind", "1e16"), "must have an integer in every row; row 6 has 1e+16"),
-    (
-        "f.csv",
-        table(x=KEYS, y=KEYS),
-        "tie must have one column of keys beside state, action, next_state; it has x, y",
-    ),
-    (
-        "f.csv",
-        table(x=KEYS).iloc[2:],
-        f"a key for every transition of the simulator; 2 of {NNZ} have none, the first: s=0,",
-    ),
-]
+    ("f.csv", table(x=KEYS, y=KEYS), "tie must have one column of keys beside state, action, next_state; it has x, y"),
+    ("f.csv", table(x=KEYS).iloc[2:], f"a key for every transition of the simulator; 2 of {NNZ} have none, the first: s=0,"),
+]  # fmt: skip
 CASES = [("features", *case) for case in BOTH + FEATURES] + [("tie", *case) for case in BOTH + TIES]
 
 

@@ -164,7 +164,7 @@ def test_nothing_goes_on_when_the_command_ends(here, how):
 def test_a_time_limit_that_is_none(capsys, here, seconds):
     code, _, err = run(capsys, f"{here}:Mine", "--timeout", seconds)
     assert code == 2
-    assert err.startswith("oee: timeout must be ")
+    assert err.startswith("oee: --timeout must be ")
 
 
 @pytest.mark.parametrize(("spec", "text"), [
