@@ -41,6 +41,8 @@ def evaluate(
     guaranteed: bool = False,
     quick: bool = False,
     seed: int = 0,
+    all_: bool = False,
+    verbose: bool = False,
     output: Path | None = None,
     report: Path | None = None,
     title: str | None = None,
@@ -67,6 +69,8 @@ def evaluate(
     --estimators NAME,...  Comma-separated: {ESTIMATORS}.
     --guaranteed  Give the intervals that hold at any sample size as well.
     Output:
+    --all  Print the rows that a short report leaves out, too.
+    --verbose  Print every note, and the columns of diagnostics.
     --output FOLDER  Folder for report.json, table.csv and values.png.
     --report FILE.html  One self-contained page, for people who did not run it.
     --title TEXT  Page title (with --report).
@@ -140,7 +144,7 @@ def evaluate(
             **known,
             **common,
         )
-    answer(str(found), found.to_dict() if json else {}, json)
+    answer(found.to_text(all=all_, verbose=verbose), found.to_dict() if json else {}, json)
     before = {
         *(output.iterdir() if output and output.exists() else ()),
         *([report] if report and report.exists() else ()),

@@ -79,6 +79,17 @@ def test_intervals_that_are_asked_for(run, folder):
     assert "likelihood" not in methods[1]
 
 
+def test_more_rows_and_notes_are_asked_for(run, folder):
+    oee.Transitions.load("log.csv").first(60).save("log.csv")
+    plain, every, verbose = (
+        run(f"evaluate {DATA} --policy mix:0.5 --quick", flag) for flag in ("", "--all", "--verbose")
+    )
+    assert "wpdis" in every
+    assert "wpdis" not in plain
+    assert "max weight" in verbose
+    assert "max weight" not in plain
+
+
 @pytest.mark.parametrize("command", ["evaluate --policy uniform", "compare --policy uniform --policy optimal"])
 def test_a_box_narrows_the_interval(run, folder, command):
     plain, boxed = (json.loads(run(command, DATA, more, "--json")) for more in ("", "--box 0.2,3"))
