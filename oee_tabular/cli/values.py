@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
@@ -12,9 +12,6 @@ from oee_tabular.cli.inputs import read_box, read_knowledge, read_problem, refus
 from oee_tabular.cli.options import answer
 from oee_tabular.cli.simulators import policies_of, task_of
 from oee_tabular.continuous.command import evaluate_files, is_continuous, task_options
-
-if TYPE_CHECKING:
-    from oee_tabular.report import Report
 
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
 
@@ -98,13 +95,20 @@ def evaluate(
             task_of(simulator)  # which may not be there at all
         raise ValueError("--task-option needs a continuous task (--simulator cartpole:gravity=10)")
     if simulator is None and not log:
+        from oee_tabular.experiments import embedded_default
+
         refuse(
             {"behavior": behavior, "target": target, "features": features, "tie": tie, "box": box} | changes,
             "needs --simulator and --log",
         )
-        given = {"horizon": horizon, "discount": discount, "rewards": rewards}
-        options = {name: value for name, value in given.items() if value is not None}
-        found = _evaluate_default(policy, normalized is not False, options, common)
+        given: dict[str, Any] = {"horizon": horizon, "discount": discount, "rewards": rewards}
+        default = embedded_default(seed=seed, **{name: value for name, value in given.items() if value is not None})
+        policies: Any = default.policies
+        if policy is not None:
+            policies = policies_of(policy, task_of("gridworld:10,slip=0.3", discount))
+        found = evaluate_problem(
+            default.problem, policies, target=default.target, normalized=normalized is not False, **common
+        )
     elif simulator is None or not log:
         there, lacking = ("log", "simulator") if log else ("simulator", "log")
         raise ValueError(f"--{lacking} must be given with --{there} (record a log with: oee sample)")
@@ -122,53 +126,28 @@ def evaluate(
             simulator, log, behavior=behavior, horizon=horizon, discount=discount, rewards=rewards, **changes
         )
         known, facts = read_knowledge(features, tie, box, task.mdp)
+        specs = named_specs(policy or ["optimal"])
         facts |= {
-            "simulator_name": simulator,
-            "log_name": ", ".join(log),
-            "log_files": log,
-            "action_noise": action_noise,
-        }
+            "simulator_name": simulator, "log_name": ", ".join(log), "log_files": log, "action_noise": action_noise,
+            "policy_names": specs, "date": date_of([simulator, *log, *specs.values()]),
+        }  # fmt: skip
         others = {"initial": initial, "impossible": impossible, "discount": discount}
         facts |= {name: value for name, value in others.items() if value not in (None, "refuse")}
-        specs = named_specs(policy or ["optimal"])
-        facts |= {"policy_names": specs, "date": date_of([simulator, *log, *specs.values()])}
         if action_noise:
             facts["simulator"] = f"{simulator} with action noise {action_noise:g}: {task.mdp!r}"
-        truth = None if target is None else task_of(target, task.mdp.discount, initial).mdp
         found = evaluate_problem(
-            problem,
-            policies_of(policy, task),
-            target=truth,
-            normalized=bool(normalized),
-            facts=facts,
-            **known,
-            **common,
-        )
+            problem, policies_of(policy, task), normalized=bool(normalized), facts=facts,
+            target=None if target is None else task_of(target, task.mdp.discount, initial).mdp, **known, **common,
+        )  # fmt: skip
     answer(found.to_text(all=all_, verbose=verbose), found.to_dict() if json else {}, json)
-    before = {
-        *(output.iterdir() if output and output.exists() else ()),
-        *([report] if report and report.exists() else ()),
-    }
+    before = set(output.iterdir()) if output and output.exists() else set()
+    before |= {report} if report and report.exists() else set()
     written = [] if output is None else found.save(output)
     if report is not None:
         found.to_html(report, title=title)
         written.append(report)
     if written and not json:
         typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in before else str(path) for path in written)}")
-
-
-def _evaluate_default(
-    policy: list[str] | None, normalized: bool, options: dict[str, Any], common: dict[str, Any]
-) -> Report:
-    """The report on the paper's 10 x 10 grid; ``options``: horizon, discount and rewards, where they are given."""
-    from oee_tabular.experiments import embedded_default
-    from oee_tabular.report import evaluate as evaluate_problem
-
-    default = embedded_default(seed=common["seed"], **options)
-    policies: dict[str, Any] = default.policies
-    if policy is not None:
-        policies = policies_of(policy, task_of("gridworld:10,slip=0.3", options.get("discount")))
-    return evaluate_problem(default.problem, policies, target=default.target, normalized=normalized, **common)
 
 
 def compare(

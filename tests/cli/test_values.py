@@ -55,7 +55,7 @@ def test_the_behaviour_policy_of_a_log_without_probabilities(run, folder):
     columns = oee.Transitions.load("log.csv").columns()
     del columns["behavior_probability"]
     oee.Transitions(**columns).save("log.csv")
-    words = f"evaluate {DATA} --policy half=mix:0.5 --horizon 20"
+    words = f"evaluate {DATA} --policy half=mix:0.5 --horizon 20 --all"
     assert "wpdis" not in run(words)
     assert "wpdis" in run(words, "--behavior uniform")
 
