@@ -63,8 +63,8 @@ def plot_grid(
     row, column = np.divmod(places.cell[is_crossed & (places.cell >= 0)], columns)
     size = min(9.0, 120.0 / max(rows, columns))
     for color, width in ((PAPER, 3.6), (COLORS[1], 1.8)):  # a halo, so that it is seen on every shade
-        style = {"marker": "x", "ms": size, "mec": color, "mew": width, "rasterized": rows * columns > N_VECTOR_CELLS}
-        ax.plot(column + 0.5, row + 0.5, ls="none", **style)
+        crosses = ax.plot(column + 0.5, row + 0.5, ls="none", marker="x", ms=size, mec=color, mew=width)
+        crosses[0].set_rasterized(cells.size > N_VECTOR_CELLS)
     if text is not None and max(rows, columns) <= N_TEXT_CELLS:
         _write(ax, mesh, cells, places, text)
     for axis, called in ((ax.xaxis, places.columns), (ax.yaxis, places.rows)):

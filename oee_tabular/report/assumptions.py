@@ -63,7 +63,7 @@ class Assumptions:
             raise ValueError(f"lower_ratio and upper_ratio must fit the log: {found.status}")
         return found
 
-    def shared_interval(self, problem: Problem, policy: Any, confidence: float) -> Interval | None:
+    def model_interval(self, problem: Problem, policy: Any, confidence: float) -> Interval | None:
         """The interval under the tie or the features; None without them."""
         if self.tie is None and self.features is None:
             return None

@@ -105,7 +105,7 @@ def evaluate(
         raise ValueError("policies must hold at least one; it is empty")
     assumptions = Assumptions(**assumed)
     own = assumptions.estimators()
-    chosen, left_out = _chosen(problem, estimators, target)
+    chosen, left_out = _choose_estimators(problem, estimators, target)
     chosen |= own
     truth = {}
     if target is not None:
@@ -216,7 +216,7 @@ def _drop_weightless(raw: Sequence[Result]) -> tuple[list[Result], list[str]]:
     kept = [result for result in raw if WEIGHTLESS not in result.estimate.findings]
     lost = [result for result in raw if WEIGHTLESS in result.estimate.findings]
     names = list(dict.fromkeys(result.policy for result in lost))
-    return kept, [text.without_weights(names, lost[0].estimate.status)] if lost else []
+    return kept, [text.missing_weights(names, lost[0].estimate.status)] if lost else []
 
 
 def _run_estimators(
@@ -248,7 +248,7 @@ def _collect_warnings(
     return (*general, *(sentence for sentence, _ in told)), notes
 
 
-def _chosen(
+def _choose_estimators(
     problem: Problem, estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None, target: FiniteMDP | None
 ) -> tuple[dict[str, Estimator], list[str]]:
     if estimators is None:

@@ -21,7 +21,7 @@ from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.mdp.naming import NAMELESS, Names
 from oee_tabular.plots import Map, map_of
 from oee_tabular.ratio import transition_ratio
-from oee_tabular.report.text import Answer, number, within
+from oee_tabular.report.text import Answer, format_number, format_value
 from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def _grid(grid: Any, n_states: int) -> Map:
     return Map.of_shape(*shape)
 
 
-def changed_rows(portrait: Portrait) -> tuple[list[dict[str, Any]], bool]:
+def largest_changes(portrait: Portrait) -> tuple[list[dict[str, Any]], bool]:
     """The rows with the largest certain change; where none is certain, those with the most evidence, and False."""
     changes = portrait.changes
     pairs = changes.largest(MOST_ROWS)
@@ -173,7 +173,7 @@ def intervals_alone(report: Report, policy: str) -> dict[str, tuple[float, float
     return alone
 
 
-def forest(report: Report, answer: Answer, name: str) -> str:
+def draw_forest(report: Report, answer: Answer, name: str) -> str:
     """Values and intervals of one policy, by estimator."""
     rows = [row for row in report.records() if row["policy"] == answer.policy]
     sure = {name: ends for name, ends in intervals_alone(report, answer.policy).items() if ends is not None}
@@ -186,8 +186,8 @@ def forest(report: Report, answer: Answer, name: str) -> str:
     )  # fmt: skip
     limits = None if np.isfinite([*values, *lower]).any() else (0.0, 1.0)  # lines that say "no value"
     factor = "(1 − discount) × " if report.normalized else ""
-    told = "; ".join(f"{row['estimator']} {within(row['value'], row['lower'], row['upper'])}" for row in rows)
-    truth = "" if answer.truth is None else f" The dashed line is the exact value, {number(answer.truth)}."
+    told = "; ".join(f"{row['estimator']} {format_value(row['value'], row['lower'], row['upper'])}" for row in rows)
+    truth = "" if answer.truth is None else f" The dashed line is the exact value, {format_number(answer.truth)}."
     return plots.figure_svg(
         lambda ax: plots.plot_intervals(
             labels, values, lower, upper, ax, truth=answer.truth, limits=limits,
@@ -199,7 +199,7 @@ def forest(report: Report, answer: Answer, name: str) -> str:
     )  # fmt: skip
 
 
-def recorded(portrait: Portrait, name: str) -> str:
+def draw_recorded(portrait: Portrait, name: str) -> str:
     """What the log has seen, on the grid."""
     assert portrait.map is not None
     places, recorded_in = portrait.map, portrait.counts.sum(axis=1)
@@ -212,7 +212,7 @@ def recorded(portrait: Portrait, name: str) -> str:
     )  # fmt: skip
 
 
-def visited(portrait: Portrait, policy: str, visits: Visits, name: str) -> str:
+def draw_visits(portrait: Portrait, policy: str, visits: Visits, name: str) -> str:
     """Where a policy goes, on the grid or as a ranking of states."""
     time = visits.states
     first = ", ".join(
@@ -239,7 +239,7 @@ def visited(portrait: Portrait, policy: str, visits: Visits, name: str) -> str:
     )  # fmt: skip
 
 
-def changed(portrait: Portrait, name: str) -> str:
+def draw_changes(portrait: Portrait, name: str) -> str:
     """On the grid, by how much the target differs for certain: the largest of each state's actions."""
     assert portrait.map is not None
     places, least = portrait.map, portrait.changes.certain.max(axis=1)

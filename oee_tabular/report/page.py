@@ -23,8 +23,8 @@ from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.names import NAMED
 from oee_tabular.report import figures, text
-from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, changed_rows, intervals_alone, portray
-from oee_tabular.report.terminal import DIAGNOSTICS, diagnostic_cells, shown
+from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, intervals_alone, largest_changes, portray
+from oee_tabular.report.terminal import DIAGNOSTICS, diagnostic_cells, format_or_blank
 from oee_tabular.report.text import Answer
 
 if TYPE_CHECKING:
@@ -49,21 +49,22 @@ def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | 
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters |= {
-        "number": text.number, "between": text.between, "within": text.within, "legible": legible, "share": _printing.share,
+        "number": text.format_number, "between": text.format_interval, "within": text.format_value, "legible": legible,
+        "share": _printing.share,
     }  # fmt: skip
     name = answers[0].policy if len(answers) == 1 else f"{len(answers)} policies"
     page = environment.get_template("report.html.j2").render(
         title=title or f"Evaluation of {name}",
         style=Markup(environment.get_template("report.css").render()),
         report=report,
-        level=text.level(report.confidence),
+        level=text.format_level(report.confidence),
         has_simulator=any(answer.simulator is not None and answer.is_from_log for answer in answers),
         comparison={row["policy"]: row for row in report.comparison()},
         answers=[
             {
                 "about": answer,
                 "sentence": report.uncertainty.policies.get(answer.policy, ""),
-                "picture": Markup(figures.forest(report, answer, f"forest{k}")),
+                "picture": Markup(figures.draw_forest(report, answer, f"forest{k}")),
                 "rows": _rows(report, answer),
             }
             for k, answer in enumerate(answers)
@@ -107,15 +108,15 @@ def _rows(report: Report, answer: Answer) -> list[dict[str, Any]]:
     """The rows of one policy's table: the intervals that stand alone, then one row an estimator; the answer's is strong."""
     rows: list[dict[str, Any]] = [
         {"name": name, "value": "", "method": "", "notes": (), "strong": False,
-         "interval": "none" if ends is None else text.between(ends[0] * report.scale, ends[1] * report.scale)}
+         "interval": "none" if ends is None else text.format_interval(ends[0] * report.scale, ends[1] * report.scale)}
         for name, ends in intervals_alone(report, answer.policy).items()
     ]  # fmt: skip
     for row in report.records():
         if row["policy"] == answer.policy:
             ends = row["lower"], row["upper"]
             rows.append(
-                {"name": row["estimator"], "value": text.within(row["value"], *ends), "interval": text.between(*ends),
-                 "method": row["interval_method"] or "", "notes": row["notes"],
+                {"name": row["estimator"], "value": text.format_value(row["value"], *ends),
+                 "interval": text.format_interval(*ends), "method": row["interval_method"] or "", "notes": row["notes"],
                  "strong": row["estimator"] == answer.estimator}
             )  # fmt: skip
     return rows
@@ -178,12 +179,12 @@ def _coverage(portrait: Portrait, report: Report, markup: Any) -> dict[str, Any]
         {
             "policy": name,
             "coverage": _printing.share(visits.coverage),
-            "picture": markup(figures.visited(portrait, name, visits, f"visits{k}")),
+            "picture": markup(figures.draw_visits(portrait, name, visits, f"visits{k}")),
         }
         for k, (name, visits) in enumerate(portrait.visits.items())
     ]
     return {
-        "recorded": None if portrait.map is None else markup(figures.recorded(portrait, "recorded")),
+        "recorded": None if portrait.map is None else markup(figures.draw_recorded(portrait, "recorded")),
         "policies": rows,
         "left_out": max(0, len(report.policies) - MOST_POLICIES) if portrait.visits else 0,
         "never": portrait.never,
@@ -196,10 +197,10 @@ def _coverage(portrait: Portrait, report: Report, markup: Any) -> dict[str, Any]
 
 
 def _changes(portrait: Portrait, markup: Any) -> dict[str, Any]:
-    rows, certain = changed_rows(portrait)
+    rows, certain = largest_changes(portrait)
     picture = None
     if certain and portrait.map is not None:
-        picture = markup(figures.changed(portrait, "changes"))
+        picture = markup(figures.draw_changes(portrait, "changes"))
     return {
         "rows": rows,
         "named": portrait.names.states is not None,
@@ -213,7 +214,10 @@ def _changes(portrait: Portrait, markup: Any) -> dict[str, Any]:
 def _diagnostics(report: Report) -> list[dict[str, Any]]:
     table = []
     for row in report.records():
-        errors = [shown(row["standard_error"], ".2g"), *([shown(row["error"], "+.2g")] if report.truth else [])]
+        errors = [
+            format_or_blank(row["standard_error"], ".2g"),
+            *([format_or_blank(row["error"], "+.2g")] if report.truth else []),
+        ]
         cells = [cell.replace("-", "−") for cell in (*errors, *diagnostic_cells(row))]
         table.append({"policy": row["policy"], "estimator": row["estimator"], "cells": cells, "status": row["status"]})
     return table

@@ -152,11 +152,11 @@ class Report:
         if not answers:
             return text.NO_VALUE
         conflict = None if self.problem is None or self.problem.rewards == "log" else self.problem.reward_conflict
-        first = "" if conflict is None else text.contradicting_rewards(str(conflict))
+        first = "" if conflict is None else text.reward_conflict(str(conflict))
         if len(self.answers) == 1:
-            told = text.worth(answers[0], self.confidence)
+            told = text.policy_worth(answers[0], self.confidence)
         else:
-            told = " ".join(filter(None, (text.nearly_silent(answers), self.uncertainty.ranking)))
+            told = " ".join(filter(None, (text.silent_log(answers), self.uncertainty.ranking)))
         return " ".join(filter(None, (first, told)))
 
     @property
@@ -172,7 +172,7 @@ class Report:
         if len(self.answers) == 1 or not answers:
             return self.headline
         ordered = sorted(answers, key=lambda answer: -answer.value)
-        return " ".join([self.headline, *(text.worth(answer, self.confidence) for answer in ordered)])
+        return " ".join([self.headline, *(text.policy_worth(answer, self.confidence) for answer in ordered)])
 
     def records(self) -> list[dict[str, Any]]:
         """The results as plain rows, in the report's unit (diagnostics that are values as well)."""
@@ -189,7 +189,7 @@ class Report:
                     "standard_error": None if error is None else error * factor,
                     "lower": None if interval is None else interval[0] * factor,
                     "upper": None if interval is None else interval[1] * factor,
-                    **sampling_columns(self._quoted_likelihood(result), factor),
+                    **sampling_columns(self._likelihood_interval(result), factor),
                     "interval_method": None if interval is None else estimate.diagnostics.get("interval_method", OWN),
                     "true_value": None if truth is None else truth * factor,
                     "error": None if truth is None else (estimate.value - truth) * factor,
@@ -204,7 +204,7 @@ class Report:
             )
         return rows
 
-    def _quoted_likelihood(self, result: Result) -> Interval | None:
+    def _likelihood_interval(self, result: Result) -> Interval | None:
         """The likelihood interval, where the result quotes it."""
         if result.estimate.diagnostics.get("interval_method") != LIKELIHOOD:
             return None

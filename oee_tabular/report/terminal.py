@@ -27,7 +27,7 @@ def render(report: Report, *, all: bool, verbose: bool) -> str:
     rows = report.rows(all=all)
     notes = notes_of(report, rows)
     first = notes if verbose else notes[:N_NOTES]
-    rest = text.left_out(len(notes) - len(first), len(report.results) - len(rows))
+    rest = text.omissions(len(notes) - len(first), len(report.results) - len(rows))
     return join(
         fold([report.headline]),
         comparison_table(report),
@@ -109,13 +109,13 @@ def comparison_table(report: Report) -> list[str]:
         exact = [f"{report.truth[row['policy']] * report.scale:.6g}"] if report.truth else []
         table.append([row["policy"], value, interval, best, " ".join(less).strip(), *exact])
     has_no_best = any(row["probability_best"] is None for row in rows)
-    return [*aligned(table, numeric_from=1), *([text.NO_P_BEST] if has_no_best else [])]
+    return [*align_columns(table, numeric_from=1), *([text.NO_P_BEST] if has_no_best else [])]
 
 
 def estimator_table(report: Report, rows: Sequence[Mapping[str, Any]], *, verbose: bool) -> list[str]:
     """A row each policy and estimator."""
     body = [cells(report, row, verbose=verbose) for row in rows]
-    lines = aligned([header(report, verbose=verbose), *body], numeric_from=2)
+    lines = align_columns([header(report, verbose=verbose), *body], numeric_from=2)
     return [lines[0], "-" * max(len(line) for line in lines), *lines[1:]]
 
 
@@ -131,8 +131,8 @@ def header(report: Report, *, verbose: bool) -> list[str]:
 def cells(report: Report, row: Mapping[str, Any], *, verbose: bool) -> list[str]:
     """The cells of one row, below ``header``."""
     value, interval = value_and_interval(row["value"], row["lower"], row["upper"])
-    error = [shown(row["error"], "+.2g")] if report.truth else []
-    deviation, note = shown(row["standard_error"], ".2g"), "".join(f"[{k}]" for k in row["notes"])
+    error = [format_or_blank(row["error"], "+.2g")] if report.truth else []
+    deviation, note = format_or_blank(row["standard_error"], ".2g"), "".join(f"[{k}]" for k in row["notes"])
     if not verbose:
         return [row["policy"], row["estimator"], value, interval, *(error or [deviation]), note]
     return [row["policy"], row["estimator"], value, deviation, interval, *error, *diagnostic_cells(row), note]
@@ -147,7 +147,7 @@ def value_and_interval(value: float | None, lower: float | None, upper: float | 
     return f"{value:{_printing.spec(lower, upper)}}", _printing.interval(lower, upper)
 
 
-def shown(value: float | None, form: str) -> str:
+def format_or_blank(value: float | None, form: str) -> str:
     """A number, or nothing."""
     return "" if value is None else format(value, form)
 
@@ -157,7 +157,7 @@ def diagnostic_cells(row: Mapping[str, Any]) -> list[str]:
     return ["" if row.get(key) is None else words(row[key]) for key, _, words in DIAGNOSTICS]
 
 
-def aligned(rows: Sequence[Sequence[str]], *, numeric_from: int) -> list[str]:
+def align_columns(rows: Sequence[Sequence[str]], *, numeric_from: int) -> list[str]:
     """The lines of a table; columns from ``numeric_from`` on stand to the right."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return [

@@ -81,7 +81,7 @@ class Answer:
 # numbers
 
 
-def number(value: float | None, digits: int = 4) -> str:
+def format_number(value: float | None, digits: int = 4) -> str:
     """Write a number with a real minus sign; an en dash for None."""
     if value is None:
         return "–"
@@ -90,21 +90,21 @@ def number(value: float | None, digits: int = 4) -> str:
     return f"{value:#.{digits}g}".removesuffix(".").replace("-", "−") if value else "0"
 
 
-def within(value: float | None, lower: float | None, upper: float | None) -> str:
+def format_value(value: float | None, lower: float | None, upper: float | None) -> str:
     """Write a number with as many digits as its interval has."""
     if value is None or lower is None or upper is None or not math.isfinite(value):
-        return number(value)
+        return format_number(value)
     return format(value, _printing.spec(lower, upper)).replace("-", "−")
 
 
-def between(lower: float | None, upper: float | None, joint: str = " to ") -> str:
+def format_interval(lower: float | None, upper: float | None, joint: str = " to ") -> str:
     """Write an interval."""
     if lower is None or upper is None:
         return "–"
-    return f"{within(lower, lower, upper)}{joint}{within(upper, lower, upper)}"
+    return f"{format_value(lower, lower, upper)}{joint}{format_value(upper, lower, upper)}"
 
 
-def level(confidence: float) -> str:
+def format_level(confidence: float) -> str:
     """Write a confidence, 95% or 99.9%."""
     return f"{confidence:.4%}".rstrip("0%").rstrip(".") + "%"
 
@@ -118,31 +118,31 @@ def list_names(policies: Sequence[str]) -> str:
 # the answer
 
 
-def contradicting_rewards(conflict: str) -> str:
+def reward_conflict(conflict: str) -> str:
     """Say that the log does not pay what the simulator pays; ``conflict`` says where."""
     return f"{conflict[0].upper()}{conflict[1:]}, so this rests on rewards that may be wrong."
 
 
-def worth(answer: Answer, confidence: float) -> str:
+def policy_worth(answer: Answer, confidence: float) -> str:
     """Say what one policy is worth, beside what the simulator says."""
     ends = answer.lower, answer.upper
     if answer.is_nearly_silent and answer.coverage is not None:
         told = f"The log covers {_printing.share(answer.coverage)} of what the policy “{answer.policy}” does: "
-        known = f"between {between(*ends, ' and ')} ({level(confidence)} interval)"
-        told += known if answer.lower is not None else f"about {number(answer.value)}, without an interval"
+        known = f"between {format_interval(*ends, ' and ')} ({format_level(confidence)} interval)"
+        told += known if answer.lower is not None else f"about {format_number(answer.value)}, without an interval"
     else:
-        told = f"In the target, the policy “{answer.policy}” is worth about {within(answer.value, *ends)}"
-        told += f" ({level(confidence)} interval: {between(*ends)})" if answer.lower is not None else ""
+        told = f"In the target, the policy “{answer.policy}” is worth about {format_value(answer.value, *ends)}"
+        told += f" ({format_level(confidence)} interval: {format_interval(*ends)})" if answer.lower is not None else ""
     if answer.simulator is not None and answer.is_from_log:
-        told += f"; the simulator says {within(answer.simulator, *ends)}"
+        told += f"; the simulator says {format_value(answer.simulator, *ends)}"
         if answer.simulator_error is not None:
-            told += f" (standard error {number(answer.simulator_error, 2)}, because it was sampled)"
+            told += f" (standard error {format_number(answer.simulator_error, 2)}, because it was sampled)"
     if answer.truth is not None:
-        told += f". The exact value, known here, is {number(answer.truth)}"
+        told += f". The exact value, known here, is {format_number(answer.truth)}"
     return f"{told}."
 
 
-def nearly_silent(answers: Sequence[Answer]) -> str:
+def silent_log(answers: Sequence[Answer]) -> str:
     """Say of which policies the log is nearly silent; "" of none."""
     silent = [answer for answer in answers if answer.is_nearly_silent]
     shares = ", ".join(f"{_printing.share(a.coverage or 0.0)} of what “{a.policy}” does" for a in silent)
@@ -158,7 +158,8 @@ def best_policy(
     """Say which policy is worth most, and by how much: ``margin`` (difference, lower, upper)."""
     told = f"Of {n_policies} policies, “{best}” is worth most in the target."
     if math.isfinite(margin[0]):
-        told += f" It is better than “{following}” by {within(*margin)} ({level(confidence)}: {between(*margin[1:])})."
+        told += f" It is better than “{following}” by {format_value(*margin)}"
+        told += f" ({format_level(confidence)}: {format_interval(*margin[1:])})."
         if overlap:
             told += (
                 " The difference is known more precisely than either value because both rest on the same transitions."
@@ -166,7 +167,7 @@ def best_policy(
     return told
 
 
-def undecided(candidates: Sequence[str], n_policies: int, *, are_equal: bool) -> str:
+def no_best_policy(candidates: Sequence[str], n_policies: int, *, are_equal: bool) -> str:
     """Say that the log cannot say, or that the candidates are worth the same."""
     others = n_policies - len(candidates)
     less = f"; the other {others} {'is' if others == 1 else 'are'} worth less" if others else ""
@@ -178,7 +179,7 @@ def undecided(candidates: Sequence[str], n_policies: int, *, are_equal: bool) ->
 # how sure
 
 
-def rejected_pairs(rejected: int, tested: int) -> str:
+def pair_rejections(rejected: int, tested: int) -> str:
     """Say in how many pairs the data reject the simulator."""
     return (
         f"The target differs from the simulator: the data reject the simulator in {rejected} of the {tested} state-action "
@@ -186,7 +187,7 @@ def rejected_pairs(rejected: int, tested: int) -> str:
     )
 
 
-def rejected_together(z: float) -> str:
+def joint_rejection(z: float) -> str:
     """Say that the data reject the simulator, though in no single pair."""
     return (
         f"No single state-action pair shows it, but together the data reject the simulator (z = {z:.1f}): transitions that "
@@ -194,18 +195,18 @@ def rejected_together(z: float) -> str:
     )
 
 
-def not_rejected(tested: int) -> str:
+def agreement(tested: int) -> str:
     """Say that the data agree with the simulator."""
     pairs = f"any of the {tested} state-action pairs" if tested > 1 else "the one state-action pair"
     return f"The data do not reject the simulator, neither in {pairs} recorded nor together."
 
 
-def no_intervals(reason: str) -> str:
+def missing_intervals(reason: str) -> str:
     """Say why there are no likelihood intervals."""
     return f"There are no likelihood intervals: {reason}."
 
 
-def assumed_at_worst(unrecorded: int, share: float, *, dropped: bool) -> str:
+def worst_case(unrecorded: int, share: float, *, dropped: bool) -> str:
     """Say what the quoted interval lets unrecorded pairs do; "" where there are none."""
     told = ""
     if unrecorded:
@@ -214,14 +215,14 @@ def assumed_at_worst(unrecorded: int, share: float, *, dropped: bool) -> str:
     return f"{told}{' ' * bool(told)}Dropped transitions may lead anywhere in it." if dropped else told
 
 
-def narrower(lower: float, upper: float) -> str:
+def sampling_interval(lower: float, upper: float) -> str:
     """Say what the recorded transitions alone leave open."""
-    return f"The recorded transitions alone, with those pairs as estimated, give {between(lower, upper)}."
+    return f"The recorded transitions alone, with those pairs as estimated, give {format_interval(lower, upper)}."
 
 
-def guaranteed(lower: float, upper: float) -> str:
+def interval_at_any_size(lower: float, upper: float) -> str:
     """Say the interval that holds at any sample size."""
-    return f"The interval guaranteed at any sample size is {between(lower, upper)}."
+    return f"The interval guaranteed at any sample size is {format_interval(lower, upper)}."
 
 
 # the table
@@ -229,16 +230,16 @@ def guaranteed(lower: float, upper: float) -> str:
 
 def legend(method: str, estimators: Sequence[str], confidence: float) -> str:
     """Say what the intervals of some estimators are."""
-    return f"{level(confidence)} interval of {', '.join(estimators)} ({method}): {METHODS.get(method, method)}"
+    return f"{format_level(confidence)} interval of {', '.join(estimators)} ({method}): {METHODS.get(method, method)}"
 
 
-def left_out(notes: int, rows: int) -> str:
+def omissions(notes: int, rows: int) -> str:
     """Say what a short report leaves out; "" where that is nothing."""
     told = [f"{notes} more note{'s' * (notes > 1)} with --verbose"] * bool(notes)
     told += [f"{rows} more row{'s' * (rows > 1)} with --all"] * bool(rows)
     return f"{' and '.join(told)} (in Python: to_text(verbose=True, all=True))." if told else ""
 
 
-def without_weights(policies: Sequence[str], status: str) -> str:
+def missing_weights(policies: Sequence[str], status: str) -> str:
     """Say why importance sampling is left out."""
     return f"Importance sampling is left out ({', '.join(policies)}): {status}."

@@ -118,14 +118,14 @@ def assess(
         raise ValueError(f"guaranteed must be False here: {lacking}")
     distance = [text.SOFT if problem.soft else _test_simulator(evidence)]
     if lacking and not problem.soft:
-        distance.append(text.no_intervals(lacking))
+        distance.append(text.missing_intervals(lacking))
     del evidence  # as much memory as the simulator
     intervals: dict[str, dict[str, Interval]] = {}
     for i, (name, policy) in enumerate({} if lacking or problem.soft else policies.items()):
         _progress.report_step(f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})")
         methods = (LIKELIHOOD, GUARANTEED) if guaranteed else (LIKELIHOOD,)
         intervals[name] = {m: assumed.interval(problem, policy, method=m, confidence=confidence) for m in methods}
-        if (shared := assumed.shared_interval(problem, policy, confidence)) is not None:
+        if (shared := assumed.model_interval(problem, policy, confidence)) is not None:
             intervals[name][SHARED] = shared
     _progress.report_step("comparison of the policies, and what to record next")
     comparison = None
@@ -149,7 +149,7 @@ def with_ranking(uncertainty: Uncertainty, values: Mapping[str, float], scale: f
         return replace(uncertainty, ranking=text.NEEDS_HORIZON)
     decision = uncertainty.comparison.decide(values, uncertainty.likelihood)
     if decision.best is None or decision.margin is None:
-        ranking = text.undecided(decision.candidates, len(values), are_equal=decision.are_equal)
+        ranking = text.no_best_policy(decision.candidates, len(values), are_equal=decision.are_equal)
         return replace(uncertainty, decision=decision, ranking=ranking)
     best, following = sorted(values, key=lambda name: -values[name] if math.isfinite(values[name]) else math.inf)[:2]
     ours, theirs = (uncertainty.likelihood.get(name) for name in (best, following))
@@ -190,12 +190,12 @@ def _test_simulator(evidence: Evidence) -> str:
     kl = rows.sums(special.rel_entr(phat, rows.weights))
     rejected = int((kl > independent_radius(n, np.diff(rows.indptr), 0.05 / n_tested)).sum())
     if rejected:
-        return text.rejected_pairs(rejected, n_tested)
+        return text.pair_rejections(rejected, n_tested)
     phi = rows.center(np.log(rows.weights))
     score = float(np.sum(rows.spread(n) * (phat - rows.weights) * phi))
     spread = float(np.sum(rows.spread(n) * rows.weights * phi**2))
     z = score / np.sqrt(spread) if spread > 0 else 0.0
-    return text.not_rejected(n_tested) if abs(z) < MIN_Z else text.rejected_together(z)
+    return text.agreement(n_tested) if abs(z) < MIN_Z else text.joint_rejection(z)
 
 
 def _describe(found: Mapping[str, Interval], scale: float) -> str:
@@ -205,9 +205,9 @@ def _describe(found: Mapping[str, Interval], scale: float) -> str:
         return f"{quoted.status}."
     facts = quoted.diagnostics
     dropped = bool(facts.get("dropped_moves", 0.0))
-    told = [text.assumed_at_worst(int(facts["unvisited_rows"]), facts["unvisited_share"], dropped=dropped)]
+    told = [text.worst_case(int(facts["unvisited_rows"]), facts["unvisited_share"], dropped=dropped)]
     if quoted.sampling is not None and quoted.width > MUCH_WIDER * (quoted.sampling[1] - quoted.sampling[0]):
-        told.append(text.narrower(quoted.sampling[0] * scale, quoted.sampling[1] * scale))
+        told.append(text.sampling_interval(quoted.sampling[0] * scale, quoted.sampling[1] * scale))
     if GUARANTEED in found:
-        told.append(text.guaranteed(found[GUARANTEED].lower * scale, found[GUARANTEED].upper * scale))
+        told.append(text.interval_at_any_size(found[GUARANTEED].lower * scale, found[GUARANTEED].upper * scale))
     return " ".join(filter(None, told))

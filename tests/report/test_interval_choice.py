@@ -20,7 +20,7 @@ import oee_tabular as oee
 from oee_tabular import _printing
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
 from oee_tabular.report import uncertainty
-from oee_tabular.report.text import between, within
+from oee_tabular.report.text import format_interval, format_value
 
 SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3, discount=0.9), oee.tasks.gridworld(4, 0.1, discount=0.9)
 MINE = oee.tasks.gridworld_policy(4, 0.5)
@@ -124,8 +124,8 @@ def test_the_same_interval_stands_everywhere(tmp_path):
     (answer,) = report.answers
     assert (answer.lower, answer.upper, answer.method) == (*ends, "likelihood")
     page = report.to_html()
-    assert between(*ends) in page
-    assert within(row["value"], *ends) in page
+    assert format_interval(*ends) in page
+    assert format_value(row["value"], *ends) in page
 
 
 def test_where_there_is_no_likelihood_interval_the_estimators_own_stands_at_the_level_asked_for(monkeypatch):
@@ -155,7 +155,7 @@ def test_a_value_outside_gives_way_to_the_interval_s_nearer_end(end):
     told = [report.warnings[k - 1] for k in row["notes"]]
     expected = f"own value, {shown}, lies outside the interval that the log allows. The interval's {end} end stands"
     assert any(expected in text for text in told)
-    assert f"is worth about {within(row['value'], row['lower'], row['upper'])}" in report.to_html()
+    assert f"is worth about {format_value(row['value'], row['lower'], row['upper'])}" in report.to_html()
 
 
 def test_a_value_inside_stays():

@@ -16,7 +16,7 @@ from oee_tabular import _files
 from oee_tabular.cli import main
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
 from oee_tabular.report import Report
-from oee_tabular.report.text import between, number, within
+from oee_tabular.report.text import format_interval, format_number, format_value
 
 VOID = {"meta", "link", "br", "hr", "img", "input"}
 
@@ -110,8 +110,8 @@ def test_it_says_the_answer_and_how_it_was_found(report, page):
     value = next(row["value"] for row in report.records() if (row["policy"], row["estimator"]) == ("bold", "oee"))
     sure = report.uncertainty.intervals["bold"]["likelihood"]
     assert "Of 2 policies, “bold” is worth most in the target" in text
-    assert between(sure.lower, sure.upper) in text
-    assert within(value, sure.lower, sure.upper) in text
+    assert format_interval(sure.lower, sure.upper) in text
+    assert format_value(value, sure.lower, sure.upper) in text
     assert "sum of discount^t * reward over t >= 0, discount 0.99 (not normalised)" in text
     assert "lake log.npz" in text
     assert f"oee_tabular {oee.__version__}, seed 3" in text
@@ -234,11 +234,11 @@ def test_the_sentence_for_one_policy_for_none_and_without_intervals():
 
 
 def test_numbers_are_set_for_reading():
-    assert [number(x) for x in (-0.5, 0.0, 1234.5678, 1e-30, math.inf, None, math.nan)] == [
+    assert [format_number(x) for x in (-0.5, 0.0, 1234.5678, 1e-30, math.inf, None, math.nan)] == [
         "−0.5000", "0", "1235", "1.000e−30", "inf", "–", "no value",
     ]  # fmt: skip
-    assert between(-1.0, 2.0) == "−1.000 to 2.000"
-    assert between(None, 1.0) == "–"
+    assert format_interval(-1.0, 2.0) == "−1.000 to 2.000"
+    assert format_interval(None, 1.0) == "–"
 
 
 def test_it_is_written_whole_into_a_folder_that_is_made(report, page, tmp_path, monkeypatch):

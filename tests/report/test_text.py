@@ -35,17 +35,17 @@ def answer(**changes):
     ],
 )  # fmt: skip
 def test_what_a_policy_is_worth(changes, sentence):
-    assert text.worth(answer(**changes), 0.95) == sentence
+    assert text.policy_worth(answer(**changes), 0.95) == sentence
 
 
 @pytest.mark.parametrize(
     ("made", "sentence"),
     [
-        (text.contradicting_rewards("the log's rewards contradict the simulator's in 3 of 3 transitions (s=0)"),
+        (text.reward_conflict("the log's rewards contradict the simulator's in 3 of 3 transitions (s=0)"),
          "The log's rewards contradict the simulator's in 3 of 3 transitions (s=0), so this rests on "
          "rewards that may be wrong."),
-        (text.nearly_silent([answer(), answer(policy="b", coverage=0.2)]), "The log covers only 20.0% of what “b” does."),
-        (text.nearly_silent([answer()]), ""),
+        (text.silent_log([answer(), answer(policy="b", coverage=0.2)]), "The log covers only 20.0% of what “b” does."),
+        (text.silent_log([answer()]), ""),
         (text.best_policy("a", "b", 3, (0.25, 0.125, 0.5), 0.95, overlap=False),
          "Of 3 policies, “a” is worth most in the target. It is better than “b” by 0.2500 (95%: 0.1250 to 0.5000)."),
         (text.best_policy("a", "b", 2, (0.25, 0.125, 0.5), 0.999, overlap=True),
@@ -53,42 +53,42 @@ def test_what_a_policy_is_worth(changes, sentence):
          "difference is known more precisely than either value because both rest on the same transitions."),
         (text.best_policy("a", "b", 2, (float("nan"), 0.0, 0.0), 0.95, overlap=True),
          "Of 2 policies, “a” is worth most in the target."),
-        (text.undecided(["a", "b"], 4, are_equal=False),
+        (text.no_best_policy(["a", "b"], 4, are_equal=False),
          "The log cannot say which of “a” and “b” is worth most in the target; the other 2 are worth less."),
-        (text.undecided(["a", "b", "c"], 4, are_equal=True),
+        (text.no_best_policy(["a", "b", "c"], 4, are_equal=True),
          "“a”, “b” and “c” are worth the same in the target; the other 1 is worth less."),
-        (text.undecided(["a", "b"], 2, are_equal=False),
+        (text.no_best_policy(["a", "b"], 2, are_equal=False),
          "The log cannot say which of “a” and “b” is worth most in the target."),
-        (text.rejected_pairs(3, 40),
+        (text.pair_rejections(3, 40),
          "The target differs from the simulator: the data reject the simulator in 3 of the 40 state-action pairs recorded."),
-        (text.rejected_together(24.51),
+        (text.joint_rejection(24.51),
          "No single state-action pair shows it, but together the data reject the simulator (z = 24.5): transitions that the "
          "simulator calls likely are more frequent in the target."),
-        (text.rejected_together(-4.0),
+        (text.joint_rejection(-4.0),
          "No single state-action pair shows it, but together the data reject the simulator (z = -4.0): transitions that the "
          "simulator calls likely are less frequent in the target."),
-        (text.not_rejected(60),
+        (text.agreement(60),
          "The data do not reject the simulator, neither in any of the 60 state-action pairs recorded nor together."),
-        (text.not_rejected(1),
+        (text.agreement(1),
          "The data do not reject the simulator, neither in the one state-action pair recorded nor together."),
-        (text.no_intervals("quick was asked for"), "There are no likelihood intervals: quick was asked for."),
-        (text.assumed_at_worst(1, 0.003, dropped=False),
+        (text.missing_intervals("quick was asked for"), "There are no likelihood intervals: quick was asked for."),
+        (text.worst_case(1, 0.003, dropped=False),
          "The interval assumes the worst for 1 unrecorded state-action pair (0.3% of the time)."),
-        (text.assumed_at_worst(4, 0.25, dropped=True),
+        (text.worst_case(4, 0.25, dropped=True),
          "The interval assumes the worst for 4 unrecorded state-action pairs (25.0% of the time). "
          "Dropped transitions may lead anywhere in it."),
-        (text.assumed_at_worst(0, 0.0, dropped=True), "Dropped transitions may lead anywhere in it."),
-        (text.assumed_at_worst(0, 0.0, dropped=False), ""),
-        (text.narrower(-2.0, 1.0),
+        (text.worst_case(0, 0.0, dropped=True), "Dropped transitions may lead anywhere in it."),
+        (text.worst_case(0, 0.0, dropped=False), ""),
+        (text.sampling_interval(-2.0, 1.0),
          "The recorded transitions alone, with those pairs as estimated, give −2.000 to 1.000."),
-        (text.guaranteed(-3.0, 2.0), "The interval guaranteed at any sample size is −3.000 to 2.000."),
+        (text.interval_at_any_size(-3.0, 2.0), "The interval guaranteed at any sample size is −3.000 to 2.000."),
         (text.legend("one-step", ["oee", "mine"], 0.9),
          "90% interval of oee, mine (one-step): value ± normal quantile × standard error. Pairs that were never recorded count "
          "as recorded once."),
-        (text.left_out(0, 0), ""),
-        (text.left_out(2, 1),
+        (text.omissions(0, 0), ""),
+        (text.omissions(2, 1),
          "2 more notes with --verbose and 1 more row with --all (in Python: to_text(verbose=True, all=True))."),
-        (text.without_weights(["a", "b"], "no weight"), "Importance sampling is left out (a, b): no weight."),
+        (text.missing_weights(["a", "b"], "no weight"), "Importance sampling is left out (a, b): no weight."),
     ],
 )  # fmt: skip
 def test_sentences(made, sentence):
@@ -96,6 +96,6 @@ def test_sentences(made, sentence):
 
 
 def test_numbers_and_lists():
-    assert [text.level(x) for x in (0.95, 0.999, 0.9)] == ["95%", "99.9%", "90%"]
+    assert [text.format_level(x) for x in (0.95, 0.999, 0.9)] == ["95%", "99.9%", "90%"]
     assert text.list_names(["a"]) == "“a”"
-    assert text.within(-0.123456, -1.0, 1.0) == "−0.123"
+    assert text.format_value(-0.123456, -1.0, 1.0) == "−0.123"
