@@ -21,9 +21,14 @@ TOLERANCE = 1e-6  # of the largest reward: what differs by less agrees
 
 @dataclass(frozen=True)
 class RewardConflict:
-    """In how many transitions the log pays something else than the simulator, and a sentence about it."""
+    """In how many of the log's transitions it pays something else than the simulator, and a sentence about it.
+
+    ``at_most``: of transitions that were counted, only the least and the largest reward are known.
+    """
 
     rows: int
+    of_rows: int
+    at_most: bool
     sentence: str
 
     def __str__(self) -> str:
@@ -82,11 +87,10 @@ def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> Rewar
     moves = np.unique(np.stack([log.state[differ], log.action[differ], log.next_state[differ]]), axis=1)
     k = int(differ[np.argmax(gap[differ])])
     rows = round(float(number[differ].sum()))
-    # of transitions that were counted, only the least and the largest reward are known
-    bound = "up to " if (least[differ] < most[differ]).any() else ""
-    return RewardConflict(
-        rows,
-        f"the log's rewards contradict the simulator's in {bound}{rows} of {len(log)} transitions ({moves.shape[1]} different "
-        f"moves; {simulator.names.transition(log.state[k], log.action[k], log.next_state[k])} pays {far[k]:g} in the log, "
-        f"{expected[k]:g} in the simulator)",
+    at_most = bool((least[differ] < most[differ]).any())
+    where = simulator.names.transition(log.state[k], log.action[k], log.next_state[k])
+    sentence = (
+        f"the log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of {len(log)} transitions "
+        f"({moves.shape[1]} different moves; {where} pays {far[k]:g} in the log, {expected[k]:g} in the simulator)"
     )
+    return RewardConflict(rows, len(log), at_most, sentence)
