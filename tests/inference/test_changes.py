@@ -18,7 +18,6 @@ def test_the_simulator_s_own_log_changes_nothing():
     log = oee.sample_transitions(SIMULATOR, np.full((16, 4), 1 / 64), 4_000, seed=1)
     found = row_changes(oee.Problem(SIMULATOR, log))
     assert found.n_certain == 0
-    assert found.largest() == []
     assert found.counts.sum() == 4_000
 
 

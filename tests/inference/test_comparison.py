@@ -152,11 +152,6 @@ def test_where_the_log_cannot_say_there_is_no_probability():
     assert wide.decide(shown, ends).margin == (4.0, 3.0, 5.0)
 
 
-def test_the_same_seed_gives_the_same_ranking():
-    one, two = (compare_policies(problem(500, 0), POLICIES, seed=3) for _ in range(2))
-    assert (one.probability_best == two.probability_best).all()
-
-
 def test_measures_of_selection():
     found = selection_measures([1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 0.0])
     assert_allclose(found.rank_correlation, -0.4)
@@ -170,18 +165,12 @@ def test_measures_of_selection():
     ("call", "text"),
     [
         (
-            lambda: compare_policies(problem(9, 0), {"one": POLICIES["delta=0.5"]}),
+            lambda: compare_policies(problem(9, 0), {"one": 16 * SHARE}),
             "policies must be at least two to compare",
         ),
-        (
-            lambda: compare_policies(problem(9, 0), POLICIES, method="robust"),
-            "method must be one of 'delta', 'bootstrap'",
-        ),
+        (lambda: compare_policies(problem(9, 0), POLICIES, method="no"), "method must be one of 'delta', 'bootstrap'"),
         (lambda: compare_policies(problem(9, 0), POLICIES, confidence=0), r"confidence must be in \(0, 1\); it is 0"),
-        (
-            lambda: selection_measures([1], [1]),
-            "estimates and truths must have one length of at least 2; they have 1 and 1",
-        ),
+        (lambda: selection_measures([1], [1]), "must have one length of at least 2; they have 1 and 1"),
         (lambda: selection_measures([1, np.nan], [1, 2]), r"estimates\[1\] must be finite; it is nan"),
         (lambda: selection_measures([1, 2], [1, 2], k=3), "k must be at most the number of policies, 2; it is 3"),
     ],

@@ -128,8 +128,6 @@ def test_a_problem_drops_what_it_says():
     for row in report.records():
         if row["estimator"] in ("oee", "model-based"):
             assert row["lower"] < row["value"] < row["upper"]
-    with pytest.raises(ValueError, match=r"^impossible must be one of 'refuse', 'drop'; got 'allow' \(to allow "):
-        oee.Problem(simulator, log, impossible="allow")
     with pytest.raises(ValueError, match=r"none is left where impossible is 'drop'$"):
         oee.Problem(simulator, oee.Transitions([0], [0], [np.flatnonzero(P[0, 0] == 0)[0]]), impossible="drop")
 
