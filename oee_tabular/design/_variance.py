@@ -10,11 +10,11 @@ def largest_variances(indptr, rows, values, low, high):
 
     A best p has what is free above ``low`` at both ends of the sorted values. All of it is put at the upper end, and from
     there, the least value y first, to the lower end, the least value x first: d Var / d mass = (y - x) (2 E v - x - y),
-    which changes its sign once. The largest variance of v in {0, 1}, and with the mass of the 1 at most 0.1:
+    which changes its sign once. The largest variance of v in {0, 1}; with the mass of the 1 at most 0.1; in [0.6, 0.7]:
 
-    >>> bounds = np.zeros(4), np.array([1.0, 1.0, 1.0, 0.1])
-    >>> largest_variances(np.array([0, 2, 4]), np.arange(2), np.array([0.0, 1.0, 0.0, 1.0]), *bounds).round(9)
-    array([0.25, 0.09])
+    >>> bounds = np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.2]), np.array([1.0, 1.0, 1.0, 0.1, 0.4, 0.7])
+    >>> largest_variances(np.array([0, 2, 4, 6]), np.arange(3), np.array([0.0, 1.0] * 3), *bounds).round(9)
+    array([0.25, 0.09, 0.24])
     """
     result = np.empty(len(rows))
     for k, row in enumerate(rows):
