@@ -10,7 +10,6 @@ from typer.core import TyperCommand
 
 from oee_tabular.cli import files, studies, values
 from oee_tabular.cli.options import ARGUMENTS, GROUPS, with_options
-from oee_tabular.continuous.command import TASK_OPTIONS
 
 
 class Command(TyperCommand):
@@ -32,8 +31,10 @@ class Command(TyperCommand):
             name, must, rule = str(error).partition(" must ")
             argument = ARGUMENTS.get(name, name)
             options = [p.opts[0] for p in self.params if p.name == argument and p.opts[0].startswith("-")]
-            if argument in TASK_OPTIONS and ctx.params.get("task_option"):
-                options = [f"--task-option {argument}"]
+            for parameter in self.params:  # --task-option and --plan-option
+                if getattr(parameter, "metavar", None) == "NAME=VALUE":
+                    given = ctx.params.get(parameter.name) or []
+                    options += [f"{parameter.opts[0]} {argument}" for text in given if text.startswith(f"{argument}=")]
             if must and options:
                 raise ValueError(f"{options[0]} must {rule}") from error
             raise

@@ -56,10 +56,7 @@ Output:
 """
 GROUPS = ("Input", "Value", "Output")
 # what the functions that the commands call name otherwise
-ARGUMENTS = {
-    "n": "transitions", "n_transitions": "transitions", "n_episodes": "episodes", "max_steps": "horizon", "shape": "grid",
-    "behavior_policy": "behavior", "lower_ratio and upper_ratio": "box",
-}  # fmt: skip
+ARGUMENTS = {"n": "transitions", "behavior_policy": "behavior", "lower_ratio and upper_ratio": "box", "shape": "grid"}
 
 
 def read_help(text: str) -> dict[str, tuple[str, dict[str, Any]]]:

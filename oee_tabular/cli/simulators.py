@@ -128,10 +128,8 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
 
     _progress.report_step(f"reading the policy {spec}")
     mdp, suffix = task.mdp, Path(spec).suffix.lower()
-    if spec == "uniform":
-        return uniform_policy(mdp)
-    if spec == "optimal":
-        return optimal_policy(mdp)
+    if spec in ("uniform", "optimal"):
+        return uniform_policy(mdp) if spec == "uniform" else optimal_policy(mdp)
     if spec == "expert":
         return check_policy(task.expert(), mdp)
     if spec.startswith("mix:"):

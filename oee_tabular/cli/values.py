@@ -235,12 +235,11 @@ def plan(
     --output FILE  The behaviour policy to record with (--free: each state-action pair's share): .npy.
     --json  Print JSON instead, with version, sampling, n, confidence, status, gap, policies, most, advice, next, file.
     """
-    from oee_tabular import _checks, _files, _progress
+    from oee_tabular import _files, _progress
     from oee_tabular.design import plan_data_collection
 
     if output is not None:
         _files.new_file(output, "--output", overwrite=overwrite)
-    _checks.positive_integer(transitions, "--transitions")
     options = {
         name: literal(text) for name, text in named_specs(plan_option or [], "--plan-option", PLAN_OPTIONS).items()
     }

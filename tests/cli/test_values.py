@@ -225,7 +225,7 @@ def test_plan_takes_what_its_function_takes(run, folder):
             "--transitions 5 --plan-option restart",
             "--plan-option must be NAME=VALUE, NAME one of model, optimistic, restart,",
         ),
-        ("--transitions 5 --plan-option restart=2", "restart must be in (0, 1); it is 2"),
+        ("--transitions 5 --plan-option restart=2", "--plan-option restart must be in (0, 1); it is 2"),
     ],
 )
 def test_what_is_no_plan(run, folder, words, text):
