@@ -10,7 +10,7 @@ import inspect
 import json
 import re
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, get_origin
 
 import typer
 
@@ -85,7 +85,8 @@ def with_options(command: Callable[..., None]) -> tuple[Callable[..., None], str
         if option.startswith("-"):
             is_shown = parameter.default is not None
             made = typer.Option(option, **info, show_default=is_shown, min=0 if name == "seed" else None)
-        command.__annotations__[name] = Annotated[parameter.annotation, made]
+        if get_origin(parameter.annotation) is not Annotated:  # typer's own docs run this a second time
+            command.__annotations__[name] = Annotated[parameter.annotation, made]
     return command, about
 
 
