@@ -16,7 +16,7 @@ from oee_tabular import _files
 from oee_tabular.bench.given import LIKELIHOOD, REFERENCES
 from oee_tabular.bench.scores import coverage, geometric_mean, scored, summary, wide
 from oee_tabular.experiments.output import drawn, pipe_table
-from oee_tabular.plots.style import DIVERGING, ink, literally, series, shown
+from oee_tabular.plots.style import DIVERGING, INK, disable_math, series, shorten
 from oee_tabular.report.results import plain
 
 if TYPE_CHECKING:
@@ -101,13 +101,15 @@ class League:
             share = np.arange(len(ratios) + 1) / max(1, len(own))
             ratios = np.concatenate([[low], np.clip(ratios, low, high)])
             ratios, share = np.append(ratios, high), np.append(share, share[-1])
-            ax.step(ratios, share, where="post", color=style["color"], ls=style["linestyle"], lw=1.7, label=shown(name))
-        ax.axvline(1.0, color=ink(), lw=0.9, ls=(0, (4, 2)))
+            ax.step(
+                ratios, share, where="post", color=style["color"], ls=style["linestyle"], lw=1.7, label=shorten(name)
+            )
+        ax.axvline(1.0, color=INK, lw=0.9, ls=(0, (4, 2)))
         ax.set_xscale("log")
         ax.set_ylim(0.0, 1.02)
         ax.set_xlabel("tau: RMSE over min(maximum likelihood, simulator)")
         ax.set_ylabel("share of cells with a ratio of at most tau")
-        literally(ax.legend(fontsize="small", loc="best").get_texts())
+        disable_math(ax.legend(fontsize="small", loc="best").get_texts())
 
     def heat(self, figure: Figure) -> None:
         """Draw the ratio of each family and size, a panel for each estimator that is no reference, a number in each cell."""
@@ -126,11 +128,11 @@ class League:
                 pale = abs(power[i, j]) < 0.6 * REACH
                 text = "-" if np.isnan(ratio) else f"{ratio:.2g}"
                 ax.text(j, i, text, ha="center", va="center", fontsize=6, color="black" if pale else "white")
-            ax.set_title(shown(name), fontsize="medium")
+            ax.set_title(shorten(name), fontsize="medium")
             ax.set_xticks(range(len(sizes)), [f"{size:g}" for size in sizes], fontsize=7)
-            ax.set_yticks(range(len(families)), [shown(family) for family in families], fontsize=7)
+            ax.set_yticks(range(len(families)), [shorten(family) for family in families], fontsize=7)
             ax.set_xlabel("moves per open row", fontsize="small")
-            literally([ax.title, *ax.get_yticklabels()])
+            disable_math([ax.title, *ax.get_yticklabels()])
         assert image is not None
         bar = figure.colorbar(image, ax=list(axes), shrink=0.6)
         bar.set_ticks([-3, -2, -1, 0, 1, 2, 3], labels=["1/8", "1/4", "1/2", "1", "2", "4", "8"])

@@ -10,7 +10,7 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.plots import plot_curves, plot_errors
-from oee_tabular.plots.style import shown
+from oee_tabular.plots.style import shorten
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -116,7 +116,7 @@ class Errors(Panels):
         ends = {name: y[-1] for name, y in curves.items() if np.isfinite(y[-1])}
         if self.lowest and len(ends) > 1:
             best = min(ends, key=lambda name: ends[name])
-            ax.set_title(f"{ax.get_title()}\n{shown(best)} ends lowest: {ends[best]:.2g}", fontsize="medium")
+            ax.set_title(f"{ax.get_title()}\n{shorten(best)} ends lowest: {ends[best]:.2g}", fontsize="medium")
         plot_errors(where, curves, ax, bands=bands, slope=self.slope, xlabel=self.xlabel, ylabel=self.ylabel)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.plots.style import check_axes, ink, literally, series, shown
+from oee_tabular.plots.style import INK, check_axes, disable_math, series, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,15 +54,15 @@ def plot_curves(
     line = None if truth is None else np.broadcast_to(_checks.float_array(truth, "truth"), where.shape)
     ax = check_axes(ax)
     for k, (name, y) in enumerate(found.items()):
-        ax.plot(where, y, ms=5, lw=1.6, label=shown(name), **series(k))
+        ax.plot(where, y, ms=5, lw=1.6, label=shorten(name), **series(k))
         if name in ends:
             ax.fill_between(where, ends[name][0], ends[name][1], color=series(k)["color"], alpha=0.18, lw=0)
     if line is not None:
-        ax.plot(where, line, color=ink(), lw=1.2, ls=(0, (4, 2)), zorder=1, label=truth_label)
+        ax.plot(where, line, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1, label=truth_label)
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
     ax.grid(visible=True)
-    literally(ax.legend(fontsize="small").get_texts())
+    disable_math(ax.legend(fontsize="small").get_texts())
     return ax
 
 
@@ -100,8 +100,8 @@ def plot_errors(
     start = np.flatnonzero(np.isfinite(first))
     if slope is not None and start.size and len(where) > 1:
         line = first[start[0]] * (where / where[start[0]]) ** slope
-        ax.plot(where, line, color=ink(), lw=1.0, ls=":", zorder=0, label=f"slope {slope:g}")
-        literally(ax.legend(fontsize="small").get_texts())
+        ax.plot(where, line, color=INK, lw=1.0, ls=":", zorder=0, label=f"slope {slope:g}")
+        disable_math(ax.legend(fontsize="small").get_texts())
     ax.set_xscale("log")
     ax.set_yscale("log")
     return ax
@@ -185,6 +185,8 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
     >>> [text.get_text() for text in ax.texts], ax.get_legend()
     (['low', 'high'], None)
     """
+    from scipy.optimize import isotonic_regression
+
     _checks.number_in(fontsize, "fontsize", 0.0, 100.0, open_ends=True)
     named = []
     for line in ax.get_lines():
@@ -195,28 +197,17 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
     if named:
         ax.get_ylim()  # brings the limits, and with them transData, up to date
         to_axes = ax.transData + ax.transAxes.inverted()
-        ends = np.clip([to_axes.transform(end)[1] for _, end in named], 0.0, 1.0)
-        height = ax.get_window_extent().height * 72.0 / ax.figure.dpi
-        for (line, _), place in zip(named, _move_apart(ends, SPACE * fontsize / height), strict=True):
+        heights = np.clip([to_axes.transform(end)[1] for _, end in named], 0.0, 1.0)
+        # heights at least a step apart in the same order, nearest to these (least squares): what is left of the steps
+        # may not fall
+        order = np.argsort(heights, kind="stable")
+        steps = SPACE * fontsize * ax.figure.dpi / (72.0 * ax.get_window_extent().height) * np.arange(len(order))
+        heights[order] = isotonic_regression(heights[order] - steps).x + steps
+        for (line, _), place in zip(named, heights, strict=True):
             ax.text(1.02, place, str(line.get_label()), transform=ax.transAxes, color=line.get_color(),
                     fontsize=fontsize, va="center")  # fmt: skip
-    literally(ax.texts)
+    disable_math(ax.texts)
     legend = ax.get_legend()
     if legend is not None:
         legend.remove()
     return ax
-
-
-def _move_apart(heights: Array, gap: float) -> Array:
-    """Heights at least ``gap`` apart in the same order, nearest to those given (least squares).
-
-    >>> _move_apart(np.array([0.5, 0.5, 0.9]), 0.1).round(9).tolist()
-    [0.45, 0.55, 0.9]
-    """
-    from scipy.optimize import isotonic_regression
-
-    order = np.argsort(heights, kind="stable")
-    steps = gap * np.arange(len(order))
-    found = np.empty(len(order))
-    found[order] = isotonic_regression(heights[order] - steps).x + steps  # what is left of the steps may not fall
-    return found

@@ -9,7 +9,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular.plots.maps import Map, as_map
-from oee_tabular.plots.style import COLORS, DIVERGING, PAPER, SEQUENTIAL, check_axes, literally
+from oee_tabular.plots.style import COLORS, DIVERGING, INK, PAPER, SEQUENTIAL, check_axes, disable_math
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -192,12 +192,11 @@ def _write(ax: Axes, mesh: Any, cells: Any, places: Map, words: Sequence[object]
     for cell, word in zip(places.cell, words, strict=False):
         if cell < 0 or not word:
             continue
-        is_blank = np.ma.getmaskarray(cells).flat[cell]
-        color: dict[str, Any] = {} if is_blank else {"color": "#000000" if shades[cell] > 0.45 else "#ffffff"}
+        color = INK if np.ma.getmaskarray(cells).flat[cell] else "#000000" if shades[cell] > 0.45 else "#ffffff"
         row, column = divmod(int(cell), cells.shape[1])
         size = 8.0 if cells.shape[1] <= 8 else 7.2
-        text = ax.text(column + 0.5, row + 0.5, str(word), ha="center", va="center", fontsize=size, **color)
-        literally([text])
+        text = ax.text(column + 0.5, row + 0.5, str(word), ha="center", va="center", fontsize=size, color=color)
+        disable_math([text])
 
 
 def _count_text(count: float) -> str:

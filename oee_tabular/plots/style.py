@@ -63,21 +63,14 @@ def places(names: Sequence[str]) -> list[int]:
     return [found[name] if name in found else found.setdefault(name, next(free)) for name in names]
 
 
-def ink() -> str:
-    """The colour of text in the style that is in force."""
-    import matplotlib
-
-    return str(matplotlib.rcParams["text.color"])
-
-
-def shown(name: object, longest: int = 36) -> str:
+def shorten(name: object, longest: int = 36) -> str:
     """A name as a picture can hold it: no control characters, at most ``longest`` letters."""
     text = "".join(letter if letter.isprintable() else "\ufffd" for letter in str(name))
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
-def literally(texts: Sequence[Text]) -> None:
-    """Names are text: a dollar sign in one starts no formula."""
+def disable_math(texts: Sequence[Text]) -> None:
+    """Show names as they are: a dollar sign in one starts no formula."""
     for text in texts:
         text.set_parse_math(False)
 

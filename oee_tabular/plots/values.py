@@ -11,7 +11,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.plots.style import COLORS, check_axes, ink, literally, marks, places, shown
+from oee_tabular.plots.style import COLORS, INK, check_axes, disable_math, marks, places, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,20 +117,24 @@ def plot_intervals(
     # the lines from the top; above each group one for its name and the truth's
     starts = [k for k in range(len(names)) if k == 0 or group[k] != group[k - 1]] if exact or groups is not None else []
     y = np.arange(len(names)) + np.searchsorted(starts, np.arange(len(names)), side="right")
-    labels = dict(zip(y.tolist(), map(shown, names), strict=True)) | {int(y[k]) - 1: shown(group[k]) for k in starts}
+    labels = dict(zip(y.tolist(), map(shorten, names), strict=True)) | {
+        int(y[k]) - 1: shorten(group[k]) for k in starts
+    }
     ax = check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
     for k, place in enumerate(places(names)):
         _draw_interval(ax, y[k], value[k], np.clip([low[k], high[k]], left, right), (left, right), marks(place))
     for start, end in zip(starts, [*starts[1:], len(names)], strict=False):
-        if left <= exact.get(group[start], math.nan) <= right:
-            name = f"{truth_label} {_text_of(exact[group[start]])}"
-            _draw_truth(ax, exact[group[start]], y[start] - 1, y[end - 1] + 0.4, (left, right), name)
+        x, top = exact.get(group[start], math.nan), y[start] - 1
+        if left <= x <= right:
+            ax.plot([x, x], [top + 0.35, y[end - 1] + 0.4], color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1)
+            side = ("left", "center", "center", "right", "right")[int(4.0 * (x - left) / (right - left))]
+            ax.text(x, top, f"{truth_label} {_text_of(x)}", ha=side, va="center", fontsize="small")
     ax.set_xlim(left, right)
     ax.set_ylim(len(labels) - 0.4, -0.6)
     ax.set_yticks(list(labels), list(labels.values()))
     for label in ax.get_yticklabels()[len(names) :]:
         label.set_fontweight("bold")
-    literally(ax.get_yticklabels())
+    disable_math(ax.get_yticklabels())
     ax.tick_params(axis="y", length=0, pad=9)
     ax.spines[["left", "top", "right"]].set_visible(False)
     ax.locator_params(axis="x", nbins=5)
@@ -138,7 +142,7 @@ def plot_intervals(
     letters = max(20, int(LETTERS * ax.bbox.width / ax.figure.dpi))
     ax.set_xlabel(textwrap.fill(xlabel, letters))
     if title:
-        literally([ax.set_title(textwrap.fill(title, letters), fontsize="medium")])
+        disable_math([ax.set_title(textwrap.fill(title, letters), fontsize="medium")])
     return ax
 
 
@@ -156,14 +160,6 @@ def _draw_interval(ax: Axes, y: float, value: float, ends: Array, span: tuple[fl
             _text_of(value), (span[int(is_right)], y), fontsize="small", va="center", textcoords="offset points",
             xytext=(-8 if is_right else 8, 0), ha="right" if is_right else "left",
         )  # fmt: skip
-
-
-def _draw_truth(ax: Axes, x: float, top: float, bottom: float, span: tuple[float, float], name: str) -> None:
-    """Draw a dashed line from ``top`` to ``bottom`` with its name above."""
-    ax.plot([x, x], [top + 0.35, bottom], color=ink(), lw=1.2, ls=(0, (4, 2)), zorder=1)
-    quarter = min(3, int(4.0 * (x - span[0]) / (span[1] - span[0])))
-    side = ("left", "center", "center", "right")[quarter]
-    literally([ax.text(x, top, name, ha=side, va="center", fontsize="small")])
 
 
 def _text_of(value: float) -> str:
@@ -240,10 +236,10 @@ def plot_states(
         count = f"{total[state]:,.0f}".replace(",", "\u202f") if total[state] else "none"
         ax.annotate(
             f"{count} recorded", (every[place], place), xytext=(4, 0), textcoords="offset points", va="center",
-            fontsize="small", color=ink(),
+            fontsize="small", color=INK,
         )  # fmt: skip
-    ax.set_yticks(y, [f"state {s}" if names is None else shown(names[s]) for s in order])
-    literally(ax.get_yticklabels())
+    ax.set_yticks(y, [f"state {s}" if names is None else shorten(names[s]) for s in order])
+    disable_math(ax.get_yticklabels())
     ax.tick_params(axis="y", length=0)
     ax.set_xlim(0.0, 1.25 * every.max(initial=0.0) or 1.0)
     ax.set_ylim(max(len(order), 1) - 0.4, -0.6)

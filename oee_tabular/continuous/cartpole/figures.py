@@ -105,10 +105,10 @@ def _legend(figure: Figure, axes: Iterable[Axes], *, ncols: int) -> None:
 
 
 def _values(ax: Axes, part: pd.DataFrame, gravity: float, style: dict[str, Any]) -> None:
-    from oee_tabular.plots.style import ink
+    from oee_tabular.plots.style import INK
 
     truth = [float(part[f"truth_{delta:g}"].iloc[0]) for delta in DELTAS]
-    ax.plot(DELTAS, truth, color=ink(), lw=3.5, alpha=0.25, label="true (Monte Carlo)", zorder=0)
+    ax.plot(DELTAS, truth, color=INK, lw=3.5, alpha=0.25, label="true (Monte Carlo)", zorder=0)
     values = part[part.estimator == "OEE, calibrated"][[f"value_{delta:g}" for delta in DELTAS]]
     ax.plot(DELTAS, values.mean(), label="OEE, calibrated", **style["OEE, calibrated"])
     for series, (name, marker) in PAPERS.items():
