@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand
 
 from oee_tabular.cli import files, studies, values
-from oee_tabular.cli.options import ARGUMENTS, GROUPS, with_options
+from oee_tabular.cli.options import ARGUMENTS, GROUPS
 
 
 class Command(TyperCommand):
@@ -58,12 +58,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for function in (
+for command in (
     values.evaluate, values.compare, values.plan, files.sample, files.policy, files.export, files.counts, files.info,
     studies.reproduce, studies.bench, studies.check,
 ):  # fmt: skip
-    command, about = with_options(function)
-    app.command(cls=Command, help=about)(command)
+    app.command(cls=Command)(command)
 
 
 def print_version(is_asked: bool) -> None:

@@ -7,11 +7,25 @@ from typing import Any
 
 from oee_tabular import _files
 from oee_tabular.cli.inputs import write_array
-from oee_tabular.cli.options import answer
+from oee_tabular.cli.options import answer, with_options
 from oee_tabular.cli.simulators import policy_of, task_of
 from oee_tabular.continuous.command import is_continuous, record_log, task_options
 
 
+@with_options("""
+Input:
+environment SIM  {SIMULATOR}.
+--policy SPEC  {POLICY}.
+--transitions N  How many transitions to record.
+--episodes N  How many episodes to record.
+--horizon T  Longest episode; none: 1000, or Gymnasium's or the continuous task's own limit.
+--task-option NAME=VALUE  Of a Gymnasium environment with continuous states, repeatable. state=MODULE:GET,SET: functions
+    get(env) and set(env, state), where its state is not found. actions=9 or -2,0,2: levels of each coordinate of a Box of
+    actions, or the commands.
+Output:
+--output FILE  The log: .npz, .csv, .parquet, or a new Minari folder.
+--json  Print JSON instead, with version, file, transitions, episodes.
+""")
 def sample(
     environment: str,
     output: Path,
@@ -30,19 +44,6 @@ def sample(
 
     A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states. States and actions
     stand there by name where the simulator has names; a Minari folder has numbers.
-
-    Input:
-    environment SIM  {SIMULATOR}.
-    --policy SPEC  {POLICY}.
-    --transitions N  How many transitions to record.
-    --episodes N  How many episodes to record.
-    --horizon T  Longest episode; none: 1000, or Gymnasium's or the continuous task's own limit.
-    --task-option NAME=VALUE  Of a Gymnasium environment with continuous states, repeatable. state=MODULE:GET,SET: functions
-        get(env) and set(env, state), where its state is not found. actions=9 or -2,0,2: levels of each coordinate of a Box of
-        actions, or the commands.
-    Output:
-    --output FILE  The log: .npz, .csv, .parquet, or a new Minari folder.
-    --json  Print JSON instead, with version, file, transitions, episodes.
     """
     from oee_tabular._checks import positive_integer
     from oee_tabular.data import Transitions
@@ -83,16 +84,16 @@ def sample(
     answer(f"{output}: {text}", record, json)
 
 
+@with_options("""
+Input:
+simulator SIM  {SIMULATOR}.
+spec SPEC  {POLICY}.
+Output:
+--output FILE  The policy: .npy, an (S, A) array.
+--json  Print JSON instead, with version, file, states, actions.
+""")
 def policy(simulator: str, spec: str, output: Path, discount: float | None = None, json: bool = False) -> None:
-    """Write a policy of a simulator to a file.
-
-    Input:
-    simulator SIM  {SIMULATOR}.
-    spec SPEC  {POLICY}.
-    Output:
-    --output FILE  The policy: .npy, an (S, A) array.
-    --json  Print JSON instead, with version, file, states, actions.
-    """
+    """Write a policy of a simulator to a file."""
     pi = policy_of(spec, task_of(simulator, discount), "policy")
     name = _name_of(output)
     write_array(output, pi)
@@ -101,6 +102,14 @@ def policy(simulator: str, spec: str, output: Path, discount: float | None = Non
     answer(f"{name}: policy of {n_states} states and {n_actions} actions", record, json)
 
 
+@with_options("""
+Input:
+simulator SIM  {SIMULATOR}.
+--samples-per-pair N  Step an environment until each state-action pair that it met has so many samples; its frequencies.
+Output:
+--output FILE  The FiniteMDP: .npz.
+--json  Print JSON instead, with version, file, states, actions, transitions, discount.
+""")
 def export(
     simulator: str,
     output: Path,
@@ -113,13 +122,6 @@ def export(
     """Write a simulator to a file.
 
     Of a continuous task it is the finite MDP, with the cells and what they were made from.
-
-    Input:
-    simulator SIM  {SIMULATOR}.
-    --samples-per-pair N  Step an environment until each state-action pair that it met has so many samples; its frequencies.
-    Output:
-    --output FILE  The FiniteMDP: .npz.
-    --json  Print JSON instead, with version, file, states, actions, transitions, discount.
     """
     task = task_of(simulator, discount, initial, samples_per_pair)
     mdp = task.mdp.with_action_noise(action_noise) if action_noise else task.mdp
@@ -130,6 +132,16 @@ def export(
     answer(f"{name}: {saved!r}", {"file": str(output), "discount": mdp.discount} | sizes, json)
 
 
+@with_options("""
+Input:
+log FILE...  Files (.parquet, .csv, .npz), folders of them, or patterns, of one log.
+--simulator SIM  Whose states and actions there are, by number or name; others are bad rows. As in evaluate.
+--bad-rows refuse|drop  Rows that are none of a log: refuse the first, or drop and count them.
+--kept-moves N  Transitions of whole episodes to keep for importance sampling, drawn uniformly.
+Output:
+--output FILE  The counts: .npz, for --log of evaluate and plan.
+--json  Print JSON instead, with version, file, moves, dropped.
+""")
 def counts(
     log: list[str],
     output: Path,
@@ -144,15 +156,6 @@ def counts(
     """Count the transitions of a log of any size.
 
     The file appears when all are counted.
-
-    Input:
-    log FILE...  Files (.parquet, .csv, .npz), folders of them, or patterns, of one log.
-    --simulator SIM  Whose states and actions there are, by number or name; others are bad rows. As in evaluate.
-    --bad-rows refuse|drop  Rows that are none of a log: refuse the first, or drop and count them.
-    --kept-moves N  Transitions of whole episodes to keep for importance sampling, drawn uniformly.
-    Output:
-    --output FILE  The counts: .npz, for --log of evaluate and plan.
-    --json  Print JSON instead, with version, file, moves, dropped.
     """
     import sys
 
@@ -168,14 +171,14 @@ def counts(
     answer(text, {"file": str(output), "moves": found.summary()["transitions"], "dropped": reasons}, json)
 
 
+@with_options("""
+Input:
+file FILE...  A FiniteMDP, a log (several files, a pattern or a folder too), a policy or a report.
+Output:
+--json  Print JSON instead, with version, file, kind, text.
+""")
 def info(file: list[str], json: bool = False) -> None:
-    """Say what a file holds.
-
-    Input:
-    file FILE...  A FiniteMDP, a log (several files, a pattern or a folder too), a policy or a report.
-    Output:
-    --json  Print JSON instead, with version, file, kind, text.
-    """
+    """Say what a file holds."""
     from oee_tabular.data import Transitions
 
     path = Path(file[0])

@@ -1,7 +1,7 @@
 """The options of the commands with their help, and how a command prints its answer.
 
-A command is a function. Its options are the function's arguments, and their help stands in groups below its docstring, or in
-``SHARED`` where several commands have one: an option, the name of its value, two spaces, and what it does.
+A command is a function. Its options are the function's arguments, and their help stands in groups above it, or in ``SHARED``
+where several commands have one: an option, the name of its value, two spaces, and what it does.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ import inspect
 import json
 import re
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, get_origin
+from typing import Annotated, Any, TypeVar
 
 import typer
 
 from oee_tabular.estimators.names import names
 
+Function = TypeVar("Function", bound=Callable[..., None])
 TEXTS = {
     "{SIMULATOR}": "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
     "an .npz of a FiniteMDP | your own, module:Class or module:function,key=value (a FiniteMDP, or a Gymnasium environment "
@@ -75,19 +76,21 @@ def read_help(text: str) -> dict[str, tuple[str, dict[str, Any]]]:
     return found
 
 
-def with_options(command: Callable[..., None]) -> tuple[Callable[..., None], str]:
-    """The command with its arguments annotated as typer takes them, and the prose of its help."""
-    about, own = re.split(r"\n\n(?=Input:\n|Output:\n)", inspect.cleandoc(command.__doc__ or ""), maxsplit=1)
-    known = read_help(SHARED) | read_help(own)
-    for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
-        option, info = known[name.rstrip("_")]
-        made: Any = typer.Argument(**info)
-        if option.startswith("-"):
-            is_shown = parameter.default is not None
-            made = typer.Option(option, **info, show_default=is_shown, min=0 if name == "seed" else None)
-        if get_origin(parameter.annotation) is not Annotated:  # typer's own docs run this a second time
+def with_options(text: str) -> Callable[[Function], Function]:
+    """Annotate a command's arguments as typer takes them, with their help in ``text`` or ``SHARED``."""
+
+    def annotate(command: Function) -> Function:
+        known = read_help(SHARED) | read_help(text)
+        for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
+            option, info = known[name.rstrip("_")]
+            made: Any = typer.Argument(**info)
+            if option.startswith("-"):
+                is_shown = parameter.default is not None
+                made = typer.Option(option, **info, show_default=is_shown, min=0 if name == "seed" else None)
             command.__annotations__[name] = Annotated[parameter.annotation, made]
-    return command, about
+        return command
+
+    return annotate
 
 
 def say(text: str, *, err: bool = False) -> None:

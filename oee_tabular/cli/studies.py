@@ -6,9 +6,22 @@ from pathlib import Path
 
 import typer
 
-from oee_tabular.cli.options import answer, say
+from oee_tabular.cli.options import answer, say, with_options
 
 
+@with_options("""
+Input:
+experiments ID...  Ids or groups; --list shows them.
+--all  Every experiment.
+--list  List the experiments and stop.
+--smoke  A small subset of each sweep, into OUTPUT/smoke.
+Value:
+--seeds N  Repetitions of each cell, instead of the experiment's own.
+Output:
+--output FOLDER  Folder for ID/table.csv, summary.md, figure.svg, ... and index.md.
+--fresh  Empty the experiments' folders first.
+--json  Print JSON instead, with version, lines.
+""")
 def reproduce(
     experiments: list[str] | None = None,
     all_: bool = False,
@@ -25,18 +38,6 @@ def reproduce(
     """Reproduce the paper's figures, and more.
 
     An interrupted run goes on where it stopped.
-
-    Input:
-    experiments ID...  Ids or groups; --list shows them.
-    --all  Every experiment.
-    --list  List the experiments and stop.
-    --smoke  A small subset of each sweep, into OUTPUT/smoke.
-    Value:
-    --seeds N  Repetitions of each cell, instead of the experiment's own.
-    Output:
-    --output FOLDER  Folder for ID/table.csv, summary.md, figure.svg, ... and index.md.
-    --fresh  Empty the experiments' folders first.
-    --json  Print JSON instead, with version, lines.
     """
     from oee_tabular.experiments import catalogue
 
@@ -53,6 +54,18 @@ def reproduce(
         answer("", {"lines": "\n".join(lines).split("\n")}, json)
 
 
+@with_options("""
+Input:
+--estimators NAME,...  Comma-separated: evaluate (as printed), MODULE:OBJECT, {ESTIMATORS}.
+--families NAME,...  Comma-separated, or MODULE:FUNCTION of your own (none: all).
+Value:
+--sizes N,...  Transitions of each stochastic state-action pair, comma-separated (none: 0.3,1,3,10,30).
+--seeds N  Logs of each family and size.
+Output:
+--output FOLDER  Folder for table.csv, cells.csv, league.csv, league.md, profile.png, heat.png.
+--fresh  Empty the folder first.
+--json  Print JSON instead, with version, lines.
+""")
 def bench(
     estimators: str = "oee,model-based",
     sizes: str | None = None,
@@ -68,17 +81,6 @@ def bench(
     """Measure estimators where the truth is exact.
 
     They are measured on families of environment shift. An interrupted run goes on where it stopped.
-
-    Input:
-    --estimators NAME,...  Comma-separated: evaluate (as printed), MODULE:OBJECT, {ESTIMATORS}.
-    --families NAME,...  Comma-separated, or MODULE:FUNCTION of your own (none: all).
-    Value:
-    --sizes N,...  Transitions of each stochastic state-action pair, comma-separated (none: 0.3,1,3,10,30).
-    --seeds N  Logs of each family and size.
-    Output:
-    --output FOLDER  Folder for table.csv, cells.csv, league.csv, league.md, profile.png, heat.png.
-    --fresh  Empty the folder first.
-    --json  Print JSON instead, with version, lines.
     """
     from oee_tabular.bench.run import bench as run
 
@@ -92,19 +94,20 @@ def bench(
         answer("", {"lines": "\n".join(lines).split("\n")}, json)
 
 
+@with_options("""
+Input:
+estimator MODULE:OBJECT  An estimator, or what makes one without arguments.
+Value:
+--repetitions N  Logs of each statistical comparison, at least 3: with more, smaller biases are found.
+--timeout SECONDS  Time that each law may take: an estimator that takes longer breaks it.
+Output:
+--json  Print JSON instead, with version, estimator, passed, seed, laws.
+""")
 def check(estimator: str, seed: int = 0, repetitions: int = 8, timeout: float = 60.0, json: bool = False) -> None:
     """Check an estimator of yours against the laws.
 
     It runs in a process of its own. The exit code is 0 if the laws that it claims hold, else 1. Where it is 0, the last line is
     "all laws hold".
-
-    Input:
-    estimator MODULE:OBJECT  An estimator, or what makes one without arguments.
-    Value:
-    --repetitions N  Logs of each statistical comparison, at least 3: with more, smaller biases are found.
-    --timeout SECONDS  Time that each law may take: an estimator that takes longer breaks it.
-    Output:
-    --json  Print JSON instead, with version, estimator, passed, seed, laws.
     """
     from oee_tabular import _progress
     from oee_tabular.testing import command

@@ -9,13 +9,39 @@ import typer
 
 from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.inputs import read_box, read_knowledge, read_problem, refuse, write_array
-from oee_tabular.cli.options import answer
+from oee_tabular.cli.options import answer, with_options
 from oee_tabular.cli.simulators import policies_of, task_of
 from oee_tabular.continuous.command import evaluate_files, is_continuous, task_options
 
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
 
 
+@with_options("""
+Input:
+--behavior SPEC  Policy that recorded the log, as for --policy.
+--target SIM  The true target, as for --simulator, to show errors.
+--features FILE  Your own features of transitions, as a row oee-features: {TRANSITIONS}, with a last axis for several.
+--tie FILE  Integer keys, transitions with one key share one ratio, as a row oee-tied: {TRANSITIONS}.
+--task-option NAME=VALUE  Of a continuous task, repeatable; what is left out is the task's own. grid=60x60: vertices along
+    each feature, or none. outside=error|drop|nearest: states of the log outside the grid; drop leaves out transitions
+    without support too. strict=true: an error, not a warning, for actions of the log that are not in the task's set.
+    calibration=ratio|difference|none. floor=0.001: share of other steps in the simulator (defensive). simulations=50000:
+    Monte Carlo episodes of each policy. state=MODULE:GET,SET: functions get(env) and set(env, state) of a Gymnasium
+    environment whose state is not found. actions=9 or -2,0,2: levels of each coordinate of a Gymnasium Box of actions, or
+    the commands.
+Value:
+--normalized/--raw  Multiply values by (1 - discount).
+--estimators NAME,...  Comma-separated: {ESTIMATORS}.
+--guaranteed  Give the intervals that hold at any sample size as well.
+Output:
+--all  Print the rows that a short report leaves out, too.
+--verbose  Print every note, and the columns of diagnostics.
+--output FOLDER  Folder for report.json, table.csv and values.png.
+--report FILE.html  One self-contained page, for people who did not run it.
+--title TEXT  Page title (with --report).
+--json  Print JSON instead, with version, answer, unit, discount, horizon, normalized, confidence, interval, seed, facts,
+    results, intervals, best, comparison, conclusion, warnings.
+""")
 def evaluate(
     simulator: str | None = None,
     log: list[str] | None = None,
@@ -48,31 +74,6 @@ def evaluate(
     """Estimate the value of policies in the target.
 
     It takes a simulator and a log of the target; without arguments, it evaluates the paper's 10 x 10 grid.
-
-    Input:
-    --behavior SPEC  Policy that recorded the log, as for --policy.
-    --target SIM  The true target, as for --simulator, to show errors.
-    --features FILE  Your own features of transitions, as a row oee-features: {TRANSITIONS}, with a last axis for several.
-    --tie FILE  Integer keys, transitions with one key share one ratio, as a row oee-tied: {TRANSITIONS}.
-    --task-option NAME=VALUE  Of a continuous task, repeatable; what is left out is the task's own. grid=60x60: vertices along
-        each feature, or none. outside=error|drop|nearest: states of the log outside the grid; drop leaves out transitions
-        without support too. strict=true: an error, not a warning, for actions of the log that are not in the task's set.
-        calibration=ratio|difference|none. floor=0.001: share of other steps in the simulator (defensive). simulations=50000:
-        Monte Carlo episodes of each policy. state=MODULE:GET,SET: functions get(env) and set(env, state) of a Gymnasium
-        environment whose state is not found. actions=9 or -2,0,2: levels of each coordinate of a Gymnasium Box of actions, or
-        the commands.
-    Value:
-    --normalized/--raw  Multiply values by (1 - discount).
-    --estimators NAME,...  Comma-separated: {ESTIMATORS}.
-    --guaranteed  Give the intervals that hold at any sample size as well.
-    Output:
-    --all  Print the rows that a short report leaves out, too.
-    --verbose  Print every note, and the columns of diagnostics.
-    --output FOLDER  Folder for report.json, table.csv and values.png.
-    --report FILE.html  One self-contained page, for people who did not run it.
-    --title TEXT  Page title (with --report).
-    --json  Print JSON instead, with version, answer, unit, discount, horizon, normalized, confidence, interval, seed, facts,
-        results, intervals, best, comparison, conclusion, warnings.
     """
     from oee_tabular.report import check_output, check_page
     from oee_tabular.report import evaluate as evaluate_problem
@@ -150,6 +151,13 @@ def evaluate(
         typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in before else str(path) for path in written)}")
 
 
+@with_options("""
+Input:
+--policy NAME=SPEC  NAME=SPEC or SPEC, two or more; SPEC: {POLICY}.
+Output:
+--json  Print JSON instead, with version, confidence, best (null where the log cannot say), sentence, policies (best first),
+    differences (from the best), warnings.
+""")
 def compare(
     simulator: str,
     log: list[str],
@@ -168,12 +176,6 @@ def compare(
     """Say which of several policies is worth most.
 
     It prints differences with their intervals and P(best), or says that the log cannot tell.
-
-    Input:
-    --policy NAME=SPEC  NAME=SPEC or SPEC, two or more; SPEC: {POLICY}.
-    Output:
-    --json  Print JSON instead, with version, confidence, best (null where the log cannot say), sentence, policies (best first),
-        differences (from the best), warnings.
     """
     from oee_tabular.report import contest
     from oee_tabular.report.terminal import render_comparison
@@ -204,6 +206,16 @@ def compare(
     answer(text, record | {"differences": differences, "warnings": warnings}, json)
 
 
+@with_options("""
+Input:
+--transitions N  How many more transitions to record.
+--free  Any state-action pair can be set up and recorded, not only episodes.
+--plan-option NAME=VALUE  Of plan_data_collection, repeatable: model=estimate|simulator, optimistic=true|false,
+    restart=0.01, restart_costs_a_move=true|false, solver=auto|frank_wolfe|CLARABEL.
+Output:
+--output FILE  The behaviour policy to record with (--free: each state-action pair's share): .npy.
+--json  Print JSON instead, with version, sampling, n, confidence, status, gap, policies, most, advice, next, file.
+""")
 def plan(
     simulator: str,
     log: list[str],
@@ -225,15 +237,6 @@ def plan(
     """Plan what to record next.
 
     It prints a behaviour policy, and the width of each value's interval before and after.
-
-    Input:
-    --transitions N  How many more transitions to record.
-    --free  Any state-action pair can be set up and recorded, not only episodes.
-    --plan-option NAME=VALUE  Of plan_data_collection, repeatable: model=estimate|simulator, optimistic=true|false,
-        restart=0.01, restart_costs_a_move=true|false, solver=auto|frank_wolfe|CLARABEL.
-    Output:
-    --output FILE  The behaviour policy to record with (--free: each state-action pair's share): .npy.
-    --json  Print JSON instead, with version, sampling, n, confidence, status, gap, policies, most, advice, next, file.
     """
     from oee_tabular import _files, _progress
     from oee_tabular.design import plan_data_collection

@@ -30,7 +30,9 @@ def test_without_arguments_it_runs_the_paper_s_grid(run, tmp_path):
     assert_allclose(report["results"][0]["true_value"], -1.5789855, rtol=1e-6)
     again = run("evaluate --output out --estimators simulator --discount 0.9 --horizon 50 --policy uniform --raw")
     assert "table.csv (replaced)" in again
-    assert "t = 0..49" in again
+    assert "t = 0..49, discount 0.9" in again
+    assert "(1 - discount)" in out
+    assert "(1 - discount)" not in again
 
 
 def test_from_files_to_a_value(run):
