@@ -53,6 +53,12 @@ def test_help_in_groups(run, asked):
     assert run("--version").startswith("oee 0.")
 
 
+def test_options_keep_their_help_where_docstrings_are_stripped():
+    words = [sys.executable, "-OO", "-m", "oee_tabular", "evaluate", "--help"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert "Level of the intervals." in done.stdout
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_options_are_few_and_each_has_its_group_and_a_word_for_its_value(name):
     options = [p for p in COMMANDS[name].params if p.param_type_name == "option"]
