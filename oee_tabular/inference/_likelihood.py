@@ -175,8 +175,9 @@ def best_rows(rows, x, share, limit, room, tau, p):
     size = spread.max()
     if size > 0.0:
         moving = np.flatnonzero(spread > 1e-14 * size)
-        if tau == 0.0:
-            tau = np.sqrt(2.0 * limit / total) if total > 0.0 else 1.0 / size
+        second_order = np.sqrt(2.0 * limit / total) if total > 0.0 else 1.0 / size
+        if not 1e-3 * second_order < tau < 1e3 * second_order:  # a far guess has all its u in rounding, or none
+            tau = second_order
         tau, reached = meet_limit(tau, moving, rows, v, best, curvature, limit, room, new)
     blend(rows, share, new, p)
     return tau, reached

@@ -167,3 +167,18 @@ def test_ends_are_in_the_rewards_unit(unit):
     scaled = oee.Problem(simulator.with_rewards(unit * rewards), problem.log)
     one, other = oee.interval(problem, policy), oee.interval(scaled, policy)
     assert_allclose(np.array([other.lower, other.upper]) / unit, [one.lower, one.upper], rtol=1e-6)
+
+
+def test_an_end_where_no_recorded_row_changes_the_value():
+    """At the worst, unrecorded rows keep the walk from its goal: V of recorded ones is constant but for rounding."""
+    places = np.arange(21)
+    for seed in range(15):
+        rng = np.random.default_rng(seed)
+        P, rewards = np.zeros((21, 2, 21)), np.full((21, 2, 21), -0.004)
+        P[20, :, 20], rewards[:, :, 20], rewards[20] = 1.0, 0.996, 0.0
+        for s, a in np.ndindex(20, 2):
+            np.add.at(P[s, a], np.clip(s + np.arange(-1, 2), 0, 20), rng.dirichlet(np.full(3, 6.0)))
+        simulator = oee.FiniteMDP(P, rewards, 10, 0.99)
+        log = oee.sample_episodes(simulator, np.zeros(21, int), 30, 20, seed=seed)
+        found = oee.interval(oee.Problem(simulator, log), np.where(places < 10, 1, 0))
+        assert -0.4 - 1e-9 <= found.lower < found.upper <= 1.0
