@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from oee_tabular._arguments import literal
 from oee_tabular.cli.simulators import policy_of, task_of
 
 if TYPE_CHECKING:
@@ -54,10 +55,15 @@ def read_problem(
     if action_noise:
         task = replace(task, mdp=task.mdp.with_action_noise(action_noise))
     model = task.mdp
-    epsilon = read_epsilon(impossible)
+    epsilon: Any = literal(impossible.removeprefix("allow=")) if impossible.startswith("allow=") else None
+    is_share = isinstance(epsilon, float) and 0.0 < epsilon < 1.0
+    if not is_share and impossible not in ("refuse", "drop"):
+        raise ValueError(
+            f"--impossible must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got {impossible!r}"
+        )
     _progress.report_step(f"reading the log {', '.join(log)}")
     found = read_log(log[0] if len(log) == 1 else log, model)
-    if epsilon is not None:
+    if is_share:
         recorded = found if isinstance(found, Transitions) else found.counts(model.n_states, model.n_actions)
         model = model.with_support_of(recorded, epsilon)
     return task, Problem(
@@ -68,22 +74,6 @@ def read_problem(
         rewards=rewards,
         impossible="drop" if impossible == "drop" else "refuse",
     )
-
-
-def read_epsilon(impossible: str) -> float | None:
-    """The EPS of --impossible allow=EPS; None for refuse and drop."""
-    if impossible in ("refuse", "drop"):
-        return None
-    word, _, number = impossible.partition("=")
-    try:
-        epsilon = float(number)
-    except ValueError:
-        epsilon = -1.0
-    if word != "allow" or not 0.0 < epsilon < 1.0:
-        raise ValueError(
-            f"--impossible must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got {impossible!r}"
-        )
-    return epsilon
 
 
 def read_box(text: str | None) -> dict[str, float | None]:
@@ -99,19 +89,6 @@ def read_box(text: str | None) -> dict[str, float | None]:
             f"--box must be LOWER,UPPER, bounds on P_target / P with 0 <= LOWER <= 1 <= UPPER, as 0.5,2; got {text!r}"
         )
     return {"lower_ratio": lower, "upper_ratio": upper}
-
-
-def read_knowledge(
-    features: Path | None, tie: Path | None, box: str | None, simulator: FiniteMDP
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What is known of the target, as ``evaluate`` takes it, and what the report says of its files."""
-    known: dict[str, Any] = read_box(box)
-    facts: dict[str, Any] = {}
-    for name, path in (("features", features), ("tie", tie)):
-        if path is not None:
-            known[name], content = read_entries(path, name, simulator)
-            facts[name] = f"{path} ({content})"
-    return known, facts
 
 
 def read_entries(path: Path, name: str, simulator: FiniteMDP) -> tuple[Any, str]:

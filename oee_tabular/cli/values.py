@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from oee_tabular._arguments import literal, named_specs
-from oee_tabular.cli.inputs import read_box, read_knowledge, read_problem, refuse, write_array
+from oee_tabular.cli.inputs import read_box, read_entries, read_problem, refuse, write_array
 from oee_tabular.cli.options import answer, with_options
 from oee_tabular.cli.simulators import policies_of, task_of
 from oee_tabular.continuous.command import evaluate_files, is_continuous, task_options
@@ -91,6 +91,7 @@ def evaluate(
     }  # fmt: skip
     options = task_options(task_option)
     changes: dict[str, Any] = {"action_noise": action_noise, "initial": initial, "impossible": impossible}
+    known = {"features": features, "tie": tie, "box": box} | changes
     if options and not is_continuous(simulator):
         if simulator is not None:
             task_of(simulator)  # which may not be there at all
@@ -98,10 +99,7 @@ def evaluate(
     if simulator is None and not log:
         from oee_tabular.experiments import embedded_default
 
-        refuse(
-            {"behavior": behavior, "target": target, "features": features, "tie": tie, "box": box} | changes,
-            "needs --simulator and --log",
-        )
+        refuse({"behavior": behavior, "target": target} | known, "needs --simulator and --log")
         given: dict[str, Any] = {"horizon": horizon, "discount": discount, "rewards": rewards}
         default = embedded_default(seed=seed, **{name: value for name, value in given.items() if value is not None})
         policies: Any = default.policies
@@ -114,10 +112,8 @@ def evaluate(
         there, lacking = ("log", "simulator") if log else ("simulator", "log")
         raise ValueError(f"--{lacking} must be given with --{there} (record a log with: oee sample)")
     elif is_continuous(simulator):
-        refuse(
-            {"rewards": rewards, "features": features, "tie": tie, "box": box} | changes,
-            "must be left out for a continuous task, whose states have no numbers; it is {}",
-        )
+        rule = "must be left out for a continuous task, whose states have no numbers; it is {}"
+        refuse({"rewards": rewards} | known, rule)
         found = evaluate_files(
             simulator, log, policy, behavior, target, options, horizon=horizon,
             discount=0.99 if discount is None else discount, normalized=bool(normalized), **common,
@@ -126,7 +122,12 @@ def evaluate(
         task, problem = read_problem(
             simulator, log, behavior=behavior, horizon=horizon, discount=discount, rewards=rewards, **changes
         )
-        known, facts = read_knowledge(features, tie, box, task.mdp)
+        assumed: dict[str, Any] = read_box(box)
+        facts: dict[str, Any] = {}
+        for name, path in (("features", features), ("tie", tie)):
+            if path is not None:
+                assumed[name], content = read_entries(path, name, task.mdp)
+                facts[name] = f"{path} ({content})"
         specs = named_specs(policy or ["optimal"])
         facts |= {
             "simulator_name": simulator, "log_name": ", ".join(log), "log_files": log, "action_noise": action_noise,
@@ -138,7 +139,7 @@ def evaluate(
             facts["simulator"] = f"{simulator} with action noise {action_noise:g}: {task.mdp!r}"
         found = evaluate_problem(
             problem, policies_of(policy, task), normalized=bool(normalized), facts=facts,
-            target=None if target is None else task_of(target, task.mdp.discount, initial).mdp, **known, **common,
+            target=None if target is None else task_of(target, task.mdp.discount, initial).mdp, **assumed, **common,
         )  # fmt: skip
     answer(found.to_text(all=all_, verbose=verbose), found.to_dict() if json else {}, json)
     before = set(output.iterdir()) if output and output.exists() else set()
