@@ -23,7 +23,7 @@ from oee_tabular.report import text
 from oee_tabular.report.assumptions import Assumptions
 from oee_tabular.report.interval_choice import choose_interval, group_findings
 from oee_tabular.report.results import Report, Result, headline
-from oee_tabular.report.uncertainty import LIKELIHOOD, SHARED, assess, with_ranking
+from oee_tabular.report.uncertainty import LIKELIHOOD, SHARED, assess, with_values
 
 
 @one_thread
@@ -120,9 +120,7 @@ def evaluate(
             hidden = frozenset(
                 (r.policy, r.estimator) for r in raw if any(f.kind == "weights" for f in r.estimate.findings)
             )
-        known = assess(
-            problem, named_policies, level, guaranteed=guaranteed, quick=quick, scale=scale, assumed=assumptions
-        )
+        known = assess(problem, named_policies, level, guaranteed=guaranteed, quick=quick, assumed=assumptions)
     made_from_log = {name for name, policy in named_policies.items() if is_best_in_log(problem, policy)}
     results = []
     for result in raw:
@@ -133,7 +131,7 @@ def evaluate(
         likelihood = known.intervals.get(result.policy, {}).get(key)
         results.append(replace(result, estimate=choose_interval(estimate, likelihood, level, scale)))
     by_policy = {name: [result for result in results if result.policy == name] for name in named_policies}
-    known = with_ranking(known, {name: headline(own).estimate.value for name, own in by_policy.items()}, scale)
+    known = with_values(known, {name: headline(own).estimate for name, own in by_policy.items()}, scale)
     warnings, notes = _collect_warnings(problem, results, left_out)
     told = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
     told |= {"target": str(assumptions)} if str(assumptions) else {}

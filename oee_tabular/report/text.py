@@ -206,12 +206,13 @@ def missing_intervals(reason: str) -> str:
     return f"There are no likelihood intervals: {reason}."
 
 
-def worst_case(unrecorded: int, share: float, *, dropped: bool) -> str:
+def worst_case(unrecorded: int, share: float | None, *, dropped: bool) -> str:
     """Say what the quoted interval lets unrecorded pairs do; "" where there are none."""
     told = ""
     if unrecorded:
         pairs = f"{unrecorded} unrecorded state-action pair{'s' * (unrecorded > 1)}"
-        told = f"The interval assumes the worst for {pairs} ({_printing.share(share)} of the time)."
+        of_time = "" if share is None else f" ({_printing.share(share)} of the time)"
+        told = f"The interval assumes the worst for {pairs}{of_time}."
     return f"{told}{' ' * bool(told)}Dropped transitions may lead anywhere in it." if dropped else told
 
 

@@ -13,7 +13,7 @@ from scipy import special
 from oee_tabular import _progress
 from oee_tabular._checks import Array
 from oee_tabular.design.advice import advice
-from oee_tabular.estimators import Problem
+from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.inference import Comparison, Decision, Interval, compare_policies
 from oee_tabular.inference.evidence import Evidence, gather
 from oee_tabular.inference.robust import independent_radius
@@ -101,12 +101,11 @@ def assess(
     *,
     guaranteed: bool = False,
     quick: bool = False,
-    scale: float = 1.0,
     assumed: Assumptions | None = None,
 ) -> Uncertainty:
     """Compute intervals of every policy, the test of the simulator, the comparison, and what to record next.
 
-    ``scale`` multiplies values in sentences (1 - discount for normalised reports). ``with_ranking`` adds what needs the values.
+    ``with_values`` adds the sentences that need the values.
     """
     assumed = assumed or Assumptions()
     if problem.soft and guaranteed:
@@ -135,14 +134,22 @@ def assess(
     return Uncertainty(
         intervals,
         tuple(distance),
-        {name: _describe(found, scale) for name, found in intervals.items()},
-        comparison,
+        comparison=comparison,
         next="" if is_endless else advice(problem, policies, confidence),
     )
 
 
-def with_ranking(uncertainty: Uncertainty, values: Mapping[str, float], scale: float = 1.0) -> Uncertainty:
-    """Add the decision and its sentence; ``values`` are those that are shown."""
+def with_values(uncertainty: Uncertainty, shown: Mapping[str, Estimate], scale: float = 1.0) -> Uncertainty:
+    """Add what the intervals assume and which policy is best; ``shown`` are the estimates in front.
+
+    ``scale`` multiplies values in the sentences (1 - discount for normalised reports).
+    """
+    about = {
+        name: _describe(found, shown[name].diagnostics.get("coverage"), scale)
+        for name, found in uncertainty.intervals.items()
+    }
+    uncertainty = replace(uncertainty, policies=about)
+    values = {name: estimate.value for name, estimate in shown.items()}
     if len(values) < 2 or not any(math.isfinite(value) for value in values.values()):
         return uncertainty
     if uncertainty.comparison is None:
@@ -198,14 +205,14 @@ def _test_simulator(evidence: Evidence) -> str:
     return text.agreement(n_tested) if abs(z) < MIN_Z else text.joint_rejection(z)
 
 
-def _describe(found: Mapping[str, Interval], scale: float) -> str:
-    """What the intervals of a policy assume."""
+def _describe(found: Mapping[str, Interval], coverage: float | None, scale: float) -> str:
+    """What the intervals of a policy assume; ``coverage`` is the share of the policy's time that the log covers."""
     quoted = found[LIKELIHOOD]
     if quoted.status != "ok":
         return f"{quoted.status}."
-    facts = quoted.diagnostics
-    dropped = bool(facts.get("dropped_moves", 0.0))
-    told = [text.worst_case(int(facts["unvisited_rows"]), facts["unvisited_share"], dropped=dropped)]
+    dropped = bool(quoted.diagnostics.get("dropped_moves", 0.0))
+    unrecorded = int(quoted.diagnostics["unvisited_rows"])
+    told = [text.worst_case(unrecorded, None if coverage is None else 1.0 - coverage, dropped=dropped)]
     if quoted.sampling is not None and quoted.width > MUCH_WIDER * (quoted.sampling[1] - quoted.sampling[0]):
         told.append(text.sampling_interval(quoted.sampling[0] * scale, quoted.sampling[1] * scale))
     if GUARANTEED in found:

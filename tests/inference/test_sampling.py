@@ -76,7 +76,7 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     row = report.table.set_index("estimator").loc["oee"]
     assert_allclose(row[["sampling_lower", "sampling_upper"]].astype(float), 0.1 * np.array(found.sampling), rtol=1e-9)
     assert np.isnan(report.table.set_index("estimator").sampling_lower["model-based"])
-    share = f"{100 * found.diagnostics['unvisited_share']:.1f}% of the time"
+    share = f"{100 * (1 - row['coverage']):.1f}% of the time"
     sentence = next(x for x in report.uncertainty.sentences if "The recorded transitions alone" in x)
     assert f"unrecorded state-action pairs ({share})." in sentence
     assert "with those pairs as estimated, give " in sentence

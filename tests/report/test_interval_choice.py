@@ -256,6 +256,13 @@ def test_a_paired_comparison_ranks_where_intervals_overlap():
     assert why.endswith("known more precisely than either value because both rest on the same transitions.")
 
 
+def ranking(known, *values):
+    shown = {
+        name: Estimate(value, status="none") for name, value in zip(("delta=0.9", "delta=0.4"), values, strict=True)
+    }
+    return uncertainty.with_values(known, shown).ranking
+
+
 def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradict_it():
     policies = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.9, 0.4)}
     near = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.9, 0.9001)}
@@ -265,14 +272,10 @@ def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradic
     half = oee.evaluate(even(20_000, rows=8), policies, estimators=["oee"])
     assert half.uncertainty.ranking.startswith("The log cannot say which of ")
     sure = half.uncertainty
-    assert uncertainty.with_ranking(sure, {"delta=0.9": math.nan, "delta=0.4": math.nan}) == sure
+    assert ranking(sure, math.nan, math.nan) == sure.ranking
     clear = oee.evaluate(even(20_000), policies, estimators=["oee"]).uncertainty
-    assert uncertainty.with_ranking(clear, {"delta=0.9": 2.0, "delta=0.4": 1.0}).ranking.startswith(
-        "Of 2 policies, “delta=0.9”"
-    )
-    assert uncertainty.with_ranking(clear, {"delta=0.9": 1.0, "delta=0.4": 2.0}).ranking.startswith(
-        "The log cannot say"
-    )
+    assert ranking(clear, 2.0, 1.0).startswith("Of 2 policies, “delta=0.9”")
+    assert ranking(clear, 1.0, 2.0).startswith("The log cannot say")
 
 
 def test_sentences_without_information_are_gone():
