@@ -68,7 +68,7 @@ WEIGHTLESS = Finding(  # the status says it, and a report leaves such rows out
 SAMPLED = Finding(
     "sampled",
     0.0,
-    "The simulator was made of samples: likelihood intervals widen by what its first states, its mean rewards and moves that "
+    "The simulator was made of samples: likelihood intervals widen by what its first states, its mean rewards and transitions that "
     "were never met may change.",
 )
 
@@ -85,19 +85,17 @@ def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None
     has_source = facts.get("standard_error_of") is not None
     unseen, single = facts.get("fallback_share", 0.0), facts.get("single_share", 0.0)
     if unseen > MIN_SHARE:
-        is_tied = "n_keys" in facts
-        text = "{} of the policy's discounted time is spent in state-action pairs that the log has never seen. "
+        is_tied, is_bare = "n_keys" in facts, error is not None and "unseen_standard_error" not in facts
+        text = "the log has nothing in the state-action pairs where the policy spends {} of its discounted time."
         if is_tied:
-            text += "What is said of them comes from moves of the same kind elsewhere (the tie)"
-        else:
-            text += "Nothing there is learned from the target"
-        if error is not None and "unseen_standard_error" not in facts:
-            text += ", and the standard error does not cover it"
-        alone = f"{text}: there is no interval." if has_source and not is_tied else None
-        told.append(Finding("coverage", unseen, f"{text}.", f"{unseen:.0%}", alone))
+            text += " Transitions of the same key elsewhere speak for them."
+        elif is_bare:
+            text += " The standard error does not cover them, and above 10% there is no interval."
+        alone = f"{text[:-1]}, so there is no interval." if has_source and not is_tied and not is_bare else None
+        told.append(Finding("coverage", unseen, text, f"{unseen:.0%}", alone))
     if single > MIN_SHARE:
         alone = (
-            "{} of the policy's discounted time is spent in state-action pairs with one recorded move, whose variance is "
+            "{} of the policy's discounted time is spent in state-action pairs with one recorded transition, whose variance is "
             "not known: there is no interval."
         )
         told.append(Finding("single", single, "", f"{single:.0%}", alone))
@@ -170,7 +168,7 @@ def outside(value: str, severity: float, end: str) -> Finding:
 def missing_support(share: float, largest: float, nats: float) -> Findings:
     """Transitions that only the defensive share of a continuous simulator makes possible."""
     text = (
-        "{} of the log's moves have probability 0 in the plain simulator, where no ratio exists; what is said of them "
+        "{} of the log's transitions have probability 0 in the plain simulator, where no ratio exists; what is said of them "
         f"rests on the defensive share (largest zeta {largest:.3g}, D_inf {nats:.2g} nats). "
         "A simulator under parameters that bracket the target (tasks.defensive_mixture), process noise or wider cells "
         "would cover them."
@@ -201,16 +199,16 @@ def moves_dropped(dropped: Array, kept: float) -> Findings:
     """Transitions that the simulator calls impossible: ``dropped`` of each pair, beside ``kept`` in all."""
     number, pairs = float(dropped.sum()), int((dropped > 0).sum())
     text = (
-        f"{number:g} of the log's {number + kept:g} moves, of {pairs} pair{'s' * (pairs > 1)} of a state and an action, "
+        f"{number:g} of the log's {number + kept:g} transitions, of {pairs} pair{'s' * (pairs > 1)} of a state and an action, "
         f"{'is' if number == 1 else 'are'} impossible in the simulator and left out of every model. Likelihood intervals let "
-        "these moves lead anywhere; all other intervals ignore them."
+        "these transitions lead anywhere; all other intervals ignore them."
     )
     return (Finding("impossible", 1.0, text),) if number else ()
 
 
 def episodes_sampled(kept: int, of: int) -> Findings:
     """Importance sampling sees some of the log's episodes."""
-    text = f"Importance sampling sees a sample of {kept} of the log's {of} episodes; all others see every move."
+    text = f"Importance sampling sees a sample of {kept} of the log's {of} episodes; all others see every transition."
     return (Finding("sample", 0.0, text),) if 0 < kept < of else ()
 
 

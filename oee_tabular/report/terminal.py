@@ -115,8 +115,7 @@ def comparison_table(report: Report) -> list[str]:
 def estimator_table(report: Report, rows: Sequence[Mapping[str, Any]], *, verbose: bool) -> list[str]:
     """A row each policy and estimator."""
     body = [cells(report, row, verbose=verbose) for row in rows]
-    lines = align_columns([header(report, verbose=verbose), *body], numeric_from=2)
-    return [lines[0], "-" * max(len(line) for line in lines), *lines[1:]]
+    return align_columns([header(report, verbose=verbose), *body], numeric_from=2)
 
 
 def header(report: Report, *, verbose: bool) -> list[str]:

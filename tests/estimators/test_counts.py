@@ -217,5 +217,5 @@ def test_what_was_left_out_is_told():
     texts = [finding.text for finding in oee.Problem(SIMULATOR, log).findings]
     assert texts == [
         "4 bad rows of the log were not counted: a.csv: state[3] must be an integer; it is x.",
-        "Importance sampling sees a sample of 30 of the log's 300 episodes; all others see every move.",
+        "Importance sampling sees a sample of 30 of the log's 300 episodes; all others see every transition.",
     ]

@@ -199,7 +199,10 @@ def test_no_interval_of_a_model_that_the_log_covers_too_little():
     assert row["coverage"] < 0.9
     assert row["standard_error"] > 0
     assert (row["lower"], row["upper"], row["interval_method"]) == (None, None, None)
-    assert "the standard error does not cover it: there is no interval." in report.warnings[row["notes"][0] - 1]
+    assert (
+        "The standard error does not cover them, and above 10% there is no interval."
+        in report.warnings[row["notes"][0] - 1]
+    )
     assert row_of(report)["lower"] is not None
 
 
@@ -215,7 +218,9 @@ def test_no_interval_where_the_variance_is_not_known():
     assert row["single_share"] > 0.9
     assert row["lower"] is None
     told = [report.warnings[k - 1] for k in row["notes"]]
-    assert any("with one recorded move, whose variance is not known: there is no interval." in text for text in told)
+    assert any(
+        "with one recorded transition, whose variance is not known: there is no interval." in text for text in told
+    )
     assert row_of(report)["upper"] > row_of(report)["lower"]
     assert not row_of(oee.evaluate(even(20_000), MINE, estimators=["model-based"]), "model-based")["single_share"]
 
