@@ -28,10 +28,21 @@ def run(path, folder):
     for cell in book.cells:
         if cell.cell_type == "code":
             cell.execution_count = None
-            cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
+            cell.outputs = join_streams([output for output in cell.outputs if output.get("name") != "stderr"])
             for output in cell.outputs:
                 strip(output)
     return book
+
+
+def join_streams(outputs):
+    """Join what is printed in several pieces, which depend on the machine's load."""
+    joined = []
+    for output in outputs:
+        if joined and output.output_type == joined[-1].output_type == "stream":
+            joined[-1].text += output.text
+        else:
+            joined.append(output)
+    return joined
 
 
 def strip(output):

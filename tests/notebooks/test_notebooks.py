@@ -2,6 +2,7 @@
 
 import base64
 import importlib
+import itertools
 import re
 
 import nbformat
@@ -60,7 +61,9 @@ def test_the_outputs_say_nothing_of_the_machine(path, stored):
     assert all(cell.metadata == {} for cell in stored.cells)
     for cell in cells(stored, "code"):
         assert cell.execution_count is None
-        assert not [output for output in cell.outputs if output.get("name") == "stderr"]
+        streams = [output.get("name") for output in cell.outputs]
+        assert "stderr" not in streams
+        assert ("stdout", "stdout") not in itertools.pairwise(streams)  # joined
         assert not [output for output in cell.outputs if output.get("metadata") or output.get("execution_count")]
     ids = [cell.id for cell in stored.cells]
     assert len(set(ids)) == len(ids)
