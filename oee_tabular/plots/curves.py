@@ -9,7 +9,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.plots.style import INK, check_axes, disable_math, series, shorten
+from oee_tabular.plots.style import INK, check_axes, check_texts, disable_math, series, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,17 +47,25 @@ def plot_curves(
     ['oee', 'true value']
     """
     where, found = _check_curves(x, curves, "x", "curves")
-    unknown = [name for name in bands or {} if name not in found]
-    if unknown:
-        raise ValueError(f"bands must be of names in curves; {unknown[0]!r} is not")
-    ends = {name: [_check_like(end, where, f"bands[{name!r}]") for end in pair] for name, pair in (bands or {}).items()}
-    line = None if truth is None else np.broadcast_to(_checks.float_array(truth, "truth"), where.shape)
+    check_texts(truth_label=truth_label, xlabel=xlabel, ylabel=ylabel)
+    ends = {}
+    for name, pair in _checks.instance({} if bands is None else bands, Mapping, "bands").items():
+        if name not in found:
+            raise ValueError(f"bands must be of names in curves; {_checks.show(name)} is not")
+        both = _checks.collection(pair, "bands", "pairs of arrays")
+        if len(both) != 2:
+            raise ValueError(f"bands[{name!r}] must be (lower, upper); it has {len(both)} entries")
+        ends[name] = [_check_like(end, where, f"bands[{name!r}]") for end in both]
+    line = None if truth is None else _checks.float_array(truth, "truth", ndim=(0, 1))
+    if line is not None and line.ndim:
+        _check_like(line, where, "truth")
     ax = check_axes(ax)
     for k, (name, y) in enumerate(found.items()):
         ax.plot(where, y, ms=5, lw=1.6, label=shorten(name), **series(k))
         if name in ends:
             ax.fill_between(where, ends[name][0], ends[name][1], color=series(k)["color"], alpha=0.18, lw=0)
     if line is not None:
+        line = np.broadcast_to(line, where.shape)
         ax.plot(where, line, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1, label=truth_label)
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
@@ -96,6 +104,8 @@ def plot_errors(
         k = int(np.argmin(where > 0))
         raise ValueError(f"n[{k}] must be positive; it is {where[k]:g}")
     ax = plot_curves(where, found, ax, bands=bands, xlabel=xlabel, ylabel=ylabel)
+    if slope is not None:
+        _checks.number_in(slope, "slope", -100.0, 100.0)
     first = next(iter(found.values()))
     start = np.flatnonzero(np.isfinite(first))
     if slope is not None and start.size and len(where) > 1:
@@ -130,7 +140,7 @@ def plot_variance_growth(
     'log'
     """
     if horizons is None:
-        first = next(iter(variances.values()), ())
+        first = next(iter(_checks.instance(variances, Mapping, "variances").values()), ())
         horizons = 1 + np.arange(_checks.float_array(first, "variances").size)
     where, found = _check_curves(horizons, variances, "horizons", "variances", is_logarithmic=True)
     ax = plot_curves(where, found, ax, xlabel=xlabel, ylabel=ylabel)
@@ -146,7 +156,7 @@ def _check_curves(
     """x and the curves as arrays; without zeros, which a logarithmic axis cannot show."""
     where = _checks.float_array(x, x_name, ndim=1)
     _checks.require_finite(where, x_name)
-    if not curves:
+    if not _checks.instance(curves, Mapping, name):
         raise ValueError(f"{name} must hold at least one curve; it is empty")
     found = {str(label): _check_like(y, where, f"{name}[{label!r}]") for label, y in curves.items()}
     for label, y in found.items() if is_logarithmic else ():
@@ -188,6 +198,7 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
     from scipy.optimize import isotonic_regression
 
     _checks.number_in(fontsize, "fontsize", 0.0, 100.0, open_ends=True)
+    ax = check_axes(ax)
     named = []
     for line in ax.get_lines():
         points = np.asarray(line.get_xydata())

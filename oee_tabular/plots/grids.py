@@ -9,7 +9,17 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular.plots.maps import Map, as_map
-from oee_tabular.plots.style import COLORS, DIVERGING, INK, PAPER, SEQUENTIAL, check_axes, disable_math
+from oee_tabular.plots.style import (
+    COLORS,
+    DIVERGING,
+    INK,
+    PAPER,
+    SEQUENTIAL,
+    check_axes,
+    check_texts,
+    disable_math,
+    shorten,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,10 +60,17 @@ def plot_grid(
     >>> [text.get_text() for text in ax.texts]
     ['a', 'b', 'c', 'd']
     """
+    import matplotlib
+
     places = as_map(shape)
     rows, columns = places.shape
     number = _check_states(values, places, "values", allow_blank=text is not None or crossed is not None)
     is_crossed = _check_mask(crossed, places, "crossed")
+    check_texts(label=label, colormap=colormap)
+    if colormap not in matplotlib.colormaps:
+        raise ValueError(f"colormap must be the name of one of matplotlib's; got {_checks.show(colormap)}")
+    words = None if text is None else [*map(shorten, _checks.collection(text, "text", "words, one a state"))]
+    marks = None if ticks is None else _checks.float_array(ticks, "ticks", ndim=1)
     ax = check_axes(ax, (5.4, 4.2))
     cells = np.ma.masked_invalid(places.spread(number).reshape(rows, columns))
     mesh = ax.pcolormesh(
@@ -65,14 +82,14 @@ def plot_grid(
     for color, width in ((PAPER, 3.6), (COLORS[1], 1.8)):  # a halo, so that it is seen on every shade
         crosses = ax.plot(column + 0.5, row + 0.5, ls="none", marker="x", ms=size, mec=color, mew=width)
         crosses[0].set_rasterized(cells.size > N_VECTOR_CELLS)
-    if text is not None and max(rows, columns) <= N_TEXT_CELLS:
-        _write(ax, mesh, cells, places, text)
+    if words is not None and max(rows, columns) <= N_TEXT_CELLS:
+        _write(ax, mesh, cells, places, words)
     for axis, called in ((ax.xaxis, places.columns), (ax.yaxis, places.rows)):
         shown = range(0, len(called), max(1, -(-len(called) // 10)))
         axis.set_ticks([k + 0.5 for k in shown], [f"{called[k]:.6g}" for k in shown])
         axis.set_tick_params(length=0)
     ax.spines[:].set_visible(False)
-    bar = ax.figure.colorbar(mesh, ax=ax, fraction=0.05, pad=0.03, ticks=ticks, format="%g", label=label)
+    bar = ax.figure.colorbar(mesh, ax=ax, fraction=0.05, pad=0.03, ticks=marks, format="%g", label=label)
     bar.minorticks_off()
     bar.outline.set_visible(False)
     return ax
@@ -105,7 +122,7 @@ def plot_ratio(
         k = int(np.argmax(ratio < 0))
         raise ValueError(f"values[{k}] must be nonnegative; it is {ratio[k]:g}")
     positive = ratio[np.isfinite(ratio) & (ratio > 0)]
-    power = max(1, int(np.ceil(np.abs(np.log2(positive)).max(initial=0.0))))
+    power = min(max(1, int(np.ceil(np.abs(np.log2(positive)).max(initial=0.0)))), 1000)
     reach = 2.0**power
     return plot_grid(
         np.where(ratio == 0, 1.0 / reach, ratio), shape, ax, label=label, norm=LogNorm(1.0 / reach, reach),
@@ -186,7 +203,7 @@ def plot_occupancy(
     return plot_grid(share, shape, ax, label=label, norm=PowerNorm(0.5, 0.0, most or 1.0), text=text, crossed=crossed)
 
 
-def _write(ax: Axes, mesh: Any, cells: Any, places: Map, words: Sequence[object]) -> None:
+def _write(ax: Axes, mesh: Any, cells: Any, places: Map, words: Sequence[str]) -> None:
     """Write words into cells, black on light shades and white on dark ones."""
     shades = mesh.to_rgba(cells).reshape(-1, 4)[:, :3] @ [0.2126, 0.7152, 0.0722]
     for cell, word in zip(places.cell, words, strict=False):
@@ -195,7 +212,7 @@ def _write(ax: Axes, mesh: Any, cells: Any, places: Map, words: Sequence[object]
         color = INK if np.ma.getmaskarray(cells).flat[cell] else "#000000" if shades[cell] > 0.45 else "#ffffff"
         row, column = divmod(int(cell), cells.shape[1])
         size = 8.0 if cells.shape[1] <= 8 else 7.2
-        text = ax.text(column + 0.5, row + 0.5, str(word), ha="center", va="center", fontsize=size, color=color)
+        text = ax.text(column + 0.5, row + 0.5, word, ha="center", va="center", fontsize=size, color=color)
         disable_math([text])
 
 

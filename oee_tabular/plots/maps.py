@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry
-
-if TYPE_CHECKING:
-    from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp import FiniteMDP
 
 SPARSEST = 0.02  # share of a map's cells that are states, at least: places that are further apart make no map
 CLOSE = 1e-6  # of a cell, by which a place may miss its middle
@@ -85,7 +83,7 @@ def map_of(mdp: FiniteMDP) -> Map | None:
     >>> map_of(corner).shape, map_of(corner).spread([5, 6, 7])
     ((2, 2), array([ 5.,  6., nan,  7.]))
     """
-    layout = mdp.layout
+    layout = _checks.instance(mdp, FiniteMDP, "mdp").layout
     if layout is not None and layout.shape[1] == 2:
         found = _from_places(layout, mdp.closed())
         if found is not None:
@@ -147,7 +145,7 @@ def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
     >>> detect_grid(gridworld(5, slip=0.1))
     (5, 5)
     """
-    matrix = mdp.transitions
+    matrix = _checks.instance(mdp, FiniteMDP, "mdp").transitions
     start = row_of_entry(matrix) // mdp.n_actions
     step = matrix.indices.astype(np.int64) - start
     counted = (mdp.initial[matrix.indices] == 0) | (np.abs(step) <= 1)

@@ -9,6 +9,8 @@ import re
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from oee_tabular import _checks
 
 if TYPE_CHECKING:
@@ -65,7 +67,8 @@ def places(names: Sequence[str]) -> list[int]:
 
 def shorten(name: object, longest: int = 36) -> str:
     """A name as a picture can hold it: no control characters, at most ``longest`` letters."""
-    text = "".join(letter if letter.isprintable() else "\ufffd" for letter in str(name))
+    whole = str(name) if isinstance(name, str | int | float | np.generic) else _checks.show(name)
+    text = "".join(letter if letter.isprintable() else "\ufffd" for letter in whole)
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
@@ -84,6 +87,20 @@ def check_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.8)) -> Axes:
     if not hasattr(ax, "get_xaxis"):
         raise ValueError(f"ax must be matplotlib Axes, or None for new ones; got {_checks.show(ax)}")
     return ax
+
+
+def check_texts(**texts: object) -> None:
+    """Titles and labels are text."""
+    for name, text in texts.items():
+        _checks.instance(text, str, name, "text")
+
+
+def check_pair(pair: object, name: str) -> tuple[float, float]:
+    """Two finite numbers."""
+    ends = _checks.float_array(pair, name)
+    if ends.shape != (2,) or not np.isfinite(ends).all():
+        raise ValueError(f"{name} must be two finite numbers; got {_checks.show(pair)}")
+    return float(ends[0]), float(ends[1])
 
 
 def figure_png(draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)) -> bytes:
@@ -125,6 +142,7 @@ def figure_svg(
     """
     import matplotlib
 
+    check_texts(name=name, title=title, description=description)
     with matplotlib.rc_context(_SVG_STYLE):
         text = _save(draw, size, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type"))).decode()
     body = text[text.index("<svg") :]
@@ -151,7 +169,11 @@ def _save(draw: Callable[[Axes], object], size: tuple[float, float], form: str, 
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, layout="constrained")
+    _checks.function(draw, "draw")
+    inches = check_pair(size, "size")
+    if not 0.1 <= min(inches) <= max(inches) <= 100.0:
+        raise ValueError(f"size must be from 0.1 to 100 inches; it is {inches}")
+    figure = Figure(figsize=inches, layout="constrained")
     draw(figure.subplots())
     canvas: Any = FigureCanvasAgg(figure) if form == "png" else FigureCanvasSVG(figure)
     buffer = io.BytesIO()

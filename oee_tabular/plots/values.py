@@ -11,11 +11,22 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.plots.style import COLORS, INK, check_axes, disable_math, marks, places, shorten
+from oee_tabular.plots.style import (
+    COLORS,
+    INK,
+    check_axes,
+    check_pair,
+    check_texts,
+    disable_math,
+    marks,
+    places,
+    shorten,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+COLUMNS = {"policy", "estimator", "value", "lower", "upper", "true_value"}
 REACH = 15.0  # widths of a typical interval: what is further from the intervals than that does not stretch the axis
 LETTERS = 11.0  # in an inch of text
 
@@ -49,9 +60,16 @@ def plot_values(
     >>> [label.get_text() for label in ax.get_yticklabels()], [text.get_text() for text in ax.texts]
     (['new', 'oee', 'pdis'], ['true value 1.2', '99'])
     """
-    if limits is None and not any(math.isfinite(row["value"]) for row in records):
+    check_texts(unit=unit)
+    rows = _checks.collection(records, "records", "a Report's records()")
+    lacking = [row for row in rows if not isinstance(row, Mapping) or not row.keys() >= COLUMNS]
+    if lacking:
+        raise ValueError(
+            f"records must be mappings with {', '.join(sorted(COLUMNS))}; one is {_checks.show(lacking[0])}"
+        )
+    if limits is None and not any(math.isfinite(row["value"]) for row in rows):
         raise ValueError("records must hold at least one finite value; there is nothing to draw")
-    rows = [row for name in dict.fromkeys(row["policy"] for row in records) for row in records if row["policy"] == name]
+    rows = tuple(row for name in dict.fromkeys(row["policy"] for row in rows) for row in rows if row["policy"] == name)
     values, lower, upper = ([row[key] for row in rows] for key in ("value", "lower", "upper"))
     return plot_intervals(
         [row["estimator"] for row in rows], values, lower, upper, ax, groups=[row["policy"] for row in rows],
@@ -101,7 +119,10 @@ def plot_intervals(
         for array, name in ((values, "values"), (lower, "lower"), (upper, "upper"))
     ]
     value, low, high = arrays
-    group = np.array([""] * len(names) if groups is None else [str(name) for name in groups], dtype=object)
+    names = _checks.collection(names, "names", "names, one a line")
+    given = [""] * len(names) if groups is None else _checks.collection(groups, "groups", "names, one a line")
+    group = np.array([*map(shorten, given)], dtype=object)
+    check_texts(truth_label=truth_label, xlabel=xlabel, title=title)
     if not len(names) == len(group) == len(value) == len(low) == len(high):
         raise ValueError(
             f"names, values, lower, upper and groups must have one length; they have {len(names)}, {len(value)}, "
@@ -109,17 +130,16 @@ def plot_intervals(
         )
     if not len(names) or (limits is None and not np.isfinite(arrays).any()):
         raise ValueError("values must have a finite number, or lower and upper an interval; there is nothing to draw")
-    exact = dict(truth) if isinstance(truth, Mapping) else {} if truth is None else dict.fromkeys(group, truth)
-    left, right = _span(value, low, high, group, [*exact.values()]) if limits is None else limits
+    truths = truth if isinstance(truth, Mapping) else {} if truth is None else dict.fromkeys(group, truth)
+    exact = {shorten(name): float(_checks.float_array(x, "truth", ndim=0)) for name, x in truths.items()}
+    left, right = _span(value, low, high, group, [*exact.values()]) if limits is None else check_pair(limits, "limits")
     if not left < right:
         raise ValueError(f"limits must be (low, high) with low < high; got {limits}")
 
     # the lines from the top; above each group one for its name and the truth's
     starts = [k for k in range(len(names)) if k == 0 or group[k] != group[k - 1]] if exact or groups is not None else []
     y = np.arange(len(names)) + np.searchsorted(starts, np.arange(len(names)), side="right")
-    labels = dict(zip(y.tolist(), map(shorten, names), strict=True)) | {
-        int(y[k]) - 1: shorten(group[k]) for k in starts
-    }
+    labels = dict(zip(y.tolist(), map(shorten, names), strict=True)) | {int(y[k]) - 1: group[k] for k in starts}
     ax = check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
     for k, place in enumerate(places(names)):
         _draw_interval(ax, y[k], value[k], np.clip([low[k], high[k]], left, right), (left, right), marks(place))
@@ -225,9 +245,14 @@ def plot_states(
         raise ValueError(f"recorded must have the shape of time, {shares.shape}; it has {counts.shape}")
     parts = shares, np.where(counts > 0, shares, 0.0), counts
     share, known, total = (array.reshape(len(shares), -1).sum(axis=1) for array in parts)
+    called = None if names is None else _checks.collection(names, "names", "names, one a state")
+    if called is not None and len(called) != len(share):
+        raise ValueError(f"names must have {len(share)} entries, one a state; it has {len(called)}")
+    check_texts(xlabel=xlabel)
     order = np.argsort(-share, kind="stable")[: _checks.positive_integer(top, "top")]
     order = order[share[order] > 0]
     y, good, every = np.arange(len(order)), 100.0 * known[order], 100.0 * share[order]
+    _checks.require_finite(every, "time")
     ax = check_axes(ax, (6.4, 1.1 + 0.25 * len(order)))
     ax.barh(y, good, color=COLORS[0], height=0.72, label="action recorded")
     ax.barh(y, np.where(good < every, every - good, np.nan), left=good, color="none", edgecolor=COLORS[1],
@@ -238,7 +263,7 @@ def plot_states(
             f"{count} recorded", (every[place], place), xytext=(4, 0), textcoords="offset points", va="center",
             fontsize="small", color=INK,
         )  # fmt: skip
-    ax.set_yticks(y, [f"state {s}" if names is None else shorten(names[s]) for s in order])
+    ax.set_yticks(y, [f"state {s}" if called is None else shorten(called[s]) for s in order])
     disable_math(ax.get_yticklabels())
     ax.tick_params(axis="y", length=0)
     ax.set_xlim(0.0, 1.25 * every.max(initial=0.0) or 1.0)

@@ -270,7 +270,8 @@ class Report:
 
     def rows(self, *, all: bool = False) -> list[dict[str, Any]]:
         """The records that stand in the table: ``all``, or those of a short report."""
-        return [row for row in self.records() if all or (row["policy"], row["estimator"]) not in self.hidden]
+        shows_all = _checks.boolean(all, "all")
+        return [row for row in self.records() if shows_all or (row["policy"], row["estimator"]) not in self.hidden]
 
     def legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
         """What the column of intervals holds, for each method."""
