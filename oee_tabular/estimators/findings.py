@@ -68,8 +68,8 @@ WEIGHTLESS = Finding(  # the status says it, and a report leaves such rows out
 SAMPLED = Finding(
     "sampled",
     0.0,
-    "The simulator was made of samples: likelihood intervals widen by what its first states, its mean rewards and transitions that "
-    "were never met may change.",
+    "The simulator was made of samples: likelihood intervals widen by what its first states, its mean rewards and "
+    "transitions that were never met may change.",
 )
 
 
@@ -85,7 +85,8 @@ def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None
     has_source = facts.get("standard_error_of") is not None
     unseen, single = facts.get("fallback_share", 0.0), facts.get("single_share", 0.0)
     if unseen > MIN_SHARE:
-        is_tied, is_bare = "n_keys" in facts, error is not None and "unseen_standard_error" not in facts
+        is_tied = "n_keys" in facts
+        is_bare = error is not None and "unseen_standard_error" not in facts
         text = "the log has nothing in the state-action pairs where the policy spends {} of its discounted time."
         if is_tied:
             text += " Transitions of the same key elsewhere speak for them."
