@@ -20,6 +20,8 @@ def named_specs(given: list[str], option: str = "--policy", known: Sequence[str]
             near = difflib.get_close_matches(name, known, n=1)
             hint = f" (did you mean {near[0]}=VALUE?)" if near else ""
             raise ValueError(f"{option} must be NAME=VALUE, NAME one of {', '.join(known)}; got {text!r}{hint}")
+        if equals and not name:
+            raise ValueError(f"{option} must have a name before its '='; got {text!r}")
         if name in specs:
             raise ValueError(f"{option} names must differ; {name!r} is given twice")
         specs[name] = spec if equals else text

@@ -55,7 +55,9 @@ def read_problem(
     if action_noise:
         task = replace(task, mdp=task.mdp.with_action_noise(action_noise))
     model = task.mdp
-    epsilon: Any = literal(impossible.removeprefix("allow=")) if impossible.startswith("allow=") else None
+    epsilon: Any = (
+        literal(impossible.removeprefix("allow="), "--impossible") if impossible.startswith("allow=") else None
+    )
     is_share = isinstance(epsilon, float) and 0.0 < epsilon < 1.0
     if not is_share and impossible not in ("refuse", "drop"):
         raise ValueError(

@@ -106,6 +106,7 @@ def test_an_option_given_twice_is_refused(run, name, option):
         ("evaluate --policy best", "or a .npy, .npz or .csv file; got 'best'"),
         ("evaluate --policy optimum", "got 'optimum' (did you mean 'optimal'?)"),
         ("evaluate --policy a=uniform --policy a=optimal", "--policy names must differ; 'a' is given twice"),
+        ("evaluate --policy =uniform", "--policy must have a name before its '='; got '=uniform'"),
         ("evaluate --policy nowhere.npy", "no such file: nowhere.npy"),
         ("evaluate --output /proc/version/below", "--output must be a folder that can be written"),
         ("evaluate --title x", "--title needs --report FILE.html"),
