@@ -102,3 +102,15 @@ def test_the_commands_for_own_files_run(tmp_path, monkeypatch, capsys):
     oee.Transitions([0, 1, 1], [0, 1, 0], [1, 1, 0]).save("log.csv")
     run_blocks(text, capsys, oee=oee, np=np, P=P, r=[[0, 1], [1, 0]], initial=0, discount=0.9, policy=policy)
     assert (tmp_path / "answer.html").stat().st_size
+
+
+def test_the_syllabus_names_pictures_and_exercises_that_are_there():
+    weeks = re.findall(r"^\| \d \|.*", (NOTEBOOKS[0].parent / "syllabus.md").read_text(), re.MULTILINE)
+    assert len(weeks) == 8
+    for week in weeks:
+        *_, exercises, picture = week.removesuffix(" |").split(" | ")
+        number, title = re.fullmatch(r'(\d\d): "(.+)"', picture).groups()
+        assert title in next(path for path in NOTEBOOKS if path.name.startswith(number)).read_text()
+        asked = {f"{part[:2]}_{letter}" for part in exercises.split("; ") for letter in re.findall(r"\b[a-e]\b", part)}
+        assert asked <= set(CASES)
+        assert f"{number}_a" in asked
