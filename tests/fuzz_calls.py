@@ -30,7 +30,7 @@ import oee_tabular as oee
 LIMIT = 5.0  # seconds of CPU of a call
 START = 300.0  # seconds for a child to import and compile
 LONGEST = 1500  # characters of a message
-ROOMS = ("mdp", "exact", "data", "simulate", "top")  # of these no name is left out
+ROOMS = ("mdp", "exact", "data", "simulate", "plots", "top")  # of these no name is left out
 OURS = (ValueError, OSError, ImportError, MemoryError)
 PACKAGE = os.path.dirname(oee.__file__) + os.sep
 CHECKED = ("ContinuousTransitions", "Problem", "Transitions")  # whose arguments have valid values of their own
@@ -59,8 +59,8 @@ LinearReacher VisitedCells GridInterpolation gaussian DEFAULT LAWS tandem
 
 
 def functions(known, rooms=None):
-    """Name -> function, of the public modules but plots, with classes' methods bound to valid objects."""
-    parts = {name: getattr(oee, name) for name in oee.__all__ if name != "plots"}
+    """Name -> function, of the public modules, with classes' methods bound to valid objects."""
+    parts = {name: getattr(oee, name) for name in oee.__all__}
     modules = {"top": oee} | {name: part for name, part in parts.items() if inspect.ismodule(part)}
     every = {}
     for room in rooms or modules:
@@ -172,7 +172,11 @@ def judged(function, values, replaced):
     return "accepted", ""
 
 
-BLANK = ("row_changes", "monte_carlo_value")  # nan where a row was never recorded, or from one episode, as they say
+BLANK = (
+    "row_changes",
+    "monte_carlo_value",
+    "spread",
+)  # nan where a row was never recorded, or from one episode, as they say
 
 
 def refusal(error, values, replaced):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 from scipy import sparse
 
 import oee_tabular as oee
@@ -69,7 +70,7 @@ def holders(target, simulator, uniform, log, zeta, problem, moves):
     values = [
         target, log, moves, oee.Transitions.open(path), oee.transition_ratio(log, simulator), problem, oee.Estimate(1.0, 0.1),
         oee.density_ratio([1, 2], [2, 1]), oee.interval(problem, uniform), oee.return_moments(target, uniform),
-        oee.exact.reweight(simulator, zeta),
+        oee.exact.reweight(simulator, zeta), oee.plots.map_of(target),
         oee.plan_data_collection(problem, uniform, n=20), oee.evaluate(problem, uniform, quick=True),
         oee.exact.solve_policy_system(target.transitions[::4], target.initial, 0.9), oee.sample_returns(target, uniform, 9,
         5, seed=0),
@@ -102,7 +103,7 @@ def own_values(known):
     counted = dict(
         zip(("simulator", "n_states", "n_actions", "bad_rows", "progress"), (None, 9, 4, "refuse", False), strict=True)
     )
-    return files | {
+    return files | plots_values(known) | {
         "ContinuousTransitions.concatenate": {"logs": [moves, moves]}, "FiniteMDP.from_env": {"max_steps": 100},
         "TransitionCounts.led_to": {"next_state": known["holders"]["TransitionCounts"].next_state},
         "TransitionRatio.maximum_likelihood_model": {"simulator": simulator},
@@ -133,6 +134,38 @@ def own_values(known):
         "value_error_sides": {"target": paid[0], "model": paid[1]}, "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
         "KinovaArm": {"goal": 0}, "kinova_policy": {"delta": 0.0},
     }  # fmt: skip
+
+
+def plots_values(known):
+    """Arguments of what draws, on axes that nobody shows."""
+    row = {"policy": "p", "estimator": "oee", "value": 1.0, "lower": 0.5, "upper": 1.5, "true_value": 1.1}
+    cells, curve, size = {"shape": (1, 2), "over": [0, 1]}, {"a": [1.0, 2.0]}, {"size": (2.0, 2.0)}
+    own = {
+        "plot_values": {"records": [row]}, "plot_states": {"time": [0.2, 0.8], "recorded": [3, 4]},
+        "plot_intervals": {"names": ["a", "b"], "values": [1.0, 2.0], "lower": [0.0, 1.0], "upper": [2.0, 3.0]},
+        "plot_curves": {"x": [0.0, 1.0], "curves": curve}, "plot_errors": {"n": [1.0, 2.0], "errors": curve},
+        "plot_variance_growth": {"variances": curve}, "plot_grid": cells | {"values": [1.0, 2.0], "label": "value"},
+        "plot_ratio": cells | {"values": [1.0, 2.0]}, "plot_coverage": cells | {"counts": [3, 0]},
+        "plot_occupancy": cells | {"time": [0.2, 0.8]}, "label_ends": {},
+        "Report.plot": {}, "Interval.plot": {}, "Plan.plot": {}, "Comparison.plot": {},
+    }  # fmt: skip
+    axes = Figure().subplots()
+    own_map = {
+        "Map.of_shape": {"rows": 2, "columns": 3},
+        "Map.spread": {"values": np.ones(9)},
+        "Map.place": {"state": 0},
+    }
+    drawn = {"figure_png": size, "figure_svg": size | {"title": "t", "description": "d"}}
+    return (
+        own_map
+        | {name: values | {"ax": axes} for name, values in own.items()}
+        | {name: values | {"draw": len_of_lines} for name, values in drawn.items()}
+    )
+
+
+def len_of_lines(ax):
+    """Draw nothing."""
+    return len(ax.get_lines())
 
 
 def malformed(change):

@@ -156,9 +156,10 @@ def _check_curves(
     """x and the curves as arrays; without zeros, which a logarithmic axis cannot show."""
     where = _checks.float_array(x, x_name, ndim=1)
     _checks.require_finite(where, x_name)
-    if not _checks.instance(curves, Mapping, name):
+    given = _checks.instance(curves, Mapping, name).items()
+    found = {str(label): _check_like(y, where, f"{name}[{label!r}]") for label, y in given}
+    if not found:
         raise ValueError(f"{name} must hold at least one curve; it is empty")
-    found = {str(label): _check_like(y, where, f"{name}[{label!r}]") for label, y in curves.items()}
     for label, y in found.items() if is_logarithmic else ():
         if (y < 0).any():
             k = int(np.argmax(y < 0))

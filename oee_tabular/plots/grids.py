@@ -60,7 +60,7 @@ def plot_grid(
     >>> [text.get_text() for text in ax.texts]
     ['a', 'b', 'c', 'd']
     """
-    import matplotlib
+    import matplotlib.colors
 
     places = as_map(shape)
     rows, columns = places.shape
@@ -69,6 +69,8 @@ def plot_grid(
     check_texts(label=label, colormap=colormap)
     if colormap not in matplotlib.colormaps:
         raise ValueError(f"colormap must be the name of one of matplotlib's; got {_checks.show(colormap)}")
+    if norm is not None:
+        _checks.instance(norm, matplotlib.colors.Normalize, "norm", "norm of matplotlib")
     words = None if text is None else [*map(shorten, _checks.collection(text, "text", "words, one a state"))]
     marks = None if ticks is None else _checks.float_array(ticks, "ticks", ndim=1)
     ax = check_axes(ax, (5.4, 4.2))

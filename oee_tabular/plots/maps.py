@@ -40,7 +40,9 @@ class Map:
     @classmethod
     def of_shape(cls, rows: int, columns: int) -> Map:
         """A state in each cell, numbered row * columns + column."""
-        return cls(tuple(range(rows)), tuple(range(columns)), np.arange(rows * columns))
+        shape = _checks.positive_integer(rows, "rows"), _checks.positive_integer(columns, "columns")
+        _checks.require_memory(shape[0] * shape[1], "rows", shape)
+        return cls(tuple(range(shape[0])), tuple(range(shape[1])), np.arange(shape[0] * shape[1]))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -49,13 +51,17 @@ class Map:
 
     def spread(self, values: Any) -> Array:
         """(rows * columns,) of (S,): what is in each cell, nan where no state is."""
+        given = _checks.float_array(values, "values", ndim=1)
+        if len(given) != len(self.cell):
+            raise ValueError(f"values must have {len(self.cell)} entries, one a state; it has {len(given)}")
         cells = np.full(len(self.rows) * len(self.columns), np.nan)
-        shown = self.cell >= 0
-        cells[self.cell[shown]] = np.asarray(values, dtype=np.float64)[shown]
+        cells[self.cell[self.cell >= 0]] = given[self.cell >= 0]
         return cells
 
     def place(self, state: int) -> tuple[float, float] | None:
         """The coordinates of a state's row and column; None where it is not drawn."""
+        if not _checks.is_integer(state) or not 0 <= state < len(self.cell):
+            raise ValueError(f"state must be an integer from 0 to {len(self.cell) - 1}; got {_checks.show(state)}")
         if self.cell[state] < 0:
             return None
         row, column = divmod(int(self.cell[state]), len(self.columns))
