@@ -104,6 +104,7 @@ def own_values(known):
         zip(("simulator", "n_states", "n_actions", "bad_rows", "progress"), (None, 9, 4, "refuse", False), strict=True)
     )
     return files | plots_values(known) | {
+        "Report.legend": {"rows": known["holders"]["Report"].records()},
         "ContinuousTransitions.concatenate": {"logs": [moves, moves]}, "FiniteMDP.from_env": {"max_steps": 100},
         "TransitionCounts.led_to": {"next_state": known["holders"]["TransitionCounts"].next_state},
         "TransitionRatio.maximum_likelihood_model": {"simulator": simulator},
