@@ -4,6 +4,7 @@ import re
 import shlex
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import oee_tabular as oee
@@ -40,11 +41,14 @@ def run(text, capsys, **names):
     return printed
 
 
+def runnable(page):
+    """A page's text, what is not run left out."""
+    return re.sub(r"<!-- not run -->\n```.*?^```", "", PAGES[page], flags=re.S | re.M)
+
+
 def sections(page):
-    """Heading -> text of a page's sections, what is not run left out."""
-    parts = re.split(
-        r"^## (.+)\n", re.sub(r"<!-- not run -->\n```.*?^```", "", PAGES[page], flags=re.S | re.M), flags=re.M
-    )
+    """Heading -> text of a page's sections."""
+    parts = re.split(r"^## (.+)\n", runnable(page), flags=re.M)
     return dict(zip(parts[1::2], parts[2::2], strict=True))
 
 
@@ -63,6 +67,24 @@ def test_every_how_to_runs(heading, tmp_path, monkeypatch, capsys):
 
 def test_the_estimator_of_one_s_own_passes(capsys):
     assert "Smoothed: passed" in run(PAGES["own_estimator"], capsys)
+
+
+@pytest.mark.parametrize("page", ["peers", "intervals", "deciding"])
+def test_pages_print_what_they_show(page, capsys):
+    assert "```text" in PAGES[page]
+    run(runnable(page), capsys)
+
+
+def test_the_benchmark_s_page_has_the_saved_runs_numbers():
+    page, results = " ".join(PAGES["benchmark"].split()), NOTEBOOKS / "results"
+    cells = pd.read_csv(results / "bench" / "cells.csv").query("family == 'paper_grid' and estimator == 'oee'")
+    ratios = ", ".join(f"{ratio:.2f}" for ratio in cells["rmse"] / cells["maximum-likelihood"])
+    assert f"On the paper's grid {ratios} of maximum likelihood's" in page
+    widths = pd.read_csv(results / "bench_intervals" / "cells.csv").pivot(
+        index=["family", "size"], columns="estimator", values="width"
+    )
+    three, ten, thirty = (widths["evaluate"] / widths["oee"]).groupby("size").median()
+    assert f"its median width is {three:.2f}, {ten:.2f} and {thirty:.2f} times" in page
 
 
 def test_the_landing_page_prints_what_it_shows(capsys):
