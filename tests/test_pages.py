@@ -80,7 +80,7 @@ def test_the_benchmark_s_page_has_the_saved_runs_numbers():
     cells = pd.read_csv(results / "bench" / "cells.csv").query("family == 'paper_grid' and estimator == 'oee'")
     ratios = ", ".join(f"{ratio:.2f}" for ratio in cells["rmse"] / cells["maximum-likelihood"])
     assert f"On the paper's grid {ratios} of maximum likelihood's" in page
-    widths = pd.read_csv(results / "bench_intervals" / "cells.csv").pivot(
+    widths = pd.read_csv(results / "bench_intervals" / "cells.csv").pivot_table(
         index=["family", "size"], columns="estimator", values="width"
     )
     three, ten, thirty = (widths["evaluate"] / widths["oee"]).groupby("size").median()
