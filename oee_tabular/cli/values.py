@@ -199,8 +199,9 @@ def compare(
     text = "\n".join([render_comparison(found), *([""] if warnings else []), *warnings])
     rows = found.comparison()
     differences = [
-        {"policy": row["policy"], "than": rows[0]["policy"], "difference": -row["less_by"], "lower": -row["less_by_upper"],
-         "upper": -row["less_by_lower"]}
+        {"policy": row["policy"], "than": rows[0]["policy"], "difference": -row["less_by"],
+         "lower": None if row["less_by_upper"] is None else -row["less_by_upper"],
+         "upper": None if row["less_by_lower"] is None else -row["less_by_lower"]}
         for row in rows[1:]
     ]  # fmt: skip
     record = {"confidence": found.confidence, "best": found.best, "sentence": found.headline, "policies": rows}

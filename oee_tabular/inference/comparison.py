@@ -117,11 +117,8 @@ class Comparison:
         known, place = intervals or {}, self.names.index
         order = sorted(shown, key=lambda name: -shown[name] if math.isfinite(shown[name]) else math.inf)
 
-        def is_better(one: str, other: str, *, by_difference: bool = False) -> bool:
-            i, j = place(one), place(other)
-            if self.lower[i, j] > 0 and max(self.unseen_share[[i, j]]) <= 1.0 - ENOUGH:
-                return True
-            return not by_difference and {one, other} <= set(known) and known[one].lower > known[other].upper
+        def is_better(one: str, other: str) -> bool:
+            return self.bounds(one, other, known)[0] > 0
 
         candidates = [a for a in order if a == order[0] or not any(is_better(b, a) for b in order)]
         rows = np.ix_(*[[place(name) for name in candidates]] * 2)
@@ -134,13 +131,33 @@ class Comparison:
         best = {name: float(self.probability_best[place(name)]) if says else None for name in order}
         if not is_one:
             return Decision(tuple(candidates), are_equal, best, None)
-        # the difference of the values that are shown, in the paired interval, or in what likelihood intervals leave
         one, other = order[:2]
-        difference, pair = shown[one] - shown[other], (place(one), place(other))
-        lower, upper = float(self.lower[pair]), float(self.upper[pair])
-        if not is_better(one, other, by_difference=True):
-            lower, upper = known[one].lower - known[other].upper, known[one].upper - known[other].lower
+        difference = shown[one] - shown[other]
+        lower, upper = self.bounds(one, other, known)
         return Decision((one,), False, best, (difference, min(lower, difference), max(upper, difference)))
+
+    def bounds(self, one: str, other: str, intervals: Mapping[str, Interval] | None = None) -> tuple[float, float]:
+        """An interval for the value of one policy less that of another, which counts what was never recorded.
+
+        The paired one where the log has ``ENOUGH`` of both policies' time; else, and where only they tell the two apart, what
+        likelihood intervals leave; nan without these.
+
+        Parameters
+        ----------
+        one, other : names of two policies
+        intervals : policy -> likelihood interval, where there is one
+        """
+        i, j = self.names.index(one), self.names.index(other)
+        ours, theirs = ((intervals or {}).get(name) for name in (one, other))
+        apart = (
+            (np.nan, np.nan)
+            if ours is None or theirs is None
+            else (ours.lower - theirs.upper, ours.upper - theirs.lower)
+        )
+        is_covered = max(self.unseen_share[[i, j]]) <= 1.0 - ENOUGH
+        if is_covered and (self.lower[i, j] > 0 or not apart[0] > 0):
+            return float(self.lower[i, j]), float(self.upper[i, j])
+        return apart
 
     def __str__(self) -> str:
         width = max(len(name) for name in self.names)

@@ -220,17 +220,18 @@ class Report:
     def comparison(self) -> list[dict[str, Any]]:
         """A row each policy, best first: its value and interval, P(best), and by how much it is worth less than the best.
 
-        P(best) is None where the log cannot say. The intervals of all differences hold at once. [] of a single policy.
+        P(best), and the ends of a difference, are None where the log cannot say. The intervals of all differences hold at once.
+        [] of a single policy.
         """
         compared, decision = self.uncertainty.comparison, self.uncertainty.decision
         if compared is None or decision is None:
             return []
         answers = sorted(self.answers, key=lambda answer: -answer.value if math.isfinite(answer.value) else math.inf)
-        rows, best = [], compared.names.index(answers[0].policy)
+        rows, best, known = [], answers[0].policy, self.uncertainty.likelihood
         for answer in answers:
-            k, less = compared.names.index(answer.policy), answers[0].value - answer.value
-            ends = (float(x[best, k]) * self.scale for x in (compared.lower, compared.upper))
-            lower, upper = (None, None) if k == best else ends
+            less, is_best = answers[0].value - answer.value, answer.policy == best
+            lower, upper = (self.scale * end for end in compared.bounds(best, answer.policy, known))
+            has_ends = not is_best and math.isfinite(lower)
             rows.append(
                 {
                     "policy": answer.policy,
@@ -239,10 +240,10 @@ class Report:
                     "upper": answer.upper,
                     **sampling_columns(self.uncertainty.likelihood.get(answer.policy), self.scale),
                     "probability_best": decision.probability_best[answer.policy],
-                    "unseen_share": float(compared.unseen_share[k]),
-                    "less_by": None if k == best else less,
-                    "less_by_lower": None if lower is None else min(lower, less),
-                    "less_by_upper": None if upper is None else max(upper, less),
+                    "unseen_share": float(compared.unseen_share[compared.names.index(answer.policy)]),
+                    "less_by": None if is_best else less,
+                    "less_by_lower": min(lower, less) if has_ends else None,
+                    "less_by_upper": max(upper, less) if has_ends else None,
                 }
             )
         return rows

@@ -276,6 +276,8 @@ def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradic
     )
     half = oee.evaluate(even(20_000, rows=8), policies, estimators=["oee"])
     assert half.uncertainty.ranking.startswith("The log cannot say which of ")
+    less = half.comparison()[1]
+    assert less["less_by_lower"] < 0.0 < less["less_by_upper"]  # though their paired difference excludes 0
     sure = half.uncertainty
     assert ranking(sure, math.nan, math.nan) == sure.ranking
     clear = oee.evaluate(even(20_000), policies, estimators=["oee"]).uncertainty
