@@ -58,7 +58,7 @@ def plot_values(
     >>> rows = [row, row | {"estimator": "pdis", "value": 99.0, "lower": None, "upper": None}]
     >>> ax = plot_values(rows, Figure().subplots())
     >>> [label.get_text() for label in ax.get_yticklabels()], [text.get_text() for text in ax.texts]
-    (['new', 'oee', 'pdis'], ['true value 1.2', '99'])
+    (['oee', 'pdis', 'new'], ['99', 'true value 1.2'])
     """
     check_texts(unit=unit)
     rows = _checks.collection(records, "records", "a Report's records()")
@@ -112,7 +112,7 @@ def plot_intervals(
     >>> from matplotlib.figure import Figure
     >>> ax = plot_intervals(["oee", "pdis"], [0.20, 0.12], [0.16, 0.04], [0.23, 0.20], Figure().subplots(), truth=0.19)
     >>> [label.get_text() for label in ax.get_yticklabels()]
-    ['', 'oee', 'pdis']
+    ['oee', 'pdis', '']
     """
     arrays = [
         _checks.float_array(array, name, ndim=1)

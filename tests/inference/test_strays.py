@@ -120,7 +120,7 @@ def test_a_problem_drops_what_it_says():
     assert len(problem.log) == counts.sum()
     assert problem.counts.sum() == counts.sum() - 2 * EACH
     assert str(problem.findings[0]).startswith(
-        f"6 of the log's {counts.sum():g} moves, of 2 pairs of a state and an action"
+        f"6 of the log's {counts.sum():g} transitions, of 2 pairs of a state and an action"
     )
     one = str(moves_dropped(np.array([0.0, 1.0]), 9.0)[0])
     assert one.startswith("1 of the log's 10 moves, of 1 pair of a state and an action, is impossible in the simulator")

@@ -101,7 +101,7 @@ simulator must be a FiniteMDP; got int
 >>> zeta(method='ratio_of_ratios', seed='q')
 seed must be what numpy.random.default_rng takes
 >>> zeta(features=np.where(FEATURES == 2, np.inf, FEATURES))
-features[2, 0] must be finite; it is inf
+features must be finite; feature 0 at s=0, a=0 -> s'=2 is inf
 >>> zeta(horizon=3)
 horizon must be left out without values_of: it is that of the values
 >>> zeta(method=Joint(), values_of=POLICY)

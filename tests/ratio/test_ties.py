@@ -105,4 +105,4 @@ def test_a_tied_ratio_says_that_unseen_rows_come_from_the_tie():
     for ratio, tied in ((Tied(displacement), True), ("conditional", False)):
         found = oee.estimators.OffEnvironment(ratio=ratio)(oee.Problem(SIMULATOR, log), policy)
         told = [finding.text for finding in found.findings if finding.kind == "coverage"]
-        assert [("(the tie)" in text) for text in told] == [tied]
+        assert [("Transitions of the same key elsewhere" in text) for text in told] == [tied]
