@@ -59,12 +59,15 @@ def strip(output):
 
 
 def texts(book):
-    """What each code cell prints and returns."""
-    return [
-        "".join(output.text if output.output_type == "stream" else output.data["text/plain"] for output in cell.outputs)
-        for cell in book.cells
-        if cell.cell_type == "code"
-    ]
+    """What each code cell prints and returns; of a picture nothing, since its size depends on the extras."""
+    return ["".join(map(text_of, cell.outputs)) for cell in book.cells if cell.cell_type == "code"]
+
+
+def text_of(output):
+    """The text of one output."""
+    if output.output_type == "stream":
+        return output.text
+    return "" if "image/png" in output.data else output.data["text/plain"]
 
 
 if __name__ == "__main__":

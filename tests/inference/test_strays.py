@@ -123,7 +123,9 @@ def test_a_problem_drops_what_it_says():
         f"6 of the log's {counts.sum():g} transitions, of 2 pairs of a state and an action"
     )
     one = str(moves_dropped(np.array([0.0, 1.0]), 9.0)[0])
-    assert one.startswith("1 of the log's 10 transitions, of 1 pair of a state and an action, is impossible in the simulator")
+    assert one.startswith(
+        "1 of the log's 10 transitions, of 1 pair of a state and an action, is impossible in the simulator"
+    )
     report = oee.evaluate(problem, {"p": policy, "q": policy[:, ::-1]}, seed=0)
     for row in report.records():
         if row["estimator"] in ("oee", "model-based"):
