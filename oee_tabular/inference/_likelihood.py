@@ -23,6 +23,7 @@ EXACT = 1e-8  # of the limit: how closely it is met in the end
 SOLVED = 1e-3  # of the last iteration's change: how far J of an iteration may be off
 GROWTH = 1.2  # of the step, after one that was no worse; doubling it is refused every other time
 LEAST_STEP = 1e-3  # from which on steps are taken as they are
+ROUNDING = 1e-14  # of the values: a smaller difference of two of them is none
 TINY = 1e-300
 
 
@@ -95,14 +96,16 @@ def fill_gradient(rows, values, visits, gradient):
     In rows without data r + gamma V alone, which does not vanish where they are never reached.
     """
     for r in range(len(rows.n)):
-        mean, weight = 0.0, 1.0
+        mean, weight, size = 0.0, 1.0, 0.0
         for i in range(rows.indptr[r], rows.indptr[r + 1]):
             gradient[i] = rows.pay[i] + rows.discount * values[rows.column[i]]
             mean += rows.phat[i] * gradient[i]
+            size = max(size, abs(gradient[i]))
             if rows.n[r] > 0.0:
                 weight = max(visits[rows.state[i]], 0.0) * rows.weight[i]
         for i in range(rows.indptr[r], rows.indptr[r + 1]):
-            gradient[i] = weight * (gradient[i] - mean)
+            rest = gradient[i] - mean
+            gradient[i] = weight * rest if abs(rest) > ROUNDING * size else 0.0
 
 
 @njit(cache=True, error_model="numpy")

@@ -36,7 +36,7 @@ from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.ratio.ties import tie_keys
 
-N_LINEARISATIONS = 30
+N_LINEARISATIONS = 200
 TOLERANCE = 1e-7  # of the width, by which the last linearisation may still have moved an end
 LARGEST_LOG_FORCE = 60.0  # of c: beyond it rounding is all that the set has to give
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers import random_mdp, random_policy, rngs
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import stats
@@ -34,6 +34,7 @@ def divergence(evidence, rows):
 
 
 @settings(max_examples=40)
+@example(np.random.default_rng(444), None)  # V is constant at the end: rounding must not be taken for a direction
 @given(rngs, st.sampled_from([None, None, 5]))
 def test_an_end_is_a_member_and_its_value(rng, horizon):
     problem, policy = problem_of(rng, horizon)
