@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers import random_mdp, random_policy, rngs
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from numpy.testing import assert_allclose
 from scipy import optimize
 from scipy.stats import chi2
@@ -11,11 +11,18 @@ from scipy.stats import chi2
 import oee_tabular as oee
 
 
+def log_zeta(simulator, phi, theta):
+    """(entries,) logarithms of rows proportional to P exp(phi theta), less those of P; in range for any theta."""
+    starts, lengths = simulator.transitions.indptr[:-1], np.diff(simulator.transitions.indptr)
+    exponent = phi @ theta
+    exponent = exponent - np.repeat(np.maximum.reduceat(exponent, starts), lengths)
+    total = np.add.reduceat(simulator.transitions.data * np.exp(exponent), starts)
+    return exponent - np.repeat(np.log(total), lengths)
+
+
 def tilted(simulator, phi, theta):
     """(entries,) rows proportional to P exp(phi theta)."""
-    indptr = simulator.transitions.indptr[:-1]
-    raw = simulator.transitions.data * np.exp(phi @ theta)
-    return raw / np.repeat(np.add.reduceat(raw, indptr), np.diff(simulator.transitions.indptr))
+    return simulator.transitions.data * np.exp(log_zeta(simulator, phi, theta))
 
 
 def with_rows(simulator, data):
@@ -38,6 +45,8 @@ def log_of(target, n, seed):
 
 
 @settings(max_examples=8, deadline=None)
+@example(np.random.default_rng(447))  # SLSQP looks far outside of the set
+@example(np.random.default_rng(20409))  # seventy linearisations
 @given(rngs)
 def test_the_ends_are_the_extremes_over_the_set(rng):
     """By SLSQP from several starts, on the risk written out: -log-likelihood + |theta s|^2 / 2."""
@@ -52,7 +61,7 @@ def test_the_ends_are_the_extremes_over_the_set(rng):
     scale = np.sqrt(np.add.reduceat(P[:, None] * centred**2, indptr[:-1])[seen].sum(axis=0) / seen.sum())
 
     def risk(theta):
-        return -n @ np.log(tilted(simulator, phi, theta) / P) + 0.5 * np.sum((scale * theta) ** 2)
+        return -n @ log_zeta(simulator, phi, theta) + 0.5 * np.sum((scale * theta) ** 2)
 
     def value(theta):
         return oee.policy_value(with_rows(simulator, tilted(simulator, phi, theta)), policy)
