@@ -69,7 +69,7 @@ def test_the_ends_are_the_extremes_over_the_set(rng):
     best = optimize.minimize(risk, np.zeros(2), method="BFGS", options={"gtol": 1e-8})
     limit = best.fun + 0.5 * chi2.ppf(0.95, 1)
     inside = {"type": "ineq", "fun": lambda theta: limit - risk(theta)}
-    assert_allclose(found.diagnostics["estimate"], value(best.x), rtol=1e-6)
+    assert_allclose(found.diagnostics["estimate"], value(best.x), rtol=0, atol=1e-5 * found.width)  # what BFGS finds
     for sign, end in ((1, found.lower), (-1, found.upper)):
         starts = [best.x + 0.1 * d for d in (np.zeros(2), *np.eye(2), *-np.eye(2))]
         ends = [
