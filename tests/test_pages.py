@@ -94,9 +94,10 @@ def test_the_landing_page_prints_what_it_shows(capsys):
 
 
 @pytest.mark.parametrize("page", sorted(PAGES))
-def test_files_that_a_page_mentions_exist(page):
-    for path in re.findall(r"`((?:tests|notebooks)/[\w/.]+)`", PAGES[page]):
+def test_files_and_tests_that_a_page_mentions_exist(page):
+    for path, test in re.findall(r"`((?:tests|notebooks)/[\w/.]+)(?:::(\w+))?`", PAGES[page]):
         assert (NOTEBOOKS.parent / path).exists(), path
+        assert not test or f"def {test}(" in (NOTEBOOKS.parent / path).read_text(), test
     for path in re.findall(r"\]\((?!https?:|api/)([\w/.]+)(?:#[\w-]*)?\)", PAGES[page]):
         assert (NOTEBOOKS / path).exists(), path
 
