@@ -332,7 +332,7 @@ def _content(columns):
 
 def _readers():
     import oee_tabular as oee
-    from oee_tabular.cli.files import described
+    from oee_tabular.cli.files import describe_files
     from oee_tabular.mdp import check_policy
     from oee_tabular.mdp.policies import read_policy_array
 
@@ -363,7 +363,7 @@ def _readers():
         return _content({"policy": check_policy(read_policy_array(name, "policy"), grid, name=f"policy {name!r}")})
 
     def info(name):
-        described(name)
+        describe_files([name])
         return ""
 
     readers = {"log": (log, counted), "counts": (counts, counted), "states": (states,), "policy": (policy,)}

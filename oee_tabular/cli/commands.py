@@ -45,9 +45,9 @@ class Command(TyperCommand):
         for parameter in self.get_params(ctx):
             if (record := parameter.get_help_record(ctx)) is not None:
                 groups.setdefault(getattr(parameter, "rich_help_panel", None) or "Options", []).append(record)
-        for title, records in groups.items():
+        for title in filter(groups.get, groups):  # which has no empty lists
             with formatter.section(title):
-                formatter.write_dl(records)
+                formatter.write_dl(groups[title])
 
 
 app = typer.Typer(

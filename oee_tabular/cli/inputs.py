@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular._arguments import literal
+from oee_tabular.cli.options import Options
 from oee_tabular.cli.simulators import policy_of, task_of
 
 if TYPE_CHECKING:
@@ -17,10 +18,11 @@ if TYPE_CHECKING:
     from oee_tabular.tasks import NamedTask
 
 
-def refuse(given: Mapping[str, object], rule: str) -> None:
-    """ValueError for the first option that has another value than its default."""
-    for name, value in given.items():
-        if value not in (None, 0.0, "refuse", "simulator", []):
+def refuse(options: Options, names: Iterable[str], rule: str) -> None:
+    """Raise a ValueError for the first of these options that has another value than its default."""
+    for name in names:
+        value = getattr(options, name)
+        if value not in (None, 0.0, "refuse", "simulator"):
             raise ValueError(f"--{name.replace('_', '-')} {rule.format(value)}")
 
 
@@ -34,48 +36,33 @@ def write_array(path: Path, array: Array) -> None:
         np.save(handle, array, allow_pickle=False)
 
 
-def read_problem(
-    simulator: str,
-    log: list[str],
-    *,
-    behavior: str | None = None,
-    initial: str | None,
-    action_noise: float,
-    impossible: str,
-    horizon: int | None,
-    discount: float | None,
-    rewards: Any = "simulator",
-) -> tuple[NamedTask, Problem]:
-    """The simulator's task, and the problem with the log's files."""
+def read_problem(options: Options) -> tuple[NamedTask, Problem]:
+    """Read the simulator, and the problem with the log's files."""
     from oee_tabular import _progress
     from oee_tabular.data import Transitions, read_log
     from oee_tabular.estimators import Problem
 
-    task = task_of(simulator, discount, initial)
-    if action_noise:
-        task = replace(task, mdp=task.mdp.with_action_noise(action_noise))
+    log, noise, impossible = options.log, options.action_noise, options.impossible
+    task = task_of(options.simulator, options.discount, options.initial)
+    if noise:
+        task = replace(task, mdp=task.mdp.with_action_noise(noise))
     model = task.mdp
-    epsilon: Any = (
-        literal(impossible.removeprefix("allow="), "--impossible") if impossible.startswith("allow=") else None
-    )
+    epsilon: Any = literal(impossible[6:], "--impossible") if impossible.startswith("allow=") else None
     is_share = isinstance(epsilon, float) and 0.0 < epsilon < 1.0
     if not is_share and impossible not in ("refuse", "drop"):
         raise ValueError(
             f"--impossible must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got {impossible!r}"
         )
     _progress.report_step(f"reading the log {', '.join(log)}")
-    found = read_log(log[0] if len(log) == 1 else log, model)
+    recorded = read_log(log[0] if len(log) == 1 else log, model)
     if is_share:
-        recorded = found if isinstance(found, Transitions) else found.counts(model.n_states, model.n_actions)
-        model = model.with_support_of(recorded, epsilon)
-    return task, Problem(
-        model,
-        found,
-        horizon=horizon,
-        behavior_policy=None if behavior is None else policy_of(behavior, task, "--behavior"),
-        rewards=rewards,
-        impossible="drop" if impossible == "drop" else "refuse",
-    )
+        is_log = isinstance(recorded, Transitions)
+        model = model.with_support_of(recorded if is_log else recorded.counts(model.n_states, model.n_actions), epsilon)
+        impossible = "refuse"
+    more: dict[str, Any] = {"rewards": options.rewards} if hasattr(options, "rewards") else {}
+    if getattr(options, "behavior", None) is not None:
+        more["behavior_policy"] = policy_of(options.behavior, task, "--behavior")
+    return task, Problem(model, recorded, horizon=options.horizon, impossible=impossible, **more)
 
 
 def read_box(text: str | None) -> dict[str, float | None]:

@@ -1,22 +1,25 @@
-"""The options of the commands with their help, and how a command prints its answer.
+"""The options of the commands, in one table with their help, and how a command prints its answer.
 
-A command is a function. Its options are the function's arguments, and their help stands in groups above it, or in ``SHARED``
-where several commands have one: an option, the name of its value, two spaces, and what it does.
+A line of a command's table is an option with its marks, the name of its value, two spaces, and what it does. Marks: ``*`` may
+be repeated, ``!`` must be given, ``=0.95`` is the default. Tables name the options that they take from ``SHARED``.
 """
 
 from __future__ import annotations
 
+import functools
 import inspect
 import json
 import re
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, TypeVar
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated, Any
 
 import typer
 
 from oee_tabular.estimators.names import names
 
-Function = TypeVar("Function", bound=Callable[..., None])
+Options = SimpleNamespace  # what was given, by the names of the options
 TEXTS = {
     "{SIMULATOR}": "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
     "an .npz of a FiniteMDP | your own, module:Class or module:function,key=value (a FiniteMDP, or a Gymnasium environment "
@@ -31,66 +34,89 @@ TEXTS = {
     "or .npy (S, A, S) or (entries,)",
 }
 SHARED = """
-Input:
 --simulator SIM  {SIMULATOR}.
---log FILE  Log of the target, repeatable: .npz (a log, or its counts), .csv, .parquet, a pattern or a folder of them, a
+--log* FILE  Log of the target, repeatable: .npz (a log, or its counts), .csv, .parquet, a pattern or a folder of them, a
     Minari folder or id.
---policy NAME=SPEC  NAME=SPEC or SPEC, repeatable (none: optimal); SPEC: {POLICY}.
+--policy* NAME=SPEC  NAME=SPEC or SPEC, repeatable (none: optimal); SPEC: {POLICY}.
 --initial STATE  First state, by name or number, in place of the simulator's.
---action-noise EPS  Use simulator.with_action_noise(EPS), where it is too deterministic for the log.
---impossible refuse|drop|allow=EPS  What to do with transitions of the log that the simulator gives probability 0: refuse them;
-    drop them, and let them lead anywhere in the intervals; or allow=EPS, use simulator.with_support_of(log, EPS).
-
-Value:
+--action-noise=0.0 EPS  Use simulator.with_action_noise(EPS), where it is too deterministic for the log.
+--impossible=refuse refuse|drop|allow=EPS  What to do with transitions of the log that the simulator gives probability 0:
+    refuse them; drop them, and let them lead anywhere in the intervals; or allow=EPS, use
+    simulator.with_support_of(log, EPS).
 --box LOWER,UPPER  Bounds on P_target / P (0.5,2); either may be left out. They narrow every interval.
 --horizon T  Number of rewards; none: the infinite discounted sum, or a continuous task's own.
 --discount GAMMA  Replaces the simulator's discount.
---rewards simulator|log  Rewards of model-based values.
---confidence LEVEL  Level of the intervals.
+--rewards=simulator simulator|log  Rewards of model-based values.
+--confidence=0.95 LEVEL  Level of the intervals.
 --quick  Leave likelihood intervals out, which take most of the time of large problems.
---seed N  The same seed gives the same bits.
---jobs N  Processes on this machine; -1: one for each core.
+--seed=0 N  The same seed gives the same bits.
+--jobs=1 N  Processes on this machine; -1: one for each core.
 --dask ADDRESS  Address of a dask scheduler, to run the cells there.
-
-Output:
 --overwrite  Replace the file if it exists (a Minari folder: never).
 """
 GROUPS = ("Input", "Value", "Output")
+TYPES: dict[str, type] = {
+    "N": int, "T": int, "EPS": float, "LEVEL": float, "GAMMA": float, "SECONDS": float,
+    "FILE": Path, "FOLDER": Path, "FILE.html": Path,
+}  # fmt: skip
 # what the functions that the commands call name otherwise
 ARGUMENTS = {"n": "transitions", "behavior_policy": "behavior", "lower_ratio and upper_ratio": "box", "shape": "grid"}
 
 
-def read_help(text: str) -> dict[str, tuple[str, dict[str, Any]]]:
-    """The option, and what typer is told of it, by the name of its argument."""
-    found, group = {}, ""
-    for line in re.sub(r"\n +", " ", text).splitlines():
+LINE = re.compile(
+    r"(?P<option>[\w/-]+)(?P<many>\*?)(?P<must>!?)(?:=(?P<default>\S+))?(?: (?P<value>\S+))?(?:  (?P<help>.+))?"
+)
+
+
+def read_table(text: str) -> list[dict[str, str]]:
+    """Read what the lines of a table say of each option, by the names of ``LINE``, and its group."""
+    for placeholder, words in TEXTS.items():
+        text = text.replace(placeholder, words)
+    options, group = [], ""
+    for line in re.sub(r"\n +", " ", text).strip().splitlines():
         if line.rstrip(":") in GROUPS:
             group = line.rstrip(":")
-        elif line:
-            declaration, _, words = line.partition("  ")
-            option, _, value = declaration.partition(" ")
-            for placeholder, long in TEXTS.items():
-                words = words.replace(placeholder, long)
-            name = option.split("/")[0].strip("-").replace("-", "_")
-            found[name] = option, {"help": words, "metavar": value or None, "rich_help_panel": group}
-    return found
+            continue
+        for declaration in [line] if "  " in line else line.split():
+            found = LINE.fullmatch(declaration)
+            assert found is not None, line
+            options.append({name: words for name, words in found.groupdict().items() if words} | {"group": group})
+    return options
 
 
-def with_options(text: str) -> Callable[[Function], Function]:
-    """Annotate a command's arguments as typer takes them, with their help in ``text`` or ``SHARED``."""
+def make_parameter(fields: Mapping[str, str]) -> inspect.Parameter:
+    """The argument of a function from which typer makes an option."""
+    option, value = fields["option"], fields.get("value", "")
+    kind: Any = list[str] if "many" in fields else TYPES.get(value, str) if value else bool
+    default: Any = None if value or "/" in option else False
+    if "must" in fields:
+        default = inspect.Parameter.empty
+    elif "default" in fields:
+        default = kind(fields["default"])
+    name = option.split("/")[0].strip("-").replace("-", "_")
+    about: Any = {"help": fields["help"], "metavar": value or None, "rich_help_panel": fields["group"]}
+    made: Any = typer.Argument(**about)
+    if option.startswith("-"):
+        made = typer.Option(option, **about, min=0 if name == "seed" else None)
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind | None, made]
+    )
 
-    def annotate(command: Function) -> Function:
-        known = read_help(SHARED) | read_help(text)
-        for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
-            option, info = known[name.rstrip("_")]
-            made: Any = typer.Argument(**info)
-            if option.startswith("-"):
-                is_shown = parameter.default is not None
-                made = typer.Option(option, **info, show_default=is_shown, min=0 if name == "seed" else None)
-            command.__annotations__[name] = Annotated[parameter.annotation, made]
-        return command
 
-    return annotate
+def with_options(text: str) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
+    """Give a command the options of a table."""
+    shared = {fields["option"]: fields for fields in read_table(SHARED)}
+    table = [fields if "help" in fields else shared[fields["option"]] | fields for fields in read_table(text)]
+
+    def decorate(command: Callable[[Options], None]) -> Callable[..., None]:
+        @functools.wraps(command)
+        def run(**given: Any) -> None:
+            command(Options(**given))
+
+        run.__signature__ = inspect.Signature([*map(make_parameter, table)])  # type: ignore[attr-defined]
+        return run
+
+    return decorate
 
 
 def say(text: str, *, err: bool = False) -> None:

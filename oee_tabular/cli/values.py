@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import typer
 
 from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.inputs import read_box, read_entries, read_problem, refuse, write_array
-from oee_tabular.cli.options import answer, with_options
+from oee_tabular.cli.options import Options, answer, with_options
 from oee_tabular.cli.simulators import policies_of, task_of
 from oee_tabular.continuous.command import evaluate_files, is_continuous, task_options
 
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
+# which need a simulator whose states are numbered, and a log
+OF_FILES = ("features", "tie", "box", "action_noise", "initial", "impossible")
 
 
 @with_options("""
 Input:
+--simulator --log --policy
 --behavior SPEC  Policy that recorded the log, as for --policy.
 --target SIM  The true target, as for --simulator, to show errors.
+--initial --action-noise --impossible
 --features FILE  Your own features of transitions, as a row oee-features: {TRANSITIONS}, with a last axis for several.
 --tie FILE  Integer keys, transitions with one key share one ratio, as a row oee-tied: {TRANSITIONS}.
---task-option NAME=VALUE  Of a continuous task, repeatable; what is left out is the task's own. grid=60x60: vertices along
+--task-option* NAME=VALUE  Of a continuous task, repeatable; what is left out is the task's own. grid=60x60: vertices along
     each feature, or none. outside=error|drop|nearest: states of the log outside the grid; drop leaves out transitions
     without support too. strict=true: an error, not a warning, for actions of the log that are not in the task's set.
     calibration=ratio|difference|none. floor=0.001: share of other steps in the simulator (defensive). simulations=50000:
@@ -30,9 +33,12 @@ Input:
     environment whose state is not found. actions=9 or -2,0,2: levels of each coordinate of a Gymnasium Box of actions, or
     the commands.
 Value:
+--box --horizon --discount
 --normalized/--raw  Multiply values by (1 - discount).
 --estimators NAME,...  Comma-separated: {ESTIMATORS}.
+--rewards --confidence
 --guaranteed  Give the intervals that hold at any sample size as well.
+--quick --seed
 Output:
 --all  Print the rows that a short report leaves out, too.
 --verbose  Print every note, and the columns of diagnostics.
@@ -42,138 +48,109 @@ Output:
 --json  Print JSON instead, with version, answer, unit, discount, horizon, normalized, confidence, interval, seed, facts,
     results, intervals, best, comparison, conclusion, warnings.
 """)
-def evaluate(
-    simulator: str | None = None,
-    log: list[str] | None = None,
-    policy: list[str] | None = None,
-    behavior: str | None = None,
-    target: str | None = None,
-    initial: str | None = None,
-    action_noise: float = 0.0,
-    impossible: str = "refuse",
-    features: Path | None = None,
-    tie: Path | None = None,
-    task_option: list[str] | None = None,
-    box: str | None = None,
-    horizon: int | None = None,
-    discount: float | None = None,
-    normalized: bool | None = None,
-    estimators: str | None = None,
-    rewards: str = "simulator",
-    confidence: float = 0.95,
-    guaranteed: bool = False,
-    quick: bool = False,
-    seed: int = 0,
-    all_: bool = False,
-    verbose: bool = False,
-    output: Path | None = None,
-    report: Path | None = None,
-    title: str | None = None,
-    json: bool = False,
-) -> None:
+def evaluate(options: Options) -> None:
     """Estimate the value of policies in the target.
 
     It takes a simulator and a log of the target; without arguments, it evaluates the paper's 10 x 10 grid.
     """
     from oee_tabular.report import check_output, check_page
-    from oee_tabular.report import evaluate as evaluate_problem
-    from oee_tabular.report.page import date_of
 
-    if output is not None:
-        check_output(output)
-    if report is not None:
-        check_page(report)
-    elif title is not None:
+    if options.output is not None:
+        check_output(options.output)
+    if options.report is not None:
+        check_page(options.report)
+    elif options.title is not None:
         raise ValueError("--title needs --report FILE.html, whose title it is")
-    common: dict[str, Any] = {
-        "estimators": None if estimators is None else [name for part in estimators.split(",") if (name := part.strip())],
-        "confidence": confidence, "seed": seed, "guaranteed": guaranteed, "quick": quick,
-    }  # fmt: skip
-    options = task_options(task_option)
-    changes: dict[str, Any] = {"action_noise": action_noise, "initial": initial, "impossible": impossible}
-    known = {"features": features, "tie": tie, "box": box} | changes
-    if options and not is_continuous(simulator):
+    report = _evaluate(options)
+    answer(
+        report.to_text(all=options.all, verbose=options.verbose), report.to_dict() if options.json else {}, options.json
+    )
+    old = [*options.output.glob("*")] if options.output else []
+    old += [options.report] if options.report and options.report.exists() else []
+    new = report.save(options.output) if options.output else []
+    if options.report:
+        report.to_html(options.report, title=options.title)
+        new.append(options.report)
+    if new and not options.json:
+        typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in old else str(path) for path in new)}")
+
+
+def _evaluate(options: Options) -> Any:
+    """Make the report of the problem that the options describe: of files, of a continuous task, or the paper's."""
+    from oee_tabular.report import evaluate as evaluate_problem
+
+    simulator, log, discount = options.simulator, options.log, options.discount
+    settings = task_options(options.task_option)
+    if settings and not is_continuous(simulator):
         if simulator is not None:
             task_of(simulator)  # which may not be there at all
         raise ValueError("--task-option needs a continuous task (--simulator cartpole:gravity=10)")
+    names = None if options.estimators is None else [part.strip() for part in options.estimators.split(",")]
+    common: dict[str, Any] = {name: getattr(options, name) for name in ("confidence", "seed", "guaranteed", "quick")}
+    common |= {"estimators": None if names is None else [*filter(None, names)], "normalized": bool(options.normalized)}
     if simulator is None and not log:
         from oee_tabular.experiments import embedded_default
 
-        refuse({"behavior": behavior, "target": target} | known, "needs --simulator and --log")
-        given: dict[str, Any] = {"horizon": horizon, "discount": discount, "rewards": rewards}
-        default = embedded_default(seed=seed, **{name: value for name, value in given.items() if value is not None})
+        refuse(options, ("behavior", "target", *OF_FILES), "needs --simulator and --log")
+        asked = {name: value for name in ("horizon", "discount") if (value := getattr(options, name)) is not None}
+        default = embedded_default(seed=options.seed, rewards=options.rewards, **asked)
         policies: Any = default.policies
-        if policy is not None:
-            policies = policies_of(policy, task_of("gridworld:10,slip=0.3", discount))
-        found = evaluate_problem(
-            default.problem, policies, target=default.target, normalized=normalized is not False, **common
-        )
-    elif simulator is None or not log:
+        if options.policy is not None:
+            policies = policies_of(options.policy, task_of("gridworld:10,slip=0.3", discount))
+        common["normalized"] = options.normalized is not False
+        return evaluate_problem(default.problem, policies, target=default.target, **common)
+    if simulator is None or not log:
         there, lacking = ("log", "simulator") if log else ("simulator", "log")
         raise ValueError(f"--{lacking} must be given with --{there} (record a log with: oee sample)")
-    elif is_continuous(simulator):
+    if is_continuous(simulator):
         rule = "must be left out for a continuous task, whose states have no numbers; it is {}"
-        refuse({"rewards": rewards} | known, rule)
-        found = evaluate_files(
-            simulator, log, policy, behavior, target, options, horizon=horizon,
-            discount=0.99 if discount is None else discount, normalized=bool(normalized), **common,
+        refuse(options, ("rewards", *OF_FILES), rule)
+        return evaluate_files(
+            simulator, log, options.policy, options.behavior, options.target, settings, horizon=options.horizon,
+            discount=0.99 if discount is None else discount, **common,
         )  # fmt: skip
-    else:
-        task, problem = read_problem(
-            simulator, log, behavior=behavior, horizon=horizon, discount=discount, rewards=rewards, **changes
-        )
-        assumed: dict[str, Any] = read_box(box)
-        facts: dict[str, Any] = {}
-        for name, path in (("features", features), ("tie", tie)):
-            if path is not None:
-                assumed[name], content = read_entries(path, name, task.mdp)
-                facts[name] = f"{path} ({content})"
-        specs = named_specs(policy or ["optimal"])
-        facts |= {
-            "simulator_name": simulator, "log_name": ", ".join(log), "log_files": log, "action_noise": action_noise,
-            "policy_names": specs, "date": date_of([simulator, *log, *specs.values()]),
-        }  # fmt: skip
-        others = {"initial": initial, "impossible": impossible, "discount": discount}
-        facts |= {name: value for name, value in others.items() if value not in (None, "refuse")}
-        if action_noise:
-            facts["simulator"] = f"{simulator} with action noise {action_noise:g}: {task.mdp!r}"
-        found = evaluate_problem(
-            problem, policies_of(policy, task), normalized=bool(normalized), facts=facts,
-            target=None if target is None else task_of(target, task.mdp.discount, initial).mdp, **assumed, **common,
-        )  # fmt: skip
-    answer(found.to_text(all=all_, verbose=verbose), found.to_dict() if json else {}, json)
-    before = set(output.iterdir()) if output and output.exists() else set()
-    before |= {report} if report and report.exists() else set()
-    written = [] if output is None else found.save(output)
-    if report is not None:
-        found.to_html(report, title=title)
-        written.append(report)
-    if written and not json:
-        typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in before else str(path) for path in written)}")
+    task, problem = read_problem(options)
+    known, facts = _read_known(options, task)
+    target = None
+    if options.target is not None:
+        target = task_of(options.target, task.mdp.discount, options.initial).mdp
+    return evaluate_problem(problem, policies_of(options.policy, task), facts=facts, target=target, **known, **common)
+
+
+def _read_known(options: Options, task: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read what is known of the target (box, features, tie), and collect what the report tells of its inputs."""
+    from oee_tabular.report.page import date_of
+
+    specs, noise = named_specs(options.policy or ["optimal"]), options.action_noise
+    facts = {
+        "simulator_name": options.simulator, "log_name": ", ".join(options.log), "log_files": options.log,
+        "action_noise": noise, "policy_names": specs,
+        "date": date_of([options.simulator, *options.log, *specs.values()]),
+    }  # fmt: skip
+    others = {name: getattr(options, name) for name in ("initial", "impossible", "discount")}
+    facts |= {name: value for name, value in others.items() if value not in (None, "refuse")}
+    if noise:
+        facts["simulator"] = f"{options.simulator} with action noise {noise:g}: {task.mdp!r}"
+    known: dict[str, Any] = read_box(options.box)
+    for name, path in (("features", options.features), ("tie", options.tie)):
+        if path is not None:
+            known[name], content = read_entries(path, name, task.mdp)
+            facts[name] = f"{path} ({content})"
+    return known, facts
 
 
 @with_options("""
 Input:
---policy NAME=SPEC  NAME=SPEC or SPEC, two or more; SPEC: {POLICY}.
+--simulator! --log!
+--policy*! NAME=SPEC  NAME=SPEC or SPEC, two or more; SPEC: {POLICY}.
+--initial --action-noise --impossible
+Value:
+--box --horizon --discount --rewards --confidence --quick
 Output:
 --json  Print JSON instead, with version, confidence, best (null where the log cannot say), sentence, policies (best first),
     differences (from the best), warnings.
 """)
-def compare(
-    simulator: str,
-    log: list[str],
-    policy: list[str],
-    initial: str | None = None,
-    action_noise: float = 0.0,
-    impossible: str = "refuse",
-    box: str | None = None,
-    horizon: int | None = None,
-    discount: float | None = None,
-    rewards: str = "simulator",
-    confidence: float = 0.95,
-    quick: bool = False,
-    json: bool = False,
-) -> None:
+def compare(options: Options) -> None:
     """Say which of several policies is worth most.
 
     It prints differences with their intervals and P(best), or says that the log cannot tell.
@@ -181,61 +158,48 @@ def compare(
     from oee_tabular.report import contest
     from oee_tabular.report.terminal import render_comparison
 
-    if is_continuous(simulator):
+    if is_continuous(options.simulator):
         raise ValueError(
-            f"--simulator must have numbered states to compare policies; {simulator!r} is continuous: oee evaluate"
+            "--simulator must have numbered states to compare policies; "
+            f"{options.simulator!r} is continuous: oee evaluate"
         )
-    if len(named_specs(policy)) < 2:
+    if len(named_specs(options.policy)) < 2:
         raise ValueError(
-            f"--policy must be given twice or more, for there is nothing to compare; there is {policy[0]!r}"
+            f"--policy must be given twice or more, for there is nothing to compare; there is {options.policy[0]!r}"
         )
-    known = read_box(box)
-    task, problem = read_problem(
-        simulator, log, initial=initial, action_noise=action_noise, impossible=impossible, horizon=horizon,
-        discount=discount, rewards=rewards,
-    )  # fmt: skip
-    found = contest(problem, policies_of(policy, task), confidence=confidence, quick=quick, **known)
+    known = read_box(options.box)
+    task, problem = read_problem(options)
+    policies = policies_of(options.policy, task)
+    report = contest(problem, policies, confidence=options.confidence, quick=options.quick, **known)
     warnings = [str(finding) for finding in problem.findings]
-    text = "\n".join([render_comparison(found), *([""] if warnings else []), *warnings])
-    rows = found.comparison()
+    text = "\n".join([render_comparison(report), *([""] if warnings else []), *warnings])
+    rows = report.comparison()
     differences = [
         {"policy": row["policy"], "than": rows[0]["policy"], "difference": -row["less_by"],
          "lower": None if row["less_by_upper"] is None else -row["less_by_upper"],
          "upper": None if row["less_by_lower"] is None else -row["less_by_lower"]}
         for row in rows[1:]
     ]  # fmt: skip
-    record = {"confidence": found.confidence, "best": found.best, "sentence": found.headline, "policies": rows}
-    answer(text, record | {"differences": differences, "warnings": warnings}, json)
+    record = {"confidence": report.confidence, "best": report.best, "sentence": report.headline, "policies": rows}
+    answer(text, record | {"differences": differences, "warnings": warnings}, options.json)
 
 
 @with_options("""
 Input:
---transitions N  How many more transitions to record.
+--simulator! --log!
+--transitions! N  How many more transitions to record.
+--policy --initial --action-noise --impossible
 --free  Any state-action pair can be set up and recorded, not only episodes.
---plan-option NAME=VALUE  Of plan_data_collection, repeatable: model=estimate|simulator, optimistic=true|false,
+--plan-option* NAME=VALUE  Of plan_data_collection, repeatable: model=estimate|simulator, optimistic=true|false,
     restart=0.01, restart_costs_a_move=true|false, solver=auto|frank_wolfe|CLARABEL.
+Value:
+--box --horizon --discount --confidence
 Output:
 --output FILE  The behaviour policy to record with (--free: each state-action pair's share): .npy.
+--overwrite
 --json  Print JSON instead, with version, sampling, n, confidence, status, gap, policies, most, advice, next, file.
 """)
-def plan(
-    simulator: str,
-    log: list[str],
-    transitions: int,
-    policy: list[str] | None = None,
-    initial: str | None = None,
-    action_noise: float = 0.0,
-    impossible: str = "refuse",
-    free: bool = False,
-    plan_option: list[str] | None = None,
-    box: str | None = None,
-    horizon: int | None = None,
-    discount: float | None = None,
-    confidence: float = 0.95,
-    output: Path | None = None,
-    overwrite: bool = False,
-    json: bool = False,
-) -> None:
+def plan(options: Options) -> None:
     """Plan what to record next.
 
     It prints a behaviour policy, and the width of each value's interval before and after.
@@ -243,23 +207,20 @@ def plan(
     from oee_tabular import _files, _progress
     from oee_tabular.design import plan_data_collection
 
+    output, free = options.output, options.free
     if output is not None:
-        _files.new_file(output, "--output", overwrite=overwrite)
-    options = {
-        name: literal(text) for name, text in named_specs(plan_option or [], "--plan-option", PLAN_OPTIONS).items()
-    }
-    options |= read_box(box)
-    task, problem = read_problem(
-        simulator, log, initial=initial, action_noise=action_noise, impossible=impossible, horizon=horizon,
-        discount=discount,
+        _files.new_file(output, "--output", overwrite=options.overwrite)
+    settings = named_specs(options.plan_option or [], "--plan-option", PLAN_OPTIONS)
+    asked = {name: literal(text) for name, text in settings.items()} | read_box(options.box)
+    task, problem = read_problem(options)
+    policies = policies_of(options.policy, task)
+    _progress.report_step(f"plan for {options.transitions} transitions")
+    made = plan_data_collection(
+        problem, policies, n=options.transitions, sampling="free" if free else "behavior",
+        confidence=options.confidence, **asked,
     )  # fmt: skip
-    policies = policies_of(policy, task)
-    _progress.report_step(f"plan for {transitions} transitions")
-    found = plan_data_collection(
-        problem, policies, n=transitions, sampling="free" if free else "behavior", confidence=confidence, **options
-    )
-    text, record = str(found), found.to_dict() | {"file": None if output is None else str(output)}
+    text, record = str(made), made.to_dict() | {"file": None if output is None else str(output)}
     if output is not None:
-        write_array(output, found.distribution if free else found.behavior_policy)
+        write_array(output, made.distribution if free else made.behavior_policy)
         text += f"\n{output}: {'shares of the pairs, (S, A), that sum to 1' if free else 'policy to record with'}"
-    answer(text, record, json)
+    answer(text, record, options.json)
