@@ -55,7 +55,7 @@ SUBJECTS = {
     "tasks": {
         "Finite tasks": (
             "gridworld", "gridworld_expert", "gridworld_policy", "toy_text", "make_environment", "record_episodes",
-            "named_task", "NamedTask",
+            "named_task", "NamedTask", "embedded_default", "Embedded",
         ),
         "Continuous tasks as finite ones": (
             "ContinuousTask", "GymnasiumTask", "GridInterpolation", "VisitedCells", "Discretization", "Closure",
@@ -81,7 +81,7 @@ SUBJECTS = {
             "mdps", "mdp_pairs", "policies", "logs", "horizons", "padded_log", "relabelled_log",
         ),
     },
-    "bench": {
+    "lab.bench": {
         "Run": ("run", "League", "league_of"),
         "Families of environment shift": ("families", "Family", "Families", "garnet_worse", "tandem"),
     },

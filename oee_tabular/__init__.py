@@ -46,7 +46,7 @@ if TYPE_CHECKING:  # the same for type checkers
     # isort: off
     from typing import Any
 
-    from oee_tabular import bench as bench, data as data, design as design, estimators as estimators, exact as exact
+    from oee_tabular import data as data, design as design, estimators as estimators, exact as exact
     from oee_tabular import inference as inference, mdp as mdp, plots as plots, ratio as ratio, report as report
     from oee_tabular import simulate as simulate, tasks as tasks, testing as testing, theory as theory
     from oee_tabular.data import ContinuousTransitions as ContinuousTransitions, TransitionCounts as TransitionCounts
@@ -61,6 +61,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.exact import weighted_return_moments as weighted_return_moments
     from oee_tabular.exact.occupancy import occupancy as occupancy
     from oee_tabular.inference import Interval as Interval, interval as interval, value_range as value_range
+    from oee_tabular.lab import bench as bench
     from oee_tabular.mdp import FiniteMDP as FiniteMDP, mix as mix, uniform_policy as uniform_policy
     from oee_tabular.ratio import RatioFit as RatioFit, TransitionRatio as TransitionRatio, true_ratio as true_ratio
     from oee_tabular.ratio import check_assumptions as check_assumptions, density_ratio as density_ratio
@@ -79,7 +80,8 @@ __all__ = sorted(_ROOM_OF)  # noqa: PLE0605
 def __getattr__(name: str) -> Any:
     if name not in _ROOM_OF:
         raise AttributeError(f"module 'oee_tabular' has no attribute {name!r}")
-    room = importlib.import_module(f"oee_tabular.{_ROOM_OF[name]}")
+    path = _ROOM_OF[name].replace("bench", "lab.bench")
+    room = importlib.import_module(f"oee_tabular.{path}")
     value = globals()[name] = room if name in _EXPORTS else getattr(room, name)
     return value
 

@@ -29,8 +29,8 @@ def assert_saved(name, cell, table):
 def redraw(names):
     """The figures of the saved tables, with the lines of their pages that say what they show; all of them without names."""
     from oee_tabular import _files
-    from oee_tabular.experiments import output
-    from oee_tabular.experiments.catalogue import EXPERIMENTS
+    from oee_tabular.lab.experiments import output
+    from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 
     for experiment in EXPERIMENTS.choose(names, everything=not names):
         folder, table = RESULTS / experiment.id, saved(experiment.id)

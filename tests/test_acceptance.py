@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.cli import main
 from oee_tabular.estimators import OffEnvironment, Problem, Simulator
-from oee_tabular.experiments import convergence
-from oee_tabular.experiments.registry import Stream
+from oee_tabular.lab.experiments import convergence
+from oee_tabular.lab.registry import Stream
 from oee_tabular.tasks import named_task
 
 FROZEN_LAKE = ("FrozenLake-v1:map_name=8x8,success_rate=1/3", "FrozenLake-v1:map_name=8x8,success_rate=0.6", 0.99)

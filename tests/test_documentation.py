@@ -25,7 +25,7 @@ PARTS = [
     "testing",
     "report",
     "plots",
-    "bench",
+    "lab.bench",
 ]
 HEADING = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 ENTRY = re.compile(r"^(\*{0,2}\w+(?:, \*{0,2}\w+)*)(?: :|$)", re.MULTILINE)

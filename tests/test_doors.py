@@ -84,7 +84,7 @@ def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
 
 @pytest.mark.parametrize("kind", ["link", "dangling link", "folder"])
 def test_a_lock_is_never_taken_through_a_link(tmp_path, kind):
-    from oee_tabular.experiments.store import alone
+    from oee_tabular.lab.store import alone
 
     precious, lock = tmp_path / "precious", tmp_path / "r" / ".lock"
     lock.parent.mkdir()

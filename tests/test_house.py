@@ -1,4 +1,4 @@
-"""The house: who imports whom: no circle of files or packages, at most twelve floors."""
+"""The house: who imports whom: no circle of files or packages, at most thirteen floors."""
 
 import re
 import subprocess
@@ -12,7 +12,7 @@ import grimp
 import oee_tabular
 
 ROOT = Path(oee_tabular.__file__).parents[1]
-FLOORS = 12  # of packages and of files beside them, the command line's first line on top
+FLOORS = 13  # of packages and of files beside them, the command line's first line on top
 BY_NAME = re.compile(r'import_module\("(oee_tabular[\w.]*)"\)')
 
 
@@ -56,7 +56,7 @@ def test_no_circle_of_files():
     list(TopologicalSorter(graph).static_order())
 
 
-def test_at_most_twelve_floors():
+def test_at_most_thirteen_floors():
     """Of packages, which have no circle either; what the core has of the wing it asks for by name, on use."""
     assert height(rooms_of(graph_of(by_name=False))) <= FLOORS
 

@@ -15,7 +15,7 @@ import pytest
 import oee_tabular as oee
 from oee_tabular import _files, _workers
 from oee_tabular.cli import main
-from oee_tabular.experiments.store import LOCK, Store, alone
+from oee_tabular.lab.store import LOCK, Store, alone
 
 GRID = "gridworld:3,slip=.3"
 SAMPLE = f"sample {GRID} --episodes 2 --output"
@@ -198,7 +198,7 @@ def test_numbers_and_their_signs_stay():
 HOLD = """
 import sys, time
 from pathlib import Path
-from oee_tabular.experiments.store import alone
+from oee_tabular.lab.store import alone
 with alone(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
@@ -216,7 +216,7 @@ def holder(tmp_path):
 
 
 def reproduce(output, **options):
-    from oee_tabular.experiments.catalogue import reproduce as run
+    from oee_tabular.lab.experiments.catalogue import reproduce as run
 
     settings = {"everything": False, "smoke": False, "seeds": 1, "seed": 0, "jobs": 1, "dask": None, "fresh": False}
     return run(["estimands"], output=output, say=lambda text: None, **(settings | options))
@@ -224,7 +224,7 @@ def reproduce(output, **options):
 
 @pytest.mark.parametrize("fresh", [False, True])
 def test_the_second_command_in_a_folder_is_refused(tmp_path, holder, monkeypatch, fresh):
-    from oee_tabular.experiments import catalogue as commands
+    from oee_tabular.lab.experiments import catalogue as commands
 
     monkeypatch.setattr(commands, "run_experiment", lambda *_, **__: pytest.fail("it began"))
     with pytest.raises(
@@ -255,7 +255,7 @@ def test_a_lock_leaves_nothing_and_takes_no_file_away(tmp_path):
 
 
 def test_fresh_keeps_the_lock_that_it_holds(tmp_path):
-    from oee_tabular.experiments.catalogue import EXPERIMENTS
+    from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 
     settings = EXPERIMENTS["estimands"].settings(smoke=True)
     Store(tmp_path, settings).open()
@@ -289,7 +289,7 @@ main()
 """
 
 
-@pytest.mark.parametrize("module", ["oee_tabular.cli", "typer", "oee_tabular.experiments.catalogue", "numpy"])
+@pytest.mark.parametrize("module", ["oee_tabular.cli", "typer", "oee_tabular.lab.experiments.catalogue", "numpy"])
 def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_path):
     """What is imported before the command begins, and what it imports as it goes."""
     process = subprocess.run(
@@ -303,7 +303,7 @@ def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_
 
 def test_workers_are_not_interrupted_themselves():
     """Ctrl-C reaches every process of a terminal; those that still import would each print a traceback."""
-    from oee_tabular.experiments.run import _deaf
+    from oee_tabular.lab.run import _deaf
 
     script = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))"
     with _deaf():

@@ -14,7 +14,7 @@ NAMES = {
         simulate state_values tasks testing trajectory_efficiency_bound transition_ratio true_ratio uniform_policy
         value_range weighted_return_moments
     """,
-    "oee_tabular.bench": """
+    "oee_tabular.lab.bench": """
         Families Family League families garnet_worse league_of run tandem
     """,
     "oee_tabular.data": """
@@ -31,8 +31,8 @@ NAMES = {
         state_values trajectory_efficiency_bound transition_gradient weight_growth weight_moments
         weighted_return_moments
     """,
-    "oee_tabular.experiments": """
-        Embedded embedded_default load_saved_table published table
+    "oee_tabular.lab.experiments": """
+        load_saved_table published table
     """,
     "oee_tabular.inference": """
         Comparison Decision EstimationCounterexample Interval Outlook Plan RowChanges Selection Sides SimulationLemma
@@ -63,7 +63,7 @@ NAMES = {
     "oee_tabular.tasks": """
         ArmCells CartPole Closure ContinuousSimulator ContinuousTask Discretization GridInterpolation GymnasiumTask HistoryTask
         KinovaArm KinovaHand LinearModel LinearReacher MonteCarlo Moves NamedTask Reacher ResidualSimulator Settings StatePolicy
-        VisitedCells arm_cells cartpole_policy
+        VisitedCells arm_cells cartpole_policy Embedded embedded_default
         defensive_mixture evaluate_continuous
         fit_hand gridworld gridworld_expert gridworld_policy
         gymnasium_simulator hand_log kinova_model kinova_policy

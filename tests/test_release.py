@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import oee_tabular
-from oee_tabular.experiments import load_saved_table
+from oee_tabular.lab.experiments import load_saved_table
 
 ROOT = Path(__file__).parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -89,6 +89,6 @@ def test_the_wheel_has_the_tables_that_notebooks_load():
     loaded = re.findall(r'load_saved_table\("(\w+)"(?:, "(\w+)")?\)', code)
     files = {f"{name}/{table or 'table'}.csv" for name, table in loaded}
     wheel = PYPROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
-    assert wheel == {f"notebooks/results/{file}": f"oee_tabular/experiments/saved/{file}" for file in files}
+    assert wheel == {f"notebooks/results/{file}": f"oee_tabular/lab/experiments/saved/{file}" for file in files}
     with pytest.raises(ValueError, match="name and table must be those of a saved table"):
         load_saved_table("nothing")

@@ -26,7 +26,7 @@ def reproduce(options: Options) -> None:
 
     An interrupted run goes on where it stopped.
     """
-    from oee_tabular.experiments import catalogue
+    from oee_tabular.lab.experiments import catalogue
 
     names = ("smoke", "seeds", "seed", "jobs", "dask", "output", "fresh")
     asked = {name: getattr(options, name) for name in names}
@@ -58,7 +58,7 @@ def bench(options: Options) -> None:
 
     They are measured on families of environment shift. An interrupted run goes on where it stopped.
     """
-    from oee_tabular.bench.run import bench as run
+    from oee_tabular.lab.bench.run import bench as run
 
     asked = {name: value for name, value in vars(options).items() if name != "json"}
     lines: list[str] = []

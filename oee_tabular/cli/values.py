@@ -89,16 +89,20 @@ def _evaluate(options: Options) -> Any:
     common: dict[str, Any] = {name: getattr(options, name) for name in ("confidence", "seed", "guaranteed", "quick")}
     common |= {"estimators": None if names is None else [*filter(None, names)], "normalized": bool(options.normalized)}
     if simulator is None and not log:
-        from oee_tabular.experiments import embedded_default
+        from oee_tabular.estimators import Problem
+        from oee_tabular.tasks import embedded_default
 
         refuse(options, ("behavior", "target", *OF_FILES), "needs --simulator and --log")
-        asked = {name: value for name in ("horizon", "discount") if (value := getattr(options, name)) is not None}
-        default = embedded_default(seed=options.seed, rewards=options.rewards, **asked)
+        default = embedded_default(seed=options.seed, discount=0.99 if discount is None else discount)
+        problem = Problem(
+            default.simulator, default.log, horizon=default.horizon if options.horizon is None else options.horizon,
+            rewards=options.rewards, episodes=default.episodes, behavior_policy=default.behavior_policy,
+        )  # fmt: skip
         policies: Any = default.policies
         if options.policy is not None:
             policies = policies_of(options.policy, task_of("gridworld:10,slip=0.3", discount))
         common["normalized"] = options.normalized is not False
-        return evaluate_problem(default.problem, policies, target=default.target, **common)
+        return evaluate_problem(problem, policies, target=default.target, **common)
     if simulator is None or not log:
         there, lacking = ("log", "simulator") if log else ("simulator", "log")
         raise ValueError(f"--{lacking} must be given with --{there} (record a log with: oee sample)")

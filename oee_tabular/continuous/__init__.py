@@ -1,12 +1,13 @@
 """Tasks with continuous states: their logs, the finite MDPs that are made of them, and values by way of those.
 
-A wing: it imports the core, and nothing of the core imports it but on use, for the names that ``oee_tabular.tasks``, ``data``,
-``report`` and ``experiments`` show. A task is a ``ContinuousTask`` (task); a log of it is ``ContinuousTransitions`` (log); a
+A wing: it imports the core, and nothing of the core imports it but on use, for the names that ``oee_tabular.tasks``, ``data``
+and ``report`` show. A task is a ``ContinuousTask`` (task); a log of it is ``ContinuousTransitions`` (log); a
 ``ResidualSimulator`` (residual) is a task corrected by a log, a ``LinearModel`` (linear_model) one learned from it, both again
 tasks; a ``Discretization`` (discretization) is a FiniteMDP with the way from states to its numbers, built on a grid
 (interpolation) or on visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with the configuration by which
 logs are evaluated (evaluation), and has a name on the command line (names; Gymnasium's environments: gymnasium_named). Each of
-``cartpole``, ``reacher`` and ``kinova`` has its dynamics, its expert, its configuration and the paper's experiment.
+``cartpole``, ``reacher`` and ``kinova`` has its dynamics, its expert and its configuration; the paper's experiments with them
+are in ``lab.robots``.
 """
 
 from __future__ import annotations
@@ -17,10 +18,7 @@ from typing import Any
 _MODULES = {
     "cartpole.dynamics": ("CartPole",),
     "cartpole.expert": ("cartpole_policy", "train_expert"),
-    "cartpole.experiment": ("CARTPOLE_CHOICE", "CARTPOLE_DATA", "FIGURE_2", "RESOLUTION"),
     "cells": ("VisitedCells", "visited_states"),
-    "changes.coverage": ("RESIDUAL_COVERAGE",),
-    "changes.experiment": ("CHANGES",),
     "closure": ("Closure",),
     "support": ("defensive_mixture",),
     "residual_value": ("corrected_value",),
@@ -31,7 +29,6 @@ _MODULES = {
     "gymnasium_task": ("GymnasiumTask",),
     "interpolation": ("GridInterpolation",),
     "kinova.dynamics": ("KinovaArm",),
-    "kinova.experiment": ("TABLE_1",),
     "kinova.grid": ("kinova_model",),
     "kinova.hand": ("KinovaHand", "fit_hand"),
     "kinova.logs": ("hand_log", "kinova_policy", "load_kinova_log", "record_goals"),
@@ -40,7 +37,6 @@ _MODULES = {
     "log": ("ContinuousTransitions",),
     "reacher.cells": ("ArmCells", "arm_cells", "reacher_log"),
     "reacher.dynamics": ("LinearReacher", "Reacher"),
-    "reacher.experiment": ("FIGURE_3",),
     "reacher.expert": ("reacher_policy",),
     "residual": ("ResidualSimulator",),
     "simulator": ("ContinuousSimulator", "Settings"),

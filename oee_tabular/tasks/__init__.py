@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from oee_tabular.tasks.embedded import Embedded, embedded_default
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert, gridworld_policy
 from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_text
@@ -42,6 +43,7 @@ __all__ = [
     "ContinuousSimulator",
     "ContinuousTask",
     "Discretization",
+    "Embedded",
     "GridInterpolation",
     "GymnasiumTask",
     "HistoryTask",
@@ -61,6 +63,7 @@ __all__ = [
     "cartpole_policy",
     "corrected_value",
     "defensive_mixture",
+    "embedded_default",
     "evaluate_continuous",
     "fit_hand",
     "gridworld",

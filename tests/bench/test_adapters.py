@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import oee_tabular as oee
-from oee_tabular.bench.adapters import OFFLINE, SCOPE, OfflineRLOPE, ScopeRL, padded
 from oee_tabular.estimators.names import NAMED
+from oee_tabular.lab.bench.adapters import OFFLINE, SCOPE, OfflineRLOPE, ScopeRL, padded
 
 SAME = {"TrajectoryWiseImportanceSampling": "is", "PerDecisionImportanceSampling": "pdis", "SelfNormalizedTIS": "wis",
         "SelfNormalizedPDIS": "wpdis", "VanillaISPDIS": "pdis", "PDWIS": "wpdis"}  # fmt: skip

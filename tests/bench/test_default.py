@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from oee_tabular.bench import families
 from oee_tabular.estimators import ModelBased, OffEnvironment, Simulator
+from oee_tabular.lab.bench import families
 from oee_tabular.report import evaluate
 
 SEEDS = range(8)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import oee_tabular as oee
-from oee_tabular.bench import Family, garnet_worse, tandem
-from oee_tabular.bench import families_others as others
+from oee_tabular.lab.bench import Family, garnet_worse, tandem
+from oee_tabular.lab.bench import families_others as others
 
 NAMES = tuple(oee.bench.families())
 QUICK = [name for name in NAMES if name not in ("icu_sepsis", "taxi_rain")]

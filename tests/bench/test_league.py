@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oee_tabular.bench.league import league_of
-from oee_tabular.bench.scores import RESAMPLES, geometric_mean, resamples
+from oee_tabular.lab.bench.league import league_of
+from oee_tabular.lab.bench.scores import RESAMPLES, geometric_mean, resamples
 
 ML, SIM = "maximum-likelihood", "simulator"
 

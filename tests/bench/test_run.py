@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 
 import oee_tabular as oee
-from oee_tabular.bench.run import plan
 from oee_tabular.cli import main
 from oee_tabular.exact import efficiency_bound, occupancy
-from oee_tabular.experiments.run import run_experiment
-from oee_tabular.experiments.store import Store, code_version
+from oee_tabular.lab.bench.run import plan
+from oee_tabular.lab.run import run_experiment
+from oee_tabular.lab.store import Store, code_version
 
 SMALL = {"families": ["machine", "garnet_worse"], "sizes": [3], "seeds": 2}
 

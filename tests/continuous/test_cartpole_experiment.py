@@ -11,8 +11,12 @@ import pytest
 from numpy.testing import assert_allclose
 from saved_results import assert_saved
 
-from oee_tabular.continuous.cartpole import truth as cartpole_truth
-from oee_tabular.continuous.cartpole.estimates import (
+from oee_tabular.continuous.support import frequencies
+from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+from oee_tabular.lab.output import figures, summary_of
+from oee_tabular.lab.robots import cartpole_truth
+from oee_tabular.lab.robots.cartpole import published_error
+from oee_tabular.lab.robots.cartpole_estimates import (
     Linear,
     exact_values,
     importance_sampling,
@@ -21,12 +25,8 @@ from oee_tabular.continuous.cartpole.estimates import (
     policies_of,
     target_log,
 )
-from oee_tabular.continuous.cartpole.experiment import published_error
-from oee_tabular.continuous.support import frequencies
-from oee_tabular.experiments.catalogue import EXPERIMENTS
-from oee_tabular.experiments.output import figures, summary_of
-from oee_tabular.experiments.run import run_cell
-from oee_tabular.experiments.store import code_version
+from oee_tabular.lab.run import run_cell
+from oee_tabular.lab.store import code_version
 from oee_tabular.tasks import CartPole, GridInterpolation, cartpole_policy, monte_carlo_value, record
 
 IDS = ("fig2", "cartpole_resolution", "cartpole_data", "cartpole_choice")
@@ -77,7 +77,7 @@ def test_a_million_vertices_in_ten_seconds_and_a_gigabyte():
     code = """
 import time
 from pathlib import Path
-from oee_tabular.continuous.cartpole.estimates import exact_values
+from oee_tabular.lab.robots.cartpole_estimates import exact_values
 from oee_tabular.tasks import CartPole, GridInterpolation, cartpole_policy
 
 GridInterpolation((4, 4), closure_episodes=0).build(CartPole())  # compile

@@ -9,12 +9,12 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.continuous.changes import classic, coverage, experiment
-from oee_tabular.continuous.changes.cases import CASES, Delayed, towards
-from oee_tabular.continuous.changes.chain import Chain
 from oee_tabular.continuous.kinova.hand import ideal_hand
-from oee_tabular.experiments.output import summary_of
-from oee_tabular.experiments.registry import Stream
+from oee_tabular.lab.output import summary_of
+from oee_tabular.lab.registry import Stream
+from oee_tabular.lab.robots.changes import classic, coverage, experiment
+from oee_tabular.lab.robots.changes.cases import CASES, Delayed, towards
+from oee_tabular.lab.robots.changes.chain import Chain
 from oee_tabular.tasks import (
     CartPole,
     HistoryTask,

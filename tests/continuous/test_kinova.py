@@ -174,7 +174,7 @@ def test_states_outside_the_grid_are_named_or_left_out():
 def test_without_mujoco_everything_imports_and_says_which_extra():
     code = (
         "import sys; sys.modules['mujoco'] = None\n"
-        "import oee_tabular.continuous.kinova.experiment\n"
+        "import oee_tabular.lab.robots.kinova\n"
         "from oee_tabular.tasks import kinova\n"
         "try:\n    kinova.record_goals(kinova.KinovaArm(), n_runs=1)\n"
         "except ImportError as error:\n    print(error)"

@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 from numpy.testing import assert_allclose
 
-from oee_tabular.continuous.kinova.experiment import (
+from oee_tabular.lab.output import figures, summary_of
+from oee_tabular.lab.robots.kinova import (
     OEE,
     ORDER,
     PUBLISHED,
@@ -14,7 +15,6 @@ from oee_tabular.continuous.kinova.experiment import (
     TRUE,
     paper_value,
 )
-from oee_tabular.experiments.output import figures, summary_of
 
 
 def made_up():

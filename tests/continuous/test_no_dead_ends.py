@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from oee_tabular.continuous.changes import classic
 from oee_tabular.continuous.estimators import Calibrated, Possible
 from oee_tabular.continuous.names import continuous_simulator
 from oee_tabular.continuous.sentences import difference
 from oee_tabular.continuous.support import USUAL, reach_of
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
+from oee_tabular.lab.robots.changes import classic
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.tasks import (
     CartPole,

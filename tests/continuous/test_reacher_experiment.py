@@ -8,10 +8,10 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
-from oee_tabular.continuous.reacher import experiment as reacher
-from oee_tabular.continuous.reacher.experiment import DELTAS, FIGURE_3
-from oee_tabular.experiments.output import summary_of
-from oee_tabular.experiments.registry import Stream
+from oee_tabular.lab.output import summary_of
+from oee_tabular.lab.registry import Stream
+from oee_tabular.lab.robots import reacher
+from oee_tabular.lab.robots.reacher import DELTAS, FIGURE_3
 from oee_tabular.tasks import Reacher, arm_cells, monte_carlo_value, reacher_log, reacher_policy
 
 

@@ -7,11 +7,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular._checks import freeze
-from oee_tabular.continuous.changes import classic
 from oee_tabular.continuous.episodes import paired_returns
 from oee_tabular.continuous.regression import FOLDS, Functions, Grams, Rows, groups_of
 from oee_tabular.continuous.sentences import odd_row
 from oee_tabular.data import ContinuousTransitions
+from oee_tabular.lab.robots.changes import classic
 from oee_tabular.tasks import (
     CartPole,
     ContinuousTask,

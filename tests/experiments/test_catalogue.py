@@ -9,12 +9,12 @@ import pytest
 from matplotlib.figure import Figure
 from saved_results import RESULTS, assert_saved, saved
 
-from oee_tabular import experiments
-from oee_tabular.experiments.catalogue import EXPERIMENTS
-from oee_tabular.experiments.output import figures, summary_of
-from oee_tabular.experiments.registry import Stream
-from oee_tabular.experiments.run import run_cell
-from oee_tabular.experiments.store import code_version
+from oee_tabular.lab import experiments
+from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+from oee_tabular.lab.output import figures, summary_of
+from oee_tabular.lab.registry import Stream
+from oee_tabular.lab.run import run_cell
+from oee_tabular.lab.store import code_version
 
 DRAWN_BY_NUMPY = {"efficiency"}  # by its multinomial, whose numbers are others from numpy 2.5 on
 # their saved tables are the former sampler's, whose seeds drew other logs; the last issue of this edition remakes them

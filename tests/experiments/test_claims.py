@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 from saved_results import saved
 
 import oee_tabular as oee
-from oee_tabular.experiments import paper
-from oee_tabular.experiments.catalogue import EXPERIMENTS
-from oee_tabular.experiments.common import grids, zeta_error
+from oee_tabular.lab.experiments import paper
+from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+from oee_tabular.lab.experiments.common import grids, zeta_error
 from oee_tabular.ratio import true_ratio
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"

@@ -5,9 +5,9 @@ import re
 import pytest
 
 from oee_tabular.cli import main
-from oee_tabular.experiments import catalogue
-from oee_tabular.experiments.catalogue import EXPERIMENTS
-from oee_tabular.experiments.registry import Experiment, Registry
+from oee_tabular.lab.experiments import catalogue
+from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+from oee_tabular.lab.registry import Experiment, Registry
 
 
 def oee_command(*arguments):

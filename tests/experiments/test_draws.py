@@ -3,7 +3,7 @@
 import numpy as np
 
 import oee_tabular as oee
-from oee_tabular.experiments import common
+from oee_tabular.lab.experiments import common
 
 
 def test_too_few_episodes_are_doubled(monkeypatch):

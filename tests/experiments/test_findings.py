@@ -10,9 +10,9 @@ import pytest
 from matplotlib.figure import Figure
 from saved_results import RESULTS, saved
 
-from oee_tabular.experiments.catalogue import EXPERIMENTS
-from oee_tabular.experiments.findings import course, entitle, listed, span
-from oee_tabular.experiments.output import figures, heading, share_legend, summary_of
+from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+from oee_tabular.lab.findings import course, entitle, listed, span
+from oee_tabular.lab.output import figures, heading, share_legend, summary_of
 
 EACH = pytest.mark.parametrize("experiment", list(EXPERIMENTS), ids=lambda experiment: experiment.id)
 

@@ -6,7 +6,7 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.experiments.panels import SIZE, Beside, Errors, Panels
+from oee_tabular.lab.panels import SIZE, Beside, Errors, Panels
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_array_equal
 
-from oee_tabular.experiments import paper
-from oee_tabular.experiments.catalogue import EXPERIMENTS
-from oee_tabular.experiments.registry import Experiment, Registry, Settings, Stream
+from oee_tabular.lab.experiments import paper
+from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+from oee_tabular.lab.registry import Experiment, Registry, Settings, Stream
 
 
 def made(name="some", **options):

@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oee_tabular.experiments import run as running
-from oee_tabular.experiments.catalogue import EXPERIMENTS
-from oee_tabular.experiments.output import figures, index, pipe_table, summary_of, table_of, write
-from oee_tabular.experiments.registry import Experiment
-from oee_tabular.experiments.run import run_experiment
-from oee_tabular.experiments.store import Store, cell_key, code_version
+from oee_tabular.lab import run as running
+from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+from oee_tabular.lab.output import figures, index, pipe_table, summary_of, table_of, write
+from oee_tabular.lab.registry import Experiment
+from oee_tabular.lab.run import run_experiment
+from oee_tabular.lab.store import Store, cell_key, code_version
 
 
 def noise(cell, stream):

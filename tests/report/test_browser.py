@@ -4,7 +4,7 @@ import pytest
 from browsing import axe, browser, opened, violations  # noqa: F401
 
 import oee_tabular as oee
-from oee_tabular.experiments import embedded_default
+from oee_tabular.tasks import embedded_default
 
 WIDTHS, SCHEMES = (400, 1400), ("light", "dark")
 
@@ -21,10 +21,12 @@ def pages(tmp_path_factory):
     mine = {"mine": oee.mix(oee.optimal_policy(target), oee.uniform_policy(target), 0.7)}
     oee.evaluate(oee.Problem(simulator, log), mine, seed=0).to_html(folder / "lake.html")
     default = embedded_default(seed=0)
+    problem = oee.Problem(
+        default.simulator, default.log, horizon=default.horizon, behavior_policy=default.behavior_policy,
+        episodes=default.episodes,
+    )  # fmt: skip
     names = ["simulator", "oee", "ratio-of-ratios", "model-based", "pdis"]
-    found = oee.evaluate(
-        default.problem, default.policies, estimators=names, target=default.target, seed=0, normalized=True
-    )
+    found = oee.evaluate(problem, default.policies, estimators=names, target=default.target, seed=0, normalized=True)
     found.to_html(folder / "default.html")
     taxi = oee.tasks.toy_text("Taxi-v4")
     log = oee.sample_episodes(taxi, oee.uniform_policy(taxi), 5, 50, seed=0)

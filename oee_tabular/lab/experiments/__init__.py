@@ -1,0 +1,67 @@
+"""The paper's experiments and more as data: ids with settings, a runner, tables and figures (``oee reproduce``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oee_tabular.lab.experiments.paper import curve as published
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["load_saved_table", "published", "table"]
+
+
+def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
+    """Load the saved table of an experiment that a notebook shows.
+
+    Parameters
+    ----------
+    name : the experiment's id: fig2, fig3, networks or table1; in a clone, any in ``notebooks/results``
+    table : "table", every seed, or "summary", their means
+
+    Raises
+    ------
+    ValueError
+        No such table is installed.
+
+    Examples
+    --------
+    >>> load_saved_table("networks").n.unique().tolist()
+    [1000, 3162, 10000, 31623, 100000, 316228]
+    """
+    import pandas as pd
+
+    file = Path(__file__)
+    folders = file.parent / "saved", file.parents[3] / "notebooks" / "results"  # of a wheel, of a clone
+    paths = [folder / name / f"{table}.csv" for folder in folders]
+    for path in paths:
+        if path.is_file():
+            return pd.read_csv(path)
+    raise ValueError(f"name and table must be those of a saved table; there is no {paths[0]} and no {paths[1]}")
+
+
+def table(name: str, *, repetitions: int = 1, seed: int = 0, **axes: object) -> pd.DataFrame:
+    """Some cells of an experiment, computed here and now: the rows that ``oee reproduce`` gives for them.
+
+    Parameters
+    ----------
+    name : the experiment's id, as ``oee reproduce --list`` has it
+    repetitions : logs of each cell, numbered from 0
+    seed : of all random numbers
+    axes : settings by name, a value or several; those not named in full
+
+    Raises
+    ------
+    ValueError
+        An id or an axis that is not there.
+
+    Examples
+    --------
+    >>> table("estimands", delta=0.5).quantity.tolist()[:2]
+    ['true, r(s_t+1)', "OEE's, r(s_t)"]
+    """
+    from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+
+    return EXPERIMENTS[name].table(repetitions=repetitions, seed=seed, **axes)

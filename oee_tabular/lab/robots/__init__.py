@@ -1,0 +1,1 @@
+"""The studies of CartPole, Reacher and Kinova, and of residuals under other changes (``changes``)."""

@@ -1,0 +1,193 @@
+"""Every estimate of CartPole's values from one log, in one documented configuration.
+
+    32 x 32 grid over (theta, theta'), the simulator (gravity 10) looked at in the log's own places (at=log), floor 0.001
+    (reach 2), zeta from soft counts with prior "simulator" and strength 0.01, exact evaluation, calibrated by the ratio.
+
+The same for every gravity and n; ``cartpole_choice`` compares others on logs that no other experiment reports. Moves from or
+to states outside the grid, one in a million, are left out; ends of the track, which (theta, theta') does not show, are taken
+as truncations.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._sparse import row_sums
+from oee_tabular.continuous.cartpole.dynamics import CartPole
+from oee_tabular.continuous.cartpole.expert import cartpole_policy
+from oee_tabular.continuous.discretization import Discretization
+from oee_tabular.continuous.episodes import record
+from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
+from oee_tabular.continuous.interpolation import GridInterpolation
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.support import frequencies, staying
+from oee_tabular.continuous.task import Moves
+from oee_tabular.estimators.rollouts import normalize_by_step, segment_products
+from oee_tabular.exact import policy_value
+from oee_tabular.lab.robots import cartpole_truth
+from oee_tabular.lab.robots.cartpole_truth import DELTAS, HORIZON, SIMULATED
+from oee_tabular.mdp import FiniteMDP
+from oee_tabular.ratio import TransitionRatio, transition_ratio
+
+VERTICES, STRENGTH, FLOOR = 32, 0.01, 1e-3
+DISCOUNT, BEHAVIOR = 0.99, 0.3
+LINEAR_VERTICES = 320  # at which a linear model's values are within 0.1% of its own Monte Carlo
+
+
+def exact_values(mdp: FiniteMDP, policies: Iterable[Array]) -> Array:
+    """(1 - discount) times the value of each policy."""
+    return np.array([policy_value(mdp, policy, horizon=HORIZON, normalized=True) for policy in policies])
+
+
+def policies_of(model: Discretization) -> list[Array]:
+    """The six policies of ``DELTAS`` on the model's states."""
+    return [model.policy(cartpole_policy(delta)) for delta in DELTAS]
+
+
+def calibrated(raw: Array, discretised: Array) -> Array:
+    """Each raw value times the simulator's own value, by Monte Carlo / its value on the cells."""
+    return raw * (cartpole_truth.values("simulator", SIMULATED) / discretised)
+
+
+# ---- logs ----------------------------------------------------------------------------------------------------------------
+
+
+def target_log(kind: str, gravity: float, n: int, generator: np.random.Generator, behavior: float = BEHAVIOR) -> Any:
+    """n moves by delta = ``behavior``; kind "compiled" (our dynamics, the paper's noise) or "gymnasium" (stepped, no noise)."""
+    policy = cartpole_policy(behavior)
+    if kind == "gymnasium":
+        task: Any = gymnasium_simulator(f"CartPole-v1:gravity={gravity}").task
+        return task.record(policy, n_transitions=n, max_steps=HORIZON, seed=generator)
+    return record(CartPole(gravity), policy, n_transitions=n, max_steps=HORIZON, seed=generator)
+
+
+# ---- models of the log -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Linear(CartPole):
+    """CartPole whose (theta, theta') moves linearly in theta, theta', the force and 1."""
+
+    coefficients: Any = None
+
+    @classmethod
+    def fitted(cls, log: ContinuousTransitions) -> Linear:
+        """Least squares of the next state; the model knows where the pole has fallen."""
+        push = CartPole().actions[log.action]
+        return cls(noise=0.0, coefficients=np.linalg.lstsq(_design(log.state, push), log.next_state[:, 2:])[0])
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step, without noise."""
+        following = np.zeros_like(states)
+        following[:, 2:] = _design(states, self.actions[actions]) @ self.coefficients
+        return Moves(following, np.ones(len(states)), self.terminated(following))
+
+
+def _design(states: Array, push: Array) -> Array:
+    return np.column_stack([states[:, 2], states[:, 3], push, np.ones(len(states))])
+
+
+def linear_values(log: ContinuousTransitions) -> Array:
+    """The linear model's values, exact on a fine grid."""
+    shape = (LINEAR_VERTICES, LINEAR_VERTICES)
+    model = GridInterpolation(shape, closure_episodes=0).build(Linear.fitted(log))
+    return exact_values(model.mdp, policies_of(model))
+
+
+def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) -> Array:
+    """Per decision, on the log's whole episodes, with the probabilities that policy and behaviour have in each state."""
+    assert log.episode is not None
+    assert log.timestep is not None
+    assert log.reward is not None
+    whole = ~(log.truncated & (log.timestep < HORIZON - 1))  # the last episode is cut where the log ends
+    whole = np.isin(log.episode, np.unique(log.episode[~whole]), invert=True)
+    starts = np.concatenate([np.flatnonzero(np.diff(log.episode[whole], prepend=-1)), [int(whole.sum())]])
+    timestep, action = log.timestep[whole], log.action[whole]
+    reward = (1.0 - DISCOUNT) * DISCOUNT ** timestep.astype(np.float64) * log.reward[whole]
+    found = []
+    for delta in DELTAS:
+        chosen = cartpole_policy(delta)(log.state[whole])[np.arange(len(action)), action]
+        weight = segment_products(chosen / log.behavior_probability[whole], starts)  # type: ignore[index]
+        plain = float(np.add.reduceat(weight * reward, starts[:-1]).mean())
+        last = weight[starts[1:] - 1]
+        found.append(normalize_by_step(reward, weight, starts, last)[0] if self_normalized else plain)
+    return np.array(found)
+
+
+# ---- all of them -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """Off-environment evaluation on a grid at a log's places: the simulator there, its zeta, and values raw and calibrated."""
+
+    simulator: Discretization
+    counts: sparse.csr_array
+    zeta: TransitionRatio
+    policies: list[Array]
+    raw: Array
+    calibrated: Array
+
+
+def off_environment(log: ContinuousTransitions, *, vertices: int = VERTICES, strength: float = STRENGTH) -> Corrected:
+    """The documented configuration, or another grid and strength."""
+    builder = GridInterpolation((vertices, vertices), floor=FLOOR, closure_episodes=0)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(ends do not show in the features|They are left out)")
+        simulator = builder.build(CartPole(SIMULATED), at=log)
+        counts = simulator.counts(log, outside="drop")
+    zeta = transition_ratio(counts, simulator.mdp, prior="simulator", strength=strength)
+    policies = policies_of(simulator)
+    raw = exact_values(zeta.target_model(simulator.mdp), policies)
+    inside = exact_values(simulator.mdp, policies)
+    mended = calibrated(raw, inside)
+    return Corrected(simulator, counts, zeta, policies, raw, mended)
+
+
+def model_based(log: ContinuousTransitions, found: Corrected) -> tuple[Array, Array]:
+    """The log's soft frequencies on the same cells, raw and calibrated.
+
+    Calibration takes the simulator through the same: looked at in the log's places, and staying where the log was never.
+    """
+    mdp, n_actions = found.simulator.mdp, found.simulator.task.n_actions
+    raw = exact_values(mdp.with_transitions(frequencies(found.counts, n_actions)), found.policies)
+    shape = found.simulator.metadata["shape"]
+    looked = GridInterpolation(tuple(shape), closure_episodes=0, vertex_weight=0.0).build(CartPole(SIMULATED), at=log)
+    seen = row_sums(found.counts) > 0
+    same = sparse.diags_array(seen.astype(float)) @ looked.mdp.transitions + staying(~seen, n_actions)
+    placebo = exact_values(mdp.with_transitions(sparse.csr_array(same)), found.policies)
+    return raw, calibrated(raw, placebo)
+
+
+def oracle(log: ContinuousTransitions, gravity: float, found: Corrected, noise: float) -> tuple[Array, Array]:
+    """The target itself on the same cells and in the same places: what no log improves on; raw and calibrated."""
+    builder = GridInterpolation(tuple(found.simulator.metadata["shape"]), closure_episodes=0)
+    both = [builder.build(task, at=log) for task in (CartPole(gravity, noise), CartPole(SIMULATED))]
+    raw, inside = (exact_values(model.mdp, found.policies) for model in both)
+    return raw, calibrated(raw, inside)
+
+
+def estimates(log: ContinuousTransitions, gravity: float, *, noise: float) -> tuple[dict[str, Array], Corrected]:
+    """Name -> (6,) values at each of ``DELTAS``; ``gravity`` and ``noise`` are for the oracle alone."""
+    found = off_environment(log)
+    model, model_mended = model_based(log, found)
+    ideal, ideal_mended = oracle(log, gravity, found, noise)
+    return {
+        "simulator": cartpole_truth.values("simulator", SIMULATED),
+        "OEE": found.raw,
+        "OEE, calibrated": found.calibrated,
+        "model-based": model,
+        "model-based, calibrated": model_mended,
+        "linear model": linear_values(log),
+        "IS, per decision": importance_sampling(log, self_normalized=False),
+        "IS, self-normalised": importance_sampling(log, self_normalized=True),
+        "oracle": ideal,
+        "oracle, calibrated": ideal_mended,
+    }, found

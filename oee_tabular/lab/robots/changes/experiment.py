@@ -1,0 +1,149 @@
+"""changes: what estimates are worth on changes and tasks that nobody tuned for; and how often their intervals hold."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oee_tabular._checks import Array
+from oee_tabular.continuous.history import HistoryTask
+from oee_tabular.continuous.interpolation import GridInterpolation
+from oee_tabular.continuous.linear_model import LinearModel
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.residual import ResidualSimulator
+from oee_tabular.continuous.support import within_support
+from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.exact import policy_value
+from oee_tabular.lab.findings import listed, percent
+from oee_tabular.lab.panels import panels
+from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
+from oee_tabular.lab.robots.changes.cases import CASES, Case
+from oee_tabular.ratio import transition_ratio
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+SIMULATOR, RESIDUAL, HISTORY, LINEAR = "simulator", "residual", "residual, last action", "linear model"
+CALIBRATED, GRID = "calibrated", "grid"
+FLOOR, STRENGTH = 1e-3, 0.01  # of the rows on a grid
+GRID_SEEDS = 1  # logs of a case that have the rows on a grid, the dearest
+LOGS = {f"{name}, n = {n}": (name, n) for name, case in CASES.items() for n in case.sizes}
+
+
+@functools.lru_cache(maxsize=256)
+def known(name: str, delta: float, *, simulator: bool = False) -> Array:
+    """(episodes,) returns in the target, or in the simulator."""
+    case = CASES[name]
+    return case.returns(case.simulator if simulator else case.target, delta)
+
+
+def cell(settings: Cell, stream: Stream) -> list[Row]:
+    """One log of one change: a row for each estimator, with its mean error over the policies."""
+    name, n = LOGS[str(settings["case"])]
+    case = CASES[name]
+    log = case.log(n, stream.generator())
+    corrected = ResidualSimulator(case.simulator, log, seed=0)
+    hidden = any(coordinate.hidden for coordinate in corrected.coordinates)
+    tasks: dict[str, ContinuousTask] = {RESIDUAL: corrected}
+    if hidden:
+        whole = HistoryTask(case.simulator)
+        tasks[HISTORY] = ResidualSimulator(whole, whole.log(log), seed=0)
+    if name.split(",")[0] not in WITHOUT_LINEAR:
+        tasks[LINEAR] = LinearModel(case.simulator, log)
+    rows = [_row(case, SIMULATOR, name, [known(name, d, simulator=True) for d in case.deltas])]
+    rows += [_row(case, what, name, [case.returns(task, d) for d in case.deltas]) for what, task in tasks.items()]
+    if case.grid and int(settings["repetition"]) < GRID_SEEDS:
+        rows += [_row(case, what, name, found) for what, found in _on_grid(case, name, log).items()]
+    differs = any(coordinate.differs for coordinate in corrected.coordinates)
+    return [{"n": n, **row, "hidden": float(hidden), "differs": float(differs)} for row in rows]
+
+
+WITHOUT_LINEAR = ("Kinova",)  # 27 coordinates and 27 commands in 1250 moves
+
+
+def _row(case: Case, estimator: str, name: str, found: list[Array]) -> Row:
+    """Values, errors, and how much of an error may be Monte Carlo's."""
+    apart = [returns - known(name, delta) for returns, delta in zip(found, case.deltas, strict=True)]
+    before = [known(name, delta, simulator=True) - known(name, delta) for delta in case.deltas]
+    errors, simulated = (np.array([x.mean() for x in each]) for each in (apart, before))
+    noise = [x.std() / np.sqrt(x.size) for x in apart]
+    error, of_simulator = float(np.abs(errors).mean()), float(np.abs(simulated).mean())
+    row: Row = {"estimator": estimator, "error": error, "share": error / of_simulator if of_simulator > 0 else np.nan}
+    row["noise"] = float(np.mean(noise))
+    truth = [known(name, delta) for delta in case.deltas]
+    row["truth_standard_error"] = float(max(x.std() / np.sqrt(x.size) for x in truth))
+    for delta, e, x in zip(case.deltas, errors, truth, strict=True):
+        row |= {f"error_{delta:g}": float(e), f"truth_{delta:g}": float(x.mean())}
+    return row
+
+
+def _on_grid(case: Case, name: str, log: ContinuousTransitions) -> dict[str, list[Array]]:
+    """The log's zeta on a grid of the task's features, raw and calibrated by the simulator's ratio."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # states outside, moves without support: left out here
+        model = GridInterpolation(case.grid, floor=FLOOR, closure_episodes=0).build(case.simulator, at=log)
+        plain = GridInterpolation(case.grid, closure_episodes=0).build(case.simulator, at=log)
+        counts, _ = within_support(model.counts(log, outside="drop"), model)
+    zeta = transition_ratio(counts, model.mdp, prior="simulator", strength=STRENGTH)
+    corrected = zeta.target_model(model.mdp)
+    raw, mended = [], []
+    for delta in case.deltas:
+        policy = model.policy(case.acting(delta))
+        value, inside = (case.scale * policy_value(mdp, policy, horizon=case.horizon) for mdp in (corrected, plain.mdp))
+        raw.append(np.full(case.episodes, value))
+        mended.append(np.full(case.episodes, value * known(name, delta, simulator=True).mean() / inside))
+    return {CALIBRATED: mended, GRID: raw}
+
+
+def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """What is left of the simulator's error, case by case."""
+    (ax,) = panels(figure, ["error / the simulator's error, means over the seeds"], size=(8.2, 8.4))
+    part = summary[np.isfinite(summary.share_mean)]
+    where = {case: k for k, case in enumerate(part.case.unique())}
+    shown = {RESIDUAL: "o", HISTORY: "P", CALIBRATED: "s", LINEAR: "^", GRID: "x"}
+    for k, (name, mark) in enumerate(shown.items()):
+        own = part[part.estimator == name]
+        ax.plot(np.maximum(own.share_mean, 1e-3), own.case.map(where), mark, color=f"C{k}", label=name, ms=6)
+    ax.axvline(1.0, color="black", lw=1, ls=":")
+    ax.set_xscale("log")
+    ax.set_yticks(range(len(where)), list(where), fontsize="small")
+    ax.invert_yaxis()
+    ax.grid(visible=True, alpha=0.3)
+    ax.legend(fontsize="small", loc="lower right")
+
+
+def finding(table: pd.DataFrame) -> str:
+    """What each leaves of the simulator's error in the median of the cases that all have, the least first."""
+    own = table[table.estimator.isin((RESIDUAL, LINEAR, CALIBRATED, GRID))]
+    left = own.pivot_table("share", "case", "estimator").dropna().median().dropna().sort_values()
+    return f"Left of the simulator's error in the median case: {listed(left, percent)}" if len(left) else ""
+
+
+CHANGES = Experiment(
+    id="changes",
+    title="Changes that nobody tuned for: the simulator corrected by the log's residuals, and others",
+    axes={"case": tuple(LOGS)},
+    smoke={"case": ("CartPole, force x 0.8, n = 3000", "MountainCar, force x 1.2, n = 20000")},
+    run=cell,
+    keys=("case", "estimator"),
+    measures=("error", "share", "noise", "hidden", "differs"),
+    draw=draw,
+    finding=finding,
+    smoke_repetitions=1,
+    group="continuous",
+    requires=("mujoco",),
+    caption=(
+        "A log of n moves by 30% random actions (Reacher: half); errors are means over policies of |value - truth|, "
+        "values and truths by rollouts that share their random numbers; noise: the standard error of what is left. "
+        "CartPole: times (1 - discount), six policies, 100 steps; Pendulum, MountainCar, Acrobot: two policies, 200 "
+        "and 500 steps; Reacher, paid by the target's fingertip: five; Kinova: the stand-in, 50 runs; Chain: masses "
+        "on springs, eight coordinates. One setting of ResidualSimulator for all. linear model: least squares for each "
+        "action. grid: zeta on 32 x 32 to 41 x 41 vertices, moves without support left out, for the first log; calibrated: "
+        "times the simulator's rollouts / its value on the grid. hidden: share of the logs of which it is said that the "
+        "state is not Markov; differs: that the target is another."
+    ),
+)
