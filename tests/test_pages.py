@@ -78,13 +78,13 @@ def test_pages_print_what_they_show(page, capsys):
 def test_the_benchmark_s_page_has_the_saved_runs_numbers():
     page, results = " ".join(PAGES["benchmark"].split()), NOTEBOOKS / "results"
     cells = pd.read_csv(results / "bench" / "cells.csv").query("family == 'paper_grid' and estimator == 'oee'")
-    ratios = ", ".join(f"{ratio:.2f}" for ratio in cells["rmse"] / cells["maximum-likelihood"])
-    assert f"On the paper's grid {ratios} of maximum likelihood's" in page
+    ratios = " | ".join(f"{ratio:.2f}" for ratio in cells["rmse"] / cells["maximum-likelihood"])
+    assert f"| the default | {ratios} |" in page
     widths = pd.read_csv(results / "bench_intervals" / "cells.csv").pivot_table(
         index=["family", "size"], columns="estimator", values="width"
     )
     three, ten, thirty = (widths["evaluate"] / widths["oee"]).groupby("size").median()
-    assert f"its median width is {three:.2f}, {ten:.2f} and {thirty:.2f} times" in page
+    assert f"Its median width is {three:.2f}, {ten:.2f} and {thirty:.2f} times" in page
 
 
 def test_the_landing_page_prints_what_it_shows(capsys):

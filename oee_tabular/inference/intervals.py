@@ -90,7 +90,8 @@ class Interval:
     def __str__(self) -> str:
         what = "range over all models in the box"
         if self.method != "range":
-            what = f"{100 * self.confidence:.4g}% {self.method} interval"
+            kind, *under = self.method.partition(" under ")
+            what = f"{100 * self.confidence:.4g}% {kind} interval{''.join(under)}"
         if self.status != "ok":
             return f"no {what}: {self.status}"
         return f"{_printing.interval(self.lower, self.upper)}, {what}; {_printing.SUM}"
