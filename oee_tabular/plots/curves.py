@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,26 +46,26 @@ def plot_curves(
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['oee', 'true value']
     """
-    where, found = _check_curves(x, curves, "x", "curves")
+    where, drawn = _check_curves(x, curves, "x", "curves")
     check_texts(truth_label=truth_label, xlabel=xlabel, ylabel=ylabel)
     ends = {}
-    for name, pair in _checks.instance({} if bands is None else bands, Mapping, "bands").items():
-        if name not in found:
+    for name, pair in _checks.instance(bands or {}, Mapping, "bands").items():
+        if name not in drawn:
             raise ValueError(f"bands must be of names in curves; {_checks.show(name)} is not")
         both = _checks.collection(pair, "bands", "pairs of arrays")
         if len(both) != 2:
             raise ValueError(f"bands[{name!r}] must be (lower, upper); it has {len(both)} entries")
         ends[name] = [_check_like(end, where, f"bands[{name!r}]") for end in both]
-    line = None if truth is None else _checks.float_array(truth, "truth", ndim=(0, 1))
-    if line is not None and line.ndim:
-        _check_like(line, where, "truth")
+    line = None
+    if truth is not None:
+        line = _checks.float_array(truth, "truth", ndim=(0, 1))
+        line = _check_like(line if line.ndim else np.full(len(where), line), where, "truth")
     ax = check_axes(ax)
-    for k, (name, y) in enumerate(found.items()):
+    for k, (name, y) in enumerate(drawn.items()):
         ax.plot(where, y, ms=5, lw=1.6, label=shorten(name), **series(k))
         if name in ends:
             ax.fill_between(where, ends[name][0], ends[name][1], color=series(k)["color"], alpha=0.18, lw=0)
     if line is not None:
-        line = np.broadcast_to(line, where.shape)
         ax.plot(where, line, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1, label=truth_label)
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
@@ -99,15 +99,14 @@ def plot_errors(
     >>> plot_errors([100, 10_000], {"oee": [0.2, 0.02]}, Figure().subplots()).get_xscale()
     'log'
     """
-    where, found = _check_curves(n, errors, "n", "errors", is_logarithmic=True)
-    if not (where > 0).all():
-        k = int(np.argmin(where > 0))
-        raise ValueError(f"n[{k}] must be positive; it is {where[k]:g}")
-    ax = plot_curves(where, found, ax, bands=bands, xlabel=xlabel, ylabel=ylabel)
+    where, drawn = _check_curves(n, errors, "n", "errors", is_logarithmic=True)
+    if where.min() <= 0:
+        raise ValueError(f"n[{where.argmin()}] must be positive; it is {where.min():g}")
+    ax = plot_curves(where, drawn, ax, bands=bands, xlabel=xlabel, ylabel=ylabel)
+    first = next(iter(drawn.values()))
+    start = np.flatnonzero(np.isfinite(first))
     if slope is not None:
         _checks.number_in(slope, "slope", -100.0, 100.0)
-    first = next(iter(found.values()))
-    start = np.flatnonzero(np.isfinite(first))
     if slope is not None and start.size and len(where) > 1:
         line = first[start[0]] * (where / where[start[0]]) ** slope
         ax.plot(where, line, color=INK, lw=1.0, ls=":", zorder=0, label=f"slope {slope:g}")
@@ -142,9 +141,9 @@ def plot_variance_growth(
     if horizons is None:
         first = next(iter(_checks.instance(variances, Mapping, "variances").values()), ())
         horizons = 1 + np.arange(_checks.float_array(first, "variances").size)
-    where, found = _check_curves(horizons, variances, "horizons", "variances", is_logarithmic=True)
-    ax = plot_curves(where, found, ax, xlabel=xlabel, ylabel=ylabel)
-    for line in ax.get_lines()[-len(found) :]:
+    where, drawn = _check_curves(horizons, variances, "horizons", "variances", is_logarithmic=True)
+    ax = plot_curves(where, drawn, ax, xlabel=xlabel, ylabel=ylabel)
+    for line in ax.get_lines()[-len(drawn) :]:
         line.set_markevery(max(1, len(where) // 8))  # markers tell the curves apart, they are not the data
     ax.set_yscale("log")
     return ax
@@ -156,19 +155,19 @@ def _check_curves(
     """x and the curves as arrays; without zeros, which a logarithmic axis cannot show."""
     where = _checks.float_array(x, x_name, ndim=1)
     _checks.require_finite(where, x_name)
-    given = _checks.instance(curves, Mapping, name).items()
-    found = {str(label): _check_like(y, where, f"{name}[{label!r}]") for label, y in given}
-    if not found:
+    arrays = {}
+    for label, values in _checks.instance(curves, Mapping, name).items():
+        y = _check_like(values, where, f"{name}[{str(label)!r}]")
+        if is_logarithmic:
+            _checks.require_nonnegative(np.nan_to_num(y), f"{name}[{str(label)!r}]")
+            y = np.where(y > 0, y, np.nan)
+        arrays[str(label)] = y
+    if not arrays:
         raise ValueError(f"{name} must hold at least one curve; it is empty")
-    for label, y in found.items() if is_logarithmic else ():
-        if (y < 0).any():
-            k = int(np.argmax(y < 0))
-            raise ValueError(f"{name}[{label!r}][{k}] must be nonnegative; it is {y[k]:g}")
-        found[label] = np.where(y > 0, y, np.nan)
-    if not any(np.isfinite(y).any() for y in found.values()):
+    if not any(np.isfinite(y).any() for y in arrays.values()):
         rule = "positive number, for a logarithmic axis" if is_logarithmic else "number"
         raise ValueError(f"{name} must hold at least one finite {rule}; there is nothing to draw")
-    return where, found
+    return where, arrays
 
 
 def _check_like(values: object, where: Array, name: str) -> Array:
@@ -200,24 +199,24 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
 
     _checks.number_in(fontsize, "fontsize", 0.0, 100.0, open_ends=True)
     ax = check_axes(ax)
-    named = []
+    ends = []
     for line in ax.get_lines():
         points = np.asarray(line.get_xydata())
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) and not str(line.get_label()).startswith("_"):
-            named.append((line, points[-1]))
-    if named:
+            ends.append((line, points[-1]))
+    if ends:
         ax.get_ylim()  # brings the limits, and with them transData, up to date
         to_axes = ax.transData + ax.transAxes.inverted()
-        heights = np.clip([to_axes.transform(end)[1] for _, end in named], 0.0, 1.0)
+        heights = np.clip(to_axes.transform([point for _, point in ends])[:, 1], 0.0, 1.0)
         # heights at least a step apart in the same order, nearest to these (least squares): what is left of the steps
         # may not fall
         order = np.argsort(heights, kind="stable")
         steps = SPACE * fontsize * ax.figure.dpi / (72.0 * ax.get_window_extent().height) * np.arange(len(order))
         heights[order] = isotonic_regression(heights[order] - steps).x + steps
-        for (line, _), place in zip(named, heights, strict=True):
-            ax.text(1.02, place, str(line.get_label()), transform=ax.transAxes, color=line.get_color(),
-                    fontsize=fontsize, va="center")  # fmt: skip
+        style: dict[str, Any] = {"transform": ax.transAxes, "fontsize": fontsize, "va": "center"}
+        for (line, _), height in zip(ends, heights, strict=True):
+            ax.text(1.02, height, str(line.get_label()), color=line.get_color(), **style)
     disable_math(ax.texts)
     legend = ax.get_legend()
     if legend is not None:

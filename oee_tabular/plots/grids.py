@@ -8,18 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular.plots import style
 from oee_tabular.plots.maps import Map, as_map
-from oee_tabular.plots.style import (
-    COLORS,
-    DIVERGING,
-    INK,
-    PAPER,
-    SEQUENTIAL,
-    check_axes,
-    check_texts,
-    disable_math,
-    shorten,
-)
+from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +26,7 @@ def plot_grid(
     *,
     label: str,
     norm: Any = None,
-    colormap: str = SEQUENTIAL,
+    colormap: str = style.SEQUENTIAL,
     text: Sequence[object] | None = None,
     crossed: object = None,
     ticks: Any = None,
@@ -71,23 +62,21 @@ def plot_grid(
         raise ValueError(f"colormap must be the name of one of matplotlib's; got {_checks.show(colormap)}")
     if norm is not None:
         _checks.instance(norm, matplotlib.colors.Normalize, "norm", "norm of matplotlib")
-    words = None if text is None else [*map(shorten, _checks.collection(text, "text", "words, one a state"))]
+    words = [] if text is None else [*map(shorten, _checks.collection(text, "text", "words, one a state"))]
     marks = None if ticks is None else _checks.float_array(ticks, "ticks", ndim=1)
-    ax = check_axes(ax, (5.4, 4.2))
+    ax = style.check_axes(ax, (5.4, 4.2))
     cells = np.ma.masked_invalid(places.spread(number).reshape(rows, columns))
-    mesh = ax.pcolormesh(
-        cells, cmap=colormap, norm=norm, linewidth=0.5, edgecolor="face", rasterized=cells.size > N_VECTOR_CELLS
-    )
+    is_image = cells.size > N_VECTOR_CELLS
+    mesh = ax.pcolormesh(cells, cmap=colormap, norm=norm, linewidth=0.5, edgecolor="face", rasterized=is_image)
     ax.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row")
     row, column = np.divmod(places.cell[is_crossed & (places.cell >= 0)], columns)
     size = min(9.0, 120.0 / max(rows, columns))
-    for color, width in ((PAPER, 3.6), (COLORS[1], 1.8)):  # a halo, so that it is seen on every shade
-        crosses = ax.plot(column + 0.5, row + 0.5, ls="none", marker="x", ms=size, mec=color, mew=width)
-        crosses[0].set_rasterized(cells.size > N_VECTOR_CELLS)
-    if words is not None and max(rows, columns) <= N_TEXT_CELLS:
+    for color, width in ((style.PAPER, 3.6), (COLORS[1], 1.8)):  # a halo, so that it is seen on every shade
+        ax.plot(column + 0.5, row + 0.5, "x", ms=size, mec=color, mew=width, rasterized=is_image)
+    if max(rows, columns) <= N_TEXT_CELLS:
         _write(ax, mesh, cells, places, words)
     for axis, called in ((ax.xaxis, places.columns), (ax.yaxis, places.rows)):
-        shown = range(0, len(called), max(1, -(-len(called) // 10)))
+        shown = range(0, len(called), -(-len(called) // 10))
         axis.set_ticks([k + 0.5 for k in shown], [f"{called[k]:.6g}" for k in shown])
         axis.set_tick_params(length=0)
     ax.spines[:].set_visible(False)
@@ -120,15 +109,13 @@ def plot_ratio(
     from matplotlib.colors import LogNorm
 
     ratio = _check_states(values, as_map(shape), "values")
-    if (ratio < 0).any():
-        k = int(np.argmax(ratio < 0))
-        raise ValueError(f"values[{k}] must be nonnegative; it is {ratio[k]:g}")
+    _checks.require_nonnegative(np.nan_to_num(ratio), "values")
     positive = ratio[np.isfinite(ratio) & (ratio > 0)]
     power = min(max(1, int(np.ceil(np.abs(np.log2(positive)).max(initial=0.0)))), 1000)
     reach = 2.0**power
     return plot_grid(
         np.where(ratio == 0, 1.0 / reach, ratio), shape, ax, label=label, norm=LogNorm(1.0 / reach, reach),
-        colormap=DIVERGING, text=["" if np.isnan(r) else f"{r:.2g}" for r in ratio],
+        colormap=style.DIVERGING, text=["" if np.isnan(r) else f"{r:.2g}" for r in ratio],
         ticks=[2.0**k for k in sorted({-power, -(power // 2), 0, power // 2, power})],
     )  # fmt: skip
 

@@ -78,6 +78,14 @@ def disable_math(texts: Sequence[Text]) -> None:
         text.set_parse_math(False)
 
 
+def label_rows(ax: Axes, labels: Any) -> None:
+    """Write a label beside each row, row 0 on top."""
+    ax.set_yticks(range(len(labels)), labels)
+    ax.set_ylim(max(len(labels), 1) - 0.4, -0.6)
+    ax.tick_params(axis="y", length=0)
+    disable_math(ax.get_yticklabels())
+
+
 def check_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.8)) -> Axes:
     """``ax``, or for None the axes of a new pyplot figure of ``size`` inches."""
     if ax is None:
@@ -145,23 +153,28 @@ def figure_svg(
     check_texts(name=name, title=title, description=description)
     with matplotlib.rc_context(_SVG_STYLE):
         text = _save(draw, size, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type"))).decode()
-    body = text[text.index("<svg") :]
-    box = re.search(r'viewBox="[^"]*"', body)
-    inside = body[body.index(">") + 1 :]
-    # without what a page does not need or has already
-    inside = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", inside, flags=re.S)
-    inside = re.sub(r'<defs>\s*<style type="text/css">.*?</style>\s*</defs>', "", inside, count=1, flags=re.S)
-    # ids and colours made the page's own
-    inside = re.sub(r'(\bid="|url\(#|href="#)', rf"\1{name}-", inside)
-    for color, variable in _ON_PAGE.items():
-        inside = re.sub(rf"(fill|stroke): {color}\b", rf"\1: var(--{variable}, {color.lower()})", inside, flags=re.I)
-    inside = re.sub(r"\s*\n\s*", "\n", inside)
-    head = (
-        f'<svg xmlns:xlink="http://www.w3.org/1999/xlink" xmlns="http://www.w3.org/2000/svg" {box.group() if box else ""} '
+    tag, _, inside = text[text.index("<svg") :].partition(">")
+    changes = {
+        # without what a page does not need or has already
+        r"<metadata>.*?</metadata>|<!--.*?-->": "",
+        r'<defs>\s*<style type="text/css">.*?</style>\s*</defs>': "",
+        # ids and colours made the page's own
+        r'(\bid="|url\(#|href="#)': rf"\1{name}-",
+        **{
+            rf"(fill|stroke): {color}\b": rf"\1: var(--{variable}, {color.lower()})"
+            for color, variable in _ON_PAGE.items()
+        },
+        r"\s*\n\s*": "\n",
+    }
+    for pattern, replacement in changes.items():
+        inside = re.sub(pattern, replacement, inside, flags=re.IGNORECASE | re.DOTALL)
+    (box,) = re.findall(r'viewBox="[^"]*"', tag)
+    return (
+        f'<svg xmlns:xlink="http://www.w3.org/1999/xlink" xmlns="http://www.w3.org/2000/svg" {box} '
         f'class="plot" role="img" aria-labelledby="{name}-title {name}-desc">\n'
         f'<title id="{name}-title">{html.escape(title)}</title>\n<desc id="{name}-desc">{html.escape(description)}</desc>'
+        f"{inside.rstrip()}"
     )
-    return head + inside.rstrip()
 
 
 def _save(draw: Callable[[Axes], object], size: tuple[float, float], form: str, metadata: dict[str, Any]) -> bytes:

@@ -11,17 +11,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.plots.style import (
-    COLORS,
-    INK,
-    check_axes,
-    check_pair,
-    check_texts,
-    disable_math,
-    marks,
-    places,
-    shorten,
-)
+from oee_tabular.plots import style
+from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,21 +49,20 @@ def plot_values(
     >>> rows = [row, row | {"estimator": "pdis", "value": 99.0, "lower": None, "upper": None}]
     >>> ax = plot_values(rows, Figure().subplots())
     >>> [label.get_text() for label in ax.get_yticklabels()], [text.get_text() for text in ax.texts]
-    (['oee', 'pdis', 'new'], ['99', 'true value 1.2'])
+    (['new', 'oee', 'pdis'], ['99', 'true value 1.2'])
     """
     check_texts(unit=unit)
     rows = _checks.collection(records, "records", "a Report's records()")
-    lacking = [row for row in rows if not isinstance(row, Mapping) or not row.keys() >= COLUMNS]
-    if lacking:
-        raise ValueError(
-            f"records must be mappings with {', '.join(sorted(COLUMNS))}; one is {_checks.show(lacking[0])}"
-        )
+    for row in rows:
+        if not isinstance(row, Mapping) or not row.keys() >= COLUMNS:
+            raise ValueError(f"records must be mappings with {', '.join(sorted(COLUMNS))}; one is {_checks.show(row)}")
     if limits is None and not any(math.isfinite(row["value"]) for row in rows):
         raise ValueError("records must hold at least one finite value; there is nothing to draw")
-    rows = tuple(row for name in dict.fromkeys(row["policy"] for row in rows) for row in rows if row["policy"] == name)
-    values, lower, upper = ([row[key] for row in rows] for key in ("value", "lower", "upper"))
+    policies = [row["policy"] for row in rows]
+    ordered = sorted(rows, key=lambda row: policies.index(row["policy"]))
+    columns = {key: [row[key] for row in ordered] for key in COLUMNS}
     return plot_intervals(
-        [row["estimator"] for row in rows], values, lower, upper, ax, groups=[row["policy"] for row in rows],
+        columns["estimator"], columns["value"], columns["lower"], columns["upper"], ax, groups=columns["policy"],
         truth={row["policy"]: row["true_value"] for row in rows if row["true_value"] is not None},
         limits=limits, xlabel=f"value in the target: {unit}" if unit else "value in the target", title=title,
     )  # fmt: skip
@@ -112,37 +102,36 @@ def plot_intervals(
     >>> from matplotlib.figure import Figure
     >>> ax = plot_intervals(["oee", "pdis"], [0.20, 0.12], [0.16, 0.04], [0.23, 0.20], Figure().subplots(), truth=0.19)
     >>> [label.get_text() for label in ax.get_yticklabels()]
-    ['oee', 'pdis', '']
+    ['', 'oee', 'pdis']
     """
-    arrays = [
-        _checks.float_array(array, name, ndim=1)
-        for array, name in ((values, "values"), (lower, "lower"), (upper, "upper"))
-    ]
-    value, low, high = arrays
+    given = {"values": values, "lower": lower, "upper": upper}
+    value, low, high = arrays = [_checks.float_array(array, name, ndim=1) for name, array in given.items()]
     names = _checks.collection(names, "names", "names, one a line")
-    given = [""] * len(names) if groups is None else _checks.collection(groups, "groups", "names, one a line")
-    group = np.array([*map(shorten, given)], dtype=object)
+    called = [""] * len(names) if groups is None else _checks.collection(groups, "groups", "names, one a line")
+    group = np.array([*map(shorten, called)], dtype=object)
     check_texts(truth_label=truth_label, xlabel=xlabel, title=title)
-    if not len(names) == len(group) == len(value) == len(low) == len(high):
+    sizes = [len(column) for column in (names, *arrays, group)]
+    if len(set(sizes)) > 1:
         raise ValueError(
-            f"names, values, lower, upper and groups must have one length; they have {len(names)}, {len(value)}, "
-            f"{len(low)}, {len(high)} and {len(group)}"
+            "names, values, lower, upper and groups must have one length; "
+            f"they have {', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
         )
     if not len(names) or (limits is None and not np.isfinite(arrays).any()):
         raise ValueError("values must have a finite number, or lower and upper an interval; there is nothing to draw")
     truths = truth if isinstance(truth, Mapping) else {} if truth is None else dict.fromkeys(group, truth)
     exact = {shorten(name): float(_checks.float_array(x, "truth", ndim=0)) for name, x in truths.items()}
-    left, right = _span(value, low, high, group, [*exact.values()]) if limits is None else check_pair(limits, "limits")
+    span = _span(value, low, high, group, [*exact.values()]) if limits is None else style.check_pair(limits, "limits")
+    left, right = span
     if not left < right:
         raise ValueError(f"limits must be (low, high) with low < high; got {limits}")
 
     # the lines from the top; above each group one for its name and the truth's
     starts = [k for k in range(len(names)) if k == 0 or group[k] != group[k - 1]] if exact or groups is not None else []
     y = np.arange(len(names)) + np.searchsorted(starts, np.arange(len(names)), side="right")
-    labels = dict(zip(y.tolist(), map(shorten, names), strict=True)) | {int(y[k]) - 1: group[k] for k in starts}
-    ax = check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
-    for k, place in enumerate(places(names)):
-        _draw_interval(ax, y[k], value[k], np.clip([low[k], high[k]], left, right), (left, right), marks(place))
+    labels = np.insert(np.array([*map(shorten, names)], dtype=object), starts, group[starts])
+    ax = style.check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
+    for k, series in enumerate(style.places(names)):
+        _draw_interval(ax, y[k], value[k], np.clip([low[k], high[k]], *span), span, style.marks(series))
     for start, end in zip(starts, [*starts[1:], len(names)], strict=False):
         x, top = exact.get(group[start], math.nan), y[start] - 1
         if left <= x <= right:
@@ -150,12 +139,10 @@ def plot_intervals(
             side = ("left", "center", "center", "right", "right")[int(4.0 * (x - left) / (right - left))]
             ax.text(x, top, f"{truth_label} {_text_of(x)}", ha=side, va="center", fontsize="small")
     ax.set_xlim(left, right)
-    ax.set_ylim(len(labels) - 0.4, -0.6)
-    ax.set_yticks(list(labels), list(labels.values()))
-    for label in ax.get_yticklabels()[len(names) :]:
-        label.set_fontweight("bold")
-    disable_math(ax.get_yticklabels())
-    ax.tick_params(axis="y", length=0, pad=9)
+    style.label_rows(ax, labels)
+    for start in starts:
+        ax.get_yticklabels()[y[start] - 1].set_fontweight("bold")
+    ax.tick_params(axis="y", pad=9)
     ax.spines[["left", "top", "right"]].set_visible(False)
     ax.locator_params(axis="x", nbins=5)
     ax.grid(axis="x", alpha=0.3)
@@ -166,20 +153,24 @@ def plot_intervals(
     return ax
 
 
-def _draw_interval(ax: Axes, y: float, value: float, ends: Array, span: tuple[float, float], style: Any) -> None:
+def _draw_interval(ax: Axes, y: float, value: float, ends: Array, span: tuple[float, float], marks: Any) -> None:
     """Draw an interval and its value; a value outside the axis as an open marker at the edge, with its number."""
-    if np.isfinite(ends).all():
+    has_interval = np.isfinite(ends).all()
+    if has_interval:
         marker = "|" if math.isnan(value) else None  # an interval without a value has ends
-        ax.plot(ends, [y, y], color=style["color"], lw=2.0, marker=marker, ms=9, mew=2.0)
+        ax.plot(ends, [y, y], color=marks["color"], lw=2.0, marker=marker, ms=9, mew=2.0)
     if span[0] <= value <= span[1]:
-        ax.plot(value, y, ms=7, **style)
-    elif not math.isnan(value) or not np.isfinite(ends).any():
+        ax.plot(value, y, ms=7, **marks)
+    elif not math.isnan(value) or not has_interval:
         is_right = math.isfinite(value) and value > span[1]
-        ax.plot(span[int(is_right)], y, ms=7, clip_on=False, **style | {"markerfacecolor": "none"})
-        ax.annotate(
-            _text_of(value), (span[int(is_right)], y), fontsize="small", va="center", textcoords="offset points",
-            xytext=(-8 if is_right else 8, 0), ha="right" if is_right else "left",
-        )  # fmt: skip
+        edge, shift, side = (span[1], -8, "right") if is_right else (span[0], 8, "left")
+        ax.plot(edge, y, ms=7, clip_on=False, **marks | {"markerfacecolor": "none"})
+        _write_beside(ax, _text_of(value), (edge, y), shift, ha=side)
+
+
+def _write_beside(ax: Axes, text: str, place: tuple[float, float], shift: float, **options: Any) -> None:
+    """Write a text some points to the right of a place, to the left where the shift is negative."""
+    ax.annotate(text, place, (shift, 0), textcoords="offset points", va="center", fontsize="small", **options)
 
 
 def _text_of(value: float) -> str:
@@ -245,29 +236,23 @@ def plot_states(
         raise ValueError(f"recorded must have the shape of time, {shares.shape}; it has {counts.shape}")
     parts = shares, np.where(counts > 0, shares, 0.0), counts
     share, known, total = (array.reshape(len(shares), -1).sum(axis=1) for array in parts)
-    called = None if names is None else _checks.collection(names, "names", "names, one a state")
-    if called is not None and len(called) != len(share):
+    called: Any = range(len(share)) if names is None else _checks.collection(names, "names", "names, one a state")
+    if len(called) != len(share):
         raise ValueError(f"names must have {len(share)} entries, one a state; it has {len(called)}")
     check_texts(xlabel=xlabel)
     order = np.argsort(-share, kind="stable")[: _checks.positive_integer(top, "top")]
     order = order[share[order] > 0]
     y, good, every = np.arange(len(order)), 100.0 * known[order], 100.0 * share[order]
     _checks.require_finite(every, "time")
-    ax = check_axes(ax, (6.4, 1.1 + 0.25 * len(order)))
+    ax = style.check_axes(ax, (6.4, 1.1 + 0.25 * len(order)))
     ax.barh(y, good, color=COLORS[0], height=0.72, label="action recorded")
-    ax.barh(y, np.where(good < every, every - good, np.nan), left=good, color="none", edgecolor=COLORS[1],
-            hatch="////", height=0.72, label="never recorded")  # fmt: skip
+    rest: dict[str, Any] = {"color": "none", "edgecolor": COLORS[1], "hatch": "////", "label": "never recorded"}
+    ax.barh(y, np.where(good < every, every - good, np.nan), left=good, height=0.72, **rest)
     for place, state in enumerate(order):
         count = f"{total[state]:,.0f}".replace(",", "\u202f") if total[state] else "none"
-        ax.annotate(
-            f"{count} recorded", (every[place], place), xytext=(4, 0), textcoords="offset points", va="center",
-            fontsize="small", color=INK,
-        )  # fmt: skip
-    ax.set_yticks(y, [f"state {s}" if called is None else shorten(called[s]) for s in order])
-    disable_math(ax.get_yticklabels())
-    ax.tick_params(axis="y", length=0)
+        _write_beside(ax, f"{count} recorded", (every[place], place), 4, color=INK)
+    style.label_rows(ax, [f"state {s}" if names is None else shorten(called[s]) for s in order])
     ax.set_xlim(0.0, 1.25 * every.max(initial=0.0) or 1.0)
-    ax.set_ylim(max(len(order), 1) - 0.4, -0.6)
     ax.set_xlabel(xlabel)
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize="small", borderaxespad=0.2)
     return ax
