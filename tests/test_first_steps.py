@@ -99,8 +99,8 @@ def test_a_value_outside_its_likelihood_interval_is_not_the_answer(value):
     end, name = (sure.lower, "lower") if value < sure.lower else (sure.upper, "upper")
     report = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(value)})
     assert report.warnings == (
-        f"oee (mine): The estimator's own value, {value:.3f}, lies outside the interval that the log allows. The interval's "
-        f"{name} end stands in its place.",
+        f"oee (mine): The estimator's own value, {value:.3f}, lies outside the interval. The table gives the interval's "
+        f"{name} end instead.",
     )
     assert report.notes["mine", "oee"] == (1,)
     assert report.records()[0]["value"] == end

@@ -58,7 +58,7 @@ NEVER_VARIED = Finding(
     1.0,
     "",
     "no standard error",
-    "there is {} and no interval: what was seen never varied, which does not make the value certain.",
+    "there is {} and no interval, because what was recorded never varied. That does not make the value certain.",
 )
 WEIGHTLESS = Finding(  # the status says it, and a report leaves such rows out
     "weightless",
@@ -68,8 +68,8 @@ WEIGHTLESS = Finding(  # the status says it, and a report leaves such rows out
 SAMPLED = Finding(
     "sampled",
     0.0,
-    "The simulator was made of samples: likelihood intervals widen by what its first states, its mean rewards and "
-    "transitions that were never met may change.",
+    "The simulator was made of samples. Likelihood intervals allow for the noise in its initial states, its mean rewards and "
+    "the transitions that it lacks.",
 )
 
 
@@ -87,17 +87,17 @@ def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None
     if unseen > MIN_SHARE:
         is_tied = "n_keys" in facts
         is_bare = error is not None and "unseen_standard_error" not in facts
-        text = "the log has nothing in the state-action pairs where the policy spends {} of its discounted time."
+        text = "in this estimator's own model the policy spends {} of its discounted time in unrecorded state-action pairs."
         if is_tied:
-            text += " Transitions of the same key elsewhere speak for them."
+            text += " Transitions of the same key elsewhere stand for them."
         elif is_bare:
-            text += " The standard error does not cover them, and above 10% there is no interval."
+            text += " The standard error ignores them. Above 10% there is no interval."
         alone = f"{text[:-1]}, so there is no interval." if has_source and not is_tied and not is_bare else None
         told.append(Finding("coverage", unseen, text, f"{unseen:.0%}", alone))
     if single > MIN_SHARE:
         alone = (
-            "{} of the policy's discounted time is spent in state-action pairs with one recorded transition, whose variance is "
-            "not known: there is no interval."
+            "the policy spends {} of its discounted time in state-action pairs with one recorded transition. Their variance "
+            "is not known, so there is no interval."
         )
         told.append(Finding("single", single, "", f"{single:.0%}", alone))
     elif has_source and error is None:
@@ -111,7 +111,7 @@ def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None
     for noun in ("episodes", "rollouts"):
         n, effective = facts.get(f"n_{noun}", 0), facts.get("effective_sample_size", math.inf)
         if effective < max(MIN_WEIGHTED, MIN_WEIGHTED_SHARE * n) and n:
-            text = f"the weights rest on about {{}} of {n} {noun}: the value is largely chance, its standard error too small."
+            text = f"the effective sample size is {{}} of {n} {noun}. The value is mostly chance and its standard error is too small."
             told.append(Finding("weights", -effective, text, f"{effective:.1f}"))
     if (gap := facts.get("gap", 0.0)) > MAX_GAP:
         told.append(Finding("gap", gap, "the ratio's program is solved only to a gap of {} nats.", f"{gap:.1e}"))
@@ -124,16 +124,16 @@ def truncation(number: int, episodes: int, bound: float, value: float, error: fl
     """``number`` of the episodes lack rewards that can change the value by up to ``bound``."""
     if not bound > max(1e-3 * abs(value), 0.1 * (error or 0.0)):
         return ()
-    reach = f"by up to {bound:.3g} (as a discounted sum)" if bound < math.inf else "without bound at discount 1"
-    text = f"{number} of {episodes} episodes were cut before they were over; what they lack can change the value {{}}."
+    reach = f"by up to {bound:.3g} (not normalised)" if bound < math.inf else "without bound at discount 1"
+    text = f"{number} of {episodes} episodes were truncated. The missing rewards can change the value {{}}."
     return (Finding("truncation", bound, text, reach),)
 
 
 def foreign_starts(share: float) -> Findings:
     """Episodes begin where the simulator never does."""
     text = (
-        "{} of the episodes start where the simulator never does; importance sampling estimates the value from the log's "
-        "own starts."
+        "{} of the episodes start where the simulator never does. Importance sampling estimates the value from the log's own "
+        "initial states."
     )
     return (Finding("starts", share, text, f"{share:.0%}"),) if share > 0 else ()
 
@@ -141,35 +141,32 @@ def foreign_starts(share: float) -> Findings:
 MADE_FROM_LOG = Finding(
     "selected",
     1.0,
-    "The policy is optimal in the log's own model and not in the simulator, so it was probably made from this log. Such a "
-    "value was chosen for being large: it is too large on average, and its interval covers less often than it says. Another "
-    "log would tell without this error.",
+    "The policy is optimal in the log's own model and not in the simulator, so it was probably made from this log. The value "
+    "of such a policy is too large on average, and its interval covers less often than it says. Use another log to "
+    "evaluate it.",
 )
 
 
 def conflict_with_centre(likeliest: float, distance: float) -> Findings:
     """The value rests on the corrected simulator, ``distance`` standard errors from the log's."""
     text = (
-        f"The value rests on the corrected simulator. The log's frequencies alone say {likeliest:.4g}, {{}} standard errors of "
-        "the difference away. If you know what may differ, say it: features of transitions (features=, on the command line "
-        "--features) or transitions that are alike (tie=, --tie)."
+        "Two estimates disagree. The value is that of the corrected simulator. Maximum likelihood (the simulator in unrecorded "
+        f"pairs) gives {likeliest:.4g}, {{}} standard errors of the difference away. Use the interval and not the standard "
+        "error. What you know of the difference may help (features=, --features; tie=, --tie)."
     )
     return (Finding("against", distance, text, f"{distance:.1f}"),)
 
 
 def outside(value: str, severity: float, end: str) -> Finding:
     """The log rules the estimator's own value out; ``end`` is "lower" or "upper"."""
-    text = (
-        f"The estimator's own value, {value}, lies outside the interval that the log allows. The interval's {end} end stands "
-        "in its place."
-    )
+    text = f"The estimator's own value, {value}, lies outside the interval. The table gives the interval's {end} end instead."
     return Finding("outside", severity, text)
 
 
 def missing_support(share: float, largest: float, nats: float) -> Findings:
     """Transitions that only the defensive share of a continuous simulator makes possible."""
     text = (
-        "{} of the log's transitions have probability 0 in the plain simulator, where no ratio exists; what is said of them "
+        "{} of the log's transitions have probability 0 in the plain simulator, so they have no ratio. What is said of them "
         f"rests on the defensive share (largest zeta {largest:.3g}, D_inf {nats:.2g} nats). "
         "A simulator under parameters that bracket the target (tasks.defensive_mixture), process noise or wider cells "
         "would cover them."
@@ -192,7 +189,7 @@ def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
 
 def rows_dropped(rows: int, reasons: tuple[str, ...]) -> Findings:
     """Rows of the log's files that are none of a log's, and were not counted."""
-    text = f"{rows} bad rows of the log were not counted: {'; '.join(reasons)}."
+    text = f"{rows} invalid rows of the log were not counted: {'; '.join(reasons)}."
     return (Finding("dropped", 0.0, text),) if rows else ()
 
 
@@ -200,20 +197,20 @@ def moves_dropped(dropped: Array, kept: float) -> Findings:
     """Transitions that the simulator calls impossible: ``dropped`` of each pair, beside ``kept`` in all."""
     number, pairs = float(dropped.sum()), int((dropped > 0).sum())
     text = (
-        f"{number:g} of the log's {number + kept:g} transitions, of {pairs} pair{'s' * (pairs > 1)} of a state and an action, "
-        f"{'is' if number == 1 else 'are'} impossible in the simulator and left out of every model. Likelihood intervals let "
-        "these transitions lead anywhere; all other intervals ignore them."
+        f"{number:g} of the log's {number + kept:g} transitions, in {pairs} state-action pair{'s' * (pairs > 1)}, "
+        f"{'is' if number == 1 else 'are'} impossible in the simulator and left out of every model. Likelihood and guaranteed "
+        "intervals let these transitions lead anywhere. Standard errors ignore them."
     )
     return (Finding("impossible", 1.0, text),) if number else ()
 
 
 def episodes_sampled(kept: int, of: int) -> Findings:
     """Importance sampling sees some of the log's episodes."""
-    text = f"Importance sampling sees a sample of {kept} of the log's {of} episodes; all others see every transition."
+    text = f"Importance sampling uses a sample of {kept} of the log's {of} episodes. The other estimators use every transition."
     return (Finding("sample", 0.0, text),) if 0 < kept < of else ()
 
 
-def behavior_contradicts(rows: int) -> Findings:
+def behavior_contradicts(transitions: int) -> Findings:
     """The policy that is said to have recorded the log did not."""
-    text = "The log's behaviour probabilities are used; they differ from behavior_policy in {} rows."
-    return (Finding("behavior", 0.0, text, str(rows)),) if rows else ()
+    text = "The log's behaviour probabilities are used. They differ from behavior_policy in {} transitions."
+    return (Finding("behavior", 0.0, text, str(transitions)),) if transitions else ()

@@ -39,9 +39,8 @@ NAMED: Mapping[str, Named] = {
     ),
     "oee": Named(
         "OffEnvironment",
-        "Off-environment evaluation: the simulator's probabilities are corrected by the ratio that the log "
-        "supports, and the policy is evaluated exactly in the corrected simulator; where the log speaks against "
-        "that, the value moves towards what the log alone says: the one-step value or maximum likelihood's.",
+        "Off-environment evaluation corrects the simulator's probabilities by the log, then computes the policy's exact value "
+        "in the corrected simulator. If the log contradicts the correction, the value moves towards maximum likelihood's.",
     ),
     "oee-product": Named(
         "OffEnvironment",
@@ -64,7 +63,8 @@ NAMED: Mapping[str, Named] = {
         {"ratio": "ratio_of_ratios"},
     ),
     "model-based": Named(
-        "ModelBased", "The policy's exact value in the log's own frequencies; where the log has nothing, nothing moves."
+        "ModelBased",
+        "The policy's exact value in the log's frequencies. In an unrecorded pair the state never changes.",
     ),
     "is": Named(
         "ImportanceSampling",

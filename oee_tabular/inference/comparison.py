@@ -106,7 +106,8 @@ class Comparison:
 
         One policy is surely worth more than another where the interval of their difference says so and the log has ``ENOUGH``
         of both policies' time, or where likelihood intervals say so. P(best) is given where the log has ``ENOUGH`` of every
-        policy's time; not where it cannot say which is best, but P(best) would exceed the confidence of all differences.
+        policy's time, unless it contradicts the ranking: no policy is best but P(best) exceeds the confidence of all
+        differences, or one is best (by likelihood intervals) and P(best) is below that confidence.
 
         Parameters
         ----------
@@ -126,8 +127,10 @@ class Comparison:
         is_one = len(candidates) == 1
         are_equal = not is_one and bool(np.abs([self.lower[rows], self.upper[rows]]).max() <= 1e-12 * scale)
         level = 1.0 - (len(order) - 1) * (1.0 - self.confidence)
-        is_open = not (is_one or are_equal) and self.probability_best.max() > level
-        says = self.unseen_share.max() <= 1.0 - ENOUGH and not is_open
+        is_sure = (
+            self.probability_best.max() > level if not is_one else self.probability_best[place(candidates[0])] > level
+        )
+        says = self.unseen_share.max() <= 1.0 - ENOUGH and (are_equal or is_sure == is_one)
         best = {name: float(self.probability_best[place(name)]) if says else None for name in order}
         if not is_one:
             return Decision(tuple(candidates), are_equal, best, None)
@@ -139,8 +142,8 @@ class Comparison:
     def bounds(self, one: str, other: str, intervals: Mapping[str, Interval] | None = None) -> tuple[float, float]:
         """An interval for the value of one policy less that of another, which counts what was never recorded.
 
-        The paired one where the log has ``ENOUGH`` of both policies' time; else, and where only they tell the two apart, what
-        likelihood intervals leave; nan without these.
+        The paired one where the log has ``ENOUGH`` of both policies' time, the difference of the likelihood intervals' ends
+        else; of two that there are, one that tells the policies apart, or the shorter. nan without either.
 
         Parameters
         ----------
@@ -154,10 +157,12 @@ class Comparison:
             if ours is None or theirs is None
             else (ours.lower - theirs.upper, ours.upper - theirs.lower)
         )
-        is_covered = max(self.unseen_share[[i, j]]) <= 1.0 - ENOUGH
-        if is_covered and (self.lower[i, j] > 0 or not apart[0] > 0):
-            return float(self.lower[i, j]), float(self.upper[i, j])
-        return apart
+        if max(self.unseen_share[[i, j]]) > 1.0 - ENOUGH:
+            return apart
+        paired = float(self.lower[i, j]), float(self.upper[i, j])
+        return min(
+            paired, apart, key=lambda ends: (not ends[0] > 0, not ends[1] - ends[0] < math.inf, ends[1] - ends[0])
+        )
 
     def __str__(self) -> str:
         width = max(len(name) for name in self.names)

@@ -57,16 +57,16 @@ def evaluate(
     guaranteed : whether the intervals that hold at any sample size are computed too (``interval(method="robust")``)
     quick : whether likelihood intervals, most of the time of large problems, are left out
     assumed : what you know about the target, by the keywords lower_ratio, upper_ratio, tie and features (as in
-        ``inference.interval``): a box narrows every interval and comparison; a tie, or features, adds a row (oee-tied,
-        oee-features) with the interval of its own model
+        ``inference.interval``): a box narrows likelihood and guaranteed intervals and comparisons; a tie, or features, adds
+        a row (oee-tied, oee-features) with the interval of its own model
     facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
 
     Returns
     -------
     Report
-        Estimates with their intervals, in the order policy, estimator; warnings in plain language; how sure it all is. Values
-        that the log corrects stand inside the likelihood interval, or, where that is not computed, beside the estimator's own;
-        ``diagnostics["interval_method"]`` says which.
+        Estimates with their intervals, in the order policy, estimator; warnings in plain language; ``uncertainty``. A value
+        that the log corrects and that lies outside the likelihood interval is replaced by the nearer end.
+        ``diagnostics["interval_method"]`` names the interval.
 
     Raises
     ------
@@ -87,6 +87,10 @@ def evaluate(
     _checks.boolean(guaranteed, "guaranteed")
     if _checks.boolean(quick, "quick") and guaranteed:
         raise ValueError("guaranteed must be False where quick is True: it leaves intervals out")
+    if quick and {"lower_ratio", "upper_ratio"} & {name for name, value in assumed.items() if value is not None}:
+        raise ValueError(
+            "quick must be False with lower_ratio or upper_ratio: it leaves out the intervals that they narrow"
+        )
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
     if target is not None:
         _checks.instance(target, FiniteMDP, "target")

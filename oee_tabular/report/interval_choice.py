@@ -88,9 +88,9 @@ def group_findings(
             own = tuple(member[0] for member in members if member[1] == name)
             by_policies.setdefault(own, []).append(name)
         about = "; ".join(f"{', '.join(names)} ({', '.join(own)})" for own, names in by_policies.items())
-        figure = worst.figure
-        if any(member[2].figure != figure for member in members):
+        sentence = f"{about}: {worst}"
+        if any(member[2].figure != worst.figure for member in members):
             several = len({member[0] for member in members}) > 1
-            figure += f" ({policy if several else estimator} is the worst)"
-        sentences.append((f"{about}: {worst.sentence(figure)}", frozenset(member[:2] for member in members)))
+            sentence += f" The figure is that of {policy if several else estimator}, the worst."
+        sentences.append((sentence, frozenset(member[:2] for member in members)))
     return sentences

@@ -13,33 +13,33 @@ from oee_tabular import _printing
 
 NEARLY_SILENT = 0.5  # share of the policy's time that the log covers: below it that is what a reader must know first
 METHODS: Mapping[str, str] = {  # kinds of intervals
-    "likelihood": "all values that the log and the simulator's support allow.",
-    "likelihood under the tie": "all values of the tied model that the log allows: transitions of one key change alike.",
-    "likelihood under the features": "all values of the model that the log allows: rows change along the features alone.",
-    "one-step": "value ± normal quantile × standard error. Pairs that were never recorded count as recorded once.",
-    "refits": "value ± t quantile × standard error, by refits on resampled episodes; the rollouts' noise is included.",
-    "calibrated": "value ± normal quantile × standard error, which includes the gap between two calibrations.",
-    "simulator's samples": "value ± normal quantile × standard error: the simulator's sampling noise, not the target's.",
+    "likelihood": "every value that the log does not reject at this confidence.",
+    "likelihood under the tie": "every value of the tied model that the log does not reject. Transitions of one key change alike.",
+    "likelihood under the features": "every value of the model along the features that the log does not reject.",
+    "one-step": "value ± normal quantile × standard error. An unrecorded pair has the variance of one transition.",
+    "refits": "value ± t quantile × standard error from resampled episodes. It includes the rollouts' noise.",
+    "calibrated": "value ± normal quantile × standard error. It includes the gap between two calibrations.",
+    "simulator's samples": "value ± normal quantile × standard error. It counts the simulator's sampling noise alone.",
     "the estimator's own": "as the estimator gives it.",
-    "standard error": "value ± quantile × standard error (sampling noise).",
+    "standard error": "value ± normal quantile × standard error (sampling noise only).",
 }
 GLOSSARY: Mapping[str, str] = {  # columns and intervals of the page
-    "guaranteed interval": "It covers with the confidence given however few transitions the log has; the widest.",
-    "sampling interval": "From the recorded transitions alone: value ± normal quantile × standard error. State-action pairs "
-    "that were never recorded are as estimated.",
+    "guaranteed interval": "It covers with at least this confidence for any number of transitions. It is the widest.",
+    "sampling interval": "value ± normal quantile × standard error. Unrecorded state-action pairs behave as estimated.",
+    "P(best)": "The probability that this policy is worth most. It counts the sampling noise alone.",
     "std. error": "Standard error, in the unit of the value.",
     "eff. n": "Effective sample size: how many equally informative transitions (or episodes) the value rests on.",
-    "coverage": "Share of the policy's discounted time in state-action pairs that the log has recorded.",
+    "coverage": "Share of the policy's discounted time, in the estimator's model, in recorded state-action pairs.",
     "max weight": "The largest ratio, target over simulator or policy over behaviour.",
     "row-sum err.": "How far rows of corrected probabilities are from summing to 1.",
 }
 NO_VALUE = "No estimator could give the value of a policy in the target. The notes say why."
-NOT_TESTED = "The log has no transition that could tell the target from the simulator."
+NOT_TESTED = "The simulator has one possible next state in every recorded state-action pair, so it cannot be tested."
 SOFT = (
     "The counts were given beside the log. Tests of the simulator and likelihood intervals need whole and independent "
     "transitions, so they are left out."
 )
-NO_P_BEST = "There is no P(best): the log covers too little of the policies' time, or cannot say which is best."
+NO_P_BEST = "There is no P(best): it counts sampling noise alone, and here that is not what leaves the ranking open."
 NEEDS_HORIZON = "At discount 1 policies are ranked only with a horizon (horizon=, --horizon)."
 
 
@@ -181,24 +181,24 @@ def no_best_policy(candidates: Sequence[str], n_policies: int, *, are_equal: boo
 
 def pair_rejections(rejected: int, tested: int) -> str:
     """Say in how many pairs the data reject the simulator."""
-    return (
-        f"The target differs from the simulator: the data reject the simulator in {rejected} of the {tested} state-action "
-        "pairs recorded."
-    )
+    rest = " In the other pairs the log is too short to tell." if rejected < tested else ""
+    return f"The data reject the simulator in {rejected} of the {tested} recorded state-action pairs.{rest}"
 
 
 def joint_rejection(z: float) -> str:
     """Say that the data reject the simulator, though in no single pair."""
     return (
-        f"No single state-action pair shows it, but together the data reject the simulator (z = {z:.1f}): transitions that "
+        f"The data as a whole reject the simulator (z = {z:.1f}), although no single state-action pair does. Transitions that "
         f"the simulator calls likely are {'more' if z > 0 else 'less'} frequent in the target."
     )
 
 
 def agreement(tested: int) -> str:
     """Say that the data agree with the simulator."""
-    pairs = f"any of the {tested} state-action pairs" if tested > 1 else "the one state-action pair"
-    return f"The data do not reject the simulator, neither in {pairs} recorded nor together."
+    pairs = f"the {tested} recorded state-action pairs" if tested > 1 else "the one recorded state-action pair"
+    return (
+        f"The data show no significant difference from the simulator in {pairs}. A short log cannot show a small one."
+    )
 
 
 def missing_intervals(reason: str) -> str:
@@ -207,23 +207,24 @@ def missing_intervals(reason: str) -> str:
 
 
 def worst_case(unrecorded: int, share: float | None, *, dropped: bool) -> str:
-    """Say what the quoted interval lets unrecorded pairs do; "" where there are none."""
+    """Say what the quoted interval allows in unrecorded pairs; "" where there are none."""
     told = ""
     if unrecorded:
         pairs = f"{unrecorded} unrecorded state-action pair{'s' * (unrecorded > 1)}"
-        of_time = "" if share is None else f" ({_printing.share(share)} of the time)"
-        told = f"The interval assumes the worst for {pairs}{of_time}."
-    return f"{told}{' ' * bool(told)}Dropped transitions may lead anywhere in it." if dropped else told
+        of_time = "" if share is None else f" ({_printing.share(share)} of the policy's time)"
+        told = f"The interval allows the best and the worst in {pairs}{of_time}."
+    return f"{told}{' ' * bool(told)}It lets dropped transitions lead anywhere." if dropped else told
 
 
-def sampling_interval(lower: float, upper: float) -> str:
-    """Say what the recorded transitions alone leave open."""
-    return f"The recorded transitions alone, with those pairs as estimated, give {format_interval(lower, upper)}."
+def sampling_interval(lower: float, upper: float, *, unrecorded: int) -> str:
+    """Say what sampling noise alone leaves open."""
+    condition = "If they behave as estimated" if unrecorded else "Without these transitions"
+    return f"{condition}, the interval is {format_interval(lower, upper)}."
 
 
 def interval_at_any_size(lower: float, upper: float) -> str:
     """Say the interval that holds at any sample size."""
-    return f"The interval guaranteed at any sample size is {format_interval(lower, upper)}."
+    return f"The interval that is guaranteed at any sample size is {format_interval(lower, upper)}."
 
 
 # the table

@@ -174,7 +174,7 @@ def _reason_without_intervals(evidence: Evidence, *, is_endless: bool, quick: bo
     if is_endless:
         return "at discount 1 they need a horizon"
     if quick:
-        return "quick was asked for"
+        return "quick=True (--quick) leaves them out"
     if len(evidence.phat) > MAX_TRANSITIONS:
         reachable = int(np.diff(evidence.rows.indptr)[evidence.reachable].sum())
         if reachable > MAX_TRANSITIONS:
@@ -214,7 +214,8 @@ def _describe(found: Mapping[str, Interval], coverage: float | None, scale: floa
     unrecorded = int(quoted.diagnostics["unvisited_rows"])
     told = [text.worst_case(unrecorded, None if coverage is None else 1.0 - coverage, dropped=dropped)]
     if quoted.sampling is not None and quoted.width > MUCH_WIDER * (quoted.sampling[1] - quoted.sampling[0]):
-        told.append(text.sampling_interval(quoted.sampling[0] * scale, quoted.sampling[1] * scale))
+        lower, upper = (end * scale for end in quoted.sampling)
+        told.append(text.sampling_interval(lower, upper, unrecorded=unrecorded))
     if GUARANTEED in found:
         told.append(text.interval_at_any_size(found[GUARANTEED].lower * scale, found[GUARANTEED].upper * scale))
     return " ".join(filter(None, told))

@@ -27,23 +27,23 @@ def of(value=10.0, error=0.1, **facts):
 
 
 SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, and how it is said
-    "unseen": (lambda x: of(fallback_share=x), 0.02, 0.03, "where the policy spends 3% of its discounted time."),
+    "unseen": (lambda x: of(fallback_share=x), 0.02, 0.03, "the policy spends 3% of its discounted time in unrecorded state-action pairs."),
     "row sums": (lambda x: of(row_sum_error=x), 1e-3, 2e-3, "the rows of zeta * P miss 1 by up to 0.002; over a horizon"),
-    "starts": (findings.foreign_starts, 0.0, 0.01, "1% of the episodes start where the simulator never does; importance"),
+    "starts": (findings.foreign_starts, 0.0, 0.01, "1% of the episodes start where the simulator never does. Importance"),
     "gap": (lambda x: of(gap=x), 1e-6, 2e-6, "the ratio's program is solved only to a gap of 2.0e-06 nats."),
     "weights": (lambda n: of(effective_sample_size=-n, n_rollouts=400), -20.0, -19.9,
-                "the weights rest on about 19.9 of 400 rollouts: the value is largely chance"),
-    "few weights": (lambda n: of(effective_sample_size=-n, n_episodes=12), -10.0, -9.5, "about 9.5 of 12 episodes"),
+                "the effective sample size is 19.9 of 400 rollouts. The value is mostly chance"),
+    "few weights": (lambda n: of(effective_sample_size=-n, n_episodes=12), -10.0, -9.5, "is 9.5 of 12 episodes"),
     "support": (lambda x: findings.missing_support(x, 2.0, 0.69), 0.01, 0.011,
                 "1.1% of the log's transitions have probability 0 in the "
-                "plain simulator, where no ratio exists; what is said of them rests on the defensive share (largest zeta 2, "
+                "plain simulator, so they have no ratio. What is said of them rests on the defensive share (largest zeta 2, "
                 "D_inf 0.69 nats)."),
     "linear algebra": (lambda x: of(error_bound=x), 9e-6, 2e-5, "the linear solve is accurate only to 2.0e-05."),
     "small values": (lambda x: of(0.1, error_bound=x), 1e-6, 2e-6, "is accurate only to 2.0e-06."),
-    "truncation": (lambda x: findings.truncation(3, 8, x, 10.0, None), 0.01, 0.02, "3 of 8 episodes were cut before they were "
-                   "over; what they lack can change the value by up to 0.02 (as a discounted sum)."),
+    "truncation": (lambda x: findings.truncation(3, 8, x, 10.0, None), 0.01, 0.02, "3 of 8 episodes were truncated. The "
+                   "missing rewards can change the value by up to 0.02 (not normalised)."),
     "truncation beside an error": (lambda x: findings.truncation(3, 8, x, 10.0, 1.0), 0.1, 0.2, "by up to 0.2"),
-    "behaviour": (findings.behavior_contradicts, 0, 7, "they differ from behavior_policy in 7 rows."),
+    "behaviour": (findings.behavior_contradicts, 0, 7, "They differ from behavior_policy in 7 transitions."),
 }  # fmt: skip
 
 
@@ -61,17 +61,17 @@ def test_from_which_size_on_something_is_said(name):
 def test_what_is_said_of_a_value_without_an_interval():
     (single,) = of(single_share=0.05)
     assert single.text == ""
-    assert single.alone.endswith("one recorded transition, whose variance is not known: there is no interval.")
+    assert single.alone.endswith("one recorded transition. Their variance is not known, so there is no interval.")
     assert of(single_share=0.02) == of(error=None) == of(standard_error_of="log") == ()
     assert of(error=None, standard_error_of="log") == (findings.NEVER_VARIED,)
     (unseen,) = of(fallback_share=0.5, standard_error_of="log")
-    assert unseen.text.endswith(" The standard error does not cover them, and above 10% there is no interval.")
+    assert unseen.text.endswith(" The standard error ignores them. Above 10% there is no interval.")
     assert unseen.alone is None
     (covered,) = of(fallback_share=0.5, standard_error_of="log", unseen_standard_error=0.1)
-    assert covered.text.endswith(" where the policy spends {} of its discounted time.")
+    assert covered.text.endswith(" spends {} of its discounted time in unrecorded state-action pairs.")
     assert covered.alone == f"{covered.text[:-1]}, so there is no interval."
     (tied,) = of(error=None, fallback_share=0.5, n_keys=3)
-    assert tied.text.endswith(" Transitions of the same key elsewhere speak for them.")
+    assert tied.text.endswith(" Transitions of the same key elsewhere stand for them.")
     assert tied.alone is None
 
 
@@ -160,6 +160,6 @@ def test_a_user_s_own_finding_is_told():
         )
 
     report = oee.evaluate(problem, {"a": POLICY, "b": BEHAVIOR}, estimators={"own": own})
-    assert report.warnings == ("own (a, b): rewards are in cents0.5 (b is the worst).",)
+    assert report.warnings == ("own (a, b): rewards are in cents0.5. The figure is that of b, the worst.",)
     assert report.notes["a", "own"] == report.notes["b", "own"] == (1,)
     assert np.isfinite(report.results[0].estimate.interval).all()

@@ -153,7 +153,7 @@ def test_a_value_outside_gives_way_to_the_interval_s_nearer_end(end):
     assert_allclose(row["standard_error"], 0.01)
     shown = format(0.1 * far, _printing.spec(row["lower"], row["upper"]))
     told = [report.warnings[k - 1] for k in row["notes"]]
-    expected = f"own value, {shown}, lies outside the interval that the log allows. The interval's {end} end stands"
+    expected = f"own value, {shown}, lies outside the interval. The table gives the interval's {end} end instead"
     assert any(expected in text for text in told)
     assert f"is worth about {format_value(row['value'], row['lower'], row['upper'])}" in report.to_html()
 
@@ -199,10 +199,7 @@ def test_no_interval_of_a_model_that_the_log_covers_too_little():
     assert row["coverage"] < 0.9
     assert row["standard_error"] > 0
     assert (row["lower"], row["upper"], row["interval_method"]) == (None, None, None)
-    assert (
-        "The standard error does not cover them, and above 10% there is no interval."
-        in report.warnings[row["notes"][0] - 1]
-    )
+    assert "The standard error ignores them. Above 10% there is no interval." in report.warnings[row["notes"][0] - 1]
     assert row_of(report)["lower"] is not None
 
 
@@ -218,9 +215,7 @@ def test_no_interval_where_the_variance_is_not_known():
     assert row["single_share"] > 0.9
     assert row["lower"] is None
     told = [report.warnings[k - 1] for k in row["notes"]]
-    assert any(
-        "with one recorded transition, whose variance is not known: there is no interval." in text for text in told
-    )
+    assert any("recorded transition. Their variance is not known, so there is no interval." in text for text in told)
     assert row_of(report)["upper"] > row_of(report)["lower"]
     assert not row_of(oee.evaluate(even(20_000), MINE, estimators=["model-based"]), "model-based")["single_share"]
 
@@ -232,7 +227,7 @@ def test_a_standard_error_of_zero_makes_no_interval():
     report = oee.evaluate(even(100), {"mine": MINE}, estimators={"still": still})
     row = row_of(report, "still")
     assert (row["lower"], row["standard_error"]) == (None, None)
-    assert "there is no standard error and no interval: what was seen never varied" in report.warnings[0]
+    assert "there is no standard error and no interval, because what was recorded never varied" in report.warnings[0]
 
 
 def test_policies_that_the_log_separates_are_ranked_and_others_are_not():

@@ -60,31 +60,33 @@ def test_what_a_policy_is_worth(changes, sentence):
         (text.no_best_policy(["a", "b"], 2, are_equal=False),
          "The log cannot say which of “a” and “b” is worth most in the target."),
         (text.pair_rejections(3, 40),
-         "The target differs from the simulator: the data reject the simulator in 3 of the 40 state-action pairs recorded."),
+         "The data reject the simulator in 3 of the 40 recorded state-action pairs. In the other pairs the log is too short to tell."),
         (text.joint_rejection(24.51),
-         "No single state-action pair shows it, but together the data reject the simulator (z = 24.5): transitions that the "
+         "The data as a whole reject the simulator (z = 24.5), although no single state-action pair does. Transitions that the "
          "simulator calls likely are more frequent in the target."),
         (text.joint_rejection(-4.0),
-         "No single state-action pair shows it, but together the data reject the simulator (z = -4.0): transitions that the "
+         "The data as a whole reject the simulator (z = -4.0), although no single state-action pair does. Transitions that the "
          "simulator calls likely are less frequent in the target."),
         (text.agreement(60),
-         "The data do not reject the simulator, neither in any of the 60 state-action pairs recorded nor together."),
+         "The data show no significant difference from the simulator in the 60 recorded state-action pairs. A short log cannot "
+         "show a small one."),
         (text.agreement(1),
-         "The data do not reject the simulator, neither in the one state-action pair recorded nor together."),
+         "The data show no significant difference from the simulator in the one recorded state-action pair. A short log cannot "
+         "show a small one."),
         (text.missing_intervals("quick was asked for"), "There are no likelihood intervals: quick was asked for."),
         (text.worst_case(1, 0.003, dropped=False),
-         "The interval assumes the worst for 1 unrecorded state-action pair (0.3% of the time)."),
+         "The interval allows the best and the worst in 1 unrecorded state-action pair (0.3% of the policy's time)."),
         (text.worst_case(4, 0.25, dropped=True),
-         "The interval assumes the worst for 4 unrecorded state-action pairs (25.0% of the time). "
-         "Dropped transitions may lead anywhere in it."),
-        (text.worst_case(0, 0.0, dropped=True), "Dropped transitions may lead anywhere in it."),
+         "The interval allows the best and the worst in 4 unrecorded state-action pairs (25.0% of the policy's time). "
+         "It lets dropped transitions lead anywhere."),
+        (text.worst_case(0, 0.0, dropped=True), "It lets dropped transitions lead anywhere."),
         (text.worst_case(0, 0.0, dropped=False), ""),
-        (text.sampling_interval(-2.0, 1.0),
-         "The recorded transitions alone, with those pairs as estimated, give −2.000 to 1.000."),
-        (text.interval_at_any_size(-3.0, 2.0), "The interval guaranteed at any sample size is −3.000 to 2.000."),
+        (text.sampling_interval(-2.0, 1.0, unrecorded=3), "If they behave as estimated, the interval is −2.000 to 1.000."),
+        (text.sampling_interval(-2.0, 1.0, unrecorded=0), "Without these transitions, the interval is −2.000 to 1.000."),
+        (text.interval_at_any_size(-3.0, 2.0), "The interval that is guaranteed at any sample size is −3.000 to 2.000."),
         (text.legend("one-step", ["oee", "mine"], 0.9),
-         "90% interval of oee, mine (one-step): value ± normal quantile × standard error. Pairs that were never recorded count "
-         "as recorded once."),
+         "90% interval of oee, mine (one-step): value ± normal quantile × standard error. An unrecorded pair has the variance "
+         "of one transition."),
         (text.omissions(0, 0), ""),
         (text.omissions(2, 1),
          "2 more notes with --verbose and 1 more row with --all (in Python: to_text(verbose=True, all=True))."),

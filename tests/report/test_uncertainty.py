@@ -20,13 +20,12 @@ def report(recorded, n, share=None, **options):
 def test_much_data_of_another_environment():
     found = report(TARGET, 60_000, guaranteed=True, target=TARGET)
     far, sure, advice = found.uncertainty.sentences
-    expected = "the data reject the simulator in 60 of the 60 state-action pairs recorded."
-    assert far == f"The target differs from the simulator: {expected}"
+    assert far == "The data reject the simulator in 60 of the 60 recorded state-action pairs."
     intervals = found.uncertainty.intervals["mine"]
     assert set(intervals) == {"likelihood", "robust"}
     assert found.truth["mine"] in intervals["likelihood"]
     assert intervals["robust"].lower < intervals["likelihood"].lower
-    assert sure.startswith("mine: The interval guaranteed at any sample size is −")
+    assert sure.startswith("mine: The interval that is guaranteed at any sample size is −")
     assert f"{sure}\n{advice}" in str(found)
     told = json.loads(found.to_json())
     assert told["conclusion"] == list(found.uncertainty.sentences)
@@ -35,15 +34,14 @@ def test_much_data_of_another_environment():
 
 def test_little_data_tells_by_all_moves_together():
     far = report(TARGET, 400).uncertainty.sentences[0]
-    assert far.startswith("No single state-action pair shows it, but together the data reject the simulator (z = ")
-    assert far.endswith("transitions that the simulator calls likely are more frequent in the target.")
+    assert far.startswith("The data as a whole reject the simulator (z = ")
+    assert far.endswith("Transitions that the simulator calls likely are more frequent in the target.")
 
 
 def test_the_simulator_itself():
-    expected = (
-        "The data do not reject the simulator, neither in any of the 60 state-action pairs recorded nor together."
+    assert (
+        report(SIMULATOR, 2000).uncertainty.sentences[0].startswith("The data show no significant difference from the")
     )
-    assert report(SIMULATOR, 2000).uncertainty.sentences[0] == expected
 
 
 def test_what_was_never_recorded_comes_first():
@@ -51,7 +49,7 @@ def test_what_was_never_recorded_comes_first():
     share[0, 0] = 0.0
     found = report(TARGET, 5000, share / share.sum())
     assert found.uncertainty.sentences[2] == "Record action 0 in state 0 first (never recorded)."
-    assert "assumes the worst for 1 unrecorded state-action pair (" in found.uncertainty.sentences[1]
+    assert "allows the best and the worst in 1 unrecorded state-action pair (" in found.uncertainty.sentences[1]
 
 
 def test_values_are_in_the_reports_unit():
@@ -65,7 +63,7 @@ def test_a_certain_simulator_has_nothing_to_learn():
     chain = oee.FiniteMDP(np.array([[[0.0, 1.0]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9)
     problem = oee.Problem(chain, oee.Transitions([0], [0], [1]))
     sentences = oee.evaluate(problem, {"only": np.ones((2, 1))}, estimators=["oee"]).uncertainty.sentences
-    assert sentences[0] == "The log has no transition that could tell the target from the simulator."
+    assert "one possible next state in every recorded" in sentences[0]
     assert sentences[1] == "Record action 0 in state 0 first (1 transition so far; the model has one outcome)."
     over = oee.Problem(oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9), oee.Transitions([0], [0], [0]))
     assert (
@@ -104,7 +102,7 @@ def test_quick_leaves_the_likelihood_intervals_out():
     report = oee.evaluate(problem, pair.policy, estimators=["oee"], seed=0, quick=True)
     full = oee.evaluate(problem, pair.policy, estimators=["oee"], seed=0)
     assert report.uncertainty.intervals == {}
-    assert "There are no likelihood intervals: quick was asked for." in report.uncertainty.distance
+    assert "There are no likelihood intervals: quick=True (--quick) leaves them out." in report.uncertainty.distance
     assert report.uncertainty.distance[0] == full.uncertainty.distance[0]
     assert report.results[0].estimate.diagnostics["model_value"] == full.results[0].estimate.diagnostics["model_value"]
     with pytest.raises(ValueError, match="guaranteed must be False where quick is True"):
