@@ -111,7 +111,10 @@ def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None
     for noun in ("episodes", "rollouts"):
         n, effective = facts.get(f"n_{noun}", 0), facts.get("effective_sample_size", math.inf)
         if effective < max(MIN_WEIGHTED, MIN_WEIGHTED_SHARE * n) and n:
-            text = f"the effective sample size is {{}} of {n} {noun}. The value is mostly chance and its standard error is too small."
+            text = (
+                f"the effective sample size is {{}} of {n} {noun}. The value is mostly chance and its standard error is too "
+                "small."
+            )
             told.append(Finding("weights", -effective, text, f"{effective:.1f}"))
     if (gap := facts.get("gap", 0.0)) > MAX_GAP:
         told.append(Finding("gap", gap, "the ratio's program is solved only to a gap of {} nats.", f"{gap:.1e}"))

@@ -17,8 +17,8 @@ class Assumptions:
 
     Parameters
     ----------
-    lower_ratio, upper_ratio : the box lower_ratio * P <= P_target <= upper_ratio * P, which narrows likelihood and guaranteed intervals; None: any
-        probabilities of what the simulator makes possible
+    lower_ratio, upper_ratio : the box lower_ratio * P <= P_target <= upper_ratio * P, which narrows likelihood and guaranteed
+        intervals; None: any probabilities of what the simulator makes possible
     tie, features : transitions that are alike, or directions of change, as in ``transition_ratio``; one of them. Each adds a
         row (oee-tied, oee-features) whose interval is that of its own model (``inference.shared``)
 

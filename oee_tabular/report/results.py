@@ -220,8 +220,8 @@ class Report:
     def comparison(self) -> list[dict[str, Any]]:
         """A row each policy, best first: its value and interval, P(best), and by how much it is worth less than the best.
 
-        P(best), and the ends of a difference, are None where the log cannot say. The intervals of all differences cover together;
-        one that is the difference of two likelihood intervals' ends covers where both of these do.
+        P(best), and the ends of a difference, are None where the log cannot say. The intervals of all differences cover
+        together; one that is the difference of two likelihood intervals' ends covers where both of these do.
         [] of a single policy.
         """
         compared, decision = self.uncertainty.comparison, self.uncertainty.decision

@@ -14,7 +14,7 @@ from oee_tabular import _printing
 NEARLY_SILENT = 0.5  # share of the policy's time that the log covers: below it that is what a reader must know first
 METHODS: Mapping[str, str] = {  # kinds of intervals
     "likelihood": "every value that the log does not reject at this confidence.",
-    "likelihood under the tie": "every value of the tied model that the log does not reject. Transitions of one key change alike.",
+    "likelihood under the tie": "every value of the model with this tie that the log does not reject.",
     "likelihood under the features": "every value of the model along the features that the log does not reject.",
     "one-step": "value ± normal quantile × standard error. An unrecorded pair has the variance of one transition.",
     "refits": "value ± t quantile × standard error from resampled episodes. It includes the rollouts' noise.",
