@@ -1,11 +1,18 @@
-"""What the command line's words are made of: ``NAME=SPEC``, and a spec's arguments, ``10,slip=0.3``."""
+"""What the command line's words are made of: ``NAME=SPEC``, a spec's arguments, ``10,slip=0.3``, and ``MODULE:OBJECT``."""
 
 from __future__ import annotations
 
 import ast
 import difflib
-from collections.abc import Sequence
+import importlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
+
+from oee_tabular import _checks
 
 
 def named_specs(given: list[str], option: str = "--policy", known: Sequence[str] = ()) -> dict[str, str]:
@@ -79,3 +86,54 @@ def literal(text: str, name: str = "an argument") -> Any:
         return ast.literal_eval(text)
     except (ValueError, SyntaxError, MemoryError, RecursionError):
         return text
+
+
+@contextmanager
+def own_modules() -> Iterator[None]:
+    """Modules of the current directory can be imported, as those that are installed."""
+    folder = os.getcwd()
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
+
+
+def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
+    """The two parts of "module:object"; nothing is imported."""
+    module_name, colon, path = spec.partition(":")
+    if not (colon and module_name and path):
+        raise ValueError(f"{what} must be given as MODULE:OBJECT, {example}; got {_checks.show(spec)}")
+    if module_name.endswith(".py") or os.sep in module_name:
+        hint = module_name.removesuffix(".py").replace(os.sep, ".").strip(".")
+        raise ValueError(
+            f"MODULE must be a module's name, not a file's; got {_checks.show(module_name)} (try {hint}:{path})"
+        )
+    return module_name, path
+
+
+def own_object(spec: str, what: str, example: str) -> Any:
+    """The object of "module:object"; errors call it ``what`` and give an ``example`` of the form."""
+    module_name, path = module_and_path(spec, what, example)
+    found: object = own_module(module_name)
+    for name in path.split("."):
+        if not hasattr(found, name):
+            public = [key for key, value in vars(found).items() if callable(value) and not key.startswith("_")]
+            known = f" (it has {', '.join(sorted(public)[:8])})" if public else ""
+            raise ValueError(f"{module_name!r} has no object {path!r}{known}")
+        found = getattr(found, name)
+    return found
+
+
+def own_module(module_name: str) -> ModuleType:
+    """The module of that name, imported; a ValueError where that fails."""
+    try:
+        return importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name is not None and (module_name == error.name or module_name.startswith(f"{error.name}.")):
+            raise ValueError(
+                f"module {module_name!r} cannot be found, neither in {os.getcwd()} nor installed"
+            ) from None
+        raise ValueError(f"module {module_name!r} cannot be imported: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise ValueError(f"module {module_name!r} cannot be imported: {type(error).__name__}: {error}") from error

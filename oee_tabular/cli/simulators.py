@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular._arguments import arguments, named_specs
+from oee_tabular._arguments import arguments, named_specs, own_module, own_modules, own_object
 
 if TYPE_CHECKING:
     from oee_tabular._checks import Array
@@ -28,8 +28,6 @@ def task_of(
 
     _progress.report_step(f"reading the simulator {spec}")
     if is_own(spec) or samples is not None:
-        from oee_tabular.testing.command import own_modules
-
         with own_modules():
             make = _maker(spec)
             made = make()
@@ -59,7 +57,6 @@ def is_own(spec: str) -> bool:
 def _maker(spec: str) -> Callable[[], Any]:
     """What makes the MDP or environment of "module:Object,key=value", "module:Id-v0,key=value" or "Id-v0:key=value"."""
     from oee_tabular.tasks.toy_text import make_environment
-    from oee_tabular.testing.command import own_module, own_object
 
     module, _, rest = spec.partition(":")
     positional, keywords = arguments(rest)
@@ -144,8 +141,6 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     elif suffix in (".npy", ".npz"):
         found = read_policy_array(spec, name)
     elif is_own(spec):
-        from oee_tabular.testing.command import own_modules, own_object
-
         with own_modules():
             found = own_object(spec, name, "my_package.mine:policy")
             return check_policy(found, mdp, name=f"{name} {spec!r}")

@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular._arguments import arguments
+from oee_tabular._arguments import arguments, own_module, own_modules, own_object
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular.continuous.actions import action_set
 from oee_tabular.continuous.gymnasium_physics import maker, vector_maker
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
-from oee_tabular.testing.command import own_module, own_modules, own_object
 
 OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")  # MODULE:EnvId-v0
 HORIZON = 1000  # where the environment has no limit

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.continuous.actions import as_probabilities
 from oee_tabular.continuous.discretization import Discretization
@@ -108,8 +109,6 @@ class ContinuousSimulator:
             raise ValueError(
                 f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of states; got {_checks.show(spec)}"
             )
-        from oee_tabular.testing.command import own_modules, own_object
-
         with own_modules():
             return as_probabilities(own_object(spec, name, "my_module:policy"), self.task.actions)
 

@@ -22,7 +22,6 @@ from oee_tabular._progress import progress_bar
 from oee_tabular._workers import backend, parallel
 from oee_tabular.lab.registry import Cell, Experiment, Row, Settings, Stream
 from oee_tabular.lab.store import Store, code_version
-from oee_tabular.testing.calls import one_thread
 
 ATTEMPTS = 3  # of a cell whose worker died
 
@@ -47,7 +46,7 @@ def run_cell(run: Callable[[Cell, Stream], list[Row]], settings: Settings, cell:
     from threadpoolctl import threadpool_limits
 
     refuse_other_code(code_version(*settings.modules), code)
-    with one_thread(), threadpool_limits(limits=1):
+    with threadpool_limits(limits=1):
         return [_plain(row) for row in run(cell, Stream(settings.experiment, settings.seed, cell))]
 
 

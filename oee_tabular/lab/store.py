@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from oee_tabular import _files
+from oee_tabular._arguments import own_modules
 from oee_tabular.lab.registry import Cell, Row, Settings
-from oee_tabular.testing.command import own_modules
 
 PACKAGE = Path(__file__).parents[1]
 LOCK = ".lock"

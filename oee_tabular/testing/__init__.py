@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.testing.calls import CLAIMS, DEFAULT, claims_of
 from oee_tabular.testing.cases import CASES, Case, case, padded_log, relabelled_log
-from oee_tabular.testing.conformance import LAWS, Verdict, Verdicts, check_estimator
+from oee_tabular.testing.conformance import CLAIMS, DEFAULT, LAWS, Verdict, Verdicts, check_estimator, claims_of
 from oee_tabular.testing.oracles import Comparison, compare_with_oracle
 
 if TYPE_CHECKING:

@@ -8,11 +8,12 @@ a line, in the order of their numbers (``layout``): renamed states keep their pl
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, Seed
@@ -49,6 +50,12 @@ class Case:
     behavior: Array
     horizon: int | None
     steps: int
+
+    @property
+    def title(self) -> str:
+        """Its name, horizon and discount."""
+        end = "no horizon" if self.horizon is None else f"horizon {self.horizon}"
+        return f"{self.name} ({end}, discount {self.simulator.discount:g})"
 
     @property
     def truth(self) -> float:
@@ -91,47 +98,72 @@ class Case:
         changed = [_affine(mdp, scale, shift) for mdp in (self.simulator, self.target)]
         return replace(self, simulator=changed[0], target=changed[1])
 
-    def relabelled(self, states: IntArray, actions: IntArray) -> Case:
-        """The same with state s named ``states[s]`` and action a named ``actions[a]``."""
-        pair = [_renamed(mdp, states, actions) for mdp in (self.simulator, self.target)]
-        policies = [_table(table, states, actions) for table in (self.policy, self.behavior)]
-        return replace(self, simulator=pair[0], target=pair[1], policy=policies[0], behavior=policies[1])
+    def relabelled(self, states: ArrayLike, actions: ArrayLike) -> Case:
+        """The same with state s named ``states[s]`` and action a named ``actions[a]``, two permutations."""
+        new_states = _permutation(states, "states", self.simulator.n_states)
+        new_actions = _permutation(actions, "actions", self.simulator.n_actions)
+        old = np.ix_(np.argsort(new_states), np.argsort(new_actions))
+        return replace(
+            self,
+            simulator=_relabel(self.simulator, old),
+            target=_relabel(self.target, old),
+            policy=self.policy[old],
+            behavior=self.behavior[old],
+        )
 
 
 def recorded(target: FiniteMDP, behavior: Array, steps: int) -> Array:
     """(S, A): how the rows of episodes are distributed; an episode ends on arrival in an absorbing state."""
     time = occupancy(target.with_discount(1.0), behavior, horizon=steps)
     alive = np.where(target.absorbing()[:, None], 0.0, time)
-    found = alive if alive.any() else time
-    return np.asarray(found / found.sum())
+    shares = alive if alive.any() else time
+    return np.asarray(shares / shares.sum())
 
 
-def relabelled_log(log: Transitions, states: IntArray, actions: IntArray) -> Transitions:
+def relabelled_log(log: Transitions, states: ArrayLike, actions: ArrayLike) -> Transitions:
     """The log of ``Case.relabelled``.
 
     Parameters
     ----------
-    log : Transitions
-    states, actions : (S,) and (A,) permutations: state s is named ``states[s]``, action a ``actions[a]``
+    log : Transitions, with any columns; states or actions that have names keep them, as in a simulator that is relabelled
+    states, actions : (S,) and (A,) permutations: state s gets the number ``states[s]``, action a ``actions[a]``
+
+    Raises
+    ------
+    ValueError
+        What is no permutation, or too short for the log.
 
     Examples
     --------
     >>> log = case("ragged").log(2, seed=0)
-    >>> new = relabelled_log(log, np.array([1, 0, 2, 3]), np.array([0, 1]))
+    >>> new = relabelled_log(log, [1, 0, 2, 3], [0, 1])
     >>> log.state[:4].tolist(), new.state[:4].tolist()
     ([0, 0, 1, 1], [1, 1, 0, 0])
     """
-    states, actions = np.asarray(states), np.asarray(actions)  # a Series is looked up by its labels
-    names = {"state": states[log.state], "action": actions[log.action], "next_state": states[log.next_state]}
-    return Transitions(**(log.columns() | names))
+    columns = _checks.instance(log, Transitions, "log", "Transitions").columns()
+    for name, numbers in (("state", states), ("action", actions), ("next_state", states)):
+        if columns[name].dtype.kind in "iu":
+            most = int(columns[name].max()) + 1
+            columns[name] = _permutation(numbers, "actions" if name == "action" else "states", most)[columns[name]]
+    return Transitions(**columns)
 
 
-def padded_log(log: Transitions, actions: tuple[int, ...], probability: float) -> Transitions:
-    """Further moves in the absorbing state, with these actions, after every episode that ended there.
+def _permutation(value: ArrayLike, name: str, most: int) -> IntArray:
+    """``value`` as an array; ValueError where it is no permutation, or of fewer than ``most``."""
+    array = _checks.as_array(value, name)
+    if array.dtype.kind not in "iuf" or not np.array_equal(np.sort(array, axis=None), np.arange(len(array))):
+        raise ValueError(f"{name} must be a permutation of 0, 1, ...; it is {_checks.show(value)}")
+    if len(array) < most:
+        raise ValueError(f"{name} must have a number for each of {most} {name}; it has {len(array)}")
+    return array.astype(np.int64)
+
+
+def padded_log(log: Transitions, actions: Sequence[int], probability: float) -> Transitions:
+    """Further transitions in the absorbing state, with these actions, after every episode that ended there.
 
     Parameters
     ----------
-    log : Transitions, with episodes, rewards and behaviour probabilities
+    log : Transitions, with episodes
     actions : of the rows that are added to each such episode
     probability : what the behaviour policy gives each of them
 
@@ -141,27 +173,26 @@ def padded_log(log: Transitions, actions: tuple[int, ...], probability: float) -
     >>> len(log), int(log.terminated.sum()), len(padded_log(log, (0, 1), 0.5))
     (4, 2, 8)
     """
-    starts, rows = log.episode_starts, len(actions)
-    assert starts is not None
-    columns = {name: column for name, column in log.columns().items() if name not in ("timestep", "truncated")}
-    parts: list[dict[str, Any]] = []
-    for low, high in zip(starts[:-1], starts[1:], strict=True):
-        own = {name: column[low:high].copy() for name, column in columns.items()}
-        if own["terminated"][-1]:
-            end = own["next_state"][-1]
-            more = {
-                "state": np.full(rows, end),
-                "action": np.array(actions),
-                "next_state": np.full(rows, end),
-                "reward": np.zeros(rows),
-                "terminated": np.arange(rows) == rows - 1,
-                "episode": np.full(rows, own["episode"][-1]),
-                "behavior_probability": np.full(rows, probability),
-            }
-            own["terminated"][-1] = False
-            own = {name: np.concatenate([column, more[name]]) for name, column in own.items()}
-        parts.append(own)
-    return Transitions(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+    starts, n = log.episode_starts, len(actions)
+    if starts is None or log.episode is None:
+        raise ValueError("log must have episodes; it has none")
+    last = starts[1:] - 1
+    last = last[log.terminated[last]]
+    end = np.repeat(log.next_state[last], n)
+    more: dict[str, Any] = {
+        "state": end,
+        "action": np.tile(actions, len(last)),
+        "next_state": end,
+        "reward": 0.0,
+        "terminated": np.tile(np.arange(n) == n - 1, len(last)),
+        "episode": np.repeat(log.episode[last], n),
+        "behavior_probability": probability,
+    }
+    columns = log.columns()
+    columns["terminated"] = columns["terminated"] & ~np.isin(np.arange(len(log)), last)
+    return Transitions(
+        **{name: np.insert(columns[name], np.repeat(last + 1, n), new) for name, new in more.items() if name in columns}
+    )
 
 
 def _affine(mdp: FiniteMDP, scale: float, shift: float) -> FiniteMDP:
@@ -172,98 +203,91 @@ def _affine(mdp: FiniteMDP, scale: float, shift: float) -> FiniteMDP:
     return mdp.with_rewards(table)
 
 
-def _renamed(mdp: FiniteMDP, states: IntArray, actions: IntArray) -> FiniteMDP:
-    shape = (mdp.n_states, mdp.n_actions, mdp.n_states)
-    back_s, back_a = np.argsort(states), np.argsort(actions)
-    index = np.ix_(back_s, back_a, back_s)
-    if mdp.transition_rewards is None:
-        rewards = mdp.rewards[np.ix_(back_s, back_a)]
-    else:
-        rewards = mdp.transition_rewards.toarray().reshape(shape)[index]
-    layout = None if mdp.layout is None else mdp.layout[back_s]
-    renamed = mdp.transitions.toarray().reshape(shape)[index]
-    called = (
-        None if names is None else [names[k] for k in back]
-        for names, back in ((mdp.state_names, back_s), (mdp.action_names, back_a))
+def _relabel(mdp: FiniteMDP, old: tuple[IntArray, ...]) -> FiniteMDP:
+    """The MDP whose state s was ``old[0][s]``; names and places go with the states."""
+    states, actions = (index.ravel() for index in old)
+    rows = (old[0] * mdp.n_actions + old[1]).ravel()
+    rewards: Any = mdp.rewards[old]
+    if mdp.transition_rewards is not None:
+        rewards = mdp.transition_rewards[rows][:, states]
+    names = (
+        None if own is None else [own[k] for k in index]
+        for own, index in ((mdp.state_names, states), (mdp.action_names, actions))
     )
-    return FiniteMDP(renamed, rewards, mdp.initial[back_s], mdp.discount, layout=layout).with_names(*called)
+    layout = None if mdp.layout is None else mdp.layout[states]
+    transitions = mdp.transitions[rows][:, states]
+    return FiniteMDP(transitions, rewards, mdp.initial[states], mdp.discount, layout=layout).with_names(*names)
 
 
-def _table(table: Array, states: IntArray, actions: IntArray) -> Array:
-    return np.ascontiguousarray(table[np.ix_(np.argsort(states), np.argsort(actions))])
+# ---- the cases: simulator, target, policy and behaviour of a discount ---------------------------------------------------
 
-
-_PAY = np.array([[4.0, -1.0], [2.0, 7.0], [-3.0, 5.0], [0.0, 0.0]])
-_POLICY = np.array([[0.8, 0.2], [0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
-_BEHAVIOR = np.array([[0.6, 0.4], [0.4, 0.6], [0.6, 0.4], [1.0, 0.0]])
-
-
-def _mortal(rows: object, discount: float) -> FiniteMDP:
-    """Three states that pay, each left for one that is over; ``rows`` (3, 2, 4) in tenths."""
-    transitions = np.zeros((4, 2, 4))
-    transitions[:3] = np.asarray(rows) / 10.0
-    transitions[3, :, 3] = 1.0
-    return FiniteMDP(transitions, _PAY, np.array([0.8, 0.2, 0.0, 0.0]), discount, layout=np.arange(4))
-
-
+Parts = tuple[FiniteMDP, FiniteMDP, Array, Array]
+_REWARDS = np.array([[4.0, -1.0], [2.0, 7.0], [-3.0, 5.0], [0.0, 0.0]])
 _TARGET = [[[3, 3, 3, 1], [1, 2, 2, 5]], [[5, 1, 1, 3], [2, 5, 2, 1]], [[1, 2, 2, 5], [3, 1, 3, 3]]]
 _SIMULATOR = [[[2, 2, 3, 3], [1, 2, 3, 4]], [[4, 1, 2, 3], [3, 3, 2, 2]], [[2, 2, 2, 4], [2, 2, 2, 4]]]
 
 
-def _ragged(name: str, horizon: int | None, discount: float, steps: int) -> Case:
-    pair = _mortal(_SIMULATOR, discount), _mortal(_TARGET, discount)
-    return Case(name, *pair, _POLICY.copy(), _BEHAVIOR.copy(), horizon, steps)
+def _terminating(tenths: object, discount: float) -> FiniteMDP:
+    """Three states that pay, each left for an absorbing one; ``tenths`` (3, 2, 4) are their transitions."""
+    transitions = np.zeros((4, 2, 4))
+    transitions[:3] = np.asarray(tenths) / 10.0
+    transitions[3, :, 3] = 1.0
+    return FiniteMDP(transitions, _REWARDS, np.array([0.8, 0.2, 0.0, 0.0]), discount, layout=np.arange(4))
 
 
-def _moves(name: str, horizon: int | None, discount: float, steps: int) -> Case:
-    """Nothing ends, and a reward belongs to the move."""
+def _ragged(discount: float) -> Parts:
+    policy = np.array([[0.8, 0.2], [0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
+    behavior = np.array([[0.6, 0.4], [0.4, 0.6], [0.6, 0.4], [1.0, 0.0]])
+    return _terminating(_SIMULATOR, discount), _terminating(_TARGET, discount), policy, behavior
+
+
+def _moves(discount: float) -> Parts:
+    """Nothing ends, and a reward belongs to the transition."""
     target = np.array([[[1, 7, 2], [5, 0, 5]], [[0, 2, 8], [6, 2, 2]], [[8, 2, 0], [3, 4, 3]]]) / 10.0
     simulator = np.array([[[2, 5, 3], [4, 0, 6]], [[0, 4, 6], [4, 3, 3]], [[6, 4, 0], [4, 3, 3]]]) / 10.0
     rewards = np.arange(18).reshape(3, 2, 3) * 7 % 11 - 3.0
     rewards[:, :, 0] += 4.0
-    policy, behavior = np.array([[0.7, 0.3], [0.2, 0.8], [0.6, 0.4]]), np.full((3, 2), 0.5)
     start = np.array([0.5, 0.5, 0.0])
-    made = [FiniteMDP(kernel, rewards, start, discount, layout=np.arange(3)) for kernel in (simulator, target)]
-    return Case(name, made[0], made[1], policy, behavior, horizon, steps)
+    pair = [FiniteMDP(table, rewards, start, discount, layout=np.arange(3)) for table in (simulator, target)]
+    return pair[0], pair[1], np.array([[0.7, 0.3], [0.2, 0.8], [0.6, 0.4]]), np.full((3, 2), 0.5)
 
 
-def _survival(name: str, horizon: int | None, steps: int) -> Case:
-    """One action; alive pays 1. Episodes that are over count: without them the value would be sum gamma^t."""
-    simulator, target = (
-        FiniteMDP([[[stay, 1 - stay]], [[0.0, 1.0]]], [1.0, 0.0], [1.0, 0.0], 0.9, layout=[0.0, 1.0])
+def _survival(discount: float) -> Parts:
+    """One action; alive pays 1. Episodes that ended count: without them the value would be sum gamma^t."""
+    pair = [
+        FiniteMDP([[[stay, 1 - stay]], [[0.0, 1.0]]], [1.0, 0.0], [1.0, 0.0], discount, layout=[0.0, 1.0])
         for stay in (0.5, 0.7)
-    )
-    return Case(name, simulator, target, np.ones((2, 1)), np.ones((2, 1)), horizon, steps)
+    ]
+    return pair[0], pair[1], np.ones((2, 1)), np.ones((2, 1))
 
 
-def _partial(name: str, horizon: int | None, discount: float, steps: int) -> Case:
+def _partial(discount: float) -> Parts:
     """Some (s, a) are never recorded, and the policy takes them."""
-    whole = _ragged(name, horizon, discount, steps)
-    behavior = whole.behavior.copy()
+    simulator, target, policy, behavior = _ragged(discount)
     behavior[1] = [1.0, 0.0]
-    return replace(whole, behavior=behavior)
+    return simulator, target, policy, behavior
 
 
-def _violated(name: str, horizon: int | None) -> Case:
+def _violated(discount: float) -> Parts:
     """The target moves where the simulator never does: from state 0 to state 2."""
-    whole = _ragged(name, horizon, 0.9, 6)
-    rows = np.array(_SIMULATOR)
-    rows[0, :, 3] += rows[0, :, 2]
-    rows[0, :, 2] = 0
-    return replace(whole, simulator=_mortal(rows, 0.9))
+    _, target, policy, behavior = _ragged(discount)
+    tenths = np.array(_SIMULATOR)
+    tenths[0, :, 3] += tenths[0, :, 2]
+    tenths[0, :, 2] = 0
+    return _terminating(tenths, discount), target, policy, behavior
 
 
-_MADE: Mapping[str, Callable[[str], Case]] = {
-    "ragged": lambda name: _ragged(name, 6, 0.9, 6),
-    "ragged infinite": lambda name: _ragged(name, None, 0.8, 80),
-    "moves": lambda name: _moves(name, 4, 1.0, 5),
-    "moves infinite": lambda name: _moves(name, None, 0.3, 18),
-    "survival": lambda name: _survival(name, 12, 12),
-    "survival infinite": lambda name: _survival(name, None, 120),
-    "partial": lambda name: _partial(name, 5, 0.9, 5),
-    "partial infinite": lambda name: _partial(name, None, 0.5, 60),
-    "violated": lambda name: _violated(name, 6),
-    "violated infinite": lambda name: _violated(name, None),
+_MADE: Mapping[str, tuple[Callable[[float], Parts], float, int | None, int]] = {  # discount, horizon, steps
+    "ragged": (_ragged, 0.9, 6, 6),
+    "ragged infinite": (_ragged, 0.8, None, 80),
+    "moves": (_moves, 1.0, 4, 5),
+    "moves infinite": (_moves, 0.3, None, 18),
+    "survival": (_survival, 0.9, 12, 12),
+    "survival infinite": (_survival, 0.9, None, 120),
+    "partial": (_partial, 0.9, 5, 5),
+    "partial infinite": (_partial, 0.5, None, 60),
+    "violated": (_violated, 0.9, 6, 6),
+    "violated infinite": (_violated, 0.9, None, 6),
 }
 CASES = tuple(_MADE)
 
@@ -285,5 +309,6 @@ def case(name: str) -> Case:
     _checks.instance(name, str, "name")
     bare = name.removeprefix("same ")
     _checks.one_of(bare, "name", CASES)
-    found = _MADE[bare](bare)
-    return found if bare == name else replace(found, name=name, simulator=copy.deepcopy(found.target))
+    make, discount, horizon, steps = _MADE[bare]
+    pair = Case(name, *make(discount), horizon, steps)
+    return pair if bare == name else replace(pair, simulator=copy.deepcopy(pair.target))

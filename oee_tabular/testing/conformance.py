@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import inspect
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -9,18 +10,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Seed
-from oee_tabular.testing import laws, manners
-from oee_tabular.testing.calls import Broken, Subject, claims_of, name_of, one_thread
+from oee_tabular._checks import Seed, show
+from oee_tabular.estimators.functions import as_estimator
+from oee_tabular.testing import laws, protocol_laws
+from oee_tabular.testing.calls import Broken, Subject, name_of
 from oee_tabular.testing.cases import case
 
 
 @dataclass(frozen=True)
 class Law:
-    """A law: who owes it (any of these claims; none: everybody) and how it is checked."""
+    """A law: how it is checked, and who owes it (any of these claims; none: everybody)."""
 
-    claims: frozenset[str]
     check: Callable[[Subject], str]
+    claims: frozenset[str]
 
     @property
     def statement(self) -> str:
@@ -28,27 +30,40 @@ class Law:
         return " ".join(inspect.getdoc(self.check).split("\n\n")[0].split())  # type: ignore[union-attr]
 
 
-def _law(check: Callable[[Subject], str], *claims: str) -> Law:
-    return Law(frozenset(claims), check)
-
-
 LAWS: Mapping[str, Law] = {
-    "well_formed": _law(manners.well_formed),
-    "input_unchanged": _law(manners.input_unchanged),
-    "reproducible": _law(manners.reproducible),
-    "support": _law(manners.support),
-    "limit": _law(laws.limit),
-    "consistent": _law(laws.consistent, "consistent"),
-    "ragged": _law(laws.ragged, "consistent"),
-    "identical": _law(laws.identical, "consistent", "identical"),
-    "unbiased": _law(laws.unbiased, "unbiased"),
-    "relabelling": _law(laws.relabelling, "relabelling"),
-    "scale": _law(laws.scale, "scale"),
-    "shift": _law(laws.shift, "shift"),
-    "padding": _law(laws.padding, "padding"),
-    "after_end": _law(laws.after_end, "after_end"),
-    "seeds": _law(laws.seeds),
+    check.__name__: Law(check, frozenset(claims.split()))
+    for check, claims in (
+        (protocol_laws.well_formed, ""),
+        (protocol_laws.input_unchanged, ""),
+        (protocol_laws.reproducible, ""),
+        (protocol_laws.support, ""),
+        (laws.limit, ""),
+        (laws.consistent, "consistent"),
+        (laws.ragged, "consistent"),
+        (laws.identical, "consistent identical"),
+        (laws.unbiased, "unbiased"),
+        (laws.relabelling, "relabelling"),
+        (laws.scale, "scale"),
+        (laws.shift, "shift"),
+        (laws.padding, "padding"),
+        (laws.after_end, "after_end"),
+        (protocol_laws.seeds, ""),
+    )
 }
+CLAIMS: Mapping[str, str] = {
+    "consistent": "its value tends to J_target as the log (and its rollouts) grow, where the log's behaviour has support",
+    "unbiased": "its mean over logs is J_target at every number of episodes",
+    "identical": "it is right where the target is the simulator (part of consistent)",
+    "relabelling": "names of states and actions do not matter where the states keep their places (layout)",
+    "scale": "rewards a r give a J, to 1e-8, from the same log and seed",
+    "shift": "rewards r + b give J + b sum gamma^t, to 1e-8, from the same log and seed, nothing being absorbing",
+    "padding": "rows in an absorbing state after the end of an episode change nothing",
+    "after_end": "padding, whatever actions those rows have",
+    "random": "other seeds may give other values; without this word they must give the same bits",
+    "finite": "it answers problems with a horizon; claimed without infinite, those alone",
+    "infinite": "it answers problems without a horizon; claimed without finite, those alone",
+}
+DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
 
 
 @dataclass(frozen=True)
@@ -58,7 +73,8 @@ class Verdict:
     Attributes
     ----------
     law : its name, a key of ``LAWS``
-    outcome : "holds", "fails", "raises" or "not claimed"; of ``oee check`` also "exits" (the process ended) or "hangs"
+    outcome : "holds", "fails", "raises" or "not claimed"; of ``oee check`` also "exits" (the process ended), "hangs" and
+        "not run" (after three laws that hang)
     text : the numbers found
     example : how to see it again
 
@@ -67,7 +83,7 @@ class Verdict:
     >>> from oee_tabular.estimators import Simulator
     >>> verdict = check_estimator(Simulator(), claims=["consistent"], laws=["consistent"])["consistent"]
     >>> verdict.outcome, verdict.text
-    ('fails', 'ragged: its limit is not J_target: 7.969194231, expected 10.06961735 (off by 2.1)')
+    ('fails', 'ragged (horizon 6, discount 0.9): its limit is not J_target: 7.969194231, expected 10.06961735 (off by 2.1)')
     """
 
     law: str
@@ -108,7 +124,7 @@ class Verdicts(Mapping[str, Verdict]):
     @property
     def broken(self) -> tuple[str, ...]:
         """The laws that do not hold though they are owed or claimed."""
-        kept = ("holds", "not claimed")
+        kept = ("holds", "not claimed", "not run")
         return tuple(law for law, verdict in self.verdicts.items() if verdict.outcome not in kept)
 
     def __getitem__(self, law: str) -> Verdict:
@@ -121,9 +137,12 @@ class Verdicts(Mapping[str, Verdict]):
         return len(self.verdicts)
 
     def __str__(self) -> str:
-        held = sum(verdict.outcome == "holds" for verdict in self.verdicts.values())
-        idle = sum(verdict.outcome == "not claimed" for verdict in self.verdicts.values())
-        summary = f"{held} {'law holds' if held == 1 else 'laws hold'}, {len(self.broken)} broken, {idle} not claimed"
+        outcomes = [verdict.outcome for verdict in self.verdicts.values()]
+        n_kept, n_idle, n_left = (outcomes.count(word) for word in ("holds", "not claimed", "not run"))
+        summary = (
+            f"{n_kept} {'law holds' if n_kept == 1 else 'laws hold'}, {len(self.broken)} broken, {n_idle} not claimed"
+        )
+        summary += f", {n_left} not run" if n_left else ""
         lines = [f"{self.estimator}: {'passed' if self.passed else 'NOT PASSED'} ({summary}; seed {self.seed})"]
         lines.append(f"claims: {', '.join(sorted(self.claims)) or 'none'}")
         for verdict in self.verdicts.values():
@@ -154,7 +173,8 @@ def check_estimator(
 
     Parameters
     ----------
-    estimator : callable (problem, policy, *, seed=None) -> Estimate
+    estimator : callable (problem, policy) or (problem, policy, seed) -> float or ``Estimate``; a class or function that makes
+        one without arguments
     seed : int of at least 0; the logs of the statistical laws come from it
     claims : words of ``CLAIMS``: which laws it should satisfy. None: ``estimator.claims``, a collection of words or a method
         that returns one; for the package's own estimators a table; otherwise ``DEFAULT`` (consistent, relabelling, scale)
@@ -194,16 +214,15 @@ def check_estimator(
     for name in chosen:
         _checks.one_of(name, "laws", tuple(LAWS))
     check_numbers(seed, repetitions)
-    with one_thread():
-        title, subject = subject_of(estimator, seed, repetitions, claims=claims, from_pair=from_pair)
-        verdicts = {name: verdict_on(name, subject) for name in chosen}
+    title, subject = subject_of(estimator, seed, repetitions, claims=claims, from_pair=from_pair)
+    verdicts = {name: verdict_on(name, subject) for name in chosen}
     return Verdicts(title, subject.claims, seed, verdicts)
 
 
 def check_numbers(seed: Seed, repetitions: object) -> None:
     """ValueError where they are not what ``check_estimator`` takes."""
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise ValueError(f"seed must be an integer of at least 0; got {_checks.show(seed)}")
+        raise ValueError(f"seed must be an integer of at least 0; got {show(seed)}")
     if _checks.positive_integer(repetitions, "repetitions") < 3:
         raise ValueError(f"repetitions must be at least 3; it is {repetitions}")
 
@@ -212,40 +231,75 @@ def subject_of(
     estimator: Any, seed: int, repetitions: int, *, claims: Iterable[str] | None = None, from_pair: bool = False
 ) -> tuple[str, Subject]:
     """The estimator's name, and what the laws are checked on; ValueError where it is no estimator."""
-    if not callable(estimator):
-        raise ValueError(
-            f"estimator must be callable as (problem, policy, *, seed=None); got {type(estimator).__name__}"
-        )
     if from_pair:
+        _checks.function(estimator, "estimator")
         pair = case("ragged")
         try:
-            first = estimator(pair.simulator, pair.target)
+            made = estimator(pair.simulator, pair.target)
         except Exception as error:
             raise ValueError(
                 f"estimator must be a function (simulator, target) -> estimator; it raises {error!r}"
             ) from error
-        make = estimator
-    else:
-        first = estimator
-
-        def make(simulator: Any, target: Any) -> Any:
-            return estimator
-
-    words = claims_of(first, claims)
-    has_limit = callable(getattr(first, "limit", None))
-    return name_of(first), Subject(make, words, seed, repetitions, from_pair, has_limit)
+        as_estimator(made)
+        return name_of(made), Subject(estimator, claims_of(made, claims), seed, repetitions, is_oracle=True)
+    own = as_estimator(estimator).function
+    return name_of(own), Subject(lambda simulator, target: own, claims_of(own, claims), seed, repetitions)
 
 
 def verdict_on(name: str, subject: Subject) -> Verdict:
     """What becomes of one law."""
     law = LAWS[name]
-    if name == "limit" and not subject.has_limit:
-        return Verdict(name, "not claimed", "it has no limit of its own")
-    if name == "seeds" and "random" in subject.claims:
-        return Verdict(name, "not claimed", "it claims to be random")
     if law.claims and not law.claims & subject.claims:
         return Verdict(name, "not claimed", "")
     try:
         return Verdict(name, "holds", law.check(subject))
     except Broken as broken:
         return Verdict(name, broken.outcome, broken.text, broken.example)
+
+
+def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[str]:
+    """What an estimator claims: the words that say which laws it owes.
+
+    ``claims``, else the estimator's own ``claims`` (a collection of words, or a method that returns one), else ``DEFAULT``.
+
+    Parameters
+    ----------
+    estimator : any object
+    claims : words of ``CLAIMS``, or None
+
+    Raises
+    ------
+    ValueError
+        A word that is none of ``CLAIMS`` (with the nearest one).
+
+    Examples
+    --------
+    >>> from oee_tabular.estimators import Simulator
+    >>> sorted(claims_of(Simulator()) - DEFAULT)
+    ['after_end', 'identical', 'padding', 'shift']
+    >>> claims_of(lambda problem, policy, *, seed=None: None) == DEFAULT
+    True
+    """
+    found: Any = claims
+    name = "claims"
+    if found is None:
+        name = f"{type(estimator).__name__}.claims"
+        try:
+            found = getattr(estimator, "claims", None)
+            found = found() if callable(found) else found
+        except Exception as error:
+            raise ValueError(f"{name} must be a collection of words; it raises {error!r}") from None
+    if found is None:
+        return DEFAULT
+    try:
+        if isinstance(found, str):
+            raise TypeError
+        words = frozenset(found)
+    except TypeError:
+        raise ValueError(f"{name} must be a collection of words; it is {show(found)}") from None
+    for word in sorted(words, key=str):
+        if word not in CLAIMS:
+            near = difflib.get_close_matches(str(word), list(CLAIMS), n=1)
+            hint = f" (did you mean {near[0]!r}?)" if near else ""
+            raise ValueError(f"{name} must be among {', '.join(CLAIMS)}; got {show(word)}{hint}")
+    return words

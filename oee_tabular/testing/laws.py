@@ -1,10 +1,13 @@
-"""Laws about where an estimator's values go: its limit, J in the target, the mean over logs; and laws that compare two runs:
-renamed states, other units of reward, rows that say nothing, other seeds.
+"""Laws about an estimator's values.
+
+The first five compare the mean over independent logs with a number that is known exactly: the estimator's own limit, or J in
+the target. The other five compare two estimates of which one determines the other: renamed states, other units of reward,
+rows without information.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,211 +15,113 @@ from scipy.special import stdtrit
 
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
-from oee_tabular.testing.calls import Broken, Raises, Refused, Subject, shorten
+from oee_tabular.testing.calls import Broken, NotClaimed, Raises, Refused, Subject, both, one, shorten
 from oee_tabular.testing.cases import Case, padded_log, relabelled_log
 
 SMALL, LARGE = 300, 4800  # episodes
 ROLLOUTS = {SMALL: 100, LARGE: 1000}  # of an estimator that has such a field, at least
-SURE = 1e-5  # chance of a right estimator's failing a comparison, two-sided
+FAILURE_CHANCE = 1e-5  # of a right estimator in one comparison, two-sided
 FEW, MANY = 3, 400  # episodes of a log, and logs, for unbiasedness
-ERRORS = 4.0  # standard errors that a mean may be off
+N_ERRORS = 4.0  # standard errors that a mean may be off
+EPISODES, FEW_EPISODES = 300, 40  # of the logs of laws that compare two estimates
+SCALE, SHIFT = -2.5, 3.0
+SEEDS = 16
 
 
 def limit(subject: Subject) -> str:
     """Its values tend to ``estimator.limit``, also where the log never shows some (s, a) that the policy takes."""
-    found = []
-    for pair in [*subject.cases("ragged"), subject.one_case("moves"), subject.one_case("partial")]:
+
+    def check(pair: Case) -> str:
         try:
             goal = subject.limit(pair, **_data(pair))
         except Refused as refused:
             if not pair.name.startswith("partial"):
                 raise
-            found.append(f"{pair.name}: refused ({shorten(refused.text, 60)})")
-            continue
-        assert goal is not None
-        found.append(tends_to(subject, pair, goal, "its limit"))
-    return "; ".join(found)
+            return f"refused ({shorten(refused.text, 60)})"
+        if goal is None:
+            raise NotClaimed("it has no limit of its own")
+        return tends_to(subject, pair, goal, "its limit")
+
+    return subject.check_cases(check, *both("ragged"), *one("moves"), *one("partial"))
 
 
 def consistent(subject: Subject) -> str:
     """Its values tend to J_target under full support; so does its own limit, where it has one."""
-    found = []
-    for pair in [*subject.cases("ragged"), subject.one_case("moves")]:
-        truth = pair.truth
+
+    def check(pair: Case) -> str:
         for data in ({}, _data(pair)):
-            own = subject.limit(pair, **data)
-            if own is not None:
-                exactly(own, truth, f"{pair.name}: its limit is not J_target", _limit_example(pair))
-        found.append(tends_to(subject, pair, truth, "J_target"))
-    return "; ".join(found)
+            _check_limit(subject, pair, "J_target", data)
+        return tends_to(subject, pair, pair.truth, "J_target")
+
+    return subject.check_cases(check, *both("ragged"), *one("moves"))
 
 
 def identical(subject: Subject) -> str:
     """Where the target is the simulator (zeta = 1) its values tend to J of both, and its limit is J."""
-    pair = subject.one_case("same ragged")
-    own = subject.limit(pair, **_data(pair))
-    if own is not None:
-        exactly(own, pair.truth, f"{pair.name}: its limit is not J", _limit_example(pair))
-    return tends_to(subject, pair, pair.truth, "J")
+
+    def check(pair: Case) -> str:
+        _check_limit(subject, pair, "J", _data(pair))
+        return tends_to(subject, pair, pair.truth, "J")
+
+    return subject.check_cases(check, *one("same ragged"))
 
 
 def ragged(subject: Subject) -> str:
-    """A chain that pays 1 while it lives: episodes that are over count as paying nothing, they are not left out."""
-    pair = subject.one_case("survival")
-    return tends_to(subject, pair, pair.truth, "J_target")
+    """A chain that pays 1 while it lives: episodes that ended count as paying nothing, they are not left out."""
+    return subject.check_cases(lambda pair: tends_to(subject, pair, pair.truth, "J_target"), *one("survival"))
 
 
 def unbiased(subject: Subject) -> str:
     """The mean over many logs of few episodes is J_target within 4 standard errors."""
-    found = []
-    for pair in (subject.one_case("ragged"), subject.one_case("moves")):
-        logs = pair.logs(FEW, MANY, seed=subject.log_seed(sum(pair.name.encode()), FEW))
+
+    def check(pair: Case) -> str:
+        logs = pair.logs(FEW, MANY, seed=subject.log_seed(pair.name, FEW))
         values: Array = np.array([subject.value(pair, log, seed=k) for k, log in enumerate(logs)])
         mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(MANY))
-        off = abs(mean - pair.truth)
-        numbers = (
-            f"{pair.name}: mean {mean:.5g} ± {error:.2g} of {MANY} logs of {FEW} episodes, J_target {pair.truth:.5g}"
-        )
-        if not off <= ERRORS * error + 1e-9 * max(1.0, abs(pair.truth)):
-            apart = (
-                f"{off / error:.1f} standard errors" if error > 1e-12 * abs(mean) else f"{off:.3g}, and does not vary"
-            )
-            text = f"{numbers}: off by {apart}"
-            raise Broken(
-                text,
-                f"pair = case({pair.name!r}); mean over seeds of the value on pair.problem({FEW}, seed=seed)",
-            )
-        found.append(numbers)
-    return "; ".join(found)
+        distance = abs(mean - pair.truth)
+        numbers = f"mean {mean:.5g} ± {error:.2g} of {MANY} logs of {FEW} episodes, J_target {pair.truth:.5g}"
+        if distance <= N_ERRORS * error + 1e-9 * max(1.0, abs(pair.truth)):
+            return numbers
+        does_vary = error > 1e-12 * abs(mean)
+        apart = f"{distance / error:.1f} standard errors" if does_vary else f"{distance:.3g}, and does not vary"
+        raise Broken(f"{numbers}: off by {apart}", f"mean over seeds of the value on pair.problem({FEW}, seed=seed)")
 
-
-def _data(pair: Case) -> dict[str, Any]:
-    return {"behavior_policy": pair.behavior.copy(), "data_distribution": pair.data_distribution}
-
-
-def _limit_example(pair: Case) -> str:
-    return (
-        f"pair = case({pair.name!r}); estimator.limit(pair.simulator, pair.target, pair.policy, horizon={pair.horizon})"
-    )
-
-
-# ---- does the mean of an estimator's values tend to a number? ----------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Runs:
-    """Values of independent logs of ``SMALL`` and of ``LARGE`` episodes (the small ones without those that had no value)."""
-
-    small: Array
-    large: Array
-
-    @property
-    def mean(self) -> float:
-        """Mean over the large logs."""
-        return float(self.large.mean())
-
-    @property
-    def tolerance(self) -> float:
-        """How far the mean may be from its limit: by chance, and by a third of what 16 times as many episodes moved it.
-
-        A bias of order n^-1/2 is moved by three times what is left of it, one of order 1/n by 15 times.
-        """
-        n = len(self.large)
-        chance = float(stdtrit(n - 1, 1.0 - SURE / 2) * self.large.std(ddof=1) / np.sqrt(n))
-        moved = abs(float(self.small.mean()) - self.mean) / 3.0 if len(self.small) else 0.0
-        return chance + moved
-
-
-def runs(subject: Subject, pair: Case) -> Runs:
-    """The values on a case, worked out once."""
-    if pair.name not in subject.memory:
-        small, large = [], []
-        key = sum(pair.name.encode())
-        half = max(subject.repetitions // 2, 2)
-        for k, log in enumerate(pair.logs(SMALL, half, seed=subject.log_seed(key, SMALL))):
-            try:
-                small.append(subject.value(pair, log, seed=k, rollouts=ROLLOUTS[SMALL]))
-            except Raises:
-                raise
-            except Broken:
-                pass  # no value
-        for k, log in enumerate(pair.logs(LARGE, subject.repetitions, seed=subject.log_seed(key, LARGE))):
-            large.append(subject.value(pair, log, seed=1000 + k, rollouts=ROLLOUTS[LARGE]))
-        subject.memory[pair.name] = Runs(np.array(small), np.array(large))
-    found: object = subject.memory[pair.name]
-    assert isinstance(found, Runs)
-    return found
-
-
-def tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
-    """A sentence with the numbers, or ``Broken``."""
-    found = runs(subject, pair)
-    allowed = found.tolerance + 1e-9 * max(1.0, abs(goal))
-    numbers = f"{pair.name}: mean {found.mean:.5g} (of {len(found.large)} logs of {LARGE} episodes), {what} {goal:.5g}"
-    if not abs(found.mean - goal) <= allowed:
-        truth = "" if goal == pair.truth else f", J_target {pair.truth:.5g}"
-        raise Broken(
-            f"{numbers}: off by {abs(found.mean - goal):.3g}, tolerance {allowed:.2g}{truth}",
-            f"pair = case({pair.name!r}); estimator(pair.problem({LARGE}, seed=0), pair.policy, seed=0) against {goal:.5g}",
-        )
-    return f"{numbers}, tolerance {allowed:.2g}"
-
-
-def exactly(found: float, expected: float, what: str, where: str, *, tolerance: float = 1e-8) -> None:
-    """``Broken`` where two numbers differ by more than a relative tolerance."""
-    if not abs(found - expected) <= tolerance * max(1.0, abs(expected)):
-        raise Broken(f"{what}: {found:.10g}, expected {expected:.10g} (off by {abs(found - expected):.2g})", where)
-
-
-def same_mean(first: Array, second: Array, what: str, where: str) -> str:
-    """``Broken`` where the means of two samples differ by more than chance allows."""
-    error = float(np.sqrt(first.var(ddof=1) / len(first) + second.var(ddof=1) / len(second)))
-    allowed = float(stdtrit(min(len(first), len(second)) - 1, 1.0 - SURE / 2)) * error + 1e-9
-    apart = abs(float(first.mean() - second.mean()))
-    numbers = f"{what}: means {first.mean():.5g} and {second.mean():.5g} over {len(first)} seeds"
-    if not apart <= allowed:
-        raise Broken(f"{numbers}, apart by {apart:.2g}, tolerance {allowed:.2g}", where)
-    return f"{numbers}, tolerance {allowed:.2g}"
-
-
-EPISODES, FEW_EPISODES = 300, 40
-SCALE, SHIFT = -2.5, 3.0
-SEEDS = 16
+    return subject.check_cases(check, *one("ragged"), *one("moves"))
 
 
 def relabelling(subject: Subject) -> str:
     """Names of states and actions do not matter, places (``layout``) kept: exactly, or in the mean over seeds that matter."""
-    found = []
-    for k, pair in enumerate([*subject.cases("ragged"), subject.one_case("moves")]):
-        log = pair.log(EPISODES, seed=subject.log_seed(11, k))
+
+    def check(pair: Case) -> str:
         states = np.roll(np.arange(pair.simulator.n_states), 1)
         actions = np.arange(pair.simulator.n_actions)[::-1].copy()
-        renamed, other = pair.relabelled(states, actions), relabelled_log(log, states, actions)
-        where = f"case({pair.name!r}).relabelled({states.tolist()}, {actions.tolist()}) and relabelled_log(log, ...)"
-        both = ((pair, log), (renamed, other))
-        first, second = (subject.value(a, b, seed=0) for a, b in both)
+        log = pair.log(EPISODES, seed=subject.log_seed("relabelling", pair.name))
+        runs = ((pair, log), (pair.relabelled(states, actions), relabelled_log(log, states, actions)))
+        before, after = (subject.value(*run, seed=0) for run in runs)
+        permutations = f"{states.tolist()}, {actions.tolist()}"
+        example = f"pair.relabelled({permutations}) and relabelled_log(log, {permutations})"
         try:
-            exactly(second, first, f"{pair.name}: value after renaming", where)
-            found.append(f"{pair.name}: {first:.6g} both")
+            return equals(after, before, before, "value after renaming", example)
         except Broken:
-            before, after = (
-                np.array([subject.value(a, b, seed=seed, rollouts=1000) for seed in range(SEEDS)]) for a, b in both
+            first, second = (
+                np.array([subject.value(*run, seed=seed, rollouts=1000) for seed in range(SEEDS)]) for run in runs
             )
-            if np.ptp(before) == 0.0 and np.ptp(after) == 0.0:  # the seed does not matter
+            if np.ptp(first) == 0.0 and np.ptp(second) == 0.0:  # the seed does not matter
                 raise
-            found.append(same_mean(before, after, f"{pair.name}, before and after renaming", where))
-    return "; ".join(found)
+            return same_mean(first, second, "before and after renaming", example)
+
+    return subject.check_cases(check, *both("ragged"), *one("moves"))
 
 
 def scale(subject: Subject) -> str:
     """Rewards a r, in the log and in the simulator, give a J."""
-    found = []
-    for k, pair in enumerate([*subject.cases("ragged"), subject.one_case("moves")]):
-        log = pair.log(EPISODES, seed=subject.log_seed(12, k))
-        before, after = _paid_otherwise(subject, pair, log, SCALE, 0.0)
-        exactly(after, SCALE * before, f"{pair.name}: value of rewards {SCALE} r", _reward_example(pair, SCALE, 0.0))
-        found.append(f"{pair.name}: {before:.6g} to {after:.6g}")
-    return "; ".join(found)
+
+    def check(pair: Case) -> str:
+        log = pair.log(EPISODES, seed=subject.log_seed("scale", pair.name))
+        before, after = _values_of_rewards(subject, pair, log, SCALE, 0.0)
+        return equals(after, SCALE * before, before, f"value of rewards {SCALE} r", _reward_example(SCALE, 0.0))
+
+    return subject.check_cases(check, *both("ragged"), *one("moves"))
 
 
 def shift(subject: Subject) -> str:
@@ -224,64 +129,130 @@ def shift(subject: Subject) -> str:
 
     Nothing ends in these cases: an absorbing state would pay too.
     """
-    found = []
-    for k, whole in enumerate(subject.cases("moves")):
-        behavior = whole.behavior.copy()
+
+    def check(pair: Case) -> str:
+        behavior = pair.behavior.copy()
         behavior[-1] = [1.0, 0.0]
-        pair = replace(whole, behavior=behavior)
-        log = pair.log(FEW_EPISODES, seed=subject.log_seed(13, k))
+        pair = replace(pair, behavior=behavior)
+        log = pair.log(FEW_EPISODES, seed=subject.log_seed("shift", pair.name))
         gamma = pair.simulator.discount
         total = 1.0 / (1.0 - gamma) if pair.horizon is None else float(np.sum(gamma ** np.arange(pair.horizon)))
-        before, after = _paid_otherwise(subject, pair, log, 1.0, SHIFT)
+        before, after = _values_of_rewards(subject, pair, log, 1.0, SHIFT)
         expected = before + SHIFT * total
-        exactly(after, expected, f"{pair.name}: value of rewards r + {SHIFT}", _reward_example(pair, 1.0, SHIFT))
-        found.append(f"{pair.name}: {before:.6g} to {after:.6g}")
-    return "; ".join(found)
+        return equals(after, expected, before, f"value of rewards r + {SHIFT}", _reward_example(1.0, SHIFT))
+
+    return subject.check_cases(check, *both("moves"))
 
 
 def padding(subject: Subject) -> str:
     """Rows in the absorbing state after the end (the one action that policy and behaviour take there) change nothing."""
-    return "; ".join(_padded(subject, pair, (0, 0, 0), 1.0) for pair in subject.cases("ragged"))
+    return subject.check_cases(lambda pair: _check_padding(subject, pair, (0, 0, 0), 1.0), *both("ragged"))
 
 
 def after_end(subject: Subject) -> str:
     """Rows in the absorbing state change nothing, also where policy and behaviour take other actions there."""
-    found = []
-    for pair in subject.cases("ragged"):
+
+    def check(pair: Case) -> str:
         policy, behavior = pair.policy.copy(), pair.behavior.copy()
         policy[-1], behavior[-1] = [0.9, 0.1], [0.5, 0.5]
-        found.append(_padded(subject, replace(pair, policy=policy, behavior=behavior), (0, 1, 0), 0.5))
-    return "; ".join(found)
+        return _check_padding(subject, replace(pair, policy=policy, behavior=behavior), (0, 1, 0), 0.5)
+
+    return subject.check_cases(check, *both("ragged"))
 
 
-def seeds(subject: Subject) -> str:
-    """Other seeds give the same bits (owed by every estimator that does not claim to be random)."""
-    pair = subject.one_case("ragged")
-    log = pair.log(EPISODES, seed=subject.log_seed(15))
-    values = [subject.value(pair, log, seed=seed) for seed in range(4)]
-    if len(set(values)) > 1:
-        shown = ", ".join(f"{value:.8g}" for value in values)
-        raise Broken(
-            f"{pair.name}: seeds 0 to 3 give {shown}, and it does not claim to be random",
-            f"case {pair.name!r}",
-        )
-    return f"{pair.name}: seeds 0 to 3 give {values[0]:.8g} each"
+# ---- does the mean of an estimator's values tend to a number? ----------------------------------------------------------
 
 
-def _paid_otherwise(subject: Subject, pair: Case, log: Transitions, factor: float, added: float) -> tuple[float, float]:
+def tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
+    """A sentence with the numbers, or ``Broken``.
+
+    The mean over the large logs may be off by chance, and by a third of what 16 times as many episodes changed it: a bias of
+    order n^-1/2 changes by three times what is left of it, one of order 1/n by 15 times.
+    """
+    if pair.name not in subject.values:
+        subject.values[pair.name] = _draw_values(subject, pair)
+    small, large = subject.values[pair.name]
+    n, mean = len(large), float(large.mean())
+    allowed = float(stdtrit(n - 1, 1.0 - FAILURE_CHANCE / 2) * large.std(ddof=1) / np.sqrt(n))
+    allowed += abs(float(small.mean()) - mean) / 3.0 if len(small) else 0.0
+    allowed += 1e-9 * max(1.0, abs(goal))
+    numbers = f"mean {mean:.5g} (of {n} logs of {LARGE} episodes), {what} {goal:.5g}"
+    if abs(mean - goal) <= allowed:
+        return f"{numbers}, tolerance {allowed:.2g}"
+    truth = "" if goal == pair.truth else f", J_target {pair.truth:.5g}"
+    raise Broken(
+        f"{numbers}: off by {abs(mean - goal):.3g}, tolerance {allowed:.2g}{truth}",
+        f"estimator(pair.problem({LARGE}, seed=0), pair.policy, seed=0) against {goal:.5g}",
+    )
+
+
+def _draw_values(subject: Subject, pair: Case) -> tuple[Array, Array]:
+    """Values of independent logs of ``SMALL`` and of ``LARGE`` episodes (the small ones without those that had no value)."""
+    small, large = [], []
+    for k, log in enumerate(
+        pair.logs(SMALL, max(subject.repetitions // 2, 2), seed=subject.log_seed(pair.name, SMALL))
+    ):
+        try:
+            small.append(subject.value(pair, log, seed=k, rollouts=ROLLOUTS[SMALL]))
+        except Raises:
+            raise
+        except Broken:
+            pass  # no value
+    for k, log in enumerate(pair.logs(LARGE, subject.repetitions, seed=subject.log_seed(pair.name, LARGE))):
+        large.append(subject.value(pair, log, seed=1000 + k, rollouts=ROLLOUTS[LARGE]))
+    return np.array(small), np.array(large)
+
+
+def _data(pair: Case) -> dict[str, Any]:
+    return {"behavior_policy": pair.behavior.copy(), "data_distribution": pair.data_distribution}
+
+
+def _check_limit(subject: Subject, pair: Case, what: str, data: dict[str, Any]) -> None:
+    """The estimator's own limit, where it has one, is J."""
+    own = subject.limit(pair, **data)
+    if own is not None:
+        example = f"estimator.limit(pair.simulator, pair.target, pair.policy, horizon={pair.horizon})"
+        equals(own, pair.truth, own, f"its limit is not {what}", example)
+
+
+# ---- two estimates -----------------------------------------------------------------------------------------------------
+
+
+def equals(value: float, expected: float, before: float, what: str, example: str) -> str:
+    """``Broken`` where two numbers differ by more than rounding."""
+    distance = abs(value - expected)
+    if not distance <= 1e-8 * max(1.0, abs(expected)):
+        raise Broken(f"{what}: {value:.10g}, expected {expected:.10g} (off by {distance:.2g})", example)
+    return f"{before:.6g} both" if before == expected else f"{before:.6g} to {value:.6g}"
+
+
+def same_mean(first: Array, second: Array, what: str, example: str) -> str:
+    """``Broken`` where the means of two samples differ by more than chance allows."""
+    error = float(np.sqrt(first.var(ddof=1) / len(first) + second.var(ddof=1) / len(second)))
+    allowed = float(stdtrit(min(len(first), len(second)) - 1, 1.0 - FAILURE_CHANCE / 2)) * error + 1e-9
+    distance = abs(float(first.mean() - second.mean()))
+    numbers = f"{what}: means {first.mean():.5g} and {second.mean():.5g} over {len(first)} seeds"
+    if not distance <= allowed:
+        raise Broken(f"{numbers}, apart by {distance:.2g}, tolerance {allowed:.2g}", example)
+    return f"{numbers}, tolerance {allowed:.2g}"
+
+
+def _values_of_rewards(
+    subject: Subject, pair: Case, log: Transitions, factor: float, added: float
+) -> tuple[float, float]:
+    """The values of rewards r and factor * r + added."""
     assert log.reward is not None
     other = Transitions(**(log.columns() | {"reward": factor * log.reward + added}))
     return subject.value(pair, log, seed=0), subject.value(pair.with_rewards(factor, added), other, seed=0)
 
 
-def _reward_example(pair: Case, factor: float, added: float) -> str:
-    return f"case({pair.name!r}).with_rewards({factor}, {added}), and the same of log.reward"
+def _reward_example(factor: float, added: float) -> str:
+    return f"pair.with_rewards({factor}, {added}), and the same of log.reward"
 
 
-def _padded(subject: Subject, pair: Case, actions: tuple[int, ...], probability: float) -> str:
-    log = pair.log(EPISODES, seed=subject.log_seed(14))
+def _check_padding(subject: Subject, pair: Case, actions: tuple[int, ...], probability: float) -> str:
+    log = pair.log(EPISODES, seed=subject.log_seed("padding", pair.name))
     before = subject.value(pair, log, seed=0)
     after = subject.value(pair, padded_log(log, actions, probability), seed=0)
-    where = f"padded_log(case({pair.name!r}).log({EPISODES}, seed=0), {actions}, {probability})"
-    exactly(after, before, f"{pair.name}: value with {len(actions)} rows after each end", where)
-    return f"{pair.name}: {before:.6g} both"
+    example = f"padded_log(pair.log({EPISODES}, seed=0), {actions}, {probability})"
+    return equals(after, before, before, f"value with {len(actions)} rows after each end", example)

@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, PolicyLike
-from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.estimators import Problem
+from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import efficiency_bound, policy_value, trajectory_efficiency_bound
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.simulate import sample_episodes, sample_transitions
-from oee_tabular.testing.calls import name_of, one_thread
+from oee_tabular.testing.calls import name_of
 from oee_tabular.testing.cases import recorded
 
 
@@ -143,7 +144,7 @@ def compare_with_oracle(
 
     Parameters
     ----------
-    estimator : callable (problem, policy, *, seed=None) -> Estimate, with ``limit`` if it has one
+    estimator : what ``check_estimator`` takes, with ``limit`` if it has one
     pair : (simulator, target)
     policy : (S, A)
     n : size of each log, in episodes or transitions
@@ -177,7 +178,7 @@ def compare_with_oracle(
     (True, True)
     """
     simulator, target = _pair(pair)
-    _checks.function(estimator, "estimator")
+    own = as_estimator(estimator)
     pi = check_policy(policy, simulator)
     size, times = _checks.positive_integer(n, "n"), _checks.positive_integer(repetitions, "repetitions")
     if times < 2:
@@ -196,25 +197,22 @@ def compare_with_oracle(
         share = _checks.distribution(data_distribution, "data_distribution", shape)
         behavior, steps, data = None, None, {"data_distribution": share}
         bound = efficiency_bound(target, pi, share, horizon=horizon)
-    limit = getattr(estimator, "limit", None)
+    limit = getattr(own.function, "limit", None)
     goal = None if limit is None else float(limit(simulator, target, pi, horizon=horizon, **data))
     values, reasons = [], []
-    with one_thread():
-        for k in range(times):
-            stream = _checks.seed_sequence(seed, (k,))
-            if behavior is not None and steps is not None:
-                log = sample_episodes(target, behavior, size, steps, seed=stream)
-            else:
-                log = sample_transitions(target, data["data_distribution"], size, seed=stream)
-            found = estimator(Problem(simulator, log, horizon=horizon, behavior_policy=behavior), pi.copy(), seed=k)
-            if not isinstance(found, Estimate):
-                raise ValueError(f"estimator must return an Estimate; it returned {type(found).__name__}")
-            if found.status == "ok":
-                values.append(float(found.value))
-            else:
-                reasons.append(str(found.status))
+    for k in range(times):
+        stream = _checks.seed_sequence(seed, (k,))
+        if behavior is not None and steps is not None:
+            log = sample_episodes(target, behavior, size, steps, seed=stream)
+        else:
+            log = sample_transitions(target, data["data_distribution"], size, seed=stream)
+        estimate = own(Problem(simulator, log, horizon=horizon, behavior_policy=behavior), pi.copy(), seed=k)
+        if estimate.status == "ok":
+            values.append(float(estimate.value))
+        else:
+            reasons.append(estimate.status)
     return Comparison(
-        estimator=name_of(estimator),
+        estimator=name_of(own.function),
         truth=policy_value(target, pi, horizon=horizon),
         limit=goal,
         bound=bound,

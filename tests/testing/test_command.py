@@ -175,9 +175,9 @@ def test_a_time_limit_that_is_none(capsys, here, seconds):
     ("{}_broken:Mine", "module '{}_broken' cannot be imported: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
     ("{}_exits:Mine", "module '{}_exits' cannot be imported: SystemExit: 5"),
     ("{}:Yours", "'{}' has no object 'Yours' (it has Fatal, Holder, Mine, "),
-    ("{}:number", "must be an estimator, or a class or function that makes one; got int"),
+    ("{}:number", "'{}:number' must be a function (problem, policy) or (problem, policy, seed), an estimator, or "),
     ("{}:Needy", "must make an estimator without arguments; it raises TypeError"),
-    ("{}:useless", "must make an estimator, callable as (problem, policy, *, seed=None); it makes a int"),
+    ("{}:useless", "or a class or function that makes one; it makes int"),
     ("oee_tabular.estimators:Oracle", "must make an estimator without arguments; it raises TypeError"),
 ])  # fmt: skip
 def test_usage_errors_say_what_is_wrong(here, spec, text):

@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
 from oee_tabular.estimators.names import named_estimators, names
 from oee_tabular.lab.bench.families import families
 from oee_tabular.lab.bench.family import Family
-from oee_tabular.testing.command import own_estimator, own_modules, own_object
+from oee_tabular.testing.command import own_estimator
 
 LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"
 

@@ -18,6 +18,7 @@ from oee_tabular import _checks, _files
 from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import UNEXPLAINED
+from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import efficiency_bound, occupancy
 from oee_tabular.lab.bench.families import checked_seed
@@ -198,7 +199,7 @@ def measure(name: str, given: object, family: Family, problem: Problem, seed: in
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            estimate = estimator_of(name, given, family)(problem, family.policy, seed=seed)
+            estimate = as_estimator(estimator_of(name, given, family))(problem, family.policy, seed=seed)
         seconds = time.process_time() - start
         return row | {"seconds": seconds} | _read(estimate, family.truth)
     except Exception as error:
