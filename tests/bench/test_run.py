@@ -88,7 +88,8 @@ def test_failures_are_rows_with_their_reason_and_the_rest_goes_on():
         "fail": fail,
         "nothing": nothing,
         "silent": lambda problem, policy, *, seed=None: oee.Estimate(float("inf")),
-        "bare": lambda problem, policy, *, seed=None: 3.0,
+        "pair": lambda problem, policy: (1.0, 0.1),
+        "bare": lambda problem, policy: 1.0,
         "fine": oee.estimators.ModelBased(),
     }
     found = oee.bench.run(bad, families=["machine"], sizes=[3], seeds=2)
@@ -96,10 +97,10 @@ def test_failures_are_rows_with_their_reason_and_the_rest_goes_on():
     assert reasons["fail"] == "RuntimeError: no luck"
     assert reasons["nothing"] == "the sum diverges"
     assert reasons["silent"] == "the value is inf"
-    assert reasons["bare"] == "TypeError: an estimator must return an Estimate; it returned float"
+    assert reasons["pair"].startswith("AnswerError: an estimator must return a float or an Estimate; it returned tuple")
     assert reasons["fine"] == "ok"
     league = found.league.set_index("estimator")
-    assert league.failed.to_dict() == {"maximum-likelihood": 0, "simulator": 0, "fail": 2, "nothing": 2, "silent": 2, "bare": 2,
+    assert league.failed.to_dict() == {"maximum-likelihood": 0, "simulator": 0, "fail": 2, "nothing": 2, "silent": 2, "pair": 2, "bare": 0,
                                        "fine": 0}  # fmt: skip
     assert "no luck" in found.page({}, "")
     assert "fail: no value on 2 logs: RuntimeError: no luck" in str(found)
@@ -201,7 +202,7 @@ BAD = {
         "module 'no_such_module' cannot be found, neither in .* nor installed",
     ),
     "no object": ({"estimators": "own:nobody"}, r"'own' has no object 'nobody' \(it has Maker, constant, guess"),
-    "no callable": ({"estimators": "own:oee"}, "'own:oee' must be an estimator, or a class or function that makes one"),
+    "no callable": ({"estimators": "own:oee"}, "'own:oee' must be a function .* got module"),
     "unknown family": ({"families": "machin"}, r"family must be one of .*; got 'machin'; nearest: machine"),
     "no families": ({"families": []}, "families must name at least one; it is empty"),
     "no families in a text": ({"families": ","}, "families must name at least one; it is empty"),
