@@ -100,8 +100,8 @@ def test_failures_are_rows_with_their_reason_and_the_rest_goes_on():
     assert reasons["pair"].startswith("AnswerError: an estimator must return a float or an Estimate; it returned tuple")
     assert reasons["fine"] == "ok"
     league = found.league.set_index("estimator")
-    assert league.failed.to_dict() == {"maximum-likelihood": 0, "simulator": 0, "fail": 2, "nothing": 2, "silent": 2, "pair": 2, "bare": 0,
-                                       "fine": 0}  # fmt: skip
+    failed = {"fail": 2, "nothing": 2, "silent": 2, "pair": 2}
+    assert league.failed[league.failed > 0].to_dict() == failed
     assert "no luck" in found.page({}, "")
     assert "fail: no value on 2 logs: RuntimeError: no luck" in str(found)
     assert "no value" not in str(oee.bench.run("oee", families=["machine"], sizes=[3], seeds=2))
