@@ -114,7 +114,7 @@ def index():
 
 def commands():
     """The reference of the command, which typer makes from it."""
-    words = [sys.executable, "-m", "typer", "oee_tabular.cli.commands", "utils", "docs", "--name", "oee"]
+    words = [sys.executable, "-m", "typer", "oee_tabular.cli", "utils", "docs", "--name", "oee"]
     made = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     return made.replace("# `oee`\n", "# The commands\n", 1)
 

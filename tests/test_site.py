@@ -74,7 +74,7 @@ def test_the_reference_of_commands_has_every_option(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "notebooks"))
     import typer
 
-    from oee_tabular.cli.commands import app
+    from oee_tabular.cli import app
 
     conf = importlib.import_module("conf")
     text = conf.commands()

@@ -1,4 +1,7 @@
-"""The command ``oee``: what is slow to import (numba, cvxpy, pandas) is imported where it is used."""
+"""The command ``oee``: its commands, in the order of the help, and their frame.
+
+What is slow to import (numba, cvxpy, pandas) is imported where it is used.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,85 @@ import atexit
 import gc
 import sys
 import warnings
+from collections import Counter
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from oee_tabular import _progress
-from oee_tabular.cli import commands
-from oee_tabular.cli.options import say
+from oee_tabular.cli import files, studies, values
+from oee_tabular.cli.options import ARGUMENTS, GROUPS, say
+
+
+class Command(TyperCommand):
+    """A command that refuses an option given twice, whose errors name its options, and whose help has them in groups."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the words; refuse a second value of an option that takes one, of which the first would be lost."""
+        _, _, order = self.make_parser(ctx).parse_args(args=list(args))
+        for parameter, times in Counter(order).items():
+            if times > 1 and not getattr(parameter, "multiple", False):
+                raise ValueError(f"{parameter.opts[0]} must be given once; it is given {times} times")
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; an error that begins with the name of an argument begins with the option's instead."""
+        try:
+            return super().invoke(ctx)
+        except ValueError as error:
+            name, must, rule = str(error).partition(" must ")
+            argument = ARGUMENTS.get(name, name)
+            options = {p.name: p.opts[0] for p in self.params if p.opts[0].startswith("-")}
+            for option in ("task_option", "plan_option"):
+                named = [text.partition("=")[0] for text in ctx.params.get(option) or []]
+                options |= {name: f"{options[option]} {name}" for name in named}
+            if must and argument in options:
+                raise ValueError(f"{options[argument]} must {rule}") from error
+            raise
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write one list for each group."""
+        groups: dict[str, list[tuple[str, str]]] = {title: [] for title in GROUPS}
+        for parameter in self.get_params(ctx):
+            if (record := parameter.get_help_record(ctx)) is not None:
+                groups.setdefault(getattr(parameter, "rich_help_panel", None) or "Options", []).append(record)
+        for title in filter(groups.get, groups):  # which has no empty lists
+            with formatter.section(title):
+                formatter.write_dl(groups[title])
+
+
+app = typer.Typer(
+    help="What return will a policy get in the target, given a simulator and a log of the target?",
+    epilog="Begin with: oee evaluate (an example), oee sample --help (a log), oee evaluate --help (your own files).",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for command in (
+    values.evaluate, values.compare, values.plan, files.sample, files.policy, files.export, files.counts, files.info,
+    studies.reproduce, studies.bench, studies.check,
+):  # fmt: skip
+    app.command(cls=Command)(command)
+
+
+def print_version(is_asked: bool) -> None:
+    """Print the version and end."""
+    if is_asked:
+        from oee_tabular import __version__
+
+        typer.echo(f"oee {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Evaluate policies in a target environment, given a simulator and a log."""
 
 
 def _tell(message: Warning | str, *_: object, **__: object) -> None:
@@ -25,7 +101,7 @@ def main(arguments: list[str] | None = None) -> None:
     _progress.tell = lambda sentence: typer.echo(f"oee: {sentence}", err=True)
     try:
         with _progress.show_steps():
-            commands.app(arguments, standalone_mode=True)
+            app(arguments, standalone_mode=True)
     except (ValueError, OSError, ImportError, RuntimeError, MemoryError) as error:
         say(f"oee: {_sentence(error)}", err=True)
         sys.exit(2)
@@ -35,8 +111,8 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, MemoryError):
         words = str(error).replace("Unable to allocate", "this needs", 1)
         return f"not enough memory; {words or 'this needs more than there is'}"
-    if isinstance(error, OSError) and not isinstance(error, FileNotFoundError) and error.filename:
-        return f"{error.filename}: {error.strerror}"
     if isinstance(error, FileNotFoundError) and error.filename:
-        return f"{'no such folder' if error.strerror == 'no such folder' else 'no such file'}: {error.filename}"
+        return f"no such {'folder' if error.strerror == 'no such folder' else 'file'}: {error.filename}"
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
     return str(error)

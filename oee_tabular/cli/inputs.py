@@ -94,20 +94,23 @@ def read_entries(path: Path, name: str, simulator: FiniteMDP) -> tuple[Any, str]
     from oee_tabular.ratio.features import feature_array
     from oee_tabular.ratio.ties import tie_keys
 
-    suffix = path.suffix.lower()
-    if suffix not in (".npy", ".csv"):
-        raise ValueError(f"--{name} must be a .npy or .csv file; got {str(path)!r}")
-    given: Any = csv_frame(str(path)) if suffix == ".csv" else _files.read_npz(path)
-    if suffix == ".npy" and "array" not in given:
-        raise ValueError(f"{str(path)!r} must hold one array, as numpy.save writes it; it holds {', '.join(given)}")
-    given = given if suffix == ".csv" else given["array"]
+    is_table, file = path.suffix.lower() == ".csv", repr(str(path))
+    if not is_table and path.suffix.lower() != ".npy":
+        raise ValueError(f"--{name} must be a .npy or .csv file; got {file}")
+    arrays: Any = {"array": csv_frame(str(path))} if is_table else _files.read_npz(path)
+    if "array" not in arrays:
+        raise ValueError(f"{file} must hold one array, as numpy.save writes it; it holds {', '.join(arrays)}")
+    given = arrays["array"]
     try:
         if name == "tie":
             keys = tie_keys(given, Rows.of(simulator), simulator)
             return keys, f"{keys.max() + 1} keys"
         values = feature_array(given, simulator)
     except ValueError as error:
-        raise ValueError(f"--{name} {str(path)!r}: {error}") from error
-    if suffix == ".csv":
-        return values, ", ".join(label for label in given.columns if label not in MOVE)
-    return values, ", ".join(f"feature {k}" for k in range(values.shape[1]))
+        raise ValueError(f"--{name} {file}: {error}") from error
+    labels = (
+        [label for label in given if label not in MOVE]
+        if is_table
+        else map("feature {}".format, range(values.shape[1]))
+    )
+    return values, ", ".join(labels)

@@ -12,7 +12,7 @@ import typer.main
 
 import oee_tabular as oee
 from oee_tabular import _progress
-from oee_tabular.cli.commands import app
+from oee_tabular.cli import app
 
 COMMANDS = typer.main.get_command(app).commands
 SLOW = {"cvxpy", "pandas", "pyarrow", "gymnasium", "matplotlib", "oee_tabular.testing", "oee_tabular.continuous.names"}
