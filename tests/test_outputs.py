@@ -224,9 +224,9 @@ def reproduce(output, **options):
 
 @pytest.mark.parametrize("fresh", [False, True])
 def test_the_second_command_in_a_folder_is_refused(tmp_path, holder, monkeypatch, fresh):
-    from oee_tabular.lab.experiments import catalogue as commands
+    from oee_tabular.lab import run as running
 
-    monkeypatch.setattr(commands, "run_experiment", lambda *_, **__: pytest.fail("it began"))
+    monkeypatch.setattr(running, "run_experiment", lambda *_, **__: pytest.fail("it began"))
     with pytest.raises(
         ValueError, match=rf"estimands must be used by one command at a time; another \(process {holder.pid}\)"
     ):
@@ -303,10 +303,10 @@ def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_
 
 def test_workers_are_not_interrupted_themselves():
     """Ctrl-C reaches every process of a terminal; those that still import would each print a traceback."""
-    from oee_tabular.lab.run import _deaf
+    from oee_tabular.lab.run import _without_interrupts
 
     script = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))"
-    with _deaf():
+    with _without_interrupts():
         inside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     outside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert (inside.stdout, outside.stdout) == ("True\n", "False\n")

@@ -49,7 +49,7 @@ Value:
 --seeds=40 N  Logs of each family and size.
 --seed --jobs=-1 --dask
 Output:
---output=results/bench FOLDER  Folder for table.csv, cells.csv, league.csv, league.md, profile.png, heat.png.
+--output=results/bench FOLDER  Folder for table.csv, cells.csv, league.csv, league.md, league.tex, profile.png, ...
 --fresh  Empty the folder first.
 --json  Print JSON instead, with version, lines.
 """)

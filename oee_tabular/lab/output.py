@@ -12,18 +12,13 @@ import pandas as pd
 
 from oee_tabular import _files
 from oee_tabular.lab.findings import entitle
-from oee_tabular.lab.registry import Experiment
-from oee_tabular.lab.store import Store
+from oee_tabular.lab.registry import Experiment, Settings
+from oee_tabular.lab.store import Store, refuse_links
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STATISTICS = ("mean", "sd", "se")  # of a measure over the seeds
-
-
-def table_of(store: Store) -> pd.DataFrame:
-    """Every row of every seed."""
-    return pd.DataFrame(store.rows())
 
 
 def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
@@ -41,18 +36,18 @@ def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
     return summary
 
 
-def write(experiment: Experiment, store: Store) -> list[Path]:
-    """The files of an experiment, all or none."""
-    table = table_of(store)
+def write(store: Store) -> None:
+    """Write the files of an experiment, all or none."""
+    experiment, table = store.settings.experiment, store.table()
     summary = summary_of(experiment, table)
     contents = {
         "table.csv": _files.csv_bytes(table),
         "summary.csv": _files.csv_bytes(summary, float_format="%.6g"),
-        "summary.md": markdown(experiment, store, table, summary).encode(),
+        "summary.md": markdown(store.settings, table, summary).encode(),
         **figures(experiment, table, summary),
     }
+    refuse_links(store.folder)
     _files.write_all(store.folder, contents)
-    return [store.folder / name for name in contents]
 
 
 def figures(experiment: Experiment, table: pd.DataFrame, summary: pd.DataFrame) -> dict[str, bytes]:
@@ -63,10 +58,12 @@ def figures(experiment: Experiment, table: pd.DataFrame, summary: pd.DataFrame) 
         share_legend(figure)
         entitle(figure, experiment.finding(table))
 
-    return {f"figure.{kind}": content for kind, content in drawn(draw, salt=experiment.id).items()}
+    return {f"figure.{kind}": content for kind, content in draw_bytes(draw, salt=experiment.id).items()}
 
 
-def drawn(draw: Callable[[Figure], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")) -> dict[str, bytes]:
+def draw_bytes(
+    draw: Callable[[Figure], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")
+) -> dict[str, bytes]:
     """The bytes of the figure that ``draw`` makes, by kind, without a date."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -106,30 +103,18 @@ def heading(experiment: Experiment, table: pd.DataFrame) -> list[str]:
     return [f"# {experiment.title}", "", f"![{experiment.finding(table) or experiment.title}](figure.png)"]
 
 
-def markdown(experiment: Experiment, store: Store, table: pd.DataFrame, summary: pd.DataFrame) -> str:
+def markdown(settings: Settings, table: pd.DataFrame, summary: pd.DataFrame) -> str:
     """The summary as a page."""
-    settings = store.settings
+    experiment = settings.experiment
     command = f"oee reproduce {experiment.id}"
-    small = dict(settings.axes) != {name: tuple(values) for name, values in experiment.axes.items()}
-    if small:
-        command += " --smoke"
-    if settings.repetitions != (experiment.smoke_repetitions if small else experiment.repetitions):
+    is_small = dict(settings.axes) != {name: tuple(values) for name, values in experiment.axes.items()}
+    command += " --smoke" if is_small else ""
+    if settings.repetitions != (experiment.smoke_repetitions if is_small else experiment.repetitions):
         command += f" --seeds {settings.repetitions}"
-    if settings.seed:
-        command += f" --seed {settings.seed}"
+    command += f" --seed {settings.seed}" if settings.seed else ""
     axes = "; ".join(f"{name} {', '.join(map(str, values))}" for name, values in settings.axes.items())
-    return "\n".join(
-        [
-            *heading(experiment, table),
-            "",
-            experiment.caption,
-            "",
-            f"`{command}`, {settings.repetitions} seeds a cell ({axes}); every seed is in table.csv.",
-            "",
-            pipe_table(summary),
-            "",
-        ]
-    )
+    made = f"`{command}`, {settings.repetitions} seeds a cell ({axes}); every seed is in table.csv."
+    return "\n\n".join(["\n".join(heading(experiment, table)), experiment.caption, made, pipe_table(summary)]) + "\n"
 
 
 def pipe_table(frame: pd.DataFrame) -> str:
@@ -149,16 +134,14 @@ def pipe_table(frame: pd.DataFrame) -> str:
 
 def index(output: Path, experiments: Iterable[Experiment]) -> Path:
     """``index.md`` of all experiments that have results in the folder."""
-    lines = ["# Results", ""]
+    parts = ["# Results"]
     for experiment in experiments:
         if (output / experiment.id / "summary.md").is_file():
-            lines += [
+            parts += [
                 f"## [{experiment.title}]({experiment.id}/summary.md)",
-                "",
                 f"![{experiment.title}]({experiment.id}/figure.png)",
-                "",
                 experiment.caption,
-                "",
             ]
-    _files.write_all(output, {"index.md": "\n".join(lines).encode()})
+    refuse_links(output, ["index.md"])
+    _files.write_all(output, {"index.md": ("\n\n".join(parts) + "\n").encode()})
     return output / "index.md"

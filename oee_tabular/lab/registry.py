@@ -1,9 +1,8 @@
 """Experiments as data: an id, settings, a function from one cell of the settings to rows, a figure.
 
-The cells are the product of the axes and the repetitions. ``run(cell, stream)`` returns the rows of one cell; all its
-random numbers come from ``stream``, which knows the cell and the seed alone, so that a cell's rows are the same bits in any
-process, in any order, in the full sweep and in its smoke subset. Whatever is drawn or summarised afterwards reads the tidy
-table only.
+The cells are the product of the axes and the repetitions. ``run(cell, stream)`` returns the rows of one cell; all its random
+numbers come from ``stream``, which knows the cell and the seed alone. A cell's rows are therefore the same bits in any process,
+in any order, in the full sweep and in its smoke subset. Tables and figures read the rows only.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import difflib
 import hashlib
 import itertools
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +30,7 @@ Row = dict[str, Any]
 class Stream:
     """The random numbers of a cell: ``numpy.random.SeedSequence(seed, spawn_key=(words, repetition))``.
 
-    The words are a digest of the experiment's id, of the settings named (all of the cell's by default; cells which name the
+    The words are a digest of the experiment's id, of the settings named (all of the cell's by default; cells that name the
     same ones share their random numbers) and of what they are for (``use``): numbers for different uses are independent.
     """
 
@@ -44,8 +43,8 @@ class Stream:
         unknown = [name for name in names if name not in self.cell]
         if unknown:
             raise ValueError(f"names must be settings of the cell, {', '.join(self.cell)}; got {unknown[0]!r}")
-        kept = {k: v for k, v in self.cell.items() if k != "repetition" and (not names or k in names)}
-        text = json.dumps([self.experiment, kept, *([use] if use else [])], sort_keys=True)
+        settings = {k: v for k, v in self.cell.items() if k != "repetition" and (not names or k in names)}
+        text = json.dumps([self.experiment, settings, *([use] if use else [])], sort_keys=True)
         words = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], dtype=">u4")
         key = (*(int(word) for word in words), int(self.cell.get("repetition", 0)))
         return np.random.SeedSequence(self.seed, spawn_key=key)
@@ -65,11 +64,11 @@ class Experiment:
     axes : name -> values; repetitions : seeds of each cell of the axes
     smoke : name -> values, a subset of each axis named; smoke_repetitions
     run : (cell, stream) -> rows; the cell's own settings are added to each row
-    keys : columns that tell the points of the summary apart; measures : columns averaged over the repetitions, the first
-        being what the experiment is about
+    keys : columns that tell the points of the summary apart; measures : numbers that are averaged over the repetitions, the
+        first being what the experiment is about
     draw : (table, summary, figure) -> None
     finding : table -> what its rows show, in their own numbers, a line: the figure's title; "": none
-    caption : what the figure shows, what its bands are, in which units; "": the docstring of ``run``
+    caption : what the figure shows, in which units; "": the docstring of ``run``
     paper : summary -> the paper's number for each of its rows (nan: none published)
     group : "gridworld" | "gymnasium" | "sureness" | "continuous"
     requires : modules that the cells import and that an installation may lack; extra : what installs them, where it is not
@@ -106,7 +105,7 @@ class Experiment:
         count = self.smoke_repetitions if smoke else self.repetitions
         if repetitions is not None:
             count = min(repetitions, count) if smoke else repetitions
-        return Settings(self.id, axes, count, seed)
+        return Settings(self, axes, count, seed)
 
     def table(self, *, repetitions: int = 1, seed: int = 0, **axes: object) -> pd.DataFrame:
         """The rows of a few cells, computed here and now: axes by name, a value or several; the others in full."""
@@ -115,35 +114,28 @@ class Experiment:
         unknown = sorted(set(axes) - set(self.axes))
         if unknown:
             raise ValueError(f"axes must be among {', '.join(self.axes)}; got {unknown[0]!r}")
-        chosen = {
-            name: values
-            if name not in axes
-            else tuple(_known(x, values) for x in np.atleast_1d(np.asarray(axes[name], object)))
-            for name, values in self.axes.items()
-        }
-        rows = [
-            {**cell, **row}
-            for cell in Settings(self.id, chosen, repetitions, seed).cells()
-            for row in self.run(cell, Stream(self.id, seed, cell))
-        ]
-        return pd.DataFrame(rows)
+        chosen = dict(self.axes)
+        for name, values in axes.items():
+            chosen[name] = tuple(_own_value(x, self.axes[name]) for x in np.atleast_1d(np.asarray(values, object)))
+        cells = Settings(self, chosen, repetitions, seed).cells()
+        return pd.DataFrame([{**cell, **row} for cell in cells for row in self.run(cell, Stream(self.id, seed, cell))])
 
 
-def _known(value: Any, values: tuple[Scalar, ...]) -> Scalar:
+def _own_value(value: Any, values: tuple[Scalar, ...]) -> Scalar:
     """The axis's own value where it has an equal one, so that 1000.0 names the same cell as 1000; a plain scalar else."""
-    own: Scalar = value.item() if isinstance(value, np.generic) else value
-    return next((known for known in values if known == own), own)
+    plain: Scalar = value.item() if isinstance(value, np.generic) else value
+    return next((own for own in values if own == plain), plain)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Settings:
-    """What a results folder was made from.
+    """What a results folder is made from.
 
     ``asked`` are settings that are no axes (JSON's types): results of others are not taken for these. ``modules`` are a
     user's modules that the cells run: their files are part of the code.
     """
 
-    experiment: str
+    experiment: Experiment
     axes: Mapping[str, tuple[Scalar, ...]]
     repetitions: int
     seed: int
@@ -162,13 +154,9 @@ class Settings:
 
     def as_dict(self) -> dict[str, Any]:
         """For a JSON file."""
-        return {
-            "experiment": self.experiment,
-            "axes": {name: list(values) for name, values in self.axes.items()},
-            "repetitions": self.repetitions,
-            "seed": self.seed,
-            **({"asked": dict(self.asked)} if self.asked else {}),
-        }
+        axes = {name: list(values) for name, values in self.axes.items()}
+        own = {"experiment": self.experiment.id, "axes": axes, "repetitions": self.repetitions, "seed": self.seed}
+        return own | ({"asked": dict(self.asked)} if self.asked else {})
 
 
 class Registry:
@@ -181,7 +169,7 @@ class Registry:
                 raise ValueError(f"experiment ids must differ; {experiment.id!r} is there twice")
             self._experiments[experiment.id] = experiment
 
-    def __iter__(self) -> Any:
+    def __iter__(self) -> Iterator[Experiment]:
         return iter(self._experiments.values())
 
     def __getitem__(self, name: str) -> Experiment:
@@ -193,11 +181,8 @@ class Registry:
 
     def choose(self, names: Iterable[str], *, everything: bool = False) -> list[Experiment]:
         """The experiments of these ids, or of these groups, each once."""
-        wanted = []
-        for name in names:
-            members = [experiment.id for experiment in self if experiment.group == name]
-            wanted += members or [name]
-        wanted = list(dict.fromkeys(wanted))
+        members = [[own.id for own in self if own.group == name] or [name] for name in names]
+        wanted = list(dict.fromkeys(itertools.chain(*members)))
         if everything and wanted:
             raise ValueError(f"--all must be given without ids; got {', '.join(wanted)}")
         if not everything and not wanted:

@@ -1,8 +1,9 @@
-"""A results folder: settings.json, cells.jsonl (the cache), table.csv, summary.csv, summary.md, figure.svg, figure.png.
+"""A results folder: settings.json, cells.jsonl (finished cells), and the files that are made of them.
 
-A finished cell is one line of cells.jsonl, written and flushed when it is finished: its key (a digest of the cell, the seed and
-the code) and its rows. A line that a killed process left half written is dropped. What was made by other code is
-computed again, and stays in the cache for the day when that code is run again.
+A finished cell is one line of cells.jsonl, written and flushed when it is finished: what it is of (experiment, seed, cell,
+code), its rows, and a checksum of both. A folder may come from a stranger. A line whose checksum, settings or columns do not
+fit is left out, its cell is computed again, and the run says so. Links, and whatever else is no plain file, are refused before
+anything is written. Results of other code are kept for the day when that code is run again.
 """
 
 from __future__ import annotations
@@ -13,22 +14,27 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import json
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from oee_tabular import _files
+from oee_tabular import _checks, _files
 from oee_tabular._arguments import own_modules
-from oee_tabular.lab.registry import Cell, Row, Settings
+from oee_tabular.lab.registry import Cell, Row, Scalar, Settings
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PACKAGE = Path(__file__).parents[1]
-LOCK = ".lock"
+LOCK, SETTINGS, CELLS = ".lock", "settings.json", "cells.jsonl"
 SOURCES = (".py", ".csv", ".xml", ".npz")
 FILES = (
-    "settings.json", "cells.jsonl", "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png",
-    "cells.csv", "league.csv", "league.md", "shown.json", "profile.png", "heat.png",
+    SETTINGS, CELLS, "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png",
+    "cells.csv", "league.csv", "league.md", "league.tex", "shown.json", "profile.png", "heat.png",
 )  # fmt: skip
+JSON_ERRORS = (ValueError, RecursionError)  # of damaged text, and of lists a thousand deep
 
 
 @functools.cache
@@ -42,51 +48,36 @@ def code_version(*modules: str) -> str:
         digest.update(path.relative_to(PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
     with own_modules():
-        for found in map(importlib.util.find_spec, modules):
-            if found is not None and found.origin is not None and Path(found.origin).is_file():
-                digest.update(Path(found.origin).read_bytes())
+        for spec in map(importlib.util.find_spec, modules):
+            if spec is not None and spec.origin is not None and Path(spec.origin).is_file():
+                digest.update(Path(spec.origin).read_bytes())
     return f"{importlib.metadata.version('oee-tabular')}+{digest.hexdigest()[:12]}"
 
 
-def cell_key(settings: Settings, cell: Cell, code: str) -> str:
-    """The name of a cell's result."""
-    asked = [dict(settings.asked)] if settings.asked else []
-    text = json.dumps([settings.experiment, settings.seed, dict(cell), code, *asked], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-
-def _settings_in(path: Path) -> dict[str, Any]:
-    """The settings of a results folder; ValueError where the file is not one."""
-    try:
-        found = json.loads(path.read_text())
-    except ValueError:
-        found = None
-    if not isinstance(found, dict) or "experiment" not in found:
-        raise ValueError(f"{path} must be the settings of a results folder; it is not (--output names another folder)")
-    return found
-
-
-def _named(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings by name: what the folder is of, its axes, what else was asked."""
-    own = {name: settings.get(name) for name in ("experiment", "repetitions", "seed")}
-    return own | dict(sorted(settings.get("axes", {}).items())) | dict(sorted(settings.get("asked", {}).items()))
+def refuse_links(folder: Path, names: Iterable[str] = (*FILES, LOCK), *, are_folders: bool = False) -> None:
+    """ValueError where what a run writes is a link, or no plain file (no folder): it could lead out of the folder."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} must be a folder; it is a file")
+    for path in (folder / name for name in names):
+        is_right = path.is_dir() if are_folders else path.is_file()
+        if path.is_symlink() or (path.exists() and not is_right):
+            what = "folder" if are_folders else "plain file"
+            raise ValueError(f"{str(path)!r} must be a {what}; it is a link or something else: remove it")
 
 
 @contextlib.contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Hold ``folder``, made where it is not there; ValueError where another command does, or ``.lock`` is a link.
+    """Hold ``folder``, made where it is not there; ValueError where another command does, or a file in it is a link.
 
     The lock is the system's: it ends with the process that holds it, however it dies.
     """
     from filelock import FileLock, Timeout
 
-    _require_folder(folder)
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    refuse_links(folder)
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / LOCK
-    if path.is_symlink() or (path.exists() and not path.is_file()):  # of a link that comes later filelock opens none
-        raise ValueError(f"{str(path)!r} must be a plain file; it is a link or something else: remove it")
-    lock = FileLock(path, timeout=0)
+    lock = FileLock(path, timeout=0)  # which opens no link
     try:
         lock.acquire()
     except Timeout:
@@ -105,17 +96,16 @@ def alone(folder: Path) -> Iterator[None]:
             path.unlink()
         lock.release()
         with contextlib.suppress(OSError):
-            for path in made:
+            for path in new:
                 path.rmdir()  # where nothing was written
 
 
-def _require_folder(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"{folder} must be a folder; it is a file")
-
-
 class Store:
-    """The results folder of one experiment.
+    """The finished cells of a results folder.
+
+    Attributes
+    ----------
+    stale : lines of other code, which are kept; damaged : lines that do not fit, which are left out
 
     Raises
     ------
@@ -127,94 +117,148 @@ class Store:
     def __init__(self, folder: Path, settings: Settings, *, fresh: bool = False, code: str | None = None):
         self.folder, self.settings = folder, settings
         self.code = code_version(*settings.modules) if code is None else code
-        self._file = folder / "settings.json"
-        self._cells = folder / "cells.jsonl"
-        _require_folder(folder)
+        refuse_links(folder)
         if fresh and folder.exists():
-            present = [path for path in folder.iterdir() if path.name != LOCK]
-            if present and not self._file.is_file():
-                raise ValueError(f"{folder} must be a results folder to be emptied; it has no settings.json")
-            others = sorted(path.name for path in present if path.name not in FILES and path.suffix != ".part")
-            if others:
-                raise ValueError(f"{folder} must hold results only to be emptied; it holds {', '.join(others[:3])}")
-            for path in present:
-                path.unlink()
-        if self._file.is_file():
-            self._compare(_settings_in(self._file))
-        self._done, self._others = self._read()
+            self._empty()
+        if (folder / SETTINGS).is_file():
+            self._compare(_read_settings(folder / SETTINGS))
+        self._done: dict[str, list[Row]] = {}
+        self._others: list[str] = []
+        self.damaged = 0
+        if (folder / CELLS).is_file():
+            for line in (folder / CELLS).read_bytes().splitlines():
+                self._take(line)
         self.stale = len(self._others)
 
-    def _compare(self, found: dict[str, Any]) -> None:
-        if found == self.settings.as_dict():
-            return
-        there, asked = _named(found), _named(self.settings.as_dict())
+    def _empty(self) -> None:
+        present = [path for path in self.folder.iterdir() if path.name != LOCK]
+        if present and not (self.folder / SETTINGS).is_file():
+            raise ValueError(f"{self.folder} must be a results folder to be emptied; it has no {SETTINGS}")
+        others = sorted(path.name for path in present if path.name not in FILES and path.suffix != ".part")
+        if others:
+            raise ValueError(f"{self.folder} must hold results only to be emptied; it holds {', '.join(others[:3])}")
+        for path in present:
+            path.unlink()
+
+    def _compare(self, there: dict[str, Any]) -> None:
+        asked = _flatten(self.settings.as_dict())
         names = [name for name in {**there, **asked} if there.get(name) != asked.get(name)]
-        if names == ["repetitions"] and (self._unwritten() or there["repetitions"] < asked["repetitions"]):
+        is_written = any((self.folder / name).exists() for name in FILES[2:])
+        if not names or (names == ["repetitions"] and (not is_written or there[names[0]] < asked[names[0]])):
             return
-        parts = [f"{name} {there.get(name)} there, {asked.get(name)} asked" for name in names]
+        parts = [
+            f"{name} {_checks.show(there.get(name))} there, {_checks.show(asked.get(name))} asked" for name in names
+        ]
         raise ValueError(
             f"{self.folder} holds results of other settings: {'; '.join(parts)} (--fresh empties it; --output names "
             "another folder)"
         )
 
-    def _unwritten(self) -> bool:
-        """Whether nothing was made of the cells yet."""
-        return not any((self.folder / name).is_file() for name in FILES[2:])
+    def _take(self, line: bytes) -> None:
+        """One line of cells.jsonl: a finished cell, one of other code, or damaged."""
+        try:
+            entry = json.loads(line)
+            content, checksum = entry["content"], entry["sha256"]
+            if checksum != _sha256(content) or content["of"] != self._of(content["of"]["cell"]):
+                raise ValueError("it is not what was written here")
+            code, cell, rows = content["code"], content["of"]["cell"], content["rows"]
+            self._require_columns(cell, rows)
+        except (*JSON_ERRORS, AttributeError, KeyError, TypeError, OverflowError):
+            self.damaged += 1
+            return
+        if code == self.code:
+            self._done[_name(cell)] = rows
+        else:
+            self._others.append(json.dumps(entry) + "\n")
 
-    def _read(self) -> tuple[dict[str, list[Row]], list[str]]:
-        """What is finished, and the lines of other code."""
-        done: dict[str, list[Row]] = {}
-        others = []
-        if self._cells.is_file():
-            for line in self._cells.read_text(errors="replace").splitlines():
-                try:
-                    entry = json.loads(line)
-                except json.JSONDecodeError:
-                    continue  # half written
-                if not isinstance(entry, dict) or not {"key", "code", "rows"} <= entry.keys():
-                    continue
-                if entry["code"] == self.code:
-                    done[entry["key"]] = entry["rows"]
-                else:
-                    others.append(line + "\n")
-        return done, others
+    def _of(self, cell: Cell) -> dict[str, Any]:
+        settings = self.settings
+        return {
+            "experiment": settings.experiment.id, "seed": settings.seed, "asked": dict(settings.asked), "cell": dict(cell)
+        }  # fmt: skip
+
+    def _require_columns(self, cell: Cell, rows: list[Row]) -> None:
+        """ValueError where rows are not those that the experiment's cells have: its keys, numbers as its measures."""
+        experiment = self.settings.experiment
+        axes = self.settings.axes
+        is_cell = {*cell} == {*axes, "repetition"} and all(cell[name] in values for name, values in axes.items())
+        if not is_cell or not isinstance(cell["repetition"], int) or not rows or not isinstance(rows, list):
+            raise ValueError("a cell of the axes has rows")
+        for row in rows:
+            if not all(isinstance(value, Scalar | None) for value in row.values()):
+                raise ValueError("a row holds plain values")
+            if not {*experiment.keys} <= {*cell, *row}:
+                raise ValueError("a row has every key")
+            numbers = {name: row[name] for name in experiment.measures if name in row}
+            first = [numbers[name] for name in experiment.measures[:1]]  # in every row, and finite
+            if not all(isinstance(value, float | int) for value in numbers.values()) or not all(
+                map(math.isfinite, first)
+            ):
+                raise ValueError("a measure is a number")
 
     def open(self) -> None:
-        """Make the folder and say what it will hold; a cache with lines of other code, or half a line, is written anew."""
+        """Make the folder and say what it will hold; what did not fit leaves cells.jsonl."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        lines = "".join([*self._others, *(self._line(key, rows) for key, rows in self._done.items())])
+        cells = [cell for cell in self.settings.cells() if _name(cell) in self._done]
+        kept = {_name(cell): self._line(cell, self._done[_name(cell)]) for cell in cells}
+        more = [self._line(json.loads(name), rows) for name, rows in self._done.items() if name not in kept]
         settings = json.dumps(self.settings.as_dict(), indent=1) + "\n"
-        _files.write_all(self.folder, {self._file.name: settings.encode(), self._cells.name: lines.encode()})
+        lines = "".join([*self._others, *kept.values(), *more])
+        _files.write_all(self.folder, {SETTINGS: settings.encode(), CELLS: lines.encode()})
 
-    def _line(self, key: str, rows: list[Row]) -> str:
-        return json.dumps({"key": key, "code": self.code, "rows": rows}) + "\n"
+    def _line(self, cell: Cell, rows: list[Row]) -> str:
+        content = {"of": self._of(cell), "code": self.code, "rows": rows}
+        return json.dumps({"content": content, "sha256": _sha256(content)}) + "\n"
 
     def missing(self) -> list[Cell]:
         """The cells that are still to be computed, one repetition of all after the other."""
-        left = [cell for cell in self.settings.cells() if cell_key(self.settings, cell, self.code) not in self._done]
+        left = [cell for cell in self.settings.cells() if _name(cell) not in self._done]
         return sorted(left, key=lambda cell: cell["repetition"])
 
     def add(self, cell: Cell, rows: list[Row]) -> None:
         """Keep a finished cell, written before this returns."""
-        key = cell_key(self.settings, cell, self.code)
-        line = self._line(key, rows)
+        line = self._line(cell, rows)
+        path = self.folder / CELLS
         try:
-            with self._cells.open("a") as handle:
+            with open(path, "a", opener=_open_plain) as handle:
                 handle.write(line)
-                handle.flush()
         except OSError as error:
-            raise OSError(error.errno, f"cannot be written ({error.strerror})", str(self._cells)) from None
-        self._done[key] = json.loads(line)["rows"]
+            raise OSError(error.errno, f"cannot be written ({error.strerror})", str(path)) from None
+        self._done[_name(cell)] = json.loads(line)["content"]["rows"]
 
-    def rows(self) -> list[Row]:
+    def table(self) -> pd.DataFrame:
         """All rows, in the order of the cells, each with its cell's settings first."""
-        missing = len(self.missing())
+        import pandas as pd
+
+        missing, cells = len(self.missing()), self.settings.cells()
         if missing:
-            raise ValueError(
-                f"{self.folder} lacks {missing} of {len(self.settings.cells())} cells; run the experiment again"
-            )
-        found = []
-        for cell in self.settings.cells():
-            for row in self._done[cell_key(self.settings, cell, self.code)]:
-                found.append({**cell, **row})
-        return found
+            raise ValueError(f"{self.folder} lacks {missing} of {len(cells)} cells; run the experiment again")
+        return pd.DataFrame([{**cell, **row} for cell in cells for row in self._done[_name(cell)]])
+
+
+def _open_plain(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
+def _name(cell: Cell) -> str:
+    return json.dumps(dict(cell), sort_keys=True)
+
+
+def _sha256(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _read_settings(path: Path) -> dict[str, Any]:
+    """The settings of a results folder by name; ValueError where the file has none."""
+    try:
+        settings = json.loads(path.read_bytes())
+        if isinstance(settings["experiment"], str) and isinstance(settings["repetitions"], int):
+            return _flatten(settings)
+    except (*JSON_ERRORS, AttributeError, KeyError, TypeError):
+        pass
+    raise ValueError(f"{path} must be the settings of a results folder; it is not (--output names another folder)")
+
+
+def _flatten(settings: dict[str, Any]) -> dict[str, Any]:
+    own = {name: settings.get(name) for name in ("experiment", "repetitions", "seed")}
+    return own | dict(sorted(settings.get("axes", {}).items())) | dict(sorted(settings.get("asked", {}).items()))

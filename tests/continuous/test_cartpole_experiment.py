@@ -14,6 +14,7 @@ from saved_results import assert_saved
 from oee_tabular.continuous.support import frequencies
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 from oee_tabular.lab.output import figures, summary_of
+from oee_tabular.lab.registry import Stream
 from oee_tabular.lab.robots import cartpole_truth
 from oee_tabular.lab.robots.cartpole import published_error
 from oee_tabular.lab.robots.cartpole_estimates import (
@@ -25,8 +26,6 @@ from oee_tabular.lab.robots.cartpole_estimates import (
     policies_of,
     target_log,
 )
-from oee_tabular.lab.run import run_cell
-from oee_tabular.lab.store import code_version
 from oee_tabular.tasks import CartPole, GridInterpolation, cartpole_policy, monte_carlo_value, record
 
 IDS = ("fig2", "cartpole_resolution", "cartpole_data", "cartpole_choice")
@@ -38,8 +37,8 @@ def test_a_smoke_cell(name):
     settings = experiment.settings(smoke=True, repetitions=1)
     cells = settings.cells()
     chosen = [cells[0], cells[-1]]
-    rows = [run_cell(experiment.run, settings, cell, code_version()) for cell in chosen]
-    assert rows[0] == run_cell(experiment.run, settings, cells[0], code_version())
+    rows = [experiment.run(cell, Stream(name, 0, cell)) for cell in chosen]
+    assert rows[0] == experiment.run(cells[0], Stream(name, 0, cells[0]))
     for cell, found in zip(chosen, rows, strict=True):
         assert_saved(name, cell, pd.DataFrame([{**cell, **row} for row in found]))
     table = pd.DataFrame([{**cell, **row} for cell, found in zip(chosen, rows, strict=True) for row in found])

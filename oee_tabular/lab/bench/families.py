@@ -146,7 +146,7 @@ def _fixed(maker: Callable[[], Family]) -> Family:
     return maker()
 
 
-def checked_seed(seed: object) -> int:
+def check_seed(seed: object) -> int:
     """An integer from 0, or ValueError."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed must be an integer from 0; got {_checks.show(seed)}")
@@ -177,7 +177,7 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     False
     """
     _checks.boolean(large, "large")
-    number = checked_seed(seed)
+    number = check_seed(seed)
     makers = dict(MADE) | (dict(LARGE) if large else {})
     left_out = {}
     if others.icu_file() is None:

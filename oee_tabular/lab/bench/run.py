@@ -1,4 +1,4 @@
-"""A run of the benchmark: the cells family x size, a seed each repetition, through the experiments' runner; ``oee bench``."""
+"""A run of the benchmark: the cells family x size, a seed each repetition, through the lab's runner; ``oee bench``."""
 
 from __future__ import annotations
 
@@ -21,50 +21,52 @@ from oee_tabular.estimators.base import UNEXPLAINED
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import efficiency_bound, occupancy
-from oee_tabular.lab.bench.families import checked_seed
+from oee_tabular.lab.bench.families import check_seed
 from oee_tabular.lab.bench.families import families as own_families
 from oee_tabular.lab.bench.family import Family
-from oee_tabular.lab.bench.given import REFERENCES, Source, chosen_estimators, estimator_of, modules_of, source_of
+from oee_tabular.lab.bench.inputs import (
+    REFERENCES,
+    Source,
+    choose_estimators,
+    choose_families,
+    estimator_of,
+    modules_of,
+)
 from oee_tabular.lab.bench.league import League, league_of
-from oee_tabular.lab.output import table_of
 from oee_tabular.lab.registry import Cell, Experiment, Row, Settings, Stream
-from oee_tabular.lab.run import Sweep, run_experiment
+from oee_tabular.lab.run import run_and_write, run_experiment
 from oee_tabular.lab.store import Store, alone
 
 SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
 SEEDS = 40
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """What a run is to do: an experiment of the registry's kind and its settings."""
-
-    experiment: Experiment
-    settings: Settings
-    source: Source
+NO_ESTIMATE: Row = {
+    "value": math.nan, "error": math.nan, "lower": math.nan, "upper": math.nan, "interval": "", "seconds": math.nan,
+    "status": "ok",
+}  # fmt: skip
 
 
 def plan(
-    estimators: object, *, families: object = None, sizes: object = SIZES, seeds: int = SEEDS, seed: int = 0
-) -> Plan:
-    """Check the arguments of ``run`` and make every family once."""
-    count, first = _checks.positive_integer(seeds, "seeds"), checked_seed(seed)
-    chosen = chosen_estimators(estimators)
-    source = source_of(families, first)
+    estimators: object, *, families: object = None, sizes: Any = SIZES, seeds: int = SEEDS, seed: int = 0
+) -> Settings:
+    """Check the arguments of ``run`` and make every family once: settings of an experiment of the lab's kind."""
+    count, first = _checks.positive_integer(seeds, "seeds"), check_seed(seed)
+    chosen = choose_estimators(estimators)
+    source = choose_families(families, first)
+    values = [sizes] if np.isscalar(sizes) else list(sizes)
+    numbers = sorted({_checks.number_in(value, "sizes", 0.0, np.inf) for value in values})
+    if not numbers or numbers[0] <= 0:
+        raise ValueError(
+            "sizes must be positive numbers of transitions per stochastic state-action pair, at least one; "
+            f"got {_checks.show(sizes)}"
+        )
     experiment = Experiment(
-        id="bench",
-        title="Estimators on families of environment shift",
-        axes={"family": source.names, "size": _sizes(sizes)},
+        id="bench", title="Estimators on families of environment shift", group="bench",
+        axes={"family": source.names, "size": tuple(numbers)}, repetitions=count,
         run=Cells({name: name for name in REFERENCES} | chosen, source),
-        keys=("family", "size", "estimator"),
-        measures=("error",),
-        draw=lambda table, summary, figure: None,
-        repetitions=count,
-        group="bench",
-    )
+        keys=("family", "size", "estimator"), measures=(), draw=lambda table, summary, figure: None,
+    )  # fmt: skip
     asked = {"estimators": list(chosen), "families": source.label}
-    modules = tuple(sorted({*modules_of(chosen), *modules_of({"families": source.given})}))
-    return Plan(experiment, Settings("bench", experiment.axes, count, first, asked, modules), source)
+    return Settings(experiment, experiment.axes, count, first, asked, modules_of([*chosen.values(), source.given]))
 
 
 def run(
@@ -83,8 +85,8 @@ def run(
     """Measure estimators on families of environment shift where the truth is exact.
 
     Each cell is a family and a size of its logs; each seed of a cell another log (and, where a family has random parts,
-    another pair). Two references are always measured on the same logs: maximum likelihood with the simulator in unseen rows,
-    and the simulator's value.
+    another pair). Two references are always measured on the same logs: maximum likelihood with the simulator in unobserved
+    pairs, and the simulator's value.
 
     Parameters
     ----------
@@ -92,7 +94,7 @@ def run(
         "module:object", estimators; one or several, or a mapping name -> one of these
     families : None (``families()``), names of its, "module:function", a function of the seed (or without parameters) that
         makes a mapping name -> Family, or such a mapping
-    sizes : moves per open row (an (s, a) with more than one next state in the simulator); n = round(size * open rows)
+    sizes : transitions per stochastic state-action pair (one with more than one next state in the simulator)
     seeds : logs of each cell
     seed : the first one, from 0; a seed's rows are the same in any run
     jobs : processes on this machine; -1: one a core
@@ -124,31 +126,15 @@ def run(
     """
     _checks.boolean(fresh, "fresh")
     _checks.boolean(progress, "progress")
-    planned = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed)
+    settings = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed)
     options: dict[str, Any] = {"jobs": jobs, "dask": dask, "fresh": fresh, "progress": progress}
-    if output is not None:
+    if output is None:
+        with tempfile.TemporaryDirectory() as folder:
+            store = run_experiment(Path(folder), settings, **options).store
+    else:
         with alone(Path(output)):
-            return carry_out(planned, Path(output), **options)[0]
-    with tempfile.TemporaryDirectory() as folder:
-        return carry_out(planned, Path(folder), **options)[0]
-
-
-def carry_out(planned: Plan, folder: Path, **options: Any) -> tuple[League, Sweep]:
-    """Compute what the folder does not have yet; the league of all."""
-    sweep = run_experiment(planned.experiment, folder, planned.settings, **options)
-    table = table_of(Store(folder, planned.settings)).drop(columns="repetition")
-    return league_of(table), sweep
-
-
-def _sizes(sizes: Any) -> tuple[float, ...]:
-    """Positive numbers, each once, the smallest first."""
-    values = [sizes] if np.isscalar(sizes) else list(sizes)
-    found = sorted({_checks.number_in(value, "sizes", 0.0, np.inf) for value in values})
-    if not found or found[0] <= 0:
-        raise ValueError(
-            f"sizes must be positive numbers of moves per open row, at least one; got {_checks.show(sizes)}"
-        )
-    return tuple(found)
+            store = run_experiment(Path(output), settings, **options).store
+    return league_of(store.table().drop(columns="repetition"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,60 +151,53 @@ class Cells:
         own = Stream(stream.experiment, seed, {"family": name, "size": size})
         problem = family.problem(family.size(size), own.generator(use="log"))
         facts = {"seed": seed, **facts_of(family, problem)}
-        return [
-            facts | measure(key, given, family, problem, int(own.sequence(use=key).generate_state(1)[0]))
-            for key, given in self.estimators.items()
-        ]
+        rows = []
+        for key, given in self.estimators.items():
+            number = int(own.sequence(use=key).generate_state(1)[0])
+            rows.append({**facts, "estimator": key, **NO_ESTIMATE, **measure(key, given, family, problem, number)})
+        return rows
 
 
 def facts_of(family: Family, problem: Problem) -> Row:
     """What is known exactly about a log: truth, the share of the policy's time that it covers, efficiency bound / n."""
     n, horizon = len(problem.log), family.horizon
-    endless = horizon is None and family.target.discount == 1.0
-    time = occupancy(family.target, family.policy, horizon=family.length if endless else horizon)
+    is_endless = horizon is None and family.target.discount == 1.0
+    time = occupancy(family.target, family.policy, horizon=family.length if is_endless else horizon)
     time = np.where(family.target.absorbing()[:, None], 0.0, time)
-    seen = row_sums(problem.counts).reshape(time.shape) > 0
-    bound = np.inf
-    if not endless:
+    observed = row_sums(problem.counts).reshape(time.shape) > 0
+    bound = math.inf
+    if not is_endless:
         bound = efficiency_bound(family.target, family.policy, family.data_distribution, horizon=horizon)
     return {
         "n": n,
         "open_rows": family.open_rows,
         "identical": family.identical,
         "truth": family.truth,
-        "covered": float(time[seen].sum() / time.sum()) if time.sum() > 0 else 1.0,
-        "bound": bound / n if np.isfinite(bound) else float("nan"),
+        "covered": float(time[observed].sum() / time.sum()) if time.sum() > 0 else 1.0,
+        "bound": bound / n if math.isfinite(bound) else math.nan,
     }
 
 
 def measure(name: str, given: object, family: Family, problem: Problem, seed: int) -> Row:
-    """The row of one estimator on one log: value, error, interval, seconds, status; what it raises is its status."""
-    row: Row = {"estimator": name, "value": math.nan, "error": math.nan, "lower": math.nan, "upper": math.nan,
-                "interval": "", "seconds": math.nan, "status": "ok"}  # fmt: skip
+    """What one estimator gives on one log: value, error, interval, seconds, status; what it raises is its status."""
     start = time.process_time()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             estimate = as_estimator(estimator_of(name, given, family))(problem, family.policy, seed=seed)
         seconds = time.process_time() - start
-        return row | {"seconds": seconds} | _read(estimate, family.truth)
+        value = float(estimate.value)
+        if not math.isfinite(value):
+            known = estimate.status not in ("ok", UNEXPLAINED)
+            return {"seconds": seconds, "status": estimate.status if known else f"the value is {value}"}
+        lower, upper, method = _interval_of(estimate, value)
     except Exception as error:
-        return row | {"status": f"{type(error).__name__}: {error}"}
+        return {"status": f"{type(error).__name__}: {error}"}
+    return {"value": value, "error": value - family.truth, "lower": lower, "upper": upper, "interval": method,
+            "seconds": seconds, "status": estimate.status}  # fmt: skip
 
 
-def _read(estimate: object, truth: float) -> Row:
-    """What an estimate says; a value that is no finite number is none."""
-    if not isinstance(estimate, Estimate):
-        raise TypeError(f"an estimator must return an Estimate; it returned {type(estimate).__name__}")
-    value = float(estimate.value)
-    if not math.isfinite(value):
-        return {"status": estimate.status if estimate.status not in ("ok", UNEXPLAINED) else f"the value is {value}"}
-    lower, upper, method = _interval(estimate, value)
-    return {"value": value, "error": value - truth, "lower": lower, "upper": upper, "interval": method,
-            "status": estimate.status}  # fmt: skip
-
-
-def _interval(estimate: Estimate, value: float) -> tuple[float, float, str]:
+def _interval_of(estimate: Estimate, value: float) -> tuple[float, float, str]:
     """The interval that is reported, else value +- 1.96 standard errors, else none."""
     if estimate.interval is not None:
         lower, upper = (float(end) for end in estimate.interval)
@@ -246,40 +225,31 @@ def bench(
     if seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
     _files.local(output)
-    planned = plan(
-        _names(estimators), families=families, sizes=SIZES if sizes is None else _numbers(sizes), seeds=seeds, seed=seed
-    )
+    names = [name.strip() for name in estimators.split(",") if name.strip()]
+    try:
+        numbers = SIZES if sizes is None else [float(part) for part in sizes.split(",") if part.strip()]
+    except ValueError:
+        raise ValueError(
+            f"--sizes must be numbers with commas between them, 0.3,1,3; got {_checks.show(sizes)}"
+        ) from None
+    settings = plan(names, families=families, sizes=numbers, seeds=seeds, seed=seed)
     if not fresh:
-        Store(output, planned.settings)
-    start = time.perf_counter()
-    with alone(output):
-        found, sweep = carry_out(planned, output, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty())
-        about = {name: planned.source.family(name, seed).about for name in planned.source.names}
-        found.save(output, about=about, command=_command(planned, estimators, sizes, families))
-    say(str(found))
-    say(f"\n{sweep} ({time.perf_counter() - start:.0f} s)")
+        Store(output, settings)
+    command = f"oee bench --estimators {estimators}" + "".join(
+        f" --{name} {value}"
+        for name, value, default in (
+            ("sizes", sizes, None), ("seeds", seeds, SEEDS), ("seed", seed, 0), ("families", families, None)
+        )
+        if value != default
+    )  # fmt: skip
+
+    def write(store: Store) -> None:
+        cells, league = settings.experiment.run, league_of(store.table().drop(columns="repetition"))
+        assert isinstance(cells, Cells)
+        league.save(output, about={x: cells.source.family(x, seed).about for x in cells.source.names}, command=command)
+        say(f"{league}\n")
+
+    run_and_write(output, settings, write, say=say, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty())
     if families is None:
         for sentence in own_families(seed).left_out.values():
             say(sentence)
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(part) for part in text.split(",") if part.strip()]
-    except ValueError:
-        raise ValueError(
-            f"--sizes must be numbers with commas between them, 0.3,1,3; got {_checks.show(text)}"
-        ) from None
-
-
-def _command(planned: Plan, estimators: str, sizes: str | None, families: str | None) -> str:
-    """What makes the same folder again."""
-    words = ["oee bench", f"--estimators {estimators}"]
-    words += [] if sizes is None else [f"--sizes {sizes}"]
-    words += [f"--seeds {planned.settings.repetitions}"] if planned.settings.repetitions != SEEDS else []
-    words += [f"--seed {planned.settings.seed}"] if planned.settings.seed else []
-    return " ".join([*words, *([] if families is None else [f"--families {families}"])])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -23,8 +22,8 @@ from oee_tabular.lab.robots.changes.coverage import RESIDUAL_COVERAGE
 from oee_tabular.lab.robots.changes.experiment import CHANGES
 from oee_tabular.lab.robots.kinova import TABLE_1
 from oee_tabular.lab.robots.reacher import FIGURE_3
-from oee_tabular.lab.run import require_modules, run_experiment
-from oee_tabular.lab.store import Store, alone
+from oee_tabular.lab.run import require_modules, run_and_write
+from oee_tabular.lab.store import Store, refuse_links
 
 EXPERIMENTS = Registry(
     [
@@ -70,30 +69,26 @@ def reproduce(
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
     _files.local(output)
     chosen: list[Experiment] = []
-    left_out: list[ImportError] = []
+    missing: list[ImportError] = []
     for experiment in EXPERIMENTS.choose(names, everything=everything):
         try:
             require_modules(experiment)
-        except ImportError as error:
-            left_out.append(error)
-        else:
             chosen.append(experiment)
-    if left_out and not chosen:
-        raise left_out[0]
+        except ImportError as error:
+            missing.append(error)
+    if missing and not chosen:
+        raise missing[0]
     folder = output / "smoke" if smoke else output
-    settings = {e.id: e.settings(smoke=smoke, repetitions=seeds, seed=seed) for e in chosen}
+    refuse_links(output, ["smoke", *(f"smoke/{e.id}" if smoke else e.id for e in chosen)], are_folders=True)
+    every = [experiment.settings(smoke=smoke, repetitions=seeds, seed=seed) for experiment in chosen]
     if not fresh:
-        for experiment in chosen:
-            Store(folder / experiment.id, settings[experiment.id])
-    for experiment in chosen:
-        start = time.perf_counter()
-        own, asked = folder / experiment.id, settings[experiment.id]
-        with alone(own):
-            sweep = run_experiment(
-                experiment, own, asked, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty()
-            )
-            out.write(experiment, Store(own, asked))
-        say(f"{sweep} ({time.perf_counter() - start:.0f} s)")
+        for settings in every:
+            Store(folder / settings.experiment.id, settings)
+    for settings in every:
+        run_and_write(
+            folder / settings.experiment.id, settings, out.write, say=say,
+            jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty(),
+        )  # fmt: skip
     say(f"Index: {out.index(folder, EXPERIMENTS)}")
-    for sentence in left_out:
-        say(f"Left out: {sentence}")
+    for reason in missing:
+        say(f"Left out: {reason}")

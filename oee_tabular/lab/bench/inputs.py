@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
@@ -17,6 +18,7 @@ from oee_tabular.lab.bench.family import Family
 from oee_tabular.testing.command import own_estimator
 
 LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"
+REFERENCES: Mapping[str, Estimator] = {LIKELIHOOD: ModelBased(fallback="simulator"), SIMULATOR: Simulator()}
 
 
 @dataclass(frozen=True)
@@ -31,49 +33,43 @@ class Evaluated:
         return report.results[0].estimate
 
 
-REFERENCES: Mapping[str, Estimator] = {LIKELIHOOD: ModelBased(fallback="simulator"), SIMULATOR: Simulator()}
+# ---- estimators
 
 
-def chosen_estimators(given: object) -> dict[str, Any]:
-    """Name -> spec or estimator, each tried once, of what ``run`` takes; ValueError for one that is unknown or is none."""
+def choose_estimators(given: object) -> dict[str, Any]:
+    """Name -> spec or estimator, each looked up once, of what ``run`` takes; ValueError for one that is none."""
     if isinstance(given, str) or not isinstance(given, Mapping | Sequence):
         given = [given]
-    found: dict[str, object] = {}
+    chosen: dict[str, object] = {}
     for key, item in given.items() if isinstance(given, Mapping) else [(None, item) for item in given]:
         if not isinstance(item, str) and not callable(item):
-            raise ValueError(f"estimators must be names, MODULE:OBJECT or callables; got {item!r}")
-        name = str(key) if key is not None else item if isinstance(item, str) else _name_of(item, found)
-        if name in found:
+            raise ValueError(f"estimators must be names, MODULE:OBJECT or callables; got {_checks.show(item)}")
+        name = item if isinstance(item, str) else str(getattr(item, "__name__", type(item).__name__))
+        while key is None and name in chosen and not isinstance(item, str):
+            name += "'"
+        name = name if key is None else str(key)
+        if name in chosen:
             raise ValueError(f"estimators must have different names; {name!r} is there twice")
-        found[name] = item
-    if not found:
-        raise ValueError("estimators must name at least one; it is empty")
-    for name, item in found.items():
         if name in REFERENCES and item != name:
-            raise ValueError(f"estimators must not be called {name!r}, which is a reference; {item!r} is")
+            raise ValueError(f"estimators must not be called {name!r}, which is a reference; {_checks.show(item)} is")
         if isinstance(item, str) and item not in REFERENCES and item not in names(needs_target=True):
-            resolved(item)
-    return found
-
-
-def _name_of(item: object, taken: Mapping[str, object]) -> str:
-    name = str(getattr(item, "__name__", type(item).__name__))
-    while name in taken:
-        name += "'"
-    return name
+            look_up_estimator(item)
+        chosen[name] = item
+    if not chosen:
+        raise ValueError("estimators must name at least one; it is empty")
+    return chosen
 
 
 @functools.lru_cache(maxsize=64)
-def resolved(spec: str) -> Estimator:
+def look_up_estimator(spec: str) -> Estimator:
     """The estimator of a name or of MODULE:OBJECT."""
     if spec == "evaluate":
         return Evaluated()
     if ":" in spec:
         with own_modules():
-            made: Estimator = own_estimator(spec)
-            return made
-    (estimator,) = named_estimators([spec]).values()
-    return estimator
+            own: Estimator = own_estimator(spec)
+            return own
+    return named_estimators([spec])[spec]
 
 
 def estimator_of(name: str, given: Any, family: Family) -> Estimator:
@@ -85,12 +81,15 @@ def estimator_of(name: str, given: Any, family: Family) -> Estimator:
         return own
     if given in names(needs_target=True):
         return named_estimators([given], family.target)[given]
-    return resolved(given)
+    return look_up_estimator(given)
+
+
+# ---- families
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """The families at each seed, by name.
+    """The families of a run at each seed.
 
     Attributes
     ----------
@@ -101,20 +100,15 @@ class Source:
     given: Any
     names: tuple[str, ...]
 
-    def at(self, seed: int) -> Mapping[str, Family]:
-        """The families of one seed."""
-        named = self.given is None or isinstance(self.given, str)
-        return _named(self.given, seed) if named else _called(self.given, seed)
-
     def family(self, name: str, seed: int) -> Family:
         """One family; ValueError where it is missing, is no Family or cannot be made."""
-        every = self.at(seed)
+        every = families_at(self.given, seed)
         if name not in every:
             raise ValueError(f"families must have {name!r} at every seed; at seed {seed} it is missing")
-        found = every[name]
-        if not isinstance(found, Family):
-            raise ValueError(f"family {name!r} must be a Family; it is a {type(found).__name__}")
-        return found
+        family = every[name]
+        if not isinstance(family, Family):
+            raise ValueError(f"family {name!r} must be a Family; it is a {type(family).__name__}")
+        return family
 
     @property
     def label(self) -> str:
@@ -122,7 +116,7 @@ class Source:
         return "the package's" if self.given is None else self.given if isinstance(self.given, str) else "given"
 
 
-def source_of(given: Any, seed: int) -> Source:
+def choose_families(given: Any, seed: int) -> Source:
     """The source of what a user gave; every family of the first seed is made, so that a bad one is told at once.
 
     Raises
@@ -130,12 +124,12 @@ def source_of(given: Any, seed: int) -> Source:
     ValueError
         An unknown name; what is no mapping of families; a family that cannot be made (its name and why).
     """
-    if isinstance(given, str):
-        given = given if ":" in given else [name.strip() for name in given.split(",") if name.strip()]
+    if isinstance(given, str) and ":" not in given:
+        given = [name.strip() for name in given.split(",") if name.strip()]
     if given is None:
         source = Source(None, tuple(families(seed)))
     elif isinstance(given, str | Mapping) or callable(given):
-        source = Source(given, tuple(Source(given, ()).at(seed)))
+        source = Source(given, tuple(families_at(given, seed)))
     else:
         source = Source(None, tuple(dict.fromkeys(given)))
         every = families(seed, large=True)
@@ -149,35 +143,39 @@ def source_of(given: Any, seed: int) -> Source:
     return source
 
 
+def families_at(given: Any, seed: int) -> Mapping[str, Family]:
+    """The families of one seed; those that have a name are made once a process."""
+    return _named_families(given, seed) if given is None or isinstance(given, str) else _call(given, seed)
+
+
 @functools.lru_cache(maxsize=128)
-def _named(spec: str | None, seed: int) -> Mapping[str, Family]:
-    """The package's families, or those of "module:function"."""
+def _named_families(spec: str | None, seed: int) -> Mapping[str, Family]:
     if spec is None:
         return families(seed, large=True)
     with own_modules():
-        return _called(own_object(spec, "families", "my_package.mine:families"), seed)
+        return _call(own_object(spec, "families", "my_package.mine:families"), seed)
 
 
-def _called(given: object, seed: int) -> Mapping[str, Family]:
+def _call(given: object, seed: int) -> Mapping[str, Family]:
     """The mapping that a function makes, or a mapping itself."""
     if not isinstance(given, Mapping) and not callable(given):
-        raise ValueError(f"families must be names, a function or a mapping; got {given!r}")
-    found = given
+        raise ValueError(f"families must be names, a function or a mapping; got {_checks.show(given)}")
+    every: Any = given
     if not isinstance(given, Mapping):
-        found = given(seed) if inspect.signature(given).parameters else given()
-    if not isinstance(found, Mapping) or not all(isinstance(name, str) for name in found):
-        raise ValueError(f"families must make a mapping name -> Family; they make a {type(found).__name__}")
-    return found
+        every = given(seed) if inspect.signature(given).parameters else given()
+    if not isinstance(every, Mapping) or not all(isinstance(name, str) for name in every):
+        raise ValueError(f"families must make a mapping name -> Family; they make a {type(every).__name__}")
+    return every
 
 
-def modules_of(given: Mapping[str, object]) -> list[str]:
+def modules_of(objects: Sequence[object]) -> tuple[str, ...]:
     """The modules that hold a user's own objects: their files are part of what the results depend on."""
-    found = []
-    for item in given.values():
+    modules = set()
+    for item in objects:
         if isinstance(item, str):
             name = item.partition(":")[0] if ":" in item else ""
         else:
             name = str(getattr(item, "__module__", "") or getattr(type(item), "__module__", ""))
-        if name and name.split(".")[0] not in ("oee_tabular", "__main__", "builtins"):
-            found.append(name)
-    return found
+        if name.split(".")[0] not in ("", "oee_tabular", "__main__", "builtins"):
+            modules.add(name)
+    return tuple(sorted(modules))

@@ -13,8 +13,6 @@ from oee_tabular.lab import experiments
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 from oee_tabular.lab.output import figures, summary_of
 from oee_tabular.lab.registry import Stream
-from oee_tabular.lab.run import run_cell
-from oee_tabular.lab.store import code_version
 
 DRAWN_BY_NUMPY = {"efficiency"}  # by its multinomial, whose numbers are others from numpy 2.5 on
 # their saved tables are the former sampler's, whose seeds drew other logs; the last issue of this edition remakes them
@@ -32,7 +30,7 @@ def test_a_smoke_cell(name):
         pytest.importorskip(module)
     settings = experiment.settings(smoke=True, repetitions=1)
     cell = settings.cells()[0]
-    rows = run_cell(experiment.run, settings, cell, code_version())
+    rows = experiment.run(cell, Stream(name, 0, cell))
     table = pd.DataFrame([{**cell, **row} for row in rows])
     if name in DRAWN_BEFORE:
         assert set(table.columns) <= {*saved(name).columns}

@@ -103,7 +103,7 @@ def test_choosing():
 
 
 def test_settings_as_a_file_has_them():
-    settings = Settings("some", {"n": (1, 2)}, 3, 4)
+    settings = Settings(made(), {"n": (1, 2)}, 3, 4)
     assert settings.as_dict() == {"experiment": "some", "axes": {"n": [1, 2]}, "repetitions": 3, "seed": 4}
 
 

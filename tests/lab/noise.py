@@ -1,0 +1,31 @@
+"""A small experiment whose cells are hard to get right by accident."""
+
+import numpy as np
+
+from oee_tabular.lab.output import write
+from oee_tabular.lab.registry import Experiment
+from oee_tabular.lab.run import run_experiment
+
+
+def noise(cell, stream):
+    """A cell that needs BLAS, and gives numbers that are hard to print."""
+    matrix = stream.generator().normal(size=(60, 60))
+    value = float(np.linalg.inv(matrix @ matrix.T + np.eye(60)).sum())
+    return [{"name": name, "value": value * factor} for name, factor in (("one", 1.0), ("third", 1 / 3))]
+
+
+def experiment(run=noise, **options):
+    def draw(table, summary, figure):
+        figure.subplots().plot(summary["value_mean"])
+
+    plain = {
+        "id": "noise", "title": "Noise | and more", "axes": {"n": (1, 2, 3)}, "keys": ("n", "name"),
+        "measures": ("value",), "caption": "Numbers.", "repetitions": 2,
+    }  # fmt: skip
+    return Experiment(run=run, draw=draw, **(plain | options))
+
+
+def bytes_of(folder, settings, **options):
+    """The files of a run."""
+    write(run_experiment(folder, settings, **options).store)
+    return {name: (folder / name).read_bytes() for name in ("table.csv", "summary.csv", "summary.md", "figure.svg")}

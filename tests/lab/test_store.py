@@ -1,0 +1,216 @@
+"""A results folder: other settings, other code, damaged and malicious ones, links, two commands at a time."""
+
+import hashlib
+import json
+import os
+import re
+
+import pytest
+from lab.noise import bytes_of, experiment
+
+from oee_tabular.lab.output import write
+from oee_tabular.lab.run import run_experiment
+from oee_tabular.lab.store import FILES, LOCK, Store, alone, code_version
+
+SETTINGS = experiment().settings()
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A finished run; its table is what every repaired folder must give again."""
+    bytes_of(tmp_path / "a", SETTINGS)
+    return tmp_path / "a"
+
+
+# ---- settings and code
+
+
+def test_other_settings_are_refused_with_the_difference(folder):
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert json.loads(before["settings.json"]) == SETTINGS.as_dict()
+    other = experiment(axes={"n": (1, 2)}).settings(seed=7)
+    text = r"other settings: seed 0 there, 7 asked; n \[1, 2, 3\] there, \[1, 2\] asked \(--fresh empties it"
+    with pytest.raises(ValueError, match=text):
+        run_experiment(folder, other)
+    with pytest.raises(ValueError, match="other settings: experiment 'noise' there, 'other' asked"):
+        run_experiment(folder, experiment(id="other").settings())
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert run_experiment(folder, other, fresh=True).computed == 4
+
+
+def test_more_seeds_are_added_to_those_that_are_there(folder, tmp_path):
+    more = experiment().settings(repetitions=3)
+    sweep = run_experiment(folder, more)
+    assert (sweep.computed, sweep.cached) == (3, 6)
+    assert bytes_of(folder, more) == bytes_of(tmp_path / "b", more)
+    with pytest.raises(ValueError, match="other settings: repetitions 3 there, 2 asked"):
+        Store(folder, SETTINGS)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"editor": 1}', '{"experiment": "noise", "repetitions": 2, "axes": 3}', "[" * 9999]
+)
+def test_a_folder_of_something_else_is_neither_used_nor_emptied(tmp_path, text):
+    (tmp_path / "thesis.txt").write_text("kept")
+    with pytest.raises(ValueError, match=r"must be a results folder to be emptied; it has no settings\.json"):
+        run_experiment(tmp_path, SETTINGS, fresh=True)
+    (tmp_path / "settings.json").write_text(text)
+    with pytest.raises(ValueError, match=r"must be the settings of a results folder; it is not"):
+        run_experiment(tmp_path, SETTINGS)
+    with pytest.raises(ValueError, match=r"must hold results only to be emptied; it holds thesis\.txt"):
+        run_experiment(tmp_path, SETTINGS, fresh=True)
+    with pytest.raises(ValueError, match="must be a folder; it is a file"):
+        run_experiment(tmp_path / "thesis.txt", SETTINGS)
+    assert (tmp_path / "thesis.txt").read_text() == "kept"
+
+
+def test_results_of_other_code_are_computed_again_and_kept_for_its_return(tmp_path):
+    old = Store(tmp_path, SETTINGS, code="0.0.0+old")
+    old.open()
+    old.add(SETTINGS.cells()[0], [{"name": "one", "value": -1.0}])
+    sweep = run_experiment(tmp_path, SETTINGS)
+    assert (sweep.computed, sweep.cached, sweep.store.stale) == (6, 0, 1)
+    assert (sweep.store.table().value > 0).all()
+    assert "1 of another version of the code left aside" in str(sweep)
+    assert len(Store(tmp_path, SETTINGS, code="0.0.0+old").missing()) == 5
+    assert re.fullmatch(r"[\d.]+\+[0-9a-f]{12}", code_version())
+
+
+def test_a_changed_module_of_the_user_is_other_code(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    module = tmp_path / "changing_estimator.py"
+    module.write_text("x = 1\n")
+    first = code_version("changing_estimator")
+    assert first == code_version("changing_estimator") != code_version()
+    module.write_text("x = 2\n")
+    code_version.cache_clear()
+    assert code_version("changing_estimator") != first
+
+
+# ---- cells.jsonl
+
+
+def signed(content):
+    """A line whose checksum is right, whatever it says."""
+    text = json.dumps(content, sort_keys=True).encode()
+    return json.dumps({"content": content, "sha256": hashlib.sha256(text).hexdigest()})
+
+
+def change(**parts):
+    """The line with other content, and a checksum that is right."""
+    return lambda line: signed(json.loads(line)["content"] | parts)
+
+
+def alter(name, value):
+    """The line with another setting of its cell."""
+
+    def altered(line):
+        content = json.loads(line)["content"]
+        (content["of"] if name in content["of"] else content["of"]["cell"])[name] = value
+        return signed(content)
+
+    return altered
+
+
+DAMAGED = {
+    "truncated": lambda line: line[: len(line) // 2],
+    "no object": lambda line: "17",
+    "empty object": lambda line: "{}",
+    "older version": lambda line: json.dumps(
+        {"key": "ab", "code": code_version(), "rows": [{"name": "one", "value": 1.0}]}
+    ),
+    "key of a wrong type": lambda line: json.dumps({"content": [1], "sha256": {}}),
+    "another number": lambda line: re.sub(r'"value": \d', '"value": 9', line),
+    "wrong checksum": lambda line: line[:-3] + ("00" if line[-3:-1] != "00" else "11") + line[-1:],
+    "deep": lambda line: "[" * 100_000,
+    "long number": lambda line: "9" * 10_000,
+    "other experiment": alter("experiment", "other"),
+    "other seed": alter("seed", 3),
+    "a setting more": alter("hidden", 3),
+    "cell of a wrong type": alter("n", [1]),
+    "no rows": change(rows=[]),
+    "rows of a wrong type": change(rows={"name": "one"}),
+    "row of a wrong type": change(rows=[3]),
+    "nan": change(rows=[{"name": "one", "value": float("nan")}]),
+    "text for a number": change(rows=[{"name": "one", "value": "1.0"}]),
+    "no measure": change(rows=[{"name": "one", "size": 1.0}]),
+    "no key": change(rows=[{"value": 1.0}]),
+    "a list in a row": change(rows=[{"name": "one", "value": 1.0, "more": [1]}]),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_line_that_does_not_fit_is_computed_again_and_said(folder, name):
+    expected, cells = (folder / "table.csv").read_bytes(), folder / "cells.jsonl"
+    first, *rest = cells.read_text().splitlines()
+    cells.write_text("\n".join([DAMAGED[name](first), *rest]) + "\n")
+    sweep = run_experiment(folder, SETTINGS)
+    assert (sweep.computed, sweep.cached, sweep.store.damaged) == (1, 5, 1)
+    assert "1 lines of cells.jsonl left out because they do not fit" in str(sweep)
+    write(sweep.store)
+    assert (folder / "table.csv").read_bytes() == expected
+    assert run_experiment(folder, SETTINGS).store.damaged == 0
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00binary\n\n\x80" * 50, b"\n\n"])
+def test_a_file_without_a_line_that_fits(folder, content):
+    expected = (folder / "table.csv").read_bytes()
+    (folder / "cells.jsonl").write_bytes(content)
+    with pytest.raises(ValueError, match="lacks 6 of 6 cells; run the experiment again"):
+        Store(folder, SETTINGS).table()
+    write(run_experiment(folder, SETTINGS).store)
+    assert (folder / "table.csv").read_bytes() == expected
+
+
+def test_a_cell_that_is_there_twice_counts_once(folder):
+    expected, cells = (folder / "table.csv").read_bytes(), folder / "cells.jsonl"
+    cells.write_text(cells.read_text() * 2)
+    write(run_experiment(folder, SETTINGS).store)
+    assert (folder / "table.csv").read_bytes() == expected
+    assert len(cells.read_text().splitlines()) == 6
+
+
+# ---- links and locks
+
+
+@pytest.mark.parametrize("name", [*FILES, LOCK])
+@pytest.mark.parametrize("kind", ["link", "dangling link", "folder"])
+def test_nothing_is_written_through_what_is_no_plain_file(tmp_path, name, kind):
+    precious, path = tmp_path / "precious", tmp_path / "r" / name
+    path.parent.mkdir()
+    precious.write_text("mine")
+    path.mkdir() if kind == "folder" else path.symlink_to(precious if kind == "link" else tmp_path / "nowhere")
+    for attempt in (lambda: run_experiment(path.parent, SETTINGS), lambda: alone(path.parent).__enter__()):
+        with pytest.raises(
+            ValueError, match=rf"{re.escape(name)}' must be a plain file; it is a link or something else"
+        ):
+            attempt()
+    assert precious.read_text() == "mine"
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_a_link_that_comes_while_cells_are_computed(tmp_path):
+    precious, folder = tmp_path / "precious", tmp_path / "r"
+    precious.write_text("mine")
+
+    def swap(cell, stream):
+        (folder / "cells.jsonl").unlink()
+        (folder / "cells.jsonl").symlink_to(precious)
+        (folder / "table.csv").symlink_to(precious)
+        return [{"name": "one", "value": 1.0}]
+
+    with pytest.raises(OSError, match="cannot be written"):
+        run_experiment(folder, experiment(swap).settings())
+    store = run_experiment(tmp_path / "b", SETTINGS).store
+    (tmp_path / "b" / "table.csv").symlink_to(precious)
+    with pytest.raises(ValueError, match="must be a plain file"):
+        write(store)
+    assert precious.read_text() == "mine"
+
+
+def test_a_lock_leaves_nothing_and_is_held_by_one(tmp_path):
+    with alone(tmp_path / "a" / "b"):
+        assert (tmp_path / "a" / "b" / LOCK).read_text() == f"{os.getpid()}\n"
+        with pytest.raises(ValueError, match="must be used by one command at a time"), alone(tmp_path / "a" / "b"):
+            pass
+    assert list(tmp_path.iterdir()) == []
