@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from joblib.externals.loky import get_reusable_executor
 
 import oee_tabular as oee
 from oee_tabular.cli import main
@@ -18,7 +19,8 @@ SMALL = {"families": ["machine", "garnet_worse"], "sizes": [3], "seeds": 2}
 
 @pytest.fixture
 def here(monkeypatch):
-    """As if the command were given in this folder, where own.py is."""
+    """As if the command were given in this folder, where own.py is; workers of earlier tests stand elsewhere."""
+    get_reusable_executor().shutdown()
     monkeypatch.chdir(Path(__file__).parent)
 
 
