@@ -108,9 +108,6 @@ def read_entries(path: Path, name: str, simulator: FiniteMDP) -> tuple[Any, str]
         values = feature_array(given, simulator)
     except ValueError as error:
         raise ValueError(f"--{name} {file}: {error}") from error
-    labels = (
-        [label for label in given if label not in MOVE]
-        if is_table
-        else map("feature {}".format, range(values.shape[1]))
-    )
-    return values, ", ".join(labels)
+    if is_table:
+        return values, ", ".join(label for label in given if label not in MOVE)
+    return values, ", ".join(f"feature {k}" for k in range(values.shape[1]))

@@ -15,29 +15,22 @@ from oee_tabular import _progress
 from oee_tabular.cli import app
 
 COMMANDS = typer.main.get_command(app).commands
+SAMPLE = "sample gridworld:3,slip=0.1 --output"
 SLOW = {"cvxpy", "pandas", "pyarrow", "gymnasium", "matplotlib", "oee_tabular.testing", "oee_tabular.continuous.names"}
 
 
-def imported(words, slow, folder=None):
-    """What is printed, and those of ``slow`` that the command imports."""
-    script = f"import sys, oee_tabular.cli as c\ntry:\n    c.main({words})\nexcept SystemExit:\n    pass\n"
-    script += f"print(sorted({slow} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=folder)
-    return done.stdout, done.stdout.splitlines()[-1]
-
-
 def test_nothing_slow_is_imported_without_need(folder):
-    told, slow = imported(["--help"], SLOW | {"numba", "scipy"})
-    assert "evaluate" in told
-    assert slow == "[]"
     np.save("p.npy", np.full((9, 4), 0.25))
-    words = ["evaluate", "--simulator", "sim.npz", "--log", "log.csv", "--policy", "p.npy"]
-    told, slow = imported(words, SLOW, folder)
-    assert "95% interval of oee (likelihood)" in told
-    assert slow == "[]"
-
-
-# ---------------------------------------------------------------- help and options
+    evaluate = ["evaluate", "--simulator", "sim.npz", "--log", "log.csv", "--policy", "p.npy"]
+    for words, slow, text in (
+        (["--help"], SLOW | {"numba", "scipy"}, "evaluate"),
+        (evaluate, SLOW, "95% interval of oee (likelihood)"),
+    ):
+        script = f"import sys, oee_tabular.cli as c\ntry:\n    c.main({words})\nexcept SystemExit:\n    pass\n"
+        script += f"print(sorted({slow} & set(sys.modules)))"
+        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+        assert text in done.stdout
+        assert done.stdout.endswith("\n[]\n")
 
 
 @pytest.mark.parametrize("asked", ["-h", "--help"])
@@ -60,10 +53,12 @@ def test_options_keep_their_help_where_docstrings_are_stripped():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_options_are_few_and_each_has_its_group_and_a_word_for_its_value(name):
+def test_options_are_few_and_each_has_its_group_and_a_word_for_its_value(run, name):
     options = [p for p in COMMANDS[name].params if p.param_type_name == "option"]
     assert len(options) <= (28 if name == "evaluate" else 16)
+    text = run(name, "--help")
     for option in options:
+        assert option.opts[0] in text
         assert option.rich_help_panel in ("Input", "Value", "Output")
         assert option.help
         assert option.is_flag or option.metavar
@@ -87,9 +82,6 @@ def test_an_option_given_twice_is_refused(run, name, option):
     assert said == f"oee: {option.opts[0]} must be given once; it is given 2 times\n"
 
 
-# ---------------------------------------------------------------- errors
-
-
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -111,19 +103,13 @@ def test_an_option_given_twice_is_refused(run, name, option):
         ("evaluate --output /proc/version/below", "--output must be a folder that can be written"),
         ("evaluate --title x", "--title needs --report FILE.html"),
         ("evaluate --quick --guaranteed", "--guaranteed must be False where quick is True"),
-        ("sample gridworld:3,slip=0.1 --output l.npz", "one of --transitions and --episodes must be given"),
-        (
-            "sample gridworld:3,slip=0.1 --output l.npz --transitions 0",
-            "--transitions must be a positive integer; it is 0",
-        ),
+        (f"{SAMPLE} l.npz", "one of --transitions and --episodes must be given"),
+        (f"{SAMPLE} l.npz --transitions 0", "--transitions must be a positive integer; it is 0"),
+        (f"{SAMPLE} l.npz --episodes 1 --horizon 0", "--horizon must be a positive integer; it is 0"),
+        (f"{SAMPLE} l.npz --episodes 1 --seed -1", "Invalid value for '--seed'"),
+        (f"{SAMPLE} l.txt --episodes 1", "must end in .npz, .csv, .csv.gz, .parquet"),
         ("sample FrozenLake-v1 --output l.npz --episodes 0", "--episodes must be a positive integer; it is 0"),
-        (
-            "sample gridworld:3,slip=0.1 --output l.npz --episodes 1 --horizon 0",
-            "--horizon must be a positive integer; it is 0",
-        ),
-        ("sample gridworld:3,slip=0.1 --output l.npz --episodes 1 --seed -1", "Invalid value for '--seed'"),
         ("sample nowhere-v1 --episodes 1 --output l.npz", "'nowhere-v1' is neither"),
-        ("sample gridworld:3,slip=0.1 --episodes 1 --output l.txt", "must end in .npz, .csv, .csv.gz, .parquet"),
         ("info nowhere.npz", "no such file: nowhere.npz"),
         ("info nofile", "no such file: nofile"),
     ],
@@ -140,9 +126,6 @@ def test_warnings_are_lines_not_python(tmp_path):
     assert done.stderr.startswith("oee: warning: ")
     assert "behaviour_probability (did you mean behavior_probability?)" in done.stderr
     assert ".py" not in done.stderr
-
-
-# ---------------------------------------------------------------- JSON
 
 
 DATA = "--simulator sim.npz --log log.csv"
@@ -180,9 +163,6 @@ def test_json_is_alone_on_stdout(folder):
     assert re.match(r"oee: \d+ s: ", done.stderr)
 
 
-# ---------------------------------------------------------------- progress
-
-
 def test_slow_steps_are_told_once_on_stderr(capsys, monkeypatch):
     monkeypatch.setattr(_progress, "SECONDS", 0.02)
     told = ""
@@ -215,10 +195,5 @@ def test_what_is_done_is_told_by_policy_and_interval(folder, monkeypatch):
     monkeypatch.setattr("oee_tabular._progress.report_step", steps.append)
     problem = oee.Problem(oee.FiniteMDP.load("sim.npz"), oee.Transitions.load("log.csv"))
     oee.evaluate(problem, {"a": np.full((9, 4), 0.25), "b": [0] * 9}, estimators=["oee"])
-    assert steps == [
-        "oee of “a” (policy 1 of 2)",
-        "oee of “b” (policy 2 of 2)",
-        "likelihood interval of “a” (policy 1 of 2)",
-        "likelihood interval of “b” (policy 2 of 2)",
-        "comparison of the policies, and what to record next",
-    ]
+    work = [f"{work} of “a” (policy 1 of 2) {work} of “b” (policy 2 of 2)" for work in ("oee", "likelihood interval")]
+    assert " ".join(steps) == " ".join([*work, "comparison of the policies, and what to record next"])

@@ -16,9 +16,6 @@ def problem(**options):
     return oee.Problem(oee.FiniteMDP.load("sim.npz"), oee.Transitions.load("log.csv"), **options)
 
 
-# ---------------------------------------------------------------- evaluate
-
-
 def test_without_arguments_it_runs_the_paper_s_grid(run, tmp_path):
     out = run("evaluate --output out")
     for word in ("delta=0.1", "delta=0.9", "oee", "model-based", "3162 transitions", "t = 0..199"):
@@ -43,9 +40,8 @@ def test_from_files_to_a_value(run):
     words = f"evaluate {DATA} --policy mine=pi.npy --horizon 30"
     result = json.loads(run(words, "--json"))
     values = {row["estimator"]: row["value"] for row in result["results"]}
-    assert (
-        values["oee"] == oee.estimators.OffEnvironment()(problem(horizon=30), oee.tasks.gridworld_policy(4, 0.8)).value
-    )
+    estimate = oee.estimators.OffEnvironment()(problem(horizon=30), oee.tasks.gridworld_policy(4, 0.8))
+    assert values["oee"] == estimate.value
     assert {row["policy"] for row in result["results"]} == {"mine"}
     assert result["facts"]["log_name"] == "log.csv"
     shown = run(words, "--target gridworld:4,slip=0.1 --normalized --estimators oee,oracle")
@@ -69,27 +65,28 @@ def test_action_noise_is_part_of_what_is_reported(run, folder):
     assert json.loads(run(words, "--action-noise 0.3 --json"))["facts"]["action_noise"] == 0.3
 
 
-def test_intervals_that_are_asked_for(run, folder):
-    words = f"evaluate {DATA} --policy uniform --estimators oee"
-    assert "guaranteed" not in run(words)
-    assert "The interval guaranteed at any sample size is" in run(words, "--guaranteed")
-    methods = [
-        {row["interval_method"] for row in json.loads(run(words, more, "--json"))["results"]}
-        for more in ("", "--quick")
-    ]
-    assert "likelihood" in methods[0]
-    assert "likelihood" not in methods[1]
+@pytest.mark.parametrize(
+    ("flag", "text"),
+    [
+        ("--guaranteed --estimators oee", "The interval guaranteed at any sample size is"),
+        ("--all --quick", "wpdis"),
+        ("--verbose --quick", "max weight"),
+    ],
+)
+def test_more_is_printed_where_it_is_asked_for(run, folder, flag, text):
+    words = f"evaluate {DATA} --policy mix:0.5"
+    plain, more = (" ".join(run(words, flags).split()) for flags in (flag.partition(" ")[2], flag))
+    assert text in more
+    assert text not in plain
 
 
-def test_more_rows_and_notes_are_asked_for(run, folder):
-    oee.Transitions.load("log.csv").first(60).save("log.csv")
-    plain, every, verbose = (
-        run(f"evaluate {DATA} --policy mix:0.5 --quick", flag) for flag in ("", "--all", "--verbose")
+def test_quick_leaves_likelihood_intervals_out(run, folder):
+    words = f"evaluate {DATA} --policy uniform --estimators oee --json"
+    full, quick = (
+        [row["interval_method"] for row in json.loads(run(words, more))["results"]] for more in ("", "--quick")
     )
-    assert "wpdis" in every
-    assert "wpdis" not in plain
-    assert "max weight" in verbose
-    assert "max weight" not in plain
+    assert "likelihood" in full
+    assert "likelihood" not in quick
 
 
 @pytest.mark.parametrize("command", ["evaluate --policy uniform", "compare --policy uniform --policy optimal"])
@@ -136,9 +133,6 @@ def test_impossible_transitions_are_refused_dropped_or_allowed(run, folder):
     for bad in ("allow=2", "allow", "allow=0", "allow=x", "dropp", "drop=1"):
         said = run(words, "--impossible", bad, code=2)
         assert said.startswith("oee: --impossible must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got")
-
-
-# ---------------------------------------------------------------- compare
 
 
 def test_compare_says_which_or_that_it_cannot(run, folder):
@@ -188,8 +182,6 @@ def test_compare_wants_two(run, folder):
         oee.report.contest(problem(), UNIFORM)
 
 
-# ---------------------------------------------------------------- plan
-
 PLAN = f"plan {DATA} --transitions 400 --discount 0.9"
 
 
@@ -221,14 +213,11 @@ def test_plan_takes_what_its_function_takes(run, folder):
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        ("--transitions 0", "--transitions must be a positive integer; it is 0"),
-        ("--transitions 5 --plan-option restarts=0.1", "got 'restarts=0.1' (did you mean restart=VALUE?)"),
-        (
-            "--transitions 5 --plan-option restart",
-            "--plan-option must be NAME=VALUE, NAME one of model, optimistic, restart,",
-        ),
-        ("--transitions 5 --plan-option restart=2", "--plan-option restart must be in (0, 1); it is 2"),
+        ("0", "--transitions must be a positive integer; it is 0"),
+        ("5 --plan-option restarts=0.1", "got 'restarts=0.1' (did you mean restart=VALUE?)"),
+        ("5 --plan-option restart", "--plan-option must be NAME=VALUE, NAME one of model, optimistic, restart,"),
+        ("5 --plan-option restart=2", "--plan-option restart must be in (0, 1); it is 2"),
     ],
 )
 def test_what_is_no_plan(run, folder, words, text):
-    assert text in run(f"plan {DATA}", words, code=2)
+    assert text in run(f"plan {DATA} --transitions", words, code=2)
