@@ -1,5 +1,8 @@
 """Pictures: what they show, what they are labelled with, and how they answer bad input."""
 
+import re
+from functools import partial
+
 import numpy as np
 import pytest
 from matplotlib import pyplot
@@ -28,16 +31,12 @@ def drawn(ax):
 
 def test_curves_have_bands_truth_and_labels(ax):
     x = np.linspace(0, 1, 5)
-    found = plots.plot_curves(
-        x, {"oee": x, "model": x**2}, ax, bands={"oee": (x - 0.1, x + 0.1)}, truth=0.5, xlabel="delta", ylabel="J"
-    )
-    assert found is ax
+    bands = {"oee": (x - 0.1, x + 0.1)}
+    assert plots.plot_curves(x, {"oee": x, "model": x**2}, ax, bands=bands, truth=0.5, xlabel="delta", ylabel="J") is ax
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("delta", "J")
     assert [t.get_text() for t in ax.get_legend().get_texts()] == ["oee", "model", "true value"]
-    first, second = ax.get_lines()[:2]
-    assert first.get_marker() != second.get_marker()
-    assert first.get_linestyle() != second.get_linestyle()
-    assert first.get_color() != second.get_color()
+    for look in ("marker", "linestyle", "color"):
+        assert pyplot.getp(ax.get_lines()[0], look) != pyplot.getp(ax.get_lines()[1], look)
     assert len(ax.collections) == 1
     drawn(ax)
 
@@ -50,9 +49,7 @@ def test_errors_are_logarithmic_with_a_slope(ax):
     np.testing.assert_allclose(slope.get_ydata(), 3 / np.sqrt(n))
     assert ax.get_ylabel() == "mean L1 error"
     drawn(ax)
-    other = Figure().subplots()
-    plots.plot_errors([10.0], {"a": [1.0]}, other, slope=None)
-    assert len(other.get_lines()) == 1
+    assert len(plots.plot_errors([10.0], {"a": [1.0]}, Figure().subplots(), slope=None).get_lines()) == 1
 
 
 def test_variance_growth_is_against_the_horizon(ax):
@@ -277,29 +274,21 @@ def test_an_svg_fits_into_a_page():
     def draw(ax):
         return plots.plot_intervals(["a", "b"], [1.0, 2.0], [0.5, 1.5], [1.5, 2.5], ax)
 
-    one = plots.figure_svg(draw, name="one", title="A <title>", description="what & where")
-    assert one == plots.figure_svg(draw, name="one", title="A <title>", description="what & where")
+    texts = {"title": "A <title>", "description": "what & where"}
+    one, again, two = (plots.figure_svg(draw, name=name, **texts) for name in ("one", "one", "two"))
+    assert one == again
+    assert plots.figure_png(draw) == plots.figure_png(draw)
     assert one.startswith("<svg")
     assert one.endswith("</svg>")
-    assert 'role="img" aria-labelledby="one-title one-desc"' in one
-    assert "A &lt;title&gt;" in one
+    for part in (
+        'role="img" aria-labelledby="one-title one-desc"', "A &lt;title&gt;", "var(--ink, #1b1f23)", "var(--series-0, #0072b2)",
+    ):  # fmt: skip
+        assert part in one
     assert "width=" not in one[: one.index(">")]
-    assert "var(--ink, #1b1f23)" in one
-    assert "var(--series-0, #0072b2)" in one
     for gone in ("<?xml", "DOCTYPE", "metadata", "<style", "<!--"):
         assert gone not in one
-    two = plots.figure_svg(draw, name="two", title="t", description="d")
-    ids = [part.split('"')[0] for part in one.split(' id="')[1:]] + [
-        part.split('"')[0] for part in two.split(' id="')[1:]
-    ]
+    ids = re.findall(r' id="([^"]*)', one + two)
     assert len(ids) == len(set(ids))
-
-
-def test_png_bytes_are_reproducible():
-    def draw(ax):
-        plots.plot_grid(np.arange(4.0), (2, 2), ax, label="x")
-
-    assert plots.figure_png(draw) == plots.figure_png(draw)
 
 
 @pytest.mark.parametrize(
@@ -312,10 +301,7 @@ def test_png_bytes_are_reproducible():
         (lambda: oee.tasks.toy_text("Taxi-v4"), None),
         (lambda: oee.FiniteMDP(np.eye(3)[:, None], np.zeros(3), [1, 0, 0], 0.9), None),
         (lambda: walk([1, 2, 3, 4, 5, 5]), None),  # a line
-        (
-            lambda: walk([3, 2, 5, 4, 5, 5]),
-            None,
-        ),  # a step around the edge: 2 to 3 would be one of width 3, 1 to 2 is not
+        (lambda: walk([3, 2, 5, 4, 5, 5]), None),  # 2 to 3 would step around the edge of width 3; 1 to 2 does not
     ],
 )
 def test_grids_are_found_from_the_moves(make, shape):
@@ -334,75 +320,55 @@ def walk(following):
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda ax: plots.plot_curves([0, 1], {}, ax), "curves must hold at least one"),
-        (lambda ax: plots.plot_curves([0, 1], {"a": [np.nan] * 2}, ax), "curves must hold at least one finite number"),
-        (
-            lambda ax: plots.plot_curves([0, 1], {"a": [1]}, ax),
-            r"curves\['a'\] must have 2 values, one a point; it has 1",
-        ),
-        (lambda ax: plots.plot_curves([0, np.nan], {"a": [1, 2]}, ax), r"x\[1\] must be finite; it is nan"),
-        (
-            lambda ax: plots.plot_curves([0], {"a": [1]}, ax, bands={"b": ([0], [1])}),
-            "bands must be of names in curves",
-        ),
-        (lambda ax: plots.plot_errors([0, 1], {"a": [1, 2]}, ax), r"n\[0\] must be positive; it is 0"),
-        (lambda ax: plots.plot_errors([1, 2], {"a": [1, -2]}, ax), r"errors\['a'\]\[1\] must be nonnegative; it is -2"),
-        (
-            lambda ax: plots.plot_errors([1, 2], {"a": [0, 0]}, ax),
-            "errors must hold at least one finite positive number",
-        ),
-        (lambda ax: plots.plot_variance_growth({}, ax), "variances must hold at least one"),
-        (lambda ax: plots.plot_variance_growth({"a": [-1.0]}, ax), r"variances\['a'\]\[0\] must be nonnegative"),
-        (
-            lambda ax: plots.plot_intervals(["a"], [1], [0, 1], [2], ax),
-            "must have one length; they have 1, 1, 2, 1 and 1",
-        ),
-        (
-            lambda ax: plots.plot_intervals(["a"], [1], [0], [2], ax, groups=[]),
-            "one length; they have 1, 1, 1, 1 and 0",
-        ),
-        (lambda ax: plots.plot_intervals(["a"], [1], [0], [2], ax, limits=(1, 1)), r"limits must be \(low, high\)"),
-        (lambda ax: plots.plot_intervals([], [], [], [], ax), "values must have a finite number, or lower and upper"),
-        (lambda ax: plots.plot_intervals(["a"], [np.nan], [np.nan], [np.nan], ax), "there is nothing to draw"),
-        (lambda ax: plots.plot_values([], ax), "records must hold at least one finite value; there is nothing to draw"),
-        (lambda ax: plots.plot_values([ROW | {"value": np.nan}], ax), "records must hold at least one finite value"),
-        (lambda ax: plots.plot_grid([1, 2, 3], (2, 2), ax, label="x"), "values must have 4 entries.*it has 3"),
-        (lambda ax: plots.plot_grid([np.nan], (1, 1), ax, label="x"), "values must hold at least one finite number"),
-        (lambda ax: plots.plot_grid([1], 1, ax, label="x"), r"shape must be \(rows, columns\); got 1"),
-        (lambda ax: plots.plot_grid([1], (1, 0), ax, label="x"), r"shape\[1\] must be a positive integer; it is 0"),
-        (lambda ax: plots.plot_grid([1], (1, 1), ax, label="x", crossed=[0, 1]), "crossed must have 1 entries"),
-        (lambda ax: plots.plot_ratio([1, -1], (1, 2), ax), r"values\[1\] must be nonnegative; it is -1"),
-        (lambda ax: plots.plot_ratio([np.nan], (1, 1), ax), "values must hold at least one finite number"),
-        (lambda ax: plots.plot_coverage([1, -1], (1, 2), ax), r"counts\[1\] must be nonnegative; it is -1"),
-        (lambda ax: plots.plot_coverage([1, 1], (1, 2), ax, over=[True]), "over must have 2 entries"),
-        (lambda ax: plots.plot_occupancy([1, 0], (1, 2), ax, unseen=[True]), "unseen must have 2 entries"),
-        (lambda ax: plots.plot_occupancy([np.nan], (1, 1), ax), "time must hold at least one finite number"),
-        (lambda ax: plots.plot_states([], [], ax), "time must hold at least one state; it is empty"),
-        (lambda ax: plots.plot_states([np.nan], [1], ax), r"time\[0\] must be finite; it is nan"),
-        (
-            lambda ax: plots.plot_states([1.0], [1, 2], ax),
-            r"recorded must have the shape of time, \(1,\); it has \(2,\)",
-        ),
-        (lambda ax: plots.plot_states([1.0], [1], ax, top=0), "top must be a positive integer; it is 0"),
-        (lambda ax: plots.plot_states([1.0], [1], ax, names=[]), "names must have 1 entries, one a state; it has 0"),
-        (lambda ax: plots.plot_curves([1], [1], ax), "curves must be a Mapping; got list"),
-        (
-            lambda ax: plots.plot_curves([1], {"a": [1]}, ax, bands={"a": [[1]]}),
-            r"bands\['a'\] must be \(lower, upper\)",
-        ),
-        (lambda ax: plots.plot_curves([1], {"a": [1]}, ax, xlabel=3), "xlabel must be a text; got int"),
-        (lambda ax: plots.plot_values([{"policy": "a"}], ax), "records must be mappings with estimator, lower, policy"),
-        (lambda ax: plots.plot_grid([1], (1, 1), ax, label="x", colormap="red"), "colormap must be the name of one"),
-        (lambda ax: plots.figure_png(print, size=(0, 1)), "size must be from 0.1 to 100 inches"),
-        (lambda ax: plots.figure_png(3), "draw must be a function; got int"),
-        (lambda ax: plots.map_of(3), "mdp must be a FiniteMDP; got int"),
-        (lambda ax: plots.label_ends(3), "ax must be matplotlib Axes"),
-        (lambda ax: plots.label_ends(ax, fontsize=0), r"fontsize must be in \(0, 100\); it is 0"),
+        (partial(plots.plot_curves, [0, 1], {}), "curves must hold at least one"),
+        (partial(plots.plot_curves, [0, 1], {"a": [np.nan] * 2}), "curves must hold at least one finite number"),
+        (partial(plots.plot_curves, [0, 1], {"a": [1]}), "curves['a'] must have 2 values, one a point; it has 1"),
+        (partial(plots.plot_curves, [0, np.nan], {"a": [1, 2]}), "x[1] must be finite; it is nan"),
+        (partial(plots.plot_curves, [1], [1]), "curves must be a Mapping; got list"),
+        (partial(plots.plot_curves, [0], {"a": [1]}, bands={"b": ([0], [1])}), "bands must be of names in curves"),
+        (partial(plots.plot_curves, [1], {"a": [1]}, bands={"a": [[1]]}), "bands['a'] must be (lower, upper)"),
+        (partial(plots.plot_curves, [1], {"a": [1]}, truth=[1, 2]), "truth must have 1 values, one a point; it has 2"),
+        (partial(plots.plot_curves, [1], {"a": [1]}, xlabel=3), "xlabel must be a text; got int"),
+        (partial(plots.plot_errors, [0, 1], {"a": [1, 2]}), "n[0] must be positive; it is 0"),
+        (partial(plots.plot_errors, [1, 2], {"a": [1, -2]}), "errors['a'][1] must be nonnegative; it is -2"),
+        (partial(plots.plot_errors, [1, 2], {"a": [0, 0]}), "errors must hold at least one finite positive"),
+        (partial(plots.plot_variance_growth, {}), "variances must hold at least one"),
+        (partial(plots.plot_variance_growth, {"a": [-1.0]}), "variances['a'][0] must be nonnegative"),
+        (partial(plots.plot_intervals, ["a"], [1], [0, 1], [2]), "must have one length; 1, 1, 2, 1 and 1"),
+        (partial(plots.plot_intervals, ["a"], [1], [0], [2], groups=[]), "one length; they have 1, 1, 1, 1 and 0"),
+        (partial(plots.plot_intervals, ["a"], [1], [0], [2], limits=(1, 1)), "limits must be (low, high)"),
+        (partial(plots.plot_intervals, [], [], [], []), "values must have a finite number, or lower and upper"),
+        (partial(plots.plot_intervals, ["a"], [np.nan], [np.nan], [np.nan]), "there is nothing to draw"),
+        (partial(plots.plot_values, []), "records must hold at least one finite value; there is nothing to draw"),
+        (partial(plots.plot_values, [ROW | {"value": np.nan}]), "records must hold at least one finite value"),
+        (partial(plots.plot_values, [{"policy": "a"}]), "records must be mappings with estimator, lower, policy"),
+        (partial(plots.plot_grid, [1, 2, 3], (2, 2), label="x"), "values must have 4 entries, one a cell"),
+        (partial(plots.plot_grid, [np.nan], (1, 1), label="x"), "values must hold at least one finite number"),
+        (partial(plots.plot_grid, [1], 1, label="x"), "shape must be (rows, columns); got 1"),
+        (partial(plots.plot_grid, [1], (1, 0), label="x"), "shape[1] must be a positive integer; it is 0"),
+        (partial(plots.plot_grid, [1], (1, 1), label="x", crossed=[0, 1]), "crossed must have 1 entries"),
+        (partial(plots.plot_grid, [1], (1, 1), label="x", colormap="red"), "colormap must be the name of one"),
+        (partial(plots.plot_ratio, [1, -1], (1, 2)), "values[1] must be nonnegative; it is -1"),
+        (partial(plots.plot_ratio, [np.nan], (1, 1)), "values must hold at least one finite number"),
+        (partial(plots.plot_coverage, [1, -1], (1, 2)), "counts[1] must be nonnegative; it is -1"),
+        (partial(plots.plot_coverage, [1, 1], (1, 2), over=[True]), "over must have 2 entries"),
+        (partial(plots.plot_occupancy, [1, 0], (1, 2), unseen=[True]), "unseen must have 2 entries"),
+        (partial(plots.plot_occupancy, [np.nan], (1, 1)), "time must hold at least one finite number"),
+        (partial(plots.plot_states, [], []), "time must hold at least one state; it is empty"),
+        (partial(plots.plot_states, [np.nan], [1]), "time[0] must be finite; it is nan"),
+        (partial(plots.plot_states, [1.0], [1, 2]), "recorded must have the shape of time, (1,); it has (2,)"),
+        (partial(plots.plot_states, [1.0], [1], top=0), "top must be a positive integer; it is 0"),
+        (partial(plots.plot_states, [1.0], [1], names=[]), "names must have 1 entries, one a state; it has 0"),
+        (partial(plots.figure_png, print, size=(0, 1)), "size must be from 0.1 to 100 inches"),
+        (partial(plots.figure_png, 3), "draw must be a function; got int"),
+        (partial(plots.map_of, 3), "mdp must be a FiniteMDP; got int"),
+        (partial(plots.label_ends, 3), "ax must be matplotlib Axes"),
+        (partial(plots.label_ends, Figure().subplots(), fontsize=0), "fontsize must be in (0, 100); it is 0"),
     ],
 )
-def test_bad_input_is_named(call, text, ax):
-    with pytest.raises(ValueError, match=text):
-        call(ax)
+def test_bad_input_is_named(call, text):
+    with pytest.raises(ValueError, match=re.escape(text)):
+        call()
 
 
 def test_names_stand_at_the_ends_of_lines(ax):

@@ -68,14 +68,13 @@ def test_action_noise_is_part_of_what_is_reported(run, folder):
 @pytest.mark.parametrize(
     ("flag", "text"),
     [
-        ("--guaranteed --estimators oee", "The interval guaranteed at any sample size is"),
-        ("--all --quick", "wpdis"),
-        ("--verbose --quick", "max weight"),
+        ("--guaranteed --estimators oee --policy uniform", "The interval guaranteed at any sample size is"),
+        ("--all --quick --policy mix:0.5", "wpdis"),
+        ("--verbose --quick --policy mix:0.5", "max weight"),
     ],
 )
 def test_more_is_printed_where_it_is_asked_for(run, folder, flag, text):
-    words = f"evaluate {DATA} --policy mix:0.5"
-    plain, more = (" ".join(run(words, flags).split()) for flags in (flag.partition(" ")[2], flag))
+    plain, more = (" ".join(run("evaluate", DATA, flags).split()) for flags in (flag.partition(" ")[2], flag))
     assert text in more
     assert text not in plain
 
