@@ -65,8 +65,12 @@ def test_every_how_to_runs(heading, tmp_path, monkeypatch, capsys):
     run(text, capsys)
 
 
-def test_the_estimator_of_one_s_own_passes(capsys):
-    assert "Smoothed: passed" in run(PAGES["own_estimator"], capsys)
+def test_the_page_of_an_estimator_of_one_s_own(tmp_path, monkeypatch, capsys):
+    """Its first block is the file that its commands read."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(BLOCK.search(PAGES["own_estimator"])[2])
+    run(runnable("own_estimator"), capsys)
+    assert "mine:smoothed" in (tmp_path / "league" / "league.md").read_text()
 
 
 @pytest.mark.parametrize("page", ["peers", "intervals", "deciding"])

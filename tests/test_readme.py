@@ -49,7 +49,7 @@ def test_commands_run(line, tmp_path, monkeypatch):
     oee.Transitions([0, 1, 1], [0, 1, 0], [1, 1, 0]).save("LOG.csv")
     np.save("POLICY.npy", [[0.5, 0.5], [1.0, 0.0]])
     (tmp_path / "own_of_readme.py").write_text(re.search(r"```python\n(.*?)```", PAGES["own_estimator"], re.S)[1])
-    own = {"SIM": "SIM.npz", "LOG": "LOG.csv", "POLICY": "POLICY.npy", "module:object": "own_of_readme:Smoothed"}
+    own = {"SIM": "SIM.npz", "LOG": "LOG.csv", "POLICY": "POLICY.npy", "module:object": "own_of_readme:smoothed"}
     words = re.sub("|".join(own), lambda found: own[found[0]], line)
     command(words + SMALL.get(" ".join(line.split()[:2]), ""))
 

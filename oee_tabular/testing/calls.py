@@ -71,6 +71,7 @@ class Subject:
     claims : words of ``CLAIMS``
     seed, repetitions : of the logs that the statistical laws draw
     is_oracle : whether ``make`` looks at the pair
+    report : is told each case before it is looked at
     values : of small and of large logs, which several laws need, by case
     """
 
@@ -79,6 +80,7 @@ class Subject:
     seed: int
     repetitions: int
     is_oracle: bool = False
+    report: Callable[[str], object] = lambda title: None
     values: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def answers(self, pair: Case) -> bool:
@@ -95,6 +97,7 @@ class Subject:
         """What a law finds on each case; ``Broken`` says on which case, with its horizon and discount."""
         texts = []
         for pair in self.cases(*forms):
+            self.report(pair.title)
             try:
                 texts.append(f"{pair.name}: {check(pair)}")
             except NotClaimed:

@@ -9,8 +9,10 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -57,11 +59,14 @@ def check(spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60
     seconds = _checks.number_in(timeout, "timeout", 0.0, LONGEST, open_ends=True)
     module_and_path(spec, "the estimator", EXAMPLE)
     verdicts: dict[str, Verdict] = {}
+    claims: frozenset[str] = frozenset()
     while left := [name for name in LAWS if name not in verdicts]:
-        hangs = [name for name, verdict in verdicts.items() if verdict.outcome == "hangs"]
-        if len(hangs) == MOST_HANGS:
-            text = f"{', '.join(hangs)} took longer than {seconds:g} s (--timeout gives more)"
-            verdicts |= {name: Verdict(name, "not run", text) for name in left}
+        if sum(verdict.outcome == "hangs" for verdict in verdicts.values()) == MOST_HANGS:
+            for name in left:
+                owed = LAWS[name].is_claimed(claims)
+                verdicts[name] = Verdict(
+                    name, *(("not run", f"{MOST_HANGS} laws hang") if owed else ("not claimed", ""))
+                )
             break
         with _process(spec, seed, repetitions, left) as answer:
             answer(PREPARING)
@@ -99,13 +104,18 @@ def _process(spec: str, seed: int, repetitions: int, laws: list[str]) -> Iterato
     writer.close()
 
     def answer(seconds: float) -> Any:
-        if not reader.poll(seconds):
-            raise Ended("hangs", f"no answer within {seconds:g} s (--timeout gives it more)")
-        try:
-            return reader.recv()
-        except (EOFError, OSError):
-            process.join(5.0)
-            raise Ended("exits", _describe_end(process.exitcode)) from None
+        message: Any = ""
+        end, title = time.monotonic() + seconds, ""
+        while isinstance(message, str):  # the title of a case that is begun
+            title = f"{message}: " if message else ""
+            if not reader.poll(max(end - time.monotonic(), 0.0)):
+                raise Ended("hangs", f"{title}no answer within {seconds:g} s (--timeout gives it more)")
+            try:
+                message = reader.recv()
+            except (EOFError, OSError):
+                process.join(5.0)
+                raise Ended("exits", f"{title}{_describe_end(process.exitcode)}") from None
+        return message
 
     try:
         yield answer
@@ -134,7 +144,7 @@ def _run(answers: Connection, spec: str, seed: int, repetitions: int, laws: list
         os.setsid()  # a group, with what the estimator starts
     threading.Thread(target=_end_with_parent, daemon=True).start()
     check_estimator(Simulator(), repetitions=3)  # compiles what laws need: the seconds are not the estimator's
-    answers.send("ready")
+    answers.send(None)  # ready
     with own_modules():
         try:
             title, subject = subject_of(own_estimator(spec), seed, repetitions)
@@ -144,7 +154,7 @@ def _run(answers: Connection, spec: str, seed: int, repetitions: int, laws: list
             return
         answers.send((title, subject.claims, None))
         for name in laws:
-            answers.send(verdict_on(name, subject))
+            answers.send(verdict_on(name, replace(subject, report=answers.send)))
 
 
 def _end_with_parent() -> None:

@@ -24,6 +24,10 @@ class Law:
     check: Callable[[Subject], str]
     claims: frozenset[str]
 
+    def is_claimed(self, claims: frozenset[str]) -> bool:
+        """Whether an estimator with these claims owes it."""
+        return not self.claims or bool(self.claims & claims)
+
     @property
     def statement(self) -> str:
         """What it says."""
@@ -248,11 +252,10 @@ def subject_of(
 
 def verdict_on(name: str, subject: Subject) -> Verdict:
     """What becomes of one law."""
-    law = LAWS[name]
-    if law.claims and not law.claims & subject.claims:
+    if not LAWS[name].is_claimed(subject.claims):
         return Verdict(name, "not claimed", "")
     try:
-        return Verdict(name, "holds", law.check(subject))
+        return Verdict(name, "holds", LAWS[name].check(subject))
     except Broken as broken:
         return Verdict(name, broken.outcome, broken.text, broken.example)
 

@@ -25,6 +25,7 @@ def well_formed(subject: Subject) -> str:
     """Odd small problems give a finite value, a status that is not "ok", or a ValueError that says why."""
     n_answers, n_refusals, reason, floats = 0, 0, "", ""
     for pair, log in odd_problems(subject):
+        subject.report(pair.title)
         try:
             estimate = subject.estimate(pair, log, seed=0)
             n_answers += 1

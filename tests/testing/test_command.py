@@ -7,8 +7,9 @@ import time
 
 import pytest
 
+from oee_tabular._arguments import own_modules
 from oee_tabular.cli import main
-from oee_tabular.testing.command import own_estimator, own_modules
+from oee_tabular.testing.command import own_estimator
 
 MINE = """
 import os, signal, sys, time
@@ -18,12 +19,8 @@ from oee_tabular.estimators import Simulator
 class Mine:
     claims = frozenset({"identical", "shift"})
 
-    def __init__(self, fails=False):
-        self.fails = fails
-
     def __call__(self, problem, policy, *, seed=None):
-        found = Simulator()(problem, policy)
-        return oee.Estimate(-1.0) if self.fails else found
+        return Simulator()(problem, policy)
 
 class Needy:
     def __init__(self, strength):
@@ -32,36 +29,37 @@ class Needy:
 class Holder:
     inner = Mine
 
-instance, broken, number = Mine(), Mine(fails=True), 3
+instance, number = Mine(), 3
 
-def function(problem, policy, *, seed=None):
-    return oee.Estimate(1.0)
+def function(problem, policy):
+    return 1.0
+
+def odd(problem):
+    return 1.0
 
 def factory(fails=False):
-    return Mine(fails)
+    return Mine()
 
 def useless():
     return 3
 
-class Fatal(Mine):
-    claims = frozenset()
+def hangs(problem, policy, seed):
+    time.sleep(100)
 
-    def __call__(self, problem, policy, *, seed=None):
-        frames, frame = set(), sys._getframe()
-        while frame:
-            frames.add(frame.f_code.co_name)
-            frame = frame.f_back
-        if "well_formed" in frames:
-            os._exit(0)
-        if "input_unchanged" in frames:
-            os.kill(os.getpid(), signal.SIGKILL)
-        if "reproducible" in frames:
-            time.sleep(100)
-        return super().__call__(problem, policy)
+def fatal(problem, policy):
+    frames, frame = set(), sys._getframe()
+    while frame:
+        frames.add(frame.f_code.co_name)
+        frame = frame.f_back
+    if "well_formed" in frames:
+        os._exit(0)
+    if "input_unchanged" in frames:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if "reproducible" in frames:
+        time.sleep(100)
+    return Simulator()(problem, policy).value
 
-fatal = Fatal()
-
-def starts_another(problem, policy, *, seed=None):
+def starts_another(problem, policy):
     import subprocess
     other = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(100)"])
     open("started", "w").close()
@@ -110,11 +108,11 @@ def test_what_it_claims_holds(capsys, here):
     assert here not in sys.modules
 
 
-def test_broken_laws_are_exit_code_1(capsys, here):
-    code, out, err = run(capsys, f"{here}:broken")
+def test_broken_laws_of_a_function_are_exit_code_1(capsys, here):
+    code, out, err = run(capsys, f"{here}:function")
     assert (code, err) == (1, "")
-    assert "NOT PASSED" in out
-    assert "fails" in out
+    assert out.startswith("function: NOT PASSED")
+    assert "consistent      fails       ragged (horizon 6, discount 0.9): mean 1 " in out
     assert "see it: " in out
     assert "all laws hold" not in out
 
@@ -123,13 +121,23 @@ def test_an_estimator_that_exits_or_hangs_or_is_killed_breaks_the_law_and_the_ne
     code, out, err = run(capsys, f"{here}:fatal", "--timeout", "4")
     assert (code, err) == (1, "")
     assert "all laws hold" not in out
+    out = " ".join(out.split())
     for line in (
-        "well_formed     exits       the process ends, with exit code 0",
-        "input_unchanged exits       the process is killed by SIGKILL",
-        "reproducible    hangs       no answer within 4 s (--timeout gives it more)",
-        "seeds           holds",
+        "well_formed exits one state (horizon 3, discount 0.5): the process ends, with exit code 0",
+        "input_unchanged exits ragged (horizon 6, discount 0.9): the process is killed by SIGKILL",
+        "reproducible hangs ragged (horizon 6, discount 0.9): no answer within 4 s (--timeout gives it more)",
+        "seeds holds",
     ):
         assert line in out
+
+
+def test_after_the_third_law_that_hangs_the_others_are_not_run(capsys, here):
+    code, out, err = run(capsys, f"{here}:hangs", "--timeout", "0.5")
+    assert (code, err) == (1, "")
+    assert "hangs: NOT PASSED (0 laws hold, 3 broken, 4 not claimed, 8 not run; seed 0)" in out
+    assert len(re.findall(r" hangs .* no answer within 0.5 s", out)) == 3
+    assert "scale           not run     3 laws hang" in out
+    assert re.search(r"^shift +not claimed$", out, re.M)
 
 
 @pytest.mark.parametrize(("what", "text"), [
@@ -174,8 +182,9 @@ def test_a_time_limit_that_is_none(capsys, here, seconds):
     ("{}_nowhere:Mine", "module '{}_nowhere' cannot be found, neither in "),
     ("{}_broken:Mine", "module '{}_broken' cannot be imported: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
     ("{}_exits:Mine", "module '{}_exits' cannot be imported: SystemExit: 5"),
-    ("{}:Yours", "'{}' has no object 'Yours' (it has Fatal, Holder, Mine, "),
+    ("{}:Yours", "'{}' has no object 'Yours' (it has Holder, Mine, Needy, "),
     ("{}:number", "'{}:number' must be a function (problem, policy) or (problem, policy, seed), an estimator, or "),
+    ("{}:odd", "'{}:odd' must be callable as (problem, policy) or (problem, policy, seed); it takes (problem)"),
     ("{}:Needy", "must make an estimator without arguments; it raises TypeError"),
     ("{}:useless", "or a class or function that makes one; it makes int"),
     ("oee_tabular.estimators:Oracle", "must make an estimator without arguments; it raises TypeError"),

@@ -1,4 +1,7 @@
-"""Estimators that are deliberately wrong, each in one way, and a user's that is right."""
+"""Estimators that are wrong, each in one way, and a user's that is right.
+
+``TABLE``: name -> (estimator, words that it claims, laws that it breaks).
+"""
 
 import numpy as np
 from scipy import sparse
@@ -7,223 +10,86 @@ import oee_tabular as oee
 from oee_tabular.estimators import ImportanceSampling, ModelBased, Simulator
 from oee_tabular.estimators.rollouts import segment_products
 
-ALWAYS = {"consistent", "relabelling", "scale"}
+ALWAYS = "consistent relabelling scale"
 
 
-class Sampling:
-    """Importance sampling per decision, right; the wrong ones change one of its parts."""
+def sampling(
+    ratio=np.divide,
+    power=1,
+    factor=lambda discount, timestep: discount**timestep,
+    evaluated=lambda policy: policy,
+    keep=lambda timestep, horizon: timestep < (np.inf if horizon is None else horizon),
+    then=lambda value, problem, policy, seed: value,
+):
+    """Importance sampling per decision, right unless one of its parts is changed; ``then``: what becomes of its value."""
 
-    claims = frozenset({*ALWAYS, "padding"})
+    def estimate(problem, policy, seed=None):
+        log, pi = problem.log, evaluated(policy)
+        ratios = ratio(pi[log.state, log.action], log.behavior_probability)
+        weights = segment_products(ratios, log.episode_starts) ** power
+        rewards = factor(problem.simulator.discount, log.timestep) * log.reward * weights
+        rewards = np.where(keep(log.timestep, problem.horizon), rewards, 0.0)
+        return then(np.add.reduceat(rewards, log.episode_starts[:-1]).mean(), problem, policy, seed)
 
-    def ratio(self, probability, behavior):
-        return probability / behavior
-
-    def weights(self, products):
-        return products
-
-    def factors(self, discount, timestep):
-        return discount**timestep
-
-    def policy(self, policy):
-        return policy
-
-    def keep(self, timestep, horizon):
-        return timestep < (np.inf if horizon is None else horizon)
-
-    def __call__(self, problem, policy, *, seed=None):
-        log, pi = problem.log, self.policy(policy)
-        ratios = self.ratio(pi[log.state, log.action], log.behavior_probability)
-        weights = self.weights(segment_products(ratios, log.episode_starts))
-        paid = self.factors(problem.simulator.discount, log.timestep) * log.reward * weights
-        paid = np.where(self.keep(log.timestep, problem.horizon), paid, 0.0)
-        values = np.add.reduceat(paid, log.episode_starts[:-1])
-        return oee.Estimate(float(values.mean()), float(values.std() / np.sqrt(len(values))))
+    return estimate
 
 
-class RatioInverted(Sampling):
-    def ratio(self, probability, behavior):
-        return np.divide(behavior, probability, out=np.zeros_like(behavior), where=probability > 0)
+def inverse_ratio(probability, behavior):
+    return np.divide(behavior, probability, out=np.zeros_like(behavior), where=probability > 0)
 
 
-class WeightsSquared(Sampling):
-    claims = frozenset({*ALWAYS, "unbiased"})
-
-    def weights(self, products):
-        return products**2
+def even(policy):
+    return np.full(policy.shape, 1 / policy.shape[1])
 
 
-class DiscountForgotten(Sampling):
-    def factors(self, discount, timestep):
-        return np.ones(len(timestep))
+def center_rewards_of_log(value, problem, policy, seed):
+    if problem.log.reward.flags.writeable:
+        problem.log.reward[:] -= problem.log.reward.mean()
+    return value
 
 
-class DiscountOneStepLate(Sampling):
-    def factors(self, discount, timestep):
-        return discount ** (timestep + 1)
+def reverse_policy(value, problem, policy, seed):
+    policy[0] = policy[0][::-1].copy()
+    return value
 
 
-class PolicyIgnored(Sampling):
-    def policy(self, policy):
-        return np.full(policy.shape, 1 / policy.shape[1])
+def change_horizon(value, problem, policy, seed):
+    object.__setattr__(problem, "horizon", 1)
+    return value
 
 
-class HorizonIgnored(Sampling):
-    def keep(self, timestep, horizon):
-        return np.full(len(timestep), True)
+def draw_from_global_state(value, problem, policy, seed):
+    return value + 1e-3 * np.random.normal()  # noqa: NPY002
 
 
-class MeanReturnOfTheLog(Sampling):
-    claims = frozenset({*ALWAYS, "shift"})
-
-    def ratio(self, probability, behavior):
-        return np.ones(len(behavior))
-
-
-class LogsMeanReward:
-    def __call__(self, problem, policy, *, seed=None):
-        return oee.Estimate(float(problem.log.reward.mean()))
-
-
-class FinishedEpisodesDropped:
-    claims = frozenset({*ALWAYS, "shift", "padding"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        return ImportanceSampling(self_normalized=True, ragged="zero")(problem, policy)
-
-
-class SimulatorCalledConsistent:
-    claims = frozenset(ALWAYS)
-
-    def __call__(self, problem, policy, *, seed=None):
-        return Simulator()(problem, policy)
-
-
-class LogChanged(Sampling):
-    claims = frozenset({"scale"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        found = super().__call__(problem, policy)
-        if problem.log.reward.flags.writeable:
-            problem.log.reward[:] -= problem.log.reward.mean()
-        return found
-
-
-class PolicyChanged(Sampling):
-    claims = frozenset({"scale"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        found = super().__call__(problem, policy)
-        policy[0] = policy[0][::-1].copy()
-        return found
-
-
-class ProblemChanged(Sampling):
-    claims = frozenset({"scale"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        found = super().__call__(problem, policy)
-        object.__setattr__(problem, "horizon", 1)
-        return found
-
-
-class NanWithStatusOk(Sampling):
-    """Where no weight is positive."""
-
-    def __call__(self, problem, policy, *, seed=None):
-        found = super().__call__(problem, policy)
-        return oee.Estimate(float("nan")) if problem.horizon == 1 else found
-
-
-class NegativeError(Sampling):
-    def __call__(self, problem, policy, *, seed=None):
-        return oee.Estimate(super().__call__(problem, policy).value, -1.0)
-
-
-class PlainFloat(Sampling):
-    def __call__(self, problem, policy, *, seed=None):
-        return super().__call__(problem, policy).value
-
-
-class GlobalRandomState(Sampling):
-    claims = frozenset({"random"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        return oee.Estimate(super().__call__(problem, policy).value + 1e-3 * np.random.normal())  # noqa: NPY002
-
-
-class GlobalSeedSet(Sampling):
+def seed_global_state(value, problem, policy, seed):
     """The same seed gives the same bits, and everybody else's random numbers too."""
-
-    claims = frozenset({"random"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        np.random.seed(seed)  # noqa: NPY002
-        return oee.Estimate(super().__call__(problem, policy).value + 1e-3 * np.random.normal())  # noqa: NPY002
+    np.random.seed(seed)  # noqa: NPY002
+    return value + 1e-3 * np.random.normal()  # noqa: NPY002
 
 
-class SeedIgnored(Sampling):
-    claims = frozenset({"random"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        return oee.Estimate(super().__call__(problem, policy).value + 1e-3 * np.random.default_rng().normal())
-
-
-class RandomButSilent(Sampling):
-    """Uses its seed and does not say so."""
-
-    claims = frozenset()
-
-    def __call__(self, problem, policy, *, seed=None):
-        return oee.Estimate(super().__call__(problem, policy).value + 1e-3 * np.random.default_rng(seed).normal())
+def trust_state_zero(problem, policy):
+    """The log's model everywhere but in state 0, as if numbers of states meant something."""
+    model = ModelBased("simulator").model(problem)
+    rows = model.transitions.toarray().reshape(model.n_states, model.n_actions, -1)
+    rows[0] = problem.simulator.transitions.toarray().reshape(rows.shape)[0]
+    return oee.policy_value(model.with_transitions(rows), policy, horizon=problem.horizon)
 
 
-class StateZeroSpecial:
-    """Trusts the log everywhere but in state 0, as if numbers of states meant something."""
-
-    claims = frozenset({"relabelling", "scale"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        model = ModelBased("simulator").model(problem)
-        rows = model.transitions.toarray().reshape(model.n_states, model.n_actions, -1)
-        own = problem.simulator.transitions.toarray().reshape(rows.shape)
-        rows[0] = own[0]
-        return oee.Estimate(oee.policy_value(model.with_transitions(rows), policy, horizon=problem.horizon))
-
-
-class RewardsClipped(Sampling):
-    claims = frozenset({"scale"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        return oee.Estimate(max(super().__call__(problem, policy).value, -5.0))
-
-
-class ClaimsToBeUnbiased:
-    claims = frozenset({"consistent", "unbiased", "shift"})
-
-    def __call__(self, problem, policy, *, seed=None):
-        return ImportanceSampling("trajectory", self_normalized=True)(problem, policy)
-
-
-class ClaimsToShift(Sampling):
-    claims = frozenset({"unbiased", "shift"})
-
-
-class LimitOfAnother(Sampling):
+class LimitOfAnother:
     """Says that it tends to the behaviour policy's value."""
 
-    claims = frozenset()
+    def __call__(self, problem, policy):
+        return sampling()(problem, policy)
 
     def limit(self, simulator, target, policy, *, data_distribution=None, behavior_policy=None, horizon=None):
-        even = np.full(policy.shape, 1 / policy.shape[1])
-        return oee.policy_value(target, even if behavior_policy is None else behavior_policy, horizon=horizon)
+        return oee.policy_value(target, even(policy) if behavior_policy is None else behavior_policy, horizon=horizon)
 
 
 class LimitWithoutSupport:
-    """J of the target without the moves that the simulator lacks, and without a word."""
+    """J of the target without the transitions that the simulator lacks, and without a word."""
 
-    claims = frozenset({"consistent"})
-
-    def __call__(self, problem, policy, *, seed=None):
+    def __call__(self, problem, policy):
         return ModelBased("simulator")(problem, policy)
 
     def limit(self, simulator, target, policy, **options):
@@ -233,56 +99,48 @@ class LimitWithoutSupport:
         return oee.policy_value(oee.exact.reweight(target, inside), policy, horizon=options["horizon"])
 
 
-class Raises:
-    def __call__(self, problem, policy, *, seed=None):
-        raise KeyError("no such key")
+def self_normalized(kind, **options):
+    """A plain function of an estimator of the package: without its limit and its claims."""
+    return lambda problem, policy: ImportanceSampling(kind, self_normalized=True, **options)(problem, policy)
 
 
-class Exits:
-    def __call__(self, problem, policy, *, seed=None):
-        raise SystemExit(3)
+def add_noise(make):
+    return lambda value, problem, policy, seed: value + 1e-3 * make(seed).normal()
 
 
-class Wrongly:
-    """Attributes and representation raise as well."""
-
-    def __call__(self, problem):
-        return None
-
-    def __repr__(self):
-        raise RuntimeError("no repr")
-
-
+PADDED = f"{ALWAYS} padding"
 TABLE = {
-    RatioInverted: {"consistent", "identical"},
-    WeightsSquared: {"consistent", "identical", "unbiased"},
-    DiscountForgotten: {"consistent", "identical", "ragged"},
-    DiscountOneStepLate: {"consistent", "identical", "ragged"},
-    PolicyIgnored: {"consistent", "identical"},
-    HorizonIgnored: {"consistent"},
-    MeanReturnOfTheLog: {"consistent", "identical"},
-    LogsMeanReward: {"consistent", "ragged", "identical"},
-    FinishedEpisodesDropped: {"consistent", "ragged", "identical", "padding"},
-    SimulatorCalledConsistent: {"consistent", "ragged"},
-    LogChanged: {"input_unchanged"},
-    PolicyChanged: {"input_unchanged"},
-    ProblemChanged: {"input_unchanged"},
-    NanWithStatusOk: {"well_formed"},
-    GlobalRandomState: {"reproducible"},
-    GlobalSeedSet: {"reproducible"},
-    SeedIgnored: {"reproducible"},
-    RandomButSilent: {"seeds"},
-    StateZeroSpecial: {"relabelling"},
-    RewardsClipped: {"scale"},
-    ClaimsToBeUnbiased: {"unbiased"},
-    ClaimsToShift: {"shift"},
-    LimitOfAnother: {"limit"},
-    LimitWithoutSupport: {"support"},
-}
+    "ratio inverted": (sampling(ratio=inverse_ratio), PADDED, "consistent identical"),
+    "weights squared": (sampling(power=2), f"{ALWAYS} unbiased", "consistent identical unbiased"),
+    "discount forgotten": (sampling(factor=lambda g, t: g**0 * np.ones(len(t))), PADDED, "consistent identical ragged"),
+    "discount one step late": (sampling(factor=lambda g, t: g ** (t + 1)), PADDED, "consistent identical ragged"),
+    "policy ignored": (sampling(evaluated=even), PADDED, "consistent identical"),
+    "horizon ignored": (sampling(keep=lambda t, horizon: t >= 0), PADDED, "consistent"),
+    "mean return of the log": (sampling(ratio=lambda p, b: np.ones(len(b))), f"{ALWAYS} shift", "consistent identical"),
+    "mean reward of the log": (lambda problem, policy: problem.log.reward.mean(), ALWAYS, "consistent ragged identical"),
+    "finished episodes dropped": (
+        self_normalized("per_decision", ragged="zero"), f"{PADDED} shift", "consistent ragged identical padding",
+    ),
+    "simulator called consistent": (lambda problem, policy: Simulator()(problem, policy), ALWAYS, "consistent ragged"),
+    "log changed": (sampling(then=center_rewards_of_log), "scale", "input_unchanged"),
+    "policy changed": (sampling(then=reverse_policy), "scale", "input_unchanged"),
+    "problem changed": (sampling(then=change_horizon), "scale", "input_unchanged"),
+    "nan": (sampling(then=lambda value, problem, *_: np.nan if problem.horizon == 1 else value), PADDED, "well_formed"),
+    "global random state": (sampling(then=draw_from_global_state), "random", "reproducible"),
+    "global seed set": (sampling(then=seed_global_state), "random", "reproducible"),
+    "seed ignored": (sampling(then=add_noise(lambda seed: np.random.default_rng())), "random", "reproducible"),
+    "random but silent": (sampling(then=add_noise(np.random.default_rng)), "", "seeds"),
+    "state zero special": (trust_state_zero, "relabelling scale", "relabelling"),
+    "rewards clipped": (sampling(then=lambda value, *_: max(value, -5.0)), "scale", "scale"),
+    "unbiased": (self_normalized("trajectory"), "consistent unbiased shift", "unbiased"),
+    "shift": (sampling(), "unbiased shift", "shift"),
+    "limit of another": (LimitOfAnother(), "", "limit"),
+    "limit without support": (LimitWithoutSupport(), "consistent", "support"),
+}  # fmt: skip
 
 
 class Shrunk:
-    """The log's frequencies, shrunk to the simulator's by ``strength`` moves a row."""
+    """The log's frequencies, shrunk to the simulator's by ``strength`` transitions a row; right."""
 
     claims = frozenset({"consistent", "relabelling", "scale", "shift"})
 
