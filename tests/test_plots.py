@@ -334,7 +334,7 @@ def walk(following):
         (partial(plots.plot_errors, [1, 2], {"a": [0, 0]}), "errors must hold at least one finite positive"),
         (partial(plots.plot_variance_growth, {}), "variances must hold at least one"),
         (partial(plots.plot_variance_growth, {"a": [-1.0]}), "variances['a'][0] must be nonnegative"),
-        (partial(plots.plot_intervals, ["a"], [1], [0, 1], [2]), "must have one length; 1, 1, 2, 1 and 1"),
+        (partial(plots.plot_intervals, ["a"], [1], [0, 1], [2]), "one length; they have 1, 1, 2, 1 and 1"),
         (partial(plots.plot_intervals, ["a"], [1], [0], [2], groups=[]), "one length; they have 1, 1, 1, 1 and 0"),
         (partial(plots.plot_intervals, ["a"], [1], [0], [2], limits=(1, 1)), "limits must be (low, high)"),
         (partial(plots.plot_intervals, [], [], [], []), "values must have a finite number, or lower and upper"),

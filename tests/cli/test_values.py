@@ -68,7 +68,7 @@ def test_action_noise_is_part_of_what_is_reported(run, folder):
 @pytest.mark.parametrize(
     ("flag", "text"),
     [
-        ("--guaranteed --estimators oee --policy uniform", "The interval guaranteed at any sample size is"),
+        ("--guaranteed --estimators oee --policy uniform", "guaranteed at any sample size is"),
         ("--all --quick --policy mix:0.5", "wpdis"),
         ("--verbose --quick --policy mix:0.5", "max weight"),
     ],
