@@ -32,7 +32,7 @@ LOCK, SETTINGS, CELLS = ".lock", "settings.json", "cells.jsonl"
 SOURCES = (".py", ".csv", ".xml", ".npz")
 FILES = (
     SETTINGS, CELLS, "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png",
-    "cells.csv", "league.csv", "league.md", "league.tex", "shown.json", "profile.png", "heat.png",
+    "cells.csv", "league.csv", "league.md", "league.tex", "sizes.png", "profile.png", "heat.png",
 )  # fmt: skip
 JSON_ERRORS = (ValueError, RecursionError)  # of damaged text, and of lists a thousand deep
 

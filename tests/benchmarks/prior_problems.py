@@ -2,8 +2,8 @@
 
     python tests/benchmarks/prior_problems.py [--seeds N] [--problems SEED]    N logs (10) of a problem and size
 
-Printed for the problems of ``shift_problems`` that were seen and for those kept aside, for 3, 10 and 30 transitions per
-stochastic state-action pair, with eff = sqrt(efficiency_bound / n) and b = |simulator's error| / eff:
+Printed for the families of ``lab.bench.families_shifts`` that were seen and for those kept aside, for 3, 10 and 30 transitions
+per stochastic state-action pair, with eff = sqrt(efficiency_bound / n) and b = |simulator's error| / eff:
 
 over ML       RMSE of the value over that of maximum likelihood: geometric mean, worst, share of problems above 1.1
 over ref      RMSE over max(min(RMSE of ML, |simulator's error|), eff / 2): the same, and the share whose 5% bootstrap bound
@@ -14,9 +14,9 @@ centre fits   median of RMSE(model value) over the root mean square of its stand
 import argparse
 
 import numpy as np
-from shift_problems import KEPT_ASIDE, SEEN, make_problem
 
 import oee_tabular as oee
+from oee_tabular.lab.bench.families_shifts import FAMILIES
 
 SIZES = (3, 10, 30)
 
@@ -79,9 +79,9 @@ def main():
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--problems", type=int, default=0, help="the seed of the problems' parameters")
     options = parser.parse_args()
-    for title, names in (("seen", SEEN), ("kept aside", KEPT_ASIDE)):
-        families = {name: make_problem(name, options.problems) for name in names}
-        cells = [measure_cell(name, families[name], size, options.seeds) for name in names for size in SIZES]
+    for title, makers in (("seen", FAMILIES[::2]), ("kept aside", FAMILIES[1::2])):
+        families = {make.__name__: make(np.random.default_rng(options.problems)) for make in makers}
+        cells = [measure_cell(*item, size, options.seeds) for item in families.items() for size in SIZES]
         print("\n".join(describe_half(title, cells)), flush=True)
 
 

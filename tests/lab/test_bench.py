@@ -247,7 +247,7 @@ def test_the_command(tmp_path, capsys, here):
     assert "out: 4 cells computed (" in told
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"settings.json", "cells.jsonl", "table.csv", "cells.csv", "league.csv", "league.md",
-                     "league.tex", "shown.json",
+                     "league.tex", "sizes.png",
                      "profile.png", "heat.png"}  # fmt: skip
     page = (tmp_path / "out" / "league.md").read_text()
     assert "`oee bench --estimators oee, own:guess --sizes 3 --seeds 2 --families machine,forest12`" in page

@@ -14,6 +14,7 @@ from oee_tabular import _checks
 from oee_tabular.lab.bench import families_garnet as garnets
 from oee_tabular.lab.bench import families_grids as grids
 from oee_tabular.lab.bench import families_others as others
+from oee_tabular.lab.bench import families_shifts as shifts
 from oee_tabular.lab.bench import families_stock as stock
 from oee_tabular.lab.bench.family import Family
 
@@ -70,7 +71,9 @@ MADE: Mapping[str, Callable[..., Family]] = {
     "elevator": others.elevator,
     "gambler": others.gambler,
     "one_way_grid": grids.one_way_grid,
+    **{make.__name__: make for make in shifts.FAMILIES},
 }
+HELD = tuple(make.__name__ for make in shifts.FAMILIES[1::2])  # whose results nobody saw while the default was chosen
 LARGE: Mapping[str, Callable[..., Family]] = {
     "tandem45": lambda: stock.tandem(45),
     **{f"garnet_worse{n}": garnets.worse(n) for n in (10, 20, 80, 160)},

@@ -6,7 +6,7 @@ Below it what families are made of: models from lists of moves, policies, change
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -169,7 +169,7 @@ def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
         )
 
 
-Moves = Iterator[tuple[float, int]]
+Moves = Iterable[tuple[Any, Any]]  # (probability, next state)
 Recorded = Literal["uniform", "half", "policy"]
 RECORDED_BY: dict[str, float] = {"uniform": 0.0, "half": 0.5, "policy": 0.9}  # the policy's share; the rest is uniform
 
@@ -180,9 +180,10 @@ def pair(
     about: str,
     *,
     optimal: float = 0.9,
-    recorded: Recorded = "half",
+    recorded: Recorded | float = "half",
     length: int = 200,
     policy: Array | None = None,
+    horizon: int | None = None,
 ) -> Family:
     """A family whose policy is the simulator's optimum, ``optimal`` of it, the rest uniform; ``recorded`` by a share of it.
 
@@ -190,15 +191,16 @@ def pair(
     ----------
     simulator : FiniteMDP
     target : FiniteMDP, or its transitions (then with the simulator's rewards)
-    about, length, policy : as in ``Family``; a policy is used instead of the optimum
+    about, length, policy, horizon : as in ``Family``; a policy is used instead of the optimum
     optimal : the share of the optimum in the policy
-    recorded : "uniform", "half" of the policy, or "policy" (90% of it); the rest uniform
+    recorded : "uniform", "half" of the policy, "policy" (90% of it), or another share of it; the rest uniform
     """
     if not isinstance(target, FiniteMDP):
         target = simulator.with_transitions(target)
     uniform = uniform_policy(simulator)
     pi = mix(optimal_policy(simulator), uniform, optimal) if policy is None else policy
-    return Family(simulator, target, pi, mix(pi, uniform, RECORDED_BY[recorded]), about, length=length)
+    share = RECORDED_BY[recorded] if isinstance(recorded, str) else recorded
+    return Family(simulator, target, pi, mix(pi, uniform, share), about, horizon=horizon, length=horizon or length)
 
 
 def shifted(
@@ -206,8 +208,8 @@ def shifted(
     shape: tuple[int, int],
     pay: object,
     discount: float,
-    believed: tuple[float, ...],
-    real: tuple[float, ...],
+    believed: Sequence[Any],
+    real: Sequence[Any],
     about: str,
     *,
     start: object = None,
@@ -228,7 +230,7 @@ def model(
     shape: tuple[int, int],
     pay: object,
     discount: float,
-    how: tuple[float, ...],
+    how: Sequence[Any],
     *,
     start: object,
 ) -> FiniteMDP:
@@ -236,7 +238,7 @@ def model(
 
     Parameters
     ----------
-    moves : (s, a, *how) -> (probability, next state), one after the other; equal next states are added up
+    moves : (s, a, *how) -> (probability, next state), one after the other; equal next states are added up; none: terminal
     shape : (S, A)
     pay : rewards as of ``FiniteMDP``, or a function of the arrays s, a, s'
     start : states in which episodes begin, evenly; None: all
@@ -246,7 +248,7 @@ def model(
         (s * n_actions + a, to, probability)
         for s in range(n_states)
         for a in range(n_actions)
-        for probability, to in moves(s, a, *how)
+        for probability, to in list(moves(s, a, *how)) or [(1.0, s)]
         if probability > 0
     ]
     rows, columns, data = (np.array(column) for column in zip(*entries, strict=True))

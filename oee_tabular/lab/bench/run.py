@@ -21,7 +21,7 @@ from oee_tabular.estimators.base import UNEXPLAINED
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import efficiency_bound, occupancy
-from oee_tabular.lab.bench.families import check_seed
+from oee_tabular.lab.bench.families import HELD, check_seed
 from oee_tabular.lab.bench.families import families as own_families
 from oee_tabular.lab.bench.family import Family
 from oee_tabular.lab.bench.inputs import (
@@ -40,8 +40,8 @@ from oee_tabular.lab.store import Store, alone
 SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
 SEEDS = 40
 NO_ESTIMATE: Row = {
-    "value": math.nan, "error": math.nan, "lower": math.nan, "upper": math.nan, "interval": "", "seconds": math.nan,
-    "status": "ok",
+    "value": math.nan, "error": math.nan, "standard_error": math.nan, "lower": math.nan, "upper": math.nan, "interval": "",
+    "seconds": math.nan, "status": "ok",
 }  # fmt: skip
 
 
@@ -150,7 +150,8 @@ class Cells:
         family = self.source.family(name, seed)
         own = Stream(stream.experiment, seed, {"family": name, "size": size})
         problem = family.problem(family.size(size), own.generator(use="log"))
-        facts = {"seed": seed, **facts_of(family, problem)}
+        kind = "held" if name in HELD or self.source.given is not None else "tuned"
+        facts = {"seed": seed, "families": kind, **facts_of(family, problem)}
         rows = []
         for key, given in self.estimators.items():
             number = int(own.sequence(use=key).generate_state(1)[0])
@@ -193,8 +194,9 @@ def measure(name: str, given: object, family: Family, problem: Problem, seed: in
         lower, upper, method = _interval_of(estimate, value)
     except Exception as error:
         return {"status": f"{type(error).__name__}: {error}"}
-    return {"value": value, "error": value - family.truth, "lower": lower, "upper": upper, "interval": method,
-            "seconds": seconds, "status": estimate.status}  # fmt: skip
+    deviation = math.nan if estimate.standard_error is None else float(estimate.standard_error)
+    return {"value": value, "error": value - family.truth, "standard_error": deviation, "lower": lower, "upper": upper,
+            "interval": method, "seconds": seconds, "status": estimate.status}  # fmt: skip
 
 
 def _interval_of(estimate: Estimate, value: float) -> tuple[float, float, str]:

@@ -1,9 +1,8 @@
 """From the rows of a run to numbers of each cell (family x size x estimator), and of each estimator over the cells.
 
-RMSE ratios are over the better of two references on the same logs, min(RMSE of maximum likelihood with the simulator in
-unobserved pairs, RMSE of the bare simulator), which no estimator can know. Where the target is the simulator they are over
-maximum likelihood alone, and those cells are counted apart. A ratio is *surely* above b where the 5% quantile of its paired
-bootstrap over the seeds is.
+A cell's reference is max(min(RMSE of maximum likelihood, RMSE of the simulator), eff / 2) on the same logs, with
+eff = sqrt(efficiency bound / n). No estimator can know it, and none can reach it everywhere: ``floor`` says how near a rule can
+come that sees the value alone. A ratio is *surely* above 1.1 where the 5% quantile of its paired bootstrap over the seeds is.
 """
 
 from __future__ import annotations
@@ -15,72 +14,96 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from oee_tabular._checks import Array
-from oee_tabular.lab.bench.inputs import LIKELIHOOD, SIMULATOR
+from oee_tabular._checks import Array, BoolArray
+from oee_tabular.lab.bench.floor import LEAST, floor
+from oee_tabular.lab.bench.inputs import LIKELIHOOD, REFERENCES, SIMULATOR
 
 N_RESAMPLES = 2000  # of the seeds
 LOW = 0.05  # the bootstrap quantile that a sure ratio exceeds
-LIMITS = (1.1, 1.5)
-TRUSTED_SIZE, TRUSTED_COVER = 3.0, 0.9  # transitions per pair, share of the policy's time: logs whose intervals count
+LIMIT = 1.1
+TRUSTED_SIZE, TRUSTED_COVER = (
+    3.0,
+    0.9,
+)  # transitions per stochastic pair, share of the policy's time: whose intervals count
 FEW = 10  # logs of a family, below which its coverage is not called the worst
+NORMAL = 1.959963984540054
 
 
 def score(table: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The cells of a run's rows, and the league."""
     cells = pd.DataFrame(
         [
-            {"family": family, "size": size, **row}
+            row
             for (family, size), part in table.groupby(["family", "size"], sort=False)
-            for row in _cell_rows(float(size), part)  # type: ignore[arg-type]
+            for row in _cell_rows(str(family), float(size), part)  # type: ignore[arg-type]
         ]
     )
-    names = table["estimator"].unique()
-    return cells, pd.DataFrame([_league_row(name, cells[cells["estimator"] == name]) for name in names])
+    league = [_league_row(part) for _, part in cells.groupby(["families", "estimator"], sort=False)]
+    return cells, pd.DataFrame(league)
 
 
-def pivot(frame: pd.DataFrame, index: list[str], values: str) -> pd.DataFrame:
-    """A column for each estimator."""
-    return frame.pivot(index=index, columns="estimator", values=values)  # noqa: PD010 (the other one drops what is nan)
+def wide(frame: pd.DataFrame, index: Any, values: str, columns: Any = "estimator") -> pd.DataFrame:
+    """A column for each estimator, or for each value of other ``columns``."""
+    return frame.pivot(index=index, columns=columns, values=values)  # noqa: PD010 (the other one drops what is nan)
 
 
-def _cell_rows(size: float, part: pd.DataFrame) -> list[dict[str, Any]]:
+def _cell_rows(family: str, size: float, part: pd.DataFrame) -> list[dict[str, Any]]:
     """One row for each estimator of a cell."""
-    errors, lower, upper, seconds = (pivot(part, ["seed"], name) for name in ("error", "lower", "upper", "seconds"))
-    facts = part.drop_duplicates("seed").set_index("seed").reindex(errors.index)
-    is_identical = bool(facts["identical"].iloc[0])
-    is_trusted = (facts["covered"] > TRUSTED_COVER) & (size >= TRUSTED_SIZE)
-    likelihood = upper[LIKELIHOOD] - lower[LIKELIHOOD]
+    errors = wide(part, ["seed"], "error")
+    first = part.drop_duplicates("seed").set_index("seed").reindex(errors.index)
+    eff = np.sqrt(first["bound"].to_numpy())
+    counted = (first["covered"] > TRUSTED_COVER).to_numpy() & (size >= TRUSTED_SIZE)
     rows = []
-    for name in part["estimator"].unique():
-        has_value = errors[name].notna()
-        squares = {key: errors[key][has_value].to_numpy() ** 2 for key in (name, LIKELIHOOD, SIMULATOR)}
-        has_interval = is_trusted & np.isfinite(lower[name]) & np.isfinite(upper[name])
-        covers = has_interval & (lower[name] <= facts["truth"]) & (facts["truth"] <= upper[name])
-        widths = ((upper[name] - lower[name]) / likelihood)[has_interval & (likelihood > 0)]
+    for name, mine in part.groupby("estimator", sort=False):
+        mine = mine.set_index("seed").reindex(errors.index)
+        known = errors[name].notna().to_numpy()
+        squares = {key: errors[key].to_numpy()[known] ** 2 for key in (name, *REFERENCES)}
         rows.append(
-            {"estimator": name, "identical": is_identical, "seeds": len(errors), "failed": int((~has_value).sum()),
-             **_ratios(squares, name, is_identical), "over_bound": _over_bound(squares[name], facts["bound"][has_value]),
-             "bias": float(errors[name].mean()), "covered": float(facts["covered"].mean()),
-             "logs": int(has_interval.sum()), "held": int(covers.sum()), "width": float(widths.median()),
-             "seconds": float(seconds[name].median())}
-        )  # fmt: skip
+            {
+                "family": family,
+                "size": size,
+                "estimator": name,
+                "families": first["families"].iloc[0],
+                "identical": bool(first["identical"].iloc[0]),
+                "seeds": len(mine),
+                "failed": int((~known).sum()),
+                **_ratios(squares[name], squares[LIKELIHOOD], squares[SIMULATOR], eff[known]),
+                "bias": float(errors[name].mean()),
+                "covered": float(first["covered"].mean()),
+                **_intervals(mine, eff, counted),
+                "seconds": float(mine["seconds"].median()),
+            }
+        )
     return rows
 
 
-def _ratios(squares: dict[str, Array], name: str, is_identical: bool) -> dict[str, Any]:
-    """RMSE, that of the references, the ratio, and its 5% bootstrap quantile."""
-    own, likelihood, simulator = squares[name], squares[LIKELIHOOD], squares[SIMULATOR]
+def _ratios(own: Array, likelihood: Array, simulator: Array, eff: Array) -> dict[str, float]:
+    """RMSE of all three, their ratios, the 5% bootstrap quantile of the first, the floor at the simulator's error."""
     if len(own) == 0:
-        return dict.fromkeys(("rmse", LIKELIHOOD, SIMULATOR, "ratio", "low"), math.nan)
-    shares = np.vstack([np.full(len(own), 1 / len(own)), resamples(len(own))])  # all of them first, then the bootstrap
-    mine, first, second = (np.sqrt(shares @ errors) for errors in (own, likelihood, simulator))
-    reference = first if is_identical else np.minimum(first, second)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where((mine == 0) & (reference == 0), 1.0, mine / reference)
+        return {}
+    mean_eff = math.sqrt(float(np.mean(eff**2)))
+    least = LEAST * mean_eff if math.isfinite(mean_eff) else 0.0
+    samples = np.vstack([np.full(len(own), 1.0 / len(own)), resamples(len(own))])
+    rmse, other, bare = (np.sqrt(samples @ squares) for squares in (own, likelihood, simulator))
+    ratio = _over(rmse, np.maximum(np.minimum(other, bare), least))
+    unit = mean_eff if 0 < mean_eff < math.inf else math.nan
     return {
-        "rmse": float(mine[0]), LIKELIHOOD: float(first[0]), SIMULATOR: float(second[0]),
-        "ratio": float(ratio[0]), "low": float(np.quantile(ratio[1:], LOW, method="lower")),
-    }  # fmt: skip
+        "rmse": float(rmse[0]),
+        LIKELIHOOD: float(other[0]),
+        SIMULATOR: float(bare[0]),
+        "ratio": float(ratio[0]),
+        "low": float(np.quantile(ratio[1:], LOW, method="lower")),
+        "b": float(bare[0] / unit),
+        "floor": float(floor(bare[:1] / unit)[0]),
+        "over_likelihood": float(_over(rmse[:1], other[:1])[0]),
+        "over_eff": float(rmse[0] / unit),
+    }
+
+
+def _over(own: Array, reference: Array) -> Array:
+    """own / reference; 1 where both are 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where((own == 0) & (reference == 0), 1.0, own / reference))
 
 
 @functools.lru_cache(maxsize=8)
@@ -90,50 +113,54 @@ def resamples(seeds: int) -> Array:
     return np.asarray(drawn / seeds)
 
 
-def _over_bound(squares: Array, bound: pd.Series[float]) -> float:
-    """RMSE / sqrt(efficiency bound / n); nan where a bound is infinite or 0."""
-    if len(squares) == 0 or not np.isfinite(bound).all() or not bound.mean() > 0:
-        return math.nan
-    return float(np.sqrt(squares.mean() / bound.mean()))
+def _intervals(mine: pd.DataFrame, eff: Array, counted: BoolArray) -> dict[str, float]:
+    """Of the reported interval and of value +- 1.96 standard errors: logs that count, those covered, width / (2 * 1.96 eff)."""
+    value, half = mine["value"].to_numpy(), NORMAL * mine["standard_error"].to_numpy()
+    truth, numbers = mine["truth"].to_numpy(), dict[str, float]()
+    ends = {"": (mine["lower"].to_numpy(), mine["upper"].to_numpy()), "se_": (value - half, value + half)}
+    for prefix, (lower, upper) in ends.items():
+        here = counted & np.isfinite(lower) & np.isfinite(upper)
+        relative = ((upper - lower) / (2.0 * NORMAL * eff))[here & (eff > 0) & np.isfinite(eff)]
+        numbers[f"{prefix}logs"] = int(here.sum())
+        numbers[f"{prefix}held"] = int((here & (lower <= truth) & (truth <= upper)).sum())
+        numbers[f"{prefix}width"] = float(np.median(relative)) if len(relative) else math.nan
+    return numbers
 
 
-def _league_row(name: str, cells: pd.DataFrame) -> dict[str, Any]:
-    """One estimator over its cells: those of other pairs, then those of identical ones, intervals and time of all."""
-    shifted, same = cells[~cells["identical"]], cells[cells["identical"]]
-    row = {"estimator": name, "cells": len(cells), **summarize(shifted)}
-    row |= {"geo, over bound": geometric_mean(shifted["over_bound"])}
-    row |= {"identical: geo": geometric_mean(same["ratio"]), "identical: worst": float(same["ratio"].max())}
-    return row | coverage(cells) | {"seconds": float(cells["seconds"].mean()), "failed": int(cells["failed"].sum())}
-
-
-def summarize(cells: pd.DataFrame) -> dict[str, Any]:
-    """Geometric mean, 90% quantile and worst of the ratios, and the shares surely above 1.1 and 1.5."""
-    known = cells[cells["ratio"].notna()].reset_index(drop=True)
-    if known.empty:
-        numbers = ("geo", "q90", "worst", "worst cell", *(f"above {limit:g}" for limit in LIMITS))
-        return dict.fromkeys(numbers, math.nan) | {"worst cell": ""}
-    worst = known.loc[known["ratio"].to_numpy().argmax()]
+def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
+    """One estimator over the cells of one kind of families."""
+    known = cells[cells["ratio"].notna()]
+    worst = known.iloc[int(known["ratio"].to_numpy().argmax())] if len(known) else None
     return {
-        "geo": geometric_mean(known["ratio"]),
-        "q90": float(known["ratio"].quantile(0.9, interpolation="higher")),
-        "worst": float(known["ratio"].max()),
-        "worst cell": f"{worst['family']} at {worst['size']:g}",
-        **{f"above {limit:g}": float((known["low"] > limit).mean()) for limit in LIMITS},
+        "estimator": cells["estimator"].iloc[0],
+        "families": cells["families"].iloc[0],
+        "cells": len(cells),
+        "over reference": geometric_mean(known["ratio"]),
+        "floor": geometric_mean(known["floor"]),
+        "worst": math.nan if worst is None else float(worst["ratio"]),
+        "worst cell": "" if worst is None else f"{worst['family']} at {worst['size']:g}",
+        "surely above 1.1": float((known["low"] > LIMIT).mean()) if len(known) else math.nan,
+        "over likelihood": geometric_mean(known["over_likelihood"]),
+        "over eff": geometric_mean(known["over_eff"]),
+        **_coverage(cells),
+        "seconds": float(cells["seconds"].mean()),
+        "failed": int(cells["failed"].sum()),
     }
 
 
-def coverage(cells: pd.DataFrame) -> dict[str, Any]:
-    """Of the counted logs: the share whose interval covers the truth, the worst family's, the median relative width."""
-    by_family = cells.groupby("family", sort=False)[["logs", "held"]].sum()
-    logs, held = by_family.sum()
-    enough = by_family[by_family["logs"] >= FEW]
-    share = enough["held"] / enough["logs"]
+def _coverage(cells: pd.DataFrame) -> dict[str, Any]:
+    """Coverage and median width of both intervals, and the family that is covered least by the reported one."""
+    sums = cells[["logs", "held", "se_logs", "se_held"]].sum()
+    by = cells.groupby("family", sort=False)[["logs", "held"]].sum()
+    share = (by["held"] / by["logs"])[by["logs"] >= FEW]
     return {
-        "logs": int(logs),
-        "coverage": held / logs if logs else math.nan,
+        "logs": int(sums["logs"]),
+        "coverage": float(sums["held"] / sums["logs"]) if sums["logs"] else math.nan,
         "worst family": str(share.idxmin()) if len(share) else "",
-        "its coverage": float(share.min()),
+        "its coverage": float(share.min()) if len(share) else math.nan,
         "width": float(cells["width"].median()),
+        "coverage of 1.96 se": float(sums["se_held"] / sums["se_logs"]) if sums["se_logs"] else math.nan,
+        "width of 1.96 se": float(cells["se_width"].median()),
     }
 
 
