@@ -110,6 +110,7 @@ def test_an_option_given_twice_is_refused(run, name, option):
         (f"{SAMPLE} l.txt --episodes 1", "must end in .npz, .csv, .csv.gz, .parquet"),
         ("sample FrozenLake-v1 --output l.npz --episodes 0", "--episodes must be a positive integer; it is 0"),
         ("sample nowhere-v1 --episodes 1 --output l.npz", "'nowhere-v1' is neither"),
+        ("compare --policy uniform --policy expert", "Missing option '--simulator'"),
         ("info nowhere.npz", "no such file: nowhere.npz"),
         ("info nofile", "no such file: nofile"),
     ],
