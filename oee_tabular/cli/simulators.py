@@ -154,32 +154,31 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
 
 
 def _policy_by_state(frame: Any, mdp: FiniteMDP, name: str) -> dict[Any, Any]:
-    """The mapping of a table with the columns state, action (and probability), or state and one for each action."""
+    """Read a table with the columns state, action (and probability), or state and one for each action."""
     from oee_tabular.mdp.naming import numbers_of
 
-    labels, known = list(frame.columns), numbers_of(mdp.action_names or ())
+    labels, known = list(frame.columns), {*numbers_of(mdp.action_names or ()), *range(mdp.n_actions)}
     actions = {label: int(label) if label.isdigit() else label for label in labels if label != "state"}
-    is_wide = all(action in known or action in range(mdp.n_actions) for action in actions.values())
-    if "state" not in labels or not actions or not ("action" in labels or is_wide) or len(frame) == 0:
+    is_wide = "action" not in labels
+    if "state" not in labels or not actions or (is_wide and not known.issuperset(actions.values())) or frame.empty:
         raise ValueError(
             f"{name} must have the columns state and action, with probability or without, or state and one for each action, "
             f"and at least one row; it has {', '.join(labels)} and {len(frame)} rows"
         )
-    if "action" not in labels:
+    keys = ["state", "action"] if "probability" in labels else ["state"]
+    twice = frame[frame.duplicated(keys)]
+    if len(twice):
+        place = ", ".join(f"{key} {twice.iloc[0][key]}" for key in keys)
+        raise ValueError(f"{name} must have one row for each {' and '.join(keys)}; {place} has two")
+    if is_wide:
         frame = frame.rename(columns=actions).melt("state", var_name="action", value_name="probability")
-    elif "probability" not in labels and not frame["state"].duplicated().any():
+    elif "probability" not in labels:
         return dict(zip(frame["state"], frame["action"], strict=True))
+    try:
+        numbers = frame["probability"].astype(float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must have numbers as probabilities; {error}") from None
     policy: dict[Any, Any] = {}
-    for row in frame.to_dict("records"):
-        state, action = row["state"], row["action"]
-        if "probability" not in row:
-            raise ValueError(f"{name} must have a row for each state; state {state} has two")
-        if action in policy.setdefault(state, {}):
-            raise ValueError(
-                f"{name} must have each state's action once; state {state}, action {action} is there twice"
-            )
-        try:
-            policy[state][action] = float(row["probability"])
-        except (TypeError, ValueError):
-            raise ValueError(f"{name} must have numbers as probabilities; it has {row['probability']!r}") from None
+    for state, action, number in zip(frame["state"], frame["action"], numbers, strict=True):
+        policy.setdefault(state, {})[action] = number
     return policy

@@ -127,15 +127,18 @@ def test_policies_from_files(run, folder):
         ("state,action\n", "and 0 rows"),
         ("state,action\nr0c0,north", "must be one of the MDP's names; it is 'north'"),
         ("state,action\nr0c9,n", "state must be one of the MDP's names; it is 'r0c9' (did you mean 'r0c"),
-        ("state,action\nr0c0,n\nr0c0,e", "must have a row for each state; state r0c0 has two"),
-        (
-            "state,n,e,s,w\nr0c0,1,0,0,0\nr0c0,1,0,0,0",
-            "must have each state's action once; state r0c0, action n is there",
-        ),
+        ("state,action\nr0c0,n\nr0c0,e", "must have one row for each state; state r0c0 has two"),
+        ("state,n,e,s,w\nr0c0,1,0,0,0\nr0c0,1,0,0,0", "must have one row for each state; state r0c0 has two"),
         ("state,action\nr0c0,n", "must have every state that is not terminal; state r0c1 is not there (7 such"),
         ("state,action,probability\nr0c0,n,0.4", "it sums to 0.4"),
-        ("state,action,probability\nr0c0,n,much", "must have numbers as probabilities; it has 'much'"),
-        ("state,action,probability\nr0c0,n,.5\nr0c0,n,.5", "state r0c0, action n is there twice"),
+        (
+            "state,action,probability\nr0c0,n,much",
+            "must have numbers as probabilities; could not convert string",
+        ),
+        (
+            "state,action,probability\nr0c0,n,.5\nr0c0,n,.5",
+            "one row for each state and action; state r0c0, action n has two",
+        ),
     ],
 )
 def test_tables_that_are_no_policy(run, folder, table, text):
