@@ -35,6 +35,19 @@ def named_specs(given: list[str], option: str = "--policy", known: Sequence[str]
     return specs
 
 
+def parse_spec(spec: str) -> tuple[str, dict[str, Any]]:
+    """The name and the keywords of "NAME:key=value,..."; ValueError where a value has no key.
+
+    >>> parse_spec("cartpole:gravity=10,form=full")
+    ('cartpole', {'gravity': 10, 'form': 'full'})
+    """
+    name, _, rest = spec.partition(":")
+    positional, keywords = arguments(rest)
+    if positional:
+        raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
+    return name, keywords
+
+
 def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
     """Positional values and keywords; values are Python literals or words.
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular._arguments import arguments, own_module, own_modules, own_object
+from oee_tabular._arguments import own_module, own_modules, own_object, parse_spec
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular.continuous.actions import action_set
 from oee_tabular.continuous.gymnasium_physics import maker, vector_maker
@@ -144,11 +144,7 @@ def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
     ('Pendulum-v1', {'g': 9.0})
     """
     named = _registered(spec)
-    identifier, _, rest = (named if re.match("[^,]*:", named) else named.replace(",", ":", 1)).partition(":")
-    positional, keywords = arguments(rest)
-    if positional:
-        raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
-    return identifier, keywords
+    return parse_spec(named if re.match("[^,]*:", named) else named.replace(",", ":", 1))
 
 
 def is_continuous_id(spec: str) -> bool:

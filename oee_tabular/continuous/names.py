@@ -10,7 +10,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from oee_tabular._arguments import arguments
+from oee_tabular._arguments import parse_spec
 from oee_tabular.continuous.cartpole import cartpole
 from oee_tabular.continuous.gymnasium_named import gymnasium_simulator, is_continuous_id
 from oee_tabular.continuous.kinova import kinova
@@ -47,7 +47,7 @@ def continuous_simulator(spec: str, *, state: str | None = None, actions: object
     >>> continuous_simulator("cartpole:gravity=15,noise=0").task.parameters()
     {'gravity': 15, 'noise': 0, 'form': 'angle'}
     """
-    name, _, rest = spec.partition(":")
+    name = spec.partition(":")[0]
     if name not in CONTINUOUS:
         if not is_continuous_id(spec):
             raise ValueError(
@@ -60,9 +60,7 @@ def continuous_simulator(spec: str, *, state: str | None = None, actions: object
             raise ValueError(
                 f"--task-option {option} must be left out for {name}, which is no Gymnasium environment; it is {given!r}"
             )
-    positional, keywords = arguments(rest)
-    if positional:
-        raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
+    _, keywords = parse_spec(spec)
     make = CONTINUOUS[name]
     try:
         inspect.signature(make).bind(**keywords)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from oee_tabular import _checks
-from oee_tabular._arguments import arguments
+from oee_tabular._arguments import arguments, parse_spec
 from oee_tabular._checks import Array
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
@@ -84,23 +84,25 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         mdp = FiniteMDP.load(spec)
         mdp = mdp if discount is None else mdp.with_discount(discount)
         return NamedTask(spec, mdp, lambda: _plan(mdp))
-    name, _, rest = spec.partition(":")
-    positional, keywords = arguments(rest)
-    if discount is not None:
-        keywords["discount"] = discount
-    if name == "gridworld":
-        return _gridworld(spec, positional, keywords)
-    names = importlib.import_module("oee_tabular.continuous.names")
-    if names.is_continuous(spec):
-        found = names.continuous_simulator(spec)
-        model = found.build(discount=0.99 if discount is None else discount)
-        expert = lambda: model.policy(found.policy("expert"))  # noqa: E731
-        return NamedTask(spec, model.mdp, expert, continuous=found, discretization=model)
-    environment_exists(name, ("gridworld", *names.CONTINUOUS))
-    if positional:
-        raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
-    gamma = keywords.pop("discount", 0.99)
-    mdp = toy_text(name, discount=gamma, **keywords)
+    given = {} if discount is None else {"discount": discount}
+    if spec.partition(":")[0] == "gridworld":
+        positional, keywords = arguments(spec.partition(":")[2])
+        try:
+            bound = inspect.signature(gridworld).bind(*positional, **(keywords | given))
+        except TypeError as error:
+            raise ValueError(f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}") from None
+        size = bound.arguments["size"]
+        return NamedTask(spec, gridworld(*bound.args, **bound.kwargs), lambda: gridworld_expert(size), grid=size)
+    wing = importlib.import_module("oee_tabular.continuous.names")
+    if wing.is_continuous(spec):
+        simulator = wing.continuous_simulator(spec)
+        model = simulator.build(**({"discount": 0.99} | given))
+        expert = lambda: model.policy(simulator.policy("expert"))  # noqa: E731
+        return NamedTask(spec, model.mdp, expert, continuous=simulator, discretization=model)
+    environment_exists(spec.partition(":")[0], ("gridworld", *wing.CONTINUOUS))
+    name, keywords = parse_spec(spec)
+    mdp = toy_text(name, **(keywords | given))
+    keywords.pop("discount", None)
     return NamedTask(spec, mdp, lambda: _plan(mdp), lambda: make_environment(name, **keywords))
 
 
@@ -109,12 +111,3 @@ def _plan(mdp: FiniteMDP) -> Array:
     from oee_tabular.exact import optimal_policy
 
     return optimal_policy(mdp)
-
-
-def _gridworld(spec: str, positional: list[Any], keywords: dict[str, Any]) -> NamedTask:
-    try:
-        bound = inspect.signature(gridworld).bind(*positional, **keywords)
-    except TypeError as error:
-        raise ValueError(f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}") from None
-    size = bound.arguments["size"]
-    return NamedTask(spec, gridworld(*bound.args, **bound.kwargs), lambda: gridworld_expert(size), grid=size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 from collections.abc import Iterable
 from types import SimpleNamespace
 from typing import Any
@@ -133,52 +134,42 @@ def record_episodes(
     episodes = None if n_episodes is None else _checks.positive_integer(n_episodes, "n_episodes")
     longest = None if max_steps is None else _checks.positive_integer(max_steps, "max_steps")
     pi = _table(policy, *_sizes(env))
-    rows = _stepped(env, pi, limit, episodes, longest, _checks.generator(seed))
-    states, actions, following_states, rewards, terminations, truncations, numbers = map(
-        np.array, zip(*rows, strict=True)
-    )
-    truncations[-1] |= not terminations[-1]
+    rows = _step(env, pi, limit, episodes, longest, _checks.generator(seed))
+    states, actions, next_states, rewards, terminated, truncated, numbers = map(np.array, zip(*rows, strict=True))
+    truncated[-1] = True  # unless it terminated
     return Transitions(
         states,
         actions,
-        following_states,
+        next_states,
         rewards,
-        terminated=terminations,
-        truncated=truncations & ~terminations,
+        terminated=terminated,
+        truncated=truncated & ~terminated,
         episode=numbers,
         behavior_probability=pi[states, actions],
     )
 
 
-def _stepped(
+def _step(
     env: Any, pi: Array, limit: int | None, episodes: int | None, longest: int | None, generator: np.random.Generator
 ) -> list[tuple[int, int, int, float, bool, bool, int]]:
     """Rows s, a, s', r, terminated, truncated, episode: ``limit`` of them, or those of so many ``episodes``."""
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
     rows: list[tuple[int, int, int, float, bool, bool, int]] = []
-    episode, over, steps, state = 0, True, 0, 0
     first_seed: int | None = int(generator.integers(2**31))
     progress = progress_bar("recording", total=limit or episodes)
-    while True:
-        if over:
-            if episodes is not None and episode == episodes:
-                break
-            state = int(env.reset(seed=first_seed)[0])
-            first_seed = None
-        action = int(np.searchsorted(cumulative[state], generator.random(), side="right"))
-        following, reward, terminated, truncated, _ = env.step(action)
-        rows.append((state, action, int(following), float(reward), bool(terminated), bool(truncated), episode))
-        over = bool(terminated or truncated)
-        steps += 1
-        if longest is not None and steps == longest and not over:
-            rows[-1] = (*rows[-1][:5], True, episode)
-            over = True
-        steps = 0 if over else steps
-        state = int(following)
-        episode += over
-        progress.update(1 if limit is not None else int(over))
-        if limit is not None and len(rows) == limit:
+    for episode in itertools.count() if episodes is None else range(episodes):
+        state, ended, steps = int(env.reset(seed=first_seed)[0]), False, 0
+        first_seed = None
+        while not ended and len(rows) != limit:
+            action = int(np.searchsorted(cumulative[state], generator.random(), side="right"))
+            following, reward, terminated, truncated, _ = env.step(action)
+            steps += 1
+            truncated = bool(truncated) or steps == longest
+            rows.append((state, action, int(following), float(reward), bool(terminated), truncated, episode))
+            state, ended = int(following), bool(terminated) or truncated
+            progress.update(1 if limit is not None else int(ended))
+        if len(rows) == limit:
             break
     progress.close()
     return rows

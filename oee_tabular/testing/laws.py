@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
-from oee_tabular.testing.calls import Broken, NotClaimed, Raises, Refused, Subject, both, one, shorten
+from oee_tabular.testing.calls import Broken, Forms, NotClaimed, Raises, Refused, Subject, both, one, shorten
 from oee_tabular.testing.cases import Case, padded_log, relabelled_log
 
 SMALL, LARGE = 300, 4800  # episodes
@@ -47,28 +47,29 @@ def limit(subject: Subject) -> str:
 
 def consistent(subject: Subject) -> str:
     """Its values tend to J_target under full support; so does its own limit, where it has one."""
-
-    def check(pair: Case) -> str:
-        for data in ({}, _data(pair)):
-            _check_limit(subject, pair, "J_target", data)
-        return tends_to(subject, pair, pair.truth, "J_target")
-
-    return subject.check_cases(check, *both("ragged"), *one("moves"))
+    return _tends_to_truth(subject, *both("ragged"), *one("moves"))
 
 
 def identical(subject: Subject) -> str:
     """Where the target is the simulator (zeta = 1) its values tend to J of both, and its limit is J."""
-
-    def check(pair: Case) -> str:
-        _check_limit(subject, pair, "J", _data(pair))
-        return tends_to(subject, pair, pair.truth, "J")
-
-    return subject.check_cases(check, *one("same ragged"))
+    return _tends_to_truth(subject, *one("same ragged"))
 
 
 def ragged(subject: Subject) -> str:
     """A chain that pays 1 while it lives: episodes that ended count as paying nothing, they are not left out."""
-    return subject.check_cases(lambda pair: tends_to(subject, pair, pair.truth, "J_target"), *one("survival"))
+    return _tends_to_truth(subject, *one("survival"))
+
+
+def _tends_to_truth(subject: Subject, *forms: Forms) -> str:
+    def check(pair: Case) -> str:
+        for data in ({}, _data(pair)):
+            own = subject.limit(pair, **data)
+            if own is not None:
+                example = f"estimator.limit(pair.simulator, pair.target, pair.policy, horizon={pair.horizon})"
+                equals(own, pair.truth, own, "its limit is not J_target", example)
+        return tends_to(subject, pair, pair.truth, "J_target")
+
+    return subject.check_cases(check, *forms)
 
 
 def unbiased(subject: Subject) -> str:
@@ -115,13 +116,9 @@ def relabelling(subject: Subject) -> str:
 
 def scale(subject: Subject) -> str:
     """Rewards a r, in the log and in the simulator, give a J."""
-
-    def check(pair: Case) -> str:
-        log = pair.log(EPISODES, seed=subject.log_seed("scale", pair.name))
-        before, after = _values_of_rewards(subject, pair, log, SCALE, 0.0)
-        return equals(after, SCALE * before, before, f"value of rewards {SCALE} r", _reward_example(SCALE, 0.0))
-
-    return subject.check_cases(check, *both("ragged"), *one("moves"))
+    return subject.check_cases(
+        lambda pair: _compare_rewards(subject, pair, EPISODES, SCALE, 0.0), *both("ragged"), *one("moves")
+    )
 
 
 def shift(subject: Subject) -> str:
@@ -133,20 +130,14 @@ def shift(subject: Subject) -> str:
     def check(pair: Case) -> str:
         behavior = pair.behavior.copy()
         behavior[-1] = [1.0, 0.0]
-        pair = replace(pair, behavior=behavior)
-        log = pair.log(FEW_EPISODES, seed=subject.log_seed("shift", pair.name))
-        gamma = pair.simulator.discount
-        total = 1.0 / (1.0 - gamma) if pair.horizon is None else float(np.sum(gamma ** np.arange(pair.horizon)))
-        before, after = _values_of_rewards(subject, pair, log, 1.0, SHIFT)
-        expected = before + SHIFT * total
-        return equals(after, expected, before, f"value of rewards r + {SHIFT}", _reward_example(1.0, SHIFT))
+        return _compare_rewards(subject, replace(pair, behavior=behavior), FEW_EPISODES, 1.0, SHIFT)
 
     return subject.check_cases(check, *both("moves"))
 
 
 def padding(subject: Subject) -> str:
     """Rows in the absorbing state after the end (the one action that policy and behaviour take there) change nothing."""
-    return subject.check_cases(lambda pair: _check_padding(subject, pair, (0, 0, 0), 1.0), *both("ragged"))
+    return subject.check_cases(lambda pair: _compare_padding(subject, pair, (0, 0, 0), 1.0), *both("ragged"))
 
 
 def after_end(subject: Subject) -> str:
@@ -155,7 +146,7 @@ def after_end(subject: Subject) -> str:
     def check(pair: Case) -> str:
         policy, behavior = pair.policy.copy(), pair.behavior.copy()
         policy[-1], behavior[-1] = [0.9, 0.1], [0.5, 0.5]
-        return _check_padding(subject, replace(pair, policy=policy, behavior=behavior), (0, 1, 0), 0.5)
+        return _compare_padding(subject, replace(pair, policy=policy, behavior=behavior), (0, 1, 0), 0.5)
 
     return subject.check_cases(check, *both("ragged"))
 
@@ -207,14 +198,6 @@ def _data(pair: Case) -> dict[str, Any]:
     return {"behavior_policy": pair.behavior.copy(), "data_distribution": pair.data_distribution}
 
 
-def _check_limit(subject: Subject, pair: Case, what: str, data: dict[str, Any]) -> None:
-    """The estimator's own limit, where it has one, is J."""
-    own = subject.limit(pair, **data)
-    if own is not None:
-        example = f"estimator.limit(pair.simulator, pair.target, pair.policy, horizon={pair.horizon})"
-        equals(own, pair.truth, own, f"its limit is not {what}", example)
-
-
 # ---- two estimates -----------------------------------------------------------------------------------------------------
 
 
@@ -237,20 +220,19 @@ def same_mean(first: Array, second: Array, what: str, example: str) -> str:
     return f"{numbers}, tolerance {allowed:.2g}"
 
 
-def _values_of_rewards(
-    subject: Subject, pair: Case, log: Transitions, factor: float, added: float
-) -> tuple[float, float]:
-    """The values of rewards r and factor * r + added."""
-    assert log.reward is not None
-    other = Transitions(**(log.columns() | {"reward": factor * log.reward + added}))
-    return subject.value(pair, log, seed=0), subject.value(pair.with_rewards(factor, added), other, seed=0)
+def _compare_rewards(subject: Subject, pair: Case, n: int, factor: float, added: float) -> str:
+    """Rewards factor * r + added give factor * J + added * sum_t gamma^t."""
+    log = pair.log(n, seed=subject.log_seed("rewards", pair.name))
+    columns, gamma = log.columns(), pair.simulator.discount
+    other = Transitions(**(columns | {"reward": factor * columns["reward"] + added}))
+    total = 1.0 / (1.0 - gamma) if pair.horizon is None else float(np.sum(gamma ** np.arange(pair.horizon)))
+    before = subject.value(pair, log, seed=0)
+    after = subject.value(pair.with_rewards(factor, added), other, seed=0)
+    example = f"pair.with_rewards({factor}, {added}), and the same of log.reward"
+    return equals(after, factor * before + added * total, before, f"value of rewards {factor:g} r + {added:g}", example)
 
 
-def _reward_example(factor: float, added: float) -> str:
-    return f"pair.with_rewards({factor}, {added}), and the same of log.reward"
-
-
-def _check_padding(subject: Subject, pair: Case, actions: tuple[int, ...], probability: float) -> str:
+def _compare_padding(subject: Subject, pair: Case, actions: tuple[int, ...], probability: float) -> str:
     log = pair.log(EPISODES, seed=subject.log_seed("padding", pair.name))
     before = subject.value(pair, log, seed=0)
     after = subject.value(pair, padded_log(log, actions, probability), seed=0)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,12 +13,14 @@ from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, PolicyLike
+from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.rollouts import rollout_horizon
 from oee_tabular.exact import efficiency_bound, policy_value, trajectory_efficiency_bound
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.calls import name_of
 from oee_tabular.testing.cases import recorded
@@ -177,35 +181,41 @@ def compare_with_oracle(
     >>> abs(found.bias) < 4 * found.bias_error + 0.01, 0.3 < found.inefficiency < 2.0
     (True, True)
     """
-    simulator, target = _pair(pair)
-    own = as_estimator(estimator)
-    pi = check_policy(policy, simulator)
+    both = _checks.collection(pair, "pair", "(simulator, target)")
+    if len(both) != 2:
+        raise ValueError(f"pair must be (simulator, target); it holds {len(both)}")
+    simulator, target = both
+    require_pair(target, simulator)
+    own, pi = as_estimator(estimator), check_policy(policy, simulator)
     size, times = _checks.positive_integer(n, "n"), _checks.positive_integer(repetitions, "repetitions")
     if times < 2:
         raise ValueError(f"repetitions must be at least 2; it is {times}")
     _checks.require_memory(4.0 * times, "repetitions", times)
     if (behavior_policy is None) == (data_distribution is None):
         raise ValueError("one of behavior_policy and data_distribution must be given")
-    data: dict[str, object]
-    if behavior_policy is not None:
-        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-        steps = rollout_horizon(target.discount, optional_horizon_length(horizon, target))
-        data = {"behavior_policy": behavior, "data_distribution": recorded(target, behavior, steps)}
-        bound = _or_infinite(target, behavior, pi, steps)
-    else:
+    behavior: Array | None = None
+    draw: Callable[..., Transitions]
+    if behavior_policy is None:
         shape = (simulator.n_states, simulator.n_actions)
         share = _checks.distribution(data_distribution, "data_distribution", shape)
-        behavior, steps, data = None, None, {"data_distribution": share}
+        draw = partial(sample_transitions, target, share, size)
         bound = efficiency_bound(target, pi, share, horizon=horizon)
+    else:
+        behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
+        steps = rollout_horizon(target.discount, optional_horizon_length(horizon, target))
+        share = recorded(target, behavior, steps)
+        draw = partial(sample_episodes, target, behavior, size, steps)
+        try:
+            bound = trajectory_efficiency_bound(target, behavior, pi, horizon=steps)
+        except ValueError:
+            if not np.any((pi > 0) & (behavior == 0)):
+                raise
+            bound = math.inf  # the behaviour policy never takes an action that the policy takes
     limit = getattr(own.function, "limit", None)
-    goal = None if limit is None else float(limit(simulator, target, pi, horizon=horizon, **data))
+    data = {"data_distribution": share} | ({} if behavior is None else {"behavior_policy": behavior})
     values, reasons = [], []
     for k in range(times):
-        stream = _checks.seed_sequence(seed, (k,))
-        if behavior is not None and steps is not None:
-            log = sample_episodes(target, behavior, size, steps, seed=stream)
-        else:
-            log = sample_transitions(target, data["data_distribution"], size, seed=stream)
+        log = draw(seed=_checks.seed_sequence(seed, (k,)))
         estimate = own(Problem(simulator, log, horizon=horizon, behavior_policy=behavior), pi.copy(), seed=k)
         if estimate.status == "ok":
             values.append(float(estimate.value))
@@ -214,7 +224,7 @@ def compare_with_oracle(
     return Comparison(
         estimator=name_of(own.function),
         truth=policy_value(target, pi, horizon=horizon),
-        limit=goal,
+        limit=None if limit is None else float(limit(simulator, target, pi, horizon=horizon, **data)),
         bound=bound,
         n=size,
         unit="transitions" if behavior is None else "episodes",
@@ -222,28 +232,3 @@ def compare_with_oracle(
         failures=len(reasons),
         reasons=reasons[0] if reasons else "",
     )
-
-
-def _pair(pair: Any) -> tuple[FiniteMDP, FiniteMDP]:
-    try:
-        simulator, target = pair
-    except (TypeError, ValueError):
-        raise ValueError(f"pair must be (simulator, target); got {type(pair).__name__}") from None
-    for value, name in ((simulator, "pair[0], the simulator,"), (target, "pair[1], the target,")):
-        _checks.instance(value, FiniteMDP, name)
-    if simulator.transitions.shape != target.transitions.shape:
-        raise ValueError(
-            f"pair must have the same states and actions; their transitions have shapes {simulator.transitions.shape} and "
-            f"{target.transitions.shape}"
-        )
-    return simulator, target
-
-
-def _or_infinite(target: FiniteMDP, behavior: Array, policy: Array, steps: int) -> float:
-    """The bound; inf where the behaviour policy never takes an action that the policy takes."""
-    try:
-        return trajectory_efficiency_bound(target, behavior, policy, horizon=steps)
-    except ValueError:
-        if np.any((policy > 0) & (behavior == 0)):
-            return math.inf
-        raise

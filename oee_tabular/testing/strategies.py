@@ -29,6 +29,7 @@ except ImportError as error:  # pragma: no cover (tested in a process without it
 
 WEIGHTS = (1, 0, 2, 0, 0, 5)  # of which probabilities are made; the first is what they shrink to
 REWARDS = ("s", "sa", "sas")
+KINDS = ("episodes", "transitions")
 SUPPORTS = ("equal", "inside", "violated")
 
 
@@ -69,36 +70,32 @@ def mdps(
     if low > high:
         raise ValueError(f"min_states must be at most max_states; they are {low} and {high}")
     actions = _checks.positive_integer(max_actions, "max_actions")
-    factors = [_checks.number_in(value, "discounts", 0.0, 1.0) for value in _some(discounts, "discounts")]
-    forms = _some(rewards, "rewards")
-    for form in forms:
+    factors = [_checks.number_in(value, "discounts", 0.0, 1.0) for value in discounts]
+    for name, values in (("discounts", factors), ("rewards", rewards)):
+        if not len(values):
+            raise ValueError(f"{name} must hold at least one; it is empty")
+    for form in rewards:
         _checks.one_of(form, "rewards", REWARDS)
-    return _mdps(low, high, actions, factors, forms, absorbing)
 
+    @st.composite
+    def draw_mdp(draw: st.DrawFn) -> FiniteMDP:
+        n, a = draw(st.integers(low, high)), draw(st.integers(1, actions))
+        discount = draw(st.sampled_from(factors))
+        ends = draw(st.booleans() if absorbing is None else st.just(absorbing)) or discount == 1.0
+        row = _row(n, [n - 1] if discount == 1.0 else [])
+        matrix = np.array([[draw(row) for _ in range(a)] for _ in range(n)])
+        shape = (n, a, n)[: REWARDS.index(draw(st.sampled_from(rewards))) + 1]
+        size = int(np.prod(shape))
+        table = np.array(draw(st.lists(st.integers(-5, 5), min_size=size, max_size=size)), dtype=np.float64).reshape(
+            shape
+        )
+        if ends:
+            matrix[-1] = 0.0
+            matrix[-1, :, -1] = 1.0
+            table[-1] = 0.0
+        return FiniteMDP(matrix, table, draw(_row(n)), discount)
 
-@st.composite
-def _mdps(
-    draw: st.DrawFn,
-    low: int,
-    high: int,
-    max_actions: int,
-    discounts: list[float],
-    forms: list[Any],
-    absorbing: bool | None,
-) -> FiniteMDP:
-    n, a = draw(st.integers(low, high)), draw(st.integers(1, max_actions))
-    discount = draw(st.sampled_from(discounts))
-    over = draw(st.booleans() if absorbing is None else st.just(absorbing)) or discount == 1.0
-    certain = [n - 1] if discount == 1.0 else []
-    matrix = np.array([[draw(_row(n, certain)) for _ in range(a)] for _ in range(n)])
-    shape = (n, a, n)[: REWARDS.index(draw(st.sampled_from(forms))) + 1]
-    paid = np.array(draw(st.lists(st.integers(-5, 5), min_size=int(np.prod(shape)), max_size=int(np.prod(shape)))))
-    paid = paid.reshape(shape).astype(np.float64)
-    if over:
-        matrix[-1] = 0.0
-        matrix[-1, :, -1] = 1.0
-        paid[-1] = 0.0
-    return FiniteMDP(matrix, paid, draw(_row(n, [])), discount)
+    return draw_mdp()
 
 
 def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
@@ -120,12 +117,9 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     >>> law()
     """
     _checks.boolean(zeros, "zeros")
-    return _policies(_checks.instance(mdp, FiniteMDP, "mdp"), list(range(mdp.n_actions)) if not zeros else [])
-
-
-@st.composite
-def _policies(draw: st.DrawFn, mdp: FiniteMDP, certain: list[int]) -> Array:
-    return np.array([draw(_row(mdp.n_actions, certain)) for _ in range(mdp.n_states)])
+    model = _checks.instance(mdp, FiniteMDP, "mdp")
+    row = _row(model.n_actions, [] if zeros else list(range(model.n_actions)))
+    return st.lists(row, min_size=model.n_states, max_size=model.n_states).map(np.array)
 
 
 def mdp_pairs(
@@ -159,11 +153,14 @@ def mdp_pairs(
         options = {"min_states": 2} | options
         if _checks.positive_integer(options["min_states"], "min_states") < 2:
             raise ValueError("min_states must be at least 2 for support 'violated'; it is 1")
-    return _violated(mdps(**options)) if support == "violated" else _inside(mdps(**options), support == "equal")
+        return _violated_pairs(mdps(**options))
+    return _supported_pairs(mdps(**options), support == "equal")
 
 
 @st.composite
-def _inside(draw: st.DrawFn, simulators: st.SearchStrategy[FiniteMDP], equal: bool) -> tuple[FiniteMDP, FiniteMDP]:
+def _supported_pairs(
+    draw: st.DrawFn, simulators: st.SearchStrategy[FiniteMDP], equal: bool
+) -> tuple[FiniteMDP, FiniteMDP]:
     simulator = draw(simulators)
     matrix = simulator.transitions.toarray()
     for row in matrix:
@@ -172,28 +169,25 @@ def _inside(draw: st.DrawFn, simulators: st.SearchStrategy[FiniteMDP], equal: bo
         if not equal:
             keep = [k for k in keep if simulator.discount == 1.0 and where[k] == simulator.n_states - 1]
         row[where] = draw(_row(len(where), keep))
-    return simulator, simulator.with_transitions(_dense(matrix, simulator))
+    return simulator, simulator.with_transitions(matrix.reshape(simulator.n_states, simulator.n_actions, -1))
 
 
 @st.composite
-def _violated(draw: st.DrawFn, bases: st.SearchStrategy[FiniteMDP]) -> tuple[FiniteMDP, FiniteMDP]:
+def _violated_pairs(draw: st.DrawFn, bases: st.SearchStrategy[FiniteMDP]) -> tuple[FiniteMDP, FiniteMDP]:
     base = draw(bases)
-    n = base.n_states
+    n, shape = base.n_states, (base.n_states, base.n_actions, base.n_states)
     matrix = base.transitions.toarray()
     start, action = draw(st.integers(0, n - 2)), draw(st.integers(0, base.n_actions - 1))
     to = draw(st.integers(0, n - 2))  # never the last, where all must be able to end at discount 1
-    row = start * base.n_actions + action
-    without = np.delete(np.arange(n), to)
-    closed = [n - 2] if base.discount == 1.0 else []
-    matrix[row] = 0.0
-    matrix[row, without] = draw(_row(n - 1, closed))
+    row, ends = start * base.n_actions + action, base.discount == 1.0
+    matrix[row] = np.insert(draw(_row(n - 1, [n - 2] if ends else [])), to, 0.0)
     initial = base.initial.copy()
     if initial[start] == 0.0:
         initial = (initial + np.eye(n)[start]) / 2.0
     rewards = base.rewards if base.transition_rewards is None else base.transition_rewards
-    simulator = FiniteMDP(_dense(matrix, base), rewards, initial, base.discount)
-    matrix[row] = draw(_row(n, [*([n - 1] if closed else []), to]))
-    return simulator, simulator.with_transitions(_dense(matrix, base))
+    simulator = FiniteMDP(matrix.reshape(shape), rewards, initial, base.discount)
+    matrix[row] = draw(_row(n, [n - 1, to] if ends else [to]))
+    return simulator, simulator.with_transitions(matrix.reshape(shape))
 
 
 def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int | None]:
@@ -254,72 +248,52 @@ def logs(
     _checks.boolean(rewards, "rewards")
     model = _checks.instance(mdp, FiniteMDP, "mdp")
     if kind is not None:
-        _checks.one_of(kind, "kind", ("episodes", "transitions"))
+        _checks.one_of(kind, "kind", KINDS)
     even = np.full((model.n_states, model.n_actions), 1.0 / model.n_actions)
     behavior = even if behavior_policy is None else check_policy(behavior_policy, model, name="behavior_policy")
-    sizes = (_checks.positive_integer(max_episodes, "max_episodes"), _checks.positive_integer(max_steps, "max_steps"))
-    episodes, bag = _episodes(model, behavior, *sizes, rewards), _bags(model, behavior, sizes[0] * sizes[1], rewards)
-    return episodes | bag if kind is None else episodes if kind == "episodes" else bag
+    n, steps = _checks.positive_integer(max_episodes, "max_episodes"), _checks.positive_integer(max_steps, "max_steps")
+    matrix, ends = model.transitions, model.absorbing()
+
+    @st.composite
+    def draw_log(draw: st.DrawFn) -> Transitions:
+        is_bag = draw(st.sampled_from(KINDS) if kind is None else st.just(kind)) == "transitions"
+        starts = list(range(model.n_states)) if is_bag else np.flatnonzero(model.initial).tolist()
+        moves = []
+        for k in range(draw(st.integers(1, n * steps if is_bag else n))):
+            state = draw(st.sampled_from(starts))
+            for _ in range(1 if is_bag else draw(st.integers(1, steps))):
+                action = draw(st.sampled_from(np.flatnonzero(behavior[state]).tolist()))
+                row = state * model.n_actions + action
+                following = draw(st.sampled_from(matrix.indices[matrix.indptr[row] : matrix.indptr[row + 1]].tolist()))
+                moves.append((state, action, following, k))
+                state = following
+                if ends[state]:
+                    break
+        states, actions, next_states, episode = np.array(moves).T
+        table = model.rewards[states, actions]
+        if model.transition_rewards is not None:
+            table = model.transition_rewards.toarray()[states * model.n_actions + actions, next_states]
+        return Transitions(
+            states,
+            actions,
+            next_states,
+            table if rewards else None,
+            terminated=None if is_bag else ends[next_states],
+            episode=None if is_bag else episode,
+            behavior_probability=behavior[states, actions],
+        )
+
+    return draw_log()
 
 
-@st.composite
-def _episodes(draw: st.DrawFn, mdp: FiniteMDP, behavior: Array, n: int, steps: int, rewards: bool) -> Transitions:
-    over = mdp.absorbing()
-    moves, ended, episode = [], [], []
-    for k in range(draw(st.integers(1, n))):
-        state = draw(st.sampled_from(np.flatnonzero(mdp.initial).tolist()))
-        for _ in range(draw(st.integers(1, steps))):
-            move = draw(_move(mdp, behavior, state))
-            state = move[2]
-            moves.append(move)
-            episode.append(k)
-            ended.append(bool(over[state]))
-            if over[state]:
-                break
-    return _log(mdp, behavior, moves, rewards, terminated=ended, episode=episode)
-
-
-@st.composite
-def _bags(draw: st.DrawFn, mdp: FiniteMDP, behavior: Array, most: int, rewards: bool) -> Transitions:
-    states = draw(st.lists(st.integers(0, mdp.n_states - 1), min_size=1, max_size=most))
-    return _log(mdp, behavior, [draw(_move(mdp, behavior, state)) for state in states], rewards)
-
-
-@st.composite
-def _move(draw: st.DrawFn, mdp: FiniteMDP, behavior: Array, state: int) -> tuple[int, int, int]:
-    action = draw(st.sampled_from(np.flatnonzero(behavior[state]).tolist()))
-    row = state * mdp.n_actions + action
-    matrix = mdp.transitions
-    return state, action, draw(st.sampled_from(matrix.indices[matrix.indptr[row] : matrix.indptr[row + 1]].tolist()))
-
-
-def _log(
-    mdp: FiniteMDP, behavior: Array, moves: list[tuple[int, int, int]], rewards: bool, **flags: Any
-) -> Transitions:
-    state, action, following = (np.array(column) for column in zip(*moves, strict=True))
-    paid = mdp.rewards[state, action]
-    if mdp.transition_rewards is not None:
-        paid = mdp.transition_rewards.toarray()[state * mdp.n_actions + action, following]
-    probability = behavior[state, action]
-    return Transitions(state, action, following, paid if rewards else None, behavior_probability=probability, **flags)
-
-
-@st.composite
-def _row(draw: st.DrawFn, size: int, certain: list[int]) -> Array:
+def _row(size: int, certain: Sequence[int] = ()) -> st.SearchStrategy[Array]:
     """A distribution of small weights; the entries in ``certain`` are positive."""
-    weights = np.array(draw(st.lists(st.sampled_from(WEIGHTS), min_size=size, max_size=size)), dtype=np.float64)
-    weights[certain] += 1.0
-    if weights.sum() == 0.0:
-        weights[0] = 1.0
-    return np.asarray(weights / weights.sum())
 
+    def normalize(drawn: list[int]) -> Array:
+        weights = np.array(drawn, dtype=np.float64)
+        weights[list(certain)] += 1.0
+        if weights.sum() == 0.0:
+            weights[0] = 1.0
+        return np.asarray(weights / weights.sum())
 
-def _dense(matrix: Array, mdp: FiniteMDP) -> Array:
-    return matrix.reshape(mdp.n_states, mdp.n_actions, mdp.n_states)
-
-
-def _some(values: Sequence[object], name: str) -> list[Any]:
-    found = list(values)
-    if not found:
-        raise ValueError(f"{name} must hold at least one; it is empty")
-    return found
+    return st.lists(st.sampled_from(WEIGHTS), min_size=size, max_size=size).map(normalize)

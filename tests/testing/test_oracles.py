@@ -120,9 +120,12 @@ def test_the_same_seed_gives_the_same_bits():
     ({"data_distribution": even()}, "one of behavior_policy and data_distribution must be given"),
     ({"repetitions": 1}, "repetitions must be at least 2; it is 1"),
     ({"n": 0}, "n must be a positive integer; it is 0"),
+    ({"pair": (PAIR[0],)}, r"pair must be \(simulator, target\); it holds 1"),
+    ({"estimator": lambda problem: 1.0}, r"estimator must be callable as .*; it takes \(problem\)"),
+    ({"estimator": lambda problem, policy: (1.0, 2.0)}, "must return a float or an Estimate; it returned tuple"),
     ({"pair": 3}, r"pair must be \(simulator, target\); got int"),
-    ({"pair": (PAIR[0], 3)}, r"pair\[1\], the target, must be a FiniteMDP; got int"),
-    ({"pair": (PAIR[0], case("moves").target)}, "pair must have the same states and actions"),
+    ({"pair": (PAIR[0], 3)}, "target must be a FiniteMDP; got int"),
+    ({"pair": (PAIR[0], case("moves").target)}, "target and simulator must have the same states and actions"),
     ({"behavior_policy": None, "data_distribution": even() / 2}, "data_distribution must sum to 1 .*; it sums to 0.5"),
 ])  # fmt: skip
 def test_bad_calls(changes, text):
