@@ -218,13 +218,13 @@ path must end in .npz; it is 'mdp.csv'
 
 # problems
 >>> oee.Problem(GRID, Transitions([0, 9], [0, 0], [3, 3]))
-log.state[1] must be in 0..8, the simulator's; it is 9 (1 such rows in all)
+log.state[1] must be in 0..8, the simulator's; it is 9 (1 such transitions)
 >>> oee.Problem(GRID, Transitions([0], [4], [3]))
 log.action[0] must be in 0..3, the simulator's; it is 4
 >>> oee.Problem(GRID, Transitions([0, 0, 0, 3], [0, 0, 0, 1], [8, 8, 3, 5]))
-log ...gives probability 0 to 2 different moves (3 of 4 in all), the heaviest: s=0, a=0 -> s'=8 (2); s=3, a=1 -> s'=5
+log ...gives probability 0 to 2 of its transitions (3 of 4 with repetitions): s=0, a=0 -> s'=8 (2); s=3, a=1 -> s'=5
 >>> oee.Problem(GRID, Transitions([0], [0], [3], terminated=[True]))
-log.terminated[0] must be False, or the simulator must be over in state 3
+log.terminated[0] must be False, or state 3 must be terminal in the simulator
 >>> oee.Problem(GRID, np.zeros((3, 3)))
 log must be Transitions; got ndarray
 >>> oee.Problem(GOOD, LOG)
@@ -266,7 +266,7 @@ weighting must be one of 'per_decision', 'trajectory'
 >>> oee.estimators.OffEnvironment(n_rollouts=0)
 n_rollouts must be a positive integer; it is 0
 >>> oee.estimators.Oracle(GRID)(oee.Problem(oee.tasks.gridworld(3, 0.0), Transitions([0], [0], [3])), UNIFORM)
-target must stay where the simulator has probability: it gives probability 0 to
+target must stay in the simulator's support: the simulator gives probability 0 to
 >>> oee.evaluate(oee.Problem(GRID, LOG), UNIFORM, estimators=["oe"])
 estimators must be among simulator, oee, ...; got 'oe' (did you mean 'oee'?)
 >>> oee.evaluate(oee.Problem(GRID, LOG), UNIFORM, estimators=["oracle"])
@@ -395,7 +395,7 @@ strength must be in [0, inf); it is -1
 >>> oee.transition_ratio(np.zeros((36, 9)), GRID)
 log_or_counts must be Transitions or sparse counts; got ndarray
 >>> oee.transition_ratio(sparse.csr_array((36, 9)), GRID)
-log_or_counts must have at least one move
+log_or_counts must have at least one transition
 >>> oee.transition_ratio(sparse.csr_array(np.ones((4, 2))), GRID)
 counts must have shape (36, 9) ...; they have shape (4, 2)
 >>> oee.transition_ratio(GRID.transitions.sign() * -1.0, GRID)

@@ -40,32 +40,32 @@ def test_a_row_without_data_pays_what_staying_pays():
 
 
 def test_a_move_that_no_action_makes_has_other_ways_out_than_noise():
-    with pytest.raises(ValueError, match=r"to 1 different move \(1 of 2 in all\)") as told:
+    with pytest.raises(ValueError, match=r"to 1 of its transitions \(1 of 2 with repetitions\)") as told:
         oee.Problem(dock(), log_of([0, 0], [0, 0], [1, 2]))
     text = str(told.value)
-    assert "No action leads from 0 to 2 in the simulator, so that action noise does not help." in text
-    assert "P[0, 0] *= 0.99; P[0, 0, 2] += 0.01; if it is a fault of the log, leave those rows out" in text
-    with pytest.raises(ValueError, match=r"it would with 1 of the 2"):
+    assert "No action leads from 0 to 2 in the simulator, so action noise does not help." in text
+    assert "P[0, 0] *= 0.99; P[0, 0, 2] += 0.01; (2) if the log is wrong, remove" in text
+    with pytest.raises(ValueError, match=r"it does for 1 of the 2"):
         oee.Problem(dock(), log_of([0, 0], [0, 1], [2, 1]))
-    with pytest.raises(ValueError, match=r"Ways out: simulator\.with_action_noise"):
+    with pytest.raises(ValueError, match=r"Fix one of these: \(1\) simulator\.with_action_noise"):
         oee.Problem(dock(), log_of([0], [1], [1]))
 
 
 def test_states_numbered_from_one():
     with pytest.raises(
-        ValueError, match=r"it is 4 \(1 such rows in all\); are they numbered from 1\? Then subtract 1$"
+        ValueError, match=r"it is 4 \(1 such transitions\); are they numbered from 1\? Then subtract 1$"
     ):
         oee.Problem(dock(), log_of([1, 2, 3], [0, 0, 0], [2, 3, 4]))
     swap = oee.FiniteMDP([[[0, 1, 0]], [[1, 0, 0]], [[0, 0, 1]]], [0.0, 1.0, 2.0], [1, 0, 0], 0.9)
-    with pytest.raises(ValueError, match=r"With 1 subtracted from every state all moves are possible"):
+    with pytest.raises(ValueError, match=r"With 1 subtracted from every state all transitions are possible"):
         oee.Problem(swap, log_of([1, 2], [0, 0], [2, 1]))
-    with pytest.raises(ValueError, match=r"it is 7 \(1 such rows in all\)$"):
+    with pytest.raises(ValueError, match=r"it is 7 \(1 such transitions\)$"):
         oee.Problem(dock(), log_of([1], [0], [7]))
 
 
 def test_time_limits_that_are_called_ends():
     with pytest.raises(
-        ValueError, match=r"mark them truncated instead; if the task is over there, make it so, P\[2\] = 0"
+        ValueError, match=r"mark them truncated instead; if the task ends there, make the state terminal, P\[2\] = 0"
     ):
         oee.Problem(dock(), log_of([0, 1], [0, 0], [1, 2], terminated=[False, True]))
 
@@ -199,7 +199,7 @@ def test_impossible_moves_are_allowed_in_a_line():
     log = log_of([0, 0, 1, 2], [0, 0, 0, 0], [1, 2, 2, 3])
     with pytest.raises(
         ValueError,
-        match=r"simulator\.with_support_of\(log, epsilon\) \(--impossible allow=0\.01\) gives every such move some",
+        match=r"simulator\.with_support_of\(log, epsilon\) \(--impossible allow=0\.01\) gives each of them some",
     ):
         oee.Problem(dock(), log)
     found = oee.interval(oee.Problem(dock().with_support_of(log, 0.01), log), [0, 0, 0, 0])

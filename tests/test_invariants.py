@@ -138,7 +138,7 @@ def test_11_what_the_simulator_cannot_do_is_lost(rng):
         value = (policy * (simulator.rewards + 0.9 * (p * (q > 0)) @ value)).sum(axis=1)
     assert_allclose(oee.policy_value(model, policy, horizon=5), simulator.initial @ value, rtol=1e-10, atol=1e-11)
     if (p * (q == 0)).sum() > 0:
-        with pytest.raises(ValueError, match="target must stay where the simulator has probability"):
+        with pytest.raises(ValueError, match="target must stay in the simulator's support"):
             oee.true_ratio(target, simulator)
 
 

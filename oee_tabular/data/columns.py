@@ -200,8 +200,9 @@ class LogColumns:
         vectors are state_0, state_1, ..., next_state_0, ..., action or action_0, ...
         """
         logs = []
+        reported: set[str] = set()
         for file in files.find_log_files(path):
-            columns = files.load(cls.FILES, file)
+            columns = files.load(cls.FILES, file, reported)
             with _files.parts_of(file.path, "a log"):
                 logs.append(cls(**columns))
         return logs[0] if len(logs) == 1 else cls.concatenate(logs)

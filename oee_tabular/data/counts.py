@@ -1,4 +1,4 @@
-"""A log as counts: each different move once, how often it was seen and what it paid; what stays of logs beyond memory.
+"""A log as counts: each distinct transition once, with its count and rewards; for logs beyond memory.
 
 Counts are sufficient for values, ratios, tests and intervals. For what needs whole episodes (importance sampling) a sample of
 them can stand beside the counts.
@@ -27,9 +27,9 @@ N_REASONS = 5  # kinds of bad rows that are told with an example
 
 
 class Recording(NamedTuple):
-    """How counted moves were recorded, and what was left out of them.
+    """How counted transitions were recorded, and which were left out.
 
-    ``by_episodes``: whether moves may depend on those before them. ``broken``: episodes with a bad row, which no sample has.
+    ``by_episodes``: whether transitions may depend on those before them. ``broken``: episodes with a bad row.
     ``dropped``: rows left out, with the first of each kind in words.
     """
 
@@ -55,24 +55,24 @@ class Recording(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TransitionCounts:
-    """Different moves of a log and how often each was seen; checked when made and immutable.
+    """The distinct transitions of a log with their counts; checked when made and immutable.
 
     ``Transitions.open`` counts files of any size; ``Problem`` takes the result in place of a log.
 
     Parameters
     ----------
     state, action, next_state : (K,) integers from 0
-    count : (K,) positive numbers; whole ones are counts of independent moves, on which tests and intervals rest
-    terminated : (K,) booleans, optional; one move may stand twice, ended and not
+    count : (K,) positive numbers; tests and intervals need whole ones
+    terminated : (K,) booleans, optional; one transition may stand twice, terminated and not
     reward_sum, reward_min, reward_max : (K,) finite numbers, optional: of the rewards of a row's transitions
     reward_count : (K,) numbers, how many of them have a reward; by default all. Least and largest of none are nan
-    recording : how they were recorded; a bag of counts is taken for the moves of episodes, of which bounds hold for both
+    recording : how they were recorded; by default as episodes, whose bounds are valid for independent transitions too
     sample : Transitions, optional: whole episodes of the log, drawn uniformly, for importance sampling
 
     Raises
     ------
     ValueError
-        Names the column, the row, the rule and the value found.
+        Names the column, the row, the rule and the value.
 
     Examples
     --------
@@ -173,7 +173,7 @@ class TransitionCounts:
         return replace(self, next_state=next_state)
 
     def summary(self) -> dict[str, Any]:
-        """What was counted, as plain numbers and words."""
+        """The counts' summary, as plain numbers and words."""
         told, paid = self.recording, self.reward_sum is not None
         return {
             "transitions": len(self),
@@ -188,6 +188,7 @@ class TransitionCounts:
             "largest_action": int(self.action.max()),
             "reward_min": float(np.nanmin(self.reward_min)) if paid else None,  # type: ignore[arg-type]
             "reward_max": float(np.nanmax(self.reward_max)) if paid else None,  # type: ignore[arg-type]
+            "rewards_missing": round(float((self.count - self.reward_count).sum())) if paid else None,  # type: ignore[operator]
             "sampled_episodes": None if self.sample is None else self.sample.n_episodes,
             "broken_episodes": told.broken or None,
             "rows_dropped": told.dropped or None,

@@ -84,8 +84,8 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
         raise ValueError(f"path must end in {form.endings}; it is {name!r}")
 
 
-def load(form: Format, file: LogFile) -> Columns:
-    """The columns of a log in the format that the path's ending names; unknown ones are left out with a warning."""
+def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
+    """The columns of a log in the format of the path's ending; warns of unknown ones that are not ``reported``."""
     name = _files.local(file.path)
     if file.suffix == ".npz":
         columns = _files.load_npz(name, form.kind)
@@ -100,7 +100,9 @@ def load(form: Format, file: LogFile) -> Columns:
     elif file.suffix in (".csv", ".parquet"):
         table, labels = read_columns(file, form.is_known, lambda given: form.require(given, name))
         columns = form.from_table(table, name)
-        warn_left_out(name, [label for label in labels if not form.is_known(label)], COLUMNS)
+        unknown = [label for label in labels if not form.is_known(label) and label not in reported]
+        reported.update(unknown)
+        warn_left_out(name, unknown, COLUMNS)
     elif is_minari(name):
         columns = minari_columns(name, form.check_episode)
     else:

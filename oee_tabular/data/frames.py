@@ -58,7 +58,7 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
         for field in difflib.get_close_matches(label[:80].lower(), absent, 1, 0.8):
             near.append(f"{label!r:.80} (is it {field}? Then {field}={label!r:.80})")
     if near:
-        _checks.warn(f"columns of the frame that a log does not know are left out: {', '.join(near)}")
+        _checks.warn(f"columns of the frame that a log does not use are left out: {', '.join(near)}")
     columns = {}
     for field, group in taken.items():
         parts = [_values(table, label, field) for label in group]
@@ -118,8 +118,8 @@ def episode_columns(episodes: object) -> dict[str, Any]:
         n_cut += len(moves) - len(known)
     if not rows:
         raise ValueError(
-            "episodes must have at least one move whose next state is known; they have none (end an episode with its last "
-            "state: [..., (state, action, reward), (state,)])"
+            "episodes must have at least one transition whose next state is known; they have none (end an episode with its "
+            "last state: [..., (state, action, reward), (state,)])"
         )
     if n_cut:
         _checks.warn(

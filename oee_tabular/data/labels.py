@@ -49,13 +49,13 @@ def _plain(labels: Iterable[str]) -> list[str]:
 
 
 def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str]) -> None:
-    """Name the columns that are not read, the first of many, each with the known one that it resembles."""
+    """Warn of columns that are not read, each with the known one that it resembles."""
     if not unknown:
         return
     named = [_checks.escape_controls(label[:80]) + suggest(label, known, likeness=0.8) for label in unknown[:N_SHOWN]]
     if len(unknown) > N_SHOWN:
         named.append(f"and {len(unknown) - N_SHOWN} more")
-    _checks.warn(f"columns of {name!r} that a log does not know are left out: {', '.join(named)}")
+    _checks.warn(f"columns of {name!r} that a log does not use are left out: {', '.join(named)}")
 
 
 def suggest(label: object, known: Sequence[str], *, quotes: bool = False, likeness: float = 0.6) -> str:
@@ -81,7 +81,9 @@ def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> s
         own = names.get(f"{word}_names")
         text += f"{mark} {len(own)} named {word}s" if own else f"{mark} {word}s 0..{facts[f'largest_{word}']}"
     if facts["reward_min"] is not None:
-        text += f"; rewards {facts['reward_min']:g} to {facts['reward_max']:g}"
+        text += f"; rewards {facts['reward_min'] + 0.0:g} to {facts['reward_max'] + 0.0:g}"  # no -0
+        missing = facts["rewards_missing"]
+        text += f" ({missing} of {facts['transitions']} rewards missing)" if missing else ""
     if facts.get("behavior_probability"):
         text += "; behaviour probabilities"
     if facts.get("sampled_episodes") is not None:

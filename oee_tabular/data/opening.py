@@ -159,7 +159,7 @@ def read_log(source: Any, simulator: FiniteMDP, name: str = "log") -> Transition
     elif is_list:
         log, name = Transitions.from_episodes(source), "episodes"
     elif not isinstance(source, Transitions | TransitionCounts) and is_frame(source):
-        log, name = Transitions.from_frame(source), "frame"
+        log, name = Transitions.from_frame(source, simulator=simulator), "frame"
     if isinstance(log, TransitionCounts):
         return log
     if not isinstance(log, Transitions):

@@ -216,7 +216,7 @@ def find_order_faults(
     is_apart: Callable[[Any, Any], Any] = np.not_equal,
     show: Callable[[Any], Any] = operator.methodcaller("tolist"),
 ) -> list[Fault]:
-    """The rows that do not go on with the episode of the row before them.
+    """The rows that do not continue the episode of the row before them.
 
     Parameters
     ----------
@@ -237,6 +237,7 @@ def find_order_faults(
     if rows.size:
         state, next_state = (show(column[rows[0]]) for column in (columns["state"], before["next_state"]))
         rule = f"must be the state of the next row of its episode, which is {state}"
+        rule += " (or one of the two names is misspelt)" * isinstance(state, str)
         faults.append(Fault("next_state", rows, rule, next_state, shift=-1))
     for label in ("terminated", "truncated"):
         rows = np.flatnonzero(follows & before[label]) if label in columns else rows[:0]

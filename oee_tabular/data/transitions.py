@@ -19,7 +19,7 @@ from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
-from oee_tabular.data.labels import describe_facts
+from oee_tabular.data.labels import MOVE, describe_facts
 from oee_tabular.data.rules import check_array
 from oee_tabular.data.sums import RowSums, counts_of
 from oee_tabular.mdp import FiniteMDP
@@ -137,7 +137,7 @@ class Transitions(LogColumns):
 
         Parameters
         ----------
-        frame : data frame, one move a row
+        frame : data frame, one transition a row
         simulator : FiniteMDP, optional
             Names of states and actions are matched to its names at once; otherwise the log keeps them (``numbered``).
         column_names : what the frame calls a column, by the name that it has here: ``state="from", next_state="to"``; by
@@ -158,7 +158,13 @@ class Transitions(LogColumns):
         >>> log.state_names, log.next_state.tolist()
         (('hall', 'dock'), [1, 0])
         """
-        log = cls(**frame_columns(frame, column_names))
+        columns = frame_columns(frame, column_names)
+        try:
+            log = cls(**columns)
+        except ValueError:
+            if simulator is not None:  # an unknown name says more than the episode that it breaks
+                cls(*(columns[label] for label in MOVE)).numbered(simulator, "frame")
+            raise
         return log if simulator is None else log.numbered(simulator, "frame")
 
     @classmethod
@@ -262,6 +268,7 @@ class Transitions(LogColumns):
             "state_action_pairs_seen": None,
             "reward_min": None if self.reward is None else float(np.nanmin(self.reward)),
             "reward_max": None if self.reward is None else float(np.nanmax(self.reward)),
+            "rewards_missing": None if self.reward is None else int(np.isnan(self.reward).sum()),
             "behavior_probability": self.behavior_probability is not None,
         }
 

@@ -56,8 +56,12 @@ def advice_sentence(
         total = variance.sum(axis=(1, 2))
         share = np.divide(variance[:, state, action], total, out=np.zeros_like(total), where=total > 0.0).mean()
         why = f"{so_far}, {share:.0%} of the variance"
-    where = f"action {_quote(names.action(action))} in state {_quote(names.state(state))}"
-    return f"Record {where} first ({why})."
+    return f"Record {describe_pair(names, state, action)} first ({why})."
+
+
+def describe_pair(names: Names, state: int, action: int) -> str:
+    """Return ``action left in state hall``."""
+    return f"action {_quote(names.action(action))} in state {_quote(names.state(state))}"
 
 
 def _quote(name: str) -> str:

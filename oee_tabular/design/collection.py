@@ -1,4 +1,4 @@
-"""``plan_data_collection``: which (s, a) to record next, or which behaviour policy to run, to know values best."""
+"""``plan_data_collection``: which pairs to record next, or which behaviour policy to run, for the narrowest intervals."""
 
 from __future__ import annotations
 
@@ -49,39 +49,39 @@ def plan_data_collection(
     solver: Solver = "auto",
     confidence: float = 0.95,
 ) -> Plan:
-    """Where the next n transitions of the target should be recorded to know the value of the policies best.
+    """Choose where to record the next n transitions of the target to estimate the policies' values most precisely.
 
     minimise over q  max_pi sum_x c^pi_x / (n_x + n q_x) / best_pi,   c^pi_x = Var_{s' ~ P'(.|x)}[dJ_pi / dP'(s' | x)],
 
-    with n_x the log's counts and best_pi what a plan for pi alone reaches.
+    with n_x the log's counts and best_pi the smallest sum that a plan for pi alone reaches.
 
     Parameters
     ----------
-    problem : Problem, or the simulator (FiniteMDP) where nothing has been recorded yet
-    policies : (S, A), or a mapping name -> (S, A): the worst of several
+    problem : Problem, or the simulator (FiniteMDP) if there is no log yet
+    policies : (S, A), or a mapping name -> (S, A): the worst of several counts
     n : how many transitions are to be recorded
     sampling : "free"
-        Any (s, a) can be set up and recorded.
+        Any state-action pair can be recorded.
         "behavior"
-        Data are what a behaviour policy meets: q is its occupancy in the target as ``model`` sees it, started again after each
-        move with probability ``restart``, and where a state that no action leaves is entered.
-    model : P', where variances are evaluated: "estimate" (``transition_ratio``'s zeta * P from the log; the simulator
-        where there is no log), "simulator", or a FiniteMDP, of which the transitions are used
-    horizon : positive int or None; only where ``problem`` is a simulator (a Problem has its own)
-    lower_ratio, upper_ratio : the prior box for rows without spread, see ``optimistic``; None: any distribution there
+        A behaviour policy records: q is its occupancy in ``model``, restarted after each transition with probability
+        ``restart``, and on entering a state that no action leaves.
+    model : P', at which variances are evaluated: "estimate" (``transition_ratio``'s zeta * P from the log; the simulator
+        if there is no log), "simulator", or a FiniteMDP, of which the transitions are used
+    horizon : positive int or None; only if ``problem`` is a simulator (a Problem has its own)
+    lower_ratio, upper_ratio : the box for pairs without spread, see ``optimistic``; None: any distribution there
     optimistic : True
-        (s, a) that ``model`` makes deterministic cost the largest variance that is plausible, not 0: they would never be
-        tested (``design`` has the set: another action is carried out or nothing happens, within the box, and the less often
-        the more of the log says otherwise).
+        Pairs that ``model`` makes deterministic cost the largest plausible variance, not 0, or they would never be tested
+        (``design`` has the set: another action is executed or nothing happens, within the box, and less often the more
+        transitions the log has).
     restart : in (0, 1), "behavior" only; default 1 - discount (1 / horizon at discount 1)
-    restart_costs_a_move : False: the next recorded move after an episode's end is from a start; True: one more move is recorded
-        in the state that ended it
+    restart_costs_a_move : False: the transition recorded after an episode's end is from a first state; True: one more is
+        recorded in the state that ended it
     solver : "auto"
         In closed form for one policy and free sampling, else by an interior point method, to a gap of 0.01%. "frank_wolfe"
         is an older name of it.
         "CLARABEL"
-        The statement in cvxpy, which is closer, and slow above 4000 (s, a).
-    confidence : in (0, 1), of the intervals whose widths are predicted (J -+ z standard errors)
+        Clarabel by cvxpy: a smaller gap, but slow above 4000 pairs.
+    confidence : in (0, 1), of the intervals whose widths are predicted (J ± z standard errors)
 
     Returns
     -------
@@ -90,16 +90,15 @@ def plan_data_collection(
     Raises
     ------
     ValueError
-        Bad arguments; discount 1 without a horizon; a ``model`` that moves where the simulator does not; episodes too short to
-        reach what matters.
+        Bad arguments; discount 1 without a horizon; a ``model`` with transitions outside the simulator's support; episodes too
+        short to reach a pair that matters.
 
     Notes
     -----
-    Predictions are first-order and at ``model``: the variance of maximum likelihood with the counts that the plan expects. An
-    (s, a) that matters and has no data makes the present error infinite, and gets some. An estimator that lets all rows tell
-    about each (``OffEnvironment()``, by its tilt) has smaller errors, and gains less by planning. Cost: free,
-    O(S A log(S A)) after two solves a policy; several policies or behaviour, 10 to 40 steps of 20 to 300
-    products with the collection MDP's transitions.
+    Predictions are first-order and at ``model``: the variance of maximum likelihood with the counts that the plan expects. A
+    pair that matters and has no data makes the present error infinite. An estimator that shares information between pairs
+    (``OffEnvironment()``, by its tilt) has smaller errors, and gains less by planning. Cost: free, O(S A log(S A)) after two
+    solves a policy; several policies or behaviour, 10 to 40 steps of 20 to 300 products with the collection MDP's transitions.
 
     Examples
     --------
@@ -134,7 +133,7 @@ def plan_data_collection(
     base, costs = counts / number, table / number
     matters = costs.max(axis=1) > 0.0
     least, free = np.zeros(len(pis)), np.zeros(len(pis))
-    gap, status, solved_by = 0.0, "nothing to learn: no transition probability bears on these policies' values", "none"
+    gap, status, solved_by = 0.0, "nothing to learn: these policies' values depend on no transition probability", "none"
     if matters.any():
         uncertain = [pi for pi, does in zip(pis, matters, strict=True) if does]
         (q, value, bound), least[matters], free[matters] = solve_for_all(

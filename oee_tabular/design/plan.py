@@ -1,8 +1,9 @@
-"""What ``plan_data_collection`` returns: the plan, what it promises, and how it reads."""
+"""The result of ``plan_data_collection``: the plan and the precision that it predicts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy import special
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.design.advice import advice_sentence
+from oee_tabular.design.advice import advice_sentence, describe_pair
 from oee_tabular.design.programs import evaluate
 from oee_tabular.mdp.naming import NAMELESS, Names, name_text
 from oee_tabular.plots import plot_states
@@ -21,15 +22,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a plan does for one policy.
+    """The precision that a plan predicts for one policy.
 
     Attributes
     ----------
     name : the policy's
-    variance_now, variance_after : asymptotic variance of J with the log, and after the plan; inf where an (s, a) that
+    variance_now, variance_after : asymptotic variance of J with the log, and after the plan; inf if a state-action pair that
         matters has no data
-    inefficiency : variance_after over the least that a plan for this policy alone reaches, sampling as here (1 at best)
-    free_inefficiency : the same, if every (s, a) could be recorded at will
+    inefficiency : variance_after divided by the smallest that a plan for this policy alone reaches (1 at best)
+    free_inefficiency : the same if any pair could be recorded
     confidence : of ``width``
 
     Examples
@@ -69,18 +70,18 @@ class Plan:
     ----------
     sampling : "free" or "behavior"
     n, confidence : as asked for
-    distribution : (S, A), sums to 1: the share of the n transitions that each (s, a) gets ("behavior": on average)
+    distribution : (S, A), sums to 1: the share of the n transitions that each pair gets ("behavior": on average)
     behavior_policy : (S, A): distribution / sum over actions, uniform in states that it never visits
     policies : an Outlook for each policy
-    gap : certificate: by how much of itself the criterion (the largest relative inefficiency) could at most be smaller
-    next_pairs : the best next single (s, a), one after another (at most 10): what takes most off the widths 2 z se of the
-        policies' intervals, summed: z c_x / (n_x (n_x + 1)) / se; of a pair never recorded 2 z sqrt(c_x)
+    gap : certificate: the relative optimality gap of the criterion (the largest inefficiency)
+    next_pairs : the best next single pairs, one after another (at most 10): those that most reduce the summed interval widths
+        2 z se, by z c_x / (n_x (n_x + 1)) / se each; a pair never recorded by 2 z sqrt(c_x)
     counts : (S, A) the log's
     costs : name -> (S, A) c_x, squared units of J
-    optimistic : (S, A) where c_x is the largest plausible variance, the model having none
-    restart : probability of starting again after a move; None for free sampling
-    names : what states and actions are called
-    model, solver, status : what variances were evaluated at, what solved the program, "ok" or what is wrong
+    optimistic : (S, A) where the model is deterministic, and c_x is the largest plausible variance
+    restart : probability of a restart after each transition; None for free sampling
+    names : of states and actions
+    model, solver, status : the model at which variances are evaluated, the solver, "ok" or the problem
 
     Examples
     --------
@@ -112,12 +113,12 @@ class Plan:
 
     @property
     def inefficiency(self) -> float:
-        """The largest of the policies': variance over the least that a plan for that policy alone reaches."""
+        """The largest of the policies': variance over the smallest that a plan for that policy alone reaches."""
         return max(outlook.inefficiency for outlook in self.policies)
 
     @property
     def free_inefficiency(self) -> float:
-        """The largest of the policies', against recording every (s, a) at will for that policy alone."""
+        """The largest of the policies', relative to recording any pairs for that policy alone."""
         return max(outlook.free_inefficiency for outlook in self.policies)
 
     @property
@@ -134,7 +135,7 @@ class Plan:
 
     @property
     def unvisited(self) -> int:
-        """How many (s, a) matter to a policy and have never been recorded."""
+        """The number of pairs that matter to a policy and were never recorded."""
         return int(np.sum((self.counts == 0) & (np.max(list(self.costs.values()), axis=0) > 0)))
 
     @property
@@ -164,7 +165,7 @@ class Plan:
         return {o.name: replace(o, variance_after=float(v)) for o, v in zip(self.policies, variances, strict=True)}
 
     def to_dict(self) -> dict[str, Any]:
-        """What ``str`` says, as plain values; states and actions by name where there are names."""
+        """The same as ``str``, as plain values; states and actions by name if they have names."""
 
         def pair(s: int, a: int) -> dict[str, Any]:
             numbers = {"state": (self.names.states, s), "action": (self.names.actions, a)}
@@ -189,7 +190,7 @@ class Plan:
         return [divmod(int(row), self.distribution.shape[1]) for row in order]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the states where the plan records most, and how often the log has them; without ``ax`` on new axes."""
+        """Draw the states where the plan records most, with their counts in the log; without ``ax`` on new axes."""
         numbers = range(len(self.counts))
         names = [f"state {s}" if self.names.states is None else self.names.state(s) for s in numbers]
         return plot_states(
@@ -200,37 +201,37 @@ class Plan:
         return str(self)
 
     def __str__(self) -> str:
-        how = "any (s, a)"
+        how = "any state-action pair"
         if self.sampling == "behavior":
             how = f"by a behaviour policy, restart probability {self.restart:.3g}"
         size = max(6, *(len(o.name) for o in self.policies))
         level = f"{100 * self.confidence:.4g}% width"
         lines = [
             f"Plan for {self.n} transitions, {how}; variances at {self.model}; values: {_printing.SUM}",
-            f"{'policy':<{size}}  {'std. error':>10} -> {'after':<9}  {level:>10} -> {'after':<9}  inefficiency  to free",
+            f"{'policy':<{size}}  {'std. error':>10} -> {'after':<9}  {level:>10} -> {'after':<9}  inefficiency  vs. free",
         ]
         for o in self.policies:
             error, width = (f"{now:>10.3g} -> {after:<9.3g}" for now, after in (o.standard_error, o.width))
-            lines.append(f"{o.name:<{size}}  {error}  {width}  {o.inefficiency:>12.3f}  {o.free_inefficiency:>7.3f}")
+            lines.append(f"{o.name:<{size}}  {error}  {width}  {o.inefficiency:>12.3f}  {o.free_inefficiency:>8.3f}")
         return "\n".join([*lines, *self._notes()])
 
     def _notes(self) -> list[str]:
-        """What stands below the table."""
+        """The lines below the table."""
         lines = [
-            "std. errors and widths: of the log's frequencies (maximum likelihood), without the prior that oee shrinks to",
-            "inefficiency: the variance over the least that as many transitions, chosen for this policy alone, would leave",
-            "to free: the variance over that least if any (s, a) could be set up",
+            "std. errors, widths: for maximum likelihood, without the prior of oee (inf: a pair that matters has no data)",
+            f"inefficiency: variance ÷ the smallest that {self.n} transitions planned for this policy alone could reach",
+            "vs. free: the same if any state-action pair could be recorded",
         ]
-        shares = [f"{self.names.pair(s, a)} {100 * self.distribution[s, a]:.1f}%" for s, a in self._largest_shares()]
-        lines += ["most of it: " + ", ".join(shares), self.advice]
+        describe = partial(describe_pair, self.names)
+        shares = [f"{describe(s, a)} {100 * self.distribution[s, a]:.1f}%" for s, a in self._largest_shares()]
+        lines += ["largest shares: " + ", ".join(shares), self.advice]
         if len(self.next_pairs) > 1:
-            later = (f"({self.names.state(s)}, {self.names.action(a)})" for s, a in self.next_pairs[1:])
-            lines.append(f"then, one move each (s, a): {', '.join(later)}")
+            lines.append(f"then one transition each: {', '.join(describe(s, a) for s, a in self.next_pairs[1:])}")
         if self.unvisited:
-            lines.append(f"{self.unvisited} (s, a) that matter have never been recorded")
+            lines.append(f"state-action pairs that matter and were never recorded: {self.unvisited}")
         if self.optimistic.any():
-            lines.append(f"{self.optimistic.sum()} (s, a) that the model makes deterministic: worst variance assumed")
-        close = f"{self.solver}: at most {100 * self.gap:.2g}% from the best plan"
+            lines.append(f"pairs that the model makes deterministic (worst variance assumed): {self.optimistic.sum()}")
+        close = f"solver: {self.solver}; at most {100 * self.gap:.2g}% from the best plan"
         return [*lines, close if self.status == "ok" else self.status]
 
     def _repr_html_(self) -> str:
@@ -242,6 +243,6 @@ class Plan:
             (o.name, change(o.standard_error), change(o.width), f"{o.inefficiency:.3f}", f"{o.free_inefficiency:.3f}")
             for o in self.policies
         ]
-        header = ["policy", "std. error, now → after", f"{level}, now → after", "inefficiency", "to free"]
+        header = ["policy", "std. error, now → after", f"{level}, now → after", "inefficiency", "vs. free"]
         caption = f"Plan for {self.n} transitions; values: {_printing.SUM}"
         return _printing.table(header, rows, caption=caption, below=self._notes())

@@ -44,25 +44,25 @@ class Estimate:
 
     Attributes
     ----------
-    value : float (nan where status says why there is none)
+    value : float (nan if there is none; status says why)
     standard_error : float or None
-        None also where the data do not vary: one transition, or equal returns.
+        None also if the data do not vary: one transition, or equal returns.
         ``diagnostics["standard_error_of"]`` says what it covers: the log or the rollouts.
     interval : (lower, upper) or None
-        The estimator's own, at 95%; ``oee.evaluate`` puts the one to quote there, and its name in
+        The estimator's own, at 95%; ``oee.evaluate`` replaces it by the one to quote, and puts its name in
         ``diagnostics["interval_method"]``.
     diagnostics : plain numbers and words
-        Where they apply: ``effective_sample_size``, ``largest_weight``, ``coverage`` (share of the
+        If they apply: ``effective_sample_size``, ``largest_weight``, ``coverage`` (share of the
         policy's discounted time in recorded pairs), ``fallback_share`` (the rest), ``row_sum_error``,
         ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs).
-    status : "ok", or what is wrong and what would help
-    findings : what to know before the value is used; a report prints them
-    model_value : the exact value of zeta * P where the log corrects that; else None
-    measured : share of the policy's time in pairs whose variance the standard error counts
-    is_normal : whether the interval is the value +- a quantile of standard errors
-    is_from_log : False of what the simulator alone says
-    is_from_episodes : whether the log's own episodes and rewards are averaged
-    is_headline : whether a report says it first
+    status : "ok", or the problem and a remedy
+    findings : warnings, which a report prints
+    model_value : the exact value of zeta * P if the log moves the value from it; else None
+    measured : share of the policy's time in pairs whose variance the standard error includes
+    is_normal : whether the interval is the value ± a quantile times the standard error
+    is_from_log : False if the value uses the simulator alone
+    is_from_episodes : whether it averages the log's own episodes and rewards
+    is_headline : whether a report gives it first
 
     Examples
     --------
@@ -186,11 +186,11 @@ def learnable_shares(problem: Problem, time: Array) -> Array:
 
 
 def coverage(problem: Problem, shares: Array, counts: Array) -> dict[str, Any]:
-    """How much of the policy's time the log has seen, and how many transitions bear on it.
+    """The share of the policy's time in recorded pairs, and the effective sample size.
 
     ``shares`` (S, A) are those of ``learnable_shares``, ``counts`` (S, A) the log's. The effective sample
-    size is (sum d)^2 / sum d^2 / n over recorded pairs: as many transitions, recorded where the policy
-    goes, would tell as much.
+    size is (sum d)^2 / sum d^2 / n over recorded pairs: as many transitions drawn from the policy's
+    occupancy have the same variance.
     """
     visited = counts > 0
     d, n, missed = shares[visited], counts[visited], np.where(visited, 0.0, shares)
@@ -217,8 +217,8 @@ class TabularEstimator:
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
         """Estimate J of ``policy`` in the target.
 
-        ``seed`` is for what is sampled: rollouts, resamples, the simulator's data. The value is nan, and
-        the status says why, where the sum that it needs does not exist.
+        ``seed`` is for rollouts, resamples and the simulator's data. The value is nan if its sum diverges;
+        the status says why.
         """
         pi = require_policy(problem, policy)
         try:

@@ -1,4 +1,4 @@
-"""A problem: a simulator, a log of the target, and what is to be known about both, checked once."""
+"""A problem: a simulator and a log of the target, checked together once."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem:
-    """What is known: a simulator, a log of the target, and how a value is to be counted.
+    """The input of an estimator: a simulator, a log of the target, and the definition of the value.
 
     Parameters
     ----------
     simulator : FiniteMDP
-    log : Transitions of the target, or what they are made of
+    log : Transitions of the target, or their source
         A path or Minari id (``Transitions.load``), a data frame (``Transitions.from_frame``), or episodes as
         lists of steps (``Transitions.from_episodes``); names of states and actions are matched to the
         simulator's. Or counts: ``TransitionCounts``, their file, or a sparse (S*A, S) matrix.
@@ -41,27 +41,26 @@ class Problem:
         For importance sampling where the log lacks probabilities.
     simulator_data : a log of the simulator, or "exact"; for the paper's ratio of ratios only
     rewards : "simulator" | "log"
-        "log": model-based values pay the log's mean reward for each (s, a, s') that it has, the simulator's
-        elsewhere. Importance sampling always uses the log's.
+        Rewards of oee and model-based: the simulator's, or the log's mean for each transition that has one
+        (the simulator's elsewhere). Importance sampling always uses the log's.
     episodes : Transitions, optional
-        Whole episodes for importance sampling, where ``log`` is a draw of transitions without episodes.
+        Whole episodes for importance sampling if ``log`` has transitions without episodes.
     counts : sparse (S*A, S) of nonnegative numbers, optional
-        Counts in place of the log's, for the estimators that use counts (``Discretization.counts`` gives soft
-        ones). Importance sampling and the paper's ratio of ratios keep using the log. Tests and intervals
-        need whole counts.
+        Counts in place of the log's, for estimators that use counts (``Discretization.counts`` gives soft ones).
+        Importance sampling and the paper's ratio of ratios use the log. Tests and intervals need whole counts.
     impossible : "refuse" | "drop"
-        Transitions of the log to which the simulator gives probability 0: an error, or left out of
-        ``counts``. Likelihood intervals then have them lead anywhere (``inference.margins``).
+        Transitions of the log with simulator probability 0 are an error, or left out of ``counts``. Likelihood
+        and guaranteed intervals then let them lead anywhere (``inference.margins``).
 
-    ``log`` has terminated transitions led to the simulator's terminal states, and ``counts`` is csr, without
-    what was dropped.
+    Terminated transitions in ``log`` are redirected to the simulator's terminal states; ``counts`` is csr,
+    without dropped transitions.
 
     Raises
     ------
     ValueError
-        States or actions outside the simulator's; transitions that the simulator gives probability 0 (the
-        first are named); a terminated one into a state where the simulator goes on; a log reward asked for
-        and not there; counts of another shape, negative, not finite, or all 0.
+        States or actions outside the simulator's; transitions with simulator probability 0 (the first are
+        named); a terminated transition into a state that is not terminal in the simulator; rewards="log"
+        without rewards; counts of another shape, negative, not finite, or all 0.
 
     Examples
     --------
@@ -127,7 +126,7 @@ class Problem:
         if counts is None and not may_drop:
             refuse_unsupported(self.counts, simulator)
         if may_drop and self.counts.nnz == 0:
-            raise ValueError("log must have a move that the simulator allows; none is left where impossible is 'drop'")
+            raise ValueError("log must have a transition that the simulator can make; impossible='drop' leaves none")
 
     def __repr__(self) -> str:
         return (
@@ -149,12 +148,12 @@ class Problem:
 
     @property
     def counts(self) -> sparse.csr_array:
-        """(S*A, S) counts of the log's moves, or those that were given, without those that were dropped."""
+        """(S*A, S) counts of the log's transitions, or the given ones, without those that were dropped."""
         return self._split_counts[0]
 
     @property
     def dropped(self) -> Array:
-        """(S*A,) how many moves of each (s, a) were left out as impossible in the simulator."""
+        """(S*A,) the number of transitions of each pair that were dropped as impossible in the simulator."""
         return self._split_counts[1]
 
     @cached_property
@@ -168,40 +167,40 @@ class Problem:
 
     @property
     def observed(self) -> Transitions | sparse.csr_array:
-        """What a ratio is fitted to: the log, or the counts where they were given."""
+        """The data of a ratio: the log, or the given counts."""
         is_whole = self._counts is None and isinstance(self.log, Transitions) and not self.dropped.any()
         return self.log if is_whole else self.counts
 
     @cached_property
     def made(self) -> dict[Any, Any]:
-        """What fits to this log share (``Method.fit``)."""
+        """A cache that fits to this log share (``Method.fit``)."""
         return Made()
 
     @cached_property
     def soft(self) -> bool:
-        """Whether the counts are no whole numbers, which tests and intervals need."""
+        """Whether some counts are not whole; tests and intervals need whole ones."""
         data = self.counts.data
         return bool((data != np.floor(data)).any())
 
     @property
     def recorded(self) -> Any:
-        """What has whole episodes, if anything has: ``episodes``, the log, or the sample beside its counts."""
+        """The log with whole episodes: ``episodes``, the sample beside its counts, or the log itself."""
         kept = self.log.sample if isinstance(self.log, TransitionCounts) else None
         return self.episodes or kept or self.log
 
     @cached_property
     def model(self) -> FiniteMDP:
-        """The simulator, paying what the log paid where ``rewards`` is "log"."""
+        """The simulator, with the log's rewards if ``rewards`` is "log"."""
         return self.simulator if self.rewards == "simulator" else with_log_rewards(self.simulator, self.log)
 
     @cached_property
     def reward_conflict(self) -> RewardConflict | None:
-        """Where the log and the simulator pay differently; None where they agree or nothing is known."""
+        """Where the rewards of log and simulator differ; None if they agree or the log has none."""
         return conflict(self.simulator, self.log)
 
     @cached_property
     def behavior_conflict(self) -> int:
-        """In how many rows the log's behaviour probability is not that of ``behavior_policy``."""
+        """The number of transitions whose behaviour probability is not that of ``behavior_policy``."""
         log = self.recorded
         if self.behavior_policy is None or log.behavior_probability is None:
             return 0
@@ -210,7 +209,7 @@ class Problem:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What is odd about the data, whatever the policy."""
+        """Warnings about the data, for any policy."""
         log, told = self.log, list[Finding]()
         if self.reward_conflict is not None:
             told.append(findings.rewards_contradict(self.reward_conflict, log_pays=self.rewards == "log"))
@@ -223,7 +222,7 @@ class Problem:
         return (*told, *(() if self.simulator.sampling is None else (findings.SAMPLED,)))
 
     def rewards_of(self, log: Transitions) -> Array:
-        """The log's rewards, and the simulator's where the log has none."""
+        """The log's rewards, or the simulator's for transitions without one."""
         _checks.instance(log, Transitions, "log", "Transitions")
         if log.reward is not None and not np.isnan(log.reward).any():
             return log.reward
@@ -232,19 +231,19 @@ class Problem:
 
 
 class Made(dict[Any, Any]):
-    """Forgotten in copies and in other processes: it can be made again."""
+    """A cache that is empty in copies and in other processes."""
 
     def __reduce__(self) -> tuple[type[Made], tuple[()]]:
         return Made, ()
 
 
 def require_policy(problem: object, policy: PolicyLike) -> Array:
-    """A policy of ``problem``, (S, A); a ValueError for what is no Problem or no policy of it."""
+    """A policy of ``problem``, (S, A); a ValueError if either is invalid."""
     return check_policy(policy, _checks.instance(problem, Problem, "problem").simulator)
 
 
 def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
-    """The log with terminated transitions led to ``simulator.terminal_state``, or an error."""
+    """The log with terminated transitions redirected to ``simulator.terminal_state``, or an error."""
     sizes = {"state": simulator.n_states, "action": simulator.n_actions, "next_state": simulator.n_states}
     for column, size in sizes.items():
         values: IntArray = getattr(log, column)
@@ -253,7 +252,7 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
             is_from_1 = bool(values.max() == size and values.min() >= 1)
             raise ValueError(
                 f"{name}.{column}[{bad[0]}] must be in 0..{size - 1}, the simulator's; it is {values[bad[0]]} "
-                f"({bad.size} such rows in all)" + "; are they numbered from 1? Then subtract 1" * is_from_1
+                f"({bad.size} such transitions)" + "; are they numbered from 1? Then subtract 1" * is_from_1
             )
     lead = np.arange(simulator.n_states)
     lead[: len(simulator.terminal_state)] = simulator.terminal_state
@@ -263,10 +262,10 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
         row = int(going_on[0])
         where = simulator.names.state(arrival[row])
         raise ValueError(
-            f"{name}.terminated[{row}] must be False, or the simulator must be over in state {where}, every action "
-            f"leading back to it and paying 0; there it goes on or pays ({going_on.size} such rows). If the log's episodes "
-            "were cut there (a time limit), mark them truncated instead; if the task is over there, make it so, "
-            f"P[{arrival[row]}] = 0; P[{arrival[row]}, :, {arrival[row]}] = 1 with reward 0, or name where termination leads "
+            f"{name}.terminated[{row}] must be False, or state {where} must be terminal in the simulator (every action "
+            f"leads back to it with reward 0); it is not ({going_on.size} such transitions). If a time limit cut the log's "
+            "episodes there, mark them truncated instead; if the task ends there, make the state terminal, "
+            f"P[{arrival[row]}] = 0; P[{arrival[row]}, :, {arrival[row]}] = 1 with reward 0, or say where termination leads "
             "with FiniteMDP(..., terminal_state=)"
         )
     if isinstance(log, TransitionCounts) and log.sample is not None:
@@ -280,6 +279,6 @@ def _check_counts(counts: Any, simulator: FiniteMDP, *, may_drop: bool) -> spars
     if may_drop:
         return matrix
     if matrix.nnz == 0:
-        raise ValueError("counts must have at least one move; all are 0")
+        raise ValueError("counts must have at least one transition; all are 0")
     refuse_unsupported(matrix, simulator, what="counts")
     return matrix

@@ -74,7 +74,7 @@ def mean_rewards(problem: Problem) -> Array:
 
 
 def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> RewardConflict | None:
-    """Where the log pays something else than the simulator for the same transition; None: nowhere."""
+    """Where the log's reward differs from the simulator's for the same transition; None: nowhere."""
     _, _, least, most, number = log.moves()
     if least is None or most is None or number is None:
         return None
@@ -91,6 +91,6 @@ def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> Rewar
     where = simulator.names.transition(log.state[k], log.action[k], log.next_state[k])
     sentence = (
         f"the log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of {len(log)} transitions "
-        f"({moves.shape[1]} different moves; {where} pays {far[k]:g} in the log, {expected[k]:g} in the simulator)"
+        f"({moves.shape[1]} distinct; the reward of {where} is {far[k]:g} in the log, {expected[k]:g} in the simulator)"
     )
     return RewardConflict(rows, len(log), at_most, sentence)

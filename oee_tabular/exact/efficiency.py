@@ -1,4 +1,4 @@
-"""How well any estimator can do, and the exact asymptotic variance of those that are not best.
+"""Efficiency bounds, and the exact asymptotic variance and bias of some estimators.
 
 Notation: G_x(s') = dJ / dP'(s' | x) is the gradient of ``transition_gradient``, x = (s, a), at the target P'; for an infinite
 horizon and rewards r(s, a) that is gamma d(x) V(s') / (1 - gamma). Values are discounted sums. The bounds for transition data
@@ -31,7 +31,7 @@ from oee_tabular.mdp.horizons import horizon_length
 def efficiency_bound(
     target: FiniteMDP, policy: PolicyLike, data_distribution: ArrayLike, *, horizon: int | None = None
 ) -> float:
-    """lim n * variance of the best estimator of J from n target transitions.
+    """Compute lim n * variance of the best estimator of J from n target transitions.
 
     sum_x Var_{s' ~ P'(.|x)}[G_x(s')] / data_distribution(x); for r(s, a) and an infinite horizon
     (gamma / (1 - gamma))^2 sum_x d(x)^2 / data_distribution(x) Var_{P'}[V]. The maximum-likelihood model attains it [2].
@@ -40,12 +40,12 @@ def efficiency_bound(
     ----------
     target : FiniteMDP
     policy : (S, A)
-    data_distribution : (S, A), sums to 1: how rows are drawn
+    data_distribution : (S, A), sums to 1: how state-action pairs are drawn
     horizon : positive int or None (discount below 1)
 
     Returns
     -------
-    float, squared units of J; inf where the data never show an (s, a) whose next state matters
+    float, squared units of J; inf if the data never have a pair whose next state matters
 
     Examples
     --------
@@ -61,7 +61,7 @@ def efficiency_bound(
 
 @one_thread
 def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: ArrayLike) -> float:
-    """lim n * (E[J of the maximum-likelihood model] - J) from n target transitions, infinite horizon.
+    """Compute lim n * (E[J of the maximum-likelihood model] - J) from n target transitions, infinite horizon.
 
     gamma / (1 - gamma) sum_x d(x) / data_distribution(x) Cov_{s' ~ P'(.|x)}(U_x(s'), r(s, a, s') + gamma V(s')), U_x(s') the
     expected discounted number of visits to x from s' (the reward is left out where it does not depend on s').
@@ -72,7 +72,7 @@ def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: Array
 
     Notes
     -----
-    In units of J, not normalised; inf where the data never show an (s, a) that matters. Cost: O(S^3 + nnz S).
+    In units of J, not normalised; inf if the data never have a pair that matters. Cost: O(S^3 + nnz S).
 
     Examples
     --------
@@ -108,7 +108,7 @@ def ratio_of_ratios_variance(
     rows: Literal["as_they_are", "normalised"] = "as_they_are",
     independent_samples: bool = False,
 ) -> float:
-    """lim n * variance of J(zeta P) for the paper's zeta, a quotient of two fitted ratios, under the exact simulator.
+    """Compute lim n * variance of J(zeta P) for the paper's zeta, a quotient of two fitted ratios, under the exact simulator.
 
     From n target transitions and n of the simulator's. The bound of ``efficiency_bound`` plus, q = simulator_distribution,
     as they are: sum_x Var_P[zeta G] / q(x), and with separate samples for the (s, a) and the (s, a, s') ratio (Algorithm 1,
@@ -119,18 +119,18 @@ def ratio_of_ratios_variance(
     ----------
     simulator : FiniteMDP
     target, policy, data_distribution, horizon : as in ``efficiency_bound``
-    simulator_distribution : (S, A), sums to 1: how rows of the simulator are drawn
+    simulator_distribution : (S, A), sums to 1: how the simulator's pairs are drawn
     rows : "as_they_are" | "normalised": whether each row of zeta * P is divided by its sum
     independent_samples : whether the two ratios are fitted to separate samples
 
     Returns
     -------
-    float, squared units of J; inf where a distribution misses an (s, a) that matters
+    float, squared units of J; inf if a distribution lacks a pair that matters
 
     Raises
     ------
     ValueError
-        The target moves outside the simulator's support.
+        The target has transitions outside the simulator's support.
 
     Examples
     --------
@@ -149,7 +149,7 @@ def ratio_of_ratios_variance(
     probability, stored = align(simulator.transitions, target.transitions)
     lost = ~stored & (target.transitions.data > 0)
     if lost.any():
-        raise ValueError(f"target must stay where the simulator has probability; {int(lost.sum())} of its moves do not")
+        raise ValueError(f"target must stay in the simulator's support; {int(lost.sum())} of its transitions do not")
     matrix = target.transitions
     entry = row_of_entry(matrix)
     zeta = np.divide(matrix.data, probability, out=np.zeros_like(probability), where=probability > 0)
@@ -175,22 +175,22 @@ def trajectory_efficiency_bound(
     horizon: int,
     model: Literal["mdp", "tree", "stationary"] = "mdp",
 ) -> float:
-    """lim n * variance of the best estimator from n episodes of ``horizon`` moves, by what is known of the environment.
+    """Compute lim n * variance of the best estimator from n episodes of ``horizon`` transitions, under three models.
 
-    "mdp", Kallus and Uehara's [1]: the kernel may differ from step to step, the law of the first state is not known.
-    "tree", theirs too: what follows may depend on the whole history. For both
+    "mdp", Kallus and Uehara's [1]: the kernel may differ between steps, the distribution of the first state is unknown.
+    "tree", theirs too: transitions may depend on the whole history. For both
 
         Var V_0(s_0) + sum_t gamma^2t sum_x weight_t(x) Var[r + gamma V_{t+1}(s') | x],
 
     weight_t(x) = alpha_t(x)^2 / beta_t(x) ("mdp"; alpha, beta the distributions of (s_t, a_t) under the policy and the
-    behaviour policy) and E[rho_0..t^2 1{x_t = x}] ("tree"). They bind estimators that assume no more, importance sampling
-    and doubly robust ones among them. A FiniteMDP has one kernel; who pools the moves of all steps may be below.
-    "stationary": one kernel, the first state's law and the rewards known, the Cramer-Rao bound
+    behaviour policy) and E[rho_0..t^2 1{x_t = x}] ("tree"). They apply to estimators that assume no more, such as
+    importance sampling and doubly robust ones; an estimator that pools steps can have lower variance.
+    "stationary": one kernel, the first state's distribution and the rewards known, the Cramer-Rao bound
 
         sum_x Var_{s' ~ P'(.|x)}[G_x(s')] / sum_t beta_t(x),    G_x(s') = sum_t gamma^t alpha_t(x) (r + gamma V_{t+1}(s')),
 
-    since the log-likelihood of an episode is a sum over its moves, so that a row's information is that of one move times
-    the row's expected visits. ``estimators.ModelBased`` (maximum likelihood) attains it. Never above "mdp".
+    since the log-likelihood of an episode is a sum over its transitions: a pair's information is that of one transition
+    times its expected visits. ``estimators.ModelBased`` (maximum likelihood) attains it. Never above "mdp".
 
     Parameters
     ----------
@@ -206,8 +206,7 @@ def trajectory_efficiency_bound(
     Raises
     ------
     ValueError
-        The behaviour policy never takes an action that the policy takes (in a state that it reaches): no estimator is
-        consistent.
+        The behaviour policy never takes an action that the policy takes in a reachable state: no estimator is consistent.
 
     Examples
     --------

@@ -3,7 +3,7 @@
 The estimators are averages over n independent episodes of X; ``Moments`` has the mean and the variance of one X (so that the
 estimator's variance is ``variance / n``). Recursions in ``recursions``; definitions in each function. Reward timing: a
 reward r(s, a) at t carries the ratios of the transitions before it, zeta_1 .. zeta_t, a reward r(s, a, s') also that of its own
-transition. In an absorbing state, where an episode is over, weights stand still.
+transition. In an absorbing state, where an episode has ended, weights are constant.
 
 Sources: the recursions of the second moment are Sobel's [1]; self-normalised estimators as ratio estimators [2, 2.6]; doubly
 robust per decision [3].
@@ -43,7 +43,7 @@ def _check_arguments(
 
 
 def return_moments(mdp: FiniteMDP, policy: PolicyLike, *, horizon: int | None = None, sources: bool = False) -> Moments:
-    """Mean and variance of the return G = sum_t gamma^t r_t of one episode.
+    """Compute mean and variance of the return G = sum_t gamma^t r_t of one episode.
 
     Var G = Var V_0(s_0) + sum_t gamma^2t E Var[r_t + gamma V_{t+1}(s_{t+1}) | s_t].
 
@@ -75,9 +75,9 @@ def weighted_return_moments(
     self_normalized: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Of the paper's product of ratios on one rollout of the simulator, W_t = zeta_1 ... zeta_t.
+    """Compute mean and variance of the paper's product of ratios on one rollout, W_t = zeta_1 ... zeta_t.
 
-    In absorbing states that pay nothing, where an episode is over, W_t stands still whatever zeta is there.
+    In absorbing states with reward 0, where an episode has ended, W_t is constant.
 
     per_decision: X = sum_t gamma^t W_t r_t; trajectory: X = W_{T-1} G (W_T where rewards depend on s').
 
@@ -92,7 +92,7 @@ def weighted_return_moments(
     Raises
     ------
     ValueError
-        Bad arguments; without a horizon, where the second moment does not exist: the spectral radius of gamma^2 (P zeta^2)
+        Bad arguments; without a horizon, if the second moment does not exist: the spectral radius of gamma^2 (P zeta^2)
         under the policy is not below 1 (it is given).
 
     Notes
@@ -123,10 +123,10 @@ def policy_is_moments(
     self_normalized: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Of policy importance sampling (eq. 3.5) on an episode of ``behavior_policy``, rho_t = prod_{k <= t} policy / behavior.
+    """Compute mean and variance of policy importance sampling (eq. 3.5) on one episode of ``behavior_policy``.
 
-    per_decision: X = sum_t gamma^t rho_t r_t; trajectory: X = rho_{T-1} G. rho_t stands still where W_t of
-    ``weighted_return_moments`` does.
+    rho_t = prod_{k <= t} policy / behavior; per_decision: X = sum_t gamma^t rho_t r_t; trajectory: X = rho_{T-1} G. rho_t is
+    constant after an episode's end.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def policy_is_moments(
 
     Notes
     -----
-    Where the behaviour policy never takes an action that the policy takes, the mean is that of what is left: it is not J.
+    If the behaviour policy never takes an action that the policy takes, the mean is not J.
 
     Examples
     --------
@@ -164,7 +164,7 @@ def doubly_robust_moments(
     action_baseline: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Of the doubly robust estimator on one rollout of the simulator.
+    """Compute mean and variance of the doubly robust estimator on one rollout of the simulator.
 
     D_t = r_t + gamma [m_t(s_t, a_t) + zeta_{t+1} (D_{t+1} - U_{t+1}(s_{t+1}))], m_t(s, a) = sum_s' zeta P U_{t+1}(s'); for
     rewards r(s, a, s'), r(s, a, s') + gamma U takes the place of gamma U and m_t has E[zeta r] in it. Its mean is J of

@@ -28,11 +28,10 @@ N_TURNS_NARROW = 3  # where a graph is narrow: exact evaluation is then as quick
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     """A deterministic optimal policy: (S, A), or (T, S, A) for a horizon T.
 
-    Modified policy iteration until the actions stand, then policy iteration (Puterman, Markov Decision Processes, 1994,
-    sections 6.5 and 6.4) with exact evaluation, once where they were right: an action is changed only where another one is
-    better by more than rounding (1e-11 of the largest value, and less where 1 - discount is below 1e-5: what is lost so stays
-    below a millionth of it up to discount 1 - 1e-8); of equally good actions the first is taken. With a horizon, backward
-    induction.
+    Modified policy iteration until the greedy policy is stable, then policy iteration (Puterman, Markov Decision Processes,
+    1994, sections 6.5 and 6.4) with exact evaluation. An action changes only if another one is better by more than rounding
+    (1e-11 of the largest value, less if 1 - discount is below 1e-5; the loss is below a millionth of that value up to discount
+    1 - 1e-8). Of equally good actions the first is taken. With a horizon, backward induction.
 
     Parameters
     ----------
@@ -42,7 +41,7 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     Raises
     ------
     ValueError
-        At discount 1 without a horizon, where a policy met on the way is not absorbed.
+        At discount 1 without a horizon, if the iteration reaches a policy that is not absorbed.
 
     Examples
     --------

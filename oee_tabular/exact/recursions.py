@@ -1,4 +1,4 @@
-"""Mean and variance of what is summed along a walk: per decision, over the whole trajectory, for ever, self-normalised.
+"""Mean and variance of sums along a walk: per decision, over the whole trajectory, for ever, self-normalised.
 
 Sums go backward in time with the law of total variance, so that nothing cancels (``_moments``, ``_strips``): X = p L + q R with
 the pair (L, R) of the kernels. By steps and states, the variance is Var X_0(s_0) plus what each step adds given the path before
@@ -32,7 +32,7 @@ class Moments:
     mean : E[X]; self-normalised: the limit of the estimator
     variance : Var[X]; self-normalised: lim n * variance of the estimator
     bias : 0; self-normalised: lim n * (expectation of the estimator - mean)
-        What is made of numbers beyond the largest float is infinite, or nan, with a warning.
+        Overflow gives inf or nan, with a warning.
     by_step : (T + 1,) parts of the variance: that of the start, then of each step; None unless asked for
     by_state : (S,) parts of the variance by the state that the step was taken from (without the start's); None unless
         asked for

@@ -1,4 +1,4 @@
-"""How sure a value is: ``interval``, by four methods, and ``value_range``, what Assumption V.1 says before any log."""
+"""Confidence intervals for J: ``interval``, by four methods, and ``value_range``, the range of J under Assumption V.1."""
 
 from __future__ import annotations
 
@@ -35,9 +35,7 @@ if TYPE_CHECKING:
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 Method = Literal["likelihood", "delta", "bootstrap", "robust"]
-NO_VARIATION = (
-    "no move of the log that bears on the value varies: how much it might have is not told; use method='likelihood'"
-)
+NO_VARIATION = "the log's transitions that affect the value never vary, so their spread cannot be estimated; use method='likelihood'"
 
 
 @dataclass(frozen=True)
@@ -50,24 +48,23 @@ class Interval:
     confidence : the level asked for; at least that for "robust", asymptotically for the others; 1 of a ``value_range``
     method : "likelihood", "delta", "bootstrap" or "robust"; "likelihood under the tie" or "... under the features"; "range" of
         a ``value_range``
-    diagnostics : plain numbers: ``unvisited_share`` (of the policy's discounted time in rows without data), ``unvisited_rows``
-        that the policy reaches, and what the method adds; where impossible moves were dropped, how many (``dropped_moves``) and
-        the share of the policy's time that they may have been (``dropped_share``)
+    diagnostics : plain numbers: ``unvisited_share``, of the policy's discounted time in pairs never recorded,
+        ``unvisited_rows``, the number of such pairs that the policy reaches, and those of the method; if impossible transitions were dropped,
+        their number (``dropped_moves``) and estimated share of the policy's time (``dropped_share``)
     status : "ok", or the contradiction between the log and the assumed box
-    sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone. Where the policy reaches no
-        state-action pair that was never recorded, the interval itself; else the value of ``OffEnvironment()`` plus or minus a
-        normal quantile times its standard error, in which such pairs are as estimated, and as uncertain as one transition
-        would leave them (at 3 to 10 transitions a pair, with 90% of the time recorded, it covers 96%; the likelihood interval
-        with these pairs held fixed 91%). None where there is no standard error, and for the other methods
+    sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone. If the policy reaches recorded
+        pairs only, the interval itself; else the value of ``OffEnvironment()`` ± a normal quantile times its standard error,
+        in which unrecorded pairs are as estimated, with the uncertainty that one transition would leave (it covers 96% at 3 to
+        10 transitions a pair and 90% of the time recorded). None without a standard error, and for the other methods
 
     Examples
     --------
     >>> from oee_tabular.testing import case
     >>> pair = case("ragged")  # a target that is known
-    >>> found = interval(pair.problem(1000, seed=0), pair.policy)
-    >>> round(found.lower, 2), round(found.upper, 2), pair.truth in found
+    >>> likelihood = interval(pair.problem(1000, seed=0), pair.policy)
+    >>> round(likelihood.lower, 2), round(likelihood.upper, 2), pair.truth in likelihood
     (9.87, 10.54, True)
-    >>> print(found)
+    >>> print(likelihood)
     [9.87, 10.54], 95% likelihood interval; discounted sum of rewards, not normalised
     """
 
@@ -128,42 +125,43 @@ def interval(
     n_bootstrap: int = 400,
     seed: Seed = None,
 ) -> Interval:
-    """How sure the log makes the value of a policy in the target. Rewards are taken as known.
+    """Compute a confidence interval for J of a policy in the target. Rewards are taken as known.
 
     Parameters
     ----------
     problem, policy : as for an estimator
     method : "likelihood"
-        Profile likelihood, chi-square with one degree of freedom; rows that the policy reaches and the log has never seen are
-        set to their extremes in the box.
+        Profile likelihood, chi-square with one degree of freedom; unrecorded pairs that the policy reaches are set to their
+        extremes in the box.
         "delta", "bootstrap"
-        Of the maximum-likelihood model, rows without data being the simulator's (and taken for known).
+        Intervals of the maximum-likelihood model; unrecorded pairs are exactly as simulated, without uncertainty.
         "robust"
-        Guaranteed: every row in a KL ball around its counts and in the box, all at once; the extreme values by robust policy
-        evaluation, certified.
+        Guaranteed: each pair's distribution lies in a KL ball around its frequencies and in the box, in all pairs at once; the
+        extreme values by robust policy evaluation, certified.
     confidence : in (0, 1)
     lower_ratio, upper_ratio : the box lower_ratio * P <= P_target <= upper_ratio * P; None: any distribution on the simulator's
-        support
+        support. It limits "likelihood" in unrecorded pairs and "robust" in all; the log is tested against it in each recorded
+        pair, weakly: ``radius`` at ``confidence``, shared by all pairs
     tie, features : as in ``transition_ratio``, one of them: the likelihood interval of the model in which transitions of one
-        key, or along features, differ from the simulator alike, its parameters free and nothing else (``inference.shared``).
-        It narrows where the assumption is true and may miss the value where it is not
-    radius : of the balls: "independent" rows, "anytime" (counts that are random, as in episodes), "auto": anytime for a log
+        key, or along features, differ from the simulator alike, and nothing else does (``inference.shared``). It is narrower
+        if the assumption is true and may miss the value if it is not
+    radius : of the balls: "independent" (fixed counts), "anytime" (random counts, as in episodes), "auto": anytime for a log
         with episodes
-    resample, n_bootstrap, seed : over what the (percentile) bootstrap resamples, how often, and its seed
+    resample, n_bootstrap, seed : what the percentile bootstrap resamples ("transitions" or "episodes"), how often, its seed
 
     Returns
     -------
     Interval
-        Where the counts contradict the box (with this confidence) no interval, but a status that names the rows.
+        If the counts contradict the box (with this confidence), no interval, but a status that names the pairs.
 
     Notes
     -----
-    Cost: likelihood some hundred linear solves and passes over the rows that the policy takes (10 000 states in a second);
-    robust a few policy evaluations and O(nnz) row problems each; bootstrap n_bootstrap evaluations. ``promised``, of the
-    likelihood interval: what members of the set have beyond its ends to first order, 0 where both are stationary.
-    Impossible transitions that a Problem dropped are taken to have led anywhere: "likelihood" and "robust" alone widen by what
-    that may change to first order. All widen where the simulator was made of samples, by its first states', rewards' and unmet
-    transitions' (``inference.margins``; ``unmet_share``: the time that those may take). Neither counts in ``sampling``.
+    Cost: likelihood about a hundred linear solves (10 000 states in a second); robust a few policy evaluations with O(nnz) row
+    problems each; bootstrap n_bootstrap evaluations. ``promised`` in a likelihood interval's diagnostics is a first-order bound
+    on how far models in the set may lie beyond its ends, 0 at convergence. If a Problem dropped impossible transitions,
+    "likelihood" and "robust" let them lead anywhere (to first order), and the others are refused. All intervals widen for a
+    sampled simulator's uncertainty in first states, rewards and unsampled transitions (``inference.margins``; ``unmet_share``:
+    the time that the latter may take). ``sampling`` includes neither.
 
     Examples
     --------
@@ -187,11 +185,11 @@ def interval(
     has_dropped = bool(problem.dropped.any())
     if has_dropped and method not in ("likelihood", "robust"):
         raise ValueError(
-            f"method must be 'likelihood' or 'robust' where impossible moves were dropped; it is {_checks.show(method)}"
+            f"method must be 'likelihood' or 'robust' if impossible transitions were dropped; it is {_checks.show(method)}"
         )
     if has_dropped and evidence.has_box:
         raise ValueError(
-            "lower_ratio and upper_ratio must be None where impossible moves were dropped: no box holds those"
+            "lower_ratio and upper_ratio must be None if impossible transitions were dropped: no box contains those"
         )
     kind = ("anytime" if problem.log.by_episodes else "independent") if radius == "auto" else radius
     z, margin = NormalDist().inv_cdf(0.5 + level / 2.0), outside_margin(problem, evidence)
@@ -202,7 +200,8 @@ def interval(
     if wrong.size:
         status = (
             f"the counts contradict the box [{lower_ratio or 0:g}, {np.inf if upper_ratio is None else upper_ratio:g}] in "
-            f"{wrong.size} rows, with confidence {level:g}: {describe_rows(evidence, wrong)}; widen it"
+            f"{wrong.size} state-action pair{'s' * (wrong.size > 1)}, with confidence {level:g}: "
+            f"{describe_rows(evidence, wrong)}; widen it"
         )
         return Interval(np.nan, np.nan, level, method, facts | {"contradicted_rows": wrong}, status)
     sampling: tuple[float, float] | None = None
@@ -269,9 +268,8 @@ def value_range(
     Returns
     -------
     Interval
-        Both ends are attained by models in the box, so that nothing narrower is true of all of them. ``confidence`` is 1, and
-        ``method`` "range". ``diagnostics``: the number of ``sweeps``, and by how much at most rounding widened an end
-        (``certified_beyond``).
+        Models in the box attain both ends. ``confidence`` is 1, and ``method`` "range". ``diagnostics``: the number of
+        ``sweeps``, and by how much at most rounding widened an end (``certified_beyond``).
 
     Raises
     ------
@@ -280,8 +278,8 @@ def value_range(
 
     Notes
     -----
-    ``interval`` with this box tends to the range of the models that agree with the log: where nothing is recorded the two
-    are the same. With a horizon the target may change from step to step. Cost: some policy evaluations, and O(nnz) a sweep.
+    Without data ``interval`` with this box is the same. With a horizon the target may change from step to step. Cost: some
+    policy evaluations, and O(nnz) a sweep.
 
     Examples
     --------
@@ -310,10 +308,10 @@ def _interval_under(
     """The likelihood interval of a model whose rows share parameters."""
     if method != "likelihood" or has_box:
         what = "lower_ratio and upper_ratio must be None" if has_box else "method must be 'likelihood'"
-        raise ValueError(f"{what} with {'features' if tie is None else 'tie'}, whose interval is that of its own model")
+        raise ValueError(f"{what} with {'features' if tie is None else 'tie'}, which defines the model")
     if problem.dropped.any():
         raise ValueError(
-            "tie and features must be left out where impossible moves were dropped: they say nothing of those"
+            "tie and features must be left out if impossible transitions were dropped, which they do not describe"
         )
     directions = shared_directions(problem.simulator, tie, features)
     pi = check_policy(policy, problem.simulator)

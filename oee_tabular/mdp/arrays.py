@@ -70,7 +70,9 @@ def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
     else:
         dense = _checks.float_array(transitions, "transitions")
         if dense.ndim != 3 or dense.shape[0] != dense.shape[2] or dense.size == 0:
-            raise ValueError(f"transitions must {_SHAPES}; it has shape {dense.shape}")
+            is_swapped = dense.ndim == 3 and dense.shape[0] != dense.shape[1] == dense.shape[2]
+            hint = ": the axes look like (A, S, S); use P.transpose(1, 0, 2)" * is_swapped
+            raise ValueError(f"transitions must {_SHAPES}; it has shape {dense.shape}{hint}")
         _checks.require_nonnegative(dense, "transitions")
         dense = _checks.scale_if_single(dense, transitions)
         _checks.require_sums_to_one(dense.sum(axis=2), "transitions")

@@ -46,16 +46,16 @@ class FiniteMDP:
     discount : float in [0, 1]
         gamma. At 1 an infinite horizon is defined only for policies that are absorbed in states without reward.
     terminal_state : (S0,) integers, optional
-        For s below S0, the number of the environment's own states: where a transition that *terminates* on entering s
-        leads. By default s itself.
+        terminal_state[s] is the state that a transition which *terminates* on entering s goes to, for s < S0, the number
+        of the environment's own states. By default s itself.
     layout : (S,) or (S, c) array, or a grid's shape (height, width), optional
-        Coordinates of the states, finite: what makes transitions from different states alike (``mdp.displacements``) and where
-        maps have them, (row, column) of two. Of a shape, two integers whose product is S, state s lies in row s // width.
-        None: the coordinates in ``state_names`` where all are tuples of numbers of one length, (3, 4); else none.
+        Finite coordinates of the states, for displacements (``mdp.displacements``) and maps ((row, column) if c = 2). With a
+        shape, whose product is S, state s lies in row s // width. None: the coordinates in ``state_names`` if all are tuples
+        of numbers of one length, (3, 4); else none.
     sampling : Sampling, optional
-        What the MDP rests on where it was made of samples; ``from_log`` and ``from_env`` give it, intervals widen by it.
+        The sample sizes of an MDP made of samples; ``from_log`` and ``from_env`` give it, and intervals widen by it.
     state_names, action_names : S, A texts or tuples of texts and numbers, optional
-        What the states and the actions are called, each once; none reads as a number. Logs and policies may use them.
+        Distinct names of the states and the actions; none reads as a number. Logs and policies may use them.
 
     Attributes
     ----------
@@ -240,10 +240,10 @@ class FiniteMDP:
         return self._replace(**add_action_noise(self, epsilon))
 
     def with_support_of(self, log: object, epsilon: float) -> Self:
-        """The same MDP in which the log's transitions are possible: where some were not, P' = (1 - eps) P + eps U.
+        """The same MDP with the log's impossible transitions made possible: P' = (1 - eps) P + eps U in their pairs.
 
-        U is uniform over those of the log's transitions from (s, a) that P gives probability 0; other rows stay as they
-        are. A new transition has the log's mean reward for it, or r(s, a) where the log has none.
+        U is uniform over the log's transitions from (s, a) that P gives probability 0; other pairs stay as they are. A
+        new transition has the log's mean reward for it, or r(s, a) if the log has none.
 
         Parameters
         ----------
@@ -260,11 +260,11 @@ class FiniteMDP:
         return self._replace(**add_support(self, log, epsilon))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an npz of plain arrays, whole or not at all."""
+        """Write an npz of plain arrays; a failed save leaves no file."""
         _files.save_npz(path, KIND, self.arrays())
 
     def arrays(self) -> dict[str, Any]:
-        """What a file holds."""
+        """The arrays of a file."""
         return file_arrays(self, self._own_layout)
 
     @classmethod
@@ -310,9 +310,9 @@ class FiniteMDP:
     ) -> Self:
         """The MDP of a log's frequencies, P(s' | s, a) = n(s, a, s') / n(s, a): a simulator from its own log.
 
-        An action never recorded in a state does what the recorded ones do there, in proportion to their counts; a state
-        that was never left stays where it is with reward 0. A warning says how many such pairs there are. Where
-        transitions terminated is terminal, as in ``from_gymnasium``.
+        An action never recorded in a state gets the mean distribution of those recorded there, weighted by their counts; a
+        state without recorded actions is absorbing with reward 0. A warning says how many such pairs there are. States in
+        which transitions terminated are terminal, as in ``from_gymnasium``.
 
         Parameters
         ----------
@@ -344,11 +344,11 @@ class FiniteMDP:
     ) -> Self:
         """The MDP of the frequencies of a Gymnasium environment that can only be stepped.
 
-        Episodes go to the nearest state-action pair with too few samples, by value iteration in what has been met so far
-        (``mdp.explorer``), until every action of every state that was met has been taken ``samples_per_pair`` times; an
-        episode that cannot lead there is left by ``env.reset``. Observations that are not Discrete (tuples, integer arrays,
-        texts) become the states' names. States that no episode met stay where they are with reward 0. ``sampling`` keeps
-        how many samples there were: intervals widen by it.
+        Episodes go to the nearest state-action pair with too few samples, by value iteration on the transitions so far
+        (``mdp.explorer``), until every action of every state reached has been taken ``samples_per_pair`` times; an
+        episode that cannot lead there is ended by ``env.reset``. Observations that are not Discrete (tuples, integer arrays,
+        texts) become the states' names. States that no episode reached are absorbing with reward 0. ``sampling`` keeps the
+        numbers of samples: intervals widen by it.
 
         Parameters
         ----------
@@ -356,7 +356,7 @@ class FiniteMDP:
         samples_per_pair : positive int
         seed : anything that ``numpy.random.default_rng`` takes; of the first ``env.reset`` and of the actions
         discount : gamma
-        max_steps : positive int, at which it ends; a warning says how many pairs have fewer samples then, and names three
+        max_steps : positive int, the most steps; a warning gives the number of pairs with fewer samples, and names three
 
         Raises
         ------

@@ -45,16 +45,16 @@ class Conditional(Method):
     Parameters
     ----------
     prior : "ridge" (default) | "tilt" | "simulator" | "none"
-        The row that every row is shrunk to: the simulator's, or that of its conditional exponential tilt zeta proportional
-        to exp(theta . phi), fitted to all rows together. "ridge": phi are all directions made from the simulator, the
-        values of the policies that matter and ``features``, one strength a group by evidence (``ratio.prior``; "average" is
-        its former name). "tilt": ``features`` alone (log P without any), under the penalty |theta|^2 / 2 on standardised
-        features, a unit Gaussian prior.
+        The distribution that each pair's is shrunk to: the simulator's, or its conditional exponential tilt, zeta
+        proportional to exp(theta . phi), fitted to all pairs together. "ridge": phi are all directions made from the
+        simulator, the values of the policies that matter and ``features``, one strength per group by marginal likelihood
+        (``ratio.prior``; "average" is an older name). "tilt": ``features`` alone (log P without any), under the penalty
+        |theta|^2 / 2 on standardised features, a unit Gaussian prior.
     strength : "evidence" (default) | "loo", or a nonnegative number
-        How many moves the prior's row is worth (kappa, the strength of a Dirichlet prior): chosen by its marginal
-        likelihood or by leave-one-out, at least 1, one for each kind of rows (those in which the simulator has the same
-        probabilities; kinds with fewer than 5 visited rows or 100 moves are pooled), or given. ``details`` has the choice,
-        its curve and its meaning.
+        How many transitions the prior is worth in each pair (kappa, the strength of a Dirichlet prior): chosen by marginal
+        likelihood or by leave-one-out, at least 1, one for each kind of pairs (those with the same simulator
+        probabilities; kinds with fewer than 5 recorded pairs or 100 transitions are pooled), or given. ``details`` has the
+        choice, its curve and its meaning.
     features : directions of your own for the tilt: an array aligned with ``simulator.transitions.data``, one of shape
         (S, A, S) or (S, A, S, d), a function of (s, a, s'), or a data frame (columns state, action, next_state, by number
         or name, and one a feature); ``oee.ratio.action_displacement`` makes some
@@ -64,13 +64,13 @@ class Conditional(Method):
     solver : "dual", or a cvxpy solver
     functions : None (tables: one number an entry), or ``Network(layers, ...)``: zeta = exp f / sum_s' P exp f, f a network
         trained by Algorithm 1 on the rows together, each with its share n_sa / n: the log's mean -log zeta, and the ridge.
-        Without a prior, a box or a solver; what it says of rows without data is the network's own
+        Without a prior, a box or a solver; in unrecorded pairs it is the network's extrapolation
 
     Notes
     -----
-    Limit: the target's own rows where the data are, the prior's elsewhere; at rate n^-1/2; training is no part of it. O(nnz)
-    with "dual". Of a network ``gap`` is that of the mean over the log's moves, to the optimum over all rows, and ``details``
-    has ``trace``, ``kept`` and ``held_out_risk``.
+    Limit: the target's distributions in recorded pairs, the prior's elsewhere; at rate n^-1/2, without the error of
+    training. O(nnz) with "dual". A network's ``gap`` is the mean's over the log's transitions, to the optimum over all rows;
+    ``details`` has ``trace``, ``kept`` and ``held_out_risk``.
 
     Examples
     --------

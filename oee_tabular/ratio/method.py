@@ -190,7 +190,7 @@ class Method:
             made[Rows] = Rows.of(simulator)
         observed = supported_counts(counts, simulator)
         if not observed.sum() > 0:
-            raise ValueError("log_or_counts must have at least one move; it has none")
+            raise ValueError("log_or_counts must have at least one transition; it has none")
         given = RatioInput(
             observed,
             simulator,

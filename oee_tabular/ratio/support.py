@@ -1,4 +1,4 @@
-"""No ratio without support: moves that the simulator gives probability 0; the paper's assumptions, checked on a given pair."""
+"""The support of a ratio: transitions with simulator probability 0, and the paper's assumptions checked on a given pair."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1
 
 
 def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: str = "log") -> None:
-    """ValueError where ``moves`` leave the simulator's support.
+    """Raise a ValueError if ``moves`` leave the simulator's support.
 
     Parameters
     ----------
     moves : csr (S*A, S), counts or probabilities
     simulator : FiniteMDP
-    what : how the error calls the moves
+    what : the name of the moves in the error
 
     Raises
     ------
     ValueError
-        Names the heaviest few of the moves, how many there are, and the ways out.
+        Names the most frequent of these transitions, their number, and what to do.
 
     Notes
     -----
@@ -44,7 +44,7 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     >>> simulator, target = oee.tasks.gridworld(2, slip=0.0), oee.tasks.gridworld(2, slip=0.1)
     >>> refuse_unsupported(target.transitions, simulator, what="target")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    ValueError: target must stay where the simulator has probability: it gives probability 0 to 24 different moves...
+    ValueError: target must stay in the simulator's support: the simulator gives probability 0 to 24 of its transitions...
     """
     moves, possible = _possible(moves, simulator)
     bad = np.flatnonzero((moves.data > 0) & ~possible)
@@ -56,39 +56,47 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     share = moves.data[bad].sum()
     faint = f"0 or below {LEAST_PROBABILITY:g}" if align(simulator.transitions, moves)[0][bad].any() else "0"
     raise ValueError(
-        f"{what} must stay where the simulator has probability: it gives probability {faint} to {bad.size} different "
-        f"move{'s' * (bad.size > 1)} ({share:g} of {moves.data.sum():g} in all), the heaviest: {named}. No ratio exists there. "
-        + _ways_out(moves, bad, simulator)
+        f"{what} must stay in the simulator's support: the simulator gives probability {faint} to {bad.size} of its "
+        f"transitions ({share:g} of {moves.data.sum():g} with repetitions): {named}{', ...' * (bad.size > 4)}. "
+        + _suggest_remedies(moves, bad, simulator)
     )
 
 
-def _ways_out(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -> str:
-    """What would give these moves probability."""
+def _suggest_remedies(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -> str:
+    """Say what would give these transitions probability."""
     n_actions, rows, to = simulator.n_actions, row_of_entry(moves), moves.indices.astype(np.int64)
     start, action = np.divmod(rows, n_actions)
     if min(start.min(), to.min()) >= 1 and find(simulator.transitions, rows - n_actions, to - 1)[1].all():
-        return "With 1 subtracted from every state all moves are possible: states are numbered from 0"
+        return "With 1 subtracted from every state all transitions are possible: states are numbered from 0"
     someone = np.zeros(len(rows), dtype=np.bool_)  # whether any action of the state leads there
     for a in range(n_actions):
         someone |= find(simulator.transitions, start * n_actions + a, to)[1]
-    noise = "simulator.with_action_noise(epsilon) (--action-noise)"
-    allow = (
-        "simulator.with_support_of(log, epsilon) (--impossible allow=0.01) gives every such move some; "
-        'Problem(..., impossible="drop") (--impossible drop) leaves them out and has them lead anywhere'
-    )
-    rest = "a mixture of simulator parameters, or states that tell such moves apart"
+    ways = [
+        "simulator.with_support_of(log, epsilon) (--impossible allow=0.01) gives each of them some probability",
+        'Problem(..., impossible="drop") (--impossible drop) leaves them out, and intervals let them lead anywhere',
+        "use a mixture of simulator parameters, or states that distinguish such transitions",
+    ]
     if someone[bad].all():
-        return f"Ways out: {noise}, {rest}. Or: {allow}"
+        return _number(["simulator.with_action_noise(epsilon) (--action-noise) makes them possible", *ways])
     k = int(bad[~someone[bad]][np.argmax(moves.data[bad[~someone[bad]]])])
     s, a, j = int(start[k]), int(action[k]), int(to[k])
     could = int(someone[bad].sum())
     here, there = simulator.names.state(s), simulator.names.state(j)
     return (
-        f"No action leads from {here} to {there} in the simulator, so that action noise does not help"
-        + (f" (it would with {could} of the {bad.size})" if could else "")
-        + f". If the target can do this, give it some probability, P[{s}, {a}] *= 0.99; P[{s}, {a}, {j}] += 0.01; if it is a "
-        f"fault of the log, leave those rows out; else {rest}. Or: {allow}"
+        f"No action leads from {here} to {there} in the simulator, so action noise does not help"
+        + (f" (it does for {could} of the {bad.size}). " if could else ". ")
+        + _number(
+            [
+                f"if the target can do this, give it probability: P[{s}, {a}] *= 0.99; P[{s}, {a}, {j}] += 0.01",
+                "if the log is wrong, remove these transitions from it",
+                *ways,
+            ]
+        )
     )
+
+
+def _number(ways: list[str]) -> str:
+    return f"Fix one of these: {'; '.join(f'({k}) {way}' for k, way in enumerate(ways, 1))}"
 
 
 def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
@@ -127,7 +135,7 @@ def _possible(moves: Any, simulator: FiniteMDP, name: str = "moves") -> tuple[sp
 
 
 def without_impossible(counts: sparse.csr_array, simulator: FiniteMDP) -> tuple[sparse.csr_array, Array]:
-    """Canonical counts without the moves to which the simulator gives probability 0, and (S*A,) how many those were.
+    """Canonical counts without transitions of simulator probability 0, and (S*A,) how many those were.
 
     Examples
     --------
@@ -188,7 +196,7 @@ def require_pair(target: object, simulator: object) -> None:
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What holds of p, q and the box [lower, upper].
+    """Assumptions V.1 and V.2 for p, q and the box [lower, upper].
 
     Attributes
     ----------
@@ -201,8 +209,8 @@ class Assumptions:
 
     Examples
     --------
-    >>> found = check_assumptions([3, 1], [2, 2], lower=0.1, upper=1.2)
-    >>> found.inside, found.above, found.largest, found.supported
+    >>> assumptions = check_assumptions([3, 1], [2, 2], lower=0.1, upper=1.2)
+    >>> assumptions.inside, assumptions.above, assumptions.largest, assumptions.supported
     (False, 1, 1.5, True)
     """
 
@@ -227,7 +235,7 @@ class Assumptions:
 
 
 def check_assumptions(p: ArrayLike, q: ArrayLike, *, lower: float, upper: float) -> Assumptions:
-    """Whether assumptions V.1 and V.2 hold of the distributions p, q (counts are scaled) and the box [lower, upper].
+    """Check assumptions V.1 and V.2 for the distributions p, q (counts are scaled) and the box [lower, upper].
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ def transition_ratio(
     seed: Seed = None,
     **options: object,
 ) -> TransitionRatio:
-    """zeta(s, a, s') = P_target / P_simulator from a log of the target.
+    """Estimate zeta(s, a, s') = P_target / P_simulator from a log of the target.
 
     Parameters
     ----------
@@ -76,27 +76,27 @@ def transition_ratio(
     simulator : FiniteMDP
     method : "conditional" | "tied" (also where ``tie`` is given) | "linear" | "kernel" | "ratio_of_ratios" | "joint", or an
         object with its options: ``Conditional``, ``Tied``, ``InClass``, ``Quotient``, ``Joint`` (``oee.ratio``)
-    discount : count each move discount^timestep, as the paper's discounted d does, on both sides (default: count all alike)
+    discount : weight each transition by discount^timestep, as the paper's discounted d does, on both sides (default: 1)
     values_of : (S, A), or a list of such
-        The policy, or policies, whose values matter: r(s, a, s') + gamma V(s') of each in the simulator is one of the
-        directions of ``Conditional``'s prior "average"; the other priors do not use them, so that giving both is an error
-    horizon : of these values; None: the infinite sum. Without ``values_of`` it has no use and must be left out
+        The policies whose values matter: r(s, a, s') + gamma V(s') of each in the simulator is a direction of
+        ``Conditional``'s prior "ridge"; with another prior it is an error
+    horizon : of these values; None: the infinite sum. Only with ``values_of``
     simulator_data : ``Quotient`` and ``Joint`` (which uses its d(s, a) alone)
         A log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
         ``seed``; "exact": the simulator's exact occupancy under that policy
     behavior_policy : (S, A), instead of the estimated one; ``Quotient`` and ``Joint``
-    seed : of what is random: the simulator's data, where they are sampled, and Algorithm 1's batches
-    options : of the method, where it is given by name; each class explains its own
+    seed : of the simulator's data, if they are sampled, and of Algorithm 1's batches
+    options : of the method, if it is given by name; each class explains its own
 
     Returns
     -------
     TransitionRatio
-        Rows without data have the prior's zeta (1, or the tilt's); ``visited`` says which have some.
+        Unrecorded pairs have the prior's zeta (1, or the tilt's); ``visited`` marks the recorded ones.
 
     Raises
     ------
     ValueError
-        A move of the log to which the simulator gives probability 0 (named); an option that the method has not; bad options.
+        A transition with simulator probability 0 (named); an option that the method does not have; bad options.
     TypeError
         An option that no method has.
 

@@ -177,11 +177,13 @@ UNKNOWN = Transitions(["hall", "hal", "hall", "hal"], ["go"] * 4, ["hall"] * 4)
         (lambda: UNKNOWN.numbered(3), r"simulator must be a FiniteMDP; got int$"),
         (lambda: Transitions.from_frame(frame().assign(action="goo"), simulator=MDP),
          r"frame\.action\[0\] must be one of .* it is 'goo' \(did you mean 'go'\?\)"),
+        (lambda: oee.Problem(MDP, frame().replace({"next_state": {"hall": "hal"}})),
+         r"frame\.next_state\[\d+\] must be one of .* it is 'hal' \(did you mean 'hall'\?\)"),
         (lambda: oee.Problem(MDP, 3), "log must be Transitions; got int$"),
         (lambda: oee.Problem(MDP, None), "log must be Transitions; got NoneType$"),
         (lambda: oee.Problem(MDP, np.zeros(3)), "log must be Transitions; got ndarray$"),
         (lambda: Transitions(["a", "a"], [0, 0], ["b", "a"], episode=[0, 0]),
-         r"next_state\[0\] must be the state of the next row of its episode, which is a; it is .b."),
+         r"next_state\[0\] must be the state of the next row of its episode, which is a \(or one .* is misspelt\); it is .b."),
     ],
 )  # fmt: skip
 def test_names_that_the_simulator_has_not_and_what_is_no_log(call, text):
@@ -329,9 +331,9 @@ def test_a_last_move_that_leads_nowhere_known_is_left_out_and_told():
 @pytest.mark.parametrize(
     ("episodes", "text"),
     [
-        ([], r"episodes must have at least one move whose next state is known; they have none"),
-        ([[(0, 0, 1.0)]], r"episodes must have at least one move"),
-        ([[]], r"episodes must have at least one move"),
+        ([], r"episodes must have at least one transition whose next state is known; they have none"),
+        ([[(0, 0, 1.0)]], r"episodes must have at least one transition"),
+        ([[]], r"episodes must have at least one transition"),
         (3, r"episodes must be a list of episodes, each a list of steps; got int$"),
         ([3], r"episodes\[0\] must be a list of steps, each \(state, action, reward\), .*; got int$"),
         ([[{"observation": 0, "action": 0, "reward": 1.0}]], r"episodes\[0\]\[0\] must be a step, .* of observation, action, "),

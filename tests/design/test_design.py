@@ -273,7 +273,7 @@ def test_rows_that_the_log_lacks_come_first():
     assert plan.unvisited == 4
     assert {s for s, _ in plan.next_pairs[:4]} == {7}
     assert plan.distribution[7].sum() > 0.25
-    assert "4 (s, a) that matter have never been recorded" in str(plan)
+    assert "pairs that matter and were never recorded: 4" in str(plan)
     assert "inf" in str(plan)
 
 
@@ -284,7 +284,7 @@ def test_how_a_plan_reads():
         "90% width",
         "delta 0.9",
         "Record action ",
-        "then, one move each (s, a): ",
+        "then one transition each: ",
         "%",
     ):
         assert part in text
@@ -346,7 +346,7 @@ BAD = [
         CHAIN,
         ONE,
         {"model": OUTSIDE},
-        r"model must stay where the simulator has probability: .*s=1, a=0 -> s'=0 \(0.5\)",
+        r"model must stay in the simulator's support: .*s=1, a=0 -> s'=0 \(0.5\)",
     ),
     (CHAIN, ONE, {"restart": 0.1}, r"restart must be left out with sampling 'free'; it is 0.1"),
     (CHAIN, ONE, {"sampling": "behavior", "restart": 1.0}, r"restart must be in \(0, 1\); it is 1"),

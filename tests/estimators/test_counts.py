@@ -103,8 +103,8 @@ BAD = {
     "negative": (lambda: spoiled(-0.5), r"counts must be finite and nonnegative; at s=0, a=0 -> s'=0 there is -0.5"),
     "nan": (lambda: spoiled(np.nan), r"counts must be finite and nonnegative; at s=0, a=0 -> s'=0 there is nan"),
     "infinite": (lambda: spoiled(np.inf), r"counts must be finite and nonnegative; .* there is inf"),
-    "none": (lambda: 0 * SOFT, r"counts must have at least one move; all are 0"),
-    "no support": (outside, r"counts must stay where the simulator has probability: .* s=0, a=0 -> s'=8 \(0.5\)"),
+    "none": (lambda: 0 * SOFT, r"counts must have at least one transition; all are 0"),
+    "no support": (outside, r"counts must stay in the simulator's support: .* s=0, a=0 -> s'=8 \(0.5\)"),
 }
 
 
@@ -180,9 +180,9 @@ def test_rewards_that_contradict_are_seen_in_counts():
     zero = oee.FiniteMDP(SIMULATOR.transitions, np.zeros((9, 4)), SIMULATOR.initial, 0.9)
     conflict = oee.Problem(zero, one).reward_conflict
     assert str(conflict).startswith(
-        "the log's rewards contradict the simulator's in up to 9 of 9 transitions (1 different"
+        "the log's rewards contradict the simulator's in up to 9 of 9 transitions (1 distinct"
     )
-    assert "pays 3 in the log, 0 in the simulator" in str(conflict)
+    assert "is 3 in the log, 0 in the simulator" in str(conflict)
 
 
 @pytest.mark.parametrize("estimator", [ModelBased(), OffEnvironment(), oee.estimators.Marginalized()])

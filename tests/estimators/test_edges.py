@@ -93,7 +93,7 @@ def test_a_product_of_weights_beyond_floats_is_said():
 def test_a_probability_below_every_ratio_is_no_support():
     faint = oee.FiniteMDP([[[1e-320, 1.0]], [[0.5, 0.5]]], [0.0, 1.0], [1.0, 0.0], 0.9)
     target = oee.FiniteMDP([[[0.5, 0.5]], [[0.5, 0.5]]], [0.0, 1.0], [1.0, 0.0], 0.9)
-    text = r"probability 0 or below 1e-300 to 1 different move .* s=0, a=0 -> s'=0"
+    text = r"probability 0 or below 1e-300 to 1 of its transitions .* s=0, a=0 -> s'=0"
     with pytest.raises(ValueError, match=text):
         oee.true_ratio(target, faint)
     with pytest.raises(ValueError, match=text):

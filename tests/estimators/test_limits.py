@@ -217,7 +217,7 @@ BAD = {
     ),
     "a limit outside the simulator": (
         lambda: ModelBased().limit(oee.tasks.gridworld(3, 0.0), GRID, UNIFORM),
-        "target must stay where the simulator has probability",
+        "target must stay in the simulator's support",
     ),
     "a limit of another size": (
         lambda: ModelBased().limit(GRID, oee.tasks.gridworld(2, 0.3), UNIFORM),

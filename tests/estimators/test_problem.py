@@ -17,8 +17,8 @@ def test_contradictions_of_the_log():
     )
     problem = Problem(simulator, log, behavior_policy=np.full((2, 2), 0.5))
     assert str(problem.reward_conflict) == (
-        "the log's rewards contradict the simulator's in 3 of 4 transitions (2 different moves; "
-        "s=1, a=1 -> s'=1 pays 9 in the log, 4 in the simulator)"
+        "the log's rewards contradict the simulator's in 3 of 4 transitions (2 distinct; "
+        "the reward of s=1, a=1 -> s'=1 is 9 in the log, 4 in the simulator)"
     )
     assert problem.behavior_conflict == 1
     assert Problem(simulator, log).behavior_conflict == 0
@@ -49,7 +49,7 @@ def test_each_log_of_a_problem_is_checked_by_its_name():
     for name in ("log", "episodes", "simulator_data"):
         arguments = {"log": log} | {name: far}
         with pytest.raises(
-            ValueError, match=rf"^{name}\.state\[0\] must be in 0\.\.3, the simulator's; it is 4 \(1 such rows"
+            ValueError, match=rf"^{name}\.state\[0\] must be in 0\.\.3, the simulator's; it is 4 \(1 such transitions"
         ):
             Problem(simulator, **arguments)
         with pytest.raises(ValueError, match=rf"^{name}\.next_state\[0\] must be in 0\.\.3"):

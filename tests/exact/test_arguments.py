@@ -143,7 +143,7 @@ TOGETHER = {
     ),
     "a target outside the simulator": (
         lambda: exact.ratio_of_ratios_variance(oee.tasks.gridworld(3, 0.0), GRID, UNIFORM, UNIFORM / 9, UNIFORM / 9),
-        "target must stay where the simulator has probability",
+        "target must stay in the simulator's support",
     ),
     "no support": (
         lambda: oee.trajectory_efficiency_bound(GRID, np.eye(4)[np.zeros(9, dtype=int)], UNIFORM, horizon=3),

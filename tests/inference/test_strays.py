@@ -107,7 +107,7 @@ def test_differences_know_of_them_and_other_methods_refuse():
     for method in ("delta", "bootstrap"):
         with pytest.raises(ValueError, match=rf"^method must be 'likelihood' or 'robust' .*; it is '{method}'$"):
             oee.interval(problem, policy, method=method)
-    with pytest.raises(ValueError, match=r"^lower_ratio and upper_ratio must be None where impossible moves were"):
+    with pytest.raises(ValueError, match=r"^lower_ratio and upper_ratio must be None if impossible transitions were"):
         oee.interval(problem, policy, upper_ratio=2.0)
 
 
@@ -130,7 +130,7 @@ def test_a_problem_drops_what_it_says():
     for row in report.records():
         if row["estimator"] in ("oee", "model-based"):
             assert row["lower"] < row["value"] < row["upper"]
-    with pytest.raises(ValueError, match=r"none is left where impossible is 'drop'$"):
+    with pytest.raises(ValueError, match=r"impossible='drop' leaves none$"):
         oee.Problem(simulator, oee.Transitions([0], [0], [np.flatnonzero(P[0, 0] == 0)[0]]), impossible="drop")
 
 

@@ -199,7 +199,7 @@ BAD = {
     "no mapping": ({"families": lambda: 3}, "families must make a mapping name -> Family; they make a int"),
     "outside the support": (
         {"families": "own:outside"},
-        "family 'bent': target must stay where the simulator has probability: it gives probability 0 to .*s=",
+        "family 'bent': target must stay in the simulator's support: the simulator gives probability 0 to .*s=",
     ),
     "sizes": (
         {"sizes": [0]},
@@ -269,7 +269,7 @@ def test_the_command(tmp_path, capsys, here):
         (("--sizes", "-1"), r"sizes must be in \[0, inf\); it is -1"),
         (("--estimators", ","), "estimators must name at least one; it is empty"),
         (("--families", "nowhere"), "family must be one of inventory20, .*; got 'nowhere'"),
-        (("--families", "own:outside"), "family 'bent': target must stay where the simulator has probability"),
+        (("--families", "own:outside"), "family 'bent': target must stay in the simulator's support"),
         (("--jobs", 0, "--families", "machine"), "jobs must be a positive number"),
     ],
 )

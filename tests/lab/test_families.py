@@ -171,7 +171,7 @@ BAD = {
     "no mdp": (lambda: family(simulator=3), "simulator must be a FiniteMDP; got int"),
     "support": (
         lambda: family(simulator=STILL, target=GRID, policy=oee.uniform_policy(GRID), data_policy=oee.uniform_policy(GRID)),
-        r"target must stay where the simulator has probability: it gives probability 0 to \d+ different moves .*s=0, a=",
+        r"target must stay in the simulator's support: the simulator gives probability 0 to \d+ of its transitions .*s=0, a=",
     ),
     "policy": (lambda: family(policy=np.ones((30, 2))), r"policy\[0\] must sum to 1 .*it sums to 2"),
     "data policy": (lambda: family(data_policy=np.ones((2, 2)) / 2), r"data_policy must have shape \(30, 2\)"),

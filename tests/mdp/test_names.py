@@ -117,13 +117,13 @@ def test_sentences_speak_names():
     moves = [("hall", "go", ("room", 1))] * 6 + [(("room", 1), "go", "dock 1")] * 3 + [("hall", "go", "hall")] * 4
     log = oee.Transitions(*zip(*moves, strict=True), np.full(13, -2.0))
     problem = oee.Problem(mdp, log)
-    assert "s=hall, a=go -> s'=('room', 1) pays -2 in the log, -1 in the simulator" in str(problem.reward_conflict)
+    assert "s=hall, a=go -> s'=('room', 1) is -2 in the log, -1 in the simulator" in str(problem.reward_conflict)
     report = oee.evaluate(problem, {"run": ["go"] * 3}, estimators=["oee"], seed=0)
     assert "Record action go in state ('room', 1) first (3 transitions so far" in report.uncertainty.sentences[-1]
     assert "('room', 1)" in report.to_html()
     plan = str(oee.plan_data_collection(problem, ["go"] * 3, n=10))
-    assert "most of it: s=('room', 1), a=go" in plan
-    assert "then, one move each (s, a): (('room', 1), go), (" in plan
+    assert "largest shares: action go in state ('room', 1)" in plan
+    assert "then one transition each: action go in state ('room', 1), " in plan
     unseen = oee.evaluate(problem, {"run": ["stay"] * 3}, estimators=["oee"], seed=0)
     assert "s=hall, a=stay" in str(unseen.records()) + " ".join(unseen.warnings)
     spaced = mdp.with_names(["day shift", *STATES[1:]], ["call in", "stay"])
@@ -137,7 +137,7 @@ def test_sentences_speak_names():
     ("call", "text"),
     [(lambda: oee.Problem(three(), oee.Transitions(["hall"], ["stay"], ["dock"])), r"s=hall, a=stay -> s'=dock"),
      (lambda: oee.Problem(three(), oee.Transitions([0], [1], [2])), r"No action leads from hall to dock in the simulator"),
-     (lambda: oee.Problem(three(), oee.Transitions([0], [0], [1], terminated=[1])), r"over in state \('room', 1\), every"),
+     (lambda: oee.Problem(three(), oee.Transitions([0], [0], [1], terminated=[1])), r"state \('room', 1\) must be terminal"),
      (lambda: three(3).with_transitions(ROWS[:, ::-1][[0, 0, 2]]), r"s=\('room', 1\), a=go -> s'=hall"),
      (lambda: reweight(three(), -1.0 * three().transitions), r"at s=hall, a=go -> s'=hall it is")],
 )  # fmt: skip
