@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 Method = Literal["likelihood", "delta", "bootstrap", "robust"]
-NO_VARIATION = "the log's transitions that affect the value never vary, so their spread cannot be estimated; use method='likelihood'"
+NO_VARIATION = (
+    "the log's transitions that affect the value never vary: no spread can be estimated; use method='likelihood'"
+)
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ class Interval:
     method : "likelihood", "delta", "bootstrap" or "robust"; "likelihood under the tie" or "... under the features"; "range" of
         a ``value_range``
     diagnostics : plain numbers: ``unvisited_share``, of the policy's discounted time in pairs never recorded,
-        ``unvisited_rows``, the number of such pairs that the policy reaches, and those of the method; if impossible transitions were dropped,
-        their number (``dropped_moves``) and estimated share of the policy's time (``dropped_share``)
+        ``unvisited_rows``, the number of such pairs that the policy reaches, and those of the method; if impossible transitions
+        were dropped, their number (``dropped_moves``) and estimated share of the policy's time (``dropped_share``)
     status : "ok", or the contradiction between the log and the assumed box
     sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone. If the policy reaches recorded
         pairs only, the interval itself; else the value of ``OffEnvironment()`` ± a normal quantile times its standard error,

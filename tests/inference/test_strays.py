@@ -119,13 +119,9 @@ def test_a_problem_drops_what_it_says():
     problem = oee.Problem(simulator, log, impossible="drop")
     assert len(problem.log) == counts.sum()
     assert problem.counts.sum() == counts.sum() - 2 * EACH
-    assert str(problem.findings[0]).startswith(
-        f"6 of the log's {counts.sum():g} transitions, of 2 pairs of a state and an action"
-    )
+    assert str(problem.findings[0]).startswith(f"6 of the log's {counts.sum():g} transitions, in 2 state-action pairs")
     one = str(moves_dropped(np.array([0.0, 1.0]), 9.0)[0])
-    assert one.startswith(
-        "1 of the log's 10 transitions, of 1 pair of a state and an action, is impossible in the simulator"
-    )
+    assert one.startswith("1 of the log's 10 transitions, in 1 state-action pair, is impossible in the simulator")
     report = oee.evaluate(problem, {"p": policy, "q": policy[:, ::-1]}, seed=0)
     for row in report.records():
         if row["estimator"] in ("oee", "model-based"):
