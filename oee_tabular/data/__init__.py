@@ -3,14 +3,14 @@
 A log is n transitions (s_i, a_i, s'_i), with what a recording may add, a column each, (n,)::
 
     state, action, next_state     integers from 0, or names, which are matched to a simulator's
-    reward                        r_i, finite; nan where it is missing, and no column where all are
-    terminated                    the transition ended the task: nothing is paid afterwards
-    truncated                     it ended the recording alone: the task would have gone on
-    episode, timestep             rows of an episode stand together, t = 0, 1, ...; s'_i = s_(i+1) inside of it
+    reward                        r_i, finite; nan if it is missing, and no column if all are
+    terminated                    the transition ended the task: all later rewards are 0
+    truncated                     it ended the recording alone: the task would have continued
+    episode, timestep             rows of an episode are consecutive, t = 0, 1, ...; s'_i = s_(i+1) inside of it
     behavior_probability          mu(a_i | s_i), in [0, 1]
 
-Without episodes a log is a bag of transitions. Its starts need not be those of an MDP's initial distribution. All that is
-estimated from a bag are its counts, (S*A, S), row s*A + a::
+Without episodes transitions are independent, and their states need not follow an MDP's initial distribution. Estimates
+use their counts alone, (S*A, S), row s*A + a::
 
     n(s, a, s') = #{i: s_i = s, a_i = a, s'_i = s'}            ``log.counts(n_states, n_actions)``
     n_gamma(s, a, s') = sum_i gamma^t_i [s_i = s, ...]         with ``discount``: the paper's discounted d, times n

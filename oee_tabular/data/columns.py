@@ -1,4 +1,4 @@
-"""What every log of moves has, numbered states or not: checked columns, rows and episodes of it, its files."""
+"""Columns, episodes and files of every log, of numbered states or not."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class LogColumns:
 
     @staticmethod
     def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
-        """The three columns of a move, checked each for itself."""
+        """The three columns of a transition, checked each for itself."""
         raise NotImplementedError
 
     @staticmethod
@@ -125,7 +125,7 @@ class LogColumns:
         return {name: getattr(self, name) for name in COLUMNS if getattr(self, name) is not None}
 
     def select(self, rows: object) -> Self:
-        """A bag of the given rows (a mask or row numbers): timesteps are kept, episodes are not."""
+        """The given rows (a mask or row numbers) as independent transitions: timesteps are kept, episodes are not."""
         try:
             asked = np.asarray(rows)
             chosen = np.arange(len(self))[asked] if asked.size else np.zeros(0, dtype=np.int64)
@@ -177,7 +177,7 @@ class LogColumns:
         return cls(**{name: np.concatenate(part) for name, part in joined.items()})
 
     def draw(self, n: int, *, seed: Seed) -> Self:
-        """A bag of n rows drawn without replacement, the paper's way of taking a sample."""
+        """Draw n rows without replacement, as independent transitions: the paper's way of sampling."""
         size = _checks.positive_integer(n, "n")
         if size > len(self):
             raise ValueError(f"n must be at most the {len(self)} rows of the log; it is {size}")

@@ -139,7 +139,7 @@ class TransitionCounts:
         return cls(state, action, csr.indices.astype(np.int64), csr.data)
 
     def __len__(self) -> int:
-        """How many moves were counted."""
+        """How many transitions were counted."""
         return round(float(self.count.sum()))
 
     def __repr__(self) -> str:
@@ -151,17 +151,17 @@ class TransitionCounts:
 
     @property
     def by_episodes(self) -> bool:
-        """Whether moves may depend on those before them."""
+        """Whether transitions may depend on those before them."""
         return self.recording.by_episodes
 
     def counts(self, n_states: int, n_actions: int, *, discount: float | None = None) -> sparse.csr_array:
-        """How often each (s, a, s') was seen: csr of shape (S*A, S), row s*A + a; errors as of ``Transitions.counts``."""
+        """The counts of each (s, a, s'): csr of shape (S*A, S), row s*A + a; errors as of ``Transitions.counts``."""
         if discount is not None:
             raise ValueError("discount must be left out where counts are given: they have no timesteps")
         return counts_of(self, self.count, n_states, n_actions)
 
     def moves(self) -> RowSums:
-        """The rows, with how many moves each stands for and what they paid."""
+        """The rows, with the count of each and its rewards."""
         return RowSums(*(getattr(self, name) for name in COUNTED))
 
     def columns(self) -> dict[str, Column]:
@@ -200,7 +200,7 @@ class TransitionCounts:
         return describe_facts(self.summary())
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write .npz, whole or not at all, with a digest of what it holds."""
+        """Write .npz, whole or not at all, with a digest of its contents."""
         arrays: dict[str, Column] = self.columns() | {
             "recording": np.array([int(value) for value in self.recording[:-1]]),
             "reasons": np.array(self.recording.reasons, dtype=np.str_),

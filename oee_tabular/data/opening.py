@@ -35,16 +35,16 @@ def open_log(
     dask: str | None = None,
     progress: bool = False,
 ) -> TransitionCounts:
-    """Count a log of any size, in memory of the size of its counts: what ``Problem`` takes where no log fits.
+    """Count a log of any size, in memory of the size of its counts; ``Problem`` takes the result.
 
     Parameters
     ----------
     path : file (.parquet, .csv, .csv.gz, .npz), folder (with all inside, ``column=value`` folders as columns), pattern, Minari
         data set, or a list of these
-    simulator : FiniteMDP, optional: whose states and actions there are, others are bad; where it has names, so may the log
-    n_states, n_actions : int, optional, in its place: states and actions from there on are bad
-    bad_rows : "refuse" | "drop": raise for the first row that is none of a log, or leave such rows out and count them;
-        a row that is left out breaks its episode, whose other transitions are still counted
+    simulator : FiniteMDP, optional: states and actions outside it are bad; the log may use its names
+    n_states, n_actions : int, optional, in its place: larger states and actions are bad
+    bad_rows : "refuse" | "drop": raise at the first invalid row, or leave such rows out and give their number; the other
+        transitions of a broken episode are still counted
     kept_moves : int, 200 000: whole episodes of so many transitions are kept for importance sampling, drawn by a hash
     output : .npz to write the counts to, whole or not at all
     jobs : processes on this machine, -1: one a core; dask : address of a scheduler whose workers see the files
@@ -53,8 +53,8 @@ def open_log(
     Raises
     ------
     ValueError
-        Names the file, the row or the column, the rule and the value: files that are no tables, have other columns than the
-        first, or rows that are none of a log, where they are refused. Rewards alone may be missing.
+        Names the file, the row or the column, the rule and the value: files that are no tables or have other columns than
+        the first; invalid rows if they are refused. Rewards alone may be missing.
     OSError
         A file that is not there; no scheduler at the address.
 

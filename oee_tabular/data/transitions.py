@@ -1,7 +1,7 @@
-"""A log of transitions (s, a, s'), with the rest of what a recording may hold.
+"""A log of transitions (s, a, s'), with rewards, episodes and other optional columns.
 
 Episodes are ragged: a flat table with an episode number for each row, never padded. A *terminated* transition ends the
-task (nothing is paid afterwards); a *truncated* one ends the recording only, and the task would have gone on.
+task (all later rewards are 0); a *truncated* one ends the recording only, and the task would have continued.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ from oee_tabular.mdp.naming import Name, name_text, renumber
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Transitions(LogColumns):
-    """Logged moves of the target environment, one a row; checked when made and immutable.
+    """Logged transitions of the target environment, one a row; checked when made and immutable.
 
     Parameters
     ----------
     state, action, next_state : (n,) integers from 0, or names
         Names are texts, or tuples of texts and numbers, none of which reads as a number. They are numbered in the order
-        in which they first stand there (``state_names[state]``); ``numbered(simulator)`` matches them to a simulator's,
+        of their first appearance (``state_names[state]``); ``numbered(simulator)`` matches them to a simulator's,
         which ``Problem`` and ``transition_ratio`` do by themselves.
-    reward : (n,) finite numbers, optional; nan where one is missing (without any, ``log.reward`` is None)
+    reward : (n,) finite numbers, optional; nan if one is missing (without any, ``log.reward`` is None)
     terminated : (n,) booleans, optional
-        The move ended the task. Default: none did.
+        The transition ended the task. Default: none did.
     episode : (n,) integers or texts, optional
-        Rows of one episode stand together, in order; each row's next_state is the following row's state, and a
-        terminated or truncated row is the last of its episode. Without it the rows are a bag of moves.
+        Rows of one episode are consecutive and in order; each row's next_state is the following row's state, and a
+        terminated or truncated row is the last of its episode. Without episodes the transitions are independent.
     timestep : (n,) integers from 0, optional
         t of each row; within an episode 0, 1, 2, ... (the default there).
     behavior_probability : (n,) numbers in [0, 1], optional
         Probability with which the behaviour policy took the recorded action.
     truncated : (n,) booleans, optional
-        The recording stopped after this move although the task went on. Default: the last row of every episode that
-        did not terminate.
+        The recording stopped after this transition, but not the task. Default: the last row of every episode that did
+        not terminate.
     state_names, action_names : names of the numbers in state and next_state, in action; None: they are a simulator's numbers
 
     Raises
     ------
     ValueError
-        Names the column, the row, the rule and the value found.
+        Names the column, the row, the rule and the value.
 
     Examples
     --------
@@ -133,22 +133,22 @@ class Transitions(LogColumns):
 
     @classmethod
     def from_frame(cls, frame: object, *, simulator: FiniteMDP | None = None, **column_names: object) -> Self:
-        """A log from a data frame of pandas, polars, arrow, or what else narwhals reads; its index is not looked at.
+        """A log from a data frame of pandas, polars, arrow, or what else narwhals reads; its index is ignored.
 
         Parameters
         ----------
         frame : data frame, one transition a row
         simulator : FiniteMDP, optional
             Names of states and actions are matched to its names at once; otherwise the log keeps them (``numbered``).
-        column_names : what the frame calls a column, by the name that it has here: ``state="from", next_state="to"``; by
-            default the same. Several, ``state=["row", "column"]``, make tuples of their values: names.
-            Episodes may be texts. Columns that a log has no use for are left out.
+        column_names : the frame's own names of the columns of a log: ``state="from", next_state="to"``; by default the
+            same. Several, ``state=["row", "column"]``, make tuples of their values: names. Episodes may be texts. Other
+            columns are left out.
 
         Raises
         ------
         ValueError
-            No data frame; columns that it has not (with those that it has); a row without a value; a name that the simulator
-            has not (with the nearest); and what the constructor raises.
+            No data frame; missing columns (with those present); a row without a value; a name that is not the simulator's
+            (with the nearest one); and the constructor's errors.
 
         Examples
         --------
@@ -175,10 +175,10 @@ class Transitions(LogColumns):
         ----------
         episodes : list of episodes, each a list of steps
             A step is (state, action, reward): it led to the next step's state. An episode ends with its last state,
-            (state,), or (state, terminated) where that says whether the task was over; without it nothing says where the
-            last step led, and it is left out with a warning. Steps may also be (state, action, reward, next_state),
+            (state,), or (state, terminated) with whether the task ended; without it the next state of the last step is
+            unknown, and the step is left out with a warning. Steps may also be (state, action, reward, next_state),
             (state, action, reward, next_state, terminated), or with truncated after these, as a loop over a Gymnasium
-            environment's ``step`` has them: an episode that ends without being terminated is truncated, said or not.
+            environment's ``step`` has them: an episode that ends without being terminated is truncated.
         simulator : FiniteMDP, optional; names are matched to its names
 
         Examples
@@ -191,9 +191,9 @@ class Transitions(LogColumns):
         return log if simulator is None else log.numbered(simulator, "episodes")
 
     def numbered(self, simulator: FiniteMDP, name: str = "log") -> Self:
-        """The log in the numbers of ``simulator``'s states and actions, matched by their names; itself where it has none.
+        """The log in the numbers of ``simulator``'s states and actions, matched by their names; itself if it has none.
 
-        Raises ValueError with the first row whose name the simulator has not, and the nearest that it has.
+        Raises a ValueError with the first row whose name is not the simulator's, and the nearest name.
         """
         if not self._names():
             return self
@@ -214,10 +214,10 @@ class Transitions(LogColumns):
         return _printing.facts("Transitions: a log", rows)
 
     def counts(self, n_states: int, n_actions: int, *, discount: float | None = None) -> sparse.csr_array:
-        """How often each (s, a, s') was seen: csr of shape (S*A, S), row s*A + a.
+        """The counts of each (s, a, s'): csr of shape (S*A, S), row s*A + a.
 
-        With ``discount`` each move counts discount**timestep, the paper's discounted d (needs timesteps).
-        Raises ValueError where a state or action is outside the given numbers.
+        With ``discount`` each transition has weight discount**timestep, the paper's discounted d (needs timesteps).
+        Raises a ValueError if a state or action is outside the given numbers.
         """
         if self._names():
             raise ValueError(
@@ -231,7 +231,7 @@ class Transitions(LogColumns):
         return counts_of(self, weights, n_states, n_actions)
 
     def moves(self) -> RowSums:
-        """Each row with the one move that it stands for and what it paid."""
+        """Each transition with count 1 and its reward."""
         return RowSums.of_transitions(len(self), self.reward)
 
     def led_to(self, next_state: IntArray) -> Transitions:
@@ -240,11 +240,11 @@ class Transitions(LogColumns):
 
     @property
     def by_episodes(self) -> bool:
-        """Whether moves may depend on those before them."""
+        """Whether transitions may depend on those before them."""
         return self.episode is not None
 
     def summary(self) -> dict[str, Any]:
-        """What the log holds, as plain numbers. Cost: O(n)."""
+        """The log's contents as plain numbers. Cost: O(n)."""
         import pandas as pd
 
         states = pd.unique(np.concatenate([self.state, self.next_state]))

@@ -1,4 +1,4 @@
-r"""What to record next: the state-action pairs, or the behaviour policy, that tell most about the policies' values.
+r"""What to record next: the state-action pairs, or the behaviour policy, that reduce the variance of the policies' values most.
 
 Objects: x = (s, a) a row of the S*A; P' the model (S*A, S) at which variances are evaluated; pi the policies, k = 1..K; n_x
 the log's counts (S*A,); q a distribution over rows, (S*A,), of the next n transitions.

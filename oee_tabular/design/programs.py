@@ -59,11 +59,11 @@ def fill(cost: Array, base: Array) -> Array:
 def collection_mdp(
     model: FiniteMDP, restart: float, *, ends: BoolArray | None = None, restart_costs_a_move: bool = False
 ) -> FiniteMDP:
-    """Make the MDP in which data are collected: ``model``, started again after each move with probability ``restart``.
+    """Make the MDP in which data are collected: ``model``, started again after each transition with probability ``restart``.
 
-    Its discount is 1 - restart, its occupancy the long-run share of recorded moves, its rewards 0. An episode ends in the
+    Its discount is 1 - restart, its occupancy the long-run share of recorded transitions, its rewards 0. An episode ends in the
     states ``ends`` (S,), by default those that no action leaves: entering one leads to a start (as ``sample_episodes``
-    records), or, with ``restart_costs_a_move``, one more recorded move does.
+    records), or, with ``restart_costs_a_move``, one more recorded transition does.
     """
     matrix: Any = model.transitions
     is_end = model.closed() if ends is None else ends

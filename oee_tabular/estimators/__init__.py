@@ -6,7 +6,7 @@ estimate. V_M, Q_M, J_M are values of pi in a model M, d_M(s, a) = sum_t gamma^t
 otherwise. Along a path W_t = zeta_1 ... zeta_t and rho_t = product of pi / b up to t::
 
     Simulator           J_P                                                                      simulator
-    OffEnvironment      J_m (eq. 4.2), moved towards the log where that speaks against it        off_environment
+    OffEnvironment      J_m (eq. 4.2), moved towards the log where that contradicts it           off_environment
       "monte_carlo"     mean over rollouts in P of sum_t gamma^t W r_t                           rollouts
     Oracle              the same with the true zeta                                              simulator
     ModelBased          J_f (fitted Q evaluation in a table)                                     model_based
@@ -20,16 +20,16 @@ otherwise. Along a path W_t = zeta_1 ... zeta_t and rho_t = product of pi / b up
                         d_m / d_P, or A^T theta = -(1 - gamma) E phi_0 (Katdare et al. 2023)     marginalized
     DualDice            w = nu - gamma f^pi nu at the least of a quadratic (Nachum et al. 2019)  marginalized
 
-``estimator.limit(simulator, target, policy, ...)`` is what the value tends to as the log (and its rollouts)
+``estimator.limit(simulator, target, policy, ...)`` is the limit of the value as the log (and its rollouts)
 grow, bias included. Where the log covers the policy it is J_P* for all but the simulator,
 DoublyRobust(weights="beta") (an error of second order), clipped ratios, and features whose class lacks
 d_P* / d_P. Pairs never recorded are the prior's (OffEnvironment), the fallback's (ModelBased), the simulator's
 (DoublyRobust, DualDice), or count nothing (Marginalized).
 
 Standard errors are those of the log by the delta method, sum over recorded pairs of Var_f(G) / n with
-G = dJ / dP(s' | s, a) (``exact.transition_gradient``), or of independent episodes or rollouts. ``base`` has what
-all share, ``problem`` checks what is known (``rewards``: what the log pays), ``findings`` words what to know
-before a value is used, ``names`` the short names, ``calibrated`` takes out what a discretised task has put in.
+G = dJ / dP(s' | s, a) (``exact.transition_gradient``), or of independent episodes or rollouts. ``base`` has the
+common parts, ``problem`` checks the inputs (``rewards``: the log's), ``findings`` has the warnings, ``names``
+the short names, ``calibrated`` removes the error of a discretised task.
 """
 
 from __future__ import annotations

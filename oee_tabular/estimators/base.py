@@ -160,7 +160,7 @@ def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | Non
 
 
 def delta_error(matrix: sparse.csr_array, frequency: Array, totals: Array, gradient: Array) -> float:
-    """Delta method, root of the sum over visited rows of Var(gradient) / n, variances under ``frequency``."""
+    """Delta method, root of the sum over recorded rows of Var(gradient) / n, variances under ``frequency``."""
     shift = exponent(gradient)
     gradient = np.ldexp(gradient, -shift)
     variance = row_variances(matrix, frequency, gradient)

@@ -40,7 +40,7 @@ from oee_tabular.simulate.sampler import Drawn, draw
 
 @dataclass(frozen=True)
 class DoublyRobust(RatioEstimator):
-    """A value that is right if either of its two parts is.
+    """The doubly robust estimator: consistent if either of its two parts is.
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ class DoublyRobust(RatioEstimator):
         rollouts: on rollouts of the simulator, D_t = r_t + gamma [m_t + zeta_{t+1} (D_{t+1} - V_sim(s_{t+1}))],
         m_t = sum_s' zeta P V_sim: the paper's product with a control variate.
         episodes: on the log's episodes, D_t = V(s_t) + rho_t [r_t + gamma D_{t+1} - Q(s_t, a_t)], V and Q of
-        zeta * P [1]; an episode that was truncated goes on as V.
+        zeta * P [1]; a truncated episode continues with V.
     weights : "occupancy" | "beta", for transitions
         w = d / d_log with d the occupancy in zeta * P, or in the simulator: then the error is of second order
         in the mismatch of the two environments, and no zeta is fitted
-    ratio : as in ``OffEnvironment``: where zeta is from
+    ratio : as in ``OffEnvironment``: the source of zeta
     self_normalized : for episodes: the weights of each step divided by their sum (weighted doubly robust [2])
     n_rollouts : for rollouts
 
@@ -68,7 +68,7 @@ class DoublyRobust(RatioEstimator):
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> pair = case("ragged")  # a known target: J = 10.07
     >>> estimate = DoublyRobust()(pair.problem(1000, seed=0), pair.policy)
     >>> round(estimate.diagnostics["simulator_value"], 1), round(estimate.value, 1), round(estimate.standard_error, 1)
     (8.0, 10.2, 0.2)
@@ -198,14 +198,14 @@ class Magic(RatioEstimator):
 
     Notes
     -----
-    Limit: that of weighted doubly robust. The standard error takes the model for known, and is too small where
-    most of the weight is on it. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy
+    Limit: that of weighted doubly robust. The standard error treats the model as known, and is too small if most
+    of the weight is on it. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy
     evaluation for reinforcement learning, ICML 2016.
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> pair = case("ragged")  # a known target: J = 10.07
     >>> estimate = Magic()(pair.problem(1000, seed=0), pair.policy, seed=0)
     >>> round(estimate.value, 1), round(estimate.diagnostics["share_of_model"], 1)
     (10.1, 1.0)

@@ -208,7 +208,7 @@ def moves_dropped(dropped: Array, kept: float) -> Findings:
 
 
 def episodes_sampled(kept: int, of: int) -> Findings:
-    """Importance sampling sees some of the log's episodes."""
+    """Importance sampling uses some of the log's episodes."""
     text = f"Importance sampling uses a sample of {kept} of the log's {of} episodes. The other estimators use every transition."
     return (Finding("sample", 0.0, text),) if 0 < kept < of else ()
 

@@ -112,7 +112,7 @@ def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
 
 @dataclass(frozen=True)
 class ImportanceSampling(TabularEstimator):
-    """Episodes of the log weighted by products of policy(a|s) / behaviour(a|s).
+    """Importance sampling: episodes of the log weighted by products of policy(a|s) / behaviour(a|s).
 
     Parameters
     ----------
@@ -121,8 +121,8 @@ class ImportanceSampling(TabularEstimator):
     self_normalized : bool
         Divide by the sum of the weights (weighted importance sampling), per step for per_decision.
     ragged : "pad" | "zero"
-        In self-normalised per-decision sampling, what an ended episode does to the normaliser of later steps:
-        it keeps its last weight, or has weight 0 (which estimates E[r_t | still going], another quantity).
+        In self-normalised per-decision sampling, an ended episode keeps its last weight in the normaliser of later
+        steps, or has weight 0 (which estimates E[r_t | not ended], another quantity).
     behavior : "recorded" | "estimated"
         The log's behaviour probabilities (or ``Problem(behavior_policy=...)``), or the log's action frequencies.
 
@@ -130,12 +130,12 @@ class ImportanceSampling(TabularEstimator):
     -----
     Limit, plain: J(P_target) where the behaviour policy takes every action that the policy takes, from the
     starts of the log's episodes. Episodes that were truncated before the horizon lack their later rewards:
-    ``truncation_bias_bound`` bounds the bias that this can make.
+    ``truncation_bias_bound`` bounds the bias.
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> pair = case("ragged")  # a known target: J = 10.07
     >>> problem = pair.problem(1000, seed=0)
     >>> ImportanceSampling(kind="trajectory")(problem, pair.policy)
     Estimate(10.9262 ± 0.56 (standard error))

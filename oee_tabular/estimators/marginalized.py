@@ -50,15 +50,15 @@ class Marginalized(RatioEstimator):
 
     Parameters
     ----------
-    ratio : as in ``OffEnvironment``: where zeta is from; not with ``features``, which need none
+    ratio : as in ``OffEnvironment``: the source of zeta; not with ``features``, which need none
     lower, upper : lower <= beta <= upper where the log has pairs (None: no bound; beta is then exact there)
     features : phi(s, a), an array of shape (S, A), (S, A, d) or (S*A, d), or a function of (s, a) arrays
-        Without a horizon only. They are 0 where the episode is over; those that are 0 in every recorded pair
+        Without a horizon only. They are 0 after the end of an episode; those that are 0 in every recorded pair
         are left out.
 
     Notes
     -----
-    Pairs that the log never visited pay nothing. One-hot features give maximum likelihood on the recorded
+    Unrecorded pairs have reward 0. One-hot features give maximum likelihood on the recorded
     pairs. Limit: exact; with ``features`` that of the class, which depends on how pairs are recorded unless the
     class contains d_target / d_sim. Source: [1] P. Katdare, N. Jiang and K. Driggs-Campbell, Marginalized
     importance sampling for off-environment policy evaluation, CoRL 2023.
@@ -72,7 +72,7 @@ class Marginalized(RatioEstimator):
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> pair = case("ragged")  # a known target: J = 10.07
     >>> estimate = Marginalized()(pair.problem(1000, seed=0), pair.policy)
     >>> round(estimate.value, 1), round(estimate.diagnostics["largest_weight"], 1)
     (10.2, 0.9)
@@ -117,7 +117,7 @@ class Marginalized(RatioEstimator):
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``. Unrecorded pairs pay nothing: rewards cannot be shifted."""
+        """Words of ``testing.CLAIMS``. Unrecorded pairs have reward 0: rewards cannot be shifted."""
         if self.features is not None:
             return frozenset({"scale", "infinite"})
         known = self.model_claims - {"shift"}

@@ -34,20 +34,20 @@ class ModelBased(TabularEstimator):
     Parameters
     ----------
     fallback : "stay" | "simulator"
-        What a row never visited does: stay where it is (paying r(s, a, s) where the simulator defines it, else its
-        expected r(s, a)), or as the simulator.
+        Unrecorded pairs: the state stays (with reward r(s, a, s) if the simulator defines it, else its expected
+        r(s, a)), or as simulated.
 
     Notes
     -----
     Limit: J(P_lim) with P_lim = P_target where the log's distribution has mass, the fallback elsewhere; it attains the
     efficiency bound. With known simulator and full coverage it equals off-environment evaluation without shrinkage.
-    The standard error takes the variance of a row's own frequencies, 0 in a row with one move:
-    ``diagnostics["single_share"]`` is the share of the policy's discounted time in such rows (of several next states).
+    The standard error takes the variance of a row's own frequencies, 0 in a row with one transition:
+    ``diagnostics["single_share"]`` is the share of the policy's discounted time in such pairs (of several next states).
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> pair = case("ragged")  # a known target: J = 10.07
     >>> estimate = ModelBased()(pair.problem(1000, seed=0), pair.policy)
     >>> round(estimate.value, 2), round(estimate.standard_error, 2)
     (10.2, 0.17)

@@ -70,32 +70,31 @@ class OffEnvironment(RatioEstimator):
 
     Notes
     -----
-    Limit with "conditional", as n grows: J(P_target) where the log covers the policy; the prior's rows (the
-    simulator's, tilted) stand in for rows never visited. ``Estimate.value`` is the exact value of zeta * P
+    Limit with "conditional", as n grows: J(P_target) if the log covers the policy; unrecorded pairs have the
+    prior (the tilted simulator). ``Estimate.value`` is the exact value of zeta * P
     (``diagnostics["model_value"]``), moved towards the log by a soft threshold:
 
         value + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2,
 
-    change leading to the one-step value or to that of maximum likelihood, whichever is nearer (0 where they
-    lie on two sides): the first is linear in the log's frequencies and can overshoot, the second is not and
-    is wild with few transitions. Where the nearer of them is more than 2 s away the change leads further to
-    maximum likelihood, and from 4 s on all the way: what the first order misses is then larger than the
-    noise. s is the standard error of the difference of the two values, se that of the one-step value, se_fit
-    that of zeta * P if its prior fits. lambda grows with s / se_fit: the more the prior can gain, the more the
-    log has to say against it. Its values make the largest regret over all biases of the prior as small as a
-    soft threshold can [1].
+    change is the difference to the one-step value or to that of maximum likelihood, whichever is nearer (0 if
+    they lie on two sides): the first is linear in the log's frequencies and can overshoot, the second has a
+    large variance with few transitions. If the nearer is more than 2 s away, change goes on towards maximum
+    likelihood, and reaches it at 4 s: the error of the first order is then larger than the noise. s is the
+    standard error of the difference of the two values, se that of the one-step value, se_fit that of zeta * P
+    if its prior fits. lambda grows with s / se_fit: the more the prior can gain, the more evidence the log
+    needs against it. Its values minimise the largest regret over all biases of the prior [1].
 
-    ``Estimate.standard_error`` is sqrt(sum over visited rows of Var(G) / n + sum over the others of Var(G)),
+    ``Estimate.standard_error`` is sqrt(sum over recorded rows of Var(G) / n + sum over the others of Var(G)),
     G the derivative of J in zeta * P, variances under zeta * P; ``interval`` is the value +- 1.96 of it. The
-    narrower ``standard_error_if_centre_fits`` counts the log's noise alone. With "monte_carlo" the standard
-    error is that of the rollouts given zeta, which heavy tails make too small.
+    narrower ``standard_error_if_centre_fits`` includes sampling noise alone. With "monte_carlo" the standard
+    error is that of the rollouts given zeta, too small if weights have heavy tails.
 
     Reference: [1] T. Armstrong, P. Kline and L. Sun, Adapting to misspecification, arXiv 2305.14265.
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> pair = case("ragged")  # a known target: J = 10.07
     >>> estimate = OffEnvironment()(pair.problem(1000, seed=0), pair.policy)
     >>> round(estimate.value, 2), round(estimate.standard_error, 2), round(estimate.diagnostics["one_step_value"], 2)
     (10.18, 0.17, 10.2)
@@ -278,9 +277,9 @@ def _maximum_likelihood_value(problem: Problem, zeta: TransitionRatio, policy: A
 
 
 def change_to_log(one_step: float, likelihood: float, apart: float) -> float:
-    """The change to what the log says: to the nearer of two values, 0 where they contradict each other.
+    """The change towards the log: to the nearer of two values, 0 if they lie on two sides.
 
-    Where the nearer is 2 to 4 times ``apart`` away, more and more to maximum likelihood's.
+    If the nearer is 2 to 4 times ``apart`` away, partly to maximum likelihood's.
     """
     if one_step * likelihood <= 0:
         return 0.0

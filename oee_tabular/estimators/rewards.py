@@ -21,7 +21,7 @@ TOLERANCE = 1e-6  # of the largest reward: what differs by less agrees
 
 @dataclass(frozen=True)
 class RewardConflict:
-    """In how many of the log's transitions it pays something else than the simulator, and a sentence about it.
+    """The number of transitions whose reward differs from the simulator's, and a sentence about it.
 
     ``at_most``: of transitions that were counted, only the least and the largest reward are known.
     """

@@ -38,15 +38,15 @@ MIN_SHARE = 1e-3  # of the policy's discounted time: less is not worth a sentenc
 
 @dataclass(frozen=True)
 class Simulator(TabularEstimator):
-    """J in the simulator as it stands, with its own rewards; the log is not used.
+    """J in the simulator itself, with its own rewards; the log is not used.
 
-    Of a simulator that was made of samples the value has their standard error and a 95% interval. Limit:
+    If the simulator was made of samples, the value has a standard error and a 95% interval. Limit:
     J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> pair = case("ragged")  # a known target: J = 10.07
     >>> round(Simulator()(pair.problem(1000, seed=0), pair.policy).value, 2)
     7.97
     """
@@ -131,12 +131,12 @@ class Oracle(TabularEstimator):
     Raises
     ------
     ValueError
-        When called: the target moves outside the simulator's support.
+        When called: the target has transitions outside the simulator's support.
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known: the truth is 10.07
+    >>> pair = case("ragged")  # a known target: J = 10.07
     >>> problem = pair.problem(1000, seed=0)
     >>> round(Oracle(pair.target)(problem, pair.policy).value, 2)
     10.07

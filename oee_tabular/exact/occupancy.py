@@ -85,7 +85,7 @@ def occupancy(
 def infinite_visits(model: Model, policy: Array) -> Array:
     """(S,): sum_t gamma^t Pr(s_t = s) over all t; at discount 1 it is 0 in states that the policy never leaves, where V is 0.
 
-    DivergentKernelError at discount 1 where the policy is not absorbed in states that pay nothing. Cost: one sparse solve.
+    DivergentKernelError at discount 1 where the policy is not absorbed in states with reward 0. Cost: one sparse solve.
     """
     system, over = policy_system(model, policy), np.zeros(model.n_states, dtype=np.bool_)
     if model.discount == 1.0:
@@ -130,7 +130,7 @@ def transition_gradient(
     Notes
     -----
     Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves. At discount 1 without a horizon the policy must be
-    absorbed in states that pay nothing; the derivative is 0 there.
+    absorbed in states with reward 0; the derivative is 0 there.
 
     Examples
     --------

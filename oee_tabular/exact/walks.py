@@ -92,7 +92,7 @@ class Walk(NamedTuple):
 def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: object = None, policy: Array | None = None) -> Walk:
     """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on transitions or by policy / behavior on actions.
 
-    The weights stand still in absorbing states. Behaviour policies without support are the callers' concern.
+    The weights are constant in absorbing states. Behaviour policies without support are the callers' concern.
     """
     matrix, absorbing = mdp.csr, mdp.absorbing()
     w = np.ones(matrix.nnz) if ratio is None else transition_factors(mdp, ratio, absorbing)
@@ -117,7 +117,7 @@ def transition_factors(mdp: FiniteMDP, ratio: object, absorbing: BoolArray) -> A
 def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int) -> tuple[Array, Array]:
     """E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,) arrays.
 
-    In absorbing states that pay nothing, where an episode is over, W_t stands still whatever zeta is there.
+    In absorbing states with reward 0, where an episode has ended, W_t is constant.
 
     E[W_t] = 1 for every t where the rows of zeta * P sum to 1; log E[W_t^2] / t -> ``weight_growth``.
 

@@ -1,4 +1,4 @@
-"""How sure: intervals, comparisons of policies, and where the log contradicts the simulator.
+"""Confidence intervals, comparisons of policies, and tests of the simulator against the log.
 
 Given are the simulator P (S, A, S), counts n (S, A, S) of the target's transitions, n_x those of a state-action pair x = (s, a)
 and phat_x = n(x, .) / n_x, a policy pi (S, A), and J of eq. 3.1. Rewards are taken as known. With V the values and d the

@@ -1,4 +1,4 @@
-"""Where the target differs from the simulator for certain: a lower bound on the change of every row that the log has seen.
+"""Where the target differs significantly from the simulator: a lower bound on the change in every recorded pair.
 
 With the confidence asked for, all rows at once satisfy KL(phat || P_target) <= epsilon (the balls of ``interval(method=
 "robust")``). A set A of next states has, by the data-processing inequality, kl(phat(A), P_target(A)) <= epsilon as well, so
@@ -23,24 +23,24 @@ from oee_tabular.mdp import uniform_policy
 
 @dataclass(frozen=True, eq=False)
 class RowChanges:
-    """How far each (s, a) of the target is from the simulator: total variation, the share of moves that end elsewhere.
+    """The distance of each pair from the simulator in total variation, the share of transitions that end elsewhere.
 
     Attributes
     ----------
     certain : (S, A) in [0, 1]: at least so much, all at once, with ``confidence``; 0 where nothing is certain
-    estimated : (S, A) between the log's frequencies and the simulator; 0 without moves
+    estimated : (S, A) between the log's frequencies and the simulator; 0 without transitions
     counts : (S, A) moves of the log
-    evidence : (S, A) nats, n KL(phat || P): how much the row's own moves speak against the simulator
-    next_state : (S, A) where the log's frequency moved most, -1 without moves
-    simulated, observed : (S, A) its probability in the simulator and its frequency in the log; nan without moves
+    evidence : (S, A) nats, n KL(phat || P): the evidence of the pair's own transitions against the simulator
+    next_state : (S, A) where the log's frequency differs most, -1 without transitions
+    simulated, observed : (S, A) its probability in the simulator and its frequency in the log; nan without transitions
     confidence, tested : of all rows together; how many they are
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> found = row_changes(case("ragged").problem(1000, seed=0))
-    >>> found.n_certain, found.largest(1), round(float(found.certain[0, 0]), 2), round(float(found.estimated[0, 0]), 2)
-    (3, [(0, 0)], 0.14, 0.22)
+    >>> changes = row_changes(case("ragged").problem(1000, seed=0))
+    >>> changes.n_certain, changes.largest(1), [round(float(x[0, 0]), 2) for x in (changes.certain, changes.estimated)]
+    (3, [(0, 0)], [0.14, 0.22])
     """
 
     certain: Array
@@ -85,9 +85,9 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     >>> import oee_tabular as oee
     >>> simulator, target = oee.tasks.gridworld(4, slip=0.3), oee.tasks.gridworld(4, slip=0.0)
     >>> log = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 20_000, seed=0)
-    >>> found = oee.inference.row_changes(oee.Problem(simulator, log))
-    >>> s, a = found.largest(1)[0]
-    >>> bool(0.2 < found.certain[s, a] <= found.estimated[s, a] <= 0.31)
+    >>> changes = oee.inference.row_changes(oee.Problem(simulator, log))
+    >>> s, a = changes.largest(1)[0]
+    >>> bool(0.2 < changes.certain[s, a] <= changes.estimated[s, a] <= 0.31)
     True
     """
     _checks.instance(problem, Problem, "problem")

@@ -37,17 +37,18 @@ class Decision:
 
     Attributes
     ----------
-    candidates : the policies of which none is surely worth less than another, largest value first
-    are_equal : whether several candidates do the same wherever it bears on J
-    probability_best : policy -> P(best); None of every policy where the log cannot say
-    margin : how much the best is worth more than the next, and an interval: (difference, lower, upper); None without a best
+    candidates : the policies that are not significantly worse than another, largest value first
+    are_equal : whether several candidates agree in all that affects J
+    probability_best : policy -> P(best); None if the log cannot say
+    margin : by how much the best exceeds the next, and an interval: (difference, lower, upper); None without a best
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known
-    >>> found = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior}).decide()
-    >>> found.best, [round(x, 2) for x in found.margin]
+    >>> pair = case("ragged")  # a known target
+    >>> comparison = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> decision = comparison.decide()
+    >>> decision.best, [round(x, 2) for x in decision.margin]
     ('new', [3.26, 3.13, 3.39])
     """
 
@@ -70,21 +71,21 @@ class Comparison:
     ----------
     names : the policies, best estimated value first
     values, standard_errors : (k,) of the maximum-likelihood model
-    differences : (k, k) value of the row's policy less that of the column's
+    differences : (k, k) value of the row's policy minus that of the column's
     lower, upper : (k, k) intervals for the differences, at ``confidence``
-    probability_best : (k,) how often each has the largest value under the values' joint distribution, which knows nothing of
-        what was never recorded; ``decide`` says where that means something
+    probability_best : (k,) P(best): the probability that the policy has the largest value, under the values' joint normal
+        distribution (or the bootstrap's); ``decide`` gives it only where the log covers the policies
     covariance : (k, k) of the values
-    unseen_share : (k,) in [0, 1], of each policy's discounted time in states that can be left (as a dropped move shows, too),
-        that in rows of several next states that the log has never seen, or in moves that were dropped
+    unseen_share : (k,) in [0, 1], the share of each policy's discounted time in states that can be left that is in
+        unrecorded stochastic pairs or in dropped transitions
     confidence : of ``lower`` and ``upper``, each by itself
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known
-    >>> found = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
-    >>> found.names, found.differences[0].round(2).tolist(), found.upper[1].round(2).tolist()
+    >>> pair = case("ragged")  # a known target
+    >>> comparison = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> comparison.names, comparison.differences[0].round(2).tolist(), comparison.upper[1].round(2).tolist()
     (('new', 'recorded'), [0.0, 3.26], [-3.13, 0.0])
     """
 
@@ -104,7 +105,7 @@ class Comparison:
     ) -> Decision:
         """Say which policy is worth most: one rule for the ranking, P(best) and every sentence.
 
-        One policy is surely worth more than another where the interval of their difference says so and the log has ``ENOUGH``
+        One policy is significantly better than another if the interval of their difference says so and the log has ``ENOUGH``
         of both policies' time, or where likelihood intervals say so. P(best) is given where the log has ``ENOUGH`` of every
         policy's time, unless it contradicts the ranking: no policy is best but P(best) exceeds the confidence of all
         differences, or one is best (by likelihood intervals) and P(best) is below that confidence.
@@ -140,7 +141,7 @@ class Comparison:
         return Decision((one,), False, best, (difference, min(lower, difference), max(upper, difference)))
 
     def bounds(self, one: str, other: str, intervals: Mapping[str, Interval] | None = None) -> tuple[float, float]:
-        """An interval for the value of one policy less that of another, which counts what was never recorded.
+        """An interval for the value of one policy minus that of another, which includes unrecorded pairs.
 
         The paired one where the log has ``ENOUGH`` of both policies' time, the difference of the likelihood intervals' ends
         else; of two that there are, one that tells the policies apart, or the shorter. nan without either.
@@ -212,13 +213,13 @@ def compare_policies(
     n_bootstrap: int = 400,
     seed: Seed = 0,
 ) -> Comparison:
-    """Differences between policies evaluated on the same log, and how probable it is that each is the best.
+    """Compare the values of policies on the same log: differences with intervals, and P(best).
 
     Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), G the gradient of J at the maximum-likelihood model, Cov_x under the
-    row's frequencies with one move of the simulator's among them, (n_x phat + P) / (n_x + 1) ("delta"): a row that was
-    never recorded is as uncertain as one move of it would leave it, a row seen once is not certain. Or the covariance over
-    common resamples of the transitions, and the rows never recorded as before ("bootstrap"). Differences are much surer
-    than values where policies share their way.
+    frequencies with one simulated transition added, (n_x phat + P) / (n_x + 1) ("delta"): an unrecorded pair is as uncertain
+    as one transition would leave it, and a pair recorded once is not certain. With "bootstrap" the covariance is over common
+    resamples of the transitions, with unrecorded pairs as before. Differences are known much more precisely than values if
+    the policies visit the same pairs.
 
     Parameters
     ----------
@@ -230,21 +231,21 @@ def compare_policies(
 
     Notes
     -----
-    In a box [nu, mu] sum (P' - P)^2 / P is at most (1 - nu) (mu - 1), so that no row moves the mean of G by more than the root
-    of that times its standard deviation under P: the most that a row never recorded adds to a standard error.
+    In a box [nu, mu] sum (P' - P)^2 / P is at most (1 - nu) (mu - 1), so no pair changes the mean of G by more than the root of
+    that times its standard deviation under P: the most that an unrecorded pair adds to a standard error.
 
-    Impossible moves that a Problem dropped, and a simulator that was sampled, widen each difference by the most that they can
-    change either value; P(best) knows nothing of them.
+    Dropped transitions, and a simulator that was sampled, widen each difference by the most that they can change either value;
+    P(best) ignores them.
 
-    The values take rows without data to be the simulator's. Where a policy spends much of its time in such rows
-    (``unseen_share``), a target that differs there in one direction can move it by more than the variance tells.
+    Unrecorded pairs are as simulated in the values. If a policy spends much of its time there (``unseen_share``), a target
+    that differs there in one direction can change its value by more than the variance shows.
 
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known
-    >>> found = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
-    >>> print(found)
+    >>> pair = case("ragged")  # a known target
+    >>> comparison = compare_policies(pair.problem(1000, seed=0), {"new": pair.policy, "recorded": pair.behavior})
+    >>> print(comparison)
     policy         value  std. error  P(best)  difference from the best
     new           10.203        0.17   100.0%
     recorded      6.9413        0.13     0.0%  -3.261 [-3.389, -3.134]
@@ -339,9 +340,9 @@ class Selection:
     Attributes
     ----------
     rank_correlation : Spearman's; 1: the same order
-    regret : what the best of the k policies ranked first falls short of the best of all, divided by the range of true
-        values if that is not 0
-    absolute_error : the mean |estimate - truth|, units of J
+    regret : the best value of all minus the best of the k policies ranked first, divided by the range of true values if
+        that is not 0
+    absolute_error : the mean |estimate - true value|, units of J
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What the log says of each row, and what the simulator and the box allow there."""
+"""The log's frequencies of each pair, and the bounds of the simulator's support and the box."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class Interval:
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known
+    >>> pair = case("ragged")  # a known target
     >>> likelihood = interval(pair.problem(1000, seed=0), pair.policy)
     >>> round(likelihood.lower, 2), round(likelihood.upper, 2), pair.truth in likelihood
     (9.87, 10.54, True)
@@ -168,7 +168,7 @@ def interval(
     Examples
     --------
     >>> from oee_tabular.testing import case
-    >>> pair = case("ragged")  # a target that is known
+    >>> pair = case("ragged")  # a known target
     >>> problem = pair.problem(1000, seed=0)
     >>> [round(interval(problem, pair.policy, method=method).width, 2) for method in ("likelihood", "delta", "robust")]
     [0.66, 0.66, 5.12]

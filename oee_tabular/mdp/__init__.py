@@ -1,8 +1,8 @@
-"""Finite Markov decision processes (S, A, P, r, mu_0, gamma) and policies: what everything else is computed from.
+"""Finite Markov decision processes (S, A, P, r, mu_0, gamma) and policies.
 
 =====================  ===================================================================================================
 P(s' | s, a)           (S*A, S), row s*A + a: nonnegative, rows sum to 1 to 1e-8 (the paper's eq. 3.4)
-r(s), r(s, a)          (S, A), paid in s
+r(s), r(s, a)          (S, A), of a step in s
 r(s, a, s')            (S*A, S) like P: belongs to the transition; undefined where neither P nor the caller defines it
 mu_0(s), gamma         (S,), a distribution; in [0, 1]
 pi(a | s)              (S, A), rows sum to 1; (T, S, A) where a function has a horizon T
@@ -13,14 +13,14 @@ Where rewards depend on s',
 
     r(s, a) = sum_s' P(s' | s, a) r(s, a, s'),
 
-which has the same J. It never stands in for r(s, a, s') where a transition is weighted by a ratio, E[zeta r(s, a, s')], and
+which has the same J. It does not replace r(s, a, s') where a transition is weighted by a ratio, E[zeta r(s, a, s')], and
 it is averaged again when P changes (``with_transitions``); a new transition whose reward is undefined is an error.
 
 A *terminal* state is closed, P(s | s, a) = 1 for each a, and has reward 0. A transition that terminates on entering s leads to
 ``terminal_state[s]``: s itself, or a twin appended to the environment's S0 states where s is also entered alive.
-A *layout* (S, c) gives states coordinates; displacements layout[s'] - layout[s] tell which transitions are alike.
+A *layout* (S, c) gives states coordinates; displacements layout[s'] - layout[s] define which transitions are alike.
 
-Every array is checked once, when it comes in, with errors that name argument, place, rule and value; then it is read-only.
+Every array is checked once, on input, with errors that name argument, place, rule and value; then it is read-only.
 
 ====================  =====================================================================================================
 ``finite_mdp``        ``FiniteMDP``: the model, its constructors, the MDPs that differ from it in one argument

@@ -23,7 +23,7 @@ class Sampling(NamedTuple):
     Attributes
     ----------
     pairs : (S*A,) samples of each (s, a): inf of terminal states, 0 where none was taken and the row was filled in
-    starts : first states that were met, inf where the initial distribution was given
+    starts : first states that were sampled, inf if the initial distribution was given
     reward_error : csr (S*A, S), the variance of the mean reward of each transition; None where rewards were given
     """
 

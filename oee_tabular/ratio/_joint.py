@@ -8,7 +8,7 @@ Lagrangian's least value is convex in b with the derivative (envelope theorem)
 
     (1 - theta) r - s / b + lam b + ratio_lower sum eta - ratio_upper sum xi,
 
-eta and xi the slopes of B at the bounds that move with b: b is a bracketed root, or without a box on the ratio of closed form.
+eta and xi the slopes of B at the bounds that move with b: b is a bracketed root, or of closed form without a box.
 Then phi(theta) = sum q B(theta) - r b(theta) is nonincreasing: a bracketed root again.
 """
 

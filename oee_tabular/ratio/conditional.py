@@ -250,7 +250,7 @@ def _without_values(given: RatioInput, features: Array | None = None) -> Tilt:
 
 
 def _informative(given: RatioInput) -> Rows:
-    """The visited rows with more than one next state; the others tell nothing."""
+    """The recorded rows with more than one next state; the others have no information."""
     return given.visited.select(np.diff(given.visited.indptr) > 1)
 
 

@@ -32,19 +32,19 @@ class RatioFit:
     Attributes
     ----------
     ratio : (n,) array, beta = dP/dQ
-    enclosure : (lower, upper) arrays that hold the exact minimiser between them, entry by entry: from the bracket of the
+    enclosure : (lower, upper) arrays with the exact minimiser between them, entry by entry: from the bracket of the
         multiplier with "dual", else the box
     objective : value of the program at ``ratio``, p and q scaled to sum to 1
     dual_bound : a lower bound on the program's optimum, from the multiplier
     gap : objective - dual_bound >= 0, absolute, in nats, computed without cancellation
-    normalizer : multiplier of sum q g = 1 (0 where it holds by itself or is not asked for)
+    normalizer : multiplier of sum q g = 1 (0 if it does not bind or is not imposed)
     divergence : the dual estimate of KL(p || q), sum p log g - sum q g + 1
-    n_undetermined : entries with p = q = 0, which the data says nothing about
-    p_total, q_total : sums of the p and q handed over, before they were scaled to 1
-    trace : for "sgd", its way to the optimum (``SgdTrace``); None otherwise
+    n_undetermined : entries with p = q = 0, which the data do not determine
+    p_total, q_total : sums of the given p and q, before they were scaled to 1
+    trace : for "sgd", its iterations (``SgdTrace``); None otherwise
     weights : w of a linear or kernel class, g = Phi w; None for tables
     details : for a class: the features' rank, or the kernel's centres and the part of its Gram matrix that they leave
-    status : "optimal", or "inaccurate" where the gap exceeds 1e-8 (a box within rounding of 1, features of many scales)
+    status : "optimal", or "inaccurate" if the gap exceeds 1e-8 (a box within rounding of 1, features of many scales)
 
     Examples
     --------
@@ -104,7 +104,7 @@ def density_ratio(
     n_iterations: int = 10_000,
     seed: Seed = None,
 ) -> RatioFit:
-    """The ratio p/q as the solution of a convex program.
+    """Estimate the ratio p/q as the solution of a convex program.
 
     minimise  sum q g - sum p log g + (ridge/2) I(g)^2  over  lower <= g <= upper,  and sum q g = 1 if normalized,
 
@@ -114,7 +114,7 @@ def density_ratio(
     Parameters
     ----------
     p, q : (n,) nonnegative; counts or probabilities
-        Each is scaled to sum to 1 (``p_total`` and ``q_total`` say from what).
+        Each is scaled to sum to 1 (``p_total`` and ``q_total`` are the original sums).
     lower, upper : the paper's nu and mu; None: 0 and no bound
     ridge : nonnegative number, or a function of n (the sum of p)
     toward : None, or the number that the ridge pulls g to

@@ -153,7 +153,7 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
 
     ``features``: None (log P), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
     aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d), or a data frame with columns state, action,
-    next_state (numbers or the simulator's names) and one for each feature, 0 in the moves that it has not.
+    next_state (numbers or the simulator's names) and one for each feature, 0 for transitions that are not in it.
     """
     matrix, rows = simulator.transitions, Rows.of(simulator)
     if features is None:
@@ -190,7 +190,7 @@ def _check_points(coordinates: object, n: int, rule: str) -> Array:
 
 
 def move_points(simulator: FiniteMDP, coordinates: object) -> Array:
-    """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of each of the simulator's moves."""
+    """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of each simulator transition."""
     places, rows = _check_points(coordinates, simulator.n_states, "one a state"), Rows.of(simulator)
     start = rows.spread(places[rows.state])
     return np.column_stack([rows.spread(rows.action), start, places[rows.arrival] - start])

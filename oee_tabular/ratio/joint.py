@@ -42,7 +42,7 @@ class Joint(Method):
 
     Notes
     -----
-    Limit: that of the program with the simulator's exact occupancy. zeta is 1 where the simulator's data have no (s, a).
+    Limit: the program's with the simulator's exact occupancy. zeta is 1 for pairs outside the simulator's data.
 
     Examples
     --------

@@ -4,7 +4,7 @@
 
 and sum q g = 1 where the program is normalised: eq. 3.7 over a class. For zeta, offset = 1 and the features are centred in
 each row, sum_s' P(s' | s, a) phi(s, a, s') = 0, so that rows of zeta * P sum to 1 for every w; p = n_sas' / n and
-q = n_sa P / n. With ridge = 1/n (the default there) the penalty is worth one move: a unit Gaussian prior on w, for a kernel
+q = n_sa P / n. With ridge = 1/n (the default) the penalty is worth one transition: a unit Gaussian prior on w, for a kernel
 a Gaussian process of unit amplitude around the simulator.
 
 *Solution*: Clarabel, by the statement of ``ratio.statements``. *Certificate*: with g and w apart, tied by g = offset + Phi w
@@ -152,13 +152,13 @@ class InClass(Method):
     ----------
     features : an array aligned with ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), a function of
         (s, a, s'), or a data frame (columns state, action, next_state, by number or name, and one a feature); or instead of it
-    kernel : "gaussian" (moves of one action are alike as the coordinates of s and the displacements to s' are), or a function
+    kernel : "gaussian" (of the coordinates of s and the displacement to s', for each action), or a function
         of (m, 1 + 2c) and (k, 1 + 2c) points (action, coordinates of s, displacement) giving an (m, k) array
-    coordinates : (S,) or (S, c), where each state is; with a kernel
+    coordinates : (S,) or (S, c), of each state; with a kernel
     bandwidth : of the Gaussian, in standard deviations
-    n_centers : moves beyond which the kernel is replaced by its pivoted Cholesky approximation, whose error is in ``details``
+    n_centers : above this number of transitions, the pivoted Cholesky approximation, whose error is in ``details``
     lower, upper : bounds on zeta; None: 0 and no bound
-    ridge : ridge/2 * |w|^2 in the risk per move; None: 1 / n, worth one move
+    ridge : ridge/2 * |w|^2 in the risk per transition; None: 1 / n, worth one transition
     solver : "dual" (Clarabel, with the module's certificate), or another cvxpy solver
 
     Notes

@@ -96,7 +96,7 @@ class Population:
     horizon: int | None
 
     def counts(self) -> sparse.csr_array:
-        """Expected counts of very many moves, csr (S*A, S)."""
+        """Expected counts of very many transitions, csr (S*A, S)."""
         matrix = self.target.transitions
         weight = (_MANY * self.distribution.reshape(-1))[row_of_entry(matrix)]
         return csr_on_pattern(matrix, weight * matrix.data)
@@ -216,7 +216,7 @@ class Method:
         return found
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
-        """zeta as the number of moves grows, recorded as ``population`` says; training is no part of it."""
+        """zeta as the number of transitions grows, recorded as ``population`` says; training is no part of it."""
         return self._exact().fit(
             population.counts(),
             population.simulator,

@@ -20,7 +20,7 @@ OPTIMIZERS = ("adam", "sgd")
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A multilayer perceptron f_theta(s, a[, s']), the ratio that it stands for, and how Algorithm 1 trains it.
+    """A multilayer perceptron f_theta(s, a[, s']) for a ratio, and its training by Algorithm 1.
 
         ``Quotient``:     log g = log nu + (log mu - log nu) sigmoid(f_theta + c),   within the box,
         ``Conditional``:  log zeta = f_theta - log sum_s' P exp f_theta,             each row of zeta P sums to 1;
@@ -29,7 +29,7 @@ class Network:
 
         theta <- theta - step d/d theta [mean of g over N draws of q - mean of log g over N draws of p],
 
-    where the rows of N moves, whole and known, stand for the draws of q in ``Conditional``: the log's mean -log zeta.
+    where ``Conditional`` replaces the draws of q by the known rows of N transitions: the log's mean -log zeta.
 
     Parameters
     ----------
@@ -39,23 +39,23 @@ class Network:
     step_size : of the first iteration; it falls to 0 along a quarter of a cosine
     batch_size : draws of each side an iteration (N); None: the whole log at each, full batch
     n_iterations : at most
-    held_out : the share of each log's moves that no batch has; the parameters of least risk on them are kept. 0: the last
+    held_out : the share of each log's transitions kept out of batches, to choose the parameters of least risk. 0: the last
     patience : training stops after so many checks of the held-out risk, one every 100 iterations, without a new least one
-    optimizer : "adam", or "sgd" as Algorithm 1 is printed (cells that are seldom seen hardly move under it)
+    optimizer : "adam", or "sgd" as Algorithm 1 is printed (which hardly trains rare cells)
 
     Raises
     ------
     ImportError
-        Where it is used without the extra; in a clone: pip install '.[neural]'.
+        Without the extra; in a clone: pip install '.[neural]'.
     RuntimeError
         A training that diverges, with its iteration and its risk.
 
     Notes
     -----
-    The risk is convex in g, not in theta: what training finds has no certificate in its class. The gap of its ``RatioFit`` is
-    to the optimum over all functions in the box (or over all rows), which contain the class. The same seed gives the same
-    bits: one thread, unless the process has used jax before, with its own. Cost: O(n_iterations batch_size sum of the products
-    of consecutive widths), in ``Conditional`` times the simulator's widest row; about 0.5 ms an iteration for (64, 64) and
+    The risk is convex in g, not in theta: training gives no certificate in its class. The gap of its ``RatioFit`` is
+    to the optimum over all functions in the box (or over all rows), which contain the class. The same seed gives identical
+    results: one thread, unless the process has used jax before. Cost: O(n_iterations batch_size sum of the products of
+    consecutive widths), in ``Conditional`` times the simulator's widest row; about 0.5 ms an iteration for (64, 64) and
     batches of 128.
 
     Examples

@@ -28,18 +28,18 @@ _LONGEST_EPISODE = 1000  # the paper's episodes, where the log does not say how 
 
 @dataclass(frozen=True, eq=False)
 class Quotient(Method):
-    """The paper's zeta: two density ratios fitted apart, target against simulator, and their quotient (eq. 4.4).
+    """The paper's zeta: two density ratios, target to simulator, fitted separately, and their quotient (eq. 4.4).
 
         zeta(s, a, s') = beta(s, a, s') / beta(s, a),   each beta = d_te / d_tr by eq. 3.7 (``density_ratio``).
 
-    Nothing makes the rows of zeta * P sum to 1; ``row_sum_error`` says by how much they do not.
+    The rows of zeta * P need not sum to 1; ``row_sum_error`` is the largest difference.
 
     Parameters
     ----------
     lower, upper : the paper's nu and mu, on each beta (0.01 and 10; ``numpy.inf`` for none), so that zeta lies in
         [lower/upper, upper/lower]
-    ridge, toward : lambda_n and what it pulls to, as in ``density_ratio``; toward None is the paper's I(g)^2 = sum g^2
-    normalized : whether sum beta q = 1 is imposed on each; the paper leaves it to luck: False
+    ridge, toward : lambda_n and its centre, as in ``density_ratio``; toward None is the paper's I(g)^2 = sum g^2
+    normalized : whether sum beta q = 1 is imposed on each; the paper does not: False
     solver : "dual", a cvxpy solver, or ``Sgd(...)``: Algorithm 1, both tables in turn; needs normalized=False
     data : a log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
         the seed of ``fit``; "exact": the simulator's exact occupancy under that policy
@@ -49,9 +49,9 @@ class Quotient(Method):
 
     Notes
     -----
-    Limit: the box-clipped quotient of the exact ratios, whatever the solver or the functions. Where a move was seen on neither
-    side, 0/0, zeta is 1 for tables; a network has a value there. ``details["beta"]``: the fits of (s, a, s') and (s, a), with
-    the traces of ``Sgd`` or of the network.
+    Limit: the box-clipped quotient of the exact ratios, whatever the solver or the functions. If a transition was recorded on
+    neither side, 0/0, zeta is 1 for tables; a network has a value there. ``details["beta"]``: the fits of (s, a, s') and
+    (s, a), with the traces of ``Sgd`` or of the network.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def check_simulator_data(value: object) -> None:
 
 
 def simulator_weights(given: RatioInput, data: SimulatorData, behavior_policy: PolicyLike | None) -> Array:
-    """Counts or probabilities of the simulator's moves, on its entries; weighted by discount^t where one is given.
+    """Counts or probabilities of the simulator's transitions, on its entries; weighted by discount^t where one is given.
 
     ``data`` and ``behavior_policy`` are a method's own; without them those that are given, without these the estimates.
     """

@@ -1,4 +1,4 @@
-"""What a fit of zeta returns: the ratio, its certificate, and how the log's noise moves what is computed from it."""
+"""The result of a fit of zeta: the ratio, its certificate, and the influence of sampling noise on values."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from oee_tabular.ratio.prior.ridge import Ridge
 
 @dataclass(frozen=True, eq=False)
 class TransitionRatio:
-    """zeta on the simulator's support, with what it rests on.
+    """zeta on the simulator's support, with its certificate and diagnostics.
 
     Attributes
     ----------
     values : csr of shape (S*A, S) with the entries of ``simulator.transitions``
-    method : how it was found
+    method : the method's name
     gap : the largest duality gap of the programs solved (nats, each program scaled to probabilities)
-    visited : (S, A), where the log has moves; elsewhere zeta is the prior's (1, or the tilt's)
+    visited : (S, A), whether the pair was recorded; elsewhere zeta is the prior's (1, or the tilt's)
     row_sum_error : largest |sum_s' zeta P - 1| over (s, a)
-    counts : (S, A) moves of the log in each row
-    details : what the method adds (sums, bounds, how much was undetermined)
-    tied : whether moves of one key share one value, so that rows that the log missed are not the prior's
+    counts : (S, A) transitions of the log in each pair
+    details : the method's own diagnostics
+    tied : whether transitions of one key share one value, so that unrecorded pairs are not the prior's
 
     Examples
     --------
@@ -105,7 +105,7 @@ class TransitionRatio:
         return simulator.with_transitions(csr_on_pattern(simulator.transitions, data))
 
     def maximum_likelihood_model(self, simulator: FiniteMDP) -> FiniteMDP:
-        """The log's frequencies in the rows that it has visited, zeta * P in the others; ValueError where no log is known."""
+        """The log's frequencies in recorded pairs, zeta * P in the others; a ValueError if no log is known."""
         _checks.instance(simulator, FiniteMDP, "simulator")
         if self._influence is None:
             raise ValueError(
@@ -145,9 +145,9 @@ class TransitionRatio:
     def one_step(self, gradient: Array) -> OneStep | None:
         """The first-order correction of a function of zeta * P towards maximum likelihood.
 
-        sum_x gradient_x (n_x / n_sa - zeta P), over the rows that the log has visited: it removes, to first order, the bias
+        sum_x gradient_x (n_x / n_sa - zeta P), over the rows that the log has recorded: it removes, to first order, the bias
         that the prior brings, and takes on the variance of maximum likelihood. Its error takes the variances of a row under
-        zeta P: a row with a single move has none under its own frequencies.
+        zeta P: a row with a single transition has none under its own frequencies.
         """
         scaled, shift = self._scale(gradient)
         if self._influence is None:
@@ -173,8 +173,8 @@ class OneStep:
     Attributes
     ----------
     change : what to add to the value
-    standard_error : of the corrected value, sqrt(sum over visited rows of Var(gradient) / n), variances under zeta P
-    unseen : what rows never visited may add to it: sqrt(sum of Var(gradient)), each as of one move
+    standard_error : of the corrected value, sqrt(sum over recorded rows of Var(gradient) / n), variances under zeta P
+    unseen : what unrecorded pairs may add to it: sqrt(sum of Var(gradient)), each as of one transition
     change_error : of the change alone, sqrt(sum (1 - share)^2 Var(gradient) / n)
     """
 
@@ -186,12 +186,12 @@ class OneStep:
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """How a row's frequencies move the entries of zeta * P, by differentiating the conditions that determine them.
+    """The derivative of zeta * P in the log's frequencies, from the conditions that determine zeta.
 
     Attributes
     ----------
     rows : the simulator's; counts : n_x on their entries; ratio : zeta
-    curvature : p / zeta^2 + A inside the box, 0 at its bounds (where nothing moves)
+    curvature : p / zeta^2 + A inside the box, 0 at its bounds (where the derivative is 0)
     share : of the data in a row, n_sa / (n_sa + kappa)
     tilt : what the prior's rows are, where it is fitted
     scores, information : of a class that all rows share, d log zeta / d parameters (entries, d) and its risk's Hessian (d, d)

@@ -27,7 +27,7 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     ----------
     moves : csr (S*A, S), counts or probabilities
     simulator : FiniteMDP
-    what : the name of the moves in the error
+    what : the name of the transitions in the error
 
     Raises
     ------
@@ -122,7 +122,7 @@ def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
 
 
 def _possible(moves: Any, simulator: FiniteMDP, name: str = "moves") -> tuple[sparse.csr_array, _checks.BoolArray]:
-    """The moves as csr, and which of them have a probability in the simulator that a ratio can be taken of."""
+    """The transitions as csr, and which of them have a probability in the simulator that a ratio can be taken of."""
     _checks.instance(simulator, FiniteMDP, "simulator")
     matrix = simulator.transitions
     if not sparse.issparse(moves) or moves.shape != matrix.shape:

@@ -1,4 +1,4 @@
-"""A user's own numbers for the simulator's transitions as a table: a row a move, its states and actions by number or by name.
+"""A user's table of numbers for the simulator's transitions, one a row, with states and actions by number or name.
 
 Columns state, action, next_state, and beside them one for each feature, or one of keys.
 """
@@ -24,7 +24,7 @@ WHOLE = 2.0**53  # up to which a float is the integer that was written
 
 
 def features_in(frame: Any, simulator: FiniteMDP, source: str) -> tuple[Array, list[str]]:
-    """(entries, d) finite numbers on ``simulator.transitions.data``, and their names; 0 in moves that are not in the frame.
+    """(entries, d) finite numbers on ``simulator.transitions.data``, their names; 0 for transitions not in the frame.
 
     ``source`` is what errors call the frame.
     """
@@ -36,7 +36,7 @@ def features_in(frame: Any, simulator: FiniteMDP, source: str) -> tuple[Array, l
 
 
 def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
-    """(entries,) integer keys; no move of the simulator may be left out."""
+    """(entries,) integer keys; no transition of the simulator may be left out."""
     columns, entry = _moves_of(frame, simulator, source)
     if len(columns) > 1:
         found = words(column.label for column in columns)
@@ -56,7 +56,7 @@ def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
 
 
 def _moves_of(frame: Any, simulator: FiniteMDP, source: str) -> tuple[list[_Column], IntArray]:
-    """The columns beside the moves, and the entry of the simulator's transitions that each row is about."""
+    """The columns beside the transitions, and the entry of the simulator's transitions that each row is about."""
     table = eager(frame)
     labels = [str(label) for label in table.columns]
     require_columns(source, MOVE, labels)

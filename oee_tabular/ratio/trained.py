@@ -67,7 +67,7 @@ def fit_rows(
     """zeta by a network, each row of zeta P summing to 1: the rows' programs, each with its share of the counts.
 
     Risk: sum over rows of n_sa / n [sum_s' P z - p log z + curvature/2 (z - center)^2], p = counts / n_sa. Returns zeta on the
-    simulator's entries, its risk above the optimum over all rows (nats a move of the log), and details: the ``trace`` against
+    simulator's entries, its risk above the optimum over all rows (nats per transition), and details: the ``trace`` against
     that optimum, ``iterations``, the one kept, the held-out risk at each check.
     """
     neural, generator = _require_neural(), _checks.generator(seed)

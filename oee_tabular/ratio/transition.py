@@ -141,7 +141,7 @@ def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
     Raises
     ------
     ValueError
-        The target moves outside that support; names the moves.
+        The target has transitions outside that support; names them.
 
     Examples
     --------

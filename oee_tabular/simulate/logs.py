@@ -16,10 +16,10 @@ from oee_tabular.simulate.sampler import LOG_STREAM, Drawn, draw, draw_bag, entr
 
 
 def sample_episodes(mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon: int, *, seed: Seed) -> Transitions:
-    """Episodes from the initial distribution, each of at most ``horizon`` steps.
+    """Sample episodes from the initial distribution, each of at most ``horizon`` steps.
 
-    An episode terminates on entering an absorbing state that pays nothing; one that is still going at the horizon is
-    truncated. Rewards are r(s, a, s') where the MDP has them, else r(s, a).
+    An episode terminates on entering an absorbing state with reward 0; one that reaches the horizon is
+    truncated. Rewards are r(s, a, s') if the MDP has them, else r(s, a).
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ def episodes_holding(mdp: FiniteMDP, policy: PolicyLike, n: int, horizon: int, *
 
 
 def sample_transitions(mdp: FiniteMDP, distribution: object, n: int, *, seed: Seed) -> Transitions:
-    """n independent transitions: (s, a) from ``distribution`` (S, A), s' from P(. | s, a).
+    """Sample n independent transitions: (s, a) from ``distribution`` (S, A), s' from P(. | s, a).
 
-    A bag, without episodes or termination: absorbing states are drawn from like any other.
+    There are no episodes and no termination: absorbing states are sampled like any other.
 
     Parameters
     ----------

@@ -74,7 +74,7 @@ class SampledReturns:
 
     @property
     def standard_error(self) -> float:
-        """Of the mean, from the values' spread; nan for a single episode. Heavy weights make it too small."""
+        """Standard error of the mean, from the values' spread; nan for a single episode. Heavy weights make it too small."""
         n = len(self.values)
         return float(self.values.std(ddof=1) / np.sqrt(n)) if n > 1 else float("nan")
 

@@ -47,7 +47,7 @@ class Drawn:
     ----------
     returns : G = sum_t gamma^t r_t
     weighted : X = sum_t gamma^t W r_t, W the weight that r_t carries: W_t, or W_{t+1} for r(s, a, s')
-    weights : that of the last of ``horizon`` steps; after the end of an episode it stands still
+    weights : that of the last of ``horizon`` steps; constant after the end of an episode
     largest : of the weights that the rewards carry
     lengths : steps
     final_state : the state after the last step

@@ -1,4 +1,4 @@
-"""Bounds on the error of J that hold: (A), (B) and, by the divergence of paths, (C) of ``oee_tabular.theory``.
+"""True bounds on the error of J: (A), (B) and, by the divergence of paths, (C) of ``oee_tabular.theory``.
 
 Reference: [1] Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4 (Pinsker; KL of a path).
 """
@@ -39,7 +39,7 @@ def unnormalised_bound(
 
     Notes
     -----
-    Exponential in the horizon, and truly so: K = (1 + eta) P' and r = R attain it. It is inf where its numbers overflow.
+    It is exponential in the horizon, and K = (1 + eta) P' with r = R attains it. It is inf if its numbers overflow.
 
     Examples
     --------
@@ -67,7 +67,7 @@ def unnormalised_sides(
 ) -> Sides:
     """(A) on a pair: |J(K) - J'| by dynamic programming, and ``unnormalised_bound`` at the pair's own eta and R.
 
-    left is inf where the infinite sum J(K) does not exist (right is then, too). eta counts the target's moves to which
+    left is inf where the infinite sum J(K) does not exist (right is then, too). eta counts the target's transitions to which
     K gives nothing. Cost: two evaluations.
 
     Parameters
@@ -143,8 +143,8 @@ def normalised_sides(
 def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, ratio: object = None) -> Array:
     """KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)] in nats for t = 0..T, shape (T + 1,).
 
-    By the chain rule [1] the divergence of the first t moves under K from those under P'. inf from the first move on that K
-    makes and the target does not. Cost: O(T * nnz).
+    By the chain rule [1] the divergence of the first t transitions under K from those under P'; inf from the first one
+    on that K makes and the target does not. Cost: O(T * nnz).
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int
     Examples
     --------
     >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
-    >>> path_kl(target, model, [[1.0]] * 2, horizon=3).round(4).tolist()  # log(25 / 24) / 2 a move
+    >>> path_kl(target, model, [[1.0]] * 2, horizon=3).round(4).tolist()  # log(25 / 24) / 2 a transition
     [0.0, 0.0204, 0.0408, 0.0612]
     """
     kernel = _check_normalised_pair(target, model, ratio)
@@ -185,14 +185,14 @@ def kl_path_bound(path_divergence: object, reward_bound: float, discount: float)
 
     Parameters
     ----------
-    path_divergence : (T,) nonnegative, inf allowed: KL of the moves that the reward at t rests on, t = 0..T-1; with
+    path_divergence : (T,) nonnegative, inf allowed: KL of the transitions that the reward at t depends on, t = 0..T-1; with
         ``path_kl`` its entries 0..T-1 for r(s, a), 1..T for r(s, a, s')
     reward_bound : R = max |r|, in [0, inf)
     discount : g in [0, 1]
 
     Notes
     -----
-    Proof: |E_K r_t - E_P' r_t| <= 2 R TV of those moves; Pinsker; the chain rule. No exponential in the horizon: with
+    Proof: |E_K r_t - E_P' r_t| <= 2 R TV of those transitions; Pinsker; the chain rule. No exponential in the horizon: with
     |zhat/zeta - 1| <= eps, KL_t <= t eps^2 (``corrected_value_error_bound``). It is tight to second order in eps.
 
     Examples

@@ -1,4 +1,4 @@
-"""A target and the model that stands for it: both sides of a statement, the checks of a pair, and the simulation lemma.
+"""A target and a model of it: both sides of a statement, the checks of a pair, and the simulation lemma.
 
 Reference: [1] Kearns and Singh, Near-optimal reinforcement learning in polynomial time, Machine Learning 49, 2002.
 """
@@ -65,8 +65,8 @@ class SimulationLemma:
     Examples
     --------
     >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
-    >>> found = simulation_lemma(target, model, [[1.0]] * 2)
-    >>> round(found.difference, 6), round(found.by_target_occupancy, 6), round(found.by_model_occupancy, 6)
+    >>> lemma = simulation_lemma(target, model, [[1.0]] * 2)
+    >>> round(lemma.difference, 6), round(lemma.by_target_occupancy, 6), round(lemma.by_model_occupancy, 6)
     (0.1, 0.1, 0.1)
     """
 
@@ -103,8 +103,8 @@ def simulation_lemma(
     Examples
     --------
     >>> target, model = (FiniteMDP([[[1 - p, p]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5) for p in (0.6, 0.5))
-    >>> found = simulation_lemma(target, model, [[1.0]] * 2, horizon=3)
-    >>> round(found.difference, 6), round(found.by_target_occupancy, 6), round(found.by_model_occupancy, 6)
+    >>> lemma = simulation_lemma(target, model, [[1.0]] * 2, horizon=3)
+    >>> round(lemma.difference, 6), round(lemma.by_target_occupancy, 6), round(lemma.by_model_occupancy, 6)
     (0.075, 0.075, 0.075)
     """
     kernel = check_pair(target, model, ratio)

@@ -130,8 +130,8 @@ class EstimationCounterexample(Sides):
 
     Examples
     --------
-    >>> found = universal_constant_counterexample(100)
-    >>> found.holds, found.left, round(found.right, 3)
+    >>> example = universal_constant_counterexample(100)
+    >>> example.holds, example.left, round(example.right, 3)
     (False, 81.0, 1.475)
     """
 
@@ -154,8 +154,8 @@ def universal_constant_counterexample(
     --------
     >>> [round(universal_constant_counterexample(n).ratio) for n in (100, 10_000, 1_000_000)]
     [55, 549, 5491]
-    >>> found = universal_constant_counterexample(1_000_000)
-    >>> round(found.probability_flat, 4), round(found.probability_forced, 4)
+    >>> example = universal_constant_counterexample(1_000_000)
+    >>> round(example.probability_flat, 4), round(example.probability_forced, 4)
     (0.1353, 0.2325)
     """
     samples = _checks.positive_integer(n, "n")
@@ -167,7 +167,7 @@ def universal_constant_counterexample(
 
 
 def sup_error_bound(n: int, p_min: float, q_min: float, n_cells: int, mu: float, confidence: float) -> float:
-    """What holds in place of Theorem 1 for tables, ghat = phat/qhat, with probability ``confidence`` = 1 - delta.
+    """A true bound in place of Theorem 1 for tables, ghat = phat/qhat, with probability ``confidence`` = 1 - delta.
 
     |ghat - g*|_inf <= mu (e_p + e_q) / (1 - e_q),   e_p = sqrt(3 log(4 n_cells / delta) / (n p_min)), e_q likewise.
 

@@ -49,7 +49,7 @@ def ratio_error_sides(
     Parameters
     ----------
     moves, pairs : (n,) estimates of beta_sas' and beta_sa: entry k is a transition's, and the pair's value is repeated
-    true_moves, true_pairs : (n,) what they estimate; all in [nu, mu]
+    true_moves, true_pairs : (n,) the true ratios; all in [nu, mu]
     mu, nu, tight : as in ``ratio_error_bound``
 
     Examples

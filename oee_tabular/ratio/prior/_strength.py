@@ -10,7 +10,7 @@ FAR = 12.0  # from here Stirling's series with four terms errs by less than 1e-1
 
 
 class Counts(NamedTuple):
-    """The visited rows: their kinds, and of their entries with counts the ends, the counts, the prior's rows; n of each row."""
+    """The recorded rows: their kinds, the ends, counts and prior of their entries with counts, and n of each row."""
 
     kind: Any
     ends: Any

@@ -3,7 +3,7 @@
     zeta(s, a, s') proportional to exp((theta_0 + theta_a) . phi(s, a, s')) in each row,   theta_gj s_gj ~ N(0, 1 / lambda_g),
 
 phi the ``directions``, theta_0 for all actions and theta_a for action a alone, s_gj the root mean square of a column over the
-visited rows, and lambda_g >= 1 one strength a group of columns. The tilt is Efron and Tibshirani's [1].
+recorded rows, and lambda_g >= 1 one strength a group of columns. The tilt is Efron and Tibshirani's [1].
 
 The counts of a row are not those of the tilt alone: rows have misfits of their own, Dirichlet(kappa). n transitions of one row
 then tell about the tilt what n (1 + kappa) / (n + kappa) would tell of rows without: each row's log-likelihood has the weight
@@ -121,7 +121,7 @@ def fit_ridge(
     Parameters
     ----------
     directions : Directions
-    rows : those that the log has visited; counts : (entries,) theirs
+    rows : those that the log has recorded; counts : (entries,) theirs
     choose_kappa : (rows,) kappa around given rows (entries,); None: every transition counts once, rows have no misfits
     by_evidence : whether each group has its strength by evidence, and directions for each action alone; else all are 1
     start : a fit to the same counts along these directions without V, to go on from

@@ -8,7 +8,7 @@ leave-one-out  sum_x n_x log[(n_x - 1 + kappa m_x) / (n_k - 1 + kappa)]
 
 Rows in which the simulator has the same probabilities (in any order) are alike to it, and share one kappa: where a
 prior fits most rows and misses a few (a grid's corners), one kappa for all would trust it in those few as well. Kinds with
-fewer than five visited rows or a hundred moves are pooled. kappa is its own diagnosis: the number of moves that the
+fewer than five recorded rows or a hundred moves are pooled. kappa is its own diagnosis: the number of transitions that the
 prior's row is worth.
 
 Reference: [1] T. P. Minka, Estimating a Dirichlet distribution, 2000.
@@ -37,11 +37,11 @@ class StrengthChoice:
     Attributes
     ----------
     by_row, by_kind : (rows,) kappa, and that of each kind of rows
-    strength : the kappa of the median move
+    strength : the kappa of the median transition
     score : the criterion at ``by_row`` (nats, all moves together)
     criterion : "evidence" or "loo"
     grid, curve : the criterion if all rows shared one kappa
-    kinds : for each kind of rows its number of visited rows, of moves, and its kappa
+    kinds : for each kind of rows its number of recorded rows, of transitions, and its kappa
     """
 
     by_row: Array
@@ -62,7 +62,7 @@ def score(strength: float | Array, observed: Array, prior: Array, rows: Rows, cr
 
 
 def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
-    """The kind of each row: rows with the same probabilities in any order, kinds with few visited rows pooled.
+    """The kind of each row: rows with the same probabilities in any order, kinds with few recorded rows pooled.
 
     Told apart by the number of entries, the largest, and the sums of squares and of cubes.
     """
