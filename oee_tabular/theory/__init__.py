@@ -10,8 +10,8 @@ L(g) = sum q g - sum p log g. Theorem V.1 (eq. 5.1) bounds, with probability 1 -
 
 No universal K exists (``universal_constant_counterexample``): it must contain 1 / min q and the size of the class. With P and
 Q fixed the bound is true for large n, but the rate is n^-1/2, not the n^-1/4 (of the unsquared error) that it states. For
-tables ``sup_error_bound`` is true. The excess risk L(g) - L(g*) = E_p phi(g/g*), phi(u) = u - 1 - log u, controls the L2(P) norm:
-E_p (g - g*)^2 <= 2 mu^2 times it.
+tables ``sup_error_bound`` is true. The excess risk L(g) - L(g*) = E_p phi(g/g*), phi(u) = u - 1 - log u, controls the L2(P)
+norm: E_p (g - g*)^2 <= 2 mu^2 times it.
 
 **zeta** (``theorem_2``). Lemma V.1 (eq. 5.2) for zeta = beta_sas' / beta_sa is true: |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2
 times the sup error of both betahat; its tight constant is (mu + nu) / nu^2.
