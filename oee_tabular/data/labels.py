@@ -89,5 +89,5 @@ def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> s
     if facts.get("sampled_episodes") is not None:
         text += f"; {facts['sampled_episodes']} whole episodes kept"
     if facts.get("rows_dropped"):
-        text += f"; {facts['rows_dropped']} bad rows dropped, {facts['broken_episodes'] or 0} episodes broken"
+        text += f"; {facts['rows_dropped']} invalid rows dropped, {facts['broken_episodes'] or 0} episodes broken"
     return text

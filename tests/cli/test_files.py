@@ -138,7 +138,7 @@ def test_bad_rows_are_refused_or_dropped(run, parts, tmp_path):
     assert "part-1.parquet': state[5] must be in 0..8; it is 77" in run(words, code=2)
     assert not (tmp_path / "c.npz").exists()
     told = run(words, "--bad-rows drop")
-    assert "1 bad rows dropped, 1 episodes broken" in told
+    assert "1 invalid rows dropped, 1 episodes broken" in told
     assert "part-1.parquet': state[5] must be in 0..8; it is 77" in told
     evaluated = run(f"evaluate --simulator {GRID} --log c.npz --quick")
     assert "1 invalid rows of the log were not counted" in " ".join(evaluated.split())

@@ -23,7 +23,7 @@ def test_it_counts_and_prints():
     assert_array_equal(counts.counts(3, 2).toarray(), LOG.counts(3, 2).toarray())
     assert counts.describe() == (
         "3 transitions, 2 different, of 3 files in 2 episodes of 1 to 2 steps: 1 terminated, 1 truncated; states 0..2, "
-        "actions 0..1; rewards 0 to 1; 2 whole episodes kept; 4 bad rows dropped, 1 episodes broken"
+        "actions 0..1; rewards 0 to 1; 2 whole episodes kept; 4 invalid rows dropped, 1 episodes broken"
     )
     assert counts.summary()["why"] == ("one", "two")
     assert "counted" in counts._repr_html_()

@@ -211,7 +211,7 @@ def test_bad_rows_are_named_and_refused_or_counted(tmp_path, name, value, rule, 
     n_broken = 1 + (name == "episode")  # without a name it may be the next episode's
     assert (found.recording.dropped, len(found), found.recording.broken) == (1, 13, n_broken)
     assert np.diff(found.sample.episode_starts).tolist() == ([3, 3, 2, 2] if name == "episode" else [3, 2, 3, 2, 2])
-    assert f"1 bad rows dropped, {n_broken} episodes broken" in found.describe()
+    assert f"1 invalid rows dropped, {n_broken} episodes broken" in found.describe()
 
 
 def test_names_in_parquet_have_another_way(tmp_path):

@@ -216,6 +216,6 @@ def test_what_was_left_out_is_told():
     log = oee.TransitionCounts([0], [0], [0], [7], recording=told, sample=LOG)
     texts = [finding.text for finding in oee.Problem(SIMULATOR, log).findings]
     assert texts == [
-        "4 bad rows of the log were not counted: a.csv: state[3] must be an integer; it is x.",
-        "Importance sampling sees a sample of 30 of the log's 300 episodes; all others see every transition.",
+        "4 invalid rows of the log were not counted: a.csv: state[3] must be an integer; it is x.",
+        "Importance sampling uses a sample of 30 of the log's 300 episodes. The other estimators use every transition.",
     ]

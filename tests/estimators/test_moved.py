@@ -109,7 +109,7 @@ def test_a_value_that_rests_on_the_prior_against_the_log_says_so():
         words = [str(finding) for finding in estimate.findings if finding.kind == "against"]
         assert len(words) == (distance > 2)
         if words:
-            assert f"alone say {facts['maximum_likelihood_value']:.4g}, {distance:.1f} standard errors" in words[0]
+            assert f"gives {facts['maximum_likelihood_value']:.4g}, {distance:.1f} standard errors" in words[0]
         told += words
     assert told
 
