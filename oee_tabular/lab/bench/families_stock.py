@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.lab.bench.family import Family, Moves, Recorded, model, poisson, shifted
+from oee_tabular.lab.bench.family import Family, Moves, Recorded, model, poisson, shift
 from oee_tabular.mdp import uniform_policy
 from oee_tabular.mdp.policies import deterministic_policy
 
@@ -18,29 +18,31 @@ def inventory(
     """Poisson demand; order 0 to 4 times ``step``; price 3, cost 1, holding .1 a unit, sales beyond the stock are lost."""
     top = n_states - 1
 
+    def pay(s: IntArray, a: IntArray, to: IntArray) -> Array:
+        full = np.minimum(s + step * a, top)
+        return np.asarray(3.0 * (full - to) - (full - s) - 0.1 * to)
+
+    @shift((n_states, 5), pay, 0.95, (believed,), (demand,), about, recorded=recorded)
     def moves(stock: int, order: int, mean: float) -> Moves:
         full = min(stock + step * order, top)
         for sold, probability in enumerate(poisson(mean, full)):
             yield probability, full - sold
 
-    def pay(s: IntArray, a: IntArray, to: IntArray) -> Array:
-        full = np.minimum(s + step * a, top)
-        return np.asarray(3.0 * (full - to) - (full - s) - 0.1 * to)
-
-    return shifted(moves, (n_states, 5), pay, 0.95, (believed,), (demand,), about, recorded=recorded)
+    return moves()
 
 
 def queue(believed: Line, real: Line, about: str, *, recorded: Recorded = "half") -> Family:
     """25 jobs at most; (arrival, slow service, fast service) probabilities of a step; a job costs .1, fast service .4."""
+    pay = -0.1 * np.arange(25.0)[:, None] - 0.4 * np.arange(2.0)
 
+    @shift((25, 2), pay, 0.98, believed, real, about, recorded=recorded, length=50)
     def moves(jobs: int, fast: int, arrival: float, *service: float) -> Moves:
         done = service[fast] if jobs else 0.0
         yield arrival * (1 - done), min(jobs + 1, 24)
         yield (1 - arrival) * done, max(jobs - 1, 0)
         yield arrival * done + (1 - arrival) * (1 - done), jobs
 
-    pay = -0.1 * np.arange(25.0)[:, None] - 0.4 * np.arange(2.0)
-    return shifted(moves, (25, 2), pay, 0.98, believed, real, about, recorded=recorded, length=50)
+    return moves()
 
 
 def tandem(size: int = 45) -> Family:
@@ -78,79 +80,72 @@ def tandem(size: int = 45) -> Family:
     return Family(simulator, target, policy, uniform_policy(simulator), about, length=8000)
 
 
-def machine() -> Family:
+@shift(
+    (12, 3), 4.0 - 0.05 * np.arange(12.0)[:, None] ** 2 - np.array([0.0, 2.0, 6.0]), 0.97, (0.3, 0.05), (0.4, 0.15),
+    "Machines wear out faster than simulated.", recorded="policy",
+)  # fmt: skip
+def machine(wear: int, action: int, one: float, two: float) -> Moves:
     """Wear 0 to 11; keep, repair (half of the wear, 2) or replace (6); a worn machine earns less and wears by 0, 1 or 2."""
-
-    def moves(wear: int, action: int, one: float, two: float) -> Moves:
-        after = (wear, wear // 2, 0)[action]
-        yield 1 - one - two, after
-        yield one, min(after + 1, 11)
-        yield two, min(after + 2, 11)
-
-    pay = 4.0 - 0.05 * np.arange(12.0)[:, None] ** 2 - np.array([0.0, 2.0, 6.0])
-    about = "Machines wear out faster than simulated."
-    return shifted(moves, (12, 3), pay, 0.97, (0.3, 0.05), (0.4, 0.15), about, recorded="policy")
+    after = (wear, wear // 2, 0)[action]
+    yield 1 - one - two, after
+    yield one, min(after + 1, 11)
+    yield two, min(after + 2, 11)
 
 
-def forest() -> Family:
+@shift(
+    (12, 2), np.stack([np.arange(12) == 11, 0.15 * np.arange(12.0)], axis=1), 0.96, (0.08,), (0.16,),
+    "Fires are twice as frequent as simulated.", length=40,
+)  # fmt: skip
+def forest(age: int, cut: int, fire: float) -> Moves:
     """Age 0 to 11; wait or cut; a fire takes it back to 0. A cut pays the age's wood, the oldest forest 1 a year."""
-
-    def moves(age: int, cut: int, fire: float) -> Moves:
-        yield 1 - fire, 0 if cut else min(age + 1, 11)
-        yield fire, 0
-
-    pay = np.stack([np.where(np.arange(12) == 11, 1.0, 0.0), 0.15 * np.arange(12.0)], axis=1)
-    return shifted(moves, (12, 2), pay, 0.96, (0.08,), (0.16,), "Fires are twice as frequent as simulated.", length=40)
+    yield 1 - fire, 0 if cut else min(age + 1, 11)
+    yield fire, 0
 
 
-def river_swim() -> Family:
+@shift(
+    (9, 2), np.array([[0.05, 0.0], *[[0.0, 0.0]] * 7, [0.0, 1.0]]), 0.98, (0.35, 0.10), (0.32, 0.16),
+    "The current is stronger than simulated.", length=20,
+)  # fmt: skip
+def river_swim(place: int, swim: int, up: float, back: float) -> Moves:
     """Nine places; swimming up works with some probability, the current takes back; little pay below, much above."""
-
-    def moves(place: int, swim: int, up: float, back: float) -> Moves:
-        if not swim:
-            yield 1.0, max(place - 1, 0)
-            return
-        yield up, min(place + 1, 8)
-        yield back, max(place - 1, 0)
-        yield 1 - up - back, place
-
-    pay = np.zeros((9, 2))
-    pay[0, 0], pay[8, 1] = 0.05, 1.0
-    about = "The current is stronger than simulated."
-    return shifted(moves, (9, 2), pay, 0.98, (0.35, 0.10), (0.32, 0.16), about, length=20)
+    if not swim:
+        yield 1.0, max(place - 1, 0)
+        return
+    yield up, min(place + 1, 8)
+    yield back, max(place - 1, 0)
+    yield 1 - up - back, place
 
 
-def corridor() -> Family:
+@shift(
+    (30, 2), np.append(-np.ones(29), 0.0), 0.98, (0.2,), (0.35,), "Steps slip more often than simulated.",
+    start=range(29), recorded="policy",
+)  # fmt: skip
+def corridor(place: int, right: int, slip: float) -> Moves:
     """30 places, left or right, an end to the right; a slip goes the other way; every step costs 1."""
-
-    def moves(place: int, right: int, slip: float) -> Moves:
-        if place == 29:
-            yield 1.0, 29
-            return
-        way = 1 if right else -1
-        yield 1 - slip, max(place + way, 0)
-        yield slip, max(place - way, 0)
-
-    pay, about = np.append(-np.ones(29), 0.0), "Steps slip more often than simulated."
-    return shifted(moves, (30, 2), pay, 0.98, (0.2,), (0.35,), about, start=range(29), recorded="policy")
+    if place == 29:
+        yield 1.0, 29
+        return
+    way = 1 if right else -1
+    yield 1 - slip, max(place + way, 0)
+    yield slip, max(place - way, 0)
 
 
-def mountain() -> Family:
+def _mountain_pay(s: IntArray, a: IntArray, to: IntArray) -> Array:
+    return np.where((to == 24) & (s != 24), 10.0, np.where(s == 24, 0.0, -0.02 * np.abs(a - 1)))
+
+
+@shift(
+    (25, 3), _mountain_pay, 0.99, (0.04,), (0.16,), "The slopes of the valley are steeper than simulated.",
+    start=range(5, 16),
+)  # fmt: skip
+def mountain(place: int, push: int, pull: float) -> Moves:
     """A valley of 25 places; push left, rest, push right; the slope pulls back; the right top ends it with 10."""
-
-    def moves(place: int, push: int, pull: float) -> Moves:
-        if place == 24:
-            yield 1.0, 24
-            return
-        slope = pull * (place - 10) / 14
-        right = 0.3 + 0.2 * (push - 1) - slope
-        left = 0.3 - 0.2 * (push - 1) + slope
-        yield right, min(place + 1, 24)
-        yield left, max(place - 1, 0)
-        yield 1 - left - right, place
-
-    def pay(s: IntArray, a: IntArray, to: IntArray) -> Array:
-        return np.where((to == 24) & (s != 24), 10.0, np.where(s == 24, 0.0, -0.02 * np.abs(a - 1)))
-
-    about = "The slopes of the valley are steeper than simulated."
-    return shifted(moves, (25, 3), pay, 0.99, (0.04,), (0.16,), about, start=range(5, 16))
+    if place == 24:
+        yield 1.0, 24
+        return
+    slope = pull * (place - 10) / 14
+    right = 0.3 + 0.2 * (push - 1) - slope
+    left = 0.3 - 0.2 * (push - 1) + slope
+    yield right, min(place + 1, 24)
+    yield left, max(place - 1, 0)
+    yield 1 - left - right, place

@@ -203,8 +203,7 @@ def pair(
     return Family(simulator, target, pi, mix(pi, uniform, share), about, horizon=horizon, length=horizon or length)
 
 
-def shifted(
-    moves: Callable[..., Moves],
+def shift(
     shape: tuple[int, int],
     pay: object,
     discount: float,
@@ -214,15 +213,23 @@ def shifted(
     *,
     start: object = None,
     **options: Any,
-) -> Family:
-    """A family of two models of the same ``moves``, with the parameters that the simulator believes and with the real ones.
+) -> Callable[[Callable[..., Moves]], Callable[[], Family]]:
+    """What makes, of a function of moves, a family: with the parameters that the simulator believes and with the real ones.
 
     Parameters
     ----------
-    moves, shape, pay, discount, start : as in ``model``; about, options : as in ``pair``
+    shape, pay, discount, start : as in ``model``; about, options : as in ``pair``
     """
-    simulator, target = (model(moves, shape, pay, discount, how, start=start) for how in (believed, real))
-    return pair(simulator, target, about, **options)
+
+    def decorate(moves: Callable[..., Moves]) -> Callable[[], Family]:
+        def make() -> Family:
+            simulator, target = (model(moves, shape, pay, discount, how, start=start) for how in (believed, real))
+            return pair(simulator, target, about, **options)
+
+        make.__doc__ = moves.__doc__
+        return make
+
+    return decorate
 
 
 def model(
