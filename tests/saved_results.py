@@ -27,17 +27,16 @@ def assert_saved(name, cell, table):
 
 
 def redraw(names):
-    """The figures of the saved tables, with the lines of their pages that say what they show; all of them without names."""
+    """The figures and pages of the saved tables; all of them without names."""
     from oee_tabular import _files
-    from oee_tabular.lab.experiments import output
+    from oee_tabular.lab import output
     from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 
     for experiment in EXPERIMENTS.choose(names, everything=not names):
-        folder, table = RESULTS / experiment.id, saved(experiment.id)
-        first = output.heading(experiment, table)
-        rest = (folder / "summary.md").read_text().split("\n")[len(first) :]
-        made = output.figures(experiment, table, output.summary_of(experiment, table))
-        _files.write_all(folder, {"summary.md": "\n".join([*first, *rest]).encode(), **made})
+        table = saved(experiment.id)
+        summary = output.summary_of(experiment, table)
+        page = output.markdown(experiment.settings(), table, summary).encode()
+        _files.write_all(RESULTS / experiment.id, {"summary.md": page, **output.figures(experiment, table, summary)})
     output.index(RESULTS, EXPERIMENTS)
 
 

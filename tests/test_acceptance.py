@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.cli import main
 from oee_tabular.estimators import OffEnvironment, Problem, Simulator
-from oee_tabular.lab.experiments import convergence
+from oee_tabular.lab.experiments import programs
 from oee_tabular.lab.registry import Stream
 from oee_tabular.tasks import named_task
 
@@ -120,13 +120,13 @@ def test_off_environment_converges_at_the_root_of_n(data, monkeypatch):
     Of the ratio without a prior. The default is far below it at first, and never much above.
     """
     found = {"maximum likelihood": [], "default": []}
-    monkeypatch.setattr(convergence, "DELTAS", (0.5,))  # what is looked at, of the same logs
-    monkeypatch.setattr(convergence, "RATIOS", {name: convergence.RATIOS[name] for name in found})
+    monkeypatch.setattr(programs, "DELTAS", (0.5,))  # what is looked at, of the same logs
+    monkeypatch.setattr(programs, "RATIOS", {name: programs.RATIOS[name] for name in found})
     for n in (20_000, 160_000):
         rows = []
         for repetition in range(25):
             cell = {"data": data, "n": n, "repetition": repetition}
-            rows += convergence.RATE.run(cell, Stream("rate", 9, cell))
+            rows += programs.RATE.run(cell, Stream("rate", 9, cell))
         for ratio, sizes in found.items():
             errors = [row["squared_error"] for row in rows if row["ratio"] == ratio]
             sizes.append(np.sqrt(np.mean(errors)))

@@ -56,20 +56,18 @@ def listed(values: pd.Series[float], write: Callable[[float], str] = number) -> 
     return ", ".join(f"{write(x)} ({name})" for name, x in values.items())
 
 
-def span(table: pd.DataFrame, x: str = "n") -> str:
-    """Where the curves of a table go: "From n = 1000 to 10000", "At n = 1000"."""
-    first, last = table[x].min(), table[x].max()
-    return f"At {x} = {first}" if first == last else f"From {x} = {first} to {last}"
+def rank(
+    what: str, y: str, by: str, x: str = "n", *, how: Callable[[Any], float] = np.mean, names: Iterable[str] = ()
+) -> Callable[[pd.DataFrame], str]:
+    """A finding: the statistic ``how`` of ``y`` at the largest ``x``, for the three smallest of ``by``, or for ``names``.
 
+    It reads "RMSE at n = 31623: 0.0041 (default), 0.012 (simulator)".
+    """
 
-def course(rows: pd.DataFrame, how: Callable[[Any], float] = np.mean) -> str:
-    """How the error goes from the first n to the last: "falls 13 times to 0.0018"; "is 0.02", if it has only one."""
-    ends = rows.groupby("n")["error"].apply(how)
-    first, last = float(ends.iloc[0]), float(ends.iloc[-1])
-    if len(ends) == 1:
-        return f"is {number(last)}"
-    if first > 1.1 * last > 0.0:
-        return f"falls {number(first / last)} times to {number(last)}"
-    if last > 1.1 * first > 0.0:
-        return f"rises {number(last / first)} times to {number(last)}"
-    return f"goes from {number(first)} to {number(last)}"
+    def find(table: pd.DataFrame) -> str:
+        last = table[x].max()
+        values = table[table[x] == last].groupby(by)[y].apply(how).sort_values()
+        chosen = values[[name for name in values.index if name in names]] if names else values
+        return f"{what} at {x} = {last:g}: {listed(chosen.head(3))}"
+
+    return find

@@ -10,7 +10,7 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.plots import plot_curves, plot_errors
-from oee_tabular.plots.style import shorten
+from oee_tabular.plots.style import marks, shorten
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,27 +73,21 @@ class Panels:
         if self.beneath is not None:
             self.beneath(ax, rows)
         where = sorted(rows[self.x].unique())
-        curves, bands = self._points(rows, where)
-        drawn = {name: y for name, y in curves.items() if not (y <= self.least).all()}
-        self._plot(where, drawn, {name: band for name, band in bands.items() if name in drawn}, ax)
+        parts = (
+            [] if self.curves is None else [(str(name), part) for name, part in rows.groupby(self.curves, sort=False)]
+        )
+        points = {name: part.groupby(self.x)[self.y].apply(self.how) for name, part in parts}
+        points |= {name: rows.groupby(self.x)[column].mean() for name, column in self.extra.items()}
+        points |= {} if self.also is None else self.also(rows)
+        curves = {
+            name: y.reindex(where).to_numpy(dtype=float) for name, y in points.items() if not (y <= self.least).all()
+        }
+        bands: dict[str, Band] = {}
+        for name, part in parts if self.bands else ():
+            low, high = part.groupby(self.x)[self.y].agg(["min", "max"]).reindex(where).to_numpy(dtype=float).T
+            bands |= {name: (low, high)} if name in curves else {}
+        self._plot(where, curves, bands, ax)
         ax.set(**self.axes)
-
-    def title_of(self, values: Mapping[str, object]) -> str:
-        """The title of a group."""
-        named = ", ".join(f"{name} = {{{name}:g}}" for name in values)
-        return (named if self.title is None else self.title).format(**values)
-
-    def _points(self, rows: pd.DataFrame, where: list[Any]) -> tuple[dict[str, Array], dict[str, Band]]:
-        curves, bands = {}, {}
-        for name, part in [] if self.curves is None else rows.groupby(self.curves, sort=False):
-            groups = part.groupby(self.x)[self.y]
-            curves[str(name)] = groups.apply(self.how)
-            if self.bands:
-                low, high = (end.reindex(where).to_numpy(dtype=float) for end in (groups.min(), groups.max()))
-                bands[str(name)] = low, high
-        curves |= {name: rows.groupby(self.x)[column].mean() for name, column in self.extra.items()}
-        curves |= {} if self.also is None else self.also(rows)
-        return {name: y.reindex(where).to_numpy(dtype=float) for name, y in curves.items()}, bands
 
     def _plot(self, where: list[Any], curves: dict[str, Array], bands: dict[str, Band], ax: Axes) -> None:
         if self.log:
@@ -121,6 +115,38 @@ class Errors(Panels):
 
 
 @dataclass(frozen=True)
+class Ranges(Panels):
+    """Means of y with their 95% ranges over the rows, a line for each value of ``curves``, a mark for each of ``x``.
+
+    ``beside`` is a column that is drawn next to them, ``mark`` a value that is marked on the axis.
+    """
+
+    x: str = ""
+    beside: str | None = None
+    mark: float | None = None
+
+    def draw(self, table: pd.DataFrame, ax: Axes) -> None:
+        """The panel of these rows."""
+        names, by = list(table[self.curves].unique()), self.x or table.columns[0]
+        groups = list(table.groupby(by, sort=False))
+        for k, (value, rows) in enumerate(groups):
+            own = rows.groupby(self.curves)[self.y].agg(["mean", "sem"]).reindex(names)
+            place = np.arange(len(names)) + 0.14 * (k - (len(groups) - 1) / 2)
+            ax.errorbar(own["mean"], place, xerr=1.96 * own["sem"], ms=5, lw=1, label=f"{by} {value}", **marks(k))
+        if self.beside is not None:
+            other = table.groupby(self.curves)[self.beside].mean().reindex(names)
+            ax.plot(other, range(len(names)), "k|", ms=14, label=self.beside)
+        if self.mark is not None:
+            ax.axvline(self.mark, color="black", lw=1, ls=":")
+        ax.set_yticks(range(len(names)), names)
+        ax.invert_yaxis()
+        ax.grid(visible=True, alpha=0.3)
+        ax.set_xlabel(self.xlabel)
+        ax.legend(fontsize="small", loc="best")
+        ax.set(**self.axes)
+
+
+@dataclass(frozen=True)
 class Beside:
     """Several panels side by side for each group of rows; ``by``, ``columns`` and ``size`` are these."""
 
@@ -132,16 +158,18 @@ class Beside:
     def __call__(self, table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
         """Draw it."""
         groups: list[Any] = list(table.groupby(list(self.by), sort=False)) if self.by else [((), table)]
-        values = [dict(zip(self.by, key, strict=True)) for key, _ in groups]
-        titles = [panel.title_of(own) for own in values for panel in self.panels]
-        axes = iter(panels(figure, titles, columns=self.columns, size=self.size))
-        for _, rows in groups:
-            for panel in self.panels:
-                panel.draw(rows, next(axes))
+        parts = [(panel, rows, dict(zip(self.by, key, strict=True))) for key, rows in groups for panel in self.panels]
+        titles = []
+        for panel, _, values in parts:
+            named = ", ".join(f"{name} = {{{name}:g}}" for name in values)
+            titles.append((named if panel.title is None else panel.title).format(**values))
+        axes = panels(figure, titles, columns=self.columns, size=self.size)
+        for (panel, rows, _), ax in zip(parts, axes, strict=True):
+            panel.draw(rows, ax)
 
 
 def panels(
-    figure: Figure, names: list[Any], *, columns: int | None = None, size: tuple[float, float] = SIZE
+    figure: Figure, names: Sequence[Any], *, columns: int | None = None, size: tuple[float, float] = SIZE
 ) -> list[Axes]:
     """Titled axes side by side, each of ``size`` inches."""
     across = len(names) if columns is None else min(columns, len(names))

@@ -1,6 +1,9 @@
-"""One smoke cell of every experiment: the saved table has it, its figure is drawn; the saved results are of full sweeps."""
+"""Every experiment: its smoke cells, saved table, page, figure and finding; ``oee reproduce`` as a person calls it."""
 
+import html
 import json
+import re
+from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
@@ -9,10 +12,14 @@ import pytest
 from matplotlib.figure import Figure
 from saved_results import RESULTS, assert_saved, saved
 
+import oee_tabular as oee
+from oee_tabular.cli import main
 from oee_tabular.lab import experiments
+from oee_tabular.lab.experiments import catalogue, common
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
-from oee_tabular.lab.output import figures, summary_of
-from oee_tabular.lab.registry import Stream
+from oee_tabular.lab.findings import entitle, listed, rank
+from oee_tabular.lab.output import figures, heading, share_legend, summary_of
+from oee_tabular.lab.registry import Registry, Stream
 
 DRAWN_BY_NUMPY = {"efficiency"}  # by its multinomial, whose numbers are others from numpy 2.5 on
 # their saved tables are the former sampler's, whose seeds drew other logs; the last issue of this edition remakes them
@@ -21,15 +28,16 @@ DRAWN_BEFORE = {
     "coverage", "coverage_lake", "collection", "frozen_lake", "taxi", "cliff_walking",
 }  # fmt: skip
 IDS = [experiment.id for experiment in EXPERIMENTS if experiment.group != "continuous"]
+EACH = pytest.mark.parametrize("experiment", list(EXPERIMENTS), ids=lambda experiment: experiment.id)
 
 
 @pytest.mark.parametrize("name", IDS)
 def test_a_smoke_cell(name):
+    """The saved table has it, it is summarised and drawn; its random numbers are those of the cell and the seed."""
     experiment = EXPERIMENTS[name]
     for module in experiment.requires:
         pytest.importorskip(module)
-    settings = experiment.settings(smoke=True, repetitions=1)
-    cell = settings.cells()[0]
+    cell = experiment.settings(smoke=True, repetitions=1).cells()[0]
     rows = experiment.run(cell, Stream(name, 0, cell))
     table = pd.DataFrame([{**cell, **row} for row in rows])
     if name in DRAWN_BEFORE:
@@ -40,30 +48,85 @@ def test_a_smoke_cell(name):
     assert set(experiment.keys) <= set(summary.columns)
     assert np.isfinite(summary[f"{experiment.measures[0]}_mean"]).all()
     with mpl.rc_context({"figure.max_open_warning": 0}):
-        made = figures(experiment, table, summary)
-    assert made["figure.svg"].startswith(b"<?xml")
+        assert figures(experiment, table, summary)["figure.svg"].startswith(b"<?xml")
+    if name in ("lambda_n", "coverage_lake", "efficiency"):
+        again, other = (json.dumps(experiment.run(cell, Stream(name, seed, cell))) for seed in (0, 1))
+        assert again == json.dumps(rows) != other
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_the_saved_results_are_of_the_full_sweep(name):
-    settings = json.loads((RESULTS / name / "settings.json").read_text())
-    assert settings == EXPERIMENTS[name].settings().as_dict()
-    assert (RESULTS / name / "figure.svg").is_file()
-    assert set(EXPERIMENTS[name].keys) <= set(saved(name).columns)
-    for page in (RESULTS / name / "summary.md", RESULTS / "index.md"):
-        assert EXPERIMENTS[name].caption in page.read_text()
+def smoke_rows(experiment, table):
+    settings = experiment.settings(smoke=True)
+    for name, values in settings.axes.items():
+        table = table[table[name].isin(values)]
+    return table[table.repetition < settings.repetitions]
 
 
-@pytest.mark.parametrize("experiment", list(EXPERIMENTS), ids=lambda experiment: experiment.id)
-def test_a_panel_has_six_curves_at_most(experiment):
-    table, figure = saved(experiment.id), Figure()
+@EACH
+def test_the_saved_results_are_of_the_full_sweep_and_say_what_the_table_shows(experiment):
+    folder, table, figure = RESULTS / experiment.id, saved(experiment.id), Figure(layout="constrained")
+    assert json.loads((folder / "settings.json").read_text()) == experiment.settings().as_dict()
+    assert set(experiment.keys) <= set(table.columns)
+    for page in (folder / "summary.md", RESULTS / "index.md"):
+        assert experiment.caption in page.read_text()
+    finding = experiment.finding(table)
+    assert finding
+    assert "\n" not in finding
+    for name in ("figure.svg", "summary.md"):
+        assert finding in html.unescape((folder / name).read_text())
     experiment.draw(table, summary_of(experiment, table), figure)
     shown = [ax for ax in figure.axes if ax.get_visible()]
     assert shown
     for ax in shown:
         curves = [line for line in ax.get_lines() if len(line.get_xdata()) > 2 and not line.get_label().startswith("_")]
-        beside = ("slope", "true value", "true (Monte Carlo)", "zeta = 1")  # what the curves are held against
+        beside = ("slope", "true value", "true (Monte Carlo)", "zeta = 1", "exact")  # what the curves are held against
         assert len([line for line in curves if not line.get_label().startswith(beside)]) <= 6, ax.get_title()
+    share_legend(figure)
+    entitle(figure, finding)
+    figure.canvas.draw()
+    box = figure._suptitle.get_window_extent()
+    assert figure._suptitle.get_fontsize() >= 8.0
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.x1
+
+
+@EACH
+def test_a_finding_is_of_its_rows_and_changes_with_the_numbers(experiment):
+    """No number of it is written in the code: tables whose every measure is another give another sentence."""
+    table = saved(experiment.id)
+    finding, part = experiment.finding(table), smoke_rows(experiment, table)
+    is_whole = part.drop(columns="repetition").equals(table.drop(columns="repetition"))
+    assert experiment.finding(part)
+    assert experiment.finding(part) != finding or is_whole
+    fixed = {*experiment.keys, *experiment.axes, "repetition"}
+    numbers = [name for name in table.select_dtypes("number") if name not in fixed]
+    factors = np.random.default_rng(0).uniform(0.2, 5.0, (len(table), len(numbers)))
+    other = table.assign(**{name: table[name] * factors[:, k] for k, name in enumerate(numbers)})
+    assert experiment.finding(other) != finding
+
+
+def test_findings():
+    assert listed(pd.Series({"one": 0.0123, "two": 45.6})) == "0.012 (one), 46 (two)"
+    table = pd.DataFrame({"n": [1, 2, 2, 2, 2], "name": list("aabcd"), "error": [9.0, 3.0, 1.0, 2.0, 4.0]})
+    assert rank("Error", "error", "name")(table) == "Error at n = 2: 1 (b), 2 (c), 3 (a)"
+    assert rank("Error", "error", "name", names=("a", "d"))(table) == "Error at n = 2: 3 (a), 4 (d)"
+    experiment = EXPERIMENTS["estimands"]
+    table = smoke_rows(experiment, saved("estimands"))
+    made = figures(experiment, table, summary_of(experiment, table))
+    assert experiment.finding(table) in html.unescape(made["figure.svg"].decode())
+    assert heading(experiment, table)[-1] == f"![{experiment.finding(table)}](figure.png)"
+    silent = replace(experiment, finding=lambda _: "")
+    assert heading(silent, table)[-1] == f"![{experiment.title}](figure.png)"
+
+
+@pytest.mark.parametrize("text", ["", "MMMM 0.059 " * 20, "illi, " * 30, "$x^2$, " * 20])
+def test_a_title_of_any_letters_fits(text):
+    figure = Figure(figsize=(9.0, 3.0))
+    entitle(figure, text)
+    assert (figure._suptitle is None) == (text == "")
+    if text:
+        box = figure._suptitle.get_window_extent()
+        assert box.x0 >= 0.0
+        assert box.x1 <= figure.bbox.x1
 
 
 def test_a_table_by_name():
@@ -77,10 +140,94 @@ def test_a_table_by_name():
         experiments.table("estimands", n=3)
 
 
-@pytest.mark.parametrize("name", ["fig1a", "lambda_n", "coverage_lake", "efficiency"])
-def test_a_stream_is_that_of_the_cell(name):
-    """To the last bit; the others' cells are those of the saved tables to 1e-5."""
-    experiment = EXPERIMENTS[name]
-    cell = experiment.settings(smoke=True).cells()[0]
-    rows = [json.dumps(experiment.run(cell, Stream(name, seed, cell))) for seed in (0, 0, 1)]  # nan and all
-    assert rows[0] == rows[1] != rows[2]
+def test_too_few_episodes_are_doubled(monkeypatch):
+    """A pilot that promised too much: twice as many episodes are drawn afresh, as when the tables were made."""
+    sizes, real = [], common.sample_episodes
+
+    def short(mdp, policy, count, horizon, *, seed):
+        sizes.append(count)
+        log = real(mdp, policy, count, horizon, seed=seed)
+        return log if len(sizes) != 2 else log.first(10)
+
+    monkeypatch.setattr(common, "sample_episodes", short)
+    grid = oee.tasks.gridworld(5, 0.3)
+    assert len(common.sample_pool(grid, oee.uniform_policy(grid), 1000, np.random.default_rng(0))) >= 1000
+    assert sizes == [20, sizes[1], 2 * sizes[1]]
+
+
+# ---- the command
+
+
+def oee_command(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return ended.value.code or 0
+
+
+def test_the_list(capsys):
+    assert oee_command("reproduce", "--list") == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"^gridworld:\n  fig1a +360 cells  Figure 1a", printed, re.M)
+    assert all(experiment.id in printed for experiment in EXPERIMENTS)
+
+
+def test_a_smoke_run_writes_everything_and_goes_on(tmp_path, capsys):
+    arguments = ("reproduce", "estimands", "--smoke", "--seeds", 1, "--jobs", 1, "--output", tmp_path)
+    assert oee_command(*arguments) == 0
+    assert "estimands: 3 cells computed" in capsys.readouterr().out
+    names = {path.name for path in (tmp_path / "smoke" / "estimands").iterdir()}
+    assert names == {
+        "settings.json", "cells.jsonl", "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png",
+    }  # fmt: skip
+    assert "The published recipe" in (tmp_path / "smoke" / "index.md").read_text()
+    assert oee_command(*arguments) == 0
+    assert "0 cells computed, 3 from the cache" in capsys.readouterr().out
+    assert oee_command("reproduce", "horizon", *arguments[1:], "--seed", 1) == 2  # before anything runs
+    assert re.search(r"holds results of other settings: seed 0 there, 1 asked", capsys.readouterr().err)
+    assert not (tmp_path / "smoke" / "horizon").exists()
+    assert oee_command(*arguments, "--seed", 1, "--fresh") == 0
+    assert "3 cells computed" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("fig1",), r"experiment must be one of fig1a, .*; got 'fig1'; nearest: fig1a"),
+        ((), "one experiment or more must be given, or --all; there are fig1a"),
+        (("fig1a", "--all"), "--all must be given without ids; got fig1a"),
+        (("fig1a", "--seeds", 0), "--seeds must be at least 1; got 0"),
+        (("fig1a", "--seed", -1), "(?s)--seed.*(greater than or equal to 0|x>=0)"),
+        (("estimands", "--smoke", "--jobs", 0), "jobs must be a positive number, or -1 for one a core; got 0"),
+    ],
+)
+def test_bad_calls(arguments, text, tmp_path, capsys):
+    assert oee_command("reproduce", *arguments, "--output", tmp_path / "new") == 2
+    assert re.search(text, capsys.readouterr().err)
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("name", ["smoke", "smoke/estimands", "smoke/index.md"])
+def test_a_results_folder_with_a_link_is_refused(tmp_path, capsys, name):
+    outside, link = tmp_path / "outside", tmp_path / "results" / name
+    outside.mkdir()
+    link.parent.mkdir(parents=True)
+    link.symlink_to(outside / "precious" if name.endswith(".md") else outside)
+    arguments = ("reproduce", "estimands", "--smoke", "--seeds", 1, "--jobs", 1, "--output", tmp_path / "results")
+    assert oee_command(*arguments) == 2
+    assert "it is a link or something else" in capsys.readouterr().err
+    assert list(outside.iterdir()) == []
+
+
+def test_an_experiment_without_its_extra_is_left_out_with_a_sentence_and_refused_alone(tmp_path, monkeypatch):
+    known = EXPERIMENTS["estimands"]
+    lacking = replace(known, id="arm", requires=("no_such_module",))
+    monkeypatch.setattr(catalogue, "EXPERIMENTS", Registry([known, lacking]))
+    said = []
+    options = {"smoke": True, "seeds": 1, "seed": 0, "jobs": 1, "dask": None, "fresh": False, "say": said.append}
+    for names, everything in (([], True), (["estimands", "arm"], False)):
+        said.clear()
+        catalogue.reproduce(names, everything=everything, output=tmp_path, **options)
+        assert (tmp_path / "smoke" / "estimands" / "summary.md").is_file()
+        assert said[-1].startswith("Left out: arm needs no_such_module, which is not installed")
+    with pytest.raises(ImportError, match="arm needs no_such_module"):
+        catalogue.reproduce(["arm"], everything=False, output=tmp_path, **options)

@@ -8,14 +8,11 @@ from pathlib import Path
 
 from oee_tabular import _files
 from oee_tabular.lab import output as out
-from oee_tabular.lab.experiments.convergence import MISSPECIFIED, RATE
-from oee_tabular.lab.experiments.efficiency import COLLECTION, EFFICIENCY
-from oee_tabular.lab.experiments.figure_1a import FIGURE_1A, NETWORKS
-from oee_tabular.lab.experiments.figure_1bcd import ESTIMANDS, FIGURE_1BCD
-from oee_tabular.lab.experiments.horizons import DATA_POLICY, HORIZON_EXPERIMENT
-from oee_tabular.lab.experiments.programs import LAMBDA, NORMALISATION, RENYI
-from oee_tabular.lab.experiments.sureness import COVERAGE, COVERAGE_LAKE
+from oee_tabular.lab.experiments.programs import LAMBDA, MISSPECIFIED, NORMALISATION, RATE, RENYI
+from oee_tabular.lab.experiments.sureness import COLLECTION, COVERAGE, COVERAGE_LAKE, EFFICIENCY
 from oee_tabular.lab.experiments.toy_text import CLIFF_WALKING, FROZEN_LAKE, TAXI
+from oee_tabular.lab.experiments.values import DATA_POLICY, ESTIMANDS, FIGURE_1BCD, HORIZON_EXPERIMENT
+from oee_tabular.lab.experiments.zeta import FIGURE_1A, NETWORKS
 from oee_tabular.lab.registry import Experiment, Registry
 from oee_tabular.lab.robots.cartpole import CARTPOLE_CHOICE, CARTPOLE_DATA, FIGURE_2, RESOLUTION
 from oee_tabular.lab.robots.changes.coverage import RESIDUAL_COVERAGE

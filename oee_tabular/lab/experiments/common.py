@@ -27,6 +27,7 @@ DELTAS = (0.1, 0.5, 0.9)
 SCALE, SMALL_SCALE = 0.01, 0.05  # values times (1 - discount): of ``grids``, of ``small_grids``
 NORMALISED = "of the value times (1 - discount)"
 MEAN_ERROR = f"mean |error| {NORMALISED}"
+ZETA_ERROR = "mean |zeta error| (ratio, no unit)"
 
 
 @functools.lru_cache(maxsize=8)
@@ -46,11 +47,8 @@ def halves(size: int) -> tuple[FiniteMDP, FiniteMDP]:
 def small_grids() -> tuple[FiniteMDP, FiniteMDP]:
     """5 x 5, discount 0.95, reward -Manhattan distance / 8 of the current cell."""
     row, column = np.divmod(np.arange(25), 5)
-    made = []
-    for slip in (SIMULATED_SLIP, REAL_SLIP):
-        base = gridworld(5, slip, discount=0.95)
-        made.append(base.with_rewards((row + column - 8) / 8))
-    return made[0], made[1]
+    simulator, target = grids(5, discount=0.95)
+    return simulator.with_rewards((row + column - 8) / 8), target.with_rewards((row + column - 8) / 8)
 
 
 def behavior_of(name: str, mdp: FiniteMDP) -> Array:
@@ -60,8 +58,8 @@ def behavior_of(name: str, mdp: FiniteMDP) -> Array:
     return gridworld_policy(round(mdp.n_states**0.5), float(name.removeprefix("pi_")))
 
 
-def episodes_for(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Generator) -> Transitions:
-    """Whole episodes of at most 1000 steps that hold at least n moves: a pilot of 20 says how many are needed."""
+def sample_pool(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Generator) -> Transitions:
+    """Whole episodes of at most 1000 steps that hold at least n transitions: a pilot of 20 says how many are needed."""
     pilot = sample_episodes(target, behavior, 20, LONGEST, seed=generator)
     needed = 20 + round(1.2 * n / (len(pilot) / 20))
     while len(pool := sample_episodes(target, behavior, needed, LONGEST, seed=generator)) < n:
@@ -69,9 +67,9 @@ def episodes_for(target: FiniteMDP, behavior: Array, n: int, generator: np.rando
     return pool
 
 
-def drawn(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Generator) -> Transitions:
-    """n moves drawn without replacement from such episodes: the paper's recipe."""
-    return episodes_for(target, behavior, n, generator).draw(n, seed=generator)
+def sample_log(target: FiniteMDP, behavior: Array, n: int, generator: np.random.Generator) -> Transitions:
+    """n transitions drawn without replacement from such episodes: the paper's recipe."""
+    return sample_pool(target, behavior, n, generator).draw(n, seed=generator)
 
 
 def estimators_of(names: Mapping[str, str], target: FiniteMDP | None = None) -> dict[str, Estimator]:
@@ -81,7 +79,7 @@ def estimators_of(names: Mapping[str, str], target: FiniteMDP | None = None) -> 
 
 
 def zeta_error(zeta: TransitionRatio, target: FiniteMDP, simulator: FiniteMDP) -> float:
-    """Mean |zeta_hat - zeta| over all (s, a, s') in the simulator's support; states that are over are left out."""
+    """Mean |zeta_hat - zeta| over all (s, a, s') in the simulator's support; terminal states are left out."""
     truth = true_ratio(target, simulator).values.data
     live = np.repeat(np.repeat(~simulator.absorbing(), simulator.n_actions), np.diff(simulator.transitions.indptr))
     return float(np.abs(zeta.values.data - truth)[live].mean())

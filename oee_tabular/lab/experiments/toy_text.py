@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,14 +12,11 @@ from oee_tabular._checks import Array
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import optimal_policy, policy_value
 from oee_tabular.lab.experiments.common import estimators_of
-from oee_tabular.lab.findings import number
+from oee_tabular.lab.findings import rank
 from oee_tabular.lab.panels import Beside, Errors, Panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.tasks import named_task, record_episodes
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 SAMPLES = (1000, 3162, 10_000, 31_623)
 CURVES = {  # and their names in ``oee evaluate``
@@ -132,16 +129,6 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
-def finding(table: pd.DataFrame) -> str:
-    """Errors and ranking of OEE and of the simulator at the last n, means over the cases."""
-    last = table[table.n == table.n.max()].groupby("estimator")[["error", "kendall_tau"]].mean()
-    (error, tau), (simulated, its_tau) = last.loc[["OEE, exact", "simulator"]].to_numpy()
-    return (
-        f"At n = {table.n.max()} exact OEE errs by {number(error)} and orders the policies with tau {tau:.2g}; "
-        f"the simulator by {number(simulated)}, tau {its_tau:.2g}"
-    )
-
-
 ERRORS = Errors("error", "estimator", title="{case}: error", ylabel="mean |error| (discounted sum of rewards)")
 RANKING = Panels(
     "kendall_tau",
@@ -152,44 +139,33 @@ RANKING = Panels(
 )
 
 
+COMMON = (
+    " Five policies: 90% and 60% of the simulator's optimum and of the target's, 90% of a cautious one, the rest uniform; "
+    "the log is recorded by stepping the environment with 50% of the simulator's optimum. Means over policies and seeds; "
+    "tau is that of the five policies' order, regret in the table what choosing the best estimate loses."
+)
+
+
 def _experiment(name: str, title: str, cases: tuple[str, ...], caption: str) -> Experiment:
     return Experiment(
-        id=name,
-        title=title,
-        axes={"case": cases, "n": SAMPLES},
-        smoke={"case": cases[:1], "n": SAMPLES[:1]},
-        run=cell,
-        keys=("case", "n", "policy", "estimator"),
-        measures=("error", "kendall_tau", "regret"),
-        draw=Beside([ERRORS, RANKING], by=("case",), columns=2, size=(5.4, 3.9)),
-        finding=finding,
-        group="gymnasium",
-        caption=caption
-        + " Five policies: 90% and 60% of the simulator's optimum and of the target's, 90% of a cautious one, the rest "
-        "uniform; the log is recorded by stepping the environment with 50% of the simulator's optimum. Means over "
-        "policies and seeds; tau is that of the five policies' order, regret in the table what choosing the best "
-        "estimate loses. WIS "
-        "has the true behaviour probabilities.",
-    )
+        name, title, axes={"case": cases, "n": SAMPLES}, smoke={"case": cases[:1], "n": SAMPLES[:1]}, group="gymnasium",
+        run=cell, keys=("case", "n", "policy", "estimator"), measures=("error", "kendall_tau", "regret"),
+        finding=rank("Mean error", "error", "estimator", names=("simulator", "OEE, exact", "model-based")),
+        draw=Beside([ERRORS, RANKING], by=("case",), columns=2, size=(5.4, 3.9)), caption=caption + COMMON,
+    )  # fmt: skip
 
 
 FROZEN_LAKE = _experiment(
-    "frozen_lake",
-    "FrozenLake 8 x 8: the ice is less slippery than simulated",
-    ("slippery FrozenLake",),
+    "frozen_lake", "FrozenLake 8 x 8: the ice is less slippery than simulated", ("slippery FrozenLake",),
     "Success rate 1/3 simulated, 0.6 real; discount 0.99.",
-)
+)  # fmt: skip
 TAXI = _experiment(
-    "taxi",
-    "Taxi: rain, and random-action faults",
-    ("rain", "random-action faults"),
+    "taxi", "Taxi: rain, and random-action faults", ("rain", "random-action faults"),
     "Rain: the taxi goes where it is sent with probability 0.8 simulated, 0.6 real. Faults: a random action is executed with "
     "probability 0.2 in the real one; the simulator has none, and gets 5% for the support that a ratio needs. Discount 0.95.",
-)
+)  # fmt: skip
 CLIFF_WALKING = _experiment(
-    "cliff_walking",
-    "CliffWalking: dry simulator, slippery cliff",
-    ("slippery cliff",),
-    "The simulator is deterministic; with_action_noise(0.1) gives it support. The same move pays -1 or -100 there, so "
+    "cliff_walking", "CliffWalking: dry simulator, slippery cliff", ("slippery cliff",),
+    "The simulator is deterministic; with_action_noise(0.1) gives it support. The same transition pays -1 or -100 there, so "
     "rewards are the log's. Discount 0.95.",
-)
+)  # fmt: skip

@@ -23,8 +23,16 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
 from oee_tabular.lab.experiments import paper
-from oee_tabular.lab.experiments.common import HALF_DECADES, LONGEST, behavior_of, drawn, grids, zeta_error
-from oee_tabular.lab.findings import course, span
+from oee_tabular.lab.experiments.common import (
+    HALF_DECADES,
+    LONGEST,
+    ZETA_ERROR,
+    behavior_of,
+    grids,
+    sample_log,
+    zeta_error,
+)
+from oee_tabular.lab.findings import rank
 from oee_tabular.lab.panels import Beside, Errors
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
 from oee_tabular.mdp import FiniteMDP, uniform_policy
@@ -34,22 +42,27 @@ from oee_tabular.ratio.support import aligned_counts
 if TYPE_CHECKING:
     import pandas as pd
 
+Fit = Callable[[Transitions, FiniteMDP, np.random.Generator], TransitionRatio]
+
+# ---- fig1a -------------------------------------------------------------------------------------------------------------
+
 DEFAULT, QUOTIENT = "default (tilt by evidence)", "paper's quotient, tabular"
-ZETA_ERROR = "mean |zeta error| (ratio, no unit)"
 
 
-def of_the_paper(size: int) -> dict[str, pd.Series[float]]:
+def published(size: int) -> dict[str, pd.Series[float]]:
     """The curve of the paper's networks on a grid, if it was published; its data are the uniform policy's."""
     points = paper.curve("fig1a", f"grid={size}", "mean_absolute_error_of_zeta")
     return {"paper's networks": points.set_index("x")["mean"]} if len(points) else {}
 
 
-def published(size: int, n: float) -> float:
-    """A point of that curve; nan where there is none."""
-    return paper.at("fig1a", f"grid={size}", "mean_absolute_error_of_zeta", float(n))
-
-
-# ---- fig1a -------------------------------------------------------------------------------------------------------------
+def published_errors(summary: pd.DataFrame) -> list[float]:
+    """The point of that curve for each row of a summary; nan where there is none."""
+    rows = {"data": "uniform", "grid": 10} | dict(summary)
+    columns = (np.broadcast_to(rows[name], len(summary)) for name in ("data", "grid", "n"))
+    return [
+        paper.at("fig1a", f"grid={grid}", "mean_absolute_error_of_zeta", float(n)) if data == "uniform" else np.nan
+        for data, grid, n in zip(*columns, strict=True)
+    ]
 
 
 def _linear(log: Transitions, simulator: FiniteMDP, _: np.random.Generator) -> TransitionRatio:
@@ -58,68 +71,45 @@ def _linear(log: Transitions, simulator: FiniteMDP, _: np.random.Generator) -> T
     return transition_ratio(log, simulator, method="linear", features=action_displacement(simulator, places))
 
 
-RATIOS: dict[str, Callable[[Transitions, FiniteMDP, np.random.Generator], TransitionRatio]] = {
+FITS: dict[str, Fit] = {
     DEFAULT: lambda log, simulator, _: transition_ratio(log, simulator),
     "maximum likelihood": lambda log, simulator, _: transition_ratio(log, simulator, prior="none"),
     "simulator prior": lambda log, simulator, _: transition_ratio(log, simulator, prior="simulator"),
-    QUOTIENT: lambda log, simulator, generator: transition_ratio(
-        log, simulator, method="ratio_of_ratios", seed=generator
-    ),
+    QUOTIENT: lambda log, simulator, seed: transition_ratio(log, simulator, method="ratio_of_ratios", seed=seed),
     "linear class": _linear,
 }
 
 
-def cell(settings: Cell, stream: Stream) -> list[Row]:
-    """Mean |zeta_hat - zeta| over all (s, a, s') of the simulator's support, the goal left out; slip 0.3 simulated,
-    0.1 real; n moves drawn without replacement from episodes of at most 1000 steps. Lines: means over the seeds;
-    bands: the smallest and the largest. The linear class has indicators of (action, displacement). The paper's
-    networks (published for 10 and 40, uniform data only) in the same panels. zeta = 1 scores 0.570.
+def zeta_cell(settings: Cell, stream: Stream) -> list[Row]:
+    """Mean |zeta_hat - zeta| over all (s, a, s') of the simulator's support, the goal left out (zeta = 1 scores 0.570).
+    Lines: means over the seeds; bands: the smallest and the largest. n transitions drawn without replacement from
+    episodes of at most 1000 steps. The linear class has indicators of (action, displacement).
     """
     simulator, target = grids(int(settings["grid"]))
     generator = stream.generator()
-    log = drawn(target, behavior_of(str(settings["data"]), target), int(settings["n"]), generator)
-    fits = {name: fit(log, simulator, generator) for name, fit in RATIOS.items()}
+    log = sample_log(target, behavior_of(str(settings["data"]), target), int(settings["n"]), generator)
+    fits = {name: fit(log, simulator, generator) for name, fit in FITS.items()}
     return [
         {"estimator": name, "error": zeta_error(zeta, target, simulator), "gap": zeta.gap}
         for name, zeta in fits.items()
     ]
 
 
-def finding(table: pd.DataFrame) -> str:
-    """How far the errors of the default and of the quotient fall."""
-    default, quotient = (course(table[table.estimator == name]) for name in (DEFAULT, QUOTIENT))
-    return f"{span(table)} the default's error of zeta {default}; that of the paper's quotient {quotient}"
-
-
 FIGURE_1A = Experiment(
-    id="fig1a",
-    title="Figure 1a: error of the ratio of transition probabilities against sample size",
+    "fig1a", "Figure 1a: error of the ratio of transition probabilities against sample size",
     axes={"data": ("uniform", "pi_0.5"), "grid": (10, 20, 40), "n": HALF_DECADES},
     smoke={"data": ("uniform",), "grid": (10,), "n": HALF_DECADES[:3]},
-    run=cell,
-    keys=("data", "grid", "n", "estimator"),
-    measures=("error",),
+    run=zeta_cell, keys=("data", "grid", "n", "estimator"), measures=("error",), paper=published_errors,
+    finding=rank("Mean error of zeta", "error", "estimator"),
     draw=Errors(
-        "error",
-        "estimator",
-        by=("data", "grid"),
-        title="{grid} x {grid}, data of {data}",
-        ylabel=ZETA_ERROR,
-        also=lambda rows: of_the_paper(rows.grid.iloc[0]) if rows.data.iloc[0] == "uniform" else {},
-        bands=True,
-        columns=3,
+        "error", "estimator", by=("data", "grid"), title="{grid} x {grid}, data of {data}", ylabel=ZETA_ERROR,
+        also=lambda rows: published(rows.grid.iloc[0]) if rows.data.iloc[0] == "uniform" else {}, bands=True, columns=3,
     ),
-    finding=finding,
-    paper=lambda summary: [
-        published(grid, n) if data == "uniform" else np.nan
-        for data, grid, n in zip(summary["data"], summary["grid"], summary["n"], strict=True)
-    ],
-)
-
+)  # fmt: skip
 
 # ---- networks ----------------------------------------------------------------------------------------------------------
 
-AFRESH, RECORDED = "sampled afresh", "a log of n moves"
+AFRESH, RECORDED = "sampled afresh", "a log of n moves"  # settings of the saved table
 BOX: dict[str, Any] = {"lower": 0.1, "upper": 10.0, "normalized": False}
 TRAINED = Network((32,), "tanh", batch_size=512, n_iterations=12_000, step_size=1e-2)
 FULL_BATCH = Network((32,), "tanh", batch_size=None, n_iterations=5000, step_size=2e-2, held_out=0.0)
@@ -180,21 +170,19 @@ def _best(seed: int, repetition: int) -> Any:
 
 
 def networks_cell(settings: Cell, stream: Stream) -> list[Row]:
-    """10 x 10 grid, slip 0.3 simulated, 0.1 real, uniform policy, n moves of the target. The simulator's moves are
-    sampled afresh at each iteration (Algorithm 1 as printed), or a log of n. Network: one-hot s, a, s', one hidden
-    layer of 32 tanh units, box [0.1, 10], Adam on batches of 512, stopped on 10% of the moves; the quotient of two.
-    Error: mean |zeta_hat - zeta|, the goal left out (zeta = 1 scores 0.570). Excess: the population's risk of both
-    ratios above its least, nats. Approximation: that of the class's best, a long full-batch fit on the population.
-    Sampling: that of the same fit on the log, less approximation. Optimisation: risk on the log, the trained networks'
-    less that fit's; they stop before they fit the log's noise, so in the population their excess is below the sum of
-    the parts. What is below 1e-6 everywhere (1e-3 for errors) is not drawn.
+    """10 x 10 grid, uniform policy, n transitions of the target. The simulator's transitions are sampled afresh at each
+    iteration (Algorithm 1 as printed), or a log of n. Network: one hidden layer of 32 tanh units, box [0.1, 10], Adam on
+    batches of 512, stopped on 10% of the transitions; the quotient of two. Excess: the population's risk of both ratios
+    above its least, nats. Approximation: that of the class's best, a long full-batch fit on the population. Sampling: that
+    of the same fit on the log, less approximation. Optimisation: risk on the log, the trained networks' less that fit's.
+    What is below 1e-6 everywhere (1e-3 for errors) is not drawn.
     """
     n = int(settings["n"])
     simulator, target = grids()
-    log = drawn(target, uniform_policy(target), n, stream.generator("n"))
+    log = sample_log(target, uniform_policy(target), n, stream.generator("n"))
     data: Any = "exact"
     if settings["simulator"] == RECORDED:
-        data = drawn(simulator, uniform_policy(simulator), n, stream.generator("n", use="simulator"))
+        data = sample_log(simulator, uniform_policy(simulator), n, stream.generator("n", use="simulator"))
     quotient = Quotient(**BOX, data=data, behavior_policy=uniform_policy(simulator))
     fits = {"best": _best(stream.seed, int(settings["repetition"])), "table": quotient.fit(log, simulator)}
     for name, network in (("log", FULL_BATCH), ("trained", TRAINED)):
@@ -219,48 +207,19 @@ def _moves(log: Transitions) -> Array:
 
 
 FIT_ERRORS = Errors(
-    "error",
-    "fit",
-    title="error; simulator {simulator}",
-    ylabel=ZETA_ERROR,
-    also=lambda _: of_the_paper(10),
-    bands=True,
+    "error", "fit", title="error; simulator {simulator}", ylabel=ZETA_ERROR, also=lambda _: published(10), bands=True,
     least=1e-3,
-)
+)  # fmt: skip
 EXCESS = Errors(
-    "excess",
-    title="excess in parts; simulator {simulator}",
-    ylabel="excess risk of both ratios (nats)",
+    "excess", title="excess in parts; simulator {simulator}", ylabel="excess risk of both ratios (nats)",
     extra={name: name for name in PARTS} | {"trained, in all (population's risk)": "excess"},
-    only=lambda table: table[table.fit == NAMES["trained"]],
-    least=1e-6,
-    lowest=False,
-)
-
-
-def networks_finding(table: pd.DataFrame) -> str:
-    """How far the errors of the trained networks and of the default fall, and the largest part of the networks'."""
-    trained, default = (table[table.fit == NAMES[name]] for name in ("trained", "default"))
-    parts = trained[trained.n == trained.n.max()][list(PARTS)].mean()
-    return (
-        f"{span(table)} networks' error {course(trained)}, the default's {course(default)}; "
-        f"most excess: {parts.idxmax()}"
-    )
-
-
+    only=lambda table: table[table.fit == NAMES["trained"]], least=1e-6, lowest=False,
+)  # fmt: skip
 NETWORKS = Experiment(
-    id="networks",
-    title="Figure 1a with our own networks, and what their error is made of",
+    "networks", "Figure 1a with our own networks, and what their error is made of",
     axes={"simulator": (AFRESH, RECORDED), "n": HALF_DECADES},
-    smoke={"simulator": (RECORDED,), "n": HALF_DECADES[:1]},
-    repetitions=3,
-    smoke_repetitions=1,
-    run=networks_cell,
-    keys=("simulator", "n", "fit"),
-    measures=("error", "excess", *PARTS),
-    draw=Beside([FIT_ERRORS, EXCESS], by=("simulator",), columns=2),
-    finding=networks_finding,
-    paper=lambda summary: [published(10, n) for n in summary["n"]],
-    requires=("jax", "equinox", "optax"),
-    extra="neural",
-)
+    smoke={"simulator": (RECORDED,), "n": HALF_DECADES[:1]}, repetitions=3, smoke_repetitions=1,
+    run=networks_cell, keys=("simulator", "n", "fit"), measures=("error", "excess", *PARTS), paper=published_errors,
+    finding=rank("Mean error of zeta", "error", "fit", names=[NAMES[name] for name in ("trained", "table", "default")]),
+    draw=Beside([FIT_ERRORS, EXCESS], by=("simulator",), columns=2), requires=("jax", "equinox", "optax"), extra="neural",
+)  # fmt: skip
