@@ -203,31 +203,33 @@ def pair(
     return Family(simulator, target, pi, mix(pi, uniform, share), about, horizon=horizon, length=horizon or length)
 
 
-def shift(
+def shifted(
+    moves: Callable[..., Moves],
     shape: tuple[int, int],
     pay: object,
     discount: float,
-    believed: Sequence[Any],
-    real: Sequence[Any],
+    believed: tuple[Any, ...],
+    real: tuple[Any, ...],
     about: str,
     *,
     start: object = None,
     **options: Any,
-) -> Callable[[Callable[..., Moves]], Callable[[], Family]]:
-    """What makes, of a function of moves, a family: with the parameters that the simulator believes and with the real ones.
+) -> Family:
+    """A family of two models of the same ``moves``, with the parameters that the simulator believes and with the real ones.
 
     Parameters
     ----------
-    shape, pay, discount, start : as in ``model``; about, options : as in ``pair``
+    moves, shape, pay, discount, start : as in ``model``; about, options : as in ``pair``
     """
+    simulator, target = (model(moves, shape, pay, discount, how, start=start) for how in (believed, real))
+    return pair(simulator, target, about, **options)
+
+
+def shift(*arguments: Any, **options: Any) -> Callable[[Callable[..., Moves]], Callable[[], Family]]:
+    """Make of a function of moves what makes its family; the arguments are the further ones of ``shifted``."""
 
     def decorate(moves: Callable[..., Moves]) -> Callable[[], Family]:
-        def make() -> Family:
-            simulator, target = (model(moves, shape, pay, discount, how, start=start) for how in (believed, real))
-            return pair(simulator, target, about, **options)
-
-        make.__doc__ = moves.__doc__
-        return make
+        return lambda: shifted(moves, *arguments, **options)
 
     return decorate
 
