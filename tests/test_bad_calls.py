@@ -202,9 +202,9 @@ episode must keep the rows of an episode together; 0 begins again in row 2
 >>> log(timestep=[0, 2, 1])
 timestep[1] must be 1 (steps of an episode in order from 0); it is 2
 >>> log(terminated=[1, 0, 0])
-terminated[0] must be False: its episode goes on in the next row
+terminated[0] must be False: its episode continues in the next row
 >>> log(truncated=[0, 1, 0])
-truncated[1] must be False: its episode goes on in the next row
+truncated[1] must be False: its episode continues in the next row
 >>> Transitions([0], [0], [1]).counts(2, 1, discount=0.9)
 log must have timesteps (or episodes) to be counted with a discount
 >>> LOG.draw(10**6, seed=0)

@@ -123,8 +123,8 @@ def episode_columns(episodes: object) -> dict[str, Any]:
         )
     if n_cut:
         _checks.warn(
-            f"the last moves of {n_cut} episodes are left out, since nothing says where they led; end an episode with its "
-            "last state, (state,) or (state, terminated), to keep them"
+            f"the last transitions of {n_cut} episodes are left out, since their next states are unknown; end an episode with "
+            "its last state, (state,) or (state, terminated), to keep them"
         )
     labels = ("state", "action", "reward", "next_state", "terminated", "episode")
     return dict(zip(labels, (list(column) for column in zip(*rows, strict=True)), strict=True))

@@ -83,7 +83,7 @@ def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> s
     if facts["reward_min"] is not None:
         text += f"; rewards {facts['reward_min'] + 0.0:g} to {facts['reward_max'] + 0.0:g}"  # no -0
         missing = facts["rewards_missing"]
-        text += f" ({missing} of {facts['transitions']} rewards missing)" if missing else ""
+        text += f", {missing} of {facts['transitions']} missing" if missing else ""
     if facts.get("behavior_probability"):
         text += "; behaviour probabilities"
     if facts.get("sampled_episodes") is not None:

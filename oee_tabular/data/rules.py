@@ -242,5 +242,5 @@ def find_order_faults(
     for label in ("terminated", "truncated"):
         rows = np.flatnonzero(follows & before[label]) if label in columns else rows[:0]
         if rows.size:
-            faults.append(Fault(label, rows, "must be False: its episode goes on in the next row", True, shift=-1))
+            faults.append(Fault(label, rows, "must be False: its episode continues in the next row", True, shift=-1))
     return [fault for fault in faults if fault is not None]

@@ -168,7 +168,7 @@ def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
 
 
 def recurrent_states(system: System, rewards: Array, names: Names = NAMELESS) -> BoolArray:
-    """(S,) mask of the closed classes at discount 1, which must pay nothing; the other states are solved for."""
+    """(S,) mask of the closed classes at discount 1, which must have reward 0; the other states are solved for."""
     kernel = system.csr()
     _, component = csgraph.connected_components(kernel, directed=True, connection="strong")
     rows = row_of_entry(kernel)
@@ -181,8 +181,8 @@ def recurrent_states(system: System, rewards: Array, names: Names = NAMELESS) ->
     if paying.size:
         raise DivergentKernelError(
             "horizon must be given: at discount 1 the infinite sum exists only where the policy is absorbed in states "
-            f"that pay nothing; it stays for ever among states of which s={names.state(paying[0])} pays {rewards[paying[0]]:g} "
-            f"a step ({paying.size} such states in all)"
+            f"with reward 0; it stays for ever among states of which s={names.state(paying[0])} has reward "
+            f"{rewards[paying[0]]:g} ({paying.size} such states in all)"
         )
     return recurrent
 

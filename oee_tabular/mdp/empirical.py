@@ -97,7 +97,7 @@ def env_arguments(env: Any, samples_per_pair: object, seed: Seed, max_steps: obj
     names = Names(state_names)
     if explorer.lacking:
         rule = f"samples_per_pair, {n_wanted}, was not reached within max_steps, {limit}"
-        total = f"{explorer.n_actions * len(explorer.open)} state-action pairs that were met"
+        total = f"{explorer.n_actions * len(explorer.open)} reached state-action pairs"
         short = [(number[s], a) for s, a in sorted(explorer.lacking)]
         _checks.warn(f"{rule}, in {len(short)} of the {total}: {_list_pairs(short, names)}")
     state, action, following, reward, terminated = (np.array(c) for c in zip(*explorer.transitions, strict=True))
@@ -180,8 +180,8 @@ def _fill_pairs(samples: Outcomes, initial: Array, n_actions: int, names: Names)
     filled = np.argwhere((counts == 0) & is_alive[:, None])
     if len(filled):
         _checks.warn(
-            f"{len(filled)} state-action pairs were never recorded and are filled in (as the state's other "
-            f"actions do; without any it stays and pays 0): {_list_pairs(filled, names)}"
+            f"{len(filled)} state-action pairs were never recorded and are filled in (by the state's other "
+            f"actions; without any the state is absorbing, reward 0): {_list_pairs(filled, names)}"
         )
     stays = np.flatnonzero(~is_left & (is_alive | ~is_ended))
     one, parts = np.ones(len(stays)), [samples]

@@ -150,7 +150,7 @@ class FiniteMDP:
         values = self.rewards if self.reward_data is None else self.reward_data
         rows = [
             ("states", self.n_states), ("actions", self.n_actions), ("transitions", self.csr.nnz),
-            ("rewards", f"{self._reward_form}, {values.min():.4g} to {values.max():.4g}"),
+            ("rewards", f"{self._reward_form}, {values.min() + 0.0:.4g} to {values.max() + 0.0:.4g}"),
             ("discount", f"{self.discount:g}"), ("first states", int((self.initial > 0).sum())),
             ("terminal states", int(self.absorbing().sum())),
         ]  # fmt: skip

@@ -91,7 +91,7 @@ class Network:
             _checks.positive_integer(self.batch_size, "batch_size")
         _checks.positive_integer(self.n_iterations, "n_iterations")
         if _checks.number_in(self.held_out, "held_out", 0.0, 1.0) == 1.0:
-            raise ValueError("held_out must leave moves to train on; it is 1")
+            raise ValueError("held_out must leave transitions to train on; it is 1")
         _checks.positive_integer(self.patience, "patience")
 
 

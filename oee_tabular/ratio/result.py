@@ -60,7 +60,7 @@ class TransitionRatio:
         data = self.values.data
         return (
             f"TransitionRatio({self.method}: {len(data)} values from {data.min():.4g} to {data.max():.4g}, "
-            f"{int(self.visited.sum())} of {self.visited.size} (s, a) visited, gap {self.gap:.1e}, "
+            f"{int(self.visited.sum())} of {self.visited.size} pairs recorded, gap {self.gap:.1e}, "
             f"row-sum error {self.row_sum_error:.1e})"
         )
 
@@ -68,7 +68,7 @@ class TransitionRatio:
         data = self.values.data
         rows = [
             ("method", self.method), ("values", f"{len(data)}, from {data.min():.4g} to {data.max():.4g}"),
-            ("(s, a) visited", f"{int(self.visited.sum())} of {self.visited.size}"), ("largest gap (nats)", f"{self.gap:.1e}"),
+            ("pairs recorded", f"{int(self.visited.sum())} of {self.visited.size}"), ("largest gap (nats)", f"{self.gap:.1e}"),
             ("row-sum error", f"{self.row_sum_error:.1e}"),
         ]  # fmt: skip
         return _printing.facts("TransitionRatio: P_target / P_simulator, without unit", rows)
@@ -160,7 +160,7 @@ class TransitionRatio:
         _checks.require_finite(array, "gradient")
         if len(array) != self.values.nnz:
             raise ValueError(
-                f"gradient must have an entry for each of the {self.values.nnz} moves; it has {len(array)}"
+                f"gradient must have an entry for each of the {self.values.nnz} transitions; it has {len(array)}"
             )
         shift = exponent(array)
         return array if shift == 0 else np.ldexp(array, -shift), shift

@@ -64,7 +64,7 @@ def _moves_of(frame: Any, simulator: FiniteMDP, source: str) -> tuple[list[_Colu
     if any(label.startswith(NAMELESS) for label in own):
         raise ValueError(f"{source} must have a name for every column; it has {words(labels)} (a written index?)")
     if not own or len(table) == 0:
-        rule = "a column of numbers beside its moves" if len(table) else "at least one row"
+        rule = "a column of numbers beside its transitions" if len(table) else "at least one row"
         raise ValueError(f"{source} must have {rule}; it has none")
     columns = {label: _Column(label, source, table[label]) for label in labels}
     states = (simulator.state_names, simulator.n_states)
@@ -79,14 +79,14 @@ def _moves_of(frame: Any, simulator: FiniteMDP, source: str) -> tuple[list[_Colu
     if outside.size:
         more = f" ({outside.size} such rows in all)" if outside.size > 1 else ""
         raise ValueError(
-            f"row {outside[0]} of {source} must be a move of the simulator, which gives probability 0 to "
+            f"row {outside[0]} of {source} must be a transition of the simulator, which gives probability 0 to "
             f"{move(int(outside[0]))}{more}"
         )
     again = np.setdiff1d(np.arange(len(entry)), np.unique(entry, return_index=True)[1])
     if again.size:
         row = int(again[0])
         before = int(np.argmax(entry == entry[row]))
-        raise ValueError(f"row {row} of {source} must be a move of its own; {move(row)} is row {before} already")
+        raise ValueError(f"row {row} of {source} must be another transition; {move(row)} is row {before} already")
     return [columns[label] for label in own], entry
 
 

@@ -108,8 +108,8 @@ class Tied(Method):
         if empty.size:
             s, a = divmod(int(empty[0]), simulator.n_actions)
             raise ValueError(
-                f"strength must be positive here: no key of row ({simulator.names.pair(s, a)}) was seen, and zeta * P would "
-                f"have no mass there ({empty.size} such rows in all); it is {kappa:g}"
+                f"strength must be positive here: no key of row ({simulator.names.pair(s, a)}) was recorded, and zeta * P "
+                f"would have no mass there ({empty.size} such rows in all); it is {kappa:g}"
             )
         zeta = zeta / rows.spread(sums)
         used = sums[visits > 0] if (visits > 0).any() else sums

@@ -129,12 +129,10 @@ def _split(weights: Array, name: str, held_out: float, generator: np.random.Gene
     if (weights != np.round(weights)).any():
         if name == "q":
             return (weights / weights.sum(),) * 2
-        raise ValueError(
-            "held_out must be 0 where the log's moves are weighted (discount) or are probabilities: none can be held out"
-        )
+        raise ValueError("held_out must be 0 if the log's transitions are weighted (discount) or are probabilities")
     total = int(weights.sum())
     size = max(round(held_out * total), 1)
     if size >= total:
-        raise ValueError(f"held_out must leave moves to train on; it holds {size} of {total} out")
+        raise ValueError(f"held_out must leave transitions to train on; it keeps out {size} of {total}")
     held = generator.multivariate_hypergeometric(weights.astype(np.int64), size, method="marginals").astype(np.float64)
     return (weights - held) / (total - size), held / size

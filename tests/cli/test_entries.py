@@ -169,7 +169,9 @@ def changed(row, column, value):
 
 
 NUMBER = "of {name} must have a finite number in every row; row"
-TWICE = f"row {NNZ} of {{name}} must be a move of its own; s={STATE[2]}, a={ACTION[2]} -> s'={NEXT[2]} is row 2 already"
+TWICE = (
+    f"row {NNZ} of {{name}} must be another transition; s={STATE[2]}, a={ACTION[2]} -> s'={NEXT[2]} is row 2 already"
+)
 BOTH = [
     ("f.npy", None, "no such file: f.npy"),
     ("f.csv", None, "no such file: f.csv"),
@@ -185,7 +187,7 @@ BOTH = [
     ("f.npy", np.zeros((NNZ, 0), dtype=int), f" shape ({NNZ}, 0)"),
     ("f.npy", np.array(1), " shape ()"),
     ("f.csv", table(x=1).drop(columns="action"), "{name} must have the columns state, action, next_state; it has state,"),
-    ("f.csv", table(), "{name} must have a column of numbers beside its moves; it has none"),
+    ("f.csv", table(), "{name} must have a column of numbers beside its transitions; it has none"),
     ("f.csv", table(x=KEYS).reset_index(names=""), "must have a name for every column; it has Unnamed: 0, state, action,"),
     ("f.csv", table(x=1).iloc[:0], "{name} must have at least one row; it has none"),
     ("f.csv", changed(3, "kind", ""), f"column 'kind' {NUMBER} 3 has none or nan"),
@@ -194,7 +196,7 @@ BOTH = [
     ("f.csv", changed(2, "state", 0.5), "column 'state' of {name} must have an integer in every row; row 2 has 0.5"),
     ("f.csv", changed(4, "next_state", 9), "column 'next_state' of {name} must be in 0..8; row 4 has 9"),
     ("f.csv", changed(4, "action", 4), "column 'action' of {name} must be in 0..3; row 4 has 4"),
-    ("f.csv", changed(0, "next_state", 8), "a move of the simulator, which gives probability 0 to s=0, a=0 -> s'=8\n"),
+    ("f.csv", changed(0, "next_state", 8), "a transition of the simulator, which gives probability 0 to s=0, a=0 -> s'=8\n"),
     ("f.csv", pd.concat([table(x=1), table(x=1).iloc[2:4]]), TWICE),
 ]  # fmt: skip
 nan, inf = FILES["features"].copy(), FILES["features"].copy()

@@ -127,7 +127,7 @@ BAD = {
     ),
     "termination in the middle": (
         {"terminated": [1, 0, 1, 0]},
-        r"terminated\[0\] must be False: its episode goes on in the next row",
+        r"terminated\[0\] must be False: its episode continues in the next row",
     ),
     "a nan reward": ({"reward": [0.0, np.nan, 0.0, 0.0]}, r"reward\[1\] must be finite; it is nan"),
 }

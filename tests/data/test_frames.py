@@ -319,9 +319,7 @@ def test_forms_of_a_step():
 
 
 def test_a_last_move_that_leads_nowhere_known_is_left_out_and_told():
-    with pytest.warns(
-        UserWarning, match=r"^the last moves of 2 episodes are left out, since nothing says where they led"
-    ):
+    with pytest.warns(UserWarning, match=r"^the last transitions of 2 episodes are left out"):
         log = Transitions.from_episodes([[(0, 0, 1.0), (1, 0, 2.0)], [(3, 0, 1.0)], [], [(2, 0, 5.0), (1,)]])
     assert_array_equal(log.state, [0, 2])
     assert_array_equal(log.reward, [1.0, 5.0])

@@ -260,7 +260,7 @@ def test_lines_whose_fields_are_as_many_on_the_average(tmp_path, odd):
     [
         ("timestep", 4, 3, r"timestep\[4\] must be 1 \(steps of an episode in order from 0\); it is 3"),
         ("state", 4, 0, r"next_state\[3\] must be the state of the next row of its episode, which is 0; it is 1"),
-        ("terminated", 3, 1, r"terminated\[3\] must be False: its episode goes on in the next row; it is True"),
+        ("terminated", 3, 1, r"terminated\[3\] must be False: its episode continues in the next row; it is True"),
         ("truncated", 3, 1, r"truncated\[3\] must be False"),
     ],
 )

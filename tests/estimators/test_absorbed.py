@@ -53,7 +53,7 @@ def test_the_gradient_is_the_derivative_of_j():
         for sign in (1, -1)
     ]  # fmt: skip
     assert_allclose(gradient @ toward, (ends[0] - ends[1]) / (2 * step), rtol=1e-6)
-    with pytest.raises(DivergentKernelError, match="the policy is absorbed in states that pay nothing"):
+    with pytest.raises(DivergentKernelError, match="the policy is absorbed in states with reward 0"):
         transition_gradient(oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 1.0), np.ones((1, 1)))
 
 

@@ -90,7 +90,7 @@ def test_normalized_values():
 def test_discount_one_without_absorption_says_so():
     ring = FiniteMDP(np.array([[[0.0, 1.0]], [[1.0, 0.0]]]), [0.0, 1.0], [1, 0], 1.0)
     with pytest.raises(
-        ValueError, match=r"horizon must be given: .* of which s=1 pays 1 a step \(1 such states in all\)"
+        ValueError, match=r"horizon must be given: .* of which s=1 has reward 1 \(1 such states in all\)"
     ):
         oee.policy_value(ring, np.ones((2, 1)))
     assert oee.policy_value(ring, np.ones((2, 1)), horizon=4) == 2.0
@@ -214,7 +214,7 @@ def test_discount_one_names_the_states_that_pay_for_ever():
     rows[[1, 2], 0, [2, 1]] = 1.0
     rows[[3, 4], 0, [4, 3]] = 1.0
     mdp = FiniteMDP(rows, [7.0, 0.0, 0.0, 2.0, -3.0], [1, 0, 0, 0, 0], 1.0)
-    text = r"it stays for ever among states of which s=3 pays 2 a step \(2 such states in all\)"
+    text = r"it stays for ever among states of which s=3 has reward 2 \(2 such states in all\)"
     with pytest.raises(ValueError, match=text):
         oee.policy_value(mdp, np.ones((5, 1)))
     free = mdp.with_rewards(np.array([7.0, 0.0, 0.0, 0.0, 0.0]))

@@ -120,7 +120,7 @@ def test_value_range_at_discount_1_where_the_policy_ends():
         (lambda: oee.value_range(walk(0.5), [0, 0], 0.5, 0.5), r"upper_ratio must be in \[1, inf\]; it is 0.5"),
         (lambda: oee.value_range(walk(0.5), [0, 0], "half", 2.0), "lower_ratio must be a number; got 'half'"),
         (lambda: oee.value_range(walk(0.5), [0, 0], 0.0, 2.0), "horizon must be given: .* stay for ever .* s=0 is one"),
-        (lambda: oee.value_range(walk(1.0), [0, 0], 0.5, 2.0), "horizon must be given: .* s=0 pays -1 a step"),
+        (lambda: oee.value_range(walk(1.0), [0, 0], 0.5, 2.0), "horizon must be given: .* s=0 has reward -1"),
         (
             lambda: oee.value_range(walk(0.5), [0, 0], 0.5, 2.0, horizon=0),
             "horizon must be a positive integer; it is 0",

@@ -231,8 +231,8 @@ class Once(Table):
 @pytest.mark.parametrize(
     ("env", "max_steps", "pairs"),
     [
-        (Once([[0, 0], [0, 0]], starts=(1,)), 300, "2 of the 4 .* met: s=1, a=0; s=1, a=1$"),
-        (Corridor(), 20, "[1-6] of the 6 .* met: s="),
+        (Once([[0, 0], [0, 0]], starts=(1,)), 300, "2 of the 4 .* pairs: s=1, a=0; s=1, a=1$"),
+        (Corridor(), 20, "[1-6] of the 6 .* pairs: s="),
     ],
 )
 @pytest.mark.filterwarnings(f"ignore:.*{FILLED}")

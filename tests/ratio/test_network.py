@@ -223,7 +223,7 @@ def test_without_the_extra_everything_imports_and_a_network_is_one_sentence():
     ("options", "text"),
     [
         ({"inputs": [0.0, 1.0]}, r"^inputs must have shape \(3,\) or \(3, c\), a place for each state; it has shape \(2,\)$"),
-        ({"held_out": 0.9999}, r"^held_out must leave moves to train on; it holds 4000 of 4000 out$"),
+        ({"held_out": 0.9999}, r"^held_out must leave transitions to train on; it keeps out 4000 of 4000$"),
     ],
 )  # fmt: skip
 def test_bad_data(logs, options, text):
@@ -238,7 +238,7 @@ def test_weighted_moves_can_not_be_held_out(logs):
     log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 50, 20, seed=0)
     network = Network((4,), n_iterations=100)
     for method in (Quotient(**BOX, functions=network), Conditional(functions=network)):
-        with pytest.raises(ValueError, match=r"^held_out must be 0 where the log's moves are weighted"):
+        with pytest.raises(ValueError, match=r"^held_out must be 0 if the log's transitions are weighted"):
             method.fit(log, simulator, discount=0.9, seed=0)
     whole = Conditional(functions=Network((4,), n_iterations=100, held_out=0))
     assert whole.fit(log, simulator, discount=0.9, seed=0).row_sum_error < 1e-14

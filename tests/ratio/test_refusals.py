@@ -207,7 +207,7 @@ batch_size must be a positive integer; it is 0
 >>> Network(n_iterations=1.5)
 n_iterations must be a positive integer; got 1.5
 >>> Network(held_out=1)
-held_out must leave moves to train on; it is 1
+held_out must leave transitions to train on; it is 1
 >>> Network(held_out=-0.1)
 held_out must be in [0, 1]; it is -0.1
 >>> Network(patience=0)

@@ -68,16 +68,16 @@ def test_what_the_strength_means():
     def words(strength, kinds=((3, 60, 500.0),), curve=curve):
         return meaning(StrengthChoice(n_row, strength, 0.0, "loo", flat, curve, list(kinds), flat), n_row, "tilt")
 
-    compared = "a row of it is worth {} moves, and the log has 20 in the median row"
+    compared = "a row of it is worth {} transitions, and the log has 20 in the median row"
     assert words(300.0) == "the tilt fits: " + compared.format(300)
     assert words(299.0) == "the tilt fits roughly: " + compared.format(299)
     assert words(50.0) == "the tilt fits roughly: " + compared.format(50)
     assert words(49.0) == "the tilt does not fit: " + compared.format(49)
     parts = [(3, 60, 500.0), (2, 40, 49.0)]
     assert words(300.0, parts) == "the tilt fits: " + compared.format(300) + "; but not in 2 of 5 rows"
-    whole = compared.replace("{} moves", "any number of moves")
+    whole = compared.replace("{} transitions", "any number of transitions")
     assert words(1e8) == "the tilt fits: " + whole
     assert words(9.9e5) == "the tilt fits: " + compared.format("9.9e+05")
     assert words(300.0, curve=flat + 0.5) == (
-        "too few moves to tell whether the tilt fits (20 in the median row that has some)"
+        "too few transitions to decide whether the tilt fits (20 in the median recorded row)"
     )

@@ -212,6 +212,6 @@ def test_enormous_counts_of_collinear_features():
 def test_one_move_tells_nothing_about_the_prior():
     simulator = oee.FiniteMDP(np.full((6, 1, 6), 1 / 6), np.zeros(6), np.full(6, 1 / 6), 0.9)
     zeta = oee.transition_ratio(oee.Transitions([0], [0], [1]), simulator)
-    assert zeta.details["meaning"].startswith("too few moves to tell")
+    assert zeta.details["meaning"].startswith("too few transitions to decide")
     assert zeta.details["strength"] == pytest.approx(1e8)
     assert_allclose(zeta.values.data, 1.0, atol=1e-4)

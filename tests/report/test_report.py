@@ -197,9 +197,9 @@ def test_one_divergent_value_does_not_end_the_report():
     assert np.isnan(values["model-based"])
     text = "\n".join(report.warnings)
     assert "model-based (policy): no value: horizon must be given" in text
-    assert "it stays for ever among states of which s=1 pays 1 a step (1 such states in all)" in text
+    assert "it stays for ever among states of which s=1 has reward 1 (1 such states in all)" in text
     named = oee.evaluate(Problem(simulator.with_names(["hall", "ramp", "dock"]), log), np.ones((3, 1)))
-    assert "among states of which s=ramp pays 1 a step" in "\n".join(named.warnings)
+    assert "among states of which s=ramp has reward 1" in "\n".join(named.warnings)
     assert "oee (policy): in this estimator's own model the policy spends 33% of" in text  # of 2 steps 2 / 3 in state 1
     assert report.results[1].estimate.interval is not None
 

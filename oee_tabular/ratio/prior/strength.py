@@ -134,8 +134,8 @@ def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
     typical = float(np.median(n_row[n_row > 0]))
     strength = choice.strength
     if np.ptp(choice.curve) < 1.0:
-        return f"too few moves to tell whether the {name} fits ({typical:.3g} in the median row that has some)"
-    worth = f"{strength:.3g} moves" if strength < 1e6 else "any number of moves"
+        return f"too few transitions to decide whether the {name} fits ({typical:.3g} in the median recorded row)"
+    worth = f"{strength:.3g} transitions" if strength < 1e6 else "any number of transitions"
     compared = f"a row of it is worth {worth}, and the log has {typical:.3g} in the median row"
     if strength >= FITS:
         verdict = f"the {name} fits"
