@@ -160,7 +160,7 @@ def compare(options: Options) -> None:
     It prints differences with their intervals and P(best), or says that the log cannot tell.
     """
     from oee_tabular.report import contest
-    from oee_tabular.report.terminal import render_comparison
+    from oee_tabular.report.tables import render_comparison
 
     if is_continuous(options.simulator):
         raise ValueError(

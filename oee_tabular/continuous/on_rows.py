@@ -16,9 +16,9 @@ from oee_tabular.continuous.task import StatePolicy, check_probabilities
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimator, Problem
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.report.interval_choice import choose_interval, group_findings
+from oee_tabular.report.evaluation import group_findings, number_notes
 from oee_tabular.report.results import Report, Result
-from oee_tabular.report.uncertainty import Uncertainty
+from oee_tabular.report.uncertainty import Uncertainty, choose_interval
 
 
 def on_rows(log: ContinuousTransitions, n_actions: int, horizon: int, discount: float) -> Problem:
@@ -81,14 +81,8 @@ def report_on_rows(
         for j, (name, estimator) in enumerate(rows.items()):
             estimate = estimator(problem, table, seed=_checks.seed_sequence(seed, (i, j)))
             results.append(Result(policy, name, choose_interval(estimate, None, level, scale)))
-    told = group_findings([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
-    notes = {
-        (r.policy, r.estimator): tuple(
-            k for k, (_, pairs) in enumerate(told, start=1) if (r.policy, r.estimator) in pairs
-        )
-        for r in results
-    }
-    every = (*(sentence for sentence, _ in told), *said)
+    told = group_findings(results)
+    warnings, notes = number_notes(results, [*told, *((sentence, []) for sentence in said)])
     uncertainty = Uncertainty(distance=(first,))
-    return Report(tuple(results), {}, every, notes, level, normalized, discount, problem.horizon, seed, facts,
+    return Report(tuple(results), {}, warnings, notes, level, normalized, discount, problem.horizon, seed, facts,
                   uncertainty)  # fmt: skip

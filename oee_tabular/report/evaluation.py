@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimate, Estimator, Problem
-from oee_tabular.estimators.findings import MADE_FROM_LOG, WEIGHTLESS
+from oee_tabular.estimators.findings import MADE_FROM_LOG, WEIGHTLESS, Finding
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
 from oee_tabular.inference.comparison import several_policies
@@ -20,10 +20,8 @@ from oee_tabular.inference.evidence import gather
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.report import text
-from oee_tabular.report.assumptions import Assumptions
-from oee_tabular.report.interval_choice import choose_interval, group_findings
-from oee_tabular.report.results import Report, Result, headline
-from oee_tabular.report.uncertainty import LIKELIHOOD, SHARED, assess, with_values
+from oee_tabular.report.results import Report, Result, first_results
+from oee_tabular.report.uncertainty import LIKELIHOOD, SHARED, Premises, add_sentences, choose_interval, find_intervals
 
 
 @one_thread
@@ -83,78 +81,62 @@ def evaluate(
     >>> report.uncertainty.sentences[0].split(":")[0]
     'The target differs from the simulator'
     """
-    _checks.boolean(normalized, "normalized")
-    _checks.boolean(guaranteed, "guaranteed")
-    if _checks.boolean(quick, "quick") and guaranteed:
+    _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
+    for flag, name in ((normalized, "normalized"), (guaranteed, "guaranteed"), (quick, "quick")):
+        _checks.boolean(flag, name)
+    if quick and guaranteed:
         raise ValueError("guaranteed must be False where quick is True: it leaves intervals out")
-    if quick and {"lower_ratio", "upper_ratio"} & {name for name, value in assumed.items() if value is not None}:
+    if facts is not None:
+        _checks.instance(facts, Mapping, "facts")
+    simulator = problem.simulator
+    if target is not None:
+        _checks.instance(target, FiniteMDP, "target")
+        if target.transitions.shape != simulator.transitions.shape:
+            raise ValueError(
+                f"target must have the simulator's {simulator.n_states} states and {simulator.n_actions} actions; "
+                f"it has {target.n_states} and {target.n_actions}"
+            )
+    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    if normalized and simulator.discount == 1.0:
+        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
+    named = check_policies(policies, simulator, name="policy")
+    if not named:
+        raise ValueError("policies must hold at least one; it is empty")
+    known = Premises(**assumed)
+    if quick and str(known):
         raise ValueError(
             "quick must be False with lower_ratio or upper_ratio: it leaves out the intervals that they narrow"
         )
-    _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
-    if target is not None:
-        _checks.instance(target, FiniteMDP, "target")
-    if facts is not None:
-        _checks.instance(facts, Mapping, "facts")
-    if target is not None and target.transitions.shape != problem.simulator.transitions.shape:
-        raise ValueError(
-            f"target must have the simulator's {problem.simulator.n_states} states and {problem.simulator.n_actions} actions; "
-            f"it has {target.n_states} and {target.n_actions}"
-        )
-    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
-    if normalized and problem.simulator.discount == 1.0:
-        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
-    named_policies = check_policies(policies, problem.simulator, name="policy")
-    if not named_policies:
-        raise ValueError("policies must hold at least one; it is empty")
-    assumptions = Assumptions(**assumed)
-    own = assumptions.estimators()
     chosen, left_out = _choose_estimators(problem, estimators, target)
-    chosen |= own
     truth = {}
     if target is not None:
-        truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named_policies.items()}
-    scale = 1.0 - problem.simulator.discount if normalized else 1.0
+        truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named.items()}
+    scale = 1.0 - simulator.discount if normalized else 1.0
     with _progress.show_steps(only_terminal=True):
-        raw = _run_estimators(problem, named_policies, chosen, seed)
+        results = _run_estimators(problem, named, chosen | known.estimators, seed)
         hidden: frozenset[tuple[str, str]] = frozenset()
         if estimators is None:
-            raw, reasons = _drop_weightless(raw)
+            results, reasons = _drop_weightless(results)
             left_out += reasons
-            hidden = frozenset(
-                (r.policy, r.estimator) for r in raw if any(f.kind == "weights" for f in r.estimate.findings)
-            )
-        known = assess(problem, named_policies, level, guaranteed=guaranteed, quick=quick, assumed=assumptions)
-    made_from_log = {name for name, policy in named_policies.items() if is_best_in_log(problem, policy)}
-    results = []
-    for result in raw:
-        estimate = result.estimate
-        if result.policy in made_from_log and estimate.is_from_log and estimate.status == "ok":
-            estimate = replace(estimate, findings=(MADE_FROM_LOG, *estimate.findings))
-        key = SHARED if result.estimator in own else LIKELIHOOD
-        likelihood = known.intervals.get(result.policy, {}).get(key)
-        results.append(replace(result, estimate=choose_interval(estimate, likelihood, level, scale)))
-    by_policy = {name: [result for result in results if result.policy == name] for name in named_policies}
-    known = with_values(known, {name: headline(own).estimate for name, own in by_policy.items()}, scale)
-    warnings, notes = _collect_warnings(problem, results, left_out)
-    told = {"simulator": repr(problem.simulator), "log": problem.log.describe(), "rewards": problem.rewards}
-    told |= {"target": str(assumptions)} if str(assumptions) else {}
+            uncertain = (r for r in results if any(f.kind == "weights" for f in r.estimate.findings))
+            hidden = frozenset((r.policy, r.estimator) for r in uncertain)
+        found = find_intervals(problem, named, level, known, guaranteed=guaranteed, quick=quick)
+        for k, result in enumerate(results):
+            key = SHARED if result.estimator in known.estimators else LIKELIHOOD
+            likelihood = found.intervals.get(result.policy, {}).get(key)
+            results[k] = replace(result, estimate=choose_interval(result.estimate, likelihood, level, scale))
+        front = {name: result.estimate for name, result in first_results(results).items()}
+        found = add_sentences(found, problem, named, level, known, front, scale)
+    models = [(r.policy, r.estimator) for r in results if not r.estimate.is_from_episodes]
+    told: list[tuple[str, list[Pair]]] = [(sentence, []) for sentence in left_out]
+    told += [(str(finding), models if finding.severity > 0 else []) for finding in problem.findings]
+    warnings, notes = number_notes(results, [*told, *group_findings(results)])
+    about = {"simulator": repr(simulator), "log": problem.log.describe(), "rewards": problem.rewards}
+    about |= {"target": str(known)} if str(known) else {}
     return Report(
-        results=tuple(results),
-        truth=truth,
-        warnings=warnings,
-        notes=notes,
-        confidence=level,
-        normalized=normalized,
-        discount=problem.simulator.discount,
-        horizon=problem.horizon,
-        seed=seed,
-        facts=told | dict(facts or {}),
-        uncertainty=known,
-        problem=problem,
-        policies=named_policies,
-        hidden=hidden,
-    )
+        tuple(results), truth, warnings, notes, level, normalized, simulator.discount, problem.horizon, seed,
+        about | dict(facts or {}), found, problem, named, hidden,
+    )  # fmt: skip
 
 
 def contest(problem: Problem, policies: object, **options: Any) -> Report:
@@ -213,71 +195,90 @@ def _is_optimal(model: Model, policy: Array) -> bool:
     return bool(lost[reached].max() <= 1e-9 * max(1.0, float(np.abs(values).max())))
 
 
-def _drop_weightless(raw: Sequence[Result]) -> tuple[list[Result], list[str]]:
-    """Without importance sampling that has no positive weight, and a sentence about that."""
-    kept = [result for result in raw if WEIGHTLESS not in result.estimate.findings]
-    lost = [result for result in raw if WEIGHTLESS in result.estimate.findings]
-    names = list(dict.fromkeys(result.policy for result in lost))
-    return kept, [text.missing_weights(names, lost[0].estimate.status)] if lost else []
-
-
-def _run_estimators(
-    problem: Problem, policies: Mapping[str, Any], chosen: Mapping[str, Estimator], seed: Any
-) -> list[Result]:
-    raw = []
-    for i, policy in enumerate(policies):
-        for j, estimator in enumerate(chosen):
-            _progress.report_step(f"{estimator} of “{policy}” (policy {i + 1} of {len(policies)})")
-            stream = _checks.seed_sequence(seed, (i, j))
-            estimate = chosen[estimator](problem, policies[policy], seed=stream)
-            _checks.instance(estimate, Estimate, f"what estimator {estimator!r} returns", "Estimate, Estimate(value)")
-            raw.append(Result(policy, estimator, estimate))
-    return raw
-
-
-def _collect_warnings(
-    problem: Problem, results: Sequence[Result], left_out: Sequence[str]
-) -> tuple[tuple[str, ...], dict[tuple[str, str], tuple[int, ...]]]:
-    """Every sentence to be read before use, and of each (policy, estimator) the numbers of those that concern it."""
-    general = [*left_out, *(str(finding) for finding in problem.findings)]
-    on_models = tuple(k for k, f in enumerate(problem.findings, start=1 + len(left_out)) if f.severity > 0)
-    told = group_findings([(r.policy, r.estimator, finding) for r in results for finding in r.estimate.findings])
-    notes = {
-        (r.policy, r.estimator): (() if r.estimate.is_from_episodes else on_models)
-        + tuple(k for k, (_, pairs) in enumerate(told, start=1 + len(general)) if (r.policy, r.estimator) in pairs)
-        for r in results
-    }
-    return (*general, *(sentence for sentence, _ in told)), notes
-
-
 def _choose_estimators(
     problem: Problem, estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None, target: FiniteMDP | None
 ) -> tuple[dict[str, Estimator], list[str]]:
+    """The estimators by name, and sentences on those that are left out."""
     if estimators is None:
         names, left_out = default_names(problem)
         return named_estimators(names, target), left_out
+    chosen: dict[str, Estimator] = {}
     if isinstance(estimators, Mapping):
         for name, estimator in estimators.items():
             _checks.function(estimator, f"estimators[{name!r}]")
-        if not estimators:
-            raise ValueError("estimators must hold at least one; it is empty")
-        return dict(estimators), []
-    found: dict[str, Estimator] = {}
-    every = (
-        (estimators,)
-        if isinstance(estimators, str)
-        else _checks.collection(estimators, "estimators", "names or estimators")
-    )
-    for item in every:
-        if isinstance(item, str):
-            found |= named_estimators([item], target)
-        elif callable(item):
-            label = type(item).__name__
-            while label in found:
-                label += "'"
-            found[label] = item
-        else:
-            raise ValueError(f"estimators must be names or callables; got {_checks.show(item)}")
-    if not found:
+        chosen |= estimators
+    else:
+        several = (estimators,) if isinstance(estimators, str) else estimators
+        for item in _checks.collection(several, "estimators", "names or estimators"):
+            if isinstance(item, str):
+                chosen |= named_estimators([item], target)
+            elif callable(item):
+                label = type(item).__name__
+                while label in chosen:
+                    label += "'"
+                chosen[label] = item
+            else:
+                raise ValueError(f"estimators must be names or callables; got {_checks.show(item)}")
+    if not chosen:
         raise ValueError("estimators must name at least one; it is empty")
-    return found, []
+    return chosen, []
+
+
+def _run_estimators(
+    problem: Problem, policies: Mapping[str, Array], chosen: Mapping[str, Estimator], seed: Any
+) -> list[Result]:
+    """Every estimate of every policy; of a policy that was made from the log with a finding about that."""
+    results = []
+    for i, (name, policy) in enumerate(policies.items()):
+        is_from_log = is_best_in_log(problem, policy)
+        for j, (label, estimator) in enumerate(chosen.items()):
+            _progress.report_step(f"{label} of “{name}” (policy {i + 1} of {len(policies)})")
+            estimate = estimator(problem, policy, seed=_checks.seed_sequence(seed, (i, j)))
+            _checks.instance(estimate, Estimate, f"what estimator {label!r} returns", "Estimate, Estimate(value)")
+            if is_from_log and estimate.is_from_log and estimate.status == "ok":
+                estimate = replace(estimate, findings=(MADE_FROM_LOG, *estimate.findings))
+            results.append(Result(name, label, estimate))
+    return results
+
+
+def _drop_weightless(results: Sequence[Result]) -> tuple[list[Result], list[str]]:
+    """Without importance sampling that has no positive weight, and a sentence about that."""
+    kept = [result for result in results if WEIGHTLESS not in result.estimate.findings]
+    lost = [result for result in results if WEIGHTLESS in result.estimate.findings]
+    names = ", ".join(dict.fromkeys(result.policy for result in lost))
+    return kept, [text.MISSING_WEIGHTS.format(names, lost[0].estimate.status)] if lost else []
+
+
+Pair = tuple[str, str]  # (policy, estimator)
+
+
+def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
+    """One sentence for all findings of one kind and text, with the (policy, estimator) that it is about."""
+    groups: dict[tuple[str, str], list[tuple[Finding, str, str]]] = {}
+    for result in results:
+        for finding in result.estimate.findings:
+            group = groups.setdefault((finding.kind, finding.text), [])
+            group.append((finding, result.policy, result.estimator))
+    sentences = []
+    for members in groups.values():
+        worst, policy, estimator = max(members, key=lambda member: member[0].severity)
+        by_policies: dict[tuple[str, ...], list[str]] = {}  # the policies it is said of -> the estimators
+        for label in dict.fromkeys(member[2] for member in members):
+            own = tuple(member[1] for member in members if member[2] == label)
+            by_policies.setdefault(own, []).append(label)
+        about = "; ".join(f"{', '.join(labels)} ({', '.join(own)})" for own, labels in by_policies.items())
+        sentence = f"{about}: {worst}"
+        if any(member[0].figure != worst.figure for member in members):
+            several = len({member[1] for member in members}) > 1
+            sentence += f" The figure is that of {policy if several else estimator}, the worst."
+        sentences.append((sentence, [member[1:] for member in members]))
+    return sentences
+
+
+def number_notes(
+    results: Iterable[Result], told: Sequence[tuple[str, Collection[Pair]]]
+) -> tuple[tuple[str, ...], dict[Pair, tuple[int, ...]]]:
+    """The sentences, numbered from 1, and the numbers of those that are about each (policy, estimator)."""
+    every = [(result.policy, result.estimator) for result in results]
+    notes = {pair: tuple(k for k, (_, pairs) in enumerate(told, start=1) if pair in pairs) for pair in every}
+    return tuple(sentence for sentence, _ in told), notes

@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from oee_tabular import _files, _printing
 
@@ -84,21 +82,12 @@ def summary(path: Path) -> str:
     """What a report.json says, in a few lines."""
     try:
         report = json.loads(path.read_text())
-        lines = [
-            f"Report of {report['unit']}",
-            f"Simulator: {report['facts']['simulator']}",
-            f"Log: {report['facts']['log']}",
-        ]
-        lines += [
-            f"{row['policy']}  {row['estimator']}  {row['value']}{_interval_of(row)}" for row in report["results"]
-        ]
+        lines = [f"Report of {report['unit']}"]
+        lines += [f"{key.capitalize()}: {report['facts'][key]}" for key in ("simulator", "log")]
+        for row in report["results"]:
+            lower, upper = row["lower"], row["upper"]
+            ends = "" if None in (lower, upper) else f"  {_printing.interval(lower, upper)} ({row['interval_method']})"
+            lines.append(f"{row['policy']}  {row['estimator']}  {row['value']}{ends}")
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{str(path)!r} must be a report that oee evaluate wrote; {error}") from None
     return "\n".join(lines)
-
-
-def _interval_of(row: Mapping[str, Any]) -> str:
-    """With its method, where a row has one."""
-    if row["lower"] is None or row["upper"] is None:
-        return ""
-    return f"  {_printing.interval(row['lower'], row['upper'])} ({row.get('interval_method')})"

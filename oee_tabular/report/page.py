@@ -5,240 +5,114 @@ Below it what it was made from: names of files, their date, a short hash; and th
 
 from __future__ import annotations
 
-import hashlib
+import math
 import os
 import platform
 import re
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oee_tabular import __version__, _printing
+from oee_tabular import __version__, _files, _printing, plots
+from oee_tabular._checks import Array, BoolArray, positive_integer, show
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.names import NAMED
-from oee_tabular.report import figures, text
-from oee_tabular.report.figures import MOST_POLICIES, NOTABLE, Portrait, intervals_alone, largest_changes, portray
-from oee_tabular.report.terminal import DIAGNOSTICS, diagnostic_cells, format_or_blank
-from oee_tabular.report.text import Answer
+from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.exact.occupancy import time_in_pairs
+from oee_tabular.inference.changes import RowChanges, row_changes
+from oee_tabular.mdp.naming import Names
+from oee_tabular.ratio import transition_ratio
+from oee_tabular.report import text
+from oee_tabular.report.tables import diagnostic_columns
+from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from oee_tabular.report.results import Report
 
+EPOCH = "SOURCE_DATE_EPOCH"
 LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "gymnasium", "matplotlib", "jinja2")
+WIDTH = 4.6  # inches: text that is readable on a phone as well
+N_POLICIES, N_PAIRS = 6, 10  # at most
+NOTABLE = 5e-4  # share of a policy's time from which a state with unrecorded actions is crossed out
 
 
 def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | None = None) -> str:
     """The page of a report."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
 
     portrait = None
     if report.problem is not None:
         portrait = portray(report.problem, report.policies, report.confidence, grid)
     elif grid is not None:
         raise ValueError("grid must be None for a report without its problem: there is nothing to draw")
-    answers = report.answers
     environment = Environment(
         loader=PackageLoader("oee_tabular.report"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters |= {
         "number": text.format_number, "between": text.format_interval, "within": text.format_value, "legible": legible,
-        "share": _printing.share,
+        "share": _printing.share, "count": text.count,
     }  # fmt: skip
+    answers = report.answers
     name = answers[0].policy if len(answers) == 1 else f"{len(answers)} policies"
     page = environment.get_template("report.html.j2").render(
         title=title or f"Evaluation of {name}",
-        style=Markup(environment.get_template("report.css").render()),
         report=report,
-        level=text.format_level(report.confidence),
-        has_simulator=any(answer.simulator is not None and answer.is_from_log for answer in answers),
+        answers=answers,
+        lines={answer.policy: list_lines(report, answer.policy) for answer in answers},
         comparison={row["policy"]: row for row in report.comparison()},
-        answers=[
-            {
-                "about": answer,
-                "sentence": report.uncertainty.policies.get(answer.policy, ""),
-                "picture": Markup(figures.draw_forest(report, answer, f"forest{k}")),
-                "rows": _rows(report, answer),
-            }
-            for k, answer in enumerate(answers)
-        ],
+        level=text.format_level(report.confidence),
+        portrait=portrait,
+        draw_forest=draw_forest,
+        limits={"policies": N_POLICIES, "share": NOTABLE},
         command=plan_command(report),
-        stamp=_stamp(report),
-        coverage=None if portrait is None else _coverage(portrait, report, Markup),
-        changes=None if portrait is None else _changes(portrait, Markup),
-        diagnostics=_diagnostics(report),
-        diagnostics_header=[
-            "std. error",
-            *(["error"] if report.truth else []),
-            *(title for _, title, _ in DIAGNOSTICS),
-        ],
-        facts=_facts(report),
+        date=date(report),
+        fingerprint="" if report.problem is None else f"inputs {fingerprint(report.problem, report.policies)}",
+        diagnostics=diagnostic_columns(report),
         versions=_versions(),
-        seed=f"seed {report.seed}" if isinstance(report.seed, int) else "no whole number as seed",
-        glossary=_glossary(report),
+        estimators=NAMED,
+        methods=text.METHODS,
+        columns=text.COLUMNS,
     )
     return legible(page) + "\n"
 
 
-def legible(text: object) -> str:
+def legible(words: object) -> str:
     """Without the control characters that a name from a file may hold, which no page can show."""
-
-    def replace_controls(match: re.Match[str]) -> str:
-        return match[0] if match[0].isprintable() or match[0].isspace() else "\ufffd"
-
-    return re.sub(r"[^\t\n -~]", replace_controls, str(text))
+    return re.sub(r"[^\t\n -~]", lambda x: x[0] if x[0].isprintable() or x[0].isspace() else "\ufffd", str(words))
 
 
-def _stamp(report: Report) -> str:
-    """Which inputs the page was made from: their names, their day, their hash."""
-    told = [*names(report), date(report)]
-    if report.problem is not None:
-        told.append(f"inputs {fingerprint(report.problem, report.policies)}")
-    return " · ".join(filter(None, told))
-
-
-def _rows(report: Report, answer: Answer) -> list[dict[str, Any]]:
-    """The rows of one policy's table: the intervals that stand alone, then one row an estimator; the answer's is strong."""
-    rows: list[dict[str, Any]] = [
-        {"name": name, "value": "", "method": "", "notes": (), "strong": False,
-         "interval": "none" if ends is None else text.format_interval(ends[0] * report.scale, ends[1] * report.scale)}
-        for name, ends in intervals_alone(report, answer.policy).items()
-    ]  # fmt: skip
-    for row in report.records():
-        if row["policy"] == answer.policy:
-            ends = row["lower"], row["upper"]
-            rows.append(
-                {"name": row["estimator"], "value": text.format_value(row["value"], *ends),
-                 "interval": text.format_interval(*ends), "method": row["interval_method"] or "", "notes": row["notes"],
-                 "strong": row["estimator"] == answer.estimator}
-            )  # fmt: skip
-    return rows
-
-
-def _facts(report: Report) -> list[tuple[str, str]]:
-    """How it was computed."""
-    facts = dict(report.facts)
-    unit = f"{report.unit} ({'normalised' if report.normalized else 'not normalised'})"
-    paid = "the log's mean where it has any" if facts.get("rewards") == "log" else "the simulator's"
-    names = ", ".join(dict.fromkeys(result.estimator for result in report.results))
-    specs = ", ".join(f"{name}: {spec}" for name, spec in facts.get("policy_names", {}).items())
-    rows = {
-        "A value is": unit,
-        "Simulator": facts["simulator"],
-        "Simulator from": facts.get("simulator_name"),
-        "Log of the target": facts["log"],
-        "Log from": facts.get("log_name"),
-        "Target": facts.get("target"),
-        "Rewards of model-based values": paid,
-        "Horizon": "infinite" if report.horizon is None else f"{report.horizon} rewards",
-        "Discount": f"{report.discount:g}",
-        "Estimators": names,
-        "Seed": report.seed,
-        "Policies from": specs or None,
-    }
-    told = {"simulator", "simulator_name", "log", "log_name", "log_files", "target", "rewards", "policy_names", "date",
-            "discount"}  # fmt: skip
-    rows |= {str(key).replace("_", " "): value for key, value in facts.items() if key not in told and value}
-    return [(name, str(value)) for name, value in rows.items() if value is not None]
-
-
-def _versions() -> list[tuple[str, str]]:
+def _versions() -> dict[str, str]:
     """oee_tabular's, Python's and the libraries' versions."""
-    versions = [("oee_tabular", __version__), ("Python", platform.python_version())]
-    for name in LIBRARIES:
-        try:
-            versions.append((name, metadata.version(name)))
-        except metadata.PackageNotFoundError:
-            continue
-    return versions
+    versions = {"oee_tabular": __version__, "Python": platform.python_version()}
+    there = {name for name in LIBRARIES if any(metadata.Distribution.discover(name=name))}
+    return versions | {name: metadata.version(name) for name in LIBRARIES if name in there}
 
 
-def _glossary(report: Report) -> list[tuple[str, str]]:
-    """What the words of the tables mean, for a reader who did not run it."""
-    used = dict.fromkeys(result.estimator for result in report.results)
-    methods = dict.fromkeys(
-        row["interval_method"] for row in report.records() if row["interval_method"] in text.METHODS
-    )
-    alone = {name for policy in report.uncertainty.intervals for name in intervals_alone(report, policy)}
-    return [
-        *((name, NAMED[name].meaning) for name in used if name in NAMED),
-        *((f"interval: {name}", f"{text.METHODS[name][0].upper()}{text.METHODS[name][1:]}") for name in methods),
-        *((name, meaning) for name, meaning in text.GLOSSARY.items() if name in alone or not name.endswith("interval")),
-    ]
-
-
-def _coverage(portrait: Portrait, report: Report, markup: Any) -> dict[str, Any]:
-    rows = [
-        {
-            "policy": name,
-            "coverage": _printing.share(visits.coverage),
-            "picture": markup(figures.draw_visits(portrait, name, visits, f"visits{k}")),
-        }
-        for k, (name, visits) in enumerate(portrait.visits.items())
-    ]
-    return {
-        "recorded": None if portrait.map is None else markup(figures.draw_recorded(portrait, "recorded")),
-        "policies": rows,
-        "left_out": max(0, len(report.policies) - MOST_POLICIES) if portrait.visits else 0,
-        "never": portrait.never,
-        "alive": portrait.alive,
-        "transitions": int(portrait.counts.sum()),
-        "pairs": int((portrait.counts[~portrait.over] == 0).sum()),
-        "all_pairs": portrait.alive * portrait.counts.shape[1],
-        "notable": NOTABLE,
-    }
-
-
-def _changes(portrait: Portrait, markup: Any) -> dict[str, Any]:
-    rows, certain = largest_changes(portrait)
-    picture = None
-    if certain and portrait.map is not None:
-        picture = markup(figures.draw_changes(portrait, "changes"))
-    return {
-        "rows": rows,
-        "named": portrait.names.states is not None,
-        "certain": certain,
-        "number": portrait.changes.n_certain,
-        "tested": portrait.changes.tested,
-        "picture": picture,
-    }
-
-
-def _diagnostics(report: Report) -> list[dict[str, Any]]:
-    table = []
-    for row in report.records():
-        errors = [
-            format_or_blank(row["standard_error"], ".2g"),
-            *([format_or_blank(row["error"], "+.2g")] if report.truth else []),
-        ]
-        cells = [cell.replace("-", "−") for cell in (*errors, *diagnostic_cells(row))]
-        table.append({"policy": row["policy"], "estimator": row["estimator"], "cells": cells, "status": row["status"]})
-    return table
-
-
-EPOCH = "SOURCE_DATE_EPOCH"
+# what it was made from
 
 
 def date_of(files: Iterable[str | os.PathLike[str]]) -> str:
     """The day (UTC) of the newest of the files that exist: the same inputs, the same day; "" where none does."""
-    there = [Path(file) for file in files if Path(file).is_file()]
-    return _day(max(file.stat().st_mtime for file in there)) if there else ""
+    times = [Path(file).stat().st_mtime for file in files if Path(file).is_file()]
+    return _day(max(times)) if times else ""
 
 
 def date(report: Report) -> str:
     """The day to print: of SOURCE_DATE_EPOCH where it is set, else of the newest input file; "" where there are no files."""
     given = os.environ.get(EPOCH, "")
-    if not given:
-        return str(report.facts.get("date", ""))
     try:
-        return _day(int(given))
+        return _day(int(given)) if given else str(report.facts.get("date", ""))
     except (ValueError, OverflowError, OSError):
         raise ValueError(f"{EPOCH} must be a whole number of seconds since 1970; it is {given!r}") from None
 
@@ -248,28 +122,17 @@ def _day(seconds: float) -> str:
     return f"{day.day} {day:%B %Y}"
 
 
-def names(report: Report) -> list[str]:
-    """The inputs' names, as far as they are known."""
-    facts = report.facts
-    specs = facts.get("policy_names", {})
-    return [str(facts[key]) for key in ("simulator_name", "log_name") if key in facts] + list(
-        dict.fromkeys(specs.values())
-    )
-
-
-def fingerprint(problem: Problem, policies: Mapping[str, object]) -> str:
+def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:
     """Eight letters that differ where simulator, log, horizon or policies do."""
-    simulator, digest = problem.simulator, hashlib.sha256()
-    kept = [simulator.transitions.indptr, simulator.transitions.indices, simulator.transitions.data, simulator.rewards,
-            simulator.initial, np.array(simulator.discount), problem.counts.indptr, problem.counts.indices,
-            problem.counts.data, np.array(problem.horizon or 0), *policies.values()]  # fmt: skip
+    simulator = problem.simulator
+    arrays = {"rewards": simulator.rewards, "initial": simulator.initial}
+    arrays["numbers"] = np.array([simulator.discount, problem.horizon or 0])
+    for name, matrix in (("transitions", simulator.transitions), ("counts", problem.counts)):
+        arrays |= {f"{name} {part}": getattr(matrix, part) for part in ("indptr", "indices", "data")}
     if isinstance(problem.recorded, Transitions):
-        kept += problem.recorded.columns().values()
-    for array in kept:
-        words = array.dtype.kind not in "biuf"
-        digest.update(repr(array.tolist()).encode() if words else array.astype(np.float64).tobytes())
-    digest.update(repr(list(policies)).encode())
-    return digest.hexdigest()[:8]
+        columns = problem.recorded.columns().items()
+        arrays |= {f"log {name}": x.astype(str) if x.dtype.hasobject else x for name, x in columns}
+    return _files.digest(arrays | {f"policy {name}": policy for name, policy in policies.items()})[:8]
 
 
 def plan_command(report: Report) -> str:
@@ -289,8 +152,182 @@ def plan_command(report: Report) -> str:
         words += ["--log", str(file)]
     for name, spec in facts["policy_names"].items():
         words += ["--policy", spec if name == spec else f"{name}={spec}"]
-    given = {"horizon": report.horizon, **{name: facts.get(name) for name in ("initial", "discount", "impossible")}}
-    given["action-noise"] = facts.get("action_noise") or None
-    for name, value in given.items():
+    options = {"horizon": report.horizon, **{name: facts.get(name) for name in ("initial", "discount", "impossible")}}
+    options["action-noise"] = facts.get("action_noise") or None
+    for name, value in options.items():
         words += [] if value is None else [f"--{name}", str(value)]
     return shlex.join([*words, "--transitions", str(n), "--output", "next.npy"])
+
+
+# pictures
+
+
+@dataclass(frozen=True, eq=False)
+class Portrait:
+    """The log and the policies, on the task's map where it has one.
+
+    ``changes`` has the log's counts (S, A), and how far each pair is from the simulator. ``over`` (S,) are states that no
+    action leaves. ``time`` of each policy (S, A) are its shares of discounted time before an episode is over, in the simulator
+    as the log corrects it; they sum to 1.
+    """
+
+    names: Names
+    changes: RowChanges
+    over: BoolArray
+    time: Mapping[str, Array]
+    map: plots.Map | None
+
+    @property
+    def alive(self) -> int:
+        """How many states can be left."""
+        return int((~self.over).sum())
+
+    @property
+    def never(self) -> int:
+        """In how many of them the log has no transition."""
+        return int(((self.changes.counts.sum(axis=1) == 0) & ~self.over).sum())
+
+    @property
+    def unrecorded(self) -> int:
+        """How many of their pairs the log does not have."""
+        return int((self.changes.counts[~self.over] == 0).sum())
+
+    def unseen(self, policy: str) -> Array:
+        """(S,) the part of each state's time that is in actions never recorded."""
+        unseen: Array = np.where(self.changes.counts > 0, 0.0, self.time[policy]).sum(axis=1)
+        return unseen
+
+    def coverage(self, policy: str) -> str:
+        """The share of the time that is in pairs that the log has."""
+        return _printing.share(1.0 - float(self.unseen(policy).sum()))
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """The pairs with the largest certain change; where none is certain, those with the most evidence."""
+        evidence = self.changes.evidence
+        order = np.argsort(-evidence, axis=None, kind="stable")[:N_PAIRS]
+        likely = (divmod(int(k), evidence.shape[1]) for k in order)
+        return self.changes.largest(N_PAIRS) or [pair for pair in likely if evidence[pair] > 0]
+
+    def where(self, state: Any) -> str:
+        """A state in words."""
+        place = None if self.map is None else self.map.place(int(state))
+        words = "" if place is None else f" (row {place[0]:.6g}, column {place[1]:.6g})"
+        return f"state {self.names.state(state)}{words}"
+
+    def longest(self, policy: str) -> list[str]:
+        """The states where a policy is most of the time, in words."""
+        time = self.time[policy].sum(axis=1)
+        return [f"{self.where(s)} {time[s]:.1%}" for s in np.argsort(-time, kind="stable")[:5] if time[s] > 0]
+
+    def plot_recorded(self, ax: Axes) -> Axes:
+        """What the log has seen."""
+        assert self.map is not None
+        return plots.plot_coverage(self.changes.counts, self.map, ax, over=self.over)
+
+    def plot_time(self, policy: str, ax: Axes) -> Axes:
+        """Where a policy goes, on the map or as a ranking of states."""
+        time = self.time[policy]
+        if self.map is not None:
+            crossed = self.unseen(policy) > NOTABLE
+            return plots.plot_occupancy(time.sum(axis=1), self.map, ax, unseen=crossed, over=self.over)
+        names = None if self.names.states is None else [self.names.state(s) for s in range(len(time))]
+        return plots.plot_states(time, self.changes.counts, ax, names=names)
+
+    def plot_changes(self, ax: Axes) -> Axes:
+        """By how much the target differs for certain: the largest of each state's actions."""
+        assert self.map is not None
+        least = 100.0 * self.changes.certain.max(axis=1)
+        shown = np.where(self.over | (self.changes.counts.sum(axis=1) == 0), np.nan, least)
+        words = ["end" if over else f"{x:.0f}" if x > 0 else "" for x, over in zip(shown, self.over, strict=True)]
+        label = "transitions that end elsewhere, at least (%)"
+        return plots.plot_grid(shown, self.map, ax, text=words, label=label)
+
+    def draw(self, plot: Callable[..., Axes], name: str, title: str, description: str, *, policy: str = "") -> str:
+        """A picture as wide as the others: of a map its square cells and the colour bar, else 20 bars at most."""
+        if self.map is None:
+            height = 1.1 + 0.25 * min(20, max(1, int((self.time[policy].sum(axis=1) > 0).sum())))
+        else:
+            tall = (WIDTH - 1.3) * len(self.map.rows) / len(self.map.columns)
+            height = min(max(tall, 0.9) + 0.6, 7.0)
+        about = {"name": name, "title": title, "description": description}
+        return plots.figure_svg(partial(plot, policy) if policy else plot, size=(WIDTH, height), **about)
+
+
+def portray(
+    problem: Problem, policies: Mapping[str, Array], confidence: float, grid: tuple[int, int] | None
+) -> Portrait:
+    """The portrait of a problem; ``grid`` None: ``plots.map_of`` finds the map."""
+    simulator, over = problem.simulator, problem.simulator.closed()
+    shown = dict(list(policies.items())[:N_POLICIES])
+    zeta = transition_ratio(
+        problem.observed, simulator, values_of=list(shown.values()) or None, horizon=problem.horizon
+    )
+    model, times = zeta.target_model(simulator), {}
+    for name, policy in shown.items():
+        try:
+            time = np.where(over[:, None], 0.0, time_in_pairs(model, policy, problem.horizon))
+        except DivergentKernelError:  # it never ends at discount 1
+            continue
+        times[name] = time / (float(time.sum()) or 1.0)
+    places = plots.map_of(simulator) if grid is None else _read_grid(grid, simulator.n_states)
+    return Portrait(simulator.names, row_changes(problem, confidence=confidence), over, times, places)
+
+
+def _read_grid(grid: Any, n_states: int) -> plots.Map:
+    try:
+        rows, columns = grid
+    except (TypeError, ValueError):
+        raise ValueError(f"grid must be (rows, columns); got {show(grid)}") from None
+    shape = positive_integer(rows, "grid[0]"), positive_integer(columns, "grid[1]")
+    if shape[0] * shape[1] != n_states:
+        raise ValueError(
+            f"grid must have as many cells as the simulator has states, {n_states}; {shape} has {shape[0] * shape[1]}"
+        )
+    return plots.Map.of_shape(*shape)
+
+
+def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
+    """The rows of a policy, and below them its intervals that stand beside no value."""
+    rows = [row for row in report.records() if row["policy"] == policy]
+    beside, intervals = {row["interval_method"] for row in rows}, report.uncertainty.intervals.get(policy, {})
+    alone = {found.method: (found.lower, found.upper) for found in intervals.values() if found.method not in beside}
+    quoted = intervals.get(LIKELIHOOD)
+    if quoted is not None and quoted.sampling not in (None, (quoted.lower, quoted.upper)):
+        alone["sampling"] = quoted.sampling
+    for method, ends in alone.items():
+        name = "guaranteed" if method == GUARANTEED else method
+        lower, upper = (None if math.isnan(end) else end * report.scale for end in ends)
+        values = {"value": math.nan, "lower": lower, "upper": upper, "true_value": rows[0]["true_value"]}
+        rows.append(
+            {
+                "policy": policy,
+                "estimator": f"{name} interval",
+                "interval_method": name,
+                "notes": [],
+                "status": "",
+                **values,
+            }
+        )
+    return rows
+
+
+def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) -> str:
+    """Values and intervals of one policy, by estimator."""
+    policy, truth = rows[0]["policy"], rows[0]["true_value"]
+    values, lower, upper = np.array([[row[key] for row in rows] for key in ("value", "lower", "upper")], dtype=float)
+    limits = None if np.isfinite([values, lower]).any() else (0.0, 1.0)  # lines that say "no value"
+    valued = (row for row in rows if row["status"])
+    told = "; ".join(
+        f"{row['estimator']} {text.format_value(row['value'], row['lower'], row['upper'])}" for row in valued
+    )
+    exact = "" if truth is None else f" The dashed line is the exact value, {text.format_number(truth)}."
+    factor = "(1 − discount) × " if report.normalized else ""
+    return plots.figure_svg(
+        lambda ax: plots.plot_intervals(
+            [row["estimator"] for row in rows], values, lower, upper, ax, truth=truth, limits=limits,
+            xlabel=f"value: {factor}discounted sum of rewards",
+        ),
+        name=name, size=(WIDTH, 0.85 + 0.31 * len(rows)), title=f"Values of {policy} in the target, with intervals",
+        description=f"One line for each estimator. {told}.{exact}",
+    )  # fmt: skip

@@ -18,15 +18,18 @@ from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.inference import Interval
 from oee_tabular.plots import figure_png, plot_values
-from oee_tabular.report import terminal, text
+from oee_tabular.report import tables, text
 from oee_tabular.report.files import check_output, check_page
-from oee_tabular.report.interval_choice import OWN
 from oee_tabular.report.text import Answer
-from oee_tabular.report.uncertainty import LIKELIHOOD, Uncertainty, sampling_columns
+from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty, descending
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+
+VALUES = IN_VALUES_UNIT | {  # columns that (1 - discount) multiplies
+    "value", "standard_error", "lower", "upper", "sampling_lower", "sampling_upper", "true_value", "error"
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -49,14 +52,15 @@ class Result:
     estimate: Estimate
 
 
-def headline(results: Sequence[Result]) -> Result:
-    """Of one policy's, the one to say first: a finite value, corrected by the log where there is one, the simulator's last."""
+def first_results(results: Sequence[Result]) -> dict[str, Result]:
+    """Of each policy the one to say first: a finite value, corrected by the log where there is one, the simulator's last."""
 
     def order(result: Result) -> tuple[bool, bool, bool, bool]:
         found = result.estimate
         return not math.isfinite(found.value), not found.is_headline, found.model_value is None, not found.is_from_log
 
-    return min(results, key=order)
+    names = dict.fromkeys(result.policy for result in results)
+    return {name: min((result for result in results if result.policy == name), key=order) for name in names}
 
 
 @dataclass(frozen=True)
@@ -123,21 +127,18 @@ class Report:
     @property
     def answers(self) -> list[Answer]:
         """What there is to say of each policy: the value that the log corrects, where there is one, with its interval."""
-        answers, rows = [], self.records()
-        for policy in dict.fromkeys(result.policy for result in self.results):
-            own = [result for result in self.results if result.policy == policy]
-            first = headline(own)
-            row = rows[self.results.index(first)]
-            simulator = next((r.estimate for r in own if not r.estimate.is_from_log), None)
-            error = None if simulator is None else simulator.standard_error
+        answers = []
+        for policy, first in first_results(self.results).items():
+            row = self._record(first)
+            alone = (r for r in self.results if r.policy == policy and not r.estimate.is_from_log)
+            simulator = next(map(self._record, alone), {})
             likelihood = self.uncertainty.intervals.get(policy, {}).get(LIKELIHOOD)
             unrecorded = 0 if likelihood is None else int(likelihood.diagnostics.get("unvisited_rows", 0))
             answers.append(
                 Answer(
                     policy, row["estimator"], row["value"], row["lower"], row["upper"], row["interval_method"],
-                    None if simulator is None else simulator.value * self.scale,
-                    None if error is None else error * self.scale,
-                    row["true_value"], row.get("coverage"), unrecorded, first.estimate.is_from_log,
+                    simulator.get("value"), simulator.get("standard_error"), row["true_value"], row.get("coverage"),
+                    unrecorded, first.estimate.is_from_log,
                 )
             )  # fmt: skip
         return answers
@@ -151,13 +152,14 @@ class Report:
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if not answers:
             return text.NO_VALUE
+        told = [text.policy_worth(answers[0], self.confidence)]
+        if len(self.answers) > 1:
+            told = [text.silent_log(answers), self.uncertainty.ranking]
         conflict = None if self.problem is None or self.problem.rewards == "log" else self.problem.reward_conflict
-        first = "" if conflict is None else text.reward_conflict(str(conflict))
-        if len(self.answers) == 1:
-            told = text.policy_worth(answers[0], self.confidence)
-        else:
-            told = " ".join(filter(None, (text.silent_log(answers), self.uncertainty.ranking)))
-        return " ".join(filter(None, (first, told)))
+        if conflict is not None:
+            where = str(conflict)
+            told.insert(0, text.REWARD_CONFLICT.format(f"{where[0].upper()}{where[1:]}"))
+        return " ".join(filter(None, told))
 
     @property
     def answer(self) -> str:
@@ -171,44 +173,36 @@ class Report:
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if len(self.answers) == 1 or not answers:
             return self.headline
-        ordered = sorted(answers, key=lambda answer: -answer.value)
+        ordered = sorted(answers, key=lambda answer: descending(answer.value))
         return " ".join([self.headline, *(text.policy_worth(answer, self.confidence) for answer in ordered)])
 
     def records(self) -> list[dict[str, Any]]:
         """The results as plain rows, in the report's unit (diagnostics that are values as well)."""
-        rows = []
-        for result in self.results:
-            estimate, factor = result.estimate, self.scale
-            error, interval = estimate.standard_error, estimate.interval
-            truth = self.truth.get(result.policy)
-            rows.append(
-                {
-                    "policy": result.policy,
-                    "estimator": result.estimator,
-                    "value": estimate.value * factor,
-                    "standard_error": None if error is None else error * factor,
-                    "lower": None if interval is None else interval[0] * factor,
-                    "upper": None if interval is None else interval[1] * factor,
-                    **sampling_columns(self._likelihood_interval(result), factor),
-                    "interval_method": None if interval is None else estimate.diagnostics.get("interval_method", OWN),
-                    "true_value": None if truth is None else truth * factor,
-                    "error": None if truth is None else (estimate.value - truth) * factor,
-                    "status": estimate.status,
-                    "notes": list(self.notes.get((result.policy, result.estimator), ())),
-                    **{
-                        name: x * factor if name in IN_VALUES_UNIT else x
-                        for name, x in estimate.diagnostics.items()
-                        if name != "interval_method"
-                    },
-                }
-            )
-        return rows
+        return [self._record(result) for result in self.results]
 
-    def _likelihood_interval(self, result: Result) -> Interval | None:
-        """The likelihood interval, where the result quotes it."""
-        if result.estimate.diagnostics.get("interval_method") != LIKELIHOOD:
-            return None
-        return self.uncertainty.intervals.get(result.policy, {}).get(LIKELIHOOD)
+    def _record(self, result: Result) -> dict[str, Any]:
+        estimate, truth = result.estimate, self.truth.get(result.policy)
+        method = estimate.diagnostics.get("interval_method", OWN)
+        lower, upper = estimate.interval or (None, None)
+        row = {
+            "policy": result.policy,
+            "estimator": result.estimator,
+            "value": estimate.value,
+            "standard_error": estimate.standard_error,
+            "lower": lower,
+            "upper": upper,
+            **sampling_columns(self.uncertainty.likelihood.get(result.policy) if method == LIKELIHOOD else None),
+            "interval_method": None if lower is None else method,
+            "true_value": truth,
+            "error": None if truth is None else estimate.value - truth,
+            "status": estimate.status,
+            "notes": list(self.notes.get((result.policy, result.estimator), ())),
+        }
+        return self._in_unit(row | estimate.diagnostics | row)
+
+    def _in_unit(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        """A row whose values are in the report's unit."""
+        return {key: x * self.scale if key in VALUES and x is not None else x for key, x in row.items()}
 
     @property
     def table(self) -> pd.DataFrame:
@@ -227,37 +221,32 @@ class Report:
         compared, decision = self.uncertainty.comparison, self.uncertainty.decision
         if compared is None or decision is None:
             return []
-        answers = sorted(self.answers, key=lambda answer: -answer.value if math.isfinite(answer.value) else math.inf)
-        rows, best, known = [], answers[0].policy, self.uncertainty.likelihood
-        for answer in answers:
-            less, is_best = answers[0].value - answer.value, answer.policy == best
-            lower, upper = (self.scale * end for end in compared.bounds(best, answer.policy, known))
-            has_ends = not is_best and math.isfinite(lower)
-            rows.append(
-                {
-                    "policy": answer.policy,
-                    "value": answer.value,
-                    "lower": answer.lower,
-                    "upper": answer.upper,
-                    **sampling_columns(self.uncertainty.likelihood.get(answer.policy), self.scale),
-                    "probability_best": decision.probability_best[answer.policy],
-                    "unseen_share": float(compared.unseen_share[compared.names.index(answer.policy)]),
-                    "less_by": None if is_best else less,
+        table, known = [], self.uncertainty.likelihood
+        rows = [self._record(result) for result in first_results(self.results).values()]
+        best, *_ = rows = sorted(rows, key=lambda row: descending(row["value"]))
+        for row in rows:
+            policy, less = row["policy"], best["value"] - row["value"]
+            lower, upper = (self.scale * end for end in compared.bounds(best["policy"], policy, known))
+            has_ends = row is not best and math.isfinite(lower)
+            table.append(
+                {key: row[key] for key in ("policy", "value", "lower", "upper")}
+                | self._in_unit(sampling_columns(known.get(policy)))
+                | {
+                    "probability_best": decision.probability_best[policy],
+                    "unseen_share": float(compared.unseen_share[compared.names.index(policy)]),
+                    "less_by": None if row is best else less,
                     "less_by_lower": min(lower, less) if has_ends else None,
                     "less_by_upper": max(upper, less) if has_ends else None,
                 }
             )
-        return rows
+        return table
 
     @property
     def best(self) -> str | None:
         """The policy that is worth most; None where the log cannot say, or several are worth the same."""
-        return self.uncertainty.best
+        return None if self.uncertainty.decision is None else self.uncertainty.decision.best
 
     def __repr__(self) -> str:
-        return str(self)
-
-    def __str__(self) -> str:
         return self.to_text()
 
     def to_text(self, *, all: bool = False, verbose: bool = False) -> str:
@@ -268,7 +257,7 @@ class Report:
         all : whether rows stand there that a short report leaves out (importance sampling that rests on a few episodes)
         verbose : whether every note stands there, and the table has columns of diagnostics
         """
-        return terminal.render(self, all=_checks.boolean(all, "all"), verbose=_checks.boolean(verbose, "verbose"))
+        return tables.render(self, all=_checks.boolean(all, "all"), verbose=_checks.boolean(verbose, "verbose"))
 
     def rows(self, *, all: bool = False) -> list[dict[str, Any]]:
         """The records that stand in the table: ``all``, or those of a short report."""
@@ -276,36 +265,40 @@ class Report:
         return [row for row in self.records() if shows_all or (row["policy"], row["estimator"]) not in self.hidden]
 
     def legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-        """What the column of intervals holds, for each method."""
+        """What the column of intervals holds, for each method; ``rows`` are some of ``records()``."""
         members: dict[str, dict[str, None]] = {}
-        for row in rows:
+        for row in _checks.collection(rows, "rows", "a Report's records()"):
+            if not isinstance(row, Mapping) or not row.keys() >= {"interval_method", "estimator"}:
+                raise ValueError(f"rows must be a Report's records(); one is {_checks.show(row)}")
             if row["interval_method"] is not None:
-                members.setdefault(row["interval_method"], {})[row["estimator"]] = None
+                members.setdefault(str(row["interval_method"]), {})[str(row["estimator"])] = None
         return [text.legend(method, list(names), self.confidence) for method, names in members.items()]
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as plain values (nan and infinities become None)."""
-        found: dict[str, object] = plain(
-            {
-                "version": __version__,
-                "answer": self.answer,
-                "unit": self.unit,
-                "discount": self.discount,
-                "horizon": self.horizon,
-                "normalized": self.normalized,
-                "confidence": self.confidence,
-                "interval": self.legend(self.records()),
-                "seed": self.seed if isinstance(self.seed, int) else None,
-                "facts": dict(self.facts),
-                "results": self.records(),
-                "intervals": self.uncertainty.records(self.scale),
-                "best": self.best,
-                "comparison": self.comparison(),
-                "conclusion": list(self.uncertainty.sentences),
-                "warnings": list(self.warnings),
-            }
-        )
-        return found
+        found = {
+            "version": __version__,
+            "answer": self.answer,
+            "unit": self.unit,
+            "discount": self.discount,
+            "horizon": self.horizon,
+            "normalized": self.normalized,
+            "confidence": self.confidence,
+            "interval": self.legend(self.records()),
+            "seed": self.seed if isinstance(self.seed, int) else None,
+            "facts": dict(self.facts),
+            "results": self.records(),
+            "intervals": [
+                self._in_unit({"policy": policy, "method": method, **interval_columns(found)})
+                for policy, methods in self.uncertainty.intervals.items()
+                for method, found in methods.items()
+            ],
+            "best": self.best,
+            "comparison": self.comparison(),
+            "conclusion": list(self.uncertainty.sentences),
+            "warnings": list(self.warnings),
+        }
+        return {key: plain(value) for key, value in found.items()}
 
     def to_json(self) -> str:
         """``to_dict`` as JSON."""
@@ -320,8 +313,7 @@ class Report:
         all : whether rows stand there that a short report leaves out
         """
         rows = self.rows(all=all)
-        has_value = any(math.isfinite(row["value"]) for row in rows)
-        limits = None if has_value else (0.0, 1.0)  # lines that say "no value"
+        limits = None if any(math.isfinite(row["value"]) for row in rows) else (0.0, 1.0)  # lines that say "no value"
         return plot_values(rows, ax, title=self.headline, unit=self.meaning, limits=limits)
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
@@ -381,7 +373,19 @@ class Report:
         return page
 
     def _repr_html_(self) -> str:
-        return terminal.render_html(self)
+        return tables.render_html(self)
+
+
+def interval_columns(found: Interval) -> dict[str, Any]:
+    """An interval as columns of a table."""
+    about = {"confidence": found.confidence, "status": found.status}
+    return {"lower": found.lower, "upper": found.upper} | sampling_columns(found) | about
+
+
+def sampling_columns(found: Interval | None) -> dict[str, float | None]:
+    """The interval from the recorded transitions alone, as columns of a table; None where there is none."""
+    lower, upper = (None, None) if found is None or found.sampling is None else found.sampling
+    return {"sampling_lower": lower, "sampling_upper": upper}
 
 
 def plain(value: object) -> Any:

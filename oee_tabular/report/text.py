@@ -22,10 +22,10 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
     "simulator's samples": "value ± normal quantile × standard error. It counts the simulator's sampling noise alone.",
     "the estimator's own": "as the estimator gives it.",
     "standard error": "value ± normal quantile × standard error (sampling noise only).",
+    "guaranteed": "it covers with at least this confidence for any number of transitions. It is the widest.",
+    "sampling": "value ± normal quantile × standard error. Unrecorded state-action pairs behave as estimated.",
 }
-GLOSSARY: Mapping[str, str] = {  # columns and intervals of the page
-    "guaranteed interval": "It covers with at least this confidence for any number of transitions. It is the widest.",
-    "sampling interval": "value ± normal quantile × standard error. Unrecorded state-action pairs behave as estimated.",
+COLUMNS: Mapping[str, str] = {  # of the page's tables
     "P(best)": "The probability that this policy is worth most. It counts the sampling noise alone.",
     "std. error": "Standard error, in the unit of the value.",
     "eff. n": "Effective sample size: how many equally informative transitions (or episodes) the value rests on.",
@@ -34,12 +34,16 @@ GLOSSARY: Mapping[str, str] = {  # columns and intervals of the page
     "row-sum err.": "How far rows of corrected probabilities are from summing to 1.",
 }
 NO_VALUE = "No estimator could give the value of a policy in the target. The notes say why."
+REWARD_CONFLICT = "{}, so this rests on rewards that may be wrong."
+MISSING_WEIGHTS = "Importance sampling is left out ({}): {}."
 NOT_TESTED = "The simulator has one possible next state in every recorded state-action pair, so it cannot be tested."
 SOFT = (
     "The counts were given beside the log. Tests of the simulator and likelihood intervals need whole and independent "
     "transitions, so they are left out."
 )
+MISSING_INTERVALS = "There are no likelihood intervals: {}."
 NO_P_BEST = "There is no P(best): it counts sampling noise alone, and here that is not what leaves the ranking open."
+INTERVAL_AT_ANY_SIZE = "The interval that is guaranteed at any sample size is {}."
 NEEDS_HORIZON = "At discount 1 policies are ranked only with a horizon (horizon=, --horizon)."
 
 
@@ -109,30 +113,24 @@ def format_level(confidence: float) -> str:
     return f"{confidence:.4%}".rstrip("0%").rstrip(".") + "%"
 
 
-def list_names(policies: Sequence[str]) -> str:
-    """List names: “a”, “b” and “c”."""
-    quoted = [f"“{name}”" for name in policies]
-    return quoted[0] if len(quoted) == 1 else f"{', '.join(quoted[:-1])} and {quoted[-1]}"
+def count(number: int, noun: str) -> str:
+    """Count things: 1 pair, 2 pairs, 1,000 pairs."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
 # the answer
 
 
-def reward_conflict(conflict: str) -> str:
-    """Say that the log does not pay what the simulator pays; ``conflict`` says where."""
-    return f"{conflict[0].upper()}{conflict[1:]}, so this rests on rewards that may be wrong."
-
-
 def policy_worth(answer: Answer, confidence: float) -> str:
     """Say what one policy is worth, beside what the simulator says."""
-    ends = answer.lower, answer.upper
+    ends, level = (answer.lower, answer.upper), format_level(confidence)
     if answer.is_nearly_silent and answer.coverage is not None:
         told = f"The log covers {_printing.share(answer.coverage)} of what the policy “{answer.policy}” does: "
-        known = f"between {format_interval(*ends, ' and ')} ({format_level(confidence)} interval)"
+        known = f"between {format_interval(*ends, ' and ')} ({level} interval)"
         told += known if answer.lower is not None else f"about {format_number(answer.value)}, without an interval"
     else:
         told = f"In the target, the policy “{answer.policy}” is worth about {format_value(answer.value, *ends)}"
-        told += f" ({format_level(confidence)} interval: {format_interval(*ends)})" if answer.lower is not None else ""
+        told += f" ({level} interval: {format_interval(*ends)})" if answer.lower is not None else ""
     if answer.simulator is not None and answer.is_from_log:
         told += f"; the simulator says {format_value(answer.simulator, *ends)}"
         if answer.simulator_error is not None:
@@ -169,11 +167,13 @@ def best_policy(
 
 def no_best_policy(candidates: Sequence[str], n_policies: int, *, are_equal: bool) -> str:
     """Say that the log cannot say, or that the candidates are worth the same."""
+    *first, last = (f"“{name}”" for name in candidates)
+    names = f"{', '.join(first)} and {last}" if first else last
     others = n_policies - len(candidates)
     less = f"; the other {others} {'is' if others == 1 else 'are'} worth less" if others else ""
     if are_equal:
-        return f"{list_names(candidates)} are worth the same in the target{less}."
-    return f"The log cannot say which of {list_names(candidates)} is worth most in the target{less}."
+        return f"{names} are worth the same in the target{less}."
+    return f"The log cannot say which of {names} is worth most in the target{less}."
 
 
 # how sure
@@ -201,30 +201,20 @@ def agreement(tested: int) -> str:
     )
 
 
-def missing_intervals(reason: str) -> str:
-    """Say why there are no likelihood intervals."""
-    return f"There are no likelihood intervals: {reason}."
-
-
 def worst_case(unrecorded: int, share: float | None, *, dropped: bool) -> str:
     """Say what the quoted interval allows in unrecorded pairs; "" where there are none."""
-    told = ""
+    told = []
     if unrecorded:
         pairs = f"{unrecorded} unrecorded state-action pair{'s' * (unrecorded > 1)}"
         of_time = "" if share is None else f" ({_printing.share(share)} of the policy's time)"
-        told = f"The interval allows the best and the worst in {pairs}{of_time}."
-    return f"{told}{' ' * bool(told)}It lets dropped transitions lead anywhere." if dropped else told
+        told.append(f"The interval allows the best and the worst in {pairs}{of_time}.")
+    return " ".join([*told, *["It lets dropped transitions lead anywhere."] * dropped])
 
 
 def sampling_interval(lower: float, upper: float, *, unrecorded: int) -> str:
     """Say what sampling noise alone leaves open."""
     condition = "If they behave as estimated" if unrecorded else "Without these transitions"
     return f"{condition}, the interval is {format_interval(lower, upper)}."
-
-
-def interval_at_any_size(lower: float, upper: float) -> str:
-    """Say the interval that holds at any sample size."""
-    return f"The interval that is guaranteed at any sample size is {format_interval(lower, upper)}."
 
 
 # the table
@@ -237,11 +227,6 @@ def legend(method: str, estimators: Sequence[str], confidence: float) -> str:
 
 def omissions(notes: int, rows: int) -> str:
     """Say what a short report leaves out; "" where that is nothing."""
-    told = [f"{notes} more note{'s' * (notes > 1)} with --verbose"] * bool(notes)
-    told += [f"{rows} more row{'s' * (rows > 1)} with --all"] * bool(rows)
+    told = [f"{count(notes, 'more note')} with --verbose"] * bool(notes)
+    told += [f"{count(rows, 'more row')} with --all"] * bool(rows)
     return f"{' and '.join(told)} (in Python: to_text(verbose=True, all=True))." if told else ""
-
-
-def missing_weights(policies: Sequence[str], status: str) -> str:
-    """Say why importance sampling is left out."""
-    return f"Importance sampling is left out ({', '.join(policies)}): {status}."

@@ -1,31 +1,86 @@
-"""How far the target is from the simulator, the interval of each value, which policy is best, and what to record next."""
+"""The interval beside each value, how far the target is from the simulator, which policy is best, what to record next."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from statistics import NormalDist
+from typing import Any, Final
 
 import numpy as np
 from scipy import special
 
-from oee_tabular import _progress
+from oee_tabular import _printing, _progress
 from oee_tabular._checks import Array
 from oee_tabular.design.advice import advice
-from oee_tabular.estimators import Estimate, Problem
-from oee_tabular.inference import Comparison, Decision, Interval, compare_policies
+from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
+from oee_tabular.estimators.findings import NEVER_VARIED, no_value, outside
+from oee_tabular.inference import Comparison, Decision, Interval, compare_policies, interval
+from oee_tabular.inference.comparison import ENOUGH
 from oee_tabular.inference.evidence import Evidence, gather
 from oee_tabular.inference.robust import independent_radius
+from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
-from oee_tabular.report.assumptions import Assumptions
 
-MAX_TRANSITIONS = (
-    10_000_000  # that can be reached: beyond, the likelihood interval is left out, since it takes many minutes
-)
+MAX_TRANSITIONS = 10_000_000  # that can be reached: beyond, likelihood intervals take many minutes, and are left out
 MIN_Z = 3.0  # of the test of all transitions together
 MUCH_WIDER = 1.5  # times the interval from the recorded transitions alone: from there on the report explains both
-LIKELIHOOD, GUARANTEED, SHARED = "likelihood", "robust", "shared"  # keys of intervals; shared: under a tie or features
+LIKELIHOOD, SHARED = "likelihood", "shared"  # keys of intervals; shared: under a tie or features
+GUARANTEED: Final = "robust"
+NOISE, OWN = "standard error", "the estimator's own"
+OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
+
+
+@dataclass(frozen=True, eq=False)
+class Premises:
+    """What the user knows about the target.
+
+    ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities, which narrows likelihood and guaranteed intervals. ``tie`` or
+    ``features`` (as in ``transition_ratio``) add a row with the interval of their own model (``inference.shared``).
+    """
+
+    lower_ratio: float | None = None
+    upper_ratio: float | None = None
+    tie: Any = None
+    features: Any = None
+
+    def __post_init__(self) -> None:
+        if self.tie is not None and self.features is not None:
+            raise ValueError("tie and features must not be given together: they are two different models")
+
+    @property
+    def box(self) -> dict[str, Any]:
+        """The box, as ``interval`` takes it."""
+        return {"lower_ratio": self.lower_ratio, "upper_ratio": self.upper_ratio}
+
+    def __str__(self) -> str:
+        """The box in words; "" without one."""
+        if self.lower_ratio is None and self.upper_ratio is None:
+            return ""
+        lower, upper = self.lower_ratio or 0.0, "any number of" if self.upper_ratio is None else f"{self.upper_ratio:g}"
+        return f"assumed between {lower:g} and {upper} times the simulator's probabilities"
+
+    @property
+    def estimators(self) -> dict[str, Estimator]:
+        """The estimator that rests on the tie or the features, by name."""
+        if self.tie is not None:
+            return {"oee-tied": OffEnvironment(partial(transition_ratio, method="tied", tie=self.tie))}
+        if self.features is not None:
+            return {"oee-features": OffEnvironment(partial(transition_ratio, prior="tilt", features=self.features))}
+        return {}
+
+    def intervals(self, problem: Problem, policy: Array, level: float, *, guaranteed: bool) -> dict[str, Interval]:
+        """The intervals of a policy by method; a ValueError where the log contradicts the box, with the pairs."""
+        found = {LIKELIHOOD: interval(problem, policy, confidence=level, **self.box)}
+        if str(self) and found[LIKELIHOOD].status != "ok":
+            raise ValueError(f"lower_ratio and upper_ratio must fit the log: {found[LIKELIHOOD].status}")
+        if guaranteed:
+            found[GUARANTEED] = interval(problem, policy, method=GUARANTEED, confidence=level, **self.box)
+        if self.estimators:
+            found[SHARED] = interval(problem, policy, tie=self.tie, features=self.features, confidence=level)
+        return found
 
 
 @dataclass(frozen=True)
@@ -54,13 +109,8 @@ class Uncertainty:
     @property
     def likelihood(self) -> dict[str, Interval]:
         """The likelihood interval of each policy that has one."""
-        found = {name: methods.get(LIKELIHOOD) for name, methods in self.intervals.items()}
-        return {name: one for name, one in found.items() if one is not None and one.status == "ok"}
-
-    @property
-    def best(self) -> str | None:
-        """The best policy; None where the log cannot say, or several are worth the same."""
-        return None if self.decision is None else self.decision.best
+        found = {name: methods[LIKELIHOOD] for name, methods in self.intervals.items() if LIKELIHOOD in methods}
+        return {name: one for name, one in found.items() if one.status == "ok"}
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -68,110 +118,36 @@ class Uncertainty:
         about = (f"{name}: {sentence}" for name, sentence in self.policies.items() if sentence)
         return (*self.distance, *about, *filter(None, (self.ranking, self.next)))
 
-    def records(self, scale: float) -> list[dict[str, Any]]:
-        """The intervals as plain rows; ``scale`` multiplies values."""
-        return [
-            {
-                "policy": policy,
-                "method": method,
-                "lower": found.lower * scale,
-                "upper": found.upper * scale,
-                **sampling_columns(found, scale),
-                "confidence": found.confidence,
-                "status": found.status,
-            }
-            for policy, methods in self.intervals.items()
-            for method, found in methods.items()
-        ]
+
+# before the values
 
 
-def sampling_columns(found: Interval | None, scale: float) -> dict[str, float | None]:
-    """The interval from the recorded transitions alone, as columns of a table; None where there is none."""
-    lower, upper = (None, None) if found is None or found.sampling is None else found.sampling
-    return {
-        "sampling_lower": None if lower is None else lower * scale,
-        "sampling_upper": None if upper is None else upper * scale,
-    }
-
-
-def assess(
-    problem: Problem,
-    policies: Mapping[str, Array],
-    confidence: float,
-    *,
-    guaranteed: bool = False,
-    quick: bool = False,
-    assumed: Assumptions | None = None,
+def find_intervals(
+    problem: Problem, policies: Mapping[str, Array], level: float, known: Premises, *, guaranteed: bool, quick: bool
 ) -> Uncertainty:
-    """Compute intervals of every policy, the test of the simulator, the comparison, and what to record next.
-
-    ``with_values`` adds the sentences that need the values.
-    """
-    assumed = assumed or Assumptions()
-    if problem.soft and guaranteed:
-        raise ValueError("guaranteed must be False where counts are given: soft counts are no independent transitions")
+    """Compute the intervals of every policy, and say how far the target is and why there are no intervals."""
+    if problem.soft:
+        if guaranteed:
+            reason = "soft counts are no independent transitions"
+            raise ValueError(f"guaranteed must be False where counts are given: {reason}")
+        return Uncertainty(distance=(text.SOFT,))
     evidence = gather(problem, next(iter(policies.values())))
-    is_endless = problem.simulator.discount == 1.0 and problem.horizon is None
-    lacking = _reason_without_intervals(evidence, is_endless=is_endless, quick=quick)
-    if lacking and guaranteed:
-        raise ValueError(f"guaranteed must be False here: {lacking}")
-    distance = [text.SOFT if problem.soft else _test_simulator(evidence)]
-    if lacking and not problem.soft:
-        distance.append(text.missing_intervals(lacking))
+    lacking, distance = _reason_without_intervals(problem, evidence, quick=quick), (_test_simulator(evidence),)
     del evidence  # as much memory as the simulator
-    intervals: dict[str, dict[str, Interval]] = {}
-    for i, (name, policy) in enumerate({} if lacking or problem.soft else policies.items()):
+    if lacking:
+        if guaranteed:
+            raise ValueError(f"guaranteed must be False here: {lacking}")
+        return Uncertainty(distance=(*distance, text.MISSING_INTERVALS.format(lacking)))
+    intervals = {}
+    for i, (name, policy) in enumerate(policies.items()):
         _progress.report_step(f"likelihood interval of “{name}” (policy {i + 1} of {len(policies)})")
-        methods = (LIKELIHOOD, GUARANTEED) if guaranteed else (LIKELIHOOD,)
-        intervals[name] = {m: assumed.interval(problem, policy, method=m, confidence=confidence) for m in methods}
-        if (shared := assumed.model_interval(problem, policy, confidence)) is not None:
-            intervals[name][SHARED] = shared
-    _progress.report_step("comparison of the policies, and what to record next")
-    comparison = None
-    if len(policies) > 1 and not is_endless:
-        each = 1.0 - (1.0 - confidence) / (len(policies) - 1)  # all differences from the best hold at once
-        comparison = compare_policies(problem, policies, confidence=each, **assumed.box)
-    return Uncertainty(
-        intervals,
-        tuple(distance),
-        comparison=comparison,
-        next="" if is_endless else advice(problem, policies, confidence),
-    )
+        intervals[name] = known.intervals(problem, policy, level, guaranteed=guaranteed)
+    return Uncertainty(intervals, distance)
 
 
-def with_values(uncertainty: Uncertainty, shown: Mapping[str, Estimate], scale: float = 1.0) -> Uncertainty:
-    """Add what the intervals assume and which policy is best; ``shown`` are the estimates in front.
-
-    ``scale`` multiplies values in the sentences (1 - discount for normalised reports).
-    """
-    about = {
-        name: _describe(found, shown[name].diagnostics.get("coverage"), scale)
-        for name, found in uncertainty.intervals.items()
-    }
-    uncertainty = replace(uncertainty, policies=about)
-    values = {name: estimate.value for name, estimate in shown.items()}
-    if len(values) < 2 or not any(math.isfinite(value) for value in values.values()):
-        return uncertainty
-    if uncertainty.comparison is None:
-        return replace(uncertainty, ranking=text.NEEDS_HORIZON)
-    decision = uncertainty.comparison.decide(values, uncertainty.likelihood)
-    if decision.best is None or decision.margin is None:
-        ranking = text.no_best_policy(decision.candidates, len(values), are_equal=decision.are_equal)
-        return replace(uncertainty, decision=decision, ranking=ranking)
-    best, following = sorted(values, key=lambda name: -values[name] if math.isfinite(values[name]) else math.inf)[:2]
-    ours, theirs = (uncertainty.likelihood.get(name) for name in (best, following))
-    difference, lower, upper = (scale * x for x in decision.margin)
-    ranking = text.best_policy(
-        best, following, len(values), (difference, lower, upper),
-        1.0 - (len(values) - 1) * (1.0 - uncertainty.comparison.confidence),
-        overlap=ours is None or theirs is None or ours.lower <= theirs.upper,
-    )  # fmt: skip
-    return replace(uncertainty, decision=decision, ranking=ranking)
-
-
-def _reason_without_intervals(evidence: Evidence, *, is_endless: bool, quick: bool) -> str:
+def _reason_without_intervals(problem: Problem, evidence: Evidence, *, quick: bool) -> str:
     """Why there are no likelihood intervals; "" where there are."""
-    if is_endless:
+    if problem.simulator.discount == 1.0 and problem.horizon is None:
         return "at discount 1 they need a horizon"
     if quick:
         return "quick=True (--quick) leaves them out"
@@ -205,6 +181,119 @@ def _test_simulator(evidence: Evidence) -> str:
     return text.agreement(n_tested) if abs(z) < MIN_Z else text.joint_rejection(z)
 
 
+def descending(value: float) -> float:
+    """A key that sorts values from the largest, those that are not finite last."""
+    return -value if math.isfinite(value) else math.inf
+
+
+# the one interval that stands beside each value, and the value that stands inside it
+
+
+def choose_interval(estimate: Estimate, likelihood: Interval | None, level: float, scale: float = 1.0) -> Estimate:
+    """The estimate with the interval to quote, a value inside it, and the findings that are to be told.
+
+    A value that the log corrects has the likelihood interval, where there is one; outside of it stands no value: its nearer end
+    takes its place (``replaced_value``, ``replaced_by``). Others have the estimator's own interval, at ``level``, or value plus
+    or minus a normal quantile times the standard error, where that counts what matters: not below ``ENOUGH``, not where the
+    variance is not known. ``diagnostics["interval_method"]`` names what it is. ``scale`` multiplies values in the findings.
+    """
+    if likelihood is not None and likelihood.status == "ok" and estimate.model_value is not None:
+        chosen = _put_inside(estimate, likelihood, scale)
+    else:
+        chosen = _with_own_interval(estimate, level)
+    lacks_interval = chosen.interval is None and (chosen.standard_error is not None or chosen.status == "ok")
+    findings = [] if chosen.status == "ok" else [no_value(chosen.status, chosen.value)]
+    for finding in chosen.findings:
+        words = finding.alone if lacks_interval and finding.alone is not None else finding.text
+        findings += [replace(finding, text=words, alone=None)] if words else []
+    return replace(chosen, findings=tuple(findings))
+
+
+def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
+    quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
+    value, error, facts = estimate.value, estimate.standard_error, estimate.diagnostics
+    if estimate.interval is not None:
+        if not estimate.is_normal or level == OWN_LEVEL:
+            return estimate
+        factor = quantile / NormalDist().inv_cdf(0.5 + OWN_LEVEL / 2.0)
+        lower, upper = (value + factor * (end - value) for end in estimate.interval)
+        return replace(estimate, interval=(lower, upper))
+    if error is None or not math.isfinite(value) or estimate.measured < ENOUGH:
+        return estimate
+    if error <= 1e-12 * abs(value):  # 0, to roundoff: what does not vary has no error to show
+        findings = (*estimate.findings, NEVER_VARIED)
+        facts = {"standard_error_of": "log"} | facts
+        return replace(estimate, standard_error=None, diagnostics=facts, findings=findings)
+    ends = (value - quantile * error, value + quantile * error)
+    return replace(estimate, interval=ends, diagnostics=facts | {"interval_method": NOISE})
+
+
+def _put_inside(estimate: Estimate, likelihood: Interval, scale: float) -> Estimate:
+    lower, upper, value = likelihood.lower, likelihood.upper, estimate.value
+    facts = estimate.diagnostics | {"interval_method": likelihood.method}
+    room = 1e-9 * max(1.0, abs(lower), abs(upper))  # the ends are found by iteration
+    if lower - room <= value <= upper + room:
+        return replace(estimate, interval=(min(lower, value), max(upper, value)), diagnostics=facts)
+    end, which = (lower, "lower") if value < lower else (upper, "upper")
+    shown = format(value * scale, _printing.spec(lower * scale, upper * scale))
+    return replace(
+        estimate,
+        value=end,
+        interval=(lower, upper),
+        diagnostics=facts | {"replaced_value": value, "replaced_by": f"the interval's {which} end"},
+        findings=(*estimate.findings, outside(shown, abs(value - end), which)),
+    )
+
+
+# after the values: sentences
+
+
+def add_sentences(
+    found: Uncertainty,
+    problem: Problem,
+    policies: Mapping[str, Array],
+    level: float,
+    known: Premises,
+    front: Mapping[str, Estimate],
+    scale: float,
+) -> Uncertainty:
+    """Say what the intervals assume, which policy is best, and what to record next.
+
+    ``front`` are the estimates that stand in front; ``scale`` multiplies values in the sentences.
+    """
+    _progress.report_step("comparison of the policies, and what to record next")
+    about = {
+        name: _describe(methods, front[name].diagnostics.get("coverage"), scale)
+        for name, methods in found.intervals.items()
+    }
+    values = {name: estimate.value for name, estimate in front.items()}
+    has_ranking = len(values) > 1 and any(map(math.isfinite, values.values()))
+    if problem.simulator.discount == 1.0 and problem.horizon is None:
+        return replace(found, policies=about, ranking=text.NEEDS_HORIZON if has_ranking else "")
+    comparison, decision, ranking = None, None, ""
+    if len(values) > 1:
+        each = 1.0 - (1.0 - level) / (len(values) - 1)  # all differences from the best hold at once
+        comparison = compare_policies(problem, policies, confidence=each, **known.box)
+    if comparison is not None and has_ranking:
+        decision = comparison.decide(values, found.likelihood)
+        ranking = _rank(decision, values, found.likelihood, level, scale)
+    advised = advice(problem, policies, level)
+    return replace(found, policies=about, comparison=comparison, decision=decision, ranking=ranking, next=advised)
+
+
+def _rank(
+    decision: Decision, values: Mapping[str, float], likelihood: Mapping[str, Interval], level: float, scale: float
+) -> str:
+    """Say which policy is best, and by how much it is better than the next."""
+    if decision.margin is None:
+        return text.no_best_policy(decision.candidates, len(values), are_equal=decision.are_equal)
+    best, following = sorted(values, key=lambda name: descending(values[name]))[:2]
+    ours, theirs = likelihood.get(best), likelihood.get(following)
+    overlap = ours is None or theirs is None or ours.lower <= theirs.upper
+    difference, lower, upper = (scale * x for x in decision.margin)
+    return text.best_policy(best, following, len(values), (difference, lower, upper), level, overlap=overlap)
+
+
 def _describe(found: Mapping[str, Interval], coverage: float | None, scale: float) -> str:
     """What the intervals of a policy assume; ``coverage`` is the share of the policy's time that the log covers."""
     quoted = found[LIKELIHOOD]
@@ -217,5 +306,6 @@ def _describe(found: Mapping[str, Interval], coverage: float | None, scale: floa
         lower, upper = (end * scale for end in quoted.sampling)
         told.append(text.sampling_interval(lower, upper, unrecorded=unrecorded))
     if GUARANTEED in found:
-        told.append(text.interval_at_any_size(found[GUARANTEED].lower * scale, found[GUARANTEED].upper * scale))
+        ends = text.format_interval(scale * found[GUARANTEED].lower, scale * found[GUARANTEED].upper)
+        told.append(text.INTERVAL_AT_ANY_SIZE.format(ends))
     return " ".join(filter(None, told))

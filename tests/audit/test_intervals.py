@@ -10,7 +10,7 @@ from scipy import optimize, special, stats
 
 import oee_tabular as oee
 from oee_tabular import inference
-from oee_tabular.report.interval_choice import choose_interval
+from oee_tabular.report.uncertainty import choose_interval
 from oee_tabular.theory import kl_path_sides, normalised_sides, path_kl, unnormalised_sides
 
 

@@ -17,7 +17,6 @@ from oee_tabular.continuous.names import continuous_simulator
 from oee_tabular.continuous.on_cells import no_support
 from oee_tabular.estimators import Estimate, calibrate
 from oee_tabular.report import Settings, evaluate_continuous
-from oee_tabular.report.results import headline
 from oee_tabular.tasks import (
     CartPole,
     ContinuousTask,
@@ -388,7 +387,7 @@ def test_the_corrected_simulator_comes_first():
     before = {row["estimator"]: row["value"] for row in report.records()}["simulator (continuous)"]
     assert first["upper"] - first["lower"] < 0.5 * abs(before - truth.value)
     assert first["interval_method"] == "refits"
-    assert headline(report.results).estimator == "oee (residual)"
+    assert report.answers[0].estimator == "oee (residual)"
     assert report.uncertainty.sentences[0].startswith(
         "The target's steps differ from the simulator's in x_dot (residuals "
     )
@@ -439,7 +438,7 @@ def test_hidden_state_is_said_and_not_put_in_front():
         simulator, log, {"mixed": policy}, settings=Settings(grid=(16, 16), episodes=3000), seed=0, estimators=["oee"]
     )
     assert [row["estimator"] for row in report.records()][:2] == ["oee (residual, last action)", "oee (residual)"]
-    assert headline(report.results).estimator == "oee (residual, last action)"
+    assert report.answers[0].estimator == "oee (residual, last action)"
     hidden = report.results[1].estimate
     assert "the state is not all that the next one depends on" in hidden.status
     assert "Hidden state: " in report.uncertainty.sentences[0]

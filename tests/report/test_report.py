@@ -10,8 +10,6 @@ import oee_tabular as oee
 from oee_tabular import _files
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED
-from oee_tabular.report import Result
-from oee_tabular.report.results import headline
 
 
 @pytest.fixture(scope="module")
@@ -237,13 +235,21 @@ def test_wrong_kinds_of_arguments(problem, call, text):
         call(problem)
 
 
-def test_of_one_policy_s_values_the_one_that_the_log_corrects_is_said_first_and_the_simulator_s_last():
-    alone, other = Estimate(1.0, is_from_log=False), Estimate(2.0)
-    corrected, lost = Estimate(3.0, model_value=3.0), Estimate(math.nan, model_value=3.0)
-    every = [Result("p", str(k), estimate) for k, estimate in enumerate((alone, other, lost, corrected))]
-    assert headline(every).estimate is corrected
-    assert headline(every[:3]).estimate is other
-    assert headline(every[::2]).estimate is alone
+def test_of_one_policy_s_values_the_one_that_the_log_corrects_is_said_first_and_the_simulator_s_last(problem, policies):
+    every = {
+        "alone": Estimate(1.0, is_from_log=False),
+        "other": Estimate(2.0),
+        "lost": Estimate(math.nan, model_value=3.0),
+        "corrected": Estimate(3.0, model_value=3.0),
+    }
+
+    def first(*names):
+        chosen = {name: lambda problem, policy, *, seed=None, name=name: every[name] for name in names}
+        return oee.evaluate(problem, policies["bold"], estimators=chosen).answers[0].estimator
+
+    assert first(*every) == "corrected"
+    assert first("alone", "other", "lost") == "other"
+    assert first("alone", "lost") == "alone"
 
 
 def test_an_estimator_s_own_interval_stays_and_what_explains_its_lack_is_not_said(problem, policies):
