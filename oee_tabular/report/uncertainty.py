@@ -37,8 +37,9 @@ OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
 class Premises:
     """What the user knows about the target.
 
-    ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities, which narrows likelihood and guaranteed intervals. ``tie`` or
-    ``features`` (as in ``transition_ratio``) add a row with the interval of their own model (``inference.shared``).
+    ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities, which narrows likelihood and guaranteed
+    intervals. ``tie`` or ``features`` (as in ``transition_ratio``) add a row with the interval of their own model
+    (``inference.shared``).
     """
 
     lower_ratio: float | None = None
