@@ -136,6 +136,6 @@ def answer(text: str, record: Mapping[str, object], as_json: bool) -> None:
         say(text)
         return
     from oee_tabular import __version__
-    from oee_tabular.report.results import plain
+    from oee_tabular.report.files import plain
 
     typer.echo(json.dumps(plain({"version": __version__} | dict(record)), indent=2, allow_nan=False))

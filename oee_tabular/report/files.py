@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from oee_tabular import _files, _printing
 
@@ -76,6 +81,19 @@ def check_page(path: str | os.PathLike[str]) -> Path:
         raise ValueError(f"path of the report must be a file; {str(file)!r} is a folder")
     check_output(file.parent, "report's folder")
     return file
+
+
+def plain(value: object) -> Any:
+    """Without numpy's types, infinities and nan (None): what JSON holds."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def summary(path: Path) -> str:

@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from oee_tabular import __version__, _checks, _files
 from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
@@ -19,7 +17,7 @@ from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.inference import Interval
 from oee_tabular.plots import figure_png, plot_values
 from oee_tabular.report import tables, text
-from oee_tabular.report.files import check_output, check_page
+from oee_tabular.report.files import check_output, check_page, plain
 from oee_tabular.report.text import Answer
 from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty, descending
 
@@ -386,16 +384,3 @@ def sampling_columns(found: Interval | None) -> dict[str, float | None]:
     """The interval from the recorded transitions alone, as columns of a table; None where there is none."""
     lower, upper = (None, None) if found is None or found.sampling is None else found.sampling
     return {"sampling_lower": lower, "sampling_upper": upper}
-
-
-def plain(value: object) -> Any:
-    """Without numpy's types, infinities and nan (None): what JSON holds."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
