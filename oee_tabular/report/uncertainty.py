@@ -198,7 +198,8 @@ def choose_interval(estimate: Estimate, likelihood: Interval | None, level: floa
     or minus a normal quantile times the standard error, where that counts what matters: not below ``ENOUGH``, not where the
     variance is not known. ``diagnostics["interval_method"]`` names what it is. ``scale`` multiplies values in the findings.
     """
-    if likelihood is not None and likelihood.status == "ok" and estimate.model_value is not None:
+    is_corrected = estimate.model_value is not None and not math.isnan(estimate.value)
+    if is_corrected and likelihood is not None and likelihood.status == "ok":
         chosen = _put_inside(estimate, likelihood, scale)
     else:
         chosen = _with_own_interval(estimate, level)

@@ -1,24 +1,258 @@
-"""The sentences that end a report: how far, how sure, what would help."""
+"""One interval beside each value, no value outside of it, no ranking that the log cannot carry, and the sentences on it."""
 
+import csv
+import io
 import json
+import math
+from functools import partial
+from statistics import NormalDist
 
 import numpy as np
 import pytest
+from helpers import random_mdp, random_policy, rngs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 import oee_tabular as oee
+from oee_tabular import _printing
+from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
+from oee_tabular.report import contest, uncertainty
+from oee_tabular.report.text import format_interval, format_value
 
 SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3, discount=0.9), oee.tasks.gridworld(4, 0.1, discount=0.9)
-POLICY = {"mine": oee.tasks.gridworld_policy(4, 0.5)}
+GOOD, MINE, BAD = (oee.tasks.gridworld_policy(4, delta) for delta in (0.9, 0.5, 0.4))
 
 
-def report(recorded, n, share=None, **options):
-    share = np.full((16, 4), 1 / 64) if share is None else share
-    log = oee.sample_transitions(recorded, share, n, seed=0)
-    return oee.evaluate(oee.Problem(SIMULATOR, log), POLICY, estimators=["oee"], seed=0, **options)
+def even(n, seed=0, rows=16, recorded=TARGET):
+    """A problem whose log has transitions of the first ``rows`` states, all actions alike."""
+    share = np.repeat(np.arange(16) < rows, 4).reshape(16, 4) / (4.0 * rows)
+    return Problem(SIMULATOR, oee.sample_transitions(recorded, share, n, seed=seed))
+
+
+def sentences(problem, **options):
+    return oee.evaluate(problem, {"mine": MINE}, estimators=["oee"], **options).uncertainty.sentences
+
+
+def corrected(value):
+    """An estimator that corrects by the log, with an interval of its own."""
+
+    def estimator(problem, policy, *, seed=None):
+        facts = {"interval_method": "one-step", "coverage": 0.5}
+        ends = (value - 0.196, value + 0.196)
+        return Estimate(value, 0.1, ends, facts, model_value=value, is_normal=True, measured=0.5)
+
+    return {"oee": estimator}
+
+
+def row_of(report, estimator="oee"):
+    """The row of an estimator, and its notes."""
+    row = next(row for row in report.records() if row["estimator"] == estimator)
+    return row, [report.warnings[k - 1] for k in row["notes"]]
+
+
+@settings(max_examples=40, deadline=None)
+@given(rngs, st.integers(0, 60))
+def test_every_value_stands_inside_its_interval(rng, n):
+    simulator = random_mdp(rng)
+    target = random_mdp(rng, like=simulator)
+    policies = {name: random_policy(rng, simulator) for name in "ab"}
+    log = oee.sample_episodes(target, random_policy(rng, simulator, zeros=0.0), 1 + n // 6, 6, seed=1)
+    columns = {name: column for name, column in log.columns().items() if name != "terminated"}
+    report = oee.evaluate(Problem(simulator, oee.Transitions(**columns)), policies, seed=0)
+    for row in report.records():
+        assert (row["lower"] is None) == (row["upper"] is None) == (row["interval_method"] is None)
+        if row["lower"] is not None:
+            assert row["lower"] <= row["value"] <= row["upper"]
+            assert row["interval_method"] != "standard error" or row["lower"] < row["upper"]
+            assert row["estimator"] != "model-based" or row["coverage"] >= 0.9
+    for answer in report.answers:
+        assert answer.lower is None or answer.lower <= answer.value <= answer.upper
+
+
+@settings(max_examples=300)
+@given(st.floats(-1e12, 1e12), st.floats(1e-9, 1e6))
+def test_ends_have_digits_until_their_width_shows(lower, width):
+    upper = lower + width
+    form = _printing.spec(lower, upper)
+    shown = float(f"{upper:{form}}") - float(f"{lower:{form}}")
+    if width > 1e-11 * max(abs(lower), abs(upper)):
+        assert_allclose(shown, upper - lower, rtol=0.11)
+
+
+@pytest.mark.parametrize(
+    ("ends", "text"),
+    [
+        ((-11023.4, -11022.9), "[-11023.40, -11022.90]"),
+        ((-18.92, 4.857), "[-18.92, 4.86]"),
+        ((3.0, 3.0), "[3.000, 3.000]"),
+        ((0.0, 0.0), "[0, 0]"),
+        ((1.5e20, 1.5003e20), "[1.50000e+20, 1.50030e+20]"),
+        ((-math.inf, 2.0), "[-inf, 2]"),
+    ],
+)
+def test_intervals_in_text(ends, text):
+    assert _printing.interval(*ends) == text
+
+
+def test_the_same_interval_stands_everywhere(tmp_path):
+    """Whatever the row is called: table, CSV, JSON, the page and the answer."""
+    problem = even(2000)
+    report = oee.evaluate(problem, {"mine": MINE}, estimators={"corrected": OffEnvironment(), "model": ModelBased()})
+    sure = oee.interval(problem, MINE)
+    expected = (sure.lower, sure.upper, "likelihood")
+    row, _ = row_of(report, "corrected")
+    report.save(tmp_path)
+    told = json.loads((tmp_path / "report.json").read_text())["results"][0]
+    for one in (row, told):
+        assert (one["lower"], one["upper"], one["interval_method"]) == expected
+    kept = next(csv.DictReader(io.StringIO((tmp_path / "table.csv").read_text())))
+    assert (float(kept["lower"]), float(kept["upper"]), kept["interval_method"]) == expected
+    (answer,) = report.answers
+    assert (answer.lower, answer.upper, answer.method) == expected
+    text, page = str(report), report.to_html()
+    assert _printing.interval(*expected[:2]) in text
+    assert "95% interval of corrected (likelihood): " in text
+    assert "95% interval of model (standard error): " in text
+    assert format_interval(*expected[:2]) in page
+    assert format_value(row["value"], *expected[:2]) in page
+
+
+def test_where_there_is_no_likelihood_interval_the_estimators_own_stands_at_the_level_asked_for(monkeypatch):
+    monkeypatch.setattr(uncertainty, "MAX_TRANSITIONS", 10)
+    report = oee.evaluate(even(400), {"mine": MINE}, estimators=corrected(2.0))
+    row, _ = row_of(report)
+    assert row["interval_method"] == "one-step"
+    assert_allclose([row["lower"], row["upper"]], [1.804, 2.196])
+    wide, _ = row_of(oee.evaluate(even(400), {"mine": MINE}, estimators=corrected(2.0), confidence=0.99))
+    assert_allclose(wide["upper"] - 2.0, 0.196 * NormalDist().inv_cdf(0.995) / NormalDist().inv_cdf(0.975))
+    assert "is worth about 2.000 (95% interval: 1.804 to 2.196)" in report.headline
+    expected = "There are no likelihood intervals: 232 transitions can be reached, more than 10."
+    assert report.uncertainty.sentences[1] == expected
+
+
+@pytest.mark.parametrize("end", ["lower", "upper"])
+def test_a_value_outside_gives_way_to_the_interval_s_nearer_end(end):
+    problem = even(2000)
+    sure = oee.interval(problem, MINE)
+    far = sure.upper + 1.0 if end == "upper" else sure.lower - 1.0
+    report = oee.evaluate(problem, {"mine": MINE}, estimators=corrected(far), normalized=True)
+    row, notes = row_of(report)
+    numbers = [row[key] for key in ("value", "lower", "upper", "replaced_value", "standard_error")]
+    assert_allclose(numbers, 0.1 * np.array([getattr(sure, end), sure.lower, sure.upper, far, 0.1]))
+    assert row["replaced_by"] == f"the interval's {end} end"
+    shown = format(0.1 * far, _printing.spec(row["lower"], row["upper"]))
+    expected = f"own value, {shown}, lies outside the interval. The table gives the interval's {end} end instead"
+    assert any(expected in text for text in notes)
+    assert f"is worth about {format_value(row['value'], row['lower'], row['upper'])}" in report.to_html()
+    inside = sure.lower + 0.3 * sure.width
+    kept, _ = row_of(oee.evaluate(problem, {"mine": MINE}, estimators=corrected(inside)))
+    assert kept["value"] == inside
+    assert "replaced_value" not in kept
+
+
+def test_ratios_of_every_kind_have_the_interval_to_quote():
+    """A tie, the joint ratio and a ratio that is given have no standard error; their rows sum to 1 all the same."""
+    problem = even(2000)
+    sure = oee.interval(problem, MINE)
+    kinds = {
+        "tied": partial(oee.transition_ratio, method="tied", tie=np.arange(SIMULATOR.transitions.nnz) % 7),
+        "joint": "joint",
+        "given": oee.true_ratio(TARGET, SIMULATOR),
+        "none": partial(oee.transition_ratio, prior="none"),
+        "quotient": "ratio_of_ratios",
+    }
+    estimators = {name: OffEnvironment(kind) for name, kind in kinds.items()}
+    estimators["product"] = OffEnvironment(evaluation="monte_carlo")
+    report = oee.evaluate(problem, {"mine": MINE}, estimators=estimators)
+    for name in ("tied", "joint", "given", "none"):
+        row, _ = row_of(report, name)
+        assert (row["lower"], row["upper"], row["interval_method"]) == (sure.lower, sure.upper, "likelihood")
+    assert row_of(report, "tied")[0]["replaced_by"].startswith("the interval's ")
+    assert row_of(report, "product")[0]["interval_method"] == "standard error"
+    assert row_of(report, "quotient")[0]["lower"] is None
+
+
+def test_no_interval_of_a_model_that_the_log_covers_too_little_or_whose_variance_is_not_known():
+    report = oee.evaluate(even(2000, rows=8), {"mine": MINE}, estimators=["model-based", "oee"])
+    row, notes = row_of(report, "model-based")
+    assert row["coverage"] < 0.9
+    assert row["standard_error"] > 0
+    assert (row["lower"], row["upper"], row["interval_method"]) == (None, None, None)
+    assert "The standard error ignores them. Above 10% there is no interval." in notes[0]
+    assert row_of(report)[0]["lower"] is not None
+    # each (s, a) recorded once: the frequencies are all 0 or 1, their variance is 0
+    log = even(20_000).log
+    _, first = np.unique(4 * log.state + log.action, return_index=True)
+    once = oee.Transitions(log.state[first], log.action[first], log.next_state[first])
+    report = oee.evaluate(Problem(SIMULATOR, once), {"mine": MINE}, estimators=["model-based", "oee"])
+    row, notes = row_of(report, "model-based")
+    assert row["coverage"] > 0.999
+    assert row["single_share"] > 0.9
+    assert row["lower"] is None
+    assert any("recorded transition. Their variance is not known, so there is no interval." in text for text in notes)
+    assert row_of(report)[0]["upper"] > row_of(report)[0]["lower"]
+    many = oee.evaluate(even(20_000), MINE, estimators=["model-based"])
+    assert not row_of(many, "model-based")[0]["single_share"]
+
+
+def test_a_standard_error_of_zero_makes_no_interval():
+    still = {"still": lambda problem, policy, *, seed=None: Estimate(1.0, 0.0)}
+    row, notes = row_of(oee.evaluate(even(100), {"mine": MINE}, estimators=still), "still")
+    assert (row["lower"], row["standard_error"]) == (None, None)
+    assert "there is no standard error and no interval, because what was recorded never varied" in notes[0]
+
+
+# which policy is best
+
+
+def test_policies_that_the_log_separates_are_ranked_and_others_are_not():
+    report = oee.evaluate(even(4000), {"bad": BAD, "good": GOOD}, estimators=["oee"])
+    compared, ranking = report.uncertainty.comparison, report.uncertainty.ranking
+    assert ranking.startswith("Of 2 policies, “good” is worth most in the target. It is better than “bad” by ")
+    assert ranking.endswith(").")  # intervals apart: no more to say
+    assert f"(95%: {compared.lower[0, 1]:.3f} to {compared.upper[0, 1]:.3f})" in ranking
+    assert " ".join(str(report).split()).startswith(ranking)
+    assert ranking in report.to_html()
+    tied = oee.evaluate(even(4000), {"bad": BAD, "good": GOOD, "same": GOOD}, estimators=["oee"])
+    assert tied.uncertainty.ranking == "“good” and “same” are worth the same in the target; the other 1 is worth less."
+    assert "“good” is worth about" in tied.answer
+
+
+def test_a_paired_comparison_ranks_where_intervals_overlap():
+    report = oee.evaluate(even(1000, 3), {"mine": MINE, "bad": BAD}, estimators=["oee"])
+    mine, bad = report.answers
+    assert mine.lower < bad.upper
+    assert report.headline.startswith("Of 2 policies, “mine” is worth most in the target. It is better than “bad” by ")
+    assert report.headline.endswith("more precisely than either value because both rest on the same transitions.")
+
+
+def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradict_it():
+    policies = {"good": GOOD, "bad": BAD}
+
+    def ranking(problem, *values):
+        def own(problem, policy, *, seed=None):
+            value = values[0] if np.array_equal(policy, GOOD) else values[1]
+            return Estimate(value, status="ok" if math.isfinite(value) else "none")
+
+        return oee.evaluate(problem, policies, estimators={"own": own}).uncertainty.ranking
+
+    near = {"good": GOOD, "near": oee.tasks.gridworld_policy(4, 0.9001)}
+    half = oee.evaluate(even(20_000, rows=8), policies, estimators=["oee"])
+    for report in (half, oee.evaluate(even(100), near, estimators=["oee"])):
+        assert report.uncertainty.ranking.startswith("The log cannot say which of ")
+    less = half.comparison()[1]
+    assert less["less_by_lower"] < 0.0 < less["less_by_upper"]  # though their paired difference excludes 0
+    assert ranking(even(100), math.nan, math.nan) == ""
+    assert ranking(even(20_000), 2.0, 1.0).startswith("Of 2 policies, “good”")
+    assert ranking(even(20_000), 1.0, 2.0).startswith("The log cannot say")
+
+
+# how far, how sure, what next
 
 
 def test_much_data_of_another_environment():
-    found = report(TARGET, 60_000, guaranteed=True, target=TARGET)
+    found = oee.evaluate(even(60_000), {"mine": MINE}, estimators=["oee"], guaranteed=True, target=TARGET)
     far, sure, advice = found.uncertainty.sentences
     assert far == "The data reject the simulator in 60 of the 60 recorded state-action pairs."
     intervals = found.uncertainty.intervals["mine"]
@@ -32,80 +266,126 @@ def test_much_data_of_another_environment():
     assert [row["method"] for row in told["intervals"]] == ["likelihood", "robust"]
 
 
-def test_little_data_tells_by_all_moves_together():
-    far = report(TARGET, 400).uncertainty.sentences[0]
+def test_little_data_and_the_simulator_itself():
+    far = sentences(even(400))[0]
     assert far.startswith("The data as a whole reject the simulator (z = ")
     assert far.endswith("Transitions that the simulator calls likely are more frequent in the target.")
-
-
-def test_the_simulator_itself():
-    assert (
-        report(SIMULATOR, 2000).uncertainty.sentences[0].startswith("The data show no significant difference from the")
-    )
+    same = sentences(even(2000, recorded=SIMULATOR))[0]
+    assert same.startswith("The data show no significant difference from the simulator in the 60 recorded")
 
 
 def test_what_was_never_recorded_comes_first():
     share = np.full((16, 4), 1.0)
     share[0, 0] = 0.0
-    found = report(TARGET, 5000, share / share.sum())
-    assert found.uncertainty.sentences[2] == "Record action 0 in state 0 first (never recorded)."
-    assert "allows the best and the worst in 1 unrecorded state-action pair (" in found.uncertainty.sentences[1]
+    log = oee.sample_transitions(TARGET, share / share.sum(), 5000, seed=0)
+    _, sure, advice = sentences(Problem(SIMULATOR, log))
+    assert advice == "Record action 0 in state 0 first (never recorded)."
+    assert "allows the best and the worst in 1 unrecorded state-action pair (" in sure
 
 
 def test_values_are_in_the_reports_unit():
-    plain, scaled = report(TARGET, 3000), report(TARGET, 3000, normalized=True)
-    row, small = (json.loads(found.to_json())["intervals"][0] for found in (plain, scaled))
+    plain, scaled = (oee.evaluate(even(400), {"mine": MINE}, estimators=["oee"], normalized=x) for x in (False, True))
+    row, small = (report.to_dict()["intervals"][0] for report in (plain, scaled))
     assert np.isclose(small["lower"], 0.1 * row["lower"])
-    assert not any("guaranteed" in sentence for sentence in plain.uncertainty.sentences)
+    row, small = plain.records()[0], scaled.records()[0]
+    for name in ("value", "standard_error", "lower", "one_step_value", "one_step_standard_error", "error_bound"):
+        assert small[name] == pytest.approx(0.1 * row[name], rel=1e-12), name
+    for name in ("coverage", "largest_weight", "one_step_distance"):
+        assert small[name] == row[name], name
 
 
 def test_a_certain_simulator_has_nothing_to_learn():
     chain = oee.FiniteMDP(np.array([[[0.0, 1.0]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9)
-    problem = oee.Problem(chain, oee.Transitions([0], [0], [1]))
-    sentences = oee.evaluate(problem, {"only": np.ones((2, 1))}, estimators=["oee"]).uncertainty.sentences
-    assert "one possible next state in every recorded" in sentences[0]
-    assert sentences[1] == "Record action 0 in state 0 first (1 transition so far; the model has one outcome)."
-    over = oee.Problem(oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9), oee.Transitions([0], [0], [0]))
-    assert (
-        oee.evaluate(over, {"only": [0]}, estimators=["oee"]).uncertainty.next
-        == "More transitions would not narrow it."
+    report = oee.evaluate(Problem(chain, oee.Transitions([0], [0], [1])), {"only": [0, 0]}, estimators=["oee"])
+    far, advice = report.uncertainty.sentences
+    assert "one possible next state in every recorded" in far
+    assert advice == "Record action 0 in state 0 first (1 transition so far; the model has one outcome)."
+    over = Problem(oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9), oee.Transitions([0], [0], [0]))
+    found = oee.evaluate(over, {"only": [0]}, estimators=["oee"])
+    assert found.uncertainty.next == "More transitions would not narrow it."
+
+
+def test_where_there_are_no_likelihood_intervals_it_is_said():
+    """At discount 1 without a horizon, and where ``quick`` leaves them out; guaranteed ones are refused there."""
+    endless, problem = Problem(SIMULATOR.with_discount(1.0), even(900).log), even(300)
+    reason = "at discount 1 they need a horizon"
+    assert sentences(endless)[1] == f"There are no likelihood intervals: {reason}."
+    with pytest.raises(ValueError, match=f"guaranteed must be False here: {reason}"):
+        sentences(endless, guaranteed=True)
+    quick, full = (oee.evaluate(problem, MINE, estimators=["oee"], quick=x) for x in (True, False))
+    assert quick.uncertainty.intervals == {}
+    assert quick.uncertainty.distance == (
+        full.uncertainty.distance[0],
+        "There are no likelihood intervals: quick=True (--quick) leaves them out.",
     )
-
-
-def test_diagnostics_that_are_values_are_in_the_reports_unit():
-    plain, scaled = report(TARGET, 400).records()[0], report(TARGET, 400, normalized=True).records()[0]
-    for name in ("value", "standard_error", "lower", "one_step_value", "one_step_standard_error", "error_bound"):
-        assert scaled[name] == pytest.approx(0.1 * plain[name], rel=1e-12), name
-    for name in ("coverage", "largest_weight", "one_step_distance"):
-        assert scaled[name] == plain[name], name
-
-
-def test_where_there_are_no_likelihood_intervals_it_is_said(monkeypatch):
-    """At discount 1 without a horizon, and of too many moves; guaranteed ones are refused there."""
-    from oee_tabular.report import uncertainty
-
-    log = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 900, seed=0)
-    endless = oee.Problem(SIMULATOR.with_discount(1.0), log)
-    found = oee.evaluate(endless, POLICY, estimators=["oee"], seed=0)
-    assert found.uncertainty.intervals == {}
-    assert found.uncertainty.sentences[1] == "There are no likelihood intervals: at discount 1 they need a horizon."
-    with pytest.raises(ValueError, match="guaranteed must be False here: at discount 1 they need a horizon"):
-        oee.evaluate(endless, POLICY, estimators=["oee"], seed=0, guaranteed=True)
-    monkeypatch.setattr(uncertainty, "MAX_TRANSITIONS", 10)
-    text = report(TARGET, 400).uncertainty.sentences[1]
-    assert text == "There are no likelihood intervals: 232 transitions can be reached, more than 10."
-
-
-def test_quick_leaves_the_likelihood_intervals_out():
-    pair = oee.testing.case("ragged")
-    problem = pair.problem(300, seed=0)
-    report = oee.evaluate(problem, pair.policy, estimators=["oee"], seed=0, quick=True)
-    full = oee.evaluate(problem, pair.policy, estimators=["oee"], seed=0)
-    assert report.uncertainty.intervals == {}
-    assert "There are no likelihood intervals: quick=True (--quick) leaves them out." in report.uncertainty.distance
-    assert report.uncertainty.distance[0] == full.uncertainty.distance[0]
-    assert report.results[0].estimate.diagnostics["model_value"] == full.results[0].estimate.diagnostics["model_value"]
+    assert quick.records()[0]["model_value"] == full.records()[0]["model_value"]
     with pytest.raises(ValueError, match="guaranteed must be False where quick is True"):
-        oee.evaluate(problem, pair.policy, quick=True, guaranteed=True)
+        sentences(problem, quick=True, guaranteed=True)
+    with pytest.raises(ValueError, match="quick must be False with lower_ratio or upper_ratio"):
+        sentences(problem, quick=True, upper_ratio=2.0)
     with pytest.raises(ValueError, match="quick must be True or False; got 1"):
-        oee.evaluate(problem, pair.policy, quick=1)
+        sentences(problem, quick=1)
+
+
+# what the user knows, and policies that were made from the log
+
+KEYS = np.unique(np.round(SIMULATOR.transitions.data, 6), return_inverse=True)[1]
+SHORT = Problem(SIMULATOR, oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 4, 30, seed=0), horizon=40)
+TWO = {"mine": MINE, "uniform": oee.uniform_policy(SIMULATOR)}
+
+
+def test_a_box_narrows_intervals_and_comparison_and_leaves_values():
+    box = {"lower_ratio": 0.3, "upper_ratio": 1.4}
+    wide, narrow = contest(SHORT, TWO), contest(SHORT, TWO, **box)
+    for one, two in zip(wide.records(), narrow.records(), strict=True):
+        assert one["value"] == two["value"]
+        assert one["lower"] < two["lower"] <= two["value"] <= two["upper"] < one["upper"]
+    (_, less), (_, boxed) = wide.comparison(), narrow.comparison()
+    assert less["less_by_lower"] < boxed["less_by_lower"] < boxed["less_by_upper"] < less["less_by_upper"]
+    assert "between 0.3 and 1.4 times the simulator's probabilities" in str(narrow)
+
+
+def test_the_interval_under_a_true_tie_is_narrow_and_covers_the_value():
+    report = oee.evaluate(SHORT, {"mine": MINE}, estimators=["oee"], tie=KEYS)
+    plain, tied = report.records()
+    assert (tied["estimator"], tied["interval_method"]) == ("oee-tied", "likelihood under the tie")
+    assert tied["upper"] - tied["lower"] < 0.3 * (plain["upper"] - plain["lower"])
+    assert tied["lower"] < oee.policy_value(TARGET, MINE, horizon=40) < tied["upper"]
+    assert "likelihood under the tie" in report.to_html()
+
+
+@pytest.mark.parametrize(
+    ("assumed", "kind", "text"),
+    [
+        (
+            {"lower_ratio": 0.9, "upper_ratio": 1.05},
+            ValueError,
+            r"must fit the log: .* contradict the box \[0.9, 1.05\]",
+        ),
+        ({"lower_ratio": 1.2}, ValueError, "lower_ratio must be in"),
+        ({"tie": KEYS, "features": KEYS.astype(float)}, ValueError, "tie and features must not be given together"),
+        ({"lower": 0.5}, TypeError, "unexpected keyword argument 'lower'"),
+    ],
+)
+def test_bad_assumptions(assumed, kind, text):
+    with pytest.raises(kind, match=text):
+        sentences(even(20_000), **assumed)
+
+
+@pytest.mark.parametrize("names", [["oee"], ["simulator", "oee", "model-based"]])
+def test_it_is_said_of_the_policy_that_was_made_from_the_log(names):
+    """It is optimal under the log's frequencies, the simulator's rows where there are none."""
+    problem = even(300)
+    counts = problem.log.counts(16, 4).toarray()
+    n = counts.sum(axis=1, keepdims=True)
+    rows = np.where(n > 0, counts / np.maximum(n, 1), SIMULATOR.transitions.toarray())
+    chosen = oee.optimal_policy(SIMULATOR.with_transitions(rows.reshape(16, 4, 16)))
+    policies = {"chosen": chosen, "optimal": oee.optimal_policy(SIMULATOR), "other": oee.uniform_policy(SIMULATOR)}
+    report = oee.evaluate(problem, policies, estimators=names)
+    (told,) = [text for text in report.warnings if "made from this log" in text]
+    note = report.warnings.index(told) + 1
+    rows = [row for row in report.records() if note in row["notes"]]
+    assert {row["policy"] for row in rows} == {"chosen"}
+    assert "simulator" not in {row["estimator"] for row in rows}
+    same = Problem(SIMULATOR, 1e6 * SIMULATOR.transitions)  # the log's own model is the simulator
+    assert not any("made from" in text for text in oee.evaluate(same, policies, estimators=names).warnings)
