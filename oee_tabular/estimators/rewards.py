@@ -21,14 +21,9 @@ TOLERANCE = 1e-6  # of the largest reward: what differs by less agrees
 
 @dataclass(frozen=True)
 class RewardConflict:
-    """The number of transitions whose reward differs from the simulator's, and a sentence about it.
-
-    ``at_most``: of transitions that were counted, only the least and the largest reward are known.
-    """
+    """The number of transitions whose reward differs from the simulator's, and a sentence about it."""
 
     rows: int
-    of_rows: int
-    at_most: bool
     sentence: str
 
     def __str__(self) -> str:
@@ -87,10 +82,10 @@ def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> Rewar
     moves = np.unique(np.stack([log.state[differ], log.action[differ], log.next_state[differ]]), axis=1)
     k = int(differ[np.argmax(gap[differ])])
     rows = round(float(number[differ].sum()))
-    at_most = bool((least[differ] < most[differ]).any())
+    at_most = bool((least[differ] < most[differ]).any())  # of counted transitions the extreme rewards alone are known
     where = simulator.names.transition(log.state[k], log.action[k], log.next_state[k])
     sentence = (
         f"the log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of {len(log)} transitions "
         f"({moves.shape[1]} distinct; the reward of {where} is {far[k]:g} in the log, {expected[k]:g} in the simulator)"
     )
-    return RewardConflict(rows, len(log), at_most, sentence)
+    return RewardConflict(rows, sentence)

@@ -78,8 +78,8 @@ def evaluate(
     >>> report = evaluate(pair.problem(1000, seed=0), {"new": pair.policy}, estimators=["simulator", "wpdis"], seed=0)
     >>> report.table[["policy", "estimator", "value"]].round(2).values.tolist()
     [['new', 'simulator', 7.97], ['new', 'wpdis', 10.57]]
-    >>> report.uncertainty.sentences[0].split(":")[0]
-    'The target differs from the simulator'
+    >>> report.uncertainty.sentences[0]
+    'The data reject the simulator in 6 of the 6 recorded state-action pairs.'
     """
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
     for flag, name in ((normalized, "normalized"), (guaranteed, "guaranteed"), (quick, "quick")):

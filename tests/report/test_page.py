@@ -1,9 +1,9 @@
-"""The page of a report, without a browser: what it says, that it needs nothing from outside, and that it is written whole."""
+"""The page of a report, without a browser: what it says, what it was made from, that it needs nothing from outside."""
 
-import json
 import math
 import os
 import re
+import shlex
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -15,8 +15,8 @@ import oee_tabular as oee
 from oee_tabular import _files
 from oee_tabular.cli import main
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
-from oee_tabular.report import Report
-from oee_tabular.report.text import format_interval, format_number, format_value
+from oee_tabular.report import Report, page
+from oee_tabular.report.text import format_interval, format_value
 
 VOID = {"meta", "link", "br", "hr", "img", "input"}
 
@@ -69,19 +69,19 @@ def report():
 
 
 @pytest.fixture(scope="module")
-def page(report):
+def html(report):
     return report.to_html()
 
 
-def test_it_holds_together_and_needs_nothing_from_outside(page):
-    parsed = Page(page)
+def test_it_holds_together_and_needs_nothing_from_outside(html):
+    parsed = Page(html)
     assert parsed.open == []
     assert not {"script", "img", "iframe", "object", "base", "form"} & {tag for tag, _ in parsed.tags}
-    outside = [word for word in re.findall(r"https?://[^\s\"'<]*", page) if not word.startswith("http://www.w3.org/")]
+    outside = [word for word in re.findall(r"https?://[^\s\"'<]*", html) if not word.startswith("http://www.w3.org/")]
     assert outside == []
     assert all(link["href"] == "data:," for link in parsed.all("link"))
-    assert "url(http" not in page
-    assert "@import" not in page
+    assert "url(http" not in html
+    assert "@import" not in html
     ids = [attributes["id"] for _, attributes in parsed.tags if "id" in attributes]
     assert len(ids) == len(set(ids))
     for _, attributes in parsed.tags:
@@ -91,12 +91,12 @@ def test_it_holds_together_and_needs_nothing_from_outside(page):
         for key in ("aria-labelledby", "aria-describedby"):
             for name in attributes.get(key, "").split():
                 assert name in ids
-    for used in re.findall(r"url\(#([^)]*)\)", page):
+    for used in re.findall(r"url\(#([^)]*)\)", html):
         assert used in ids
 
 
-def test_every_picture_has_a_title_and_a_description(page):
-    pictures = re.findall(r"<svg.*?</svg>", page, re.S)
+def test_every_picture_has_a_title_and_a_description(html):
+    pictures = re.findall(r"<svg.*?</svg>", html, re.S)
     assert len(pictures) == 6  # two forests, recorded, two policies, changes
     for picture in pictures:
         assert 'role="img"' in picture
@@ -105,8 +105,8 @@ def test_every_picture_has_a_title_and_a_description(page):
         assert len(words) > 40
 
 
-def test_it_says_the_answer_and_how_it_was_found(report, page):
-    text = Page(page).text
+def test_it_says_the_answer_and_how_it_was_found(report, html):
+    text = Page(html).text
     value = next(row["value"] for row in report.records() if (row["policy"], row["estimator"]) == ("bold", "oee"))
     sure = report.uncertainty.intervals["bold"]["likelihood"]
     assert "Of 2 policies, “bold” is worth most in the target" in text
@@ -123,13 +123,13 @@ def test_it_says_the_answer_and_how_it_was_found(report, page):
     assert "ends elsewhere than the simulator says" in text
 
 
-def test_the_same_input_gives_the_same_bytes(report, page):
-    assert report.to_html() == page
+def test_the_same_input_gives_the_same_bytes(report, html):
+    assert report.to_html() == html
     problem, target = lake()
     policies = {"bold": oee.optimal_policy(target), "careful": oee.uniform_policy(target)}
     again = oee.evaluate(problem, policies, target=target, seed=3, facts={"log_name": "lake log.npz"})
-    assert again.to_html() == page
-    assert re.search(r"20\d\d-\d\d-\d\d", page) is None
+    assert again.to_html() == html
+    assert re.search(r"20\d\d-\d\d-\d\d", html) is None
 
 
 NAMES = [
@@ -233,18 +233,10 @@ def test_the_sentence_for_one_policy_for_none_and_without_intervals():
     assert two.headline.startswith("At discount 1 policies are ranked only with a horizon")
 
 
-def test_numbers_are_set_for_reading():
-    assert [format_number(x) for x in (-0.5, 0.0, 1234.5678, 1e-30, math.inf, None, math.nan)] == [
-        "−0.5000", "0", "1235", "1.000e−30", "inf", "–", "no value",
-    ]  # fmt: skip
-    assert format_interval(-1.0, 2.0) == "−1.000 to 2.000"
-    assert format_interval(None, 1.0) == "–"
-
-
-def test_it_is_written_whole_into_a_folder_that_is_made(report, page, tmp_path, monkeypatch):
+def test_it_is_written_whole_into_a_folder_that_is_made(report, html, tmp_path, monkeypatch):
     path = tmp_path / "new" / "deeper" / "answer.html"
-    assert report.to_html(path) == page
-    assert path.read_bytes() == page.encode()
+    assert report.to_html(path) == html
+    assert path.read_bytes() == html.encode()
     assert [entry.name for entry in path.parent.iterdir()] == ["answer.html"]
     path.write_text("what stood there")
 
@@ -301,19 +293,127 @@ def test_bad_grids_are_named(grid, text, report):
         report.to_html(grid=grid)
 
 
-def test_the_command_writes_it(tmp_path):
-    """In a process of its own, with another hash seed: the same bytes as here."""
-    log, path = tmp_path / "log.npz", tmp_path / "made" / "r.html"
+# what it was made from
+
+
+def problem(slip=0.3, seed=0, **options):
+    log = oee.sample_transitions(oee.tasks.gridworld(3, 0.1), np.full((9, 4), 1 / 36), 60, seed=seed)
+    return oee.Problem(oee.tasks.gridworld(3, slip), log, **options)
+
+
+EXPERT = {"expert": oee.tasks.gridworld_expert(3)}
+
+
+def test_the_hash_tells_inputs_apart_and_nothing_else():
+    same = page.fingerprint(problem(), EXPERT)
+    assert re.fullmatch("[0-9a-f]{8}", same)
+    assert same == page.fingerprint(problem(), {"expert": np.array(EXPERT["expert"])})
+    others = [
+        page.fingerprint(problem(slip=0.31), EXPERT),
+        page.fingerprint(problem(seed=1), EXPERT),
+        page.fingerprint(problem(horizon=9), EXPERT),
+        page.fingerprint(problem(), {"other": EXPERT["expert"]}),
+        page.fingerprint(problem(), {"expert": oee.tasks.gridworld_policy(3, 0.5)}),
+    ]
+    assert len({same, *others}) == 6
+
+
+def test_the_day_is_the_newest_input_s_or_source_date_epoch(tmp_path, monkeypatch):
+    monkeypatch.delenv(page.EPOCH, raising=False)
+    old, new = tmp_path / "old.npz", tmp_path / "new.npz"
+    for path, day in ((old, 100), (new, 365)):
+        path.touch()
+        os.utime(path, (day * 86400, day * 86400))
+    assert page.date_of([new, old, "gridworld:3"]) == "1 January 1971"
+    assert page.date_of(["expert"]) == ""
+    report = oee.evaluate(problem(), EXPERT, estimators=["oee"], facts={"date": "1 January 1971"})
+    assert page.date(report) == "1 January 1971"
+    monkeypatch.setenv(page.EPOCH, str(400 * 86400))
+    assert page.date(report) == "5 February 1971"
+    assert "5 February 1971" in report.to_html()
+    monkeypatch.setenv(page.EPOCH, "soon")
+    with pytest.raises(
+        ValueError, match="SOURCE_DATE_EPOCH must be a whole number of seconds since 1970; it is 'soon'"
+    ):
+        report.to_html()
+
+
+def test_the_page_s_command_runs_and_gives_the_page_s_advice(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    problem().log.save("my log.csv")
+    words = "evaluate --simulator gridworld:3,slip=0.3 --log 'my log.csv' --policy mine=mix:0.9 --horizon 20"
+    words += " --action-noise 0.05 --impossible allow=0.01 --discount 0.9 --report page.html --title 'Our dock & hall'"
     with pytest.raises(SystemExit):
-        main(["sample", "gridworld:3,slip=0.1", "--transitions", "200", "--horizon", "30", "--output", str(log)])
-    arguments = ["evaluate", "--simulator", "gridworld:3,slip=0.3", "--log", str(log), "--policy", "expert"]
-    script = f"from oee_tabular.cli import main; main({[*arguments, '--json', '--report', str(path)]!r})"
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True,
-        env=os.environ | {"PYTHONHASHSEED": "7"},  # the same BLAS kernels: others round otherwise
-    )  # fmt: skip
-    assert json.loads(done.stdout)["results"][0]["policy"] == "expert"
-    first = path.read_bytes()
-    with pytest.raises(SystemExit):
-        main([*arguments, "--report", str(path)])
-    assert path.read_bytes() == first
+        main(shlex.split(words))
+    text, printed = (tmp_path / "page.html").read_text(), capsys.readouterr().out
+    script = f"from oee_tabular.cli import main; main({shlex.split(words)!r})"
+    # in a process of its own, with another hash seed and the same BLAS kernels: the same bytes
+    subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, check=True, env=os.environ | {"PYTHONHASHSEED": "7"}
+    )
+    assert (tmp_path / "page.html").read_text() == text
+    assert "<h1>Our dock &amp; hall</h1>" in text
+    assert re.search(r"gridworld:3,slip=0.3 · my log.csv · mix:0.9 · \d+ \w+ \d{4} · inputs [0-9a-f]{8}", text)
+    command = re.search(r"<pre[^>]*><code>(.*?)</code>", text, re.S)[1].replace("&#39;", "'").replace("&gt;", ">")
+    typed = shlex.split(command)
+    assert typed[:2] == ["oee", "plan"]
+    assert typed[typed.index("--transitions") + 1] == "60"
+    with pytest.raises(SystemExit) as ended:
+        main(typed[1:])
+    assert not ended.value.code
+    advice = next(line for line in printed.splitlines() if line.startswith("Record "))
+    assert advice in capsys.readouterr().out
+    assert advice in text
+
+
+def test_from_python_the_page_names_the_call():
+    report = oee.evaluate(problem(), EXPERT, estimators=["oee"])
+    assert page.plan_command(report) == "oee.plan_data_collection(problem, {'expert': ...}, n=60)"
+    told = oee.evaluate(problem(), EXPERT, estimators=["oee"], facts={"simulator_name": "cartpole"})
+    assert page.plan_command(told) == ""
+
+
+def test_the_answer_is_one_sentence_with_the_one_interval_beside_the_simulator():
+    report = oee.evaluate(problem(), EXPERT, estimators=["simulator", "oee"])
+    sure = report.uncertainty.intervals["expert"]["likelihood"]
+    assert report.answer == report.headline
+    assert re.fullmatch(
+        r"In the target, the policy “expert” is worth about −[\d.]+ \(95% interval: −[\d.]+ to −[\d.]+\); the simulator says "
+        r"−[\d.]+\.",
+        report.answer,
+    )
+    assert f"{sure.lower:.2f}"[1:5] in report.answer
+    text = report.to_html()
+    above = text[text.index('id="answer"') : text.index('id="values"')]
+    assert "^" not in above
+    assert "* reward" not in above
+    assert text.index('id="changes"') < text.index('id="coverage"')
+
+
+def test_importance_sampling_without_weight_is_left_out_of_the_default_table():
+    target = oee.tasks.gridworld(3, 0.1)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 3, 40, seed=0)
+    given = oee.Problem(oee.tasks.gridworld(3, 0.3), log)
+    policies = {"expert": EXPERT["expert"], "uniform": oee.uniform_policy(target)}
+    report = oee.evaluate(given, policies, seed=0)
+    shown = {(row["policy"], row["estimator"]) for row in report.records()}
+    assert ("uniform", "pdis") in shown
+    assert not {("expert", "pdis"), ("expert", "wpdis")} & shown
+    assert (
+        sum("Importance sampling is left out (expert): the weight of every whole" in text for text in report.warnings)
+        == 1
+    )
+    asked = oee.evaluate(given, policies, estimators=["pdis", "wpdis"], seed=0)
+    about = [text for text in asked.warnings if text.startswith("pdis, wpdis (expert)") or "wpdis (expert)" in text]
+    assert 1 <= len(about) <= 2  # "do not rely on the value", "no value": one fact, one note each
+    assert "uniform" in report.to_html()
+
+
+def test_covered_does_not_read_as_all_of_it():
+    share = np.full((9, 4), 1.0)
+    share[4, 3] = 0.0
+    log = oee.sample_transitions(oee.tasks.gridworld(3, 0.1), share / share.sum(), 4000, seed=0)
+    mine = 0.9999 * EXPERT["expert"] + 0.0001 * 0.25
+    report = oee.evaluate(oee.Problem(oee.tasks.gridworld(3, 0.3), log), {"mine": mine}, seed=0)
+    assert "> 99.9%" in report.to_text(verbose=True)
+    assert re.search(r"covered by the log</dt><dd>&gt; 99.9% <span class=\"soft\">1 pair never", report.to_html())

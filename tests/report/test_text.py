@@ -1,5 +1,7 @@
 """Each sentence of a report, with its numbers."""
 
+import math
+
 import pytest
 
 from oee_tabular.report import text
@@ -93,6 +95,9 @@ def test_sentences(made, sentence):
 
 
 def test_numbers():
+    numbers = [text.format_number(x) for x in (-0.5, 0.0, 1234.5678, 1e-30, math.inf, None, math.nan)]
+    assert numbers == ["−0.5000", "0", "1235", "1.000e−30", "inf", "–", "no value"]
+    assert [text.format_interval(*ends) for ends in ((-1.0, 2.0), (None, 1.0))] == ["−1.000 to 2.000", "–"]
     assert [text.format_level(x) for x in (0.95, 0.999, 0.9)] == ["95%", "99.9%", "90%"]
     assert [text.count(n, "pair") for n in (0, 1, 1234)] == ["0 pairs", "1 pair", "1,234 pairs"]
     assert text.format_value(-0.123456, -1.0, 1.0) == "−0.123"
