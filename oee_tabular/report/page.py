@@ -130,9 +130,10 @@ def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:
     for name, matrix in (("transitions", simulator.transitions), ("counts", problem.counts)):
         arrays |= {f"{name} {part}": getattr(matrix, part) for part in ("indptr", "indices", "data")}
     if isinstance(problem.recorded, Transitions):
-        columns = problem.recorded.columns().items()
-        arrays |= {f"log {name}": x.astype(str) if x.dtype.hasobject else x for name, x in columns}
-    return _files.digest(arrays | {f"policy {name}": policy for name, policy in policies.items()})[:8]
+        arrays |= {f"log {name}": column for name, column in problem.recorded.columns().items()}
+    arrays |= {f"policy {name}": policy for name, policy in policies.items()}
+    plain = {name: x.astype(np.float64 if x.dtype.kind in "biuf" else str) for name, x in arrays.items()}
+    return _files.digest(plain)[:8]
 
 
 def plan_command(report: Report) -> str:

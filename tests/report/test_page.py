@@ -307,7 +307,7 @@ EXPERT = {"expert": oee.tasks.gridworld_expert(3)}
 def test_the_hash_tells_inputs_apart_and_nothing_else():
     same = page.fingerprint(problem(), EXPERT)
     assert re.fullmatch("[0-9a-f]{8}", same)
-    assert same == page.fingerprint(problem(), {"expert": np.array(EXPERT["expert"])})
+    assert same == page.fingerprint(problem(), {"expert": EXPERT["expert"].astype(np.float32)})
     others = [
         page.fingerprint(problem(slip=0.31), EXPERT),
         page.fingerprint(problem(seed=1), EXPERT),
