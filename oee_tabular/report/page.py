@@ -189,7 +189,7 @@ class Portrait:
         return int(((self.changes.counts.sum(axis=1) == 0) & ~self.over).sum())
 
     @property
-    def unrecorded(self) -> int:
+    def missing_pairs(self) -> int:
         """How many of their pairs the log does not have."""
         return int((self.changes.counts[~self.over] == 0).sum())
 
