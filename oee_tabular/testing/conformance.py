@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Seed, show
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.testing import laws, protocol_laws
 from oee_tabular.testing.calls import Broken, Subject, name_of
@@ -144,7 +143,7 @@ class Verdicts(Mapping[str, Verdict]):
         outcomes = [verdict.outcome for verdict in self.verdicts.values()]
         n_kept, n_idle, n_left = (outcomes.count(word) for word in ("holds", "not claimed", "not run"))
         summary = (
-            f"{n_kept} {'law holds' if n_kept == 1 else 'laws hold'}, {len(self.broken)} broken, {n_idle} not claimed"
+            f"{n_kept} law{' holds' if n_kept == 1 else 's hold'}, {len(self.broken)} broken, {n_idle} not claimed"
         )
         summary += f", {n_left} not run" if n_left else ""
         lines = [f"{self.estimator}: {'passed' if self.passed else 'NOT PASSED'} ({summary}; seed {self.seed})"]
@@ -223,10 +222,10 @@ def check_estimator(
     return Verdicts(title, subject.claims, seed, verdicts)
 
 
-def check_numbers(seed: Seed, repetitions: object) -> None:
+def check_numbers(seed: object, repetitions: object) -> None:
     """ValueError where they are not what ``check_estimator`` takes."""
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise ValueError(f"seed must be an integer of at least 0; got {show(seed)}")
+        raise ValueError(f"seed must be an integer of at least 0; got {_checks.show(seed)}")
     if _checks.positive_integer(repetitions, "repetitions") < 3:
         raise ValueError(f"repetitions must be at least 3; it is {repetitions}")
 
@@ -283,26 +282,19 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
     >>> claims_of(lambda problem, policy, *, seed=None: None) == DEFAULT
     True
     """
-    found: Any = claims
+    words: Any = claims
     name = "claims"
-    if found is None:
+    if words is None:
         name = f"{type(estimator).__name__}.claims"
         try:
-            found = getattr(estimator, "claims", None)
-            found = found() if callable(found) else found
+            words = getattr(estimator, "claims", None)
+            words = words() if callable(words) else words
         except Exception as error:
             raise ValueError(f"{name} must be a collection of words; it raises {error!r}") from None
-    if found is None:
+    if words is None:
         return DEFAULT
-    try:
-        if isinstance(found, str):
-            raise TypeError
-        words = frozenset(found)
-    except TypeError:
-        raise ValueError(f"{name} must be a collection of words; it is {show(found)}") from None
-    for word in sorted(words, key=str):
-        if word not in CLAIMS:
-            near = difflib.get_close_matches(str(word), list(CLAIMS), n=1)
-            hint = f" (did you mean {near[0]!r}?)" if near else ""
-            raise ValueError(f"{name} must be among {', '.join(CLAIMS)}; got {show(word)}{hint}")
-    return words
+    words = _checks.collection(words, name, "a collection of words")
+    for word in words:
+        near = difflib.get_close_matches(str(word), CLAIMS, n=1)
+        _checks.one_of(word, name, tuple(CLAIMS), f" (did you mean {near[0]!r}?)" if near else "")
+    return frozenset(words)
