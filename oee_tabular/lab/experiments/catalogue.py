@@ -8,6 +8,7 @@ from pathlib import Path
 
 from oee_tabular import _files
 from oee_tabular.lab import output as out
+from oee_tabular.lab.bench.ranking import RANKING
 from oee_tabular.lab.experiments.programs import LAMBDA, MISSPECIFIED, NORMALISATION, RATE, RENYI
 from oee_tabular.lab.experiments.sureness import COLLECTION, COVERAGE, COVERAGE_LAKE, EFFICIENCY
 from oee_tabular.lab.experiments.toy_text import CLIFF_WALKING, FROZEN_LAKE, TAXI
@@ -25,7 +26,7 @@ from oee_tabular.lab.store import Store, refuse_links
 EXPERIMENTS = Registry(
     [
         FIGURE_1A, FIGURE_1BCD, ESTIMANDS, HORIZON_EXPERIMENT, DATA_POLICY, RATE, RENYI, MISSPECIFIED, NORMALISATION, LAMBDA,
-        FROZEN_LAKE, TAXI, CLIFF_WALKING, COVERAGE, COVERAGE_LAKE, EFFICIENCY, COLLECTION, NETWORKS,
+        FROZEN_LAKE, TAXI, CLIFF_WALKING, COVERAGE, COVERAGE_LAKE, EFFICIENCY, COLLECTION, NETWORKS, RANKING,
         FIGURE_2, RESOLUTION, CARTPOLE_DATA, CARTPOLE_CHOICE, FIGURE_3, TABLE_1, CHANGES,
         RESIDUAL_COVERAGE,
     ]
