@@ -116,7 +116,7 @@ class Estimate:
 
 
 class Estimator(Protocol):
-    """A callable that estimates; those of the package are frozen dataclasses of their options.
+    """An estimator as a callable; the package's own are frozen dataclasses of their options.
 
     Examples
     --------

@@ -28,7 +28,7 @@ KINDS = ("ratio", "difference")
 def calibrate(
     estimate: Estimate, *, discretised: float, continuous: float, continuous_error: float = 0.0, kind: str = "ratio"
 ) -> Estimate:
-    """The estimate with a calibrated value among its diagnostics; its own value stays what it is.
+    """Add a calibrated value to the diagnostics of an estimate; its own value is unchanged.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ MAX_ERROR_BOUND = 1e-6  # of the value
 
 @dataclass(frozen=True)
 class Finding:
-    """Something to know about a value; findings of one kind and text about policies make one sentence.
+    """A warning about a value; findings of one kind and text about policies make one sentence.
 
     Attributes
     ----------

@@ -120,7 +120,7 @@ def _few_samples(n_samples: Array, share: Array, *, has_interval: bool) -> tuple
 
 @dataclass(frozen=True)
 class Oracle(TabularEstimator):
-    """The value under the true zeta, from a target that is known: exactly, or as in the paper by rollouts.
+    """The value under the true zeta of a known target: exactly, or as in the paper by rollouts.
 
     Parameters
     ----------

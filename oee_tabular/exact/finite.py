@@ -97,7 +97,7 @@ def gradient_to_horizon(model: Model, valued: Model, policy: Array, horizon: int
 
 
 def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) -> Array:
-    """J of every horizon up to T, from one pass: J_t = sum_{k<t} gamma^k E[r_k].
+    """Compute J of every horizon up to T in one pass: J_t = sum_{k<t} gamma^k E[r_k].
 
     Parameters
     ----------

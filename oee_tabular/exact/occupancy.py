@@ -39,7 +39,7 @@ def occupancy(
     horizon: int | None = None,
     of: Literal["state", "state_action", "transition"] = "state_action",
 ) -> Array | sparse.csr_array:
-    """The share of discounted time spent in each state, state-action pair or transition (eq. 3.2, 3.3).
+    """Compute the share of discounted time in each state, state-action pair or transition (eq. 3.2, 3.3).
 
     d(s, a) = sum_t gamma^t Pr(s_t = s, a_t = a) / sum_t gamma^t, over t = 0..T-1 or over all t.
 
@@ -112,7 +112,7 @@ def transition_gradient(
     values: Array | None = None,
     time: Array | None = None,
 ) -> Array:
-    """dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
+    """Compute dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
 
     sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], where alpha_t is the distribution of (s_t, a_t); r
     stands there only where rewards depend on s'. Defined up to a constant in each row (rows sum to 1).

@@ -26,7 +26,7 @@ N_TURNS_NARROW = 3  # where a graph is narrow: exact evaluation is then as quick
 
 
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
-    """A deterministic optimal policy: (S, A), or (T, S, A) for a horizon T.
+    """Compute a deterministic optimal policy: (S, A), or (T, S, A) for a horizon T.
 
     Modified policy iteration until the greedy policy is stable, then policy iteration (Puterman, Markov Decision Processes,
     1994, sections 6.5 and 6.4) with exact evaluation. An action changes only if another one is better by more than rounding

@@ -69,7 +69,7 @@ def require_model(value: object, name: str = "mdp") -> None:
 
 
 def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
-    """The model K_zeta = zeta * P.
+    """Make the model K_zeta = zeta * P.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ def policy_rewards(model: Model, policy: Array) -> Array:
 
 
 def evaluate_policy(model: Model, policy: PolicyLike, *, horizon: int | None = None) -> PolicyValues:
-    """V, J and a bound on their error.
+    """Compute V, J and a bound on their error.
 
     Finite horizon: V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0; infinite: (I - gamma P_pi) V = r_pi.
 
@@ -131,7 +131,7 @@ def backup(model: Model, value: Array) -> Array:
 
 
 def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, normalized: bool = False) -> float:
-    """J = E[sum_t gamma^t r_t] from the initial distribution, exactly, by dynamic programming (eq. 3.1).
+    """Compute J = E[sum_t gamma^t r_t] exactly by dynamic programming (eq. 3.1).
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
 
 
 def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
-    """V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised (eq. 4.1).
+    """Compute V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised (eq. 4.1).
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) 
 
 
 def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
-    """Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], shape (S, A); with a horizon, V has one step less to go.
+    """Compute Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], shape (S, A); with a horizon, V has one step less to go.
 
     Parameters
     ----------

@@ -115,7 +115,7 @@ def transition_factors(mdp: FiniteMDP, ratio: object, absorbing: BoolArray) -> A
 
 
 def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int) -> tuple[Array, Array]:
-    """E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,) arrays.
+    """Compute E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,) arrays.
 
     In absorbing states with reward 0, where an episode has ended, W_t is constant.
 
@@ -155,7 +155,7 @@ def radius_of(matrix: sparse.csr_array) -> float:
 
 @one_thread
 def weight_growth(simulator: FiniteMDP, zeta: object, policy: PolicyLike) -> float:
-    """log of the spectral radius of (P zeta^2) under the policy: the rate at which E[W_t^2] grows, nats a step.
+    """Compute the log of the spectral radius of (P zeta^2) under the policy: the rate at which E[W_t^2] grows, nats a step.
 
     Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the transitions that recur. Of a reducible chain the
     largest over all classes.

@@ -67,7 +67,7 @@ class RowChanges:
 
 
 def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
-    """By how much, at least, each row of the target differs from the simulator's.
+    """Bound from below the change of each pair's distribution from the simulator.
 
     Parameters
     ----------

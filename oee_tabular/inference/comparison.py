@@ -33,7 +33,7 @@ ENOUGH = 0.9  # of a policy's time in pairs that the log has: below it what coun
 
 @dataclass(frozen=True)
 class Decision:
-    """Which policy is worth most, as far as the log can say.
+    """The policy with the largest value, if the log can decide.
 
     Attributes
     ----------
@@ -335,7 +335,7 @@ def _root(covariance: Array) -> Array:
 
 @dataclass(frozen=True)
 class Selection:
-    """How well estimated values choose among policies whose true values are known.
+    """Measures of how well estimated values rank policies with known true values.
 
     Attributes
     ----------
@@ -356,7 +356,7 @@ class Selection:
 
 
 def selection_measures(estimates: ArrayLike, truths: ArrayLike, *, k: int = 1) -> Selection:
-    """Spearman's rank correlation, regret@k (a share of the range of true values) and mean absolute error.
+    """Compute Spearman's rank correlation, regret@k (a share of the range of true values) and mean absolute error.
 
     Parameters
     ----------

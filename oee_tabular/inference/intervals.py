@@ -42,7 +42,7 @@ NO_VARIATION = (
 
 @dataclass(frozen=True)
 class Interval:
-    """An interval for J of a policy in the target, a discounted sum.
+    """A confidence interval for J of a policy in the target, a discounted sum.
 
     Attributes
     ----------

@@ -159,7 +159,7 @@ def distinct_rows(table: Array) -> tuple[Array, IntArray]:
 
 
 def displacements(mdp: FiniteMDP, *, layout: ArrayLike | None = None) -> tuple[Array, IntArray]:
-    """How far each transition leads: layout[s'] - layout[s], or s' - s in the states' numbers where there is no layout.
+    """Compute the displacement of each transition: layout[s'] - layout[s], or s' - s in the states' numbers without a layout.
 
     Parameters
     ----------

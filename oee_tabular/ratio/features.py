@@ -30,7 +30,7 @@ N_DIAGONAL = 64  # points whose k(x, x) is taken from one square of the Gram mat
 
 
 def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
-    """exp(-|x - c|^2 / (2 bandwidth^2)), for (n, d) and (m, d) points an (n, m) array.
+    """Compute exp(-|x - c|^2 / (2 bandwidth^2)), for (n, d) and (m, d) points an (n, m) array.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def move_points(simulator: FiniteMDP, coordinates: object) -> Array:
 
 
 def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
-    """Indicator features of (action, displacement), which share what is learned between all states.
+    """Make indicator features of (action, displacement), which share information between all states.
 
     Parameters
     ----------

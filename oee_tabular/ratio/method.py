@@ -115,7 +115,7 @@ class Population:
 
 
 class Method:
-    """A way from counts to zeta. Subclasses are frozen dataclasses whose fields are the options; they define ``_fit``.
+    """A method for zeta from counts. Subclasses are frozen dataclasses whose fields are the options; they define ``_fit``.
 
     Examples
     --------

@@ -48,7 +48,7 @@ class Sgd:
 
 @dataclass(frozen=True, eq=False)
 class SgdTrace:
-    """The way to the optimum, at a few iterations.
+    """The course of an optimisation, at a few iterations.
 
     Attributes
     ----------

@@ -100,7 +100,7 @@ def _number(ways: list[str]) -> str:
 
 
 def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
-    """The uncovered mass: the share of ``moves`` to which the simulator gives probability 0.
+    """Compute the share of ``moves`` to which the simulator gives probability 0.
 
     Parameters
     ----------

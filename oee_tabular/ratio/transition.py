@@ -132,7 +132,7 @@ def transition_ratio(
 
 
 def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
-    """zeta = P_target / P_simulator on the simulator's support (eq. 4.3).
+    """Compute zeta = P_target / P_simulator on the simulator's support (eq. 4.3).
 
     Parameters
     ----------

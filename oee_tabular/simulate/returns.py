@@ -20,7 +20,7 @@ KINDS = ("per_decision", "trajectory")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledReturns:
-    """What ``sample_returns`` draws: a number for each of n episodes.
+    """The result of ``sample_returns``: a number for each of n episodes.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def sample_returns(
     kind: Literal["per_decision", "trajectory"] = "per_decision",
     record: bool = False,
 ) -> SampledReturns:
-    """Returns of sampled episodes and, with ``zeta``, their products of ratios, without writing the episodes down.
+    """Sample returns of episodes and, with ``zeta``, their products of ratios, without storing the episodes.
 
     W_t = zeta_1 ... zeta_t. per_decision: X = sum_t gamma^t W_t r_t; trajectory: X = W_{T-1} G; where rewards are
     r(s, a, s'), W_{t+1} and W_T: the X of ``weighted_return_moments``. Episodes begin and end as in ``sample_episodes``.

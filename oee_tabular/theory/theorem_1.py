@@ -121,7 +121,7 @@ def estimation_sides(
 
 @dataclass(frozen=True)
 class EstimationCounterexample(Sides):
-    """Theorem 1 at K = 1 where it fails: ``ratio`` is the K that it would need.
+    """A counterexample to Theorem 1 with K = 1: ``ratio`` is the K that it would need.
 
     Attributes
     ----------
