@@ -61,6 +61,8 @@ transitions[0, 1, 0] must be finite; it is nan
 transitions must be finite; at s=0, a=1 -> s'=0 it is nan
 >>> mdp(np.ones((2, 2, 3)) / 3)
 transitions must have shape (S, A, S), or ...; it has shape (2, 2, 3)
+>>> mdp(np.ones((3, 2, 2)) / 2)
+transitions must have shape ...; it has shape (3, 2, 2): the axes look like (A, S, S); use P.transpose(1, 0, 2)
 >>> mdp(np.eye(2))
 transitions must have shape (S, A, S), or (S*A, S) as a scipy.sparse array, ...; it has shape (2, 2)
 >>> mdp(sparse.csr_array(np.ones((3, 2))))

@@ -349,3 +349,17 @@ def test_a_last_move_that_leads_nowhere_known_is_left_out_and_told():
 def test_bad_episodes(episodes, text):
     with pytest.raises(ValueError, match=f"^{text}"):
         Transitions.from_episodes(episodes)
+
+
+def test_files_of_a_pattern_warn_once_and_missing_rewards_are_described(tmp_path):
+    for k, rewards in enumerate(([-2.0, -0.0], [np.nan, -1.0])):
+        table = pd.DataFrame(
+            {"state": [0, 1], "action": [0, 0], "next_state": [1, 0], "reward": rewards, "speed": [1, 2]}
+        )
+        table.to_csv(tmp_path / f"{k}.csv", index=False)
+    with pytest.warns(UserWarning, match="left out: speed$") as told:
+        log = Transitions.load(tmp_path)
+    assert len(told) == 1
+    with pytest.warns(UserWarning, match="left out: speed$"):
+        counts = Transitions.open(tmp_path)
+    assert all("rewards -2 to 0, 1 of 4 missing" in each.describe() for each in (log, counts))
