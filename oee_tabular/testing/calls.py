@@ -116,7 +116,7 @@ class Subject:
         """The estimator for a pair (an oracle's: on copies of it)."""
         if not self.is_oracle:
             return self.make(pair.simulator, pair.target)
-        with guarded("making the estimator"):
+        with capture_errors("making the estimator"):
             return self.make(copy.deepcopy(pair.simulator), copy.deepcopy(pair.target))
 
     def estimate(self, pair: Case, log: Transitions, seed: int, *, rollouts: int | None = None) -> Estimate:
@@ -124,7 +124,7 @@ class Subject:
         estimator = self.estimator(pair)
         own = getattr(estimator, "n_rollouts", None)
         if rollouts is not None and isinstance(own, int) and dataclasses.is_dataclass(estimator):
-            with guarded("dataclasses.replace(estimator, n_rollouts=...)"):
+            with capture_errors("dataclasses.replace(estimator, n_rollouts=...)"):
                 estimator = dataclasses.replace(estimator, n_rollouts=max(own, rollouts))  # type: ignore[type-var]
         return call(estimator, pair.problem_of(log), pair.policy.copy(), seed)
 
@@ -138,7 +138,7 @@ class Subject:
     def limit(self, pair: Case, **data: object) -> float | None:
         """Its own limit; None where it has none to tell."""
         estimator = self.estimator(pair)
-        with guarded("estimator.limit"):
+        with capture_errors("estimator.limit"):
             method = getattr(estimator, "limit", None)
             if not callable(method):
                 return None
@@ -151,15 +151,15 @@ class Subject:
 
 def call(estimator: Any, problem: Problem, policy: Array, seed: Seed) -> Estimate:
     """``estimator(problem, policy, seed=seed)``, well-formed, or ``Broken``."""
-    with guarded(f"estimator(problem, policy, seed={seed})"):
+    with capture_errors(f"estimator(problem, policy, seed={seed})"):
         estimate = as_estimator(estimator)(problem, policy, seed=seed)
-        trouble = malformed(estimate)
+        trouble = find_defect(estimate)
     if trouble:
         raise Broken(trouble, f"seed={seed}")
     return estimate
 
 
-def malformed(estimate: Any) -> str:
+def find_defect(estimate: Any) -> str:
     """What is wrong with an estimate, whose fields may hold anything; or nothing."""
     if not is_number(estimate.value):
         return f"value must be a float; it is {type(estimate.value).__name__}"
@@ -184,7 +184,7 @@ def malformed(estimate: Any) -> str:
 
 
 @contextmanager
-def guarded(what: str) -> Iterator[None]:
+def capture_errors(what: str) -> Iterator[None]:
     """Errors of the estimator's become ``Broken``; its warnings are not shown, its global random state is put back."""
     state, numpy_state = random.getstate(), np.random.get_state()  # noqa: NPY002 (what is watched over is the global one)
     try:

@@ -65,7 +65,7 @@ class Case:
     @property
     def data_distribution(self) -> Array:
         """(S, A): how the rows of a log are distributed."""
-        return recorded(self.target, self.behavior, self.steps)
+        return pair_shares(self.target, self.behavior, self.steps)
 
     def log(self, n: int, *, seed: Seed) -> Transitions:
         """``n`` episodes of the behaviour policy in the target."""
@@ -95,8 +95,14 @@ class Case:
 
     def with_rewards(self, scale: float, shift: float) -> Case:
         """The same with rewards scale * r + shift, in every state."""
-        changed = [_affine(mdp, scale, shift) for mdp in (self.simulator, self.target)]
-        return replace(self, simulator=changed[0], target=changed[1])
+        pair = []
+        for mdp in (self.simulator, self.target):
+            rewards: Any = scale * mdp.rewards + shift
+            if mdp.transition_rewards is not None:
+                rewards = mdp.transition_rewards.copy()
+                rewards.data = scale * rewards.data + shift
+            pair.append(mdp.with_rewards(rewards))
+        return replace(self, simulator=pair[0], target=pair[1])
 
     def relabelled(self, states: ArrayLike, actions: ArrayLike) -> Case:
         """The same with state s named ``states[s]`` and action a named ``actions[a]``, two permutations."""
@@ -112,7 +118,7 @@ class Case:
         )
 
 
-def recorded(target: FiniteMDP, behavior: Array, steps: int) -> Array:
+def pair_shares(target: FiniteMDP, behavior: Array, steps: int) -> Array:
     """(S, A): how the rows of episodes are distributed; an episode ends on arrival in an absorbing state."""
     time = occupancy(target.with_discount(1.0), behavior, horizon=steps)
     alive = np.where(target.absorbing()[:, None], 0.0, time)
@@ -195,14 +201,6 @@ def padded_log(log: Transitions, actions: Sequence[int], probability: float) -> 
     )
 
 
-def _affine(mdp: FiniteMDP, scale: float, shift: float) -> FiniteMDP:
-    if mdp.transition_rewards is None:
-        return mdp.with_rewards(scale * mdp.rewards + shift)
-    table = mdp.transition_rewards.copy()
-    table.data = scale * table.data + shift
-    return mdp.with_rewards(table)
-
-
 def _relabel(mdp: FiniteMDP, old: tuple[IntArray, ...]) -> FiniteMDP:
     """The MDP whose state s was ``old[0][s]``; names and places go with the states."""
     states, actions = (index.ravel() for index in old)
@@ -235,13 +233,13 @@ def _terminating(tenths: object, discount: float) -> FiniteMDP:
     return FiniteMDP(transitions, _REWARDS, np.array([0.8, 0.2, 0.0, 0.0]), discount, layout=np.arange(4))
 
 
-def _ragged(discount: float) -> Parts:
+def _make_ragged(discount: float) -> Parts:
     policy = np.array([[0.8, 0.2], [0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
     behavior = np.array([[0.6, 0.4], [0.4, 0.6], [0.6, 0.4], [1.0, 0.0]])
     return _terminating(_SIMULATOR, discount), _terminating(_TARGET, discount), policy, behavior
 
 
-def _moves(discount: float) -> Parts:
+def _make_moves(discount: float) -> Parts:
     """Nothing ends, and a reward belongs to the transition."""
     target = np.array([[[1, 7, 2], [5, 0, 5]], [[0, 2, 8], [6, 2, 2]], [[8, 2, 0], [3, 4, 3]]]) / 10.0
     simulator = np.array([[[2, 5, 3], [4, 0, 6]], [[0, 4, 6], [4, 3, 3]], [[6, 4, 0], [4, 3, 3]]]) / 10.0
@@ -252,7 +250,7 @@ def _moves(discount: float) -> Parts:
     return pair[0], pair[1], np.array([[0.7, 0.3], [0.2, 0.8], [0.6, 0.4]]), np.full((3, 2), 0.5)
 
 
-def _survival(discount: float) -> Parts:
+def _make_survival(discount: float) -> Parts:
     """One action; alive pays 1. Episodes that ended count: without them the value would be sum gamma^t."""
     pair = [
         FiniteMDP([[[stay, 1 - stay]], [[0.0, 1.0]]], [1.0, 0.0], [1.0, 0.0], discount, layout=[0.0, 1.0])
@@ -261,16 +259,16 @@ def _survival(discount: float) -> Parts:
     return pair[0], pair[1], np.ones((2, 1)), np.ones((2, 1))
 
 
-def _partial(discount: float) -> Parts:
+def _make_partial(discount: float) -> Parts:
     """Some (s, a) are never recorded, and the policy takes them."""
-    simulator, target, policy, behavior = _ragged(discount)
+    simulator, target, policy, behavior = _make_ragged(discount)
     behavior[1] = [1.0, 0.0]
     return simulator, target, policy, behavior
 
 
-def _violated(discount: float) -> Parts:
+def _make_violated(discount: float) -> Parts:
     """The target moves where the simulator never does: from state 0 to state 2."""
-    _, target, policy, behavior = _ragged(discount)
+    _, target, policy, behavior = _make_ragged(discount)
     tenths = np.array(_SIMULATOR)
     tenths[0, :, 3] += tenths[0, :, 2]
     tenths[0, :, 2] = 0
@@ -278,16 +276,16 @@ def _violated(discount: float) -> Parts:
 
 
 _MADE: Mapping[str, tuple[Callable[[float], Parts], float, int | None, int]] = {  # discount, horizon, steps
-    "ragged": (_ragged, 0.9, 6, 6),
-    "ragged infinite": (_ragged, 0.8, None, 80),
-    "moves": (_moves, 1.0, 4, 5),
-    "moves infinite": (_moves, 0.3, None, 18),
-    "survival": (_survival, 0.9, 12, 12),
-    "survival infinite": (_survival, 0.9, None, 120),
-    "partial": (_partial, 0.9, 5, 5),
-    "partial infinite": (_partial, 0.5, None, 60),
-    "violated": (_violated, 0.9, 6, 6),
-    "violated infinite": (_violated, 0.9, None, 6),
+    "ragged": (_make_ragged, 0.9, 6, 6),
+    "ragged infinite": (_make_ragged, 0.8, None, 80),
+    "moves": (_make_moves, 1.0, 4, 5),
+    "moves infinite": (_make_moves, 0.3, None, 18),
+    "survival": (_make_survival, 0.9, 12, 12),
+    "survival infinite": (_make_survival, 0.9, None, 120),
+    "partial": (_make_partial, 0.9, 5, 5),
+    "partial infinite": (_make_partial, 0.5, None, 60),
+    "violated": (_make_violated, 0.9, 6, 6),
+    "violated infinite": (_make_violated, 0.9, None, 6),
 }
 CASES = tuple(_MADE)
 

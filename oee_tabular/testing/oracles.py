@@ -23,7 +23,7 @@ from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.calls import name_of
-from oee_tabular.testing.cases import recorded
+from oee_tabular.testing.cases import pair_shares
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +203,7 @@ def compare_with_oracle(
     else:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
         steps = rollout_horizon(target.discount, optional_horizon_length(horizon, target))
-        share = recorded(target, behavior, steps)
+        share = pair_shares(target, behavior, steps)
         draw = partial(sample_episodes, target, behavior, size, steps)
         try:
             bound = trajectory_efficiency_bound(target, behavior, pi, horizon=steps)
