@@ -3,7 +3,7 @@
 With the confidence asked for, all rows at once satisfy KL(phat || P_target) <= epsilon (the balls of ``interval(method=
 "robust")``). A set A of next states has, by the data-processing inequality, kl(phat(A), P_target(A)) <= epsilon as well, so
 P_target(A) >= l, the smaller root of kl(phat(A), l) = epsilon, and the total variation between the rows is at least l - P(A).
-A is where the log saw more than the simulator says, {phat > P}.
+A is where the log has more than the simulator, {phat > P}.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class RowChanges:
     ----------
     certain : (S, A) in [0, 1]: at least so much, all at once, with ``confidence``; 0 where nothing is certain
     estimated : (S, A) between the log's frequencies and the simulator; 0 without transitions
-    counts : (S, A) moves of the log
+    counts : (S, A) transitions of the log
     evidence : (S, A) nats, n KL(phat || P): the evidence of the pair's own transitions against the simulator
     next_state : (S, A) where the log's frequency differs most, -1 without transitions
     simulated, observed : (S, A) its probability in the simulator and its frequency in the log; nan without transitions
