@@ -115,7 +115,9 @@ def test_names_in_the_table_of_the_paper_exist():
 
 
 def test_the_benchmark_s_page_has_the_saved_ranking():
-    share = 100 * pd.read_csv(NOTEBOOKS / "results" / "ranking" / "table.csv").groupby("rule")[["right", "wrong"]].mean()
+    share = (
+        100 * pd.read_csv(NOTEBOOKS / "results" / "ranking" / "table.csv").groupby("rule")[["right", "wrong"]].mean()
+    )
     page = " ".join(PAGES["benchmark"].split())
     assert share.loc["contest"].round(0).tolist() == [70.0, 0.0]
     values = (f"{share.wrong[f'largest value of {name}']:.1f}%" for name in ("oee", "maximum likelihood"))
