@@ -2,7 +2,7 @@
 
     python tests/benchmarks/speed.py [TASK ...] [--quick] [--environment FOLDER] [--json FILE]
 
-A task is one of values, horizon, rollouts, start, regimes, planning and main_job; all without one.
+A task is one of values, regimes, graphs, horizon, rollouts, planning and jobs; all but graphs without one.
 
 The peers (PEERS) are installed into a virtual environment of their own, beside this package: a temporary one, or FOLDER,
 where what is there already is used; one that cannot be installed is said and left out. The benchmark then runs there, all
@@ -20,9 +20,12 @@ import tempfile
 import venv
 from pathlib import Path
 
-PEERS = ("quantecon", "pypardiso", "mdpsolver", "mdptoolbox-hiive", "jax", "envpool", "python-flint", "psutil")
-PEERS += ("pymdptoolbox", "duckdb", "pyarrow")
-TASKS = ("values", "horizon", "rollouts", "start", "regimes", "planning", "main_job")
+PEERS = ("quantecon", "pypardiso", "mdpsolver", "mdptoolbox-hiive", "pymdptoolbox", "jax", "duckdb", "pyarrow")
+TASKS = {  # module and function
+    "values": ("values", "rows"), "regimes": ("values", "regimes"), "horizon": ("horizon", "rows"),
+    "rollouts": ("rollouts", "rows"), "planning": ("planning", "rows"), "jobs": ("jobs", "rows"),
+    "graphs": ("values", "graphs"),
+}  # fmt: skip
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 XLA = {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1", "JAX_ENABLE_X64": "1"}
 
@@ -45,8 +48,8 @@ def inside(tasks, quick, output):
     """Run by the environment's Python."""
     rows = []
     for task in tasks:
-        module = importlib.import_module(task)
-        for row in module.rows(quick=quick):
+        module, function = TASKS[task]
+        for row in getattr(importlib.import_module(module), function)(quick=quick):
             rows.append(row)
             print(f"  {row['task']} | {row['case']} | {row['program']}: {row['seconds']:.3g} s", file=sys.stderr)
         output.write_text(json.dumps(rows))
@@ -85,7 +88,7 @@ def markdown(rows):
 def main():
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("tasks", nargs="*", default=TASKS, choices=(*TASKS, []), metavar="TASK")
+    parser.add_argument("tasks", nargs="*", default=[*TASKS][:-1], choices=(*TASKS, []), metavar="TASK")
     parser.add_argument("--quick", action="store_true", help="small cases only")
     parser.add_argument("--environment", type=Path)
     parser.add_argument("--json", type=Path, help="where the rows are written")

@@ -23,7 +23,7 @@ from oee_tabular.exact.system import Solve, System
 class ValueIteration:
     """Some dozen sweeps over a graph that mixes: of random MDPs with 5 next states .6 of the time of plain BiCGSTAB.
 
-    Measured on 10 000 states with the policies of tests/benchmarks/regimes.py. It gives up as soon as four sweeps leave .45 of
+    Measured on 10 000 states with the policies of tests/benchmarks/values.py. It gives up as soon as four sweeps leave .45 of
     what the states' changes differ by; from there on plain BiCGSTAB is as fast.
     """
 

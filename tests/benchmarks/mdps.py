@@ -1,0 +1,106 @@
+"""The MDPs of the benchmarks: random graphs, grids, rings, chains, queues, layers, trees, dense rows."""
+
+import numpy as np
+from scipy import sparse
+
+import oee_tabular as oee
+
+
+def garnet(n, actions=4, entries=5, discount=0.99, seed=0):
+    """Each action leads to ``entries`` states that are drawn, with Dirichlet probabilities."""
+    rng = np.random.default_rng(seed)
+    chances = rng.dirichlet(np.ones(entries), size=n * actions).reshape(-1)
+    starts = np.arange(0, n * actions * entries + 1, entries)
+    matrix = sparse.csr_array((chances, rng.integers(0, n, len(chances)), starts), shape=(n * actions, n))
+    matrix.sum_duplicates()
+    return oee.FiniteMDP(matrix, rng.normal(size=(n, actions)), np.full(n, 1 / n), discount)
+
+
+def dense(n, actions=2, discount=0.99):
+    """Every state leads to all."""
+    rng = np.random.default_rng(1)
+    rows = rng.random((n * actions, n))
+    rows /= rows.sum(axis=1, keepdims=True)
+    return oee.FiniteMDP(sparse.csr_array(rows), rng.normal(size=(n, actions)), np.full(n, 1 / n), discount)
+
+
+def lattice(side, discount=0.99, slip=0.2):
+    """A torus in three dimensions: six actions, which slip to a neighbour that is drawn."""
+    states, n = np.arange(side**3).reshape(side, side, side), side**3
+    ahead = np.stack([np.roll(states, step, axis).reshape(-1) for axis in range(3) for step in (1, -1)], axis=1)
+    chances = np.tile(slip / 6 + (1 - slip) * np.eye(6), (n, 1, 1)).reshape(-1)
+    columns = np.repeat(ahead[:, None], 6, axis=1).reshape(-1)
+    matrix = sparse.csr_array((chances, columns, np.arange(0, 36 * n + 1, 6)), shape=(6 * n, n))
+    return oee.FiniteMDP(matrix, np.random.default_rng(0).normal(size=(n, 6)), np.full(n, 1 / n), discount)
+
+
+def fixed(mdp, seed=3):
+    """A deterministic policy that is drawn."""
+    return np.eye(mdp.n_actions)[np.random.default_rng(seed).integers(0, mdp.n_actions, mdp.n_states)]
+
+
+# ---- graphs of one action: (n, rng) -> edges
+
+
+def ring(n, rng, reach=3, far=0.0):
+    """``reach`` neighbours on each side; a share of the links leads anywhere (a small world)."""
+    steps = np.concatenate([np.arange(-reach, 0), np.arange(1, reach + 1)])
+    rows = np.repeat(np.arange(n), len(steps))
+    columns = (rows + np.tile(steps, n)) % n
+    away = rng.random(len(rows)) < far
+    columns[away] = rng.integers(0, n, away.sum())
+    return rows, columns
+
+
+def chain(n, rng):
+    """A step up or down; staying at the ends."""
+    at = np.arange(n)
+    return np.tile(at, 2), np.concatenate([np.minimum(at + 1, n - 1), np.maximum(at - 1, 0)])
+
+
+def queue(n, rng, batch=10):
+    """One leaves, up to ``batch`` arrive."""
+    rows = np.repeat(np.arange(n), batch + 1)
+    return rows, np.clip(rows - 1 + np.tile(np.arange(batch + 1), n), 0, n - 1)
+
+
+def layers(n, rng, width=4, entries=4):
+    """Levels of a few states that lead to their own level or one of the next two; states in any order."""
+    rows = np.repeat(np.arange(n), entries)
+    ahead = (rows // width + rng.integers(0, 3, len(rows))) * width + rng.integers(0, width, len(rows))
+    new = rng.permutation(n)
+    return new[rows], new[np.minimum(ahead, n - 1)]
+
+
+def tree(n, rng):
+    """Each state hangs on a random earlier one; states in any order."""
+    child, new = np.arange(1, n), rng.permutation(n)
+    parent = rng.integers(0, child)
+    return np.concatenate([new[child], new[parent], [0]]), np.concatenate([new[parent], new[child], [0]])
+
+
+def banded(n, rng, reach=8, entries=5):
+    """Some of the neighbours within reach; states in any order."""
+    rows, new = np.repeat(np.arange(n), entries), rng.permutation(n)
+    return new[rows], new[np.clip(rows + rng.integers(-reach, reach + 1, len(rows)), 0, n - 1)]
+
+
+def anywhere(n, rng, entries=5):
+    """A random graph: direct solvers fill their matrices."""
+    rows = np.repeat(np.arange(n), entries)
+    return rows, rng.integers(0, n, len(rows))
+
+
+GRAPHS = {
+    "ring": ring, "chain": chain, "queue": queue, "layered": layers, "tree": tree, "banded": banded,
+    "small world": lambda n, rng: ring(n, rng, far=0.01), "random graph": anywhere,
+}  # fmt: skip
+
+
+def graph(name, n, discount):
+    """The MDP of a graph, one action, with random chances."""
+    rng = np.random.default_rng(0)
+    rows, columns = GRAPHS[name](n, rng)
+    kernel = sparse.coo_array((rng.random(len(rows)) + 0.1, (rows, columns)), shape=(n, n)).tocsr()
+    kernel = sparse.csr_array(sparse.diags_array(1.0 / kernel.sum(axis=1)) @ kernel)
+    return oee.FiniteMDP(kernel, rng.normal(size=n), np.full(n, 1 / n), discount)
