@@ -95,6 +95,8 @@ def run_experiment(
     with backend(jobs, dask) as cluster:
         if cluster is not None:
             _check_workers(cluster)
+        elif settings.modules:  # workers of an earlier run may stand in another folder, with modules of the same names
+            joblib.externals.loky.get_reusable_executor().shutdown(wait=True)
         store = Store(folder, settings, fresh=fresh)
         store.open()
         todo, total = store.missing(), len(settings.cells())

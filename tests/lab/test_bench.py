@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from joblib.externals.loky import get_reusable_executor
 
 import oee_tabular as oee
 from oee_tabular.cli import main
@@ -19,8 +18,7 @@ SMALL = {"families": ["machine", "garnet_worse"], "sizes": [3], "seeds": 2}
 
 @pytest.fixture
 def here(monkeypatch):
-    """As if the command were given in this folder, where own.py is; workers of earlier tests stand elsewhere."""
-    get_reusable_executor().shutdown()
+    """As if the command were given in this folder, where own.py is."""
     monkeypatch.chdir(Path(__file__).parent)
 
 
