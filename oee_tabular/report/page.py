@@ -63,7 +63,8 @@ def render(report: Report, *, title: str | None = None, grid: tuple[int, int] | 
         "number": text.format_number, "between": text.format_interval, "within": text.format_value, "legible": legible,
         "share": _printing.share, "count": text.count,
     }  # fmt: skip
-    answers = report.answers
+    best_first = [row["policy"] for row in report.comparison()]
+    answers = sorted(report.answers, key=lambda answer: best_first.index(answer.policy) if best_first else 0)
     name = answers[0].policy if len(answers) == 1 else f"{len(answers)} policies"
     page = environment.get_template("report.html.j2").render(
         title=title or f"Evaluation of {name}",
@@ -197,10 +198,6 @@ class Portrait:
         """(S,) the part of each state's time that is in actions never recorded."""
         unseen: Array = np.where(self.changes.counts > 0, 0.0, self.time[policy]).sum(axis=1)
         return unseen
-
-    def coverage(self, policy: str) -> str:
-        """The share of the time that is in pairs that the log has."""
-        return _printing.share(1.0 - float(self.unseen(policy).sum()))
 
     @property
     def pairs(self) -> list[tuple[int, int]]:

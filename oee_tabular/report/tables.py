@@ -21,8 +21,7 @@ Columns = Mapping[str, Callable[[Row], str]]  # title -> the cell of a row
 
 def render(report: Report, *, all: bool, verbose: bool) -> str:
     """The report as text: ``Report.to_text``."""
-    rows = report.rows(all=all)
-    notes = number_lines(report, rows)
+    rows, notes = number_notes(report, report.rows(all=all))
     first = notes if verbose else notes[:N_NOTES]
     rest = text.omissions(len(notes) - len(first), len(report.results) - len(rows))
     return join(
@@ -42,13 +41,14 @@ def render_comparison(report: Report) -> str:
 
 def render_html(report: Report) -> str:
     """The report as a table of a notebook."""
-    rows, columns = report.rows(), estimator_columns(report, verbose=False)
+    columns = estimator_columns(report, verbose=False)
+    rows, notes = number_notes(report, report.rows())
     return _printing.table(
         list(columns),
         [[cell(row) for cell in columns.values()] for row in rows],
         caption=report.headline,
         text_columns=2,
-        below=[*report.legend(rows), *details(report), *number_lines(report, rows), *inputs(report)],
+        below=[*report.legend(rows), *details(report), *notes, *inputs(report)],
     )
 
 
@@ -95,7 +95,7 @@ def comparison_table(report: Report) -> list[str]:
         "policy": itemgetter("policy"),
         **value_columns(report),
         "P(best)": lambda row: best(row) or "-",
-        "worth less than the best by": write_difference,
+        "below the top row by": write_difference,
         **({"exact value": lambda row: f"{report.truth[row['policy']] * report.scale:.6g}"} if report.truth else {}),
     }
     has_no_best = any(row["probability_best"] is None for row in rows)
@@ -104,7 +104,9 @@ def comparison_table(report: Report) -> list[str]:
 
 def write_value(value: float, lower: float | None, upper: float | None) -> str:
     """Write a value with as many digits as its interval has."""
-    return f"{value:.5g}" if lower is None or upper is None else f"{value:{_printing.spec(lower, upper)}}"
+    if lower is None or upper is None:
+        return text.format_number(value).replace("−", "-")
+    return f"{value:{_printing.spec(lower, upper)}}"
 
 
 def write_interval(lower: float | None, upper: float | None) -> str:
@@ -135,10 +137,13 @@ def align(columns: Columns, rows: Sequence[Row], *, n_texts: int) -> list[str]:
     return lines
 
 
-def number_lines(report: Report, rows: Sequence[Row]) -> list[str]:
-    """The warnings about one of the rows, or about none in particular, with their numbers."""
-    elsewhere = {k for notes in report.notes.values() for k in notes} - {k for row in rows for k in row["notes"]}
-    return [f"[{k}] {warning}" for k, warning in enumerate(report.warnings, start=1) if k not in elsewhere]
+def number_notes(report: Report, rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
+    """The rows with their notes numbered from 1, and the notes; a warning about no row in particular has no number."""
+    cited = sorted({k for row in rows for k in row["notes"]})
+    about_rows = {k for notes in report.notes.values() for k in notes}
+    general = [warning for k, warning in enumerate(report.warnings, start=1) if k not in about_rows]
+    numbered = [f"[{i}] {report.warnings[k - 1]}" for i, k in enumerate(cited, start=1)]
+    return [{**row, "notes": [1 + cited.index(k) for k in row["notes"]]} for row in rows], [*general, *numbered]
 
 
 def details(report: Report) -> list[str]:

@@ -229,4 +229,5 @@ def omissions(notes: int, rows: int) -> str:
     """Say what a short report leaves out; "" where that is nothing."""
     told = [f"{count(notes, 'more note')} with --verbose"] * bool(notes)
     told += [f"{count(rows, 'more row')} with --all"] * bool(rows)
-    return f"{' and '.join(told)} (in Python: to_text(verbose=True, all=True))." if told else ""
+    options = ", ".join(["verbose=True"] * bool(notes) + ["all=True"] * bool(rows))
+    return f"{' and '.join(told)} (in Python: to_text({options}))." if told else ""

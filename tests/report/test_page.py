@@ -120,7 +120,7 @@ def test_it_says_the_answer_and_how_it_was_found(report, html):
     for word in ("numpy", "Python", "interval: likelihood", "Importance sampling, reward by reward", "FiniteMDP("):
         assert word in text
     assert "col. 0" in text  # the lake is drawn as a grid
-    assert "ends elsewhere than the simulator says" in text
+    assert "ends in other states than the simulator says" in text
 
 
 def test_the_same_input_gives_the_same_bytes(report, html):
@@ -174,7 +174,7 @@ def test_at_discount_one_the_time_is_that_until_absorption():
     simulator = oee.FiniteMDP(transitions, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
     found = oee.evaluate(Problem(simulator, oee.Transitions([0, 0], [0, 0], [1, 2], [1.0, 1.0])), np.ones((3, 1)))
     text = Page(found.to_html()).text
-    assert "66.7% of its time is in state-action pairs that the log has recorded" in text
+    assert "Share of its discounted time in each state" in text
     assert "no value" in text
     stays = np.array([[[0.5, 0.5, 0.0]], [[0.5, 0.5, 0.0]], [[0.0, 0.0, 1.0]]])
     for_ever = oee.FiniteMDP(stays, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
@@ -416,4 +416,4 @@ def test_covered_does_not_read_as_all_of_it():
     mine = 0.9999 * EXPERT["expert"] + 0.0001 * 0.25
     report = oee.evaluate(oee.Problem(oee.tasks.gridworld(3, 0.3), log), {"mine": mine}, seed=0)
     assert "> 99.9%" in report.to_text(verbose=True)
-    assert re.search(r"covered by the log</dt><dd>&gt; 99.9% <span class=\"soft\">1 pair never", report.to_html())
+    assert re.search(r"time in recorded pairs</dt><dd>&gt; 99.9% <span class=\"soft\">1 pair never", report.to_html())
