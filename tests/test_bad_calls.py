@@ -275,8 +275,8 @@ estimators must be among simulator, oee, ...; got 'oe' (did you mean 'oee'?)
 estimator 'oracle' needs the target environment
 >>> oee.evaluate(oee.Problem(GRID, LOG), UNIFORM, estimators=[])
 estimators must name at least one
->>> oee.evaluate(oee.Problem(GRID, LOG), UNIFORM, estimators={"mine": lambda problem, policy, seed: 1.5})
-what estimator 'mine' returns must be an Estimate, Estimate(value); got float
+>>> oee.evaluate(oee.Problem(GRID, LOG), UNIFORM, estimators={"mine": lambda problem, policy: (1.5, 0.1)})
+an estimator must return a float or an Estimate; it returned tuple: Estimate(value, standard_error) holds both
 >>> oee.evaluate(oee.Problem(GRID, LOG), {})
 policies must hold at least one; it is empty
 >>> oee.evaluate(oee.Problem(GRID, LOG), {"mine": UNIFORM * 0.9})

@@ -11,8 +11,9 @@ import numpy as np
 from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.estimators import Estimate, Estimator, Problem
+from oee_tabular.estimators import Estimator, Problem
 from oee_tabular.estimators.findings import MADE_FROM_LOG, WEIGHTLESS, Finding
+from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
 from oee_tabular.inference.comparison import several_policies
@@ -233,8 +234,8 @@ def _run_estimators(
         is_from_log = is_best_in_log(problem, policy)
         for j, (label, estimator) in enumerate(chosen.items()):
             _progress.report_step(f"{label} of “{name}” (policy {i + 1} of {len(policies)})")
-            estimate = estimator(problem, policy, seed=_checks.seed_sequence(seed, (i, j)))
-            _checks.instance(estimate, Estimate, f"what estimator {label!r} returns", "Estimate, Estimate(value)")
+            run = as_estimator(estimator, f"estimators[{label!r}]")  # functions are taken, too
+            estimate = run(problem, policy, seed=_checks.seed_sequence(seed, (i, j)))
             if is_from_log and estimate.is_from_log and estimate.status == "ok":
                 estimate = replace(estimate, findings=(MADE_FROM_LOG, *estimate.findings))
             results.append(Result(name, label, estimate))

@@ -189,7 +189,7 @@ def test_guaranteed_intervals_and_normalised_values_are_named():
     assert "guaranteed interval" in text
     assert "(1 − discount) × discounted sum of rewards" in text
     assert "discount 0.99 (normalised)" in text
-    assert "In none of the 2 pairs is a difference certain" in text
+    assert "No difference in a single pair is significant (2 pairs" in text
 
 
 def test_many_policies_have_six_maps():
