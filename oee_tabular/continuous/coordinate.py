@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from oee_tabular.continuous.history import MAX_LAG, HistoryEffect
+
 SURE = 3.0  # standard errors of what g explains: the target differs
-HIDDEN = 0.05  # share of what is left over that history tells: the state is not all that decides
-TRIFLE = 0.01  # the same share of the whole residual: a smooth rest of g is no hidden state
+HIDDEN = 0.1  # share of what is left over that history explains: the state is not all that decides
+TRIFLE = 0.03  # of a step's own deviation: less is no hidden state to speak of
 ALIKE = 0.05  # share by which two scatters that are the same may differ
+ORDINALS = ("", "one step", "two steps", "three steps", "four steps", "five steps")
 
 
 @dataclass(frozen=True)
@@ -20,10 +24,11 @@ class Coordinate:
     kind, per_action : the class of functions that g is of, and whether each action has its own coefficients
     simulator_scatter, residual_scatter : root mean squares, of the simulator's own step about f and of s' - f(s, a) in the log
     left_over : root mean square of s' - f(s, a) - g(s, a)
-    explained : share of the residual's mean square that g explains on episodes that it was not fitted to
-    surely : how many standard errors that share is from 0
+    displacement : standard deviation of s' - s in the log (of the reward)
+    explained : share of the residual's mean square, of every row, that g explains on episodes that it was not fitted to
+    t_statistic : how many standard errors that share is from 0
     scatter : "none" | "simulator" | "log", where the noise about f + g is taken from
-    told_by_history : share of what is left over that the action and the left-over before explain
+    history : what earlier actions and residuals explain of what is left over
     """
 
     name: str
@@ -32,21 +37,40 @@ class Coordinate:
     simulator_scatter: float
     residual_scatter: float
     left_over: float
+    displacement: float
     explained: float
-    surely: float
+    t_statistic: float
     scatter: str
-    told_by_history: float
+    history: HistoryEffect
 
     @property
     def differs(self) -> bool:
         """Whether the target's step differs from the simulator's: g is surely not zero, or the scatter is another."""
         alike = abs(self.left_over - self.simulator_scatter) <= ALIKE * self.simulator_scatter
-        return self.surely > SURE or (self.scatter == "log" and not alike)
+        return self.t_statistic > SURE or (self.scatter == "log" and not alike)
+
+    @property
+    def unexplained(self) -> float:
+        """Held-out mean square error of f + g, in units of the displacement's variance."""
+        if self.displacement == 0.0:
+            return 0.0
+        return (1.0 - self.explained) * (self.residual_scatter / self.displacement) ** 2
 
     @property
     def hidden(self) -> bool:
-        """Whether something that is not in the state decides: told by history, and no trifle of the whole residual."""
-        told = (
-            self.told_by_history * (self.left_over / self.residual_scatter) ** 2 if self.residual_scatter > 0 else 0.0
-        )
-        return self.told_by_history > HIDDEN and told > TRIFLE
+        """Whether something that is not in the state decides: history explains what is left over, and that is no trifle."""
+        part = self.history.r_squared**0.5 * self.left_over
+        return self.history.r_squared > HIDDEN and part > TRIFLE * self.displacement
+
+
+def describe_history(coordinates: Sequence[Coordinate]) -> str:
+    """Which earlier action or residual matters, and by how much; "" where the state is Markov."""
+    hidden = sorted((c for c in coordinates if c.hidden), key=lambda c: -c.history.lag_r_squared)
+    if not hidden:
+        return ""
+    effect = hidden[0].history
+    same = [c.name for c in hidden if (c.history.lag, c.history.of) == (effect.lag, effect.of)]
+    text = f"The {effect.of} of {ORDINALS[effect.lag]} ago explains {effect.lag_r_squared:.0%} of the residual in "
+    text += " and ".join([", ".join(same[:-1]), same[-1]] if len(same) > 1 else same)
+    more = f" (the last {ORDINALS[MAX_LAG].split()[0]} actions and residuals together: {effect.r_squared:.0%})"
+    return text + (more if effect.r_squared > effect.lag_r_squared + 0.05 else "") + "."

@@ -11,7 +11,9 @@ from scipy import stats
 
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
+from oee_tabular.continuous.coordinate import describe_history
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, paired_returns
+from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 from oee_tabular.estimators import Estimate, Estimator, Problem, calibrate
 from oee_tabular.estimators.base import IN_VALUES_UNIT
@@ -119,9 +121,8 @@ class Residual(Refitted):
         """``seed`` is not used: the value's own is."""
         found = Refitted.__call__(self, problem, policy, seed=seed)
         share = self._beyond(self.value.functions[np.asarray(policy).tobytes()])
-        hidden = [c for c in self.learned.coordinates if c.hidden]
         told = ", ".join(f"{c.name} {c.explained:.3g}" for c in self.learned.coordinates if c.kind != "zero")
-        status = _wrong(hidden, self.learned.units)
+        status = _wrong(self.learned)
         facts = found.diagnostics | {"explained": told, "beyond_log": share}
         return replace(
             found, diagnostics=facts, status=status, findings=(*found.findings, *beyond_log(share)),
@@ -150,17 +151,12 @@ def beyond_log(share: float) -> tuple[Finding, ...]:
     return (Finding("beyond", share, text, f"{share:.0%}"),) if share > BEYOND else ()
 
 
-def _wrong(hidden: list[Any], units: str) -> str:
-    """What is wrong where columns are in other units, or history tells of the residuals; "ok" where all is well."""
-    if units:
-        return f"the log's columns seem to be in another unit than the simulator's: {units}"
-    if not hidden:
-        return "ok"
-    told = ", ".join(f"{c.told_by_history:.0%} in {c.name}" for c in hidden)
-    return (
-        f"the state is not all that the next one depends on: the action and the residual before explain {told} of what the "
-        "correction leaves over (hidden state: a delay, sensor noise); tasks.HistoryTask puts the last action into the state"
-    )
+def _wrong(learned: ResidualSimulator) -> str:
+    """What is wrong where columns are in other units, or history explains the residuals; "ok" where all is well."""
+    if learned.units:
+        return f"the log's columns seem to be in another unit than the simulator's: {learned.units}"
+    told = describe_history(learned.coordinates)
+    return f"hidden state, such as a delay or sensor noise. {told}" if told else "ok"
 
 
 @dataclass(frozen=True, eq=False)

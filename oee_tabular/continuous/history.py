@@ -1,66 +1,87 @@
-"""Is the state all that the next one depends on? A test on what a correction leaves over, and the state with the last action.
+"""The state with the last actions in it, and a test of whether they matter.
 
-Where steps are delayed, or an actuator has a memory, s' depends on more than (s, a): what g leaves over is then told by the
-action and the left-over before. Independent residuals cannot carry that, and every value that takes the state to be Markov is
-wrong; with the last action in the state (``HistoryTask``), one step of delay is Markov again.
+Where steps are delayed, or an actuator has a memory, s' depends on more than (s, a). What a correction g leaves over is then
+predicted by the actions and the residuals of earlier steps, y_t by a_{t-1}, ..., a_{t-5} and y_{t-1}, ..., y_{t-5}. Independent
+residuals cannot carry that, and every value that takes the state to be Markov is wrong. With the last actions in the state
+(``HistoryTask``) a delay is Markov again, and a motor's lag nearly so.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, StatePolicy
 
 FOLDS = 4
-MOST_PAIRS = 100  # pairs of actions that have a mean each
-FEWEST = 200  # pairs of consecutive moves by which anything is said
+MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state
+MIN_ROWS, MAX_ROWS, MAX_SLOW_ROWS = 200, 20_000, 3000  # by which the test is made; slow: of tasks that step one by one
+N_NEIGHBORS = 4  # whose mean residual is what (s, a) itself explains
+CLIP = 8.0  # root mean squares: what rows at contacts count at most
 
 
 class HistoryTask(DerivedTask):
-    """A task whose state has the last action in it: A more coordinates, 1 at its number, all 0 where an episode begins.
+    """A task whose state has its last actions in it: A more coordinates for each, 1 at its number, all 0 before an episode.
 
     Parameters
     ----------
     task : ContinuousTask
+    steps : how many actions are kept, the last one first
+
+    Raises
+    ------
+    ValueError
+        ``steps`` below 0; a log of other states, or none of whose episodes is longer than ``steps``.
 
     Notes
     -----
     ``log`` brings a log into these states, ``policy`` a policy of the task's own. The task itself does not look at the last
-    action; a ``ResidualSimulator`` of it learns what does.
+    actions; a ``ResidualSimulator`` of it learns what does, from the steps that the task makes under each of them.
 
     Examples
     --------
     >>> from oee_tabular.tasks import CartPole, cartpole_policy, record
-    >>> task = HistoryTask(CartPole())
+    >>> task = HistoryTask(CartPole(), 2)
     >>> log = task.log(record(CartPole(), cartpole_policy(1.0), n_transitions=50, max_steps=20, seed=0))
     >>> log.state[:3, 4:].tolist(), log.action[:2].tolist()
-    ([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]], [1, 0])
+    ([[0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 1.0]], [1, 0])
     """
 
-    def __init__(self, task: ContinuousTask) -> None:
-        super().__init__(_checks.instance(task, ContinuousTask, "task"), f"{task.name} with its last action")
-        last = tuple(f"last_action_{a}" for a in range(task.n_actions))
+    def __init__(self, task: ContinuousTask, steps: int = 1) -> None:
+        steps = 0 if steps is not False and steps == 0 else _checks.positive_integer(steps, "steps")
+        about = "action" if steps == 1 else f"{steps} actions"
+        super().__init__(_checks.instance(task, ContinuousTask, "task"), f"{task.name} with its last {about}")
+        numbers = range(task.n_actions)
+        last = tuple(f"last_action_{a}" for a in numbers if steps)
+        last += tuple(f"action_{a}_{k}_steps_ago" for k in range(2, steps + 1) for a in numbers)
+        self.steps, self.n_remembered = steps, len(last)
         self.state_names, self.feature_names = task.state_names + last, task.feature_names + last
         self.feature_low = freeze(np.concatenate([task.feature_low, np.zeros(len(last))]))
         self.feature_high = freeze(np.concatenate([task.feature_high, np.ones(len(last))]))
         self.periodic = tuple(task.periodic) + (False,) * len(last)
 
     def log(self, log: ContinuousTransitions) -> ContinuousTransitions:
-        """The log with the last action in its states; rows that follow no other row of their episode have none."""
+        """The log with the last actions in its states; rows that follow no other row of their episode have none."""
         require_log_of(self.task, log)
         actions = log.action_numbers(self.actions)
-        before, after = consecutive(log)
-        last = np.zeros((len(log), self.n_actions))
-        last[after] = np.eye(self.n_actions)[actions[before]]
+        earlier = earlier_rows(log, self.steps)
+        if self.steps and not (earlier[:, -1] >= 0).any():
+            raise ValueError(
+                f"steps must be less than the longest episode's transitions; no row of the log has {self.steps} before it"
+                + (": log.episode is not given, and no row begins where another ends" if log.episode is None else "")
+            )
+        codes = np.vstack([np.eye(self.n_actions), np.zeros(self.n_actions)])  # the last: no action
+        last = codes[np.where(earlier >= 0, actions[earlier], -1)].reshape(len(log), -1)
         columns = log.columns()
         columns["state"] = np.column_stack([log.state, last])
-        columns["next_state"] = np.column_stack([log.next_state, np.eye(self.n_actions)[actions]])
+        columns["next_state"] = self._append(columns["state"], actions, log.next_state)
         return ContinuousTransitions(**columns)
 
     def policy(self, policy: StatePolicy) -> StatePolicy:
@@ -70,45 +91,60 @@ class HistoryTask(DerivedTask):
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """The task's, and the action taken."""
-        return self._with(actions, self.task.moves(self.own(states), actions, disturbance))
+        moved = self.task.moves(self.own(states), actions, disturbance)
+        return Moves(self._append(states, actions, moved.next_state), moved.reward, moved.terminated)
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """The task's, and the action taken."""
-        return self._with(actions, self.task.step(self.own(states), actions, rng))
+        moved = self.task.step(self.own(states), actions, rng)
+        return Moves(self._append(states, actions, moved.next_state), moved.reward, moved.terminated)
 
     def own(self, states: Array) -> Array:
-        """Without the last action."""
+        """Without the last actions."""
         return np.ascontiguousarray(states[:, : self.task.n_state])
 
-    def _with(self, actions: IntArray, moved: Moves) -> Moves:
-        following = np.column_stack([moved.next_state, np.eye(self.n_actions)[np.asarray(actions, dtype=np.int64)]])
-        return Moves(following, moved.reward, moved.terminated)
+    def _append(self, states: Array, actions: IntArray, following: Array) -> Array:
+        last = np.column_stack([np.eye(self.n_actions)[actions], states[:, self.task.n_state :]])
+        return np.column_stack([following, last[:, : self.steps * self.n_actions]])
+
+    def past_displacements(self, states: Array, actions: IntArray) -> Array:
+        """(n, steps d) f(s, b) - s under each of the last actions b; under the present one where there was none."""
+        own, past = self.own(states), self._codes(states)
+        numbers = np.where(past.any(axis=2), past.argmax(axis=2), np.asarray(actions)[:, None])
+        none = np.zeros((len(own), self.task.n_disturbances))
+        return np.column_stack([self.task.moves(own, b, none).next_state - own for b in numbers.T] or [own[:, :0]])
+
+    def _codes(self, states: Array) -> Array:
+        return states[:, self.task.n_state :].reshape(len(states), self.steps, self.n_actions)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """The task's, without a last action."""
-        return np.column_stack([super().initial_states(n, rng), np.zeros((n, self.n_actions))])
+        return self._begin(super().initial_states(n, rng))
 
     def initial_points(self) -> tuple[Array, Array]:
         """The task's, without a last action."""
         points, weights = super().initial_points()
-        return np.column_stack([points, np.zeros((len(points), self.n_actions))]), weights
+        return self._begin(points), weights
+
+    def _begin(self, states: Array) -> Array:
+        return np.column_stack([states, np.zeros((len(states), self.steps * self.n_actions))])
 
     def features(self, states: Array) -> Array:
-        """The task's, and the last action."""
+        """The task's, and the last actions."""
         return np.column_stack([super().features(states), states[:, self.task.n_state :]])
 
     def smooth(self, states: Array) -> Array:
-        """The task's, and the last action."""
-        return np.column_stack([super().smooth(states), states[:, self.task.n_state :]])
+        """The task's, and which of the last actions there were."""
+        return np.column_stack([super().smooth(states), self._codes(states).any(axis=2)])
 
     def embed(self, features: Array) -> Array:
-        """The task's, and the last action."""
+        """The task's, and the last actions."""
         k = len(self.task.feature_names)
         return np.column_stack([super().embed(features[:, :k]), features[:, k:]])
 
     def parameters(self) -> dict[str, Any]:
         """The task's."""
-        return self.task.parameters() | {"history": 1}
+        return self.task.parameters() | {"history": self.steps}
 
 
 def consecutive(log: ContinuousTransitions) -> tuple[IntArray, IntArray]:
@@ -122,28 +158,114 @@ def consecutive(log: ContinuousTransitions) -> tuple[IntArray, IntArray]:
     return before[follows], after[follows]
 
 
-def told_by_history(
-    left_over: Array, actions: IntArray, n_actions: int, before: IntArray, after: IntArray, group: IntArray
-) -> Array:
-    """(k,) share of what is left over that the action and the left-over before explain, beyond the action's own means.
+def earlier_rows(log: ContinuousTransitions, steps: int) -> IntArray:
+    """(n, steps) the rows one, two, ... steps before each in its episode; -1 where there is none."""
+    before, after = consecutive(log)
+    last = np.full(len(log) + 1, -1)  # the last entry is that of no row
+    last[after] = before
+    found = np.empty((len(log), steps + 1), dtype=np.int64)
+    found[:, 0] = np.arange(len(log))
+    for k in range(steps):
+        found[:, k + 1] = last[found[:, k]]
+    return found[:, 1:]
 
-    A linear regression on pairs of actions and the left-overs before, by its error on groups of episodes that it was not fitted
-    to; 0 where fewer than 200 moves follow another.
+
+@dataclass(frozen=True)
+class HistoryEffect:
+    """What earlier actions and residuals explain of one coordinate's residual.
+
+    Attributes
+    ----------
+    r_squared : share of its mean square that all of the last five explain, on episodes that the regression was not fitted to
+    lag, of : the step back, and "action" or "residual", that alone explains most
+    lag_r_squared : how much that is
     """
-    scale = np.sqrt((left_over**2).mean(axis=0))
-    y = left_over / np.where(scale > 0, scale, 1.0)
-    if len(before) < FEWEST:
-        return np.zeros(y.shape[1])
-    own = np.eye(n_actions)[actions[after]]
-    last = np.eye(n_actions)[actions[before]]
-    pairs = (own[:, :, None] * last[:, None]).reshape(len(own), -1) if n_actions**2 <= MOST_PAIRS else last
-    fold = group[after] % FOLDS
-    plain = _held_out(own, y[after], fold)
-    with_history = _held_out(np.column_stack([own, pairs, y[before]]), y[after], fold)
-    return np.asarray(np.where(plain > 0, np.maximum(1.0 - with_history / np.where(plain > 0, plain, 1.0), 0.0), 0.0))
+
+    r_squared: float = 0.0
+    lag: int = 1
+    of: str = "action"
+    lag_r_squared: float = 0.0
 
 
-def _held_out(x: Array, y: Array, fold: IntArray) -> Array:
+def history_effects(
+    task: ContinuousTask,
+    log: ContinuousTransitions,
+    actions: IntArray,
+    residuals: Array,
+    group: IntArray,
+    is_smooth: BoolArray,
+    is_free: BoolArray,
+) -> list[HistoryEffect]:
+    """What history explains of each coordinate's residual, beyond the action's own mean and the residuals near by.
+
+    By linear regressions on the last five actions, the steps that the simulator makes under them, and the last five residuals,
+    on smooth rows (no contacts); and on the actions alone at all free rows (no stops), because a delay of a command that rarely
+    changes is a rare large residual too. None where fewer than 200 rows follow another.
+    """
+    earlier = earlier_rows(log, MAX_LAG)
+    earlier = np.where(earlier >= 0, earlier, len(log))
+    rows = np.flatnonzero((earlier[:, 0] < len(log)) & is_free)[: MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS]
+    best = [HistoryEffect() for _ in residuals.T]
+    acted = _earlier_actions(task, log.state[rows], actions, rows, earlier[rows])
+    for usable, has_residuals in ((is_smooth, True), (is_free, False)):
+        some = usable[rows]
+        used = rows[some]
+        if len(used) < MIN_ROWS:
+            continue
+        size = np.sqrt((residuals[usable] ** 2).mean(axis=0))
+        y = np.clip(residuals / np.where(size > 0, size, 1.0), -CLIP, CLIP) * usable[:, None]
+        blocks = {(k, "action"): block[some] for k, block in enumerate(acted, start=1)}
+        if has_residuals:
+            padded = np.vstack([y, np.zeros(y.shape[1])])
+            blocks |= {(k, "residual"): padded[back] for k, back in enumerate(earlier[used].T, start=1)}
+        base = [np.eye(task.n_actions)[actions[used]], _mean_near(task, log.state, actions, y, usable, group)[used]]
+        fold = group[used] % FOLDS
+        errors = {
+            key: _held_out_error(np.column_stack([*base, *more]), y[used], fold)
+            for key, more in ({None: [], "all": blocks.values()} | {key: [b] for key, b in blocks.items()}).items()
+        }
+        plain = errors.pop(None)
+        shares = {key: np.where(plain > 0, 1.0 - e / np.where(plain > 0, plain, 1.0), 0.0) for key, e in errors.items()}
+        whole = shares.pop("all")
+        for k in np.flatnonzero(whole > [effect.r_squared for effect in best]):
+            (lag, kind), alone = max(shares.items(), key=lambda item: item[1][k])
+            best[k] = HistoryEffect(float(whole[k]), lag, kind, float(alone[k]))
+    return best
+
+
+def _earlier_actions(
+    task: ContinuousTask, states: Array, actions: IntArray, rows: IntArray, earlier: IntArray
+) -> list[Array]:
+    """For each lag which action was taken then, and where the simulator would go under it now."""
+    codes, taken = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)]), np.append(actions, 0)
+    none = np.zeros((len(rows), task.n_disturbances))
+    own = task.moves(states, actions[rows], none).next_state
+    found = []
+    for back in earlier.T:
+        there = np.where(back < len(actions), taken[back], actions[rows])
+        other = task.moves(states, there, none).next_state - own
+        scale = other.std(axis=0)
+        found.append(np.column_stack([codes[back], other[:, scale > 0] / scale[scale > 0]]))
+    return found
+
+
+def _mean_near(
+    task: ContinuousTask, states: Array, actions: IntArray, y: Array, usable: BoolArray, group: IntArray
+) -> Array:
+    """(n, k) mean of the nearest rows of the same action in other folds: what (s, a) explains, however rough."""
+    places = task.smooth(states)
+    places = places / np.maximum(places.std(axis=0), 1e-300)
+    found, fold = np.zeros_like(y), group % FOLDS
+    for a in np.unique(actions):
+        for f in range(FOLDS):
+            here = np.flatnonzero((actions == a) & (fold == f))
+            there = np.flatnonzero((actions == a) & (fold != f) & usable)
+            if len(here) and len(there) >= N_NEIGHBORS:
+                found[here] = y[there[cKDTree(places[there]).query(places[here], k=N_NEIGHBORS)[1]]].mean(axis=1)
+    return found
+
+
+def _held_out_error(x: Array, y: Array, fold: IntArray) -> Array:
     """(k,) sums of squared errors on the folds that were left out."""
     total = np.zeros(y.shape[1])
     for f in range(FOLDS):

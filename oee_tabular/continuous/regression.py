@@ -124,8 +124,8 @@ class Fit:
     per_action : whether each action has its own coefficients
     ridge : of a column's mean square
     columns, coefficients : (p,), (A, p)
-    explained : share of the target's mean square that g explains on episodes that it was not fitted to
-    surely : how many standard errors (over groups of episodes) that share is from 0
+    error : sum of its squared errors on episodes that it was not fitted to
+    t_statistic : how many standard errors (over groups of episodes) that is below the error of g = 0
     """
 
     kind: str
@@ -133,8 +133,8 @@ class Fit:
     ridge: float
     columns: IntArray
     coefficients: Array
-    explained: float
-    surely: float
+    error: float
+    t_statistic: float
 
 
 class Grams:
@@ -222,10 +222,9 @@ class Grams:
         columns = self.functions.nested[name]
         w = self.solve(columns, slice(target, target + 1), ridge, per_action, np.ones(n_groups))[:, :, 0]
         gained = errors[0] - held_out[:, target]  # the first is g = 0
-        share = float(gained.sum() / whole) if whole > 0 else 0.0
         error = float(np.sqrt(n_groups) * gained.std())
-        surely = float(gained.sum()) / error if error > 0 else (np.inf if gained.sum() > 0 else 0.0)
-        return Fit(name, per_action, ridge, columns, w, share, surely)
+        t = float(gained.sum()) / error if error > 0 else (np.inf if gained.sum() > 0 else 0.0)
+        return Fit(name, per_action, ridge, columns, w, float(held_out[:, target].sum()), t)
 
     def refit(self, fits: list[Fit], weights: Array) -> list[Fit]:
         """The same classes fitted to groups with these weights: a bootstrap's."""

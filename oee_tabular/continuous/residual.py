@@ -24,9 +24,9 @@ from scipy.special import ndtr
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.coordinate import Coordinate
+from oee_tabular.continuous.coordinate import TRIFLE, Coordinate
 from oee_tabular.continuous.discretization import require_log_of
-from oee_tabular.continuous.history import consecutive, told_by_history
+from oee_tabular.continuous.history import HistoryEffect, history_effects
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import Fit, Functions, Grams, Rows, groups_of
 from oee_tabular.continuous.scatter import Scatter
@@ -122,8 +122,19 @@ class ResidualSimulator(DerivedTask):
 
     def _shortest(self, differences: Array) -> Array:
         """Differences of angles by the shorter way."""
-        period = np.where(self._periods > 0, self._periods, 1.0)
-        return np.asarray(differences - np.where(self._periods > 0, period * np.round(differences / period), 0.0))
+        period = np.resize(self._periods, differences.shape[1])
+        turns = np.where(period > 0, np.round(differences / np.where(period > 0, period, 1.0)), 0.0)
+        return np.asarray(differences - period * turns)
+
+    def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
+        """(n, m) f(s, a) - s, and under each action that the state remembers."""
+        d = self.n_state - self.n_remembered
+        own = self._shortest(free - states)[:, :d]
+        if self.n_remembered == 0:
+            return own
+        past = self.task.past_displacements(states, actions).reshape(-1, d)
+        turns = np.column_stack([past, np.zeros((len(past), self.n_remembered))])
+        return np.column_stack([own, self._shortest(turns)[:, :d].reshape(len(states), -1)])
 
     def _differences(self, log: ContinuousTransitions, own: Moves, following: Array) -> Array:
         """(n, d) s' - f(s, a), and the rewards' difference where the task does not know r(s, a, s')."""
@@ -138,7 +149,7 @@ class ResidualSimulator(DerivedTask):
     def _fit(
         self, log: ContinuousTransitions, actions: IntArray, own: Moves, free: Array, rng: np.random.Generator
     ) -> None:
-        displacement = self._shortest(free - log.state)
+        displacement = self._displacements(log.state, actions, free)
         self._functions = Functions(self.task, log.state, actions, displacement, rng)
         group = groups_of(log.episode, len(log), self._functions.width, self.n_actions)
         rows = Rows(log.state, actions, displacement, self.residuals, group, ~self._ended)
@@ -163,7 +174,7 @@ class ResidualSimulator(DerivedTask):
         self._stops.hold(stopped)
         apart = self._shortest(log.next_state - stopped)[self._ended]
         self.left_over[self._ended, : self.n_state] = apart
-        self.group = group
+        self.group, self._is_smooth = group, used
 
     def _differs(self, left: Array) -> BoolArray:
         """(n,) rows with a residual far beyond the others', where they are few: contacts, stops."""
@@ -227,15 +238,30 @@ class ResidualSimulator(DerivedTask):
             spread[-1] = _rms(
                 np.where(scattered.terminated == own.terminated[some], scattered.reward - own.reward[some], 0.0)
             )
-        names = (*self.state_names, "reward")
-        told = told_by_history(self.left_over, actions, self.n_actions, *consecutive(log), self.group)
-        self.coordinates = tuple(
-            Coordinate(
-                names[k], fit.kind, fit.per_action, float(spread[k]), _rms(self.residuals[:, k]), _rms(self.left_over[:, k]),
-                fit.explained, fit.surely, self._scatter.source(k), float(told[k]) * bool(self._scatter.drawn[k]),
+        self.coordinates = self._describe(log, actions, spread, displaced)
+
+    def _describe(
+        self, log: ContinuousTransitions, actions: IntArray, spread: Array, displaced: Array
+    ) -> tuple[Coordinate, ...]:
+        """One ``Coordinate`` each; rows that g was not fitted to count by what it leaves of them."""
+        squares, rough = (self.residuals**2).sum(axis=0), (self.left_over[~self._is_smooth] ** 2).sum(axis=0)
+        reward = 0.0 if log.reward is None else float(log.reward.std())
+        effects, found = [HistoryEffect()] * len(self.fits), []
+        sizes = np.sqrt((self.left_over**2).mean(axis=0))
+        if (sizes * self._scatter.drawn > TRIFLE * np.append(displaced, reward)[: len(sizes)]).any():
+            effects = history_effects(
+                self.task, log, actions, self.left_over, self.group, self._is_smooth, ~self._ended
             )
-            for k, fit in enumerate(self.fits)
-        )  # fmt: skip
+        for k, (name, fit) in enumerate(zip((*self.state_names, "reward"), self.fits, strict=False)):
+            explained = 1.0 - (fit.error + rough[k]) / squares[k] if squares[k] > 0 else 0.0
+            found.append(
+                Coordinate(
+                    name, fit.kind, fit.per_action, float(spread[k]), _rms(self.residuals[:, k]), _rms(self.left_over[:, k]),
+                    float(displaced[k]) if k < self.n_state else reward, float(explained), fit.t_statistic,
+                    self._scatter.source(k), effects[k] if self._scatter.drawn[k] else HistoryEffect(),
+                )
+            )  # fmt: skip
+        return tuple(found)
 
     def resampled(self, seed: Any = None) -> ResidualSimulator:
         """The same corrected by a bootstrap's log: groups of whole episodes drawn with replacement, g of the same classes."""
@@ -263,7 +289,7 @@ class ResidualSimulator(DerivedTask):
         free = own.next_state
         if len(self._columns):
             free = self._stops.freed(self.task, states, actions, own.next_state)
-        added = self._correction(states, actions, self._shortest(free - states))
+        added = self._correction(states, actions, self._displacements(states, actions, free))
         if self._scatter.drawn.any():
             added += self._scatter.draw(states, actions, ndtr(disturbance[:, -1]))
         following = self._stops.put(free + added[:, : self.n_state], self._pushes)

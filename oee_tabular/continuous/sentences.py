@@ -10,7 +10,7 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
-from oee_tabular.continuous.coordinate import TRIFLE
+from oee_tabular.continuous.coordinate import describe_history
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
@@ -35,7 +35,6 @@ def left_out(counts: object, kept: object, share: float, model: Discretization) 
 def difference(corrected: ResidualSimulator) -> str:
     """Does the target differ, in which coordinate; is the state all that decides: the log's residuals against the simulator."""
     changed = [c for c in corrected.coordinates if c.differs]
-    hidden = [c for c in corrected.coordinates if c.hidden]
     if not changed:
         return (
             "The target's steps do not differ from the simulator's, as far as the log tells: its residuals s' - f(s, a) are "
@@ -49,9 +48,8 @@ def difference(corrected: ResidualSimulator) -> str:
     said = f"The target's steps differ from the simulator's in {told}."
     if corrected.units:
         return f"The log's columns seem to be in another unit than the simulator's: {corrected.units}. {said}"
-    if hidden:
-        names = ", ".join(f"{c.told_by_history:.0%} in {c.name}" for c in hidden)
-        said += f" Hidden state: the action and the residual before explain {names} of what the correction leaves over."
+    if told := describe_history(corrected.coordinates):
+        said += f" Hidden state: {told[0].lower() + told[1:]}"
     return said + odd_row(corrected)
 
 
@@ -60,7 +58,7 @@ def odd_row(corrected: ResidualSimulator) -> str:
     for k, c in enumerate(corrected.coordinates):
         squares = corrected.left_over[:, k] ** 2
         row, total = int(squares.argmax()), float(squares.sum())
-        if squares[row] > 0.5 * total and c.left_over**2 > TRIFLE * c.residual_scatter**2:
+        if squares[row] > 0.5 * total and c.left_over**2 > 0.01 * c.residual_scatter**2:
             return (
                 f" Row {row} of the log alone makes {squares[row] / total:.0%} of what is left over in {c.name}, by "
                 f"{corrected.left_over[row, k]:.3g}: leave it out if it is an error, every value rests on it otherwise."

@@ -170,7 +170,7 @@ def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulat
     """A task as a simulator, configured as a Gymnasium environment is; ``horizon`` of its episodes."""
     if horizon is None:
         raise ValueError(f"horizon must be given for {task.name}, which has no time limit of its own; it is None")
-    slow = not getattr(task, "steps_at_once", True)
+    slow = not task.steps_at_once
     return ContinuousSimulator(
         task.name,
         task,

@@ -92,6 +92,8 @@ class ContinuousTask(ABC):
     feature_high: Array
     periodic: tuple[bool, ...]
     terminates: bool
+    steps_at_once: bool = True  # whether many states cost little more than one
+    n_remembered: int = 0  # coordinates at the end of a state that only remember actions (HistoryTask)
 
     @abstractmethod
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
@@ -137,6 +139,10 @@ class ContinuousTask(ABC):
         """(n,) r(s, a, s') of given moves, where the reward depends on where a step leads; None where it is not known."""
         return None
 
+    def past_displacements(self, states: Array, actions: IntArray) -> Array:
+        """(n, m) displacements of steps under the actions that a state remembers; default: it remembers none."""
+        return np.empty((len(states), 0))
+
     def initial_points(self) -> tuple[Array, Array]:
         """States (m, d) and weights (m,) of the initial distribution; default: 50 000 equally likely draws of one seed."""
         states = self.initial_states(50_000, np.random.default_rng(0))
@@ -173,6 +179,7 @@ class DerivedTask(ContinuousTask):
             task.feature_high,
         )
         self.periodic, self.terminates = task.periodic, task.terminates
+        self.steps_at_once, self.n_remembered = task.steps_at_once, task.n_remembered
 
     def own(self, states: Array) -> Array:
         """The other task's states (n, d) in these; default: these."""
@@ -205,6 +212,10 @@ class DerivedTask(ContinuousTask):
     def embed(self, features: Array) -> Array:
         """The task's."""
         return self.task.embed(features)
+
+    def past_displacements(self, states: Array, actions: IntArray) -> Array:
+        """The task's."""
+        return self.task.past_displacements(self.own(states), actions)
 
     def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
         """The task's."""
