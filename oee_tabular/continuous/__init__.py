@@ -38,6 +38,7 @@ _MODULES = {
     "reacher.cells": ("ArmCells", "arm_cells", "reacher_log"),
     "reacher.dynamics": ("LinearReacher", "Reacher"),
     "reacher.expert": ("reacher_policy",),
+    "parameters": ("ParameterFit", "fit_parameters"),
     "residual": ("ResidualSimulator",),
     "simulator": ("ContinuousSimulator", "Settings"),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),

@@ -19,7 +19,7 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves
+from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, shortest
 
 GROUPS = 40  # of whole episodes, for resampling
 
@@ -61,15 +61,11 @@ class LinearModel(DerivedTask):
         require_log_of(task, log)
         self.n_disturbances = 1
         self._actions = log.action_numbers(task.actions)
-        turns = np.array(task.periodic, dtype=np.bool_)
-        whole = len(turns) == task.n_state and turns.any()
-        self._period = np.where(turns, np.subtract(task.feature_high, task.feature_low), np.inf) if whole else None
-        self._x, self._y = self._inputs(log.state), self._shortest(log.next_state - log.state)
+        self._periods = find_periods(task, log.next_state)
+        self._x, self._y = self._inputs(log.state), shortest(log.next_state - log.state, self._periods)
         self._low, self._high = log.next_state.min(axis=0), log.next_state.max(axis=0)
-        if self._period is not None:  # an angle may go round
-            self._low, self._high = (
-                np.where(turns, end, own) for end, own in ((-np.inf, self._low), (np.inf, self._high))
-            )
+        turns = self._periods > 0  # an angle may go round
+        self._low, self._high = np.where(turns, -np.inf, self._low), np.where(turns, np.inf, self._high)
         number = np.arange(len(log)) * min(GROUPS, len(log)) // len(log)  # none of them empty
         if log.episode is not None and len(np.unique(log.episode)) >= GROUPS:
             number = np.unique(log.episode, return_inverse=True)[1] % GROUPS
@@ -78,14 +74,6 @@ class LinearModel(DerivedTask):
 
     def _inputs(self, states: Array) -> Array:
         return np.column_stack([np.ones(len(states)), self.task.smooth(states)])
-
-    def _shortest(self, differences: Array) -> Array:
-        if self._period is None:
-            return differences
-        turns = np.isfinite(self._period)
-        differences = np.array(differences)
-        differences[:, turns] -= self._period[turns] * np.round(differences[:, turns] / self._period[turns])
-        return differences
 
     def _fit(self, weights: Array) -> None:
         """Least squares with these weights of the rows, and whose residuals are drawn how often."""

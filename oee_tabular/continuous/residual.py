@@ -31,7 +31,7 @@ from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import Fit, Functions, Grams, Rows, groups_of
 from oee_tabular.continuous.scatter import Scatter
 from oee_tabular.continuous.stops import Stops
-from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves
+from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, shortest
 from oee_tabular.continuous.units import other_units
 
 APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to
@@ -96,7 +96,9 @@ class ResidualSimulator(DerivedTask):
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))
         actions = log.action_numbers(task.actions)
         own = task.moves(log.state, actions, np.zeros((len(log), task.n_disturbances)))
-        self._periods = self._turns(own.next_state)
+        self._periods, self._start = find_periods(task, own.next_state), np.resize(task.feature_low, self.n_state)
+        ends = self._start - SAME, np.resize(task.feature_high, self.n_state) + SAME
+        self._wrapped = (self._periods > 0) & ((own.next_state >= ends[0]) & (own.next_state <= ends[1])).all(axis=0)
         features = task.features(log.state)
         self._seen = features.min(axis=0), features.max(axis=0)
         self.units = other_units(task, log.state, actions, log.next_state, self._shortest)
@@ -109,22 +111,8 @@ class ResidualSimulator(DerivedTask):
 
     # ---- what the log says ---------------------------------------------------------------------------------------------
 
-    def _turns(self, following: Array) -> Array:
-        """(d,) the period of coordinates that the task itself keeps within one turn, 0 of others."""
-        periods = np.zeros(self.n_state)
-        turns = np.array(self.periodic, dtype=np.bool_)
-        if self.task.n_state == len(turns) and turns.any() and np.array_equal(self.task.features(following), following):
-            periods[turns] = (np.asarray(self.feature_high) - np.asarray(self.feature_low))[turns]
-        low, high = np.resize(self.feature_low, self.n_state), np.resize(self.feature_high, self.n_state)
-        self._wrapped = (periods > 0) & ((following >= low - SAME) & (following <= high + SAME)).all(axis=0)
-        self._start = low
-        return periods
-
     def _shortest(self, differences: Array) -> Array:
-        """Differences of angles by the shorter way."""
-        period = np.resize(self._periods, differences.shape[1])
-        turns = np.where(period > 0, np.round(differences / np.where(period > 0, period, 1.0)), 0.0)
-        return np.asarray(differences - period * turns)
+        return shortest(differences, self._periods)
 
     def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
         """(n, m) f(s, a) - s, and under each action that the state remembers."""
@@ -132,9 +120,7 @@ class ResidualSimulator(DerivedTask):
         own = self._shortest(free - states)[:, :d]
         if self.n_remembered == 0:
             return own
-        past = self.task.past_displacements(states, actions).reshape(-1, d)
-        turns = np.column_stack([past, np.zeros((len(past), self.n_remembered))])
-        return np.column_stack([own, self._shortest(turns)[:, :d].reshape(len(states), -1)])
+        return np.column_stack([own, shortest(self.task.past_displacements(states, actions), self._periods[:d])])
 
     def _differences(self, log: ContinuousTransitions, own: Moves, following: Array) -> Array:
         """(n, d) s' - f(s, a), and the rewards' difference where the task does not know r(s, a, s')."""

@@ -265,6 +265,21 @@ def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> A
     return table
 
 
+def find_periods(task: ContinuousTask, states: Array) -> Array:
+    """(d,) the period of coordinates that are angles, 0 of others: where the features of these states are the states."""
+    turns, periods = np.array(task.periodic, dtype=np.bool_), np.zeros(task.n_state)
+    if task.n_state == len(turns) and turns.any() and np.array_equal(task.features(states), states):
+        periods[turns] = (np.asarray(task.feature_high) - np.asarray(task.feature_low))[turns]
+    return periods
+
+
+def shortest(differences: Array, periods: Array) -> Array:
+    """Differences of angles by the shorter way; ``periods`` (d,) repeat where there are more columns."""
+    each = np.resize(periods, differences.shape[1])
+    turns = np.where(each > 0, np.round(differences / np.where(each > 0, each, 1.0)), 0.0)
+    return np.asarray(differences - each * turns)
+
+
 def task_metadata(task: ContinuousTask) -> dict[str, Any]:
     """What identifies a task in a file."""
     return {"task": task.name, "parameters": task.parameters(), "features": list(task.feature_names)}

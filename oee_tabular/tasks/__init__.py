@@ -30,6 +30,7 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
     from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
     from oee_tabular.continuous.reacher.expert import reacher_policy
+    from oee_tabular.continuous.parameters import ParameterFit, fit_parameters
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.residual_value import corrected_value
     from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
@@ -54,6 +55,7 @@ __all__ = [
     "MonteCarlo",
     "Moves",
     "NamedTask",
+    "ParameterFit",
     "Reacher",
     "ResidualSimulator",
     "Settings",
@@ -66,6 +68,7 @@ __all__ = [
     "embedded_default",
     "evaluate_continuous",
     "fit_hand",
+    "fit_parameters",
     "gridworld",
     "gridworld_expert",
     "gridworld_policy",
