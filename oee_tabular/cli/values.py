@@ -20,6 +20,8 @@ OF_FILES = ("features", "tie", "box", "action_noise", "initial", "impossible")
 @with_options("""
 Input:
 --simulator --log --policy
+--history=auto STEPS  Last actions in a continuous task's state, 0 to 5 or more; auto: where the log shows hidden state.
+--fit NAME,...  Parameters of a continuous task that are fitted to the log first, gravity,length; of MuJoCo body_mass.pole.
 --behavior SPEC  Policy that recorded the log, as for --policy.
 --target SIM  The true target, as for --simulator, to show errors.
 --initial --action-noise --impossible
@@ -81,10 +83,11 @@ def _evaluate(options: Options) -> Any:
 
     simulator, log, discount = options.simulator, options.log, options.discount
     settings = task_options(options.task_option)
-    if settings and not is_continuous(simulator):
+    if (settings or options.fit or options.history != "auto") and not is_continuous(simulator):
         if simulator is not None:
             task_of(simulator)  # which may not be there at all
-        raise ValueError("--task-option needs a continuous task (--simulator cartpole:gravity=10)")
+        given = "--task-option" if settings else "--fit" if options.fit else "--history"
+        raise ValueError(f"{given} needs a continuous task (--simulator cartpole:gravity=10)")
     names = None if options.estimators is None else [part.strip() for part in options.estimators.split(",")]
     common: dict[str, Any] = {name: getattr(options, name) for name in ("confidence", "seed", "guaranteed", "quick")}
     common |= {"estimators": None if names is None else [*filter(None, names)], "normalized": bool(options.normalized)}
@@ -107,6 +110,7 @@ def _evaluate(options: Options) -> Any:
         there, lacking = ("log", "simulator") if log else ("simulator", "log")
         raise ValueError(f"--{lacking} must be given with --{there} (record a log with: oee sample)")
     if is_continuous(simulator):
+        common |= {"fit": options.fit and options.fit.split(","), "history": literal(options.history, "--history")}
         rule = "must be left out for a continuous task, whose states have no numbers; it is {}"
         refuse(options, ("rewards", *OF_FILES), rule)
         return evaluate_files(

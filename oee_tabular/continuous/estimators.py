@@ -11,9 +11,7 @@ from scipy import stats
 
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.coordinate import describe_history
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, paired_returns
-from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 from oee_tabular.estimators import Estimate, Estimator, Problem, calibrate
 from oee_tabular.estimators.base import IN_VALUES_UNIT
@@ -56,13 +54,15 @@ class Simulated:
     """J in the continuous task itself, by Monte Carlo."""
 
     value: MonteCarloValue
+    is_headline: bool = False  # where no correction can be trusted: then the rollouts' noise is no interval to speak of
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
         """``seed`` is not used: the value's own is."""
         mc = self.value(policy)
         facts = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
-        return Estimate(mc.value, mc.standard_error, diagnostics=facts)
+        error = None if self.is_headline else mc.standard_error
+        return Estimate(mc.value, error, diagnostics=facts, is_headline=self.is_headline)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,16 +77,22 @@ class Refitted:
     learned : ContinuousTask whose ``resampled(rng)`` is the same fitted to a bootstrap's log
     refits : how many
     paths : episodes by which J_b - J is found
+    status : why the value is not to be relied on, and then has no error; "ok"
     """
 
     value: MonteCarloValue
     learned: Any
     refits: int = 20
     paths: int = 1000
+    status: str = "ok"
 
     @one_thread
     def __call__(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
         """``seed`` is not used: the value's own is."""
+        if self.status != "ok":
+            mc = self.value(policy)
+            facts = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
+            return Estimate(mc.value, None, None, facts, status=self.status)
         mc, function = self.value(policy), self.value.functions[np.asarray(policy).tobytes()]
         paths = min(self.paths, mc.n_episodes)
         # episodes and refits have streams of their own, the same for every policy
@@ -114,7 +120,7 @@ class Refitted:
 
 @dataclass(frozen=True, eq=False)
 class Residual(Refitted):
-    """``Refitted`` in the simulator corrected by the log's residuals; no value to rely on where the state is not Markov."""
+    """``Refitted`` in the simulator corrected by the log's residuals."""
 
     @one_thread
     def __call__(self, problem: Problem, policy: object, *, seed: Seed = None) -> Estimate:
@@ -122,11 +128,9 @@ class Residual(Refitted):
         found = Refitted.__call__(self, problem, policy, seed=seed)
         share = self._beyond(self.value.functions[np.asarray(policy).tobytes()])
         told = ", ".join(f"{c.name} {c.explained:.3g}" for c in self.learned.coordinates if c.kind != "zero")
-        status = _wrong(self.learned)
         facts = found.diagnostics | {"explained": told, "beyond_log": share}
         return replace(
-            found, diagnostics=facts, status=status, findings=(*found.findings, *beyond_log(share)),
-            is_headline=status == "ok",
+            found, diagnostics=facts, findings=(*found.findings, *beyond_log(share)), is_headline=self.status == "ok",
         )  # fmt: skip
 
     def _beyond(self, function: StatePolicy) -> float:
@@ -149,14 +153,6 @@ def beyond_log(share: float) -> tuple[Finding, ...]:
         "correction adds there is a guess, and no interval covers it."
     )
     return (Finding("beyond", share, text, f"{share:.0%}"),) if share > BEYOND else ()
-
-
-def _wrong(learned: ResidualSimulator) -> str:
-    """What is wrong where columns are in other units, or history explains the residuals; "ok" where all is well."""
-    if learned.units:
-        return f"the log's columns seem to be in another unit than the simulator's: {learned.units}"
-    told = describe_history(learned.coordinates)
-    return f"hidden state, such as a delay or sensor noise. {told}" if told else "ok"
 
 
 @dataclass(frozen=True, eq=False)

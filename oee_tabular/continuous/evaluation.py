@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Seed
+from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.actions import as_probabilities
+from oee_tabular.continuous.correction import Correction, choose_correction
 from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.estimators import MonteCarloValue, Possible, Refitted, Residual, Simulated
-from oee_tabular.continuous.history import HistoryTask
 from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.on_cells import (
@@ -34,6 +34,7 @@ from oee_tabular.continuous.on_cells import (
     reward_bounds,
 )
 from oee_tabular.continuous.on_rows import on_rows, report_on_rows, table_on_rows
+from oee_tabular.continuous.parameters import ParameterFit, fit_parameters, parameters_of
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.sentences import difference, lost, placed, rewards_contradict
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
@@ -57,6 +58,8 @@ def evaluate_continuous(
     settings: Settings | None = None,
     behavior: StatePolicy | None = None,
     target: ContinuousTask | None = None,
+    history: int | Literal["auto"] = "auto",
+    fit: Sequence[str] | ParameterFit | None = None,
     estimators: Sequence[str] | None = None,
     horizon: int | None = None,
     discount: float = 0.99,
@@ -74,6 +77,8 @@ def evaluate_continuous(
     settings : grid, calibration, and what to do with states outside and actions not in the set
     behavior : the policy that recorded the log, where the log lacks its probabilities
     target : the true target, where it is known: adds its own Monte Carlo value
+    history : how many last actions are in the state; "auto" chooses 0 to 5 by held-out error, where the state is not Markov
+    fit : names of parameters of the simulator that are fitted to the log first (or their ``ParameterFit``)
     estimators : names, as in ``evaluate``; None: as there
     horizon : number of rewards; None: the simulator's
     discount : in [0, 1]
@@ -83,7 +88,8 @@ def evaluate_continuous(
     Returns
     -------
     Report
-        Rows "oee (residual)" (of the corrected simulator, by Monte Carlo), "oee (calibrated)" and, last, "oee on the grid"
+        In front the value of the corrected simulator (``choose_correction``) by Monte Carlo, or, where no correction can be
+        trusted, the simulator's. Rows "oee (residual)", "oee (calibrated)" and, last, "oee on the grid"
         where oee is asked for; "linear model of the log" where ``estimators`` is None; "simulator (continuous)" (Monte Carlo)
         always; ``facts`` has the support diagnostics and the closure error. Where the cells cannot take the log, or there are
         none, their rows are left out with a sentence.
@@ -127,17 +133,18 @@ def evaluate_continuous(
     problem = on_rows(numbered, given.task.n_actions, steps, discount) if made is None else made.problem
     wanted, left_out = _wanted(problem, estimators, made)
     scale = 1.0 - discount if options.get("normalized") else 1.0
-    learned = _Learned.of(given, numbered, seed)
-    bounds = _signs(learned.corrected) if made is None else reward_bounds(problem, numbered, steps)
-    rows = _rows(wanted, made, mc, learned, kind, bounds, scale)
+    fitted = fit if fit is None or isinstance(fit, ParameterFit) else _fit(given.task, fit, numbered)
+    learned = choose_correction(given.task, numbered, history=history, fit=fitted, seed=seed)
+    bounds = _signs(learned.plain) if made is None else reward_bounds(problem, numbered, steps)
+    rows = _rows(wanted, made, mc, learned, given.refit_paths, kind, bounds, scale)
     if estimators is None:
-        rows = _with_linear(rows, learned, mc, bounds, scale)
+        rows = _with_linear(rows, given, numbered, learned, mc, bounds, scale)
     if target is not None:
         rows["target (continuous)"] = Simulated(replace(mc, task=target, found={}))
     said = [*left_out, *told, *filter(None, [rewards_contradict(given.task, numbered)])]
     for text in told:
         warnings.warn(text, stacklevel=3)
-    first = difference(learned.corrected)
+    first = tuple(filter(None, (learned.warning, learned.reason, difference(learned.plain))))
     if made is None:
         known = {"simulator": f"{given.name}, without cells", "log": repr(log), **dict(facts or {})}
         return report_on_rows(problem, tables, rows, tuple(said), first, seed=seed, facts=known, **options)
@@ -146,7 +153,7 @@ def evaluate_continuous(
     uncertainty = replace(
         report.uncertainty,
         next=placed(report.uncertainty.next, made.model),
-        distance=(first, *report.uncertainty.distance),
+        distance=(*first, *report.uncertainty.distance),
     )
     every = [placed(text, made.model) for text in (*report.warnings, *said)]
     return replace(report, warnings=tuple(every), uncertainty=uncertainty)
@@ -182,22 +189,10 @@ def _policies(
     return tables, functions
 
 
-@dataclass(frozen=True, eq=False)
-class _Learned:
-    """What is learned from the log without cells; ``with_history`` where the state is not Markov."""
-
-    simulator: ContinuousSimulator
-    log: ContinuousTransitions
-    corrected: ResidualSimulator
-    with_history: ResidualSimulator | None
-
-    @classmethod
-    def of(cls, simulator: ContinuousSimulator, log: ContinuousTransitions, seed: Seed) -> _Learned:
-        corrected, with_history = ResidualSimulator(simulator.task, log, seed=seed), None
-        if any(coordinate.hidden for coordinate in corrected.coordinates):
-            whole = HistoryTask(simulator.task)
-            with_history = ResidualSimulator(whole, whole.log(log), seed=seed)
-        return cls(simulator, log, corrected, with_history)
+def _fit(task: ContinuousTask, names: Sequence[str], log: ContinuousTransitions) -> ParameterFit:
+    if isinstance(names, str) or not names:
+        raise ValueError(f"fit must be a list of names of parameters; got {_checks.show(names)}")
+    return fit_parameters(*parameters_of(task, names), log)
 
 
 def _wanted(
@@ -220,7 +215,8 @@ def _rows(
     wanted: Mapping[str, Estimator],
     made: OnCells | None,
     mc: MonteCarloValue,
-    learned: _Learned,
+    learned: Correction,
+    paths: int,
     kind: str,
     bounds: tuple[float, float],
     scale: float,
@@ -228,14 +224,17 @@ def _rows(
     """The estimators by the names of their rows, in the order of what they may be trusted for."""
     oee = [name for name, estimator in wanted.items() if estimator == OffEnvironment()]
     rows: dict[str, Estimator] = {}
+    if not learned.is_trusted:
+        rows["simulator (continuous)"] = Simulated(mc, is_headline=True)
     if oee:
         rows |= {
-            name: Possible(row, *_signs(learned.corrected), scale) for name, row in _residual_rows(learned, mc).items()
+            name: Possible(row, *_signs(learned.plain), scale)
+            for name, row in _residual_rows(learned, mc, paths).items()
         }
     if oee and made is not None and kind != "none":
         rows["oee (calibrated)"] = made.calibrated(mc, kind, bounds, scale)
     rows |= {name: estimator for name, estimator in wanted.items() if isinstance(estimator, ImportanceSampling)}
-    rows["simulator (continuous)"] = Simulated(mc)
+    rows.setdefault("simulator (continuous)", Simulated(mc))
     if made is None:
         return rows
     for name, estimator in wanted.items():
@@ -246,12 +245,18 @@ def _rows(
 
 
 def _with_linear(
-    rows: dict[str, Estimator], learned: _Learned, mc: MonteCarloValue, bounds: tuple[float, float], scale: float
+    rows: dict[str, Estimator],
+    simulator: ContinuousSimulator,
+    log: ContinuousTransitions,
+    learned: Correction,
+    mc: MonteCarloValue,
+    bounds: tuple[float, float],
+    scale: float,
 ) -> dict[str, Estimator]:
-    """With the linear model of the log, before importance sampling and the simulator."""
-    model = LinearModel(learned.simulator.task, learned.log)
-    row = Refitted(replace(mc, task=model, found={}), model, paths=learned.simulator.refit_paths)
-    ahead = [name for name in rows if name.startswith("oee (")]
+    """With the linear model of the log, which takes the state to be Markov, before importance sampling and the simulator."""
+    model = LinearModel(simulator.task, log)
+    row = Refitted(replace(mc, task=model, found={}), model, paths=simulator.refit_paths, status=learned.plain_status)
+    ahead = [name for name in rows if name.startswith("oee (") or not learned.is_trusted]
     first = {name: rows[name] for name in ahead}
     return first | {LINEAR: Possible(row, *bounds, scale)} | {name: rows[name] for name in rows if name not in ahead}
 
@@ -262,14 +267,14 @@ def _signs(corrected: ResidualSimulator) -> tuple[float, float]:
     return (0.0 if low >= 0.0 else -np.inf), (0.0 if high <= 0.0 else np.inf)
 
 
-def _residual_rows(learned: _Learned, mc: MonteCarloValue) -> dict[str, Estimator]:
-    """The corrected simulator; before it, where the state is not Markov, the one with the last action in its state."""
+def _residual_rows(learned: Correction, mc: MonteCarloValue, paths: int) -> dict[str, Estimator]:
+    """The chosen correction, and the simulator's own without history where that is another."""
     rows: dict[str, Estimator] = {}
-    paths = learned.simulator.refit_paths
-    if learned.with_history is not None:
-        whole = HistoryTask(learned.corrected.task)
-        functions = {key: whole.policy(function) for key, function in mc.functions.items()}
-        value = replace(mc, task=learned.with_history, functions=functions, found={})
-        rows["oee (residual, last action)"] = Residual(value, learned.with_history, paths=paths)
-    value = replace(mc, task=learned.corrected, found={})
-    return rows | {"oee (residual)": Residual(value, learned.corrected, paths=paths)}
+    if learned.learned is not learned.plain:
+        functions = dict(mc.functions)
+        if learned.steps:
+            functions = {key: learned.whole.policy(function) for key, function in functions.items()}
+        value = replace(mc, task=learned.learned, functions=functions, found={})
+        rows[learned.name] = Residual(value, learned.learned, paths=paths, status=learned.status)
+    value = replace(mc, task=learned.plain, found={})
+    return rows | {"oee (residual)": Residual(value, learned.plain, paths=paths, status=learned.plain_status)}

@@ -18,7 +18,7 @@ import numpy as np
 from oee_tabular._arguments import own_module, own_modules, own_object, parse_spec
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular.continuous.actions import action_set
-from oee_tabular.continuous.gymnasium_physics import maker, vector_maker
+from oee_tabular.continuous.gymnasium_physics import maker, physical_parameters, vector_maker
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
 
@@ -133,8 +133,28 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
         parameters=dict(physics),
         make_vector=vector_maker(identifier, physics),
     )
+    task.family = PhysicsFamily(task, identifier, physics)
     limit = getattr(env.spec, "max_episode_steps", None)
     return replace(as_simulator(task, limit or HORIZON), name=spec)
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicsFamily:
+    """A Gymnasium environment with other parameters, by name: a ``task_of`` of ``fit_parameters``."""
+
+    task: GymnasiumTask
+    identifier: str
+    physics: Mapping[str, Any]
+
+    def __call__(self, **parameters: float) -> GymnasiumTask:
+        """The task with these."""
+        physics = dict(self.physics) | parameters
+        make, make_vector = maker(self.identifier, physics), vector_maker(self.identifier, physics)
+        return self.task.with_environment(make, make_vector, physics)
+
+    def known(self) -> dict[str, float]:
+        """The parameters that can be changed, as they are."""
+        return physical_parameters(self.identifier, self.physics)
 
 
 def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:

@@ -15,6 +15,13 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular.tasks.toy_text import environment_exists, make_environment
 
+# fields of a MuJoCo model whose elements have names: the kind of the name, and how many there are
+ELEMENTS = {
+    "body_mass": ("body", "nbody"), "dof_damping": ("joint", "nv"), "dof_armature": ("joint", "nv"),
+    "dof_frictionloss": ("joint", "nv"), "jnt_stiffness": ("joint", "njnt"), "actuator_gear": ("actuator", "nu"),
+    "geom_friction": ("geom", "ngeom"),
+}  # fmt: skip
+
 
 def maker(identifier: str, physics: Mapping[str, object]) -> Callable[[], Any]:
     """() -> environment ``identifier`` with this physics; a ValueError for what it does not have."""
@@ -28,6 +35,23 @@ def maker(identifier: str, physics: Mapping[str, object]) -> Callable[[], Any]:
         return env
 
     return make
+
+
+def physical_parameters(identifier: str, physics: Mapping[str, object]) -> dict[str, float]:
+    """Name -> number, as the environment has it: arguments, constants, and elements of a MuJoCo model (body_mass.pole)."""
+    env = maker(identifier, physics)()
+    inner: Any = env.unwrapped
+    model: Any = getattr(inner, "model", None)
+    entry = inspect.signature(_entry(env.spec.entry_point)).parameters
+    found = {name: p.default for name, p in entry.items() if isinstance(p.default, int | float)}
+    found |= {name: getattr(inner, name) for name in sorted(dir(inner)) if _is_number(inner, name)}
+    found |= {name: value for name, value in physics.items() if isinstance(value, int | float)}
+    for field, (kind, count) in ELEMENTS.items() if model is not None else ():
+        for k in range(getattr(model, count)):
+            name = getattr(model, kind)(int(model.dof_jntid[k]) if count == "nv" else k).name or str(k)
+            found[f"{field}.{name}"] = np.ravel(getattr(model, field)[k])[0]
+    env.close()
+    return {name: float(value) for name, value in found.items() if not isinstance(value, bool)}
 
 
 def vector_maker(identifier: str, physics: Mapping[str, object]) -> Callable[[int], Any] | None:
@@ -120,22 +144,41 @@ def _made_with(identifier: str, point: str, constants: Mapping[str, object], arg
     return env
 
 
-def _holder(model: object, key: str) -> Any:
-    """What of a MuJoCo model holds the field ``key``: the model or its options."""
-    if model is None:
+def _holder(model: Any, key: str) -> Any:
+    """What of a MuJoCo model holds the field ``key``, or ``FIELD.ELEMENT``: the model or its options."""
+    field, dot, element = key.partition(".")
+    if model is None or (dot and _element(model, field, element) is None):
         return None
-    return next((part for part in (model, getattr(model, "opt", None)) if hasattr(part, key)), None)
+    return next((part for part in (model, getattr(model, "opt", None)) if hasattr(part, field)), None)
+
+
+def _element(model: Any, field: str, element: str) -> int | None:
+    """Where the named element stands in a field; None where there is none."""
+    kind, count = ELEMENTS.get(field, ("body", "nbody"))
+    try:
+        number = int(element) if element.isdigit() else int(getattr(model, kind)(element).id)
+    except KeyError:
+        return None
+    if count == "nv" and not element.isdigit():
+        number = int(model.jnt_dofadr[number])
+    return number if field in ELEMENTS and number < getattr(model, count) else None
 
 
 def _set_fields(env: Any, fields: Mapping[str, Any]) -> None:
-    """Fields of a MuJoCo model, arrays whole."""
+    """Fields of a MuJoCo model, arrays whole or one element by its name."""
     if not fields:
         return
     import mujoco
 
     model = env.unwrapped.model
     for key, value in fields.items():
-        holder = _holder(model, key)
+        holder, (field, dot, element) = _holder(model, key), key.partition(".")
+        if dot:
+            values = getattr(holder, field).reshape(
+                len(getattr(holder, field)), -1
+            )  # a view; friction and gear have more
+            values[_element(model, field, element), 0] = _checks.number_in(value, key, -np.inf, np.inf)
+            continue
         own = np.asarray(getattr(holder, key), dtype=np.float64)
         found = _checks.float_array(value, key, ndim=(0, 1, 2))
         if found.shape != own.shape:

@@ -25,6 +25,7 @@ Pendulum-v1, which this package does not ship, as a finite MDP:
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -63,6 +64,7 @@ class GymnasiumTask(ContinuousTask):
     Attributes
     ----------
     steps_at_once : whether ``make_vector`` is used
+    family : function of parameters, by name, that makes the task of the environment with them; None where it is not known
 
     Raises
     ------
@@ -147,6 +149,7 @@ class GymnasiumTask(ContinuousTask):
         kept = np.asarray(self._get(self._env), dtype=np.float64)
         if not np.array_equal(kept, state):
             raise ValueError(f"set_state must set what get_state reads; {state.tolist()} became {kept.tolist()}")
+        self.family: Any = None
         self._vectors: dict[int, Any] = {}
         self._make_vector: Callable[[int], Any] | None = None
         if check_steps:
@@ -156,8 +159,18 @@ class GymnasiumTask(ContinuousTask):
                 self._make_vector = make_vector if repeats_at_once(self, *record) else None
             self.n_disturbances = draws_of(self, *record)
 
+    def with_environment(
+        self, make: Callable[[], Any], make_vector: Callable[[int], Any] | None, parameters: dict[str, Any]
+    ) -> GymnasiumTask:
+        """The same task of another environment of the kind, not checked again."""
+        again = copy.copy(self)
+        again._make, again._env, again._vectors, again._parameters = make, make(), {}, parameters
+        again._env.reset(seed=0)
+        again._make_vector = make_vector if self.steps_at_once else None
+        return again
+
     @property
-    def steps_at_once(self) -> bool:
+    def steps_at_once(self) -> bool:  # type: ignore[override]
         """Whether many states are stepped at once."""
         return self._make_vector is not None
 

@@ -220,13 +220,13 @@ def history_effects(
             blocks |= {(k, "residual"): padded[back] for k, back in enumerate(earlier[used].T, start=1)}
         base = [np.eye(task.n_actions)[actions[used]], _mean_near(task, log.state, actions, y, usable, group)[used]]
         fold = group[used] % FOLDS
-        errors = {
-            key: _held_out_error(np.column_stack([*base, *more]), y[used], fold)
-            for key, more in ({None: [], "all": blocks.values()} | {key: [b] for key, b in blocks.items()}).items()
+        plain = _held_out_error(np.column_stack(base), y[used], fold)
+        plain = np.where(plain > 0, plain, np.inf)
+        whole = 1.0 - _held_out_error(np.column_stack([*base, *blocks.values()]), y[used], fold) / plain
+        shares = {
+            key: 1.0 - _held_out_error(np.column_stack([*base, block]), y[used], fold) / plain
+            for key, block in blocks.items()
         }
-        plain = errors.pop(None)
-        shares = {key: np.where(plain > 0, 1.0 - e / np.where(plain > 0, plain, 1.0), 0.0) for key, e in errors.items()}
-        whole = shares.pop("all")
         for k in np.flatnonzero(whole > [effect.r_squared for effect in best]):
             (lag, kind), alone = max(shares.items(), key=lambda item: item[1][k])
             best[k] = HistoryEffect(float(whole[k]), lag, kind, float(alone[k]))

@@ -191,23 +191,27 @@ def parameters_of(task: ContinuousTask, names: Sequence[str]) -> tuple[Callable[
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             hint = f" (did you mean {near[0]}?)" if near else ""
-            raise ValueError(f"fit must name parameters of {task.name} ({', '.join(known) or 'none'}); got {name!r}{hint}")
+            raise ValueError(
+                f"fit must name parameters of {task.name} ({', '.join(known) or 'none'}); got {name!r}{hint}"
+            )
         start[name] = known[name]
     return (family if family is not None else lambda **values: _changed(task, values)), start
 
 
 def _numbers(task: ContinuousTask) -> dict[str, float]:
     """The attributes of a task that are numbers which a copy of it can have otherwise."""
-    if dataclasses.is_dataclass(task):
-        found = {field.name: getattr(task, field.name) for field in dataclasses.fields(task) if field.init}
+    anything: Any = task
+    if dataclasses.is_dataclass(anything):
+        found = {field.name: getattr(task, field.name) for field in dataclasses.fields(anything) if field.init}
     else:
         found = {name: value for name, value in vars(task).items() if not name.startswith("_")}
     return {name: float(x) for name, x in found.items() if isinstance(x, int | float) and not isinstance(x, bool)}
 
 
 def _changed(task: Any, values: Mapping[str, float]) -> ContinuousTask:
-    if dataclasses.is_dataclass(task):
-        return dataclasses.replace(task, **values)  # type: ignore[return-value,type-var]
-    again = copy.copy(task)
-    vars(again).update(values)
-    return again
+    if dataclasses.is_dataclass(task) and not isinstance(task, type):
+        again: Any = dataclasses.replace(task, **values)
+    else:
+        again = copy.copy(task)
+        vars(again).update(values)
+    return _checks.instance(again, ContinuousTask, "task")

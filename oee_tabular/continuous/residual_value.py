@@ -6,6 +6,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Seed
+from oee_tabular.continuous.correction import describe_flaw
 from oee_tabular.continuous.estimators import MonteCarloValue, Residual
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import StatePolicy
@@ -40,7 +41,8 @@ def corrected_value(
     Returns
     -------
     Estimate
-        ``status`` is not "ok" where history tells of what the correction leaves over: the state is not Markov then.
+        ``status`` is not "ok", and there is no interval, where history explains what the correction leaves over: the state is
+        not Markov then.
 
     Notes
     -----
@@ -65,4 +67,4 @@ def corrected_value(
     each, gamma = _checks.positive_integer(paths, "paths"), _checks.number_in(discount, "discount", 0.0, 1.0)
     key = np.zeros((0, 0))  # the policy's only name
     value = MonteCarloValue(corrected, {key.tobytes(): policy}, steps, episodes, gamma, _checks.seed_sequence(seed, ()))
-    return Residual(value, corrected, n_refits, each)(None, key)  # type: ignore[arg-type]  # no finite problem is behind it
+    return Residual(value, corrected, n_refits, each, describe_flaw(corrected))(None, key)  # type: ignore[arg-type]  # no finite problem is behind it

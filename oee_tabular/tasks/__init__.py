@@ -27,10 +27,10 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand
     from oee_tabular.continuous.kinova.logs import hand_log, kinova_policy, load_kinova_log, record_goals
     from oee_tabular.continuous.linear_model import LinearModel
+    from oee_tabular.continuous.parameters import ParameterFit, fit_parameters
     from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
     from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
     from oee_tabular.continuous.reacher.expert import reacher_policy
-    from oee_tabular.continuous.parameters import ParameterFit, fit_parameters
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.residual_value import corrected_value
     from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
