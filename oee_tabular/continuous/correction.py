@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
+from oee_tabular import _checks
 from oee_tabular._checks import Seed
 from oee_tabular.continuous.coordinate import describe_history
 from oee_tabular.continuous.history import MAX_LAG, HistoryTask
@@ -74,17 +75,21 @@ class Correction:
 
     @property
     def warning(self) -> str:
-        """Why no correction can be trusted, and what to do; "" where one can."""
-        if self.is_trusted:
+        """Why no correction can be trusted; "" where one can."""
+        return "" if self.is_trusted else f"No correction can be trusted, because {describe_flaw(self.learned)}."
+
+    @property
+    def advice(self) -> str:
+        """What to do where no correction can be trusted."""
+        if self.is_trusted or self.learned.units:
             return ""
-        if self.learned.units:
-            return f"No correction can be trusted: {describe_flaw(self.learned)}."
-        tried = f"the last {MAX_LAG} actions" if self.steps == 0 else f"{self.steps} last actions"
+        share = hidden_part(self.learned) / hidden_part(self.plain)
+        tried = f"With the last {self.steps} actions in the state, {share:.0%} of that effect is left."
+        if self.steps == 0:
+            tried = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
         return (
-            "No correction can be trusted: the state is not all that the next one depends on. "
-            f"{describe_history(self.learned.coordinates)} Not even with {tried} in the state is it: sensor noise, a slow "
-            "actuator or a state that is not recorded. Filter the states, or record what is missing; until then read the "
-            "simulator's value."
+            f"{tried} Sensor noise, a slow actuator, or a quantity that is not recorded may be the cause. Filter the states, "
+            "or record what is missing. Until then read the simulator's value, which has no interval."
         )
 
 
@@ -93,7 +98,7 @@ def describe_flaw(learned: ResidualSimulator) -> str:
     if learned.units:
         return f"the log's columns seem to be in another unit than the simulator's: {learned.units}"
     told = describe_history(learned.coordinates)
-    return f"hidden state, such as a delay or sensor noise. {told}" if told else "ok"
+    return f"the state is not all that the next one depends on (hidden state): {_lower(told[:-1])}" if told else "ok"
 
 
 def hidden_part(learned: ResidualSimulator) -> float:
@@ -126,7 +131,7 @@ def choose_correction(
     seed : as in ``ResidualSimulator``
     """
     if history != "auto":
-        history = HistoryTask(task, history).steps  # a number
+        history = 0 if history == 0 else _checks.positive_integer(history, "history")
     candidates = [(None, task)] if fit is None else [(fit, fit.task), (None, task)]
     tried = [(used, *_with_history(base, log, history, seed)) for used, base in candidates]
     plain = tried[-1][1]

@@ -249,4 +249,6 @@ def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
         raise ValueError(
             f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "
             f"it has {log.n_state}"
+            + "; speeds that were not recorded can be had from positions, by finite differences or by a Kalman filter"
+            * (log.n_state < task.n_state)
         )

@@ -62,7 +62,8 @@ class Simulated:
         mc = self.value(policy)
         facts = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
         error = None if self.is_headline else mc.standard_error
-        return Estimate(mc.value, error, diagnostics=facts, is_headline=self.is_headline)
+        is_first = self.is_headline
+        return Estimate(mc.value, error, diagnostics=facts, is_headline=is_first, is_from_log=not is_first)
 
 
 @dataclass(frozen=True, eq=False)

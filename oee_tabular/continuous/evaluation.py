@@ -144,16 +144,24 @@ def evaluate_continuous(
     said = [*left_out, *told, *filter(None, [rewards_contradict(given.task, numbered)])]
     for text in told:
         warnings.warn(text, stacklevel=3)
-    first = tuple(filter(None, (learned.warning, learned.reason, difference(learned.plain))))
+    first = tuple(
+        filter(
+            None,
+            (learned.advice, learned.reason, difference(learned.learned if learned.fit is None else learned.plain)),
+        )
+    )
     if made is None:
         known = {"simulator": f"{given.name}, without cells", "log": repr(log), **dict(facts or {})}
-        return report_on_rows(problem, tables, rows, tuple(said), first, seed=seed, facts=known, **options)
+        return report_on_rows(
+            problem, tables, rows, tuple(said), first, learned.warning, seed=seed, facts=known, **options
+        )
     report = evaluate(problem, tables, estimators=rows, seed=seed, facts=made.facts | dict(facts or {}), **options)
     said.append(lost(made.plain, mc, tables, steps))
     uncertainty = replace(
         report.uncertainty,
         next=placed(report.uncertainty.next, made.model),
         distance=(*first, *report.uncertainty.distance),
+        caveat=learned.warning,
     )
     every = [placed(text, made.model) for text in (*report.warnings, *said)]
     return replace(report, warnings=tuple(every), uncertainty=uncertainty)

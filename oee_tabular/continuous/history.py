@@ -206,6 +206,8 @@ def history_effects(
     earlier = np.where(earlier >= 0, earlier, len(log))
     rows = np.flatnonzero((earlier[:, 0] < len(log)) & is_free)[: MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS]
     best = [HistoryEffect() for _ in residuals.T]
+    if len(rows) < MIN_ROWS:
+        return best
     acted = _earlier_actions(task, log.state[rows], actions, rows, earlier[rows])
     for usable, has_residuals in ((is_smooth, True), (is_free, False)):
         some = usable[rows]

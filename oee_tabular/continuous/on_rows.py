@@ -59,6 +59,7 @@ def report_on_rows(
     rows: Mapping[str, Estimator],
     said: tuple[str, ...],
     first: tuple[str, ...],
+    caveat: str,
     *,
     seed: Seed,
     facts: Mapping[str, object],
@@ -67,7 +68,9 @@ def report_on_rows(
     guaranteed: bool = False,
     quick: bool = False,
 ) -> Report:
-    """The report of rows by name, each beside its own interval; ``first`` are the sentences about the target."""
+    """The report of rows by name, each beside its own interval; ``first`` are sentences about the
+    target, ``caveat`` what is said before the value.
+    """
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     discount = problem.simulator.discount
     if _checks.boolean(guaranteed, "guaranteed"):
@@ -83,6 +86,6 @@ def report_on_rows(
             results.append(Result(policy, name, choose_interval(estimate, None, level, scale)))
     told = group_findings(results)
     warnings, notes = number_notes(results, [*told, *((sentence, []) for sentence in said)])
-    uncertainty = Uncertainty(distance=first)
+    uncertainty = Uncertainty(distance=first, caveat=caveat)
     return Report(tuple(results), {}, warnings, notes, level, normalized, discount, problem.horizon, seed, facts,
                   uncertainty)  # fmt: skip

@@ -10,7 +10,6 @@ import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
-from oee_tabular.continuous.coordinate import describe_history
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
@@ -33,7 +32,7 @@ def left_out(counts: object, kept: object, share: float, model: Discretization) 
 
 
 def difference(corrected: ResidualSimulator) -> str:
-    """Does the target differ, in which coordinate; is the state all that decides: the log's residuals against the simulator."""
+    """Does the target differ, and in which coordinate: the log's residuals against the simulator."""
     changed = [c for c in corrected.coordinates if c.differs]
     if not changed:
         return (
@@ -41,15 +40,13 @@ def difference(corrected: ResidualSimulator) -> str:
             "those of the simulator's own scatter."
         )
     told = "; ".join(
-        f"{c.name} (residuals {c.residual_scatter:.2g}, the simulator's own scatter {c.simulator_scatter:.2g}, "
-        f"{max(c.explained, 0.0):.1%} of their mean square explained by the correction)"
+        f"{c.name} (residuals {c.residual_scatter:.2g}, the simulator's own scatter {c.simulator_scatter:.2g}; the correction "
+        f"explains {max(c.explained, 0.0):.1%} of their mean square)"
         for c in changed
     )
     said = f"The target's steps differ from the simulator's in {told}."
     if corrected.units:
         return f"The log's columns seem to be in another unit than the simulator's: {corrected.units}. {said}"
-    if told := describe_history(corrected.coordinates):
-        said += f" Hidden state: {told[0].lower() + told[1:]}"
     return said + odd_row(corrected)
 
 

@@ -150,9 +150,10 @@ class Report:
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if not answers:
             return text.NO_VALUE
-        told = [text.policy_worth(answers[0], self.confidence)]
-        if len(self.answers) > 1:
+        told = [text.policy_worth(answer, self.confidence) for answer in answers]
+        if len(self.answers) > 1 and self.uncertainty.ranking:
             told = [text.silent_log(answers), self.uncertainty.ranking]
+        told.insert(0, self.uncertainty.caveat)
         conflict = None if self.problem is None or self.problem.rewards == "log" else self.problem.reward_conflict
         if conflict is not None:
             where = str(conflict)

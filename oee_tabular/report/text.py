@@ -129,7 +129,8 @@ def policy_worth(answer: Answer, confidence: float) -> str:
         known = f"between {format_interval(*ends, ' and ')} ({level} interval)"
         told += known if answer.lower is not None else f"about {format_number(answer.value)}, without an interval"
     else:
-        told = f"In the target, the policy “{answer.policy}” is worth about {format_value(answer.value, *ends)}"
+        where = "target" if answer.is_from_log or answer.truth is not None else "simulator"
+        told = f"In the {where}, the policy “{answer.policy}” is worth about {format_value(answer.value, *ends)}"
         told += f" ({level} interval: {format_interval(*ends)})" if answer.lower is not None else ""
     if answer.simulator is not None and answer.is_from_log:
         told += f"; the simulator says {format_value(answer.simulator, *ends)}"

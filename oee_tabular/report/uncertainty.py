@@ -97,6 +97,7 @@ class Uncertainty:
     decision : which policy is best, as far as the log can say
     ranking : the sentence about it; "" of a single policy
     next : the sentence on what to record next
+    caveat : what is said before any value; "" where there is nothing
     """
 
     intervals: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
@@ -106,6 +107,7 @@ class Uncertainty:
     decision: Decision | None = None
     ranking: str = ""
     next: str = ""
+    caveat: str = ""
 
     @property
     def likelihood(self) -> dict[str, Interval]:

@@ -441,7 +441,8 @@ def test_hidden_state_is_said_and_not_put_in_front():
     assert report.answers[0].estimator == "oee (residual, last action)"
     hidden = report.results[1].estimate
     assert "the state is not all that the next one depends on" in hidden.status
-    assert "Hidden state: " in report.uncertainty.sentences[0]
+    assert (hidden.standard_error, hidden.interval) == (None, None)
+    assert "because the action of one step ago explains" in report.uncertainty.sentences[0]
     truth = monte_carlo_value(target, target.policy(policy), 5000, 100, seed=0).value
     values = {row["estimator"]: row["value"] for row in report.records()}
     assert abs(values["oee (residual, last action)"] - truth) < abs(values["simulator (continuous)"] - truth) / 3

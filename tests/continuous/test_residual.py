@@ -17,7 +17,6 @@ from oee_tabular.tasks import (
     ContinuousTask,
     GridInterpolation,
     GymnasiumTask,
-    HistoryTask,
     Moves,
     Reacher,
     ResidualSimulator,
@@ -305,6 +304,19 @@ def test_everything_goes_on_from_there():
     assert corrected.parameters()["corrected_by_moves"] == 3000
 
 
+def test_the_explained_share_counts_every_row():
+    """Rows that g was not fitted to, contacts, are left over all the same."""
+    log = line_log(Line(lambda s, a: 0.1 * s, noise=0.01), 1000)
+    columns = log.columns()
+    columns["next_state"] = columns["next_state"] + np.where(np.arange(1000) % 20 == 0, 2.0, 0.0)[:, None]
+    for name in ("episode", "timestep", "truncated"):
+        columns[name] = None
+    learned = ResidualSimulator(Line(noise=0.01), ContinuousTransitions(**columns), seed=0).coordinates[0]
+    assert learned.kind == "linear"
+    assert_allclose(learned.explained, 1.0 - (learned.left_over / learned.residual_scatter) ** 2, atol=0.001)
+    assert learned.explained < 0.1
+
+
 # ---------------------------------------------------------------- its parts, in plain numpy
 
 
@@ -383,76 +395,6 @@ def test_refits_vary_as_other_logs_do():
     assert shift(one) == shift(ResidualSimulator(Line(noise=0.2), line_log(target, 500), seed=0))
 
 
-# ---------------------------------------------------------------- the state with the last action
-
-
-class Delayed(ContinuousTask):
-    """Does what was asked one step ago."""
-
-    def __init__(self, task):
-        self.inner, self.whole = task, HistoryTask(task)
-        for name in ("state_names", "feature_names", "actions", "n_disturbances", "terminates", "feature_low",
-                     "feature_high", "periodic", "name"):  # fmt: skip
-            setattr(self, name, getattr(self.whole, name))
-
-    def moves(self, states, actions, disturbance):
-        last = states[:, -self.inner.n_actions :].argmax(axis=1)
-        moved = self.inner.moves(states[:, : self.inner.n_state], last, disturbance)
-        return Moves(
-            np.column_stack([moved.next_state, np.eye(self.n_actions)[actions]]), moved.reward, moved.terminated
-        )
-
-    def initial_states(self, n, rng):
-        return self.whole.initial_states(n, rng)
-
-
-def without_history(log, d):
-    columns = log.columns()
-    return ContinuousTransitions(**(columns | {k: columns[k][:, :d] for k in ("state", "next_state")}))
-
-
-def test_a_delay_is_hidden_state_and_the_last_action_mends_it():
-    simulator = CartPole(10.0)
-    whole, target = HistoryTask(simulator), Delayed(simulator)
-    recorded = record(target, whole.policy(cartpole_policy(0.3)), n_transitions=3000, max_steps=100, seed=0)
-    log = without_history(recorded, 4)
-    seen = ResidualSimulator(simulator, log, seed=0)
-    assert [c.hidden for c in seen.coordinates] == [False, True, False, True, False]
-    assert seen.coordinates[3].told_by_history > 0.5
-    augmented = whole.log(log)
-    assert_array_equal(augmented.state, recorded.state)
-    assert_array_equal(augmented.next_state, recorded.next_state)
-    mended = ResidualSimulator(whole, augmented, seed=0)
-    assert not any(c.hidden for c in mended.coordinates)
-    policy = cartpole_policy(0.4)
-    truth, found = (value(task, whole.policy(policy), 500, 100) for task in (target, mended))
-    before = value(simulator, policy, 500, 100)
-    assert abs(found - truth) < abs(before - truth) / 3
-
-
-def test_a_log_without_episodes_is_chained_by_its_states():
-    log = line_log(Line(noise=0.1), 100)
-    columns = log.columns()
-    for name in ("episode", "timestep", "truncated"):
-        columns[name] = None
-    whole = HistoryTask(Line())
-    assert_array_equal(whole.log(ContinuousTransitions(**columns)).state, whole.log(log).state)
-
-
-def test_history_is_the_task_with_one_more_thing():
-    task = HistoryTask(Line(lambda s, a: 0.1 * s, noise=0.1, end=1.0))
-    states = np.array([[0.5, 0.0, 1.0], [0.95, 0.0, 0.0]])
-    short = HistoryTask(Line(end=0.75))
-    assert_array_equal(short.terminated(states), [False, True])  # by its own state, whatever the last action was
-    moved = task.moves(states, np.array([1, 1]), np.zeros((2, 1)))
-    assert_allclose(moved.next_state, [[0.8, 0.0, 1.0], [1.295, 0.0, 1.0]])
-    assert_array_equal(moved.terminated, [False, True])
-    assert_array_equal(task.terminated(moved.next_state), moved.terminated)
-    assert_allclose(task.reward_between(states, np.array([1, 1]), moved.next_state), moved.reward)
-    assert_array_equal(task.embed(task.features(states)), states)
-    assert task.initial_points()[0].shape == (50_000, 3)
-
-
 # ---------------------------------------------------------------- bad input
 
 
@@ -467,10 +409,6 @@ def test_bad_input():
     bad = ContinuousTransitions(log.state, np.full(100, 2), log.next_state)
     with pytest.raises(ValueError, match=r"log.action\[0\] must be in 0..1"):
         ResidualSimulator(CartPole(), bad)
-    with pytest.raises(ValueError, match=r"log.state must have the 1 coordinates of Line"):
-        HistoryTask(Line()).log(log)
-    with pytest.raises(ValueError, match="policy"):
-        HistoryTask(Line()).policy(np.ones((3, 2)))
 
 
 def test_a_row_on_which_every_value_rests_is_named():

@@ -1,0 +1,179 @@
+"""Hidden state: what earlier actions explain, how many of them enter the state, and which row a report puts in front."""
+
+import numpy as np
+import pytest
+from benchmarks.hidden_state import Cogging, Delay, Lag, RandomActions, SensorNoise, of_own, shown
+from continuous.test_residual import Line, line_log
+from numpy.testing import assert_allclose, assert_array_equal
+
+from oee_tabular.continuous.coordinate import describe_history
+from oee_tabular.continuous.correction import choose_correction
+from oee_tabular.continuous.episodes import paired_returns
+from oee_tabular.continuous.evaluation import evaluate_continuous
+from oee_tabular.data import ContinuousTransitions
+from oee_tabular.lab.robots.changes import classic
+from oee_tabular.tasks import CartPole, HistoryTask, ResidualSimulator, Settings, cartpole_policy, record
+
+SIMULATOR = CartPole(10.0)
+
+
+def log_of(target, n=3000, seed=0, delta=0.3):
+    log = record(target, of_own(cartpole_policy(delta), 4), n_transitions=n, max_steps=100, seed=seed)
+    return shown(log, 4)
+
+
+def value(task, delta=0.4):
+    policy, seed = of_own(cartpole_policy(delta), 4), np.random.SeedSequence(1)
+    return paired_returns(task, policy, 400, 100, discount=0.99, seed=seed).mean()
+
+
+# ---------------------------------------------------------------- the state with the last actions
+
+
+def test_states_hold_the_last_actions():
+    log, task = log_of(SIMULATOR, 60), HistoryTask(SIMULATOR, 3)
+    whole, codes = task.log(log), np.eye(2)[log.action]
+    first = np.flatnonzero(np.diff(log.episode, prepend=-1))
+    for k in range(3):
+        last = whole.state[:, 4 + 2 * k : 6 + 2 * k]
+        assert_array_equal(last[first + k], 0.0)
+        assert_array_equal(last[10], codes[9 - k])
+    goes_on = ~(log.truncated | log.terminated)[:-1]
+    assert_array_equal(whole.next_state[:-1][goes_on], whole.state[1:][goes_on])
+    moved = task.moves(whole.state, log.action, np.zeros((60, 4)))
+    assert_array_equal(moved.next_state[:, 4:], whole.next_state[:, 4:])
+    assert_array_equal(moved.next_state[:, :4], SIMULATOR.moves(log.state, log.action, np.zeros((60, 4))).next_state)
+    assert_array_equal(HistoryTask(SIMULATOR, 0).log(log).state, log.state)
+
+
+def test_a_history_is_the_task_with_more_in_its_state():
+    task = HistoryTask(Line(lambda s, a: 0.1 * s, noise=0.1, end=1.0))
+    states = np.array([[0.5, 0.0, 1.0], [0.95, 0.0, 0.0]])
+    assert_array_equal(HistoryTask(Line(end=0.75)).terminated(states), [False, True])  # by its own state
+    moved = task.moves(states, np.array([1, 1]), np.zeros((2, 1)))
+    assert_allclose(moved.next_state, [[0.8, 0.0, 1.0], [1.295, 0.0, 1.0]])
+    assert_array_equal(task.terminated(moved.next_state), moved.terminated)
+    assert_allclose(task.reward_between(states, np.array([1, 1]), moved.next_state), moved.reward)
+    assert_array_equal(task.embed(task.features(states)), states)
+    assert_allclose(task.past_displacements(states, np.array([0, 0])), [[0.3], [-0.155]])  # no last action: the present
+    assert task.initial_points()[0].shape == (50_000, 3)
+
+
+def test_a_log_without_episodes_is_chained_by_its_states():
+    log = line_log(Line(noise=0.1), 100)
+    columns = log.columns() | dict.fromkeys(("episode", "timestep", "truncated"))
+    chained = ContinuousTransitions(**columns)
+    assert_array_equal(HistoryTask(Line(), 2).log(chained).state, HistoryTask(Line(), 2).log(log).state)
+
+
+# ---------------------------------------------------------------- what history explains
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_a_delay_is_named_and_its_history_kept(steps):
+    target = Delay(SIMULATOR, steps)
+    chosen = choose_correction(SIMULATOR, log_of(target), seed=0)
+    effect = chosen.plain.coordinates[3].history
+    assert (effect.lag, effect.of) == (steps, "action")
+    assert effect.lag_r_squared > 0.7
+    words = ("one step", "two steps", "three steps")[steps - 1]
+    assert describe_history(chosen.plain.coordinates).startswith(f"The action of {words} ago explains 8")
+    assert (chosen.steps, chosen.is_trusted, chosen.warning) == (steps, True, "")
+    assert abs(value(chosen.learned) - value(target)) < 0.05 * abs(value(SIMULATOR) - value(target))
+
+
+def test_a_delay_of_a_command_that_rarely_changes():
+    """Large residuals in few rows are no contacts where an earlier action explains them."""
+    target = Delay(classic.Pendulum(), 2)
+    recorded = record(target, of_own(classic.swinging(0.05), 2), n_transitions=4000, max_steps=200, seed=0)
+    chosen = choose_correction(classic.Pendulum(), shown(recorded, 2), seed=0)
+    assert chosen.steps == 2
+    assert not any(c.hidden for c in chosen.learned.coordinates)
+
+
+def test_a_slow_motor_keeps_as_many_actions_as_help():
+    chosen = choose_correction(SIMULATOR, log_of(Lag(SIMULATOR, 0.5), 5000), seed=0)
+    assert chosen.steps >= 3
+    assert chosen.is_trusted
+    assert abs(value(chosen.learned) - value(Lag(SIMULATOR, 0.5))) < 1.0
+    assert abs(value(chosen.plain) - value(Lag(SIMULATOR, 0.5))) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("simulator", "target", "policy"),
+    [
+        (classic.Pendulum(), Cogging(cogging=1.2), classic.swinging(0.3)),  # rougher than any g
+        (SIMULATOR, RandomActions(SIMULATOR, 0.1), cartpole_policy(0.3)),
+        (classic.MountainCar(), classic.MountainCar(0.003), classic.rocking(0.3)),  # a wall
+    ],
+)
+def test_what_is_rough_or_random_is_not_hidden(simulator, target, policy):
+    log = record(target, policy, n_transitions=4000, max_steps=200, seed=0)
+    assert not any(c.hidden for c in ResidualSimulator(simulator, log, seed=0).coordinates)
+
+
+# ---------------------------------------------------------------- reports
+
+
+def test_sensor_noise_puts_the_simulator_in_front():
+    target = SensorNoise(SIMULATOR, 0.01)
+    policies = {"near": cartpole_policy(0.3), "far": cartpole_policy(0.8)}
+    report = evaluate_continuous(
+        SIMULATOR, log_of(target), policies, settings=Settings(grid=(), episodes=500), horizon=100, seed=0
+    )
+    answers = {answer.policy: answer for answer in report.answers}
+    assert [answer.estimator for answer in answers.values()] == ["simulator (continuous)"] * 2
+    assert all(answer.lower is None for answer in answers.values())
+    assert report.headline.startswith(
+        "No correction can be trusted, because the state is not all that the next one depends"
+    )
+    assert "In the simulator, the policy “near” is worth about" in report.headline
+    assert "Keeping the last actions in the state, up to 5, does not help." in report.uncertainty.sentences[0]
+    learned = [row for row in report.records() if row["estimator"] in ("oee (residual)", "linear model of the log")]
+    assert len(learned) == 4
+    assert all(row["lower"] is None and "hidden state" in row["status"] for row in learned)
+
+
+def test_history_may_be_given():
+    log = log_of(Delay(SIMULATOR, 2), 2000)
+    settings = Settings(grid=(), episodes=100)
+    names = {}
+    for history in ("auto", 0, 1, 3):
+        report = evaluate_continuous(
+            SIMULATOR, log, {"p": cartpole_policy(0.3)}, settings=settings, horizon=30, history=history, seed=0,
+            estimators=["oee"],
+        )  # fmt: skip
+        names[history] = [row["estimator"] for row in report.records()]
+    assert names["auto"] == ["oee (residual, last 2 actions)", "oee (residual)", "simulator (continuous)"]
+    assert names[0] == ["simulator (continuous)", "oee (residual)"]
+    assert names[1] == ["simulator (continuous)", "oee (residual, last action)", "oee (residual)"]  # too short
+    assert names[3][0] == "oee (residual, last 3 actions)"
+
+
+@pytest.mark.parametrize(
+    ("steps", "match"),
+    [
+        (-1, "steps must be a positive integer"),
+        (1.5, "steps must be"),
+        (200, "steps must be less than the longest episode"),
+    ],
+)
+def test_bad_steps(steps, match):
+    with pytest.raises(ValueError, match=match):
+        HistoryTask(SIMULATOR, steps).log(log_of(SIMULATOR, 50))
+
+
+def test_bad_input():
+    log = log_of(SIMULATOR, 50)
+    with pytest.raises(ValueError, match="history must be a positive integer; got 'all'"):
+        choose_correction(SIMULATOR, log, history="all")
+    bag = ContinuousTransitions(log.state[::2], log.action[::2], log.next_state[::2])
+    with pytest.raises(ValueError, match=r"log.episode is not given, and no row begins where another ends"):
+        HistoryTask(SIMULATOR).log(bag)
+    with pytest.raises(ValueError, match=r"log.state must have the 1 coordinates of Line"):
+        HistoryTask(Line()).log(log)
+    with pytest.raises(ValueError, match="policy"):
+        HistoryTask(Line()).policy(np.ones((3, 2)))
+    positions = ContinuousTransitions(log.state[:, ::2], log.action, log.next_state[:, ::2])
+    with pytest.raises(ValueError, match=r"it has 2; speeds that were not recorded can be had .* finite differences"):
+        ResidualSimulator(SIMULATOR, positions)
