@@ -63,7 +63,7 @@ SUBJECTS = {
             "StatePolicy", "ContinuousSimulator", "gymnasium_simulator",
         ),
         "Continuous tasks corrected by a log": (
-            "ResidualSimulator", "corrected_value", "HistoryTask", "LinearModel",
+            "ResidualSimulator", "corrected_value", "HistoryTask", "fit_parameters", "ParameterFit", "LinearModel",
         ),
         "CartPole": ("CartPole", "cartpole_policy"),
         "Reacher": ("Reacher", "LinearReacher", "reacher_policy", "reacher_log"),

@@ -62,10 +62,11 @@ NAMES = {
     """,
     "oee_tabular.tasks": """
         ArmCells CartPole Closure ContinuousSimulator ContinuousTask Discretization GridInterpolation GymnasiumTask HistoryTask
-        KinovaArm KinovaHand LinearModel LinearReacher MonteCarlo Moves NamedTask Reacher ResidualSimulator Settings StatePolicy
+        KinovaArm KinovaHand LinearModel LinearReacher MonteCarlo Moves NamedTask ParameterFit Reacher ResidualSimulator Settings
+        StatePolicy
         VisitedCells arm_cells cartpole_policy Embedded embedded_default
         defensive_mixture evaluate_continuous
-        fit_hand gridworld gridworld_expert gridworld_policy
+        fit_hand fit_parameters gridworld gridworld_expert gridworld_policy
         gymnasium_simulator hand_log kinova_model kinova_policy
         load_kinova_log make_environment monte_carlo_value named_task reacher_log reacher_policy record
         record_episodes record_goals resimulate toy_text train_expert visited_states

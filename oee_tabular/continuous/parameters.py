@@ -27,6 +27,7 @@ from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, find_periods, shortest
 
 MAX_ROWS, MAX_SLOW_ROWS = 20_000, 2000  # by which parameters are fitted; slow: of tasks that step one by one
+ROUNDING = 1e-9  # relative: no standard error is less
 DIFFERENCE = 1e-5  # relative step of the derivatives in p
 FLAT = 1e-9  # eigenvalues of the curvature, relative to the largest: the log does not determine such a direction
 FLOOR = 1e-7  # of the errors' scale, in displacements: rounding
@@ -43,6 +44,13 @@ class ParameterFit:
     residual : (n, d) s' - f(s, a) of the fitted task
     start : name -> the number that the fit began from
     at_bounds : names of the parameters that ended at a bound
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole
+    >>> fit = ParameterFit(CartPole(15.0), {"gravity": 15.0}, {"gravity": 0.004}, np.zeros((300, 4)), {"gravity": 10.0})
+    >>> fit.describe()
+    'Least squares gives gravity 15 (standard error 0.004; the simulator has 10).'
     """
 
     task: ContinuousTask
@@ -140,11 +148,11 @@ def fit_parameters(
     steps = DIFFERENCE * size
     residual = scaled(x)
     jacobian = np.stack([(scaled(x + h) - scaled(x - h)) / (2.0 * h.sum()) for h in np.diag(steps)], axis=1)
-    fitted = make(x)
+    error, fitted = _sandwich(jacobian, residual, c, len(rows)), make(x)
     return ParameterFit(
         fitted,
         dict(zip(names, x.tolist(), strict=True)),
-        dict(zip(names, _sandwich(jacobian, residual, c, len(rows)).tolist(), strict=True)),
+        dict(zip(names, np.maximum(error, ROUNDING * size).tolist(), strict=True)),
         errors(fitted, slice(None)),
         dict(zip(names, x0.tolist(), strict=True)),
         tuple(name for name, mask in zip(names, found.active_mask, strict=True) if mask),
