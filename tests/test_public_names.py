@@ -62,9 +62,8 @@ NAMES = {
     """,
     "oee_tabular.tasks": """
         ArmCells CartPole Closure ContinuousSimulator ContinuousTask Discretization GridInterpolation GymnasiumTask HistoryTask
-        KinovaArm KinovaHand LinearModel LinearReacher MonteCarlo Moves NamedTask ParameterFit Reacher ResidualSimulator Settings
-        StatePolicy
-        VisitedCells arm_cells cartpole_policy Embedded embedded_default
+        KinovaArm KinovaHand LinearModel LinearReacher MonteCarlo Moves NamedTask ParameterFit Reacher ResidualSimulator
+        Settings StatePolicy VisitedCells arm_cells cartpole_policy Embedded embedded_default
         defensive_mixture evaluate_continuous
         fit_hand fit_parameters gridworld gridworld_expert gridworld_policy
         gymnasium_simulator hand_log kinova_model kinova_policy
