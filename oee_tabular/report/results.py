@@ -170,7 +170,7 @@ class Report:
         'In the target, the policy “new” is worth '
         """
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
-        if len(self.answers) == 1 or not answers:
+        if len(self.answers) == 1 or not answers or not self.uncertainty.ranking:
             return self.headline
         ordered = sorted(answers, key=lambda answer: descending(answer.value))
         return " ".join([self.headline, *(text.policy_worth(answer, self.confidence) for answer in ordered)])

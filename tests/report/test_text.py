@@ -33,7 +33,7 @@ def answer(**changes):
          "−7.00."),
         ({"coverage": 0.17, "lower": None, "upper": None, "simulator": None},
          "The log covers 17.0% of what the policy “new” does: about −6.410, without an interval."),
-        ({"is_from_log": False, "lower": None, "upper": None}, "In the target, the policy “new” is worth about −6.410."),
+        ({"is_from_log": False, "lower": None, "upper": None}, "In the simulator, the policy “new” is worth about −6.410."),
     ],
 )  # fmt: skip
 def test_what_a_policy_is_worth(changes, sentence):
