@@ -55,7 +55,7 @@ def advice_sentence(
         variance = table / np.maximum(counts, 1.0)
         total = variance.sum(axis=(1, 2))
         share = np.divide(variance[:, state, action], total, out=np.zeros_like(total), where=total > 0.0).mean()
-        why = f"{so_far}, {share:.0%} of the variance"
+        why = f"{so_far}, {share:.0%} of the value's variance"
     return f"Record {describe_pair(names, state, action)} first ({why})."
 
 
