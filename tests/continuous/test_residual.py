@@ -314,7 +314,7 @@ def test_the_explained_share_counts_every_row():
     learned = ResidualSimulator(Line(noise=0.01), ContinuousTransitions(**columns), seed=0).coordinates[0]
     assert learned.kind == "linear"
     assert_allclose(learned.explained, 1.0 - (learned.left_over / learned.residual_scatter) ** 2, atol=0.001)
-    assert learned.explained < 0.1
+    assert learned.explained < 0.5
 
 
 # ---------------------------------------------------------------- its parts, in plain numpy
