@@ -12,7 +12,7 @@ import pandas as pd
 
 from oee_tabular import _files
 from oee_tabular.lab.findings import entitle
-from oee_tabular.lab.registry import Experiment, Settings
+from oee_tabular.lab.registry import Experiment, RunSettings
 from oee_tabular.lab.store import Store, refuse_links
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def heading(experiment: Experiment, table: pd.DataFrame) -> list[str]:
     return [f"# {experiment.title}", "", f"![{experiment.finding(table) or experiment.title}](figure.png)"]
 
 
-def markdown(settings: Settings, table: pd.DataFrame, summary: pd.DataFrame) -> str:
+def markdown(settings: RunSettings, table: pd.DataFrame, summary: pd.DataFrame) -> str:
     """The summary as a page."""
     experiment = settings.experiment
     command = f"oee reproduce {experiment.id}"

@@ -99,13 +99,13 @@ class Experiment:
             if missing:
                 raise ValueError(f"smoke[{name!r}] must be a subset of the axis; it has {missing}")
 
-    def settings(self, *, smoke: bool = False, repetitions: int | None = None, seed: int = 0) -> Settings:
+    def settings(self, *, smoke: bool = False, repetitions: int | None = None, seed: int = 0) -> RunSettings:
         """The full sweep, or its smoke subset."""
         axes = {name: tuple(self.smoke.get(name, values) if smoke else values) for name, values in self.axes.items()}
         count = self.smoke_repetitions if smoke else self.repetitions
         if repetitions is not None:
             count = min(repetitions, count) if smoke else repetitions
-        return Settings(self, axes, count, seed)
+        return RunSettings(self, axes, count, seed)
 
     def table(self, *, repetitions: int = 1, seed: int = 0, **axes: object) -> pd.DataFrame:
         """The rows of a few cells, computed here and now: axes by name, a value or several; the others in full."""
@@ -117,7 +117,7 @@ class Experiment:
         chosen = dict(self.axes)
         for name, values in axes.items():
             chosen[name] = tuple(_own_value(x, self.axes[name]) for x in np.atleast_1d(np.asarray(values, object)))
-        cells = Settings(self, chosen, repetitions, seed).cells()
+        cells = RunSettings(self, chosen, repetitions, seed).cells()
         return pd.DataFrame([{**cell, **row} for cell in cells for row in self.run(cell, Stream(self.id, seed, cell))])
 
 
@@ -128,7 +128,7 @@ def _own_value(value: Any, values: tuple[Scalar, ...]) -> Scalar:
 
 
 @dataclass(frozen=True, eq=False)
-class Settings:
+class RunSettings:
     """What a results folder is made from.
 
     ``asked`` are settings that are no axes (JSON's types): results of others are not taken for these. ``modules`` are a

@@ -21,7 +21,7 @@ import numpy as np
 
 from oee_tabular._progress import progress_bar
 from oee_tabular._workers import backend, parallel
-from oee_tabular.lab.registry import Cell, Experiment, Row, Settings, Stream
+from oee_tabular.lab.registry import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.store import Store, alone, code_version
 
 ATTEMPTS = 3  # of a cell whose worker died
@@ -41,12 +41,17 @@ class Sweep:
             f"{self.store.folder}: {self.computed} cells computed"
             + (f", {self.cached} from the cache" if self.cached else "")
             + (f", {stale} of another version of the code left aside" if stale else "")
-            + (f", {damaged} lines of cells.jsonl left out because they do not fit" if damaged else "")
+            + (f"; lines of cells.jsonl that did not fit and are left out: {damaged}" if damaged else "")
         )
 
 
 def run_and_write(
-    folder: Path, settings: Settings, write: Callable[[Store], object], *, say: Callable[[str], object], **options: Any
+    folder: Path,
+    settings: RunSettings,
+    write: Callable[[Store], object],
+    *,
+    say: Callable[[str], object],
+    **options: Any,
 ) -> None:
     """What both commands do in a folder that is theirs alone: compute, write the files, say what was done.
 
@@ -65,7 +70,7 @@ def run_and_write(
 
 def run_experiment(
     folder: Path,
-    settings: Settings,
+    settings: RunSettings,
     *,
     jobs: int = 1,
     dask: str | None = None,

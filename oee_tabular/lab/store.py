@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _checks, _files
 from oee_tabular._arguments import own_modules
-from oee_tabular.lab.registry import Cell, Row, Scalar, Settings
+from oee_tabular.lab.registry import Cell, Row, RunSettings, Scalar
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -114,7 +114,7 @@ class Store:
         More repetitions are no other settings, nor are fewer where the sweep was interrupted: finished cells are kept.
     """
 
-    def __init__(self, folder: Path, settings: Settings, *, fresh: bool = False, code: str | None = None):
+    def __init__(self, folder: Path, settings: RunSettings, *, fresh: bool = False, code: str | None = None):
         self.folder, self.settings = folder, settings
         self.code = code_version(*settings.modules) if code is None else code
         refuse_links(folder)

@@ -81,7 +81,7 @@ def test_our_networks_reach_the_published_curve():
         f"our networks' error of zeta is {span(afresh[:-1], '.2f')} times the published one up to n = 10^5 and "
         f"{afresh.iloc[-1]:.2f} times at the last point"
     ) in PAGES
-    assert f"with a log of n simulated moves {span(recorded, '.2f')} times" in PAGES
+    assert f"with a log of n simulated transitions {span(recorded, '.2f')} times" in PAGES
     assert (share < 1.5).all(axis=None)
 
 

@@ -7,7 +7,7 @@ from numpy.testing import assert_array_equal
 
 from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
-from oee_tabular.lab.registry import Registry, Settings, Stream
+from oee_tabular.lab.registry import Registry, RunSettings, Stream
 
 CELL = {"n": 1, "case": "a", "repetition": 3}
 
@@ -73,7 +73,7 @@ def test_choosing():
 
 
 def test_settings_as_a_file_has_them():
-    settings = Settings(experiment(), {"n": (1, 2)}, 3, 4)
+    settings = RunSettings(experiment(), {"n": (1, 2)}, 3, 4)
     assert settings.as_dict() == {"experiment": "noise", "axes": {"n": [1, 2]}, "repetitions": 3, "seed": 4}
 
 

@@ -146,7 +146,7 @@ def test_a_line_that_does_not_fit_is_computed_again_and_said(folder, name):
     cells.write_text("\n".join([DAMAGED[name](first), *rest]) + "\n")
     sweep = run_experiment(folder, SETTINGS)
     assert (sweep.computed, sweep.cached, sweep.store.damaged) == (1, 5, 1)
-    assert "1 lines of cells.jsonl left out because they do not fit" in str(sweep)
+    assert "lines of cells.jsonl that did not fit and are left out: 1" in str(sweep)
     write(sweep.store)
     assert (folder / "table.csv").read_bytes() == expected
     assert run_experiment(folder, SETTINGS).store.damaged == 0

@@ -33,7 +33,7 @@ from oee_tabular.lab.bench.inputs import (
     modules_of,
 )
 from oee_tabular.lab.bench.league import League, league_of
-from oee_tabular.lab.registry import Cell, Experiment, Row, Settings, Stream
+from oee_tabular.lab.registry import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.run import run_and_write, run_experiment
 from oee_tabular.lab.store import Store, alone
 
@@ -47,7 +47,7 @@ NO_ESTIMATE: Row = {
 
 def plan(
     estimators: object, *, families: object = None, sizes: Any = SIZES, seeds: int = SEEDS, seed: int = 0
-) -> Settings:
+) -> RunSettings:
     """Check the arguments of ``run`` and make every family once: settings of an experiment of the lab's kind."""
     count, first = _checks.positive_integer(seeds, "seeds"), check_seed(seed)
     chosen = choose_estimators(estimators)
@@ -62,11 +62,11 @@ def plan(
     experiment = Experiment(
         id="bench", title="Estimators on families of environment shift", group="bench",
         axes={"family": source.names, "size": tuple(numbers)}, repetitions=count,
-        run=Cells({name: name for name in REFERENCES} | chosen, source),
+        run=BenchCells({name: name for name in REFERENCES} | chosen, source),
         keys=("family", "size", "estimator"), measures=(), draw=lambda table, summary, figure: None,
     )  # fmt: skip
     asked = {"estimators": list(chosen), "families": source.label}
-    return Settings(experiment, experiment.axes, count, first, asked, modules_of([*chosen.values(), source.given]))
+    return RunSettings(experiment, experiment.axes, count, first, asked, modules_of([*chosen.values(), source.given]))
 
 
 def run(
@@ -138,7 +138,7 @@ def run(
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class BenchCells:
     """The rows of one cell: a log of a family, every estimator on it."""
 
     estimators: Mapping[str, Any]
@@ -247,7 +247,7 @@ def bench(
 
     def write(store: Store) -> None:
         cells, league = settings.experiment.run, league_of(store.table().drop(columns="repetition"))
-        assert isinstance(cells, Cells)
+        assert isinstance(cells, BenchCells)
         league.save(output, about={x: cells.source.family(x, seed).about for x in cells.source.names}, command=command)
         say(f"{league}\n")
 

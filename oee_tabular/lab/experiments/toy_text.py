@@ -29,7 +29,7 @@ CURVES = {  # and their names in ``oee evaluate``
 
 
 @dataclass(frozen=True)
-class Case:
+class ToyTextPair:
     """Gymnasium's environments as simulator and target, by name.
 
     Attributes
@@ -49,11 +49,11 @@ class Case:
 
 LAKE, TAXI_RAIN = "FrozenLake-v1:map_name=8x8,success_rate=", "Taxi-v4:is_rainy=true,rainy_probability="
 CLIFF = "CliffWalking-v1"
-CASES: dict[str, Case] = {
-    "slippery FrozenLake": Case(f"{LAKE}1/3", f"{LAKE}0.6", discount=0.99),
-    "rain": Case(f"{TAXI_RAIN}0.8", f"{TAXI_RAIN}0.6"),
-    "random-action faults": Case("Taxi-v4", "Taxi-v4", noise=0.05, faults=0.2),
-    "slippery cliff": Case(CLIFF, f"{CLIFF}:is_slippery=true", noise=0.1, rewards="log"),
+CASES: dict[str, ToyTextPair] = {
+    "slippery FrozenLake": ToyTextPair(f"{LAKE}1/3", f"{LAKE}0.6", discount=0.99),
+    "rain": ToyTextPair(f"{TAXI_RAIN}0.8", f"{TAXI_RAIN}0.6"),
+    "random-action faults": ToyTextPair("Taxi-v4", "Taxi-v4", noise=0.05, faults=0.2),
+    "slippery cliff": ToyTextPair(CLIFF, f"{CLIFF}:is_slippery=true", noise=0.1, rewards="log"),
 }
 
 
