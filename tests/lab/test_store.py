@@ -128,6 +128,7 @@ DAMAGED = {
     "other seed": alter("seed", 3),
     "a setting more": alter("hidden", 3),
     "cell of a wrong type": alter("n", [1]),
+    "repetition of a wrong type": alter("repetition", "0"),
     "no rows": change(rows=[]),
     "rows of a wrong type": change(rows={"name": "one"}),
     "row of a wrong type": change(rows=[3]),
