@@ -37,6 +37,7 @@ class Correction:
     fit : of the parameters, where it was taken
     plain : the ResidualSimulator of the simulator as it was given, without history
     reason : sentences on what was taken and why
+    history : as it was asked for, a number or "auto"
     """
 
     learned: ResidualSimulator
@@ -44,6 +45,7 @@ class Correction:
     fit: ParameterFit | None
     plain: ResidualSimulator
     reason: str
+    history: int | Literal["auto"] = "auto"
 
     @cached_property
     def is_trusted(self) -> bool:
@@ -83,6 +85,8 @@ class Correction:
         """What to do where no correction can be trusted."""
         if self.is_trusted or self.learned.units:
             return ""
+        if self.history != "auto":
+            return "Leave the number of last actions in the state open (history auto), which tries up to five."
         share = hidden_part(self.learned) / hidden_part(self.plain)
         tried = f"With the last {self.steps} actions in the state, {share:.0%} of that effect is left."
         if self.steps == 0:
@@ -138,7 +142,7 @@ def choose_correction(
     errors = [held_out_error(learned) for _, _, learned, _ in tried]
     k = 0 if len(tried) == 1 or errors[0] <= PREFERENCE * errors[1] else 1
     used, _, learned, steps = tried[k]
-    return Correction(learned, steps, used, plain, _explain(fit, tried, errors, k, history))
+    return Correction(learned, steps, used, plain, _explain(fit, tried, errors, k, history), history)
 
 
 def _with_history(

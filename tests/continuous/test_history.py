@@ -144,6 +144,8 @@ def test_history_may_be_given():
             estimators=["oee"],
         )  # fmt: skip
         names[history] = [row["estimator"] for row in report.records()]
+        is_short = history in (0, 1)
+        assert report.uncertainty.sentences[0].startswith("Leave the number of last actions") == is_short
     assert names["auto"] == ["oee (residual, last 2 actions)", "oee (residual)", "simulator (continuous)"]
     assert names[0] == ["simulator (continuous)", "oee (residual)"]
     assert names[1] == ["simulator (continuous)", "oee (residual, last action)", "oee (residual)"]  # too short
