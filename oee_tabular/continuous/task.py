@@ -12,7 +12,7 @@ Everything is vectorised over states: (n, d) in, (n, d) out.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -60,6 +60,10 @@ class ContinuousTask(ABC):
     feature_low, feature_high : (k,) the usual range of each feature, the default extent of a grid
     periodic : (k,) whether a feature is an angle, whose range closes on itself
     terminates : whether episodes can end before a time limit
+    default_cells : what ``discretize`` takes for ``cells`` where none are given; None: by the number of features
+    noise_points : Gauss-Hermite points of each disturbance on a grid; 1 leaves them at 0
+    is_translation_invariant : whether a command moves the features by about the same wherever it is given; ``discretize`` then
+        carries a log's transitions to the vertices, and a ratio may be tied over displacements
 
     Notes
     -----
@@ -94,6 +98,9 @@ class ContinuousTask(ABC):
     terminates: bool
     steps_at_once: bool = True  # whether many states cost little more than one
     n_remembered: int = 0  # coordinates at the end of a state that only remember actions (HistoryTask)
+    default_cells: Any = None
+    noise_points: int = 1
+    is_translation_invariant: bool = False
 
     @abstractmethod
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
@@ -137,11 +144,31 @@ class ContinuousTask(ABC):
 
     def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
         """(n,) r(s, a, s') of given moves, where the reward depends on where a step leads; None where it is not known."""
+        before, after = self.reward_terms(states), self.reward_terms(next_states)
+        return None if before is None or after is None else self.reward_of(before, actions, after)
+
+    def reward_terms(self, states: Array) -> Array | None:
+        """(n, m) functions of a state that the reward of a transition is linear in; None where there are none.
+
+        With ``reward_of`` they make a reward that telescopes telescope on cells as well. Of tasks whose episodes do not end.
+        """
         return None
 
     def past_displacements(self, states: Array, actions: IntArray) -> Array:
         """(n, m) displacements of steps under the actions that a state remembers; default: it remembers none."""
         return np.empty((len(states), 0))
+
+    def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
+        """(n,) r(s, a, s') by the ``reward_terms`` of s and s', linear in both."""
+        raise NotImplementedError
+
+    def others(self) -> Sequence[ContinuousTask]:
+        """The task under other parameters, of which the defensive simulator of ``discretize`` is made; default: none."""
+        return ()
+
+    def on_features(self) -> ContinuousTask:
+        """The task as a process of its features, which ``discretize`` steps; default: the task itself."""
+        return self
 
     def initial_points(self) -> tuple[Array, Array]:
         """States (m, d) and weights (m,) of the initial distribution; default: 50 000 equally likely draws of one seed."""
@@ -180,6 +207,7 @@ class DerivedTask(ContinuousTask):
         )
         self.periodic, self.terminates = task.periodic, task.terminates
         self.steps_at_once, self.n_remembered = task.steps_at_once, task.n_remembered
+        self.default_cells, self.is_translation_invariant = task.default_cells, task.is_translation_invariant
 
     def own(self, states: Array) -> Array:
         """The other task's states (n, d) in these; default: these."""
@@ -220,6 +248,14 @@ class DerivedTask(ContinuousTask):
     def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
         """The task's."""
         return self.task.reward_between(self.own(states), actions, self.own(next_states))
+
+    def reward_terms(self, states: Array) -> Array | None:
+        """The task's."""
+        return self.task.reward_terms(self.own(states))
+
+    def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
+        """The task's."""
+        return self.task.reward_of(before, actions, after)
 
 
 def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:

@@ -70,6 +70,7 @@ class CartPole(ContinuousTask):
             "feature_low": freeze(-high[used]),
             "feature_high": freeze(high[used]),
             "periodic": (False,) * len(high[used]),
+            "default_cells": (32, 32) if self.form == "angle" else 1000,
         }
         for name, value in features.items():
             object.__setattr__(self, name, value)

@@ -141,6 +141,8 @@ class HandTask(ContinuousTask):
     feature_high = freeze(CENTER + REACH)
     periodic = (False,) * 3
     terminates = False
+    is_translation_invariant = True
+    default_cells = tuple((2 * np.round(REACH / STEP) + 1).astype(int).tolist())  # vertices a command's step apart
     goal: int
 
     def features(self, states: Array) -> Array:
@@ -155,9 +157,13 @@ class HandTask(ContinuousTask):
         """(n,) r(x) = -|x - goal| in m."""
         return np.asarray(-np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1))
 
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
-        """The costs of the states before the moves."""
-        return self.costs(states)
+    def reward_terms(self, states: Array) -> Array:
+        """(n, 1) the costs."""
+        return self.costs(states)[:, None]
+
+    def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
+        """The cost of the state before the transition."""
+        return before[:, 0]
 
 
 @dataclass(frozen=True)
@@ -234,9 +240,11 @@ class KinovaArm(HandTask):
         seen = end_effector(joints + self.encoder_noise * rng.standard_normal((n, N_JOINTS)))
         return np.concatenate([seen, joints, np.zeros((n, N_JOINTS)), joints, np.zeros((n, 3))], axis=1)
 
-    def embed(self, features: Array) -> Array:
-        """Refused: a position leaves 24 coordinates open (``kinova_model`` averages over those that are visited)."""
-        raise ValueError("task must be one that a grid can embed; use oee_tabular.tasks.kinova_model(arm)")
+    def on_features(self) -> ContinuousTask:
+        """The hand's position as a process of its own: it leaves 24 coordinates open, averaged over by ``fit_hand``."""
+        from oee_tabular.continuous.kinova.hand import fit_hand
+
+        return fit_hand(self)
 
     def parameters(self) -> dict[str, Any]:
         """All of them, and that this is no robot."""

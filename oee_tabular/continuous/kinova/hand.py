@@ -33,6 +33,7 @@ from oee_tabular.continuous.kinova.dynamics import (
 from oee_tabular.continuous.kinova.logs import kinova_policy
 from oee_tabular.continuous.task import Moves
 
+FACTORS = (0.5, 1.5)  # on the displacements of the other hands of the defensive simulator
 WIDER = 2.0  # its scatter beside the simulator's
 EXPLORED = (0.0, 0.3, 0.6, 1.0)  # deltas of the policies whose states are looked at
 
@@ -67,6 +68,7 @@ class KinovaHand(HandTask):
     starts: Array
     source: dict[str, Any]
     goal: int = 0
+    noise_points: int = 1
     name: str = field(default="Kinova hand (simulated stand-in)", init=False)
 
     def __post_init__(self) -> None:
@@ -82,9 +84,14 @@ class KinovaHand(HandTask):
         return Moves(states + shift, self.costs(states), np.zeros(len(states), dtype=np.bool_))
 
     def scaled(self, factor: float) -> KinovaHand:
-        """The same hand with all displacements times ``factor``, and twice the scatter."""
+        """The same hand with all displacements times ``factor``, and twice the scatter, at one deviation on either side."""
         changed = self.source | {"scaled": factor, "scatter": WIDER}
-        return replace(self, coefficients=factor * self.coefficients, scatter=WIDER * self.scatter, source=changed)
+        wider = WIDER * self.scatter
+        return replace(self, coefficients=factor * self.coefficients, scatter=wider, source=changed, noise_points=2)
+
+    def others(self) -> tuple[KinovaHand, ...]:
+        """Hands that go half and one and a half times as far: a target may lie between."""
+        return tuple(self.scaled(factor) for factor in FACTORS)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Some of ``starts``."""

@@ -18,7 +18,7 @@ The reward is then one of joint angles and of a length: ``reward_length`` is the
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -35,6 +35,7 @@ LENGTH = 0.1  # m, the simulator's links
 TARGET = (0.1, 0.1)
 LEVELS = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
 INERTIAS = ("box", "capsule")
+FACTORS = (0.5, 0.7, 1.4, 2.0)  # of the length, in the other arms of the defensive simulator
 
 
 def link_bodies(length: float, inertia: str = "box") -> Array:
@@ -125,6 +126,7 @@ class Reacher(ContinuousTask):
     feature_names = ("cos_q1", "sin_q1", "q2", "w1", "w2")
     periodic = (False,) * 5
     terminates = False
+    default_cells = 3000
 
     length: float = LENGTH
     reward_length: float | None = None
@@ -163,7 +165,8 @@ class Reacher(ContinuousTask):
         """One step, and its reward."""
         actions = np.asarray(actions, dtype=np.int64)
         following = self.advance(states, self.actions[actions])
-        return Moves(following, self.reward_between(states, actions, following), np.zeros(len(states), dtype=np.bool_))
+        paid = self.reward_of(self.reward_terms(states), actions, self.reward_terms(following))
+        return Moves(following, paid, np.zeros(len(states), dtype=np.bool_))
 
     def advance(self, states: Array, commands: Array) -> Array:
         """(n, 4) the next states under commands (n, 2), which need not be among the nine; torques are gear * command."""
@@ -180,12 +183,19 @@ class Reacher(ContinuousTask):
         length = self.length if self.reward_length is None else self.reward_length
         return np.asarray(np.hypot(*(fingertip(states, length) - np.array(self.target)).T))
 
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
-        """(n,) the paper's reward of given moves."""
+    def reward_terms(self, states: Array) -> Array:
+        """(n, 4) the distance, the two speeds, and being at the stop."""
+        return np.column_stack([self.distance(states), np.abs(states[:, 2:]), at_stop(states)])
+
+    def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
+        """(n,) the paper's reward."""
         size = np.abs(self.actions[actions])
-        paid = 100.0 * (self.distance(states) - self.distance(next_states))
-        paid -= 0.01 * (size * (1.0 + np.abs(next_states[:, 2:]))).sum(axis=1)
-        return np.asarray(paid - 0.1 * at_stop(next_states))
+        paid = 100.0 * (before[:, 0] - after[:, 0]) - 0.01 * (size * (1.0 + after[:, 1:3])).sum(axis=1)
+        return np.asarray(paid - 0.1 * after[:, 3])
+
+    def others(self) -> tuple[Reacher, ...]:
+        """Arms with links half to twice as long."""
+        return tuple(replace(self, length=factor * self.length) for factor in FACTORS)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """At rest, at any angle of the shoulder; the elbow within a quarter turn."""
@@ -282,7 +292,8 @@ class LinearReacher(Reacher):
         """One step of the model."""
         drift = _design(states, self.actions[np.asarray(actions, dtype=np.int64)]) @ self.coefficients
         following = states + drift + disturbance @ self.root.T
-        return Moves(following, self.reward_between(states, actions, following), np.zeros(len(states), dtype=np.bool_))
+        paid = self.reward_of(self.reward_terms(states), actions, self.reward_terms(following))
+        return Moves(following, paid, np.zeros(len(states), dtype=np.bool_))
 
 
 def _design(states: Array, commands: Array) -> Array:
