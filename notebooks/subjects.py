@@ -58,8 +58,8 @@ SUBJECTS = {
             "named_task", "NamedTask", "embedded_default", "Embedded",
         ),
         "Continuous tasks as finite ones": (
-            "ContinuousTask", "GymnasiumTask", "GridInterpolation", "VisitedCells", "Discretization", "Closure",
-            "defensive_mixture", "resimulate", "visited_states", "record", "Moves", "MonteCarlo", "monte_carlo_value",
+            "ContinuousTask", "GymnasiumTask", "discretize", "GridInterpolation", "VisitedCells", "Discretization",
+            "resimulate", "visited_states", "record", "Moves", "MonteCarlo", "monte_carlo_value",
             "StatePolicy", "ContinuousSimulator", "gymnasium_simulator",
         ),
         "Continuous tasks corrected by a log": (
@@ -68,7 +68,7 @@ SUBJECTS = {
         "CartPole": ("CartPole", "cartpole_policy"),
         "Reacher": ("Reacher", "LinearReacher", "reacher_policy", "reacher_log"),
         "Kinova arm": (
-            "KinovaArm", "KinovaHand", "ArmCells", "arm_cells", "kinova_model", "kinova_policy", "fit_hand", "hand_log",
+            "KinovaArm", "KinovaHand", "kinova_policy", "fit_hand", "hand_log",
             "load_kinova_log", "record_goals", "train_expert",
         ),
     },

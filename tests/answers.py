@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 import oee_tabular as oee
 from oee_tabular import estimators, exact, inference, testing
 from oee_tabular.ratio.prior.strength import score
-from oee_tabular.tasks import CartPole, GridInterpolation, kinova
+from oee_tabular.tasks import CartPole, discretize, kinova
 
 ROW = np.array([0.7, 0.1, 0.1, 0.1])
 
@@ -162,13 +162,13 @@ def moves_for_a_twentieth():
 
 
 def corners():
-    grid = GridInterpolation((3, 3), closure_episodes=0).build(CartPole()).cells
+    grid = discretize(CartPole(), cells=(3, 3), closure_episodes=0).cells
     low, step = grid.vertices()[0], grid.spacing
     return np.sort(grid.weights(np.array([low + step * [0.25, 0.5]])).data)[::-1]
 
 
 def moves_a_row():
-    small = GridInterpolation((4,) * 4, closure_episodes=0).build(CartPole(form="full")).mdp
+    small = discretize(CartPole(form="full"), cells=(4,) * 4, closure_episodes=0).mdp
     rows = (small.n_states - 1) * small.n_actions  # of 4^4 vertices; "fallen" is not one
     return [80_000 / (rows * (k / 4) ** 4) for k in (10, 32)]
 
@@ -191,8 +191,8 @@ def moves_a_command():
 
 
 def one_and_two_boxes():
-    simulator = kinova.kinova_model(kinova.ideal_hand(1.0), defensive=0.1)
-    target = kinova.kinova_model(kinova.ideal_hand(1.4))
+    simulator = discretize(kinova.ideal_hand(1.0), floor=0.1, closure_episodes=0)
+    target = discretize(kinova.ideal_hand(1.4), closure_episodes=0)
     places = simulator.cells.vertices()
     home = int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))
     (command,) = np.flatnonzero((kinova.COMMANDS == [1.0, 0.0, 0.0]).all(axis=1))

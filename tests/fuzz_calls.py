@@ -49,10 +49,10 @@ ALIASES = {  # words of the command line, which the same errors serve
 }
 LEFT_OUT = """
 Method SgdTrace Finding Comparison Decision corrected_value EstimationCounterexample Outlook RowChanges Selection
-Sides SimulationLemma Families League Assumptions Result ArmCells Closure Discretization KinovaHand
-MonteCarlo Moves NamedTask Case Verdict Verdicts Family Estimator ContinuousTask StatePolicy arm_cells train_expert
-fit_hand kinova_model check_estimator run league_of families garnet_worse evaluate_continuous record_goals hand_log
-reacher_log visited_states defensive_mixture logs mdp_pairs mdps policies horizons padded_log relabelled_log
+Sides SimulationLemma Families League Assumptions Result Discretization KinovaHand
+MonteCarlo Moves NamedTask Case Verdict Verdicts Family Estimator ContinuousTask StatePolicy train_expert
+fit_hand discretize check_estimator run league_of families garnet_worse evaluate_continuous record_goals hand_log
+reacher_log visited_states logs mdp_pairs mdps policies horizons padded_log relabelled_log
 load_kinova_log make_environment check_output check_page Settings GymnasiumTask gymnasium_simulator ContinuousSimulator
 LinearReacher VisitedCells GridInterpolation gaussian DEFAULT LAWS tandem
 """.split()  # noqa: SIM905 (of other rooms)

@@ -61,12 +61,13 @@ NAMES = {
         SampledReturns sample_episodes sample_returns sample_transitions
     """,
     "oee_tabular.tasks": """
-        ArmCells CartPole Closure ContinuousSimulator ContinuousTask Discretization GridInterpolation GymnasiumTask HistoryTask
+        CartPole ContinuousSimulator ContinuousTask Discretization GridInterpolation GymnasiumTask HistoryTask
         KinovaArm KinovaHand LinearModel LinearReacher MonteCarlo Moves NamedTask ParameterFit Reacher ResidualSimulator
-        Settings StatePolicy VisitedCells arm_cells cartpole_policy Embedded embedded_default
-        defensive_mixture evaluate_continuous
+        Settings StatePolicy
+        VisitedCells cartpole_policy Embedded embedded_default
+        discretize evaluate_continuous
         fit_hand fit_parameters gridworld gridworld_expert gridworld_policy
-        gymnasium_simulator hand_log kinova_model kinova_policy
+        gymnasium_simulator hand_log kinova_policy
         load_kinova_log make_environment monte_carlo_value named_task reacher_log reacher_policy record
         record_episodes record_goals resimulate toy_text train_expert visited_states
     """,

@@ -10,7 +10,7 @@ from oee_tabular._arguments import literal, named_specs
 from oee_tabular.cli.inputs import read_box, read_entries, read_problem, refuse, write_array
 from oee_tabular.cli.options import Options, answer, with_options
 from oee_tabular.cli.simulators import policies_of, task_of
-from oee_tabular.continuous.command import evaluate_files, is_continuous, task_options
+from oee_tabular.continuous.command import evaluate_files, is_continuous, read_grid, task_options
 
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
 # which need a simulator whose states are numbered, and a log
@@ -27,13 +27,14 @@ Input:
 --initial --action-noise --impossible
 --features FILE  Your own features of transitions, as a row oee-features: {TRANSITIONS}, with a last axis for several.
 --tie FILE  Integer keys, transitions with one key share one ratio, as a row oee-tied: {TRANSITIONS}.
---task-option* NAME=VALUE  Of a continuous task, repeatable; what is left out is the task's own. grid=60x60: vertices along
-    each feature, or none. outside=error|drop|nearest: states of the log outside the grid; drop leaves out transitions
-    without support too. strict=true: an error, not a warning, for actions of the log that are not in the task's set.
-    calibration=ratio|difference|none. floor=0.001: share of other steps in the simulator (defensive). simulations=50000:
-    Monte Carlo episodes of each policy. state=MODULE:GET,SET: functions get(env) and set(env, state) of a Gymnasium
-    environment whose state is not found. actions=9 or -2,0,2: levels of each coordinate of a Gymnasium Box of actions, or
-    the commands.
+--grid CELLS  Of a continuous task: add the rows on a finite MDP. 60x60: vertices along each feature; 3000: cells around
+    visited states; auto: the task's own.
+--task-option* NAME=VALUE  Of a continuous task, repeatable; what is left out is the task's own. outside=error|drop|nearest:
+    states of the log outside the grid; drop leaves out transitions without support too. strict=true: an error, not a
+    warning, for actions of the log that are not in the task's set. calibration=ratio|difference|none. floor=0.001: share of
+    other steps in the simulator on the grid (defensive). simulations=50000: Monte Carlo episodes of each policy.
+    state=MODULE:GET,SET: functions get(env) and set(env, state) of a Gymnasium environment whose state is not found.
+    actions=9 or -2,0,2: levels of each coordinate of a Gymnasium Box of actions, or the commands.
 Value:
 --box --horizon --discount
 --normalized/--raw  Multiply values by (1 - discount).
@@ -82,11 +83,13 @@ def _evaluate(options: Options) -> Any:
     from oee_tabular.report import evaluate as evaluate_problem
 
     simulator, log, discount = options.simulator, options.log, options.discount
-    settings = task_options(options.task_option)
-    if (settings or options.fit or options.history != "auto") and not is_continuous(simulator):
+    settings, grid = task_options(options.task_option), read_grid(options.grid)
+    wants = {"--task-option": settings, "--grid": grid is not None, "--fit": options.fit}
+    wants["--history"] = options.history != "auto"
+    if any(wants.values()) and not is_continuous(simulator):
         if simulator is not None:
             task_of(simulator)  # which may not be there at all
-        given = "--task-option" if settings else "--fit" if options.fit else "--history"
+        given = next(name for name, value in wants.items() if value)
         raise ValueError(f"{given} needs a continuous task (--simulator cartpole:gravity=10)")
     names = None if options.estimators is None else [part.strip() for part in options.estimators.split(",")]
     common: dict[str, Any] = {name: getattr(options, name) for name in ("confidence", "seed", "guaranteed", "quick")}
@@ -114,8 +117,8 @@ def _evaluate(options: Options) -> Any:
         rule = "must be left out for a continuous task, whose states have no numbers; it is {}"
         refuse(options, ("rewards", *OF_FILES), rule)
         return evaluate_files(
-            simulator, log, options.policy, options.behavior, options.target, settings, horizon=options.horizon,
-            discount=0.99 if discount is None else discount, **common,
+            simulator, log, options.policy, options.behavior, options.target, settings, grid=grid,
+            horizon=options.horizon, discount=0.99 if discount is None else discount, **common,
         )  # fmt: skip
     task, problem = read_problem(options)
     known, facts = _read_known(options, task)

@@ -18,28 +18,22 @@ from typing import Any
 _MODULES = {
     "cartpole.dynamics": ("CartPole",),
     "cartpole.expert": ("cartpole_policy", "train_expert"),
-    "cells": ("VisitedCells", "visited_states"),
-    "closure": ("Closure",),
-    "support": ("defensive_mixture",),
-    "residual_value": ("corrected_value",),
-    "discretization": ("Discretization",),
+    "discretization": ("Discretization", "GridInterpolation", "VisitedCells", "discretize", "visited_states"),
     "episodes": ("MonteCarlo", "monte_carlo_value", "record", "resimulate"),
     "evaluation": ("evaluate_continuous",),
     "gymnasium_named": ("gymnasium_simulator",),
     "gymnasium_task": ("GymnasiumTask",),
-    "interpolation": ("GridInterpolation",),
-    "kinova.dynamics": ("KinovaArm",),
-    "kinova.grid": ("kinova_model",),
+    "history": ("HistoryTask",),
+    "kinova.arm": ("KinovaArm",),
     "kinova.hand": ("KinovaHand", "fit_hand"),
     "kinova.logs": ("hand_log", "kinova_policy", "load_kinova_log", "record_goals"),
-    "history": ("HistoryTask",),
     "linear_model": ("LinearModel",),
     "log": ("ContinuousTransitions",),
-    "reacher.cells": ("ArmCells", "arm_cells", "reacher_log"),
     "reacher.dynamics": ("LinearReacher", "Reacher"),
-    "reacher.expert": ("reacher_policy",),
+    "reacher.expert": ("reacher_log", "reacher_policy"),
     "parameters": ("ParameterFit", "fit_parameters"),
     "residual": ("ResidualSimulator",),
+    "residual_value": ("corrected_value",),
     "simulator": ("ContinuousSimulator", "Settings"),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),
 }
@@ -49,9 +43,7 @@ _EXPORTS = {name: module for module, names in _MODULES.items() for name in names
 def __getattr__(name: str) -> Any:
     if name not in _EXPORTS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_EXPORTS[name]}"), name)
-    globals()[name] = value
-    return value
+    return getattr(importlib.import_module(f"{__name__}.{_EXPORTS[name]}"), name)
 
 
 def __dir__() -> list[str]:

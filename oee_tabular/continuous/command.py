@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.task import StatePolicy
     from oee_tabular.report import Report
 
-TASK_OPTIONS = ("grid", "outside", "strict", "calibration", "floor", "simulations", "state", "actions")
+TASK_OPTIONS = ("outside", "strict", "calibration", "floor", "simulations", "state", "actions")
 
 
 def is_continuous(spec: str | None) -> bool:
@@ -33,8 +33,6 @@ def task_options(given: list[str] | None, known: Sequence[str] = TASK_OPTIONS) -
     from oee_tabular import _checks
 
     options: dict[str, Any] = dict(named_specs(given or [], "--task-option", known))
-    if "grid" in options:
-        options["grid"] = _grid_shape(options["grid"])
     for name in {"strict", "floor", "simulations", "actions"} & set(options):
         options[name] = literal(options[name], f"--task-option {name}")
     if "strict" in options:
@@ -50,11 +48,14 @@ def task_options(given: list[str] | None, known: Sequence[str] = TASK_OPTIONS) -
     return options
 
 
-def _grid_shape(text: str) -> tuple[int, ...]:
+def read_grid(text: str | None) -> tuple[int, ...] | int | str | None:
+    """Where ``--grid`` puts the states: 60x60 vertices, 3000 visited cells, or "auto", the task's own."""
     try:
-        return () if text == "none" else tuple(int(part) for part in text.lower().split("x"))
+        if text is None or text == "auto":
+            return text
+        return int(text) if text.isdigit() else tuple(int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise ValueError(f"--task-option grid must be like 32x32, or none; got {text!r}") from None
+        raise ValueError(f"--grid must be like 32x32, 3000 or auto; got {text!r}") from None
 
 
 def evaluate_files(
@@ -64,11 +65,12 @@ def evaluate_files(
     behavior: str | None,
     target: str | None,
     options: dict[str, Any],
+    grid: tuple[int, ...] | int | str | None = None,
     **common: Any,
 ) -> Report:
     """The report on a continuous simulator, a log of continuous states and policies.
 
-    ``options``: by ``task_options``; ``common``: what ``evaluate_continuous`` takes.
+    ``options``: by ``task_options``; ``grid``: by ``read_grid``; ``common``: what ``evaluate_continuous`` takes.
     """
     from oee_tabular.continuous.actions import commands_of
     from oee_tabular.continuous.evaluation import evaluate_continuous
@@ -94,8 +96,8 @@ def evaluate_files(
     return evaluate_continuous(
         simulator,
         recorded,
-        _policies(policy, simulator),
-        settings=Settings(**settings, episodes=options.get("simulations")),
+        _policies(policy, simulator, grid is not None),
+        settings=Settings(grid=grid, **settings, episodes=options.get("simulations")),
         behavior=None if behavior is None else _named(behavior, simulator, "--behavior"),
         target=None if target is None else continuous_simulator(target, state=state, actions=actions).task,
         facts={"simulator_name": spec, "log_name": ", ".join(log)},
@@ -115,20 +117,18 @@ def record_log(spec: str, policy: str, options: dict[str, Any], **limits: Any) -
     return ContinuousTransitions(**(log.columns() | {"action": simulator.task.actions[log.action]}))
 
 
-def _policies(specs: list[str] | None, simulator: ContinuousSimulator) -> dict[str, Any]:
-    """Policies from NAME=SPEC or SPEC; the expert where there are none."""
+def _policies(specs: list[str] | None, simulator: ContinuousSimulator, has_grid: bool) -> dict[str, Any]:
+    """Policies from NAME=SPEC or SPEC, the expert where there are none; with a grid an array is one of its cells."""
     from oee_tabular.mdp.policies import read_policy_array
 
     if specs is None and simulator.expert is None:
         raise ValueError(
             f"--policy must be given for {simulator.task.name}, which has no expert: uniform or MODULE:FUNCTION"
         )
-    found: dict[str, object] = {}
+    found: dict[str, Any] = {}
     for label, source in named_specs(specs or ["expert"]).items():
-        is_file = Path(source).suffix.lower() in (".npy", ".npz")
-        if is_file:
-            _refuse_arrays(source, simulator, "--policy")
-        found[label] = read_policy_array(source, "--policy") if is_file else _named(source, simulator, "--policy")
+        is_array = has_grid and Path(source).suffix.lower() in (".npy", ".npz")
+        found[label] = read_policy_array(source, "--policy") if is_array else _named(source, simulator, "--policy")
     return found
 
 
@@ -136,17 +136,13 @@ def _named(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
     """A policy of states; an array's cells are those of the default grid."""
     if Path(spec).suffix.lower() not in (".npy", ".npz"):
         return simulator.policy(spec, name)
-    _refuse_arrays(spec, simulator, name)
-    from oee_tabular.continuous.on_cells import as_function, as_table
+    from oee_tabular.continuous.discretization.adapter import DEFAULT_VERTICES
     from oee_tabular.mdp.policies import read_policy_array
 
-    model = simulator.build()
-    return as_function(as_table(read_policy_array(spec, name), model, spec), model)
-
-
-def _refuse_arrays(spec: str, simulator: ContinuousSimulator, name: str) -> None:
-    if simulator.cells_of_log:
+    if len(simulator.task.feature_names) > max(DEFAULT_VERTICES):
         raise ValueError(
-            f"{name} must be uniform, expert or mix:WEIGHT for {simulator.task.name}, whose cells are made of the log; "
-            f"got {spec!r}"
+            f"{name} must be uniform, expert, mix:WEIGHT or MODULE:FUNCTION for {simulator.task.name}, whose cells are made of "
+            f"the log; got {spec!r}"
         )
+    model = simulator.discretize()
+    return model.policy_function(model.policy(read_policy_array(spec, name), f"policy {spec!r}"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,11 +13,8 @@ from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, paired_returns
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
-from oee_tabular.estimators import Estimate, Estimator, Problem, calibrate
-from oee_tabular.estimators.base import IN_VALUES_UNIT
-from oee_tabular.estimators.findings import Finding, missing_support
-from oee_tabular.exact import policy_value
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.estimators import Estimate, Estimator, Problem
+from oee_tabular.estimators.findings import Finding
 
 BEYOND = 0.02  # share of a policy's moves beyond the log's range: it is said
 QUANTILE = 1.96  # of the intervals that estimators set themselves
@@ -154,105 +151,6 @@ def beyond_log(share: float) -> tuple[Finding, ...]:
         "correction adds there is a guess, and no interval covers it."
     )
     return (Finding("beyond", share, text, f"{share:.0%}"),) if share > BEYOND else ()
-
-
-@dataclass(frozen=True, eq=False)
-class Plain:
-    """J in the simulator on the cells without its defensive share."""
-
-    simulator: FiniteMDP
-
-    @one_thread
-    def __call__(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
-        """Exact."""
-        return Estimate(policy_value(self.simulator, policy, horizon=problem.horizon))
-
-
-@dataclass(frozen=True, eq=False)
-class Supported:
-    """An estimator whose diagnostics say how far its ratio has support."""
-
-    estimator: Estimator
-    support: Mapping[str, float]
-
-    @one_thread
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
-        """The estimator's, with ``uncovered_mass``, ``largest_zeta`` and ``d_inf``."""
-        found = self.estimator(problem, policy, seed=seed)
-        told = missing_support(*(self.support[name] for name in ("uncovered_mass", "largest_zeta", "d_inf")))
-        return replace(found, diagnostics=found.diagnostics | dict(self.support), findings=(*found.findings, *told))
-
-
-def second_calibration(value: float, gap: float) -> Finding:
-    """What the other calibration says."""
-    text = "calibrated by the simulator on a log of its own instead, the value is {}; the interval covers the gap."
-    return Finding("second calibration", gap, text, f"{value:.4g}")
-
-
-def calibrated_far(apart: float, own: float) -> Finding:
-    """Calibration takes out more than was put in."""
-    text = "calibration moves the value by {}: rely on the corrected simulator rather than on either."
-    figure = f"{apart:.3g}, more than the cells move the simulator's own value, {own:.3g}"
-    return Finding("calibrated far", apart, text, figure)
-
-
-@dataclass(frozen=True, eq=False)
-class Calibrated:
-    """The calibrated value in a row of its own; the raw one has its own.
-
-    Attributes
-    ----------
-    estimator : the raw value's
-    continuous : values in the continuous simulator
-    plain : policy -> value on the cells of the simulator without a floor, looked at in the log's places
-    own : the same, looked at in the places of a log of the simulator's own; None: not known
-    kind : "ratio" | "difference"
-    scale : of values in the sentences
-
-    Notes
-    -----
-    What the two calibrations differ by is what calibration is uncertain by: it is told, and the error counts it so that the
-    95% interval covers it, error^2 = se^2 + (gap / 1.96)^2.
-    """
-
-    estimator: Estimator
-    continuous: MonteCarloValue
-    plain: Callable[[Array], float]
-    own: Callable[[Array], float] | None
-    kind: str
-    scale: float = 1.0
-
-    @one_thread
-    def __call__(self, problem: Problem, policy: Any, *, seed: Any = None) -> Estimate:
-        """The estimator's value, times J_continuous / J_discretised of the simulator, or plus their difference."""
-        raw = self.estimator(problem, policy, seed=seed)
-        mc, below = self.continuous(policy), self.plain(policy)
-        found = self._by(raw, mc, below)
-        facts = found.diagnostics
-        value, error = facts["calibrated_value"], facts["calibrated_standard_error"]
-        raw_only = IN_VALUES_UNIT | {"row_sum_error", "calibrated_value", "calibrated_standard_error"}
-        kept = {name: x for name, x in facts.items() if name not in raw_only}
-        told = list(found.findings)
-        if self.own is not None:
-            second = float(self._by(raw, mc, self.own(policy)).diagnostics["calibrated_value"])
-            gap = abs(second - value)
-            error = None if error is None else float(np.hypot(error, gap / QUANTILE))
-            kept |= {"second_calibration_value": second, "interval_method": "calibrated"}
-            told.append(second_calibration(second * self.scale, gap))
-        apart, own = abs(raw.value - value), abs(mc.value - below)
-        if apart > 1.01 * own + 2.0 * mc.standard_error:
-            told.append(calibrated_far(apart * self.scale, own * self.scale))
-        ends = None if found.interval is None or error is None else (value - QUANTILE * error, value + QUANTILE * error)
-        return replace(
-            found, value=value, standard_error=error, interval=ends, diagnostics=kept, findings=tuple(told),
-            model_value=None, is_normal=True, is_from_log=True, is_from_episodes=False,
-            is_headline=False,
-        )  # fmt: skip
-
-    def _by(self, raw: Estimate, mc: MonteCarlo, below: float) -> Estimate:
-        return calibrate(
-            raw, discretised=below, continuous=mc.value, continuous_error=mc.standard_error, kind=self.kind
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 The rows stand in the order of what they may be trusted for: the simulator corrected by the log's residuals
 (``ResidualSimulator``), the value on cells calibrated, a linear model of the log, importance sampling, the simulator itself by
 Monte Carlo and on the cells, and last off-environment evaluation on the grid alone, which has the grid's error. What the cells
-cannot take is said, and the other rows stand (``on_cells``).
+cannot take is said, and the other rows stand (``cell_rows``).
 """
 
 from __future__ import annotations
@@ -19,26 +19,17 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.actions import as_probabilities
+from oee_tabular.continuous.cell_rows import NoCellsError, OnCells, on_cells, reward_bounds
 from oee_tabular.continuous.correction import Correction, choose_correction
-from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.estimators import MonteCarloValue, Possible, Refitted, Residual, Simulated
 from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.on_cells import (
-    NoCellsError,
-    OnCells,
-    as_function,
-    as_table,
-    on_cells,
-    plain_rows,
-    reward_bounds,
-)
 from oee_tabular.continuous.on_rows import on_rows, report_on_rows, table_on_rows
 from oee_tabular.continuous.parameters import ParameterFit, fit_parameters, parameters_of
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.sentences import difference, lost, placed, rewards_contradict
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
+from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, require_log_of
 from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import default_names, named_estimators
@@ -46,7 +37,7 @@ from oee_tabular.report.evaluation import evaluate
 from oee_tabular.report.results import Report
 
 CALIBRATIONS = (*KINDS, "none")
-ON_GRID, LINEAR = "oee on the grid", "linear model of the log"
+LINEAR = "linear model of the log"
 
 
 @one_thread
@@ -89,10 +80,10 @@ def evaluate_continuous(
     -------
     Report
         In front the value of the corrected simulator (``choose_correction``) by Monte Carlo, or, where no correction can be
-        trusted, the simulator's. Rows "oee (residual)", "oee (calibrated)" and, last, "oee on the grid"
-        where oee is asked for; "linear model of the log" where ``estimators`` is None; "simulator (continuous)" (Monte Carlo)
-        always; ``facts`` has the support diagnostics and the closure error. Where the cells cannot take the log, or there are
-        none, their rows are left out with a sentence.
+        trusted, the simulator's. Row "oee (residual)" where oee is asked for; with ``settings.grid`` also "oee (calibrated)"
+        and, last, "oee on the grid"; "linear model of the log" where ``estimators`` is None; "simulator (continuous)" (Monte
+        Carlo) always. ``facts`` has the support diagnostics and the closure error. Where the cells cannot take the log, their
+        rows are left out with a sentence.
 
     Raises
     ------
@@ -107,7 +98,7 @@ def evaluate_continuous(
     >>> few = Settings(episodes=2000)
     >>> report = evaluate_continuous(simulator, log, {"expert": simulator.expert}, settings=few, seed=0, estimators=["oee"])
     >>> [row["estimator"] for row in report.records()]
-    ['oee (residual)', 'oee (calibrated)', 'simulator (continuous)', 'oee on the grid']
+    ['oee (residual)', 'simulator (continuous)']
     """
     given = as_simulator(simulator, horizon) if isinstance(simulator, ContinuousTask) else simulator
     _checks.instance(given, ContinuousSimulator, "simulator", "a ContinuousTask or a ContinuousSimulator")
@@ -119,11 +110,11 @@ def evaluate_continuous(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         numbered = _numbered(given, log, chosen, behavior)
-        try:
-            made = on_cells(given, numbered, chosen, steps, discount, seed)
-        except NoCellsError as reason:
-            made = None
-            if chosen.grid != ():  # asked for
+        made = None
+        if chosen.grid is not None:
+            try:
+                made = on_cells(given, numbered, chosen, steps, discount, seed)
+            except NoCellsError as reason:
                 warnings.warn(f"The rows on the grid are left out: {reason}", stacklevel=2)
     told = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
     tables, functions = _policies(policies, made, given.task, numbered)
@@ -156,7 +147,7 @@ def evaluate_continuous(
             problem, tables, rows, tuple(said), first, learned.warning, seed=seed, facts=known, **options
         )
     report = evaluate(problem, tables, estimators=rows, seed=seed, facts=made.facts | dict(facts or {}), **options)
-    said.append(lost(made.plain, mc, tables, steps))
+    said.append(lost(made.model, mc, tables, steps))
     uncertainty = replace(
         report.uncertainty,
         next=placed(report.uncertainty.next, made.model),
@@ -188,7 +179,8 @@ def _policies(
     for name, given in policies.items():
         policy = as_probabilities(given, task.actions) if callable(given) else given
         if made is not None:
-            tables[name], function = as_table(policy, made.model, name), as_function(policy, made.model)
+            table = made.model.policy(policy, f"policy {name!r}")
+            tables[name], function = table, policy if callable(policy) else made.model.policy_function(table)
         elif callable(policy):
             tables[name], function = table_on_rows(policy, log, task.n_actions), policy
         else:
@@ -230,26 +222,19 @@ def _rows(
     scale: float,
 ) -> dict[str, Estimator]:
     """The estimators by the names of their rows, in the order of what they may be trusted for."""
-    oee = [name for name, estimator in wanted.items() if estimator == OffEnvironment()]
     rows: dict[str, Estimator] = {}
     if not learned.is_trusted:
         rows["simulator (continuous)"] = Simulated(mc, is_headline=True)
-    if oee:
+    if any(estimator == OffEnvironment() for estimator in wanted.values()):
         rows |= {
             name: Possible(row, *_signs(learned.plain), scale)
             for name, row in _residual_rows(learned, mc, paths).items()
         }
-    if oee and made is not None and kind != "none":
-        rows["oee (calibrated)"] = made.calibrated(mc, kind, bounds, scale)
+    calibrated, rest = ({}, {}) if made is None else made.rows(wanted, mc, kind, scale)
+    rows |= {name: Possible(row, *bounds, scale) for name, row in calibrated.items()}
     rows |= {name: estimator for name, estimator in wanted.items() if isinstance(estimator, ImportanceSampling)}
     rows.setdefault("simulator (continuous)", Simulated(mc))
-    if made is None:
-        return rows
-    for name, estimator in wanted.items():
-        if name not in oee and name not in rows:
-            rows[name] = estimator
-            rows |= plain_rows(made) if isinstance(estimator, Simulator) else {}
-    return rows | ({ON_GRID: made.raw()} if oee else {})
+    return rows | {name: estimator for name, estimator in rest.items() if name not in rows}
 
 
 def _with_linear(

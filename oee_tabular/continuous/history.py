@@ -16,9 +16,8 @@ from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
-from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, StatePolicy
+from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, StatePolicy, require_log_of
 
 FOLDS = 4
 MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state

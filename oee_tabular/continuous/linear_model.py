@@ -17,9 +17,8 @@ from scipy.special import ndtr
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, shortest
+from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest
 
 GROUPS = 40  # of whole episodes, for resampling
 

@@ -145,7 +145,7 @@ class ContinuousTransitions(LogColumns):
 
     Notes
     -----
-    ``Discretization.encode_log`` makes ``Transitions`` of it, ``Discretization.counts`` soft counts.
+    ``Discretization.encode`` makes ``Transitions`` of it, ``Discretization.counts`` soft counts.
 
     Examples
     --------

@@ -22,9 +22,8 @@ from scipy.optimize import least_squares
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, find_periods, shortest
+from oee_tabular.continuous.task import ContinuousTask, find_periods, require_log_of, shortest
 
 MAX_ROWS, MAX_SLOW_ROWS = 20_000, 2000  # by which parameters are fitted; slow: of tasks that step one by one
 ROUNDING = 1e-9  # relative: no standard error is less

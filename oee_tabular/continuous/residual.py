@@ -25,13 +25,12 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.coordinate import TRIFLE, Coordinate
-from oee_tabular.continuous.discretization import require_log_of
 from oee_tabular.continuous.history import HistoryEffect, history_effects
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import Fit, Functions, Grams, Rows, groups_of
 from oee_tabular.continuous.scatter import Scatter
 from oee_tabular.continuous.stops import Stops
-from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, shortest
+from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest
 from oee_tabular.continuous.units import other_units
 
 APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to

@@ -9,26 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oee_tabular._checks import Array
-from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.simulator import ContinuousSimulator
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exact import policy_value
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.estimators import MonteCarloValue
-
-
-def left_out(counts: object, kept: object, share: float, model: Discretization) -> str:
-    """How many moves have no support, and where most of them begin."""
-    lost = row_sums(counts) - row_sums(kept)
-    state = int(lost.argmax()) // model.task.n_actions
-    return (
-        f"{share:.2g} of the log's moves have no probability in the simulator on {model.cells.extent()}; the rows on the cells "
-        f"leave them out. Most of them begin at state {state}"
-    )
 
 
 def difference(corrected: ResidualSimulator) -> str:
@@ -63,28 +51,13 @@ def odd_row(corrected: ResidualSimulator) -> str:
     return ""
 
 
-def described(simulator: ContinuousSimulator, model: Discretization, floor: float, support: Mapping[str, float]) -> str:
-    """The simulator on cells, in one line of a report."""
-    places = ", looked at in the log's own places" if simulator.at_log else ""
-    text = f"{simulator.name} on {model.cells.extent()}{places}: {model.mdp!r}"
-    if floor > 0:
-        text += f"; defensive: with probability {floor:g} {simulator.defence} (plain: without)"
-    closure = model.diagnostics.get("closure")
-    if closure is not None:
-        text += f"; closure error of the uniform policy {closure.error:+.1%} (+-{closure.standard_error:.1%})"
-    return text + (
-        f"; uncovered mass {support['uncovered_mass']:.2g}, largest zeta {support['largest_zeta']:.3g} "
-        f"(D_inf {support['d_inf']:.2g} nats)"
-    )
-
-
-def lost(plain: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array], horizon: int) -> str:
+def lost(model: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array], horizon: int) -> str:
     """What the cells make of the simulator's own values, which no interval covers."""
     found = []
     for name, table in tables.items():
         there = mc(table)
         found.append(
-            f"{policy_value(plain.mdp, table, horizon=horizon) - there.value:+.3g} of {there.value:.3g} ({name})"
+            f"{policy_value(model.plain, table, horizon=horizon) - there.value:+.3g} of {there.value:.3g} ({name})"
         )
     return (
         "standard errors and intervals are of the log alone; what the cells lose is not in them. Of the simulator's own value "
@@ -98,7 +71,7 @@ def placed(text: str, model: Discretization) -> str:
 
     def place(match: re.Match[str]) -> str:
         number = int(match[1])
-        points = model.points[model.point_cell == number] if number < n else model.points[:0]
+        points = model.points[model.places.point_cell == number] if number < n else model.points[:0]
         if len(points) == 0:
             return match[0]
         at = model.task.features(points).mean(axis=0)

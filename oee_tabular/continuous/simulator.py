@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array
 from oee_tabular.continuous.actions import as_probabilities
-from oee_tabular.continuous.discretization import Discretization
+from oee_tabular.continuous.discretization import Discretization, discretize
 from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.support import USUAL, reach_of
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 
-SLOW_EPISODES, SLOW_PATHS = 2000, 200  # of tasks that step one state at a time
-DEFAULT_VERTICES = {1: 201, 2: 41, 3: 15, 4: 9}  # along each feature, by how many there are
-Counter = Callable[[Discretization, ContinuousTransitions, str], sparse.csr_array]
-
-
-class Builder(Protocol):
-    """Makes the finite MDP on a task's own cells; ``floor`` is the defensive share (0: the plain simulator)."""
-
-    def __call__(self, task: Any, *, at: ContinuousTransitions | None, floor: float, discount: float) -> Discretization:
-        """The task on its cells, looked at in the log's own places where ``at`` is given."""
-        ...
+SLOW_EPISODES, SLOW_PATHS, SLOW_CLOSURE = 2000, 200, 500  # of tasks that step one state at a time
 
 
 @dataclass(frozen=True)
@@ -42,19 +29,13 @@ class ContinuousSimulator:
     name : str, as it was given
     task : ContinuousTask
     expert : function of states (n, d) giving probabilities (n, A); None where there is none
-    cells : the shape of the default grid, or what makes a Discretization on other cells; see ``Builder``; () for no cells
     horizon : of an episode and of a value, where none is given
-    floor : share of the defensive simulator's other steps, where a log is evaluated
-    ratio : options of ``transition_ratio`` for the counts
-    tie : the ties of zeta, a function of the Discretization; None: not tied
+    floor : share of the defensive simulator's other steps, where a log is evaluated on cells
+    ratio : options of ``transition_ratio`` for the counts on cells
     calibration : "ratio" | "difference" | "none"; see ``estimators.calibrate``
-    count : (model, log, outside) -> csr of counts (S*A, S); None: ``model.counts``
-    defence : which other steps those are, in words
+    policies : those whose states the cells must serve
     episodes : of Monte Carlo, for each policy
     refit_paths : episodes by which each refit of a corrected simulator is compared with it
-    at_log : whether the builder looks at the simulator in the log's own places
-    cells_of_log : whether the cells are made of the log, so that no array of a policy can be known before
-    no_grid : why no other grid can be asked for; empty where it can
 
     Examples
     --------
@@ -67,29 +48,13 @@ class ContinuousSimulator:
     name: str
     task: ContinuousTask
     expert: StatePolicy | None
-    cells: tuple[int, ...] | Builder
     horizon: int
     floor: float = 0.0
     ratio: Mapping[str, Any] = field(default_factory=dict)
-    tie: Callable[[Discretization], IntArray] | None = None
     calibration: str = "ratio"
-    count: Counter | None = None
-    defence: str = "a step ends anywhere near"
+    policies: tuple[StatePolicy, ...] = ()
     episodes: int = 50_000
     refit_paths: int = 1000
-    at_log: bool = True
-    cells_of_log: bool = False
-    no_grid: str = ""
-
-    def counts(self, model: Discretization, log: ContinuousTransitions, *, outside: str = "error") -> sparse.csr_array:
-        """The log's moves on the cells of ``model``."""
-        if self.count is None:
-            return model.counts(log, outside=outside)
-        return self.count(model, log, outside)
-
-    def ratio_options(self, model: Discretization) -> dict[str, Any]:
-        """Those of ``transition_ratio`` on the cells of ``model``."""
-        return dict(self.ratio) if self.tie is None else {"tie": self.tie(model), **self.ratio}
 
     def policy(self, spec: str, name: str = "policy") -> StatePolicy:
         """``uniform``; ``expert``; ``mix:0.7``, the expert with that probability, else uniform; or ``module:function``.
@@ -112,58 +77,24 @@ class ContinuousSimulator:
         with own_modules():
             return as_probabilities(own_object(spec, name, "my_module:policy"), self.task.actions)
 
-    def has_cells(self, grid: tuple[int, ...] | None) -> bool:
-        """Whether there are cells: the default ones, or a ``grid`` that was asked for."""
-        return (self.cells if grid is None else grid) != ()
-
-    def no_cells(self, grid: tuple[int, ...] | None) -> str:
-        """Why there are none, where there are none."""
-        if grid is not None:
-            return "no grid was asked for"
-        return (
-            f"there is no grid in the {len(self.task.feature_names)} dimensions of {self.task.name}; the corrected simulator "
-            "needs none"
-        )
-
-    def build(
+    def discretize(
         self,
+        log: ContinuousTransitions | None = None,
         *,
-        grid: tuple[int, ...] | None = None,
-        at: ContinuousTransitions | None = None,
+        cells: Any = None,
         floor: float = 0.0,
         discount: float = 0.99,
-        reach: int = USUAL,
     ) -> Discretization:
-        """The finite MDP: on the default cells or a grid of that shape, plain or defensive, looked at where the log was.
-
-        ``reach`` of the floor, on a grid; see ``GridInterpolation``.
-        """
-        self._take(grid)
-        if not self.has_cells(grid):
-            raise ValueError(f"cells must be given: {self.no_cells(grid)}")
-        cells = self.cells if grid is None else grid
-        if not isinstance(cells, tuple):
-            return cells(self.task, at=at, floor=floor, discount=discount)
-        return GridInterpolation(cells, floor=floor, reach=reach).build(self.task, at=at, discount=discount)
-
-    def _take(self, grid: tuple[int, ...] | None) -> None:
-        if grid is not None and self.no_grid:
-            raise ValueError(f"grid must be left out for {self.no_grid}")
-
-    def reach(self, grid: tuple[int, ...] | None, log: ContinuousTransitions) -> int:
-        """The reach that the log asks of a floor on the grid."""
-        self._take(grid)
-        cells = self.cells if grid is None else grid
-        return reach_of(self.task, GridInterpolation(cells).grid(self.task), log) if isinstance(cells, tuple) else USUAL
+        """The finite MDP of the task, plain or defensive, looked at where the log was; see ``tasks.discretize``."""
+        closure_episodes = SLOW_CLOSURE if not getattr(self.task, "steps_at_once", True) else 2000
+        return discretize(
+            self.task, log, cells=cells, floor=floor, policies=self.policies, discount=discount,
+            closure_episodes=closure_episodes,
+        )  # fmt: skip
 
     def record(self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any) -> ContinuousTransitions:
         """A log of the simulator; ``n_transitions`` or ``n_episodes``, and ``seed``, as in ``tasks.record``."""
         return record(self.task, policy, max_steps=self.horizon if max_steps is None else max_steps, **options)
-
-
-def default_grid(dimensions: int) -> tuple[int, ...]:
-    """Vertices along each feature of a task without a grid of its own; () where a grid would be too coarse."""
-    return (DEFAULT_VERTICES[dimensions],) * dimensions if dimensions in DEFAULT_VERTICES else ()
 
 
 def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulator:
@@ -175,7 +106,6 @@ def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulat
         task.name,
         task,
         None,
-        default_grid(len(task.feature_names)),
         horizon,
         floor=1e-3,
         ratio={"prior": "simulator", "strength": 0.01},
@@ -207,7 +137,7 @@ class Settings:
 
     Attributes
     ----------
-    grid : vertices along each feature; () for no cells
+    grid : None: no rows on cells; "auto": on the task's own; vertices along each feature; or a number of visited cells
     outside : "error" | "nearest" | "drop", for states outside the grid; "drop" leaves out moves without support as well,
         however many (otherwise more than a hundredth leave out the rows on the grid)
     strict : an error, not a warning, for actions that are not in the task's set
@@ -221,7 +151,7 @@ class Settings:
     'error'
     """
 
-    grid: tuple[int, ...] | None = None
+    grid: tuple[int, ...] | int | str | None = None
     outside: str = "error"
     strict: bool = False
     calibration: str | None = None

@@ -20,6 +20,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.continuous.log import ContinuousTransitions
 
 StatePolicy: TypeAlias = Callable[[Array], Array]
 
@@ -73,7 +74,7 @@ class ContinuousTask(ABC):
     --------
     A point on the line that is pushed to either side and paid for being near 0:
 
-    >>> from oee_tabular.tasks import GridInterpolation
+    >>> from oee_tabular.tasks import discretize
     >>> class Point(ContinuousTask):
     ...     name, state_names, feature_names = "Point", ("s",), ("s",)
     ...     actions, n_disturbances, periodic, terminates = np.array([-0.25, 0.25]), 1, (False,), False
@@ -83,7 +84,7 @@ class ContinuousTask(ABC):
     ...         return Moves(following, -np.abs(states[:, 0]), np.zeros(len(states), dtype=bool))
     ...     def initial_states(self, n, rng):
     ...         return rng.uniform(-0.1, 0.1, (n, 1))
-    >>> GridInterpolation((9,), closure_episodes=0).build(Point()).mdp
+    >>> discretize(Point(), cells=(9,)).mdp
     FiniteMDP(9 states, 2 actions, 18 transitions, rewards r(s, a), discount 0.99)
     """
 
@@ -270,6 +271,18 @@ def check_states(task: ContinuousTask, states: object, name: str = "states") -> 
     return array
 
 
+def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
+    """ValueError for a log of other states than the task's."""
+    _checks.instance(log, ContinuousTransitions, "log")
+    if log.n_state != task.n_state:
+        raise ValueError(
+            f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "
+            f"it has {log.n_state}"
+            + "; speeds that were not recorded can be had from positions, by finite differences or by a Kalman filter"
+            * (log.n_state < task.n_state)
+        )
+
+
 class BadPolicy(ValueError):
     """A policy function's own error, told as what it must do."""
 
@@ -314,8 +327,3 @@ def shortest(differences: Array, periods: Array) -> Array:
     each = np.resize(periods, differences.shape[1])
     turns = np.where(each > 0, np.round(differences / np.where(each > 0, each, 1.0)), 0.0)
     return np.asarray(differences - each * turns)
-
-
-def task_metadata(task: ContinuousTask) -> dict[str, Any]:
-    """What identifies a task in a file."""
-    return {"task": task.name, "parameters": task.parameters(), "features": list(task.feature_names)}

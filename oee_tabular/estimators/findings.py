@@ -171,7 +171,7 @@ def missing_support(share: float, largest: float, nats: float) -> Findings:
     text = (
         "{} of the log's transitions have probability 0 in the plain simulator, so they have no ratio. What is said of them "
         f"rests on the defensive share (largest zeta {largest:.3g}, D_inf {nats:.2g} nats). "
-        "A simulator under parameters that bracket the target (tasks.defensive_mixture), process noise or wider cells "
+        "A simulator under parameters that bracket the target (tasks.discretize(others=...)), process noise or wider cells "
         "would cover them."
     )
     return (Finding("support", share, text, f"{share:.1%}"),) if share > 0.01 else ()

@@ -13,34 +13,32 @@ from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_te
 if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.cartpole.dynamics import CartPole
     from oee_tabular.continuous.cartpole.expert import cartpole_policy, train_expert
-    from oee_tabular.continuous.cells import VisitedCells, visited_states
-    from oee_tabular.continuous.closure import Closure
-    from oee_tabular.continuous.discretization import Discretization
+    from oee_tabular.continuous.discretization import (
+        Discretization,
+        GridInterpolation,
+        VisitedCells,
+        discretize,
+        visited_states,
+    )
     from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
     from oee_tabular.continuous.history import HistoryTask
-    from oee_tabular.continuous.interpolation import GridInterpolation
-    from oee_tabular.continuous.kinova.dynamics import KinovaArm
-    from oee_tabular.continuous.kinova.grid import kinova_model
+    from oee_tabular.continuous.kinova.arm import KinovaArm
     from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand
     from oee_tabular.continuous.kinova.logs import hand_log, kinova_policy, load_kinova_log, record_goals
     from oee_tabular.continuous.linear_model import LinearModel
     from oee_tabular.continuous.parameters import ParameterFit, fit_parameters
-    from oee_tabular.continuous.reacher.cells import ArmCells, arm_cells, reacher_log
     from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
-    from oee_tabular.continuous.reacher.expert import reacher_policy
+    from oee_tabular.continuous.reacher.expert import reacher_log, reacher_policy
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.residual_value import corrected_value
     from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
-    from oee_tabular.continuous.support import defensive_mixture
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
 __all__ = [
-    "ArmCells",
     "CartPole",
-    "Closure",
     "ContinuousSimulator",
     "ContinuousTask",
     "Discretization",
@@ -61,10 +59,9 @@ __all__ = [
     "Settings",
     "StatePolicy",
     "VisitedCells",
-    "arm_cells",
     "cartpole_policy",
     "corrected_value",
-    "defensive_mixture",
+    "discretize",
     "embedded_default",
     "evaluate_continuous",
     "fit_hand",
@@ -74,7 +71,6 @@ __all__ = [
     "gridworld_policy",
     "gymnasium_simulator",
     "hand_log",
-    "kinova_model",
     "kinova_policy",
     "load_kinova_log",
     "make_environment",

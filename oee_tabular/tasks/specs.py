@@ -96,7 +96,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     wing = importlib.import_module("oee_tabular.continuous.names")
     if wing.is_continuous(spec):
         simulator = wing.continuous_simulator(spec)
-        model = simulator.build(**({"discount": 0.99} | given))
+        model = simulator.discretize(**({"discount": 0.99} | given))
         expert = lambda: model.policy(simulator.policy("expert"))  # noqa: E731
         return NamedTask(spec, model.mdp, expert, continuous=simulator, discretization=model)
     environment_exists(spec.partition(":")[0], ("gridworld", *wing.CONTINUOUS))

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 from scipy import integrate, stats
 
 import oee_tabular as oee
-from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.task import ContinuousTask, Moves
+from oee_tabular.tasks import GridInterpolation, discretize
 
 
 def test_a_toy_text_table_with_duplicates_and_ends_by_path():
@@ -57,7 +57,7 @@ class Line(ContinuousTask):
 
 def test_a_discretised_table_by_integrals():
     """Vertex j gets the integral of its hat; the nodes and weights of the quadrature are numpy's."""
-    model = GridInterpolation((13,), noise_points=20, closure_episodes=0).build(Line())
+    model = discretize(Line(), cells=GridInterpolation((13,), noise_points=20), closure_episodes=0)
     vertices = np.linspace(-3, 3, 13)
     table = model.mdp.transitions.toarray().reshape(13, 2, 13)
     nodes, weights = np.polynomial.hermite_e.hermegauss(20)

@@ -16,6 +16,7 @@ from oee_tabular.tasks import (
     GridInterpolation,
     GymnasiumTask,
     cartpole_policy,
+    discretize,
     monte_carlo_value,
     record,
     resimulate,
@@ -85,7 +86,7 @@ def test_the_reward_pays_for_the_failing_step_too():
     moved = CartPole().moves(falling, np.array([1, 1]), np.zeros((2, 4)))
     assert_array_equal(moved.terminated, [True, False])
     assert_array_equal(moved.reward, [1.0, 1.0])
-    model = GridInterpolation((20, 20), closure_episodes=0).build(CartPole())
+    model = discretize(CartPole(), cells=(20, 20), closure_episodes=0)
     assert_array_equal(model.mdp.rewards[:-1], 1.0)
     assert_array_equal(model.mdp.rewards[-1], 0.0)
     stands = model.mdp.with_transitions(sparse.kron(sparse.eye_array(model.mdp.n_states), np.ones((2, 1)), "csr"))
@@ -110,7 +111,7 @@ def test_the_angle_alone_is_an_exact_reduction():
 
 @pytest.mark.parametrize("delta", [0.0, 0.3, 0.6, 1.0])
 def test_the_grid_agrees_with_monte_carlo(delta):
-    model = GridInterpolation((100, 100), closure_episodes=0).build(CartPole(12.5))
+    model = discretize(CartPole(12.5), cells=(100, 100), closure_episodes=0)
     policy = cartpole_policy(delta)
     value = oee.policy_value(model.mdp, model.policy(policy), horizon=100)
     mc = monte_carlo_value(CartPole(12.5), policy, 10_000, 100, seed=3)
@@ -118,16 +119,16 @@ def test_the_grid_agrees_with_monte_carlo(delta):
 
 
 def test_a_hundred_by_a_hundred_takes_less_than_a_second():
-    GridInterpolation((10, 10), closure_episodes=0).build(CartPole())  # compile
+    discretize(CartPole(), cells=(10, 10), closure_episodes=0)  # compile
     began = time.perf_counter()
-    model = GridInterpolation((100, 100), closure_episodes=0).build(CartPole())
+    model = discretize(CartPole(), cells=(100, 100), closure_episodes=0)
     oee.policy_value(model.mdp, model.policy(cartpole_policy(0.4)), horizon=100)
     assert time.perf_counter() - began < 1.0
 
 
 def test_four_dimensions():
     with pytest.warns(UserWarning, match="closure error"):
-        model = GridInterpolation((8, 8, 8, 8)).build(CartPole(form="full"))
+        model = discretize(CartPole(form="full"), cells=(8, 8, 8, 8))
     assert model.mdp.n_states == 8**4 + 1
     assert model.task.feature_names == NAMES
     assert_allclose(model.mdp.initial.sum(), 1.0)
@@ -140,7 +141,7 @@ def test_process_noise_by_quadrature():
     mc = monte_carlo_value(task, policy, 20_000, 50, seed=2)
     values = []
     for points in (1, (1, 1, 5, 5)):
-        model = GridInterpolation((60, 60), noise_points=points, closure_episodes=0).build(task)
+        model = discretize(task, cells=GridInterpolation((60, 60), noise_points=points), closure_episodes=0)
         values.append(oee.policy_value(model.mdp, model.policy(policy), horizon=50))
     assert abs(values[1] - mc.value) < 0.03 * mc.value < abs(values[0] - mc.value)
 

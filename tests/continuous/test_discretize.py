@@ -14,7 +14,7 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular._checks import freeze
 from oee_tabular._sparse import row_sums
-from oee_tabular.continuous.discretize import (
+from oee_tabular.continuous.discretization import (
     Grid,
     GridInterpolation,
     VisitedCells,

@@ -358,7 +358,7 @@ def test_pendulum_from_the_command_line(capsys, mine):
                "--transitions", 2000, "--output", "log.csv")  # fmt: skip
     assert "actions are 1-dimensional commands" in said
     words = ["evaluate", "--simulator", "Pendulum-v1", "--log", "log.csv", "--policy", "near=swinging:swing",
-             "--task-option=simulations=40", "--horizon", 60, "--task-option=grid=15x15",
+             "--task-option=simulations=40", "--horizon", 60, "--grid=15x15",
              "--target", "Pendulum-v1,g=11,m=1.2", "--json"]  # fmt: skip
     report = json.loads(run(capsys, *words))
     rows = {row["estimator"]: row for row in report["results"]}
@@ -427,7 +427,6 @@ def test_an_environment_that_one_s_own_module_registers(capsys, mine, monkeypatc
         "log.csv",
         "--policy",
         "drifting:right",
-        "--task-option=grid=none",
         "--task-option=simulations=50",
         "--horizon",
         20,
@@ -459,7 +458,7 @@ BAD = {
     "an action": (["sample", "Pendulum-v1", "--task-option=actions=0,3"], "actions[1] must be in Box(-2.0, 2.0, (1,)"),
     "discrete": (["sample", "CartPole-v1", "--task-option=actions=3"], "must be left out where the environment has Discrete"),
     "ours": (["sample", "cartpole", "--task-option=actions=3"], "--task-option actions must be left out for cartpole"),
-    "unknown": (["sample", "Pendulum-v1", "--task-option=grid=9x9"], "NAME one of state, actions; got 'grid=9x9'"),
+    "unknown": (["sample", "Pendulum-v1", "--task-option=floor=0.1"], "NAME one of state, actions; got 'floor=0.1'"),
     "finite": (["sample", "FrozenLake-v1", "--task-option=actions=3"], "--task-option needs a continuous task"),
     "mistyped": (["sample", "Pendulm-v1", "--task-option=actions=3"], "'Pendulm-v1' is neither; near: Pendulum-v1"),
     "mistyped, ours": (["sample", "cartpol", "--task-option=actions=3"], "'cartpol' is neither; near: cartpole"),
@@ -544,18 +543,14 @@ def damped(states):
     return np.where(states[:, 3] > 0, 0, 2)
 
 
-def test_six_dimensions_have_no_grid_and_a_value(monkeypatch):
+def test_six_dimensions_have_a_value_without_cells(monkeypatch):
     monkeypatch.setitem(gymnasium.registry, "Chain-v0", gymnasium.envs.registration.EnvSpec("Chain-v0", Chain))
     simulator, target = (gymnasium_simulator(spec) for spec in ("Chain-v0", "Chain-v0:spring=1.6,weight=1.2"))
-    assert simulator.cells == ()
     log = record(target.task, target.policy("uniform"), n_transitions=1500, max_steps=50, seed=0)
-    with pytest.warns(
-        UserWarning, match=r"rows on the grid are left out: there is no grid in the 6 dimensions of Chain-v0"
-    ):
-        report = evaluate_continuous(
-            simulator.task, log, {"damped": damped}, settings=Settings(episodes=60), seed=0, horizon=50, target=target.task,
-            normalized=True,
-        )  # fmt: skip
+    report = evaluate_continuous(
+        simulator.task, log, {"damped": damped}, settings=Settings(episodes=60), seed=0, horizon=50, target=target.task,
+        normalized=True,
+    )  # fmt: skip
     rows = {row["estimator"]: row for row in report.records()}
     assert list(rows) == ["oee (residual)", "linear model of the log", "pdis", "wpdis", "simulator (continuous)",
                           "target (continuous)"]  # fmt: skip
@@ -564,8 +559,8 @@ def test_six_dimensions_have_no_grid_and_a_value(monkeypatch):
     assert rows["oee (residual)"]["lower"] < truth < rows["oee (residual)"]["upper"]
     assert "<!doctype html>" in report.to_html()
     again = record(target.task, target.policy("uniform"), n_transitions=4000, max_steps=50, seed=1)
-    found = evaluate_continuous(  # no grid, as asked for, is no warning
-        simulator, again, {"uniform": simulator.policy("uniform")}, settings=Settings(grid=(), episodes=60), seed=0,
+    found = evaluate_continuous(
+        simulator, again, {"uniform": simulator.policy("uniform")}, settings=Settings(episodes=60), seed=0,
         horizon=50, estimators=["pdis", "model-based"],
     )  # fmt: skip
     weighted = {row["estimator"]: row for row in found.records()}["pdis"]  # the behaviour itself: every weight is 1

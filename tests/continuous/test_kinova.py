@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import oee_tabular as oee
-from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.kinova.dynamics import CENTER, HOME, STEP, end_effector, resolved_rates
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import kinova
@@ -67,36 +65,6 @@ def test_latency_keeps_the_last_command():
     assert (again.next_state[0, :3] - moved.next_state[0, :3] > 0.8 * STEP).all()
 
 
-def test_the_finite_model_and_the_hand_have_one_value():
-    hand = synthetic()
-    model = kinova.kinova_model(hand)
-    assert model.task.parameters()["ideal"] is True
-    policy = kinova.box_policy(model, 0, 0.3)
-    assert_allclose(policy.sum(axis=1), 1.0)
-    from oee_tabular import policy_value
-
-    exact = policy_value(model.mdp, policy, horizon=25)
-    sampled = monte_carlo_value(hand, kinova.kinova_policy(0, 0.3), 2000, 25, seed=0)
-    assert abs(exact / sampled.value - 1) < 0.06
-
-
-def test_tied_counts_recover_the_target_s_displacement():
-
-    simulator = kinova.kinova_model(synthetic(), spacing=2 * STEP, defensive=0.1)
-    log = kinova.record_goals(synthetic(1.4), n_runs=4, delta=0.3, seed=0)
-    counts, uncovered = kinova.within_support(kinova.move_counts(simulator, log), simulator)
-    assert uncovered < 0.02
-    assert_allclose(counts.sum(), (1 - uncovered) * len(log))
-    zeta = oee.transition_ratio(counts, simulator.mdp, tie=kinova.displacement_tie(simulator), strength=0.1)
-    model = zeta.target_model(simulator.mdp)
-    places = simulator.cells.vertices()
-    middle = int(np.argmin(np.linalg.norm(places - CENTER, axis=1)))
-    visited = np.flatnonzero(np.asarray(counts.sum(axis=1)).reshape(-1, 27).sum(axis=0) > 20)
-    for a in visited:
-        mean = model.transitions[[middle * 27 + a]] @ places - places[middle]
-        assert_allclose(mean[0] / STEP, 1.4 * kinova.COMMANDS[a], atol=0.15)
-
-
 def test_a_log_of_a_real_arm(tmp_path):
     pytest.importorskip("pyarrow", reason="needs the extra: pip install 'oee-tabular[parquet]'")
     joints = np.stack([HOME, HOME + 0.01, HOME + 0.02])
@@ -151,7 +119,6 @@ BAD = [
         "log.action must have 3 coordinates, along x, y, z; it has 2",
     ),
     (lambda: kinova.hand_log(moves(3), speed=0.0), "speed must be in"),
-    (lambda: kinova.kinova_model(synthetic(), spacing=1.0), "spacing must be in"),
 ]
 
 
@@ -159,16 +126,6 @@ BAD = [
 def test_bad_calls(call, text):
     with pytest.raises(ValueError, match=text):
         call()
-
-
-def test_states_outside_the_grid_are_named_or_left_out():
-    model = kinova.kinova_model(synthetic(), spacing=4 * STEP)
-    start = np.array([CENTER, [0.1, 0.0, 0.4]])
-    log = ContinuousTransitions(start, [13, 13], start)
-    with pytest.raises(ValueError, match=r"1 of 2 rows are not, the first, row 1, is at \[0.1, 0.0, 0.4\]"):
-        kinova.move_counts(model, log)
-    with pytest.warns(UserWarning, match="They are left out"):
-        assert_allclose(kinova.move_counts(model, log, outside="drop").sum(), 1.0)
 
 
 def test_without_mujoco_everything_imports_and_says_which_extra():

@@ -6,21 +6,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from oee_tabular.continuous.estimators import Calibrated, Possible
+from oee_tabular.continuous.cell_rows import calibrated_row
+from oee_tabular.continuous.discretization.adapter import SMALLEST_REACH
+from oee_tabular.continuous.episodes import MonteCarlo
+from oee_tabular.continuous.estimators import Possible
 from oee_tabular.continuous.names import continuous_simulator
 from oee_tabular.continuous.sentences import difference
-from oee_tabular.continuous.support import USUAL, reach_of
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
 from oee_tabular.lab.robots.changes import classic
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.tasks import (
     CartPole,
-    GridInterpolation,
     LinearModel,
     ResidualSimulator,
     cartpole_policy,
     corrected_value,
+    discretize,
     gymnasium_simulator,
     monte_carlo_value,
     record,
@@ -63,27 +65,29 @@ def test_wind_that_no_cell_reaches_leaves_the_report_standing():
     report = report_of(log, replace(FEW, grid=(40, 40), outside="nearest"))
     rows = [row["estimator"] for row in report.records()]
     assert rows[0] == "oee (residual)"
-    assert report.facts["reach"] > USUAL
+    assert report.facts["reach"] > SMALLEST_REACH
     assert rows[-1] == "oee on the grid"
     assert report.facts["moves_left_out"] < 0.01
 
 
 def test_the_reach_is_what_the_log_asks():
-    """A target that is d cells farther than the simulator asks for d cells, not for more; dust asks for nothing."""
+    """A target that is d cells farther than the simulator asks for about d cells; dust asks for nothing."""
     task, spacing = CartPole(10.0, noise=0.0), 6.4 / 31
-    grid = GridInterpolation((32, 32)).grid(task)
     log = log_of(task, 2000)
-    assert reach_of(task, grid, log) == USUAL
+
+    def reach_of(log):
+        return discretize(task, log, cells=(32, 32), floor=0.001, closure_episodes=0).metadata["reach"]
+
+    assert reach_of(log) == SMALLEST_REACH
     columns = log.columns()
     quiet = np.abs(log.next_state[:, 3]) < 1.0
     kept = {name: column[quiet] for name, column in columns.items() if name in ("state", "action")}
     for cells in (4, 7):
         moved = log.next_state[quiet] + [0.0, 0.0, 0.0, cells * spacing]
-        found = reach_of(task, grid, ContinuousTransitions(**kept, next_state=moved))
-        assert cells <= found <= cells + 2
+        assert cells - 2 <= reach_of(ContinuousTransitions(**kept, next_state=moved)) <= 1.5 * cells
     odd = np.array(log.next_state[quiet])
     odd[0, 3] += 9 * spacing
-    assert reach_of(task, grid, ContinuousTransitions(**kept, next_state=odd)) == USUAL
+    assert reach_of(ContinuousTransitions(**kept, next_state=odd)) == SMALLEST_REACH
 
 
 @pytest.mark.parametrize("share", [0.001, 0.02])
@@ -134,8 +138,6 @@ def test_calibration_is_by_the_plain_simulator():
     assert rows["oee (calibrated)"]["value"] <= most
     truth = monte_carlo_value(Windy(10.0, gusts=0.1), cartpole_policy(0.4), 5000, 100, seed=0, normalized=True).value
     assert abs(rows["oee (calibrated)"]["value"] - truth) < 0.05
-    assert rows["oee (calibrated)"]["lower"] <= rows["oee (calibrated)"]["second_calibration_value"]
-    assert rows["oee (calibrated)"]["second_calibration_value"] <= rows["oee (calibrated)"]["upper"]
 
 
 class _Fixed:
@@ -176,15 +178,13 @@ class _Simulated:
 @pytest.mark.parametrize(("raw", "below", "said"), [(5.0, 6.0, False), (9.0, 6.0, True)])
 def test_calibration_that_moves_more_than_the_simulator_is_said(raw, below, said):
     """By the ratio 9/6 a raw 9 moves by 4.5, the simulator's own value by 3."""
-    found = Calibrated(
-        estimator_of(raw, 0.1), lambda policy: _Simulated(), lambda policy: below, lambda policy: 5.0, "ratio"
+    raw = Estimate(raw, 0.1, (raw - 0.2, raw + 0.2), {"interval_method": "one-step", "one_step_value": 9.9})
+    estimate = calibrated_row(raw, MonteCarlo(9.0, 0.01, 1.0, 100), below, "ratio", 1.0)
+    assert estimate.value == pytest.approx(raw.value * 1.5)
+    assert estimate.interval == pytest.approx(
+        (estimate.value - 1.96 * estimate.standard_error, estimate.value + 1.96 * estimate.standard_error)
     )
-    estimate = found(_Fixed(), None)
-    assert estimate.value == pytest.approx(raw * 1.5)
-    assert estimate.diagnostics["second_calibration_value"] == pytest.approx(raw * 9 / 5)
-    assert estimate.interval[1] >= raw * 9 / 5
     assert any("more than the cells move" in str(finding) for finding in estimate.findings) == said
-    assert any("on a log of its own instead" in str(finding) for finding in estimate.findings)
 
 
 # ---------------------------------------------------------------- the linear model, rewards
@@ -295,7 +295,7 @@ def test_without_cells_a_value_of_the_wrong_sign_is_refused(monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         report = evaluate_continuous(
-            classic.MountainCar(), log, {"mixed": classic.rocking(0.4)}, settings=Settings(grid=(), episodes=50),
+            classic.MountainCar(), log, {"mixed": classic.rocking(0.4)}, settings=Settings(episodes=50),
             horizon=20, seed=0, estimators=["oee"],
         )  # fmt: skip
     residual = report.results[0]

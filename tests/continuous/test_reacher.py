@@ -7,20 +7,15 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 
-import oee_tabular as oee
 from oee_tabular.continuous.reacher import _dynamics as kernel
 from oee_tabular.continuous.reacher.dynamics import STOP, at_stop, fingertip, link_bodies
 from oee_tabular.continuous.reacher.expert import ReacherPolicy, joint_angles
 from oee_tabular.tasks import (
-    LinearReacher,
     Reacher,
-    VisitedCells,
-    arm_cells,
     monte_carlo_value,
     reacher_log,
     reacher_policy,
     record,
-    visited_states,
 )
 
 LENGTHS = [0.05, 0.1, 0.2]
@@ -232,64 +227,6 @@ def test_policies():
     assert_array_equal(reacher_policy(0.2)(states + np.array([2 * np.pi, 0, 0, 0])), reacher_policy(0.2)(states))
 
 
-@pytest.fixture(scope="module")
-def tamed_cells():
-    log = reacher_log(Reacher.tamed(0.05), 20_000, max_steps=25, seed=0)
-    return log, arm_cells(
-        log, task=Reacher.tamed(0.1, reward_length=0.05), n_cells=500, n_simulated=4000, n_stepped=10_000, horizon=25
-    )
-
-
-def test_cells_at_the_log_s_places(tamed_cells):
-    log, arm = tamed_cells
-    assert arm.counts.sum() == len(log) == 20_000
-    assert arm.uncovered(arm.mixture()) == 0.0
-    assert 0.0 < arm.uncovered(arm.transitions[0.1]) < 1.0
-    assert_allclose(arm.risk_minimising_weights(), [1, 0, 0, 0, 0], atol=0.02)
-    for matrix in arm.transitions.values():
-        assert_allclose(matrix.sum(axis=1), 1.0)
-    assert_allclose(arm.policy(reacher_policy(1.0)), 1 / 9)
-
-
-def test_the_reward_telescopes_on_cells(tamed_cells):
-    """At discount 1 a value is 100 (E D(s_0) - E D(s_T)) less the costs, whatever the moves."""
-    _, arm = tamed_cells
-    mdp = arm.mdp(arm.mixture())
-    away = arm.mean(arm.task.distance(arm.points))
-    rest = mdp.transition_rewards.tocoo()
-    rows, to = rest.coords
-    costs = rest.data - 100.0 * (away[rows // 9] - away[to])
-    assert costs.max() <= 0.0
-    assert_allclose(costs[rows % 9 == 4].max(), 0.0, atol=1e-9)  # no torque, no cost but the stop's
-    other = arm.paying(Reacher.tamed(0.2)).mdp(arm.mixture())
-    assert_array_equal(other.transitions.indices, mdp.transitions.indices)
-
-
-def test_the_estimate_comes_near_the_truth_and_the_simulator_does_not(tamed_cells):
-    log, arm = tamed_cells
-    policy = reacher_policy(0.3)
-    truth, wrong = (monte_carlo_value(Reacher.tamed(x), policy, 2000, 25, seed=2) for x in (0.05, 0.1))
-    simulator = arm.mdp(arm.mixture(list(arm.risk_minimising_weights())))
-    zeta = oee.transition_ratio(arm.counts, simulator, prior="simulator", strength=0.1)
-    found = oee.policy_value(zeta.target_model(simulator), arm.policy(policy), horizon=25)
-    assert abs(found - truth.value) < 0.1 * abs(wrong.value - truth.value)
-    linear = LinearReacher.fit(log, Reacher.tamed(0.05))
-    assert np.isfinite(monte_carlo_value(linear, policy, 200, 25, seed=0).value)
-
-
-def test_visited_cells_take_the_task():
-    task = Reacher.tamed()
-    visited = visited_states([task], [reacher_policy(0.5)], 3000, max_steps=25, seed=0)
-    model = VisitedCells(100).build(task, visited)
-    assert model.over is None
-    assert model.mdp.n_states == 100
-    assert_array_equal(task.features(task.embed(task.features(visited)))[:, 2:], visited[:, 1:])
-
-
-def some_log():
-    return record(Reacher(), reacher_policy(0.5), n_transitions=50, max_steps=10, seed=0)
-
-
 BAD = {
     "no length": (lambda: Reacher(0.0), r"length must be positive; it is 0.0"),
     "negative": (lambda: Reacher(-0.1), r"length must .*-0.1"),
@@ -302,23 +239,7 @@ BAD = {
     "inertia": (lambda: Reacher(inertia="rod"), r"inertia must be one of .*rod"),
     "delta": (lambda: reacher_policy(1.5), r"delta must .*1.5"),
     "out of reach": (lambda: ReacherPolicy(target=(1.0, 0.0)), r"target must be 0.01 to 0.21 m .*; it is 1 m away"),
-    "not a log": (lambda: arm_cells(np.zeros((3, 4))), r"log must be ContinuousTransitions; got ndarray"),
-    "no lengths": (lambda: arm_cells(some_log(), lengths=()), r"lengths must have one length or more; it is empty"),
-    "no cells": (lambda: arm_cells(some_log(), n_cells=0), r"n_cells must be a positive integer; it is 0"),
     "no moves": (lambda: reacher_log(Reacher(), 0), r"n must be a positive integer; it is 0"),
-    "weights of another number": (
-        lambda: arm_cells(some_log(), n_cells=5, n_simulated=50, horizon=3).mixture([1.0]),
-        r"weights must have one number for each of 5 lengths; it has shape \(1,\)",
-    ),
-    "weights that miss 1": (
-        lambda: arm_cells(some_log(), n_cells=5, n_simulated=50, horizon=3).mixture([0.1] * 5),
-        r"weights must sum to 1 \(tolerance 1e-8\); they sum to 0.5",
-    ),
-    "no length allows it": (
-        lambda: arm_cells(reacher_log(Reacher(0.05), 500, max_steps=20, seed=0), lengths=(0.2,), n_cells=200, n_simulated=50,
-                          horizon=5).risk_minimising_weights(),
-        r"log must have moves that some length allows; \(\d+, \d, \d+\) is allowed by none \(\d+ such moves in all\)",
-    ),
 }  # fmt: skip
 
 

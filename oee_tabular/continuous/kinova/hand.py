@@ -18,8 +18,8 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._threads import one_thread
+from oee_tabular.continuous.discretization.places import each_action
 from oee_tabular.continuous.episodes import record
-from oee_tabular.continuous.grid import each_action
 from oee_tabular.continuous.kinova.dynamics import (
     CENTER,
     COMMANDS,
@@ -27,7 +27,6 @@ from oee_tabular.continuous.kinova.dynamics import (
     REACH,
     STEP,
     HandTask,
-    KinovaArm,
     goal_number,
 )
 from oee_tabular.continuous.kinova.logs import kinova_policy
@@ -49,6 +48,7 @@ class KinovaHand(HandTask):
     starts : (n, 3) in m, positions at which episodes begin
     goal : row of GOALS; r(x) = -|x - goal|
     source : the arm's parameters
+    noise_points : Gauss-Hermite points of the scatter on a grid
     name : says that it is a stand-in
 
     Examples
@@ -131,7 +131,7 @@ def basis(states: Array) -> Array:
 
 
 @one_thread
-def fit_hand(arm: KinovaArm | KinovaHand, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
+def fit_hand(arm: HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
     """D_a and L_a from ``n_states`` states that the arm visits, each stepped under all 27 commands.
 
     Parameters

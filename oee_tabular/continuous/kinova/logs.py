@@ -22,9 +22,9 @@ from oee_tabular.continuous.kinova.dynamics import (
     COMMANDS,
     DEAD_BAND,
     GOALS,
+    N_ARM_STATES,
     N_JOINTS,
     HandTask,
-    KinovaArm,
     end_effector,
     goal_number,
 )
@@ -199,11 +199,10 @@ def _positions(states: Array, name: str) -> Array:
     if width == N_JOINTS:
         _bounded(states, f"log.{name}", MOST_TURNS, "joint angles in rad")
         return end_effector(states)
-    whole = len(KinovaArm.state_names)
-    if width not in (3, whole):
+    if width not in (3, N_ARM_STATES):
         raise ValueError(
-            f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles) or {whole} (the stand-in's state); "
-            f"it has {width}"
+            f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles) or {N_ARM_STATES} (the stand-in's "
+            f"state); it has {width}"
         )
     positions = np.array(states[:, :3])
     _bounded(positions, f"log.{name}", FARTHEST, "positions in m")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.continuous.reacher.dynamics import LENGTH, LEVELS, RADIUS, TARGET
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.reacher.dynamics import LENGTH, LEVELS, RADIUS, TARGET, Reacher
 from oee_tabular.continuous.task import StatePolicy
 
 
@@ -84,3 +86,33 @@ def reacher_policy(delta: float) -> StatePolicy:
     0.2
     """
     return ReacherPolicy(delta)
+
+
+def reacher_log(task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None) -> ContinuousTransitions:
+    """The paper's data: n moves by pi_delta, delta = 0, .1, ..., 1 in equal parts, episodes of ``max_steps``.
+
+    Parameters
+    ----------
+    task : Reacher, the target's arm
+    n : moves in all
+    max_steps : moves of an episode
+    seed : the same seed gives the same bits
+
+    Raises
+    ------
+    ValueError
+        ``n`` or ``max_steps`` not a positive integer.
+
+    Examples
+    --------
+    >>> len(reacher_log(Reacher(), 1000, max_steps=25, seed=0))
+    1000
+    """
+    from oee_tabular.continuous.episodes import record  # what it compiles with is imported only here
+
+    size = _checks.positive_integer(n, "n")
+    parts = [
+        record(task, reacher_policy(k / 10), n_transitions=-(-size // 11), max_steps=max_steps, seed=stream)
+        for k, stream in enumerate(_checks.generator(seed).spawn(11))
+    ]
+    return ContinuousTransitions.concatenate(parts).first(size)

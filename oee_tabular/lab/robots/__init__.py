@@ -1,1 +1,33 @@
-"""The studies of CartPole, Reacher and Kinova, and of residuals under other changes (``changes``)."""
+"""Studies of CartPole, Reacher and Kinova, the paper's robots, and of changes that nobody tuned for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import sparse
+
+from oee_tabular._sparse import row_sums
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
+    """The log's own rows n(s, a, s') / n(s, a); a pair that was never recorded stays where it is."""
+    total = row_sums(counts)
+    unseen = np.flatnonzero(total == 0)
+    staying = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen // n_actions)), shape=counts.shape)
+    return sparse.csr_array(sparse.diags_array(1.0 / np.where(total > 0, total, 1.0)) @ counts + staying)
+
+
+def by_delta(table: pd.DataFrame, deltas: Iterable[float]) -> pd.DataFrame:
+    """A row for each policy, with delta, value, truth and error, of columns value_0.1, truth_0.1, ...; for figures."""
+    import pandas as pd
+
+    parts = [
+        table.assign(delta=delta, value=table[f"value_{delta:g}"], truth=table[f"truth_{delta:g}"]) for delta in deltas
+    ]
+    found = pd.concat(parts)
+    return found.assign(error=(found.value - found.truth).abs())

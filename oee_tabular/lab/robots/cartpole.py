@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from oee_tabular._checks import Array
-from oee_tabular.continuous.cartpole import visited_by_policies
 from oee_tabular.continuous.cartpole.dynamics import PAPER_NOISE, CartPole
-from oee_tabular.continuous.cells import VisitedCells
-from oee_tabular.continuous.discretization import Discretization
-from oee_tabular.continuous.interpolation import GridInterpolation
-from oee_tabular.continuous.support import within_support
+from oee_tabular.continuous.discretization import Discretization, VisitedCells, discretize
+from oee_tabular.continuous.names import continuous_simulator
 from oee_tabular.lab.experiments import paper
+from oee_tabular.lab.findings import listed
+from oee_tabular.lab.panels import Beside, Panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
-from oee_tabular.lab.robots import cartpole_figures as figures
-from oee_tabular.lab.robots import cartpole_truth
+from oee_tabular.lab.robots import by_delta, cartpole_truth
 from oee_tabular.lab.robots.cartpole_estimates import (
     BEHAVIOR,
     FLOOR,
@@ -32,10 +29,16 @@ from oee_tabular.lab.robots.cartpole_estimates import (
 from oee_tabular.lab.robots.cartpole_truth import DELTAS, GRAVITIES, SIMULATED
 from oee_tabular.ratio import transition_ratio
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 PAPERS_N = 80_000
 MISTAKEN = (7.5, 12.5, 15.0)
 TRUTHS = {"compiled": ("target", PAPER_NOISE), "gymnasium": ("target without noise", 0.0)}
-UNITS = "Values are (1 - discount) times the discounted sum of 100 rewards, at most 0.634."
+ERROR = "mean |error| of the value, times (1 - discount)"
+PAPERS = {"true_value": ("true", "x"), "oee": ("OEE", "o"), "mle": ("model (MLE)", "s"), "is": ("IS", "^")}
 
 
 def rows_of(values: dict[str, Array], case: str, gravity: float, found: Corrected | None = None) -> list[Row]:
@@ -54,7 +57,11 @@ def rows_of(values: dict[str, Array], case: str, gravity: float, found: Correcte
 
 
 def cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log of one target; every estimator and policy."""
+    """Values are (1 - discount) times the discounted sum of 100 rewards, at most 0.634, of delta uniform + (1 - delta)
+    expert; logs of delta = 0.3. The truth is a mean of 400 000 episodes (standard error at most 0.0003). 32 x 32 vertices over
+    angle and angular velocity, the simulator looked at in the log's places, strength 0.01. Calibrated: times the simulator's
+    Monte Carlo value / its value on the grid. The oracle is the target itself on the same grid. Hollow grey marks: the paper's.
+    """
     kind, gravity = str(settings["target"]), float(settings["gravity"])
     log = target_log(kind, gravity, int(settings["n"]), stream.generator())
     case, noise = TRUTHS[kind]
@@ -85,6 +92,52 @@ def published(summary: pd.DataFrame) -> list[float]:
     ]
 
 
+def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """Values and errors at each delta, under each gravity, of the largest logs of the compiled target."""
+    own = table[(table.target == "compiled") & (table.n == table.n.max())]
+    shared: dict[str, Any] = {"curves": "estimator", "x": "delta", "xlabel": "delta (share of the uniform policy)"}
+    Beside(
+        [
+            Panels(
+                "value", title="gravity {gravity:g} m/s²: values", ylabel="value times (1 - discount)", beneath=mark_paper,
+                extra={"true": "truth"}, only=lambda rows: rows[rows.estimator == "OEE, calibrated"], **shared,
+            ),
+            Panels("error", title="gravity {gravity:g} m/s²: errors", ylabel=ERROR, log=True, **shared),
+        ],
+        by=("gravity",), columns=2, size=(6.4, 4.4),
+    )(by_delta(own, DELTAS), summary, figure)  # fmt: skip
+
+
+def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:
+    """What the paper published under this gravity; its expert is lost, so its points need not lie on our lines."""
+    for series, (name, marker) in PAPERS.items():
+        points = paper.curve("cartpole", f"gravity={rows.gravity.iloc[0]}", series)
+        if len(points):
+            ax.plot(
+                points.x,
+                points["mean"],
+                ls="none",
+                marker=marker,
+                mfc="none",
+                color="0.35",
+                label=f"the paper's {name}",
+            )
+
+
+def finding_2(table: pd.DataFrame) -> str:
+    """Errors on the gravities that are not the simulator's, at the largest n."""
+    n = table.n.max()
+    own = table[(table.target == "compiled") & (table.n == n) & (table.gravity != SIMULATED)]
+    names = ["OEE, calibrated", "linear model", "IS, per decision", "IS, self-normalised", "simulator"]
+    means = own[own.estimator.isin(names)].groupby("estimator").error.mean().sort_values()
+    return f"Mean error at n = {n} under other gravities: {listed(means)}" if len(means) else ""
+
+
+def least(table: pd.DataFrame, column: str) -> pd.Series[float]:
+    """The mean errors by the values of a column, the least first; the simulator's own left out."""
+    return table[table.estimator != "simulator"].groupby(column).error.mean().sort_values()[:3]
+
+
 FIGURE_2 = Experiment(
     id="fig2",
     title="Figure 2: CartPole under four gravities, with a simulator of gravity 10",
@@ -93,27 +146,10 @@ FIGURE_2 = Experiment(
     run=cell,
     keys=("target", "gravity", "n", "estimator"),
     measures=("error",),
-    draw=figures.figure_2,
-    finding=figures.fig2_finding,
+    draw=draw_figure_2,
+    finding=finding_2,
     paper=published,
     group="continuous",
-    caption=(
-        f"{UNITS} The policy is delta uniform + (1 - delta) expert; the log is n moves of the target by delta = 0.3, in "
-        "episodes of at most 100 steps. Error: |estimate - truth|; the truth is a mean of 400 000 episodes (standard "
-        "error at most 0.0003). First row: values at n = 80 000; hollow grey marks are what the paper published "
-        "(gravities 10 and 15 only; its expert, another one, is lost, so its points need not lie on our lines). Second "
-        "and third row: mean |error| over the seeds at each delta, n = 80 000, of two groups of estimators; bands: 10% to 90% "
-        "of the seeds; titles: means over delta. Last row: the mean "
-        "over delta, for both n, and for logs recorded by stepping Gymnasium's own CartPole; stars: the paper's curves "
-        "against the paper's truth (for the simulator, which it leaves out, its true curve at gravity 10). One "
-        "configuration for all: 32 x 32 vertices over angle and angular velocity, the simulator looked at in the log's "
-        "places, the ratio shrunk to it with strength 0.01. Calibrated: times the simulator's Monte Carlo value / its "
-        "value on the grid. Raw, the grid's own error hides it: at gravities 7.5 and 12.5 the uncorrected simulator is "
-        "as near. Calibrated, the gain is not off-environment evaluation's alone: the model of the log's frequencies "
-        "gains as much by the same calibration, and least squares of a linear model, which has no cells to learn, is "
-        "best wherever gravity is mistaken. Importance sampling has correct probabilities, and is accurate near the "
-        "data's policy. The oracle is the target itself on the same grid."
-    ),
 )  # fmt: skip
 
 
@@ -122,11 +158,15 @@ FIGURE_2 = Experiment(
 GRIDS = {f"{k} x {k}": k for k in (20, 32, 60, 100)}
 FULL_GRIDS = {f"whole state, {k}^4 grid": k for k in (10, 18)}
 FULL_CELLS = {f"whole state, {k} cells": k for k in (1000, 5000)}
-FULL_STRENGTH, NEIGHBOURS = 1.0, 200  # of zeta on cells of the whole state
+FULL_STRENGTH = 1.0  # of zeta on cells of the whole state
+VISITING = continuous_simulator("cartpole").policies
 
 
 def resolution(settings: Cell, stream: Stream) -> list[Row]:
-    """n = 0: the target itself on these states; else estimates from a log. No log covers a grid of the whole state."""
+    """Mean |error| over six policies and three gravities. n = 0: the target itself on these states, no data; else estimates
+    from n transitions, raw and calibrated. Two dimensions (angle, angular velocity) are exact for policies of the angle; no
+    log covers a grid of the whole state. uncovered: share of the log's transitions without probability, which are left out.
+    """
     name, n, gravity = str(settings["states"]), int(settings["n"]), float(settings["gravity"])
     if n == 0:
         return _without_data(name, gravity)
@@ -139,26 +179,25 @@ def resolution(settings: Cell, stream: Stream) -> list[Row]:
 
 def _without_data(name: str, gravity: float) -> list[Row]:
     form = "angle" if name in GRIDS else "full"
-    target, simulator = (_discretised(name, CartPole(g, form=form)) for g in (gravity, SIMULATED))
+    simulator = _discretised(name, CartPole(SIMULATED, form=form))
+    target = discretize(CartPole(gravity, form=form), cells=simulator, closure_episodes=0)
     raw, inside = (exact_values(model.mdp, policies_of(model)) for model in (target, simulator))
     mended = calibrated(raw, inside)
     return _with_cost({"target on these states": raw, "the same, calibrated": mended}, gravity, simulator)
 
 
 def _discretised(name: str, task: CartPole) -> Discretization:
-    if name in FULL_CELLS:
-        return VisitedCells(FULL_CELLS[name]).build(task, visited_by_policies(CartPole(SIMULATED, form="full")))
-    shape = (GRIDS[name],) * 2 if name in GRIDS else (FULL_GRIDS[name],) * 4
-    return GridInterpolation(shape, closure_episodes=0).build(task)
+    shape = (GRIDS[name],) * 2 if name in GRIDS else (FULL_GRIDS.get(name),) * 4
+    return discretize(task, cells=FULL_CELLS.get(name, shape), policies=VISITING, closure_episodes=0)
 
 
 def _whole_state(name: str, log: Any, gravity: float) -> list[Row]:
     """Estimates on cells of (x, x', theta, theta'), the simulator looked at in the log's places."""
-    builder, simulator = VisitedCells(FULL_CELLS[name], floor=FLOOR, neighbours=NEIGHBOURS), CartPole(form="full")
-    model = builder.at(simulator, visited_by_policies(simulator), log)
+    cells, task = VisitedCells(FULL_CELLS[name], n_simulated=2000), CartPole(form="full")
+    model = discretize(task, log, cells=cells, floor=FLOOR, policies=VISITING, closure_episodes=0)
     inside = ~(model.cells.outside(log.state) | model.cells.outside(log.next_state) & ~log.terminated)
     policies = policies_of(model)
-    counts, uncovered = within_support(model.counts(log.select(inside)), model)
+    counts, uncovered = model.supported(model.counts(log.select(inside)))
     zeta = transition_ratio(counts, model.mdp, prior="simulator", strength=FULL_STRENGTH)
     raw = exact_values(zeta.target_model(model.mdp), policies)
     below = exact_values(model.mdp, policies)
@@ -176,6 +215,15 @@ def _with_cost(values: dict[str, Array], gravity: float, model: Discretization, 
     return [row | cost for row in rows_of(values, "target", gravity)]
 
 
+def draw_resolution(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    """Errors against n, raw and calibrated; without data they are in the table."""
+    panel = Panels(
+        "error", "states", by=("estimator",), title="{estimator}", log=True, bands=True, ylabel=ERROR,
+        axes={"xscale": "log"}, columns=2, size=(6.0, 4.0),
+    )  # fmt: skip
+    panel(table[table.n > 0], summary, figure)
+
+
 RESOLUTION = Experiment(
     id="cartpole_resolution",
     title="CartPole: error against the grid's resolution and against n, in two and in four dimensions",
@@ -188,19 +236,11 @@ RESOLUTION = Experiment(
     run=resolution,
     keys=("states", "n", "gravity", "estimator"),
     measures=("error", "number_of_states", "entries", "uncovered"),
-    draw=figures.resolution,
-    finding=figures.resolution_finding,
+    draw=draw_resolution,
+    finding=lambda table: f"Least error without data: {listed(least(table[table.n == 0], 'states'))}",
     repetitions=3,
     smoke_repetitions=1,
     group="continuous",
-    caption=(
-        f"{UNITS} Mean |error| over six deltas and three gravities (7.5, 12.5, 15). First: the target itself on the states, no "
-        "data (n = 0 in the table): two dimensions (angle and angular velocity, exact for policies of the angle) and "
-        "four (the whole state: grids, and cells of states that the simulator visits). The others: "
-        "off-environment evaluation from n moves, raw (dashed) and calibrated (solid); bands: smallest and largest of "
-        "the seeds. Two dimensions need 1000 states; in four, far more do not reach their accuracy. uncovered: the share of "
-        "the log's moves to which the simulator on cells of the whole state gives no probability; they are left out."
-    ),
 )
 
 
@@ -208,7 +248,9 @@ RESOLUTION = Experiment(
 
 
 def data(settings: Cell, stream: Stream) -> list[Row]:
-    """One log by another behaviour policy."""
+    """Mean |error| over six policies from logs that delta = 0 (the expert), 0.3, 0.6 or 1 (uniform) recorded. visited: share
+    of states and actions of the grid that the log has seen.
+    """
     gravity = float(settings["gravity"])
     log = target_log("compiled", gravity, int(settings["n"]), stream.generator(), float(settings["behavior"]))
     values, found = estimates(log, gravity, noise=PAPER_NOISE)
@@ -223,21 +265,30 @@ CARTPOLE_DATA = Experiment(
     run=data,
     keys=("behavior", "gravity", "n", "estimator"),
     measures=("error", "visited"),
-    draw=figures.data,
-    finding=figures.data_finding,
+    draw=Panels(
+        "error",
+        "estimator",
+        "behavior",
+        ("n", "gravity"),
+        log=True,
+        ylabel=ERROR,
+        columns=3,
+        xlabel="delta of the policy that recorded the log",
+    ),
+    finding=lambda table: (
+        "OEE's calibrated error, by delta of the recording policy: "
+        + listed(table[table.estimator == "OEE, calibrated"].groupby("behavior").error.mean())
+    ),
     repetitions=5,
     smoke_repetitions=1,
     group="continuous",
-    caption=(
-        f"{UNITS} Mean |error| over six target policies, delta 0 to 1, from logs that delta = 0 (the expert), 0.3, 0.6 or 1 "
-        "(uniform) recorded; lines: means over the seeds, bands: the smallest and the largest. visited: the share of "
-        "grid states and actions that the log has seen."
-    ),
 )
 
 
 def choice(settings: Cell, stream: Stream) -> list[Row]:
-    """One grid and strength."""
+    """Mean |error| over six policies and three gravities of the calibrated estimate, by the vertices along each side and the
+    strength of the prior, on logs of its own. fig2 uses 32 and 0.01 everywhere.
+    """
     gravity = float(settings["gravity"])
     log = target_log("compiled", gravity, int(settings["n"]), stream.generator("gravity", "n"))
     found = off_environment(log, vertices=int(settings["vertices"]), strength=float(settings["strength"]))
@@ -257,13 +308,19 @@ CARTPOLE_CHOICE = Experiment(
     run=choice,
     keys=("vertices", "strength", "gravity", "n", "estimator"),
     measures=("error",),
-    draw=figures.choice,
-    finding=figures.choice_finding,
+    draw=Panels(
+        "error",
+        "vertices",
+        "strength",
+        ("n",),
+        log=True,
+        ylabel=ERROR,
+        xlabel="strength of the prior (transitions a row)",
+        only=lambda rows: rows[rows.estimator == "OEE, calibrated"],
+        axes={"xscale": "log"},
+    ),
+    finding=lambda table: f"Least error, by vertices: {listed(least(table, 'vertices'))}",
     repetitions=4,
     smoke_repetitions=1,
     group="continuous",
-    caption=(
-        f"{UNITS} Mean |error| over six policies and three gravities of the calibrated estimate, by vertices along each side "
-        "of the grid and by the strength of the prior, on logs of its own. fig2 uses 32 and 0.01 everywhere."
-    ),
 )

@@ -22,16 +22,14 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cartpole.dynamics import CartPole
 from oee_tabular.continuous.cartpole.expert import cartpole_policy
-from oee_tabular.continuous.discretization import Discretization
+from oee_tabular.continuous.discretization import Discretization, GridInterpolation, discretize
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
-from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.support import frequencies, staying
 from oee_tabular.continuous.task import Moves
 from oee_tabular.estimators.rollouts import normalize_by_step, segment_products
 from oee_tabular.exact import policy_value
-from oee_tabular.lab.robots import cartpole_truth
+from oee_tabular.lab.robots import cartpole_truth, frequencies
 from oee_tabular.lab.robots.cartpole_truth import DELTAS, HORIZON, SIMULATED
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio, transition_ratio
@@ -97,7 +95,7 @@ def _design(states: Array, push: Array) -> Array:
 def linear_values(log: ContinuousTransitions) -> Array:
     """The linear model's values, exact on a fine grid."""
     shape = (LINEAR_VERTICES, LINEAR_VERTICES)
-    model = GridInterpolation(shape, closure_episodes=0).build(Linear.fitted(log))
+    model = discretize(Linear.fitted(log), cells=shape, closure_episodes=0)
     return exact_values(model.mdp, policies_of(model))
 
 
@@ -138,10 +136,9 @@ class Corrected:
 
 def off_environment(log: ContinuousTransitions, *, vertices: int = VERTICES, strength: float = STRENGTH) -> Corrected:
     """The documented configuration, or another grid and strength."""
-    builder = GridInterpolation((vertices, vertices), floor=FLOOR, closure_episodes=0)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*(ends do not show in the features|They are left out)")
-        simulator = builder.build(CartPole(SIMULATED), at=log)
+        simulator = discretize(CartPole(SIMULATED), log, cells=(vertices, vertices), floor=FLOOR, closure_episodes=0)
         counts = simulator.counts(log, outside="drop")
     zeta = transition_ratio(counts, simulator.mdp, prior="simulator", strength=strength)
     policies = policies_of(simulator)
@@ -158,19 +155,18 @@ def model_based(log: ContinuousTransitions, found: Corrected) -> tuple[Array, Ar
     """
     mdp, n_actions = found.simulator.mdp, found.simulator.task.n_actions
     raw = exact_values(mdp.with_transitions(frequencies(found.counts, n_actions)), found.policies)
-    shape = found.simulator.metadata["shape"]
-    looked = GridInterpolation(tuple(shape), closure_episodes=0, vertex_weight=0.0).build(CartPole(SIMULATED), at=log)
-    seen = row_sums(found.counts) > 0
-    same = sparse.diags_array(seen.astype(float)) @ looked.mdp.transitions + staying(~seen, n_actions)
-    placebo = exact_values(mdp.with_transitions(sparse.csr_array(same)), found.policies)
+    cells = GridInterpolation(found.simulator.cells.shape, vertex_weight=0.0)
+    looked = discretize(CartPole(SIMULATED), log, cells=cells, closure_episodes=0)
+    seen = sparse.diags_array((row_sums(found.counts) > 0).astype(float))
+    same = frequencies(sparse.csr_array(seen @ looked.mdp.transitions), n_actions)
+    placebo = exact_values(mdp.with_transitions(same), found.policies)
     return raw, calibrated(raw, placebo)
 
 
-def oracle(log: ContinuousTransitions, gravity: float, found: Corrected, noise: float) -> tuple[Array, Array]:
+def oracle(gravity: float, found: Corrected, noise: float) -> tuple[Array, Array]:
     """The target itself on the same cells and in the same places: what no log improves on; raw and calibrated."""
-    builder = GridInterpolation(tuple(found.simulator.metadata["shape"]), closure_episodes=0)
-    both = [builder.build(task, at=log) for task in (CartPole(gravity, noise), CartPole(SIMULATED))]
-    raw, inside = (exact_values(model.mdp, found.policies) for model in both)
+    target = discretize(CartPole(gravity, noise), cells=found.simulator, closure_episodes=0)
+    raw, inside = (exact_values(mdp, found.policies) for mdp in (target.mdp, found.simulator.plain))
     return raw, calibrated(raw, inside)
 
 
@@ -178,7 +174,7 @@ def estimates(log: ContinuousTransitions, gravity: float, *, noise: float) -> tu
     """Name -> (6,) values at each of ``DELTAS``; ``gravity`` and ``noise`` are for the oracle alone."""
     found = off_environment(log)
     model, model_mended = model_based(log, found)
-    ideal, ideal_mended = oracle(log, gravity, found, noise)
+    ideal, ideal_mended = oracle(gravity, found, noise)
     return {
         "simulator": cartpole_truth.values("simulator", SIMULATED),
         "OEE": found.raw,

@@ -43,7 +43,10 @@ def pair(name: str) -> tuple[Case, np.ndarray]:
 
 
 def cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log: whether the interval holds the truth, and whether its part that is the log's does without the rollouts'."""
+    """Logs of 20 000 transitions, a policy each; sums of rewards. covered: share of the logs whose 95% interval (10 refits by
+    200 episodes, the value by 1000) covers the truth of 400 000 rollouts. covered_paired: the same without the rollouts' noise,
+    by rollouts that share their random numbers with the target's: |error| within Student's t times the standard error.
+    """
     name = str(settings["case"])
     case, there = pair(name)
     log = case.log(N, stream.generator(use="log"))
@@ -102,10 +105,4 @@ RESIDUAL_COVERAGE = Experiment(
     draw=draw,
     finding=finding,
     group="continuous",
-    caption=(
-        "Logs of 20 000 moves, a policy each; sums of rewards. covered: share of the logs whose 95% interval (10 refits by "
-        "200 episodes, the value by 1000) holds the truth of 400 000 rollouts; most of that interval's width is the rollouts'. "
-        "covered_paired: the same without it, by rollouts that share their random numbers with the target's: |error| within "
-        "Student's t times the root of the refits' variance and the pair's own (noise). Above the line: missed."
-    ),
 )

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oee_tabular._checks import Array
+from oee_tabular.continuous.discretization import discretize
 from oee_tabular.continuous.history import HistoryTask
-from oee_tabular.continuous.interpolation import GridInterpolation
 from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.support import within_support
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exact import policy_value
 from oee_tabular.lab.findings import listed, percent
@@ -42,7 +41,11 @@ def known(name: str, delta: float, *, simulator: bool = False) -> Array:
 
 
 def cell(settings: Cell, stream: Stream) -> list[Row]:
-    """One log of one change: a row for each estimator, with its mean error over the policies."""
+    """A log of n transitions by 30% random actions (Reacher: half); errors are means over policies of |value - truth|, values
+    and truths by rollouts that share their random numbers; noise: the standard error of what is left. Two policies, 200 steps
+    (CartPole: six, 100; Acrobot: 500; Reacher: five). grid: zeta on 32 x 32 to 41 x 41 vertices, for the first log; calibrated:
+    times the simulator's rollouts / its value on the grid. hidden: share of the logs whose state is said not to be Markov.
+    """
     name, n = LOGS[str(settings["case"])]
     case = CASES[name]
     log = case.log(n, stream.generator())
@@ -85,15 +88,16 @@ def _on_grid(case: Case, name: str, log: ContinuousTransitions) -> dict[str, lis
     """The log's zeta on a grid of the task's features, raw and calibrated by the simulator's ratio."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # states outside, moves without support: left out here
-        model = GridInterpolation(case.grid, floor=FLOOR, closure_episodes=0).build(case.simulator, at=log)
-        plain = GridInterpolation(case.grid, closure_episodes=0).build(case.simulator, at=log)
-        counts, _ = within_support(model.counts(log, outside="drop"), model)
+        model = discretize(case.simulator, log, cells=case.grid, floor=FLOOR, closure_episodes=0)
+        counts, _ = model.supported(model.counts(log, outside="drop"))
     zeta = transition_ratio(counts, model.mdp, prior="simulator", strength=STRENGTH)
     corrected = zeta.target_model(model.mdp)
     raw, mended = [], []
     for delta in case.deltas:
         policy = model.policy(case.acting(delta))
-        value, inside = (case.scale * policy_value(mdp, policy, horizon=case.horizon) for mdp in (corrected, plain.mdp))
+        value, inside = (
+            case.scale * policy_value(mdp, policy, horizon=case.horizon) for mdp in (corrected, model.plain)
+        )
         raw.append(np.full(case.episodes, value))
         mended.append(np.full(case.episodes, value * known(name, delta, simulator=True).mean() / inside))
     return {CALIBRATED: mended, GRID: raw}
@@ -136,14 +140,4 @@ CHANGES = Experiment(
     smoke_repetitions=1,
     group="continuous",
     requires=("mujoco",),
-    caption=(
-        "A log of n moves by 30% random actions (Reacher: half); errors are means over policies of |value - truth|, "
-        "values and truths by rollouts that share their random numbers; noise: the standard error of what is left. "
-        "CartPole: times (1 - discount), six policies, 100 steps; Pendulum, MountainCar, Acrobot: two policies, 200 "
-        "and 500 steps; Reacher, paid by the target's fingertip: five; Kinova: the stand-in, 50 runs; Chain: masses "
-        "on springs, eight coordinates. One setting of ResidualSimulator for all. linear model: least squares for each "
-        "action. grid: zeta on 32 x 32 to 41 x 41 vertices, moves without support left out, for the first log; calibrated: "
-        "times the simulator's rollouts / its value on the grid. hidden: share of the logs of which it is said that the "
-        "state is not Markov; differs: that the target is another."
-    ),
 )

@@ -14,11 +14,11 @@ the value of a policy on the cells minus its Monte Carlo value in the task. No i
 out the part that the simulator has itself.
 """
 
-from oee_tabular.continuous.discretize.adapter import discretize
-from oee_tabular.continuous.discretize.cells import VisitedCells, VoronoiCells, visited_states
-from oee_tabular.continuous.discretize.grid import Grid, GridInterpolation
-from oee_tabular.continuous.discretize.model import Discretization
-from oee_tabular.continuous.discretize.places import Places, gauss_hermite
+from oee_tabular.continuous.discretization.adapter import discretize
+from oee_tabular.continuous.discretization.cells import VisitedCells, VoronoiCells, visited_states
+from oee_tabular.continuous.discretization.grid import Grid, GridInterpolation
+from oee_tabular.continuous.discretization.model import Discretization
+from oee_tabular.continuous.discretization.places import Places, gauss_hermite
 
 __all__ = [
     "Discretization",

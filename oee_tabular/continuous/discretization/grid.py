@@ -30,7 +30,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import canonical
-from oee_tabular.continuous.discretize.places import Places, each_action
+from oee_tabular.continuous.discretization.places import Places, each_action
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states
 

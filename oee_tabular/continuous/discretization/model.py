@@ -17,13 +17,13 @@ from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._sparse import canonical, csr_on_pattern, find, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.discretize.grid import Grid
-from oee_tabular.continuous.discretize.places import Places, weights_of
+from oee_tabular.continuous.discretization.grid import Grid
+from oee_tabular.continuous.discretization.places import Places, weights_of
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, check_states
+from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, check_states, require_log_of
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import KIND
 
 OUTSIDE = ("error", "nearest", "drop")
@@ -89,18 +89,36 @@ class Discretization:
 
     # ---- policies and values --------------------------------------------------------------------------------------
 
-    def policy(self, function: StatePolicy) -> Array:
-        """(S, A) the policy function in each state: its mean over the points of the cell; uniform where it is over."""
+    def policy(self, policy: StatePolicy | Array, name: str = "policy") -> Array:
+        """(S, A) a policy function in each state: its mean over the points of the cell; uniform where it is over.
+
+        An array is looked at as ``Problem`` looks at it; it may leave out the state that is over.
+        """
         n_actions = self.task.n_actions
+        if not callable(policy):
+            array = _checks.float_array(policy, name, ndim=(2,))
+            if self.over is not None and array.shape == (self.cells.n_cells, n_actions):
+                array = np.concatenate([array, np.full((1, n_actions), 1.0 / n_actions)])
+            return check_policy(array, self.mdp, name=name)
         table = np.full((self.mdp.n_states, n_actions), 1.0 / n_actions)
         total = np.zeros((self.cells.n_cells, n_actions))
         for low in range(0, len(self.points), POINTS_AT_A_TIME):
             part = slice(low, low + POINTS_AT_A_TIME)
-            at_points, cell = check_probabilities(function, self.points[part], n_actions), self.places.point_cell[part]
+            at_points, cell = check_probabilities(policy, self.points[part], n_actions), self.places.point_cell[part]
             for a in range(n_actions):
                 total[:, a] += np.bincount(cell, at_points[:, a], self.cells.n_cells)
         table[: self.cells.n_cells] = total
         return np.asarray(table / table.sum(axis=1, keepdims=True))
+
+    def policy_function(self, table: Array) -> StatePolicy:
+        """A policy of states from one on the cells: its mean over the cells that a state is shared out to."""
+        inner = np.asarray(table, dtype=np.float64)[: self.cells.n_cells]
+
+        def interpolated(states: Array) -> Array:
+            found = self.cells.weights(self.task.features(states)) @ inner
+            return np.asarray(found / found.sum(axis=1, keepdims=True))
+
+        return interpolated
 
     def closure_error(
         self, policy: StatePolicy | None = None, *, horizon: int = 100, n_episodes: int = 2000, seed: Seed = 0
@@ -123,7 +141,7 @@ class Discretization:
 
     # ---- mixtures of simulators -----------------------------------------------------------------------------------
 
-    def mixture(self, weights: Sequence[float]) -> Discretization:
+    def mixture(self, weights: Sequence[float] | Array) -> Discretization:
         """The same states with sum_k w_k P_k over ``simulators``: another simulator, and ``metadata`` says so.
 
         Raises ValueError unless there are as many weights as simulators, nonnegative, summing to 1.
@@ -140,6 +158,10 @@ class Discretization:
         paid = np.sum([share * part.rewards for share, part in used], axis=0)
         found = finite_mdp(self.task, self.places, sparse.csr_array(matrix), paid, self.plain)
         return replace(self, mdp=found, weights=tuple(shares.tolist()))
+
+    def with_transitions(self, transitions: sparse.csr_array) -> FiniteMDP:
+        """Other transitions on the same states with the task's rewards, wherever they lead."""
+        return finite_mdp(self.task, self.places, transitions, self.plain.rewards, self.plain)
 
     @one_thread
     def fit_weights(self, counts: sparse.csr_array) -> Array:
@@ -358,16 +380,6 @@ def finite_mdp(
     initial = np.zeros(matrix.shape[1])
     initial[: places.cells.n_cells] = places.cells.weights(task.features(starts)).T @ mass
     return FiniteMDP(matrix, rewards, initial / initial.sum(), like)
-
-
-def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
-    """ValueError for a log of other states than the task's."""
-    _checks.instance(log, ContinuousTransitions, "log")
-    if log.n_state != task.n_state:
-        raise ValueError(
-            f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "
-            f"it has {log.n_state}"
-        )
 
 
 def _pick(weights: sparse.csr_array, draws: Array | None) -> IntArray:

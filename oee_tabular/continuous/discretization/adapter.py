@@ -13,12 +13,12 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.discretize.cells import VisitedCells
-from oee_tabular.continuous.discretize.grid import Grid, GridInterpolation
-from oee_tabular.continuous.discretize.model import Discretization, finite_mdp, require_log_of
-from oee_tabular.continuous.discretize.places import Places
+from oee_tabular.continuous.discretization.cells import VisitedCells
+from oee_tabular.continuous.discretization.grid import Grid, GridInterpolation
+from oee_tabular.continuous.discretization.model import Discretization, finite_mdp
+from oee_tabular.continuous.discretization.places import Places
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy
+from oee_tabular.continuous.task import ContinuousTask, StatePolicy, require_log_of
 from oee_tabular.mdp import FiniteMDP
 
 DEFAULT_VERTICES = {1: 201, 2: 41, 3: 15}  # along each feature, by how many there are
@@ -161,7 +161,7 @@ def _with_floor(
             return found
         if found.supported(counts)[1] <= UNREACHED_SHARE:
             return found
-        reach += 1
+        reach += max(1, reach // 2)
 
 
 def _with_closure_error(model: Discretization, n_episodes: int) -> Discretization:

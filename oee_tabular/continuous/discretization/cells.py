@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import canonical
-from oee_tabular.continuous.discretize.places import Places, each_action
+from oee_tabular.continuous.discretization.places import Places, each_action
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states
@@ -89,7 +89,8 @@ class VisitedCells:
     ----------
     n_cells : at most so many; cells in which no visited state lies are dropped
     lloyd : Lloyd iterations for the centres
-    n_simulated : states that the task and the ``others`` of ``discretize`` visit by themselves under its ``policies``
+    n_simulated : states that the task and the ``others`` of ``discretize`` visit by themselves under its ``policies``, for what
+        the log leaves out
     n_stepped : of all these states, how many are stepped under every action; the log's are under the logged one as well
     max_steps : longest episode; states of the log later than this do not shape the cells
 
@@ -131,10 +132,8 @@ class VisitedCells:
         points = visited_states([task, *others], policies, self.n_simulated, max_steps=self.max_steps, seed=rng)
         if log is not None:
             own = check_states(task, log.state, "log.state")
-            points = np.concatenate([own if log.timestep is None else own[log.timestep < self.max_steps], points])
-        points = points[~task.terminated(points)]
-        if len(points) == 0:
-            raise ValueError(f"task must have states in which {task.name} goes on; none was visited")
+            early = own if log.timestep is None else own[log.timestep < self.max_steps]
+            points = np.concatenate([early, points])
         cells = self._cells(task.features(points), rng)
         cell = cells.nearest(task.features(points))[0]
         one_each = np.unique(cell, return_index=True)[1]
