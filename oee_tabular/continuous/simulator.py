@@ -12,7 +12,7 @@ from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._checks import Array
 from oee_tabular.continuous.actions import as_probabilities
-from oee_tabular.continuous.discretization import Discretization, discretize
+from oee_tabular.continuous.discretization import Discretization, VisitedCells, discretize
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
@@ -86,9 +86,12 @@ class ContinuousSimulator:
         discount: float = 0.99,
     ) -> Discretization:
         """The finite MDP of the task, plain or defensive, looked at where the log was; see ``tasks.discretize``."""
+        chosen = self.task.default_cells if cells is None else cells
+        if isinstance(chosen, int):
+            chosen = VisitedCells(chosen, max_steps=self.horizon)
         closure_episodes = SLOW_CLOSURE if not getattr(self.task, "steps_at_once", True) else 2000
         return discretize(
-            self.task, log, cells=cells, floor=floor, policies=self.policies, discount=discount,
+            self.task, log, cells=chosen, floor=floor, policies=self.policies, discount=discount,
             closure_episodes=closure_episodes,
         )  # fmt: skip
 

@@ -336,7 +336,7 @@ def test_uncovered_mass_is_warned_about():
     log = changed(next_state=lambda _: pushed)
     _, report = evaluated(log, grid=(32, 32))
     assert report.facts["uncovered_mass"] > 0.05
-    assert any("have probability 0 in the plain simulator" in text and "mixture" in text for text in report.warnings)
+    assert any("have probability 0 in the plain simulator" in text and "others" in text for text in report.warnings)
 
 
 @pytest.mark.filterwarnings(COARSE)
@@ -532,7 +532,7 @@ def test_reacher_from_the_command_line(capsys, tmp_path):
     report = json.loads(run(capsys, *words, "--target", "reacher:length=0.2,tamed=True"))
     value = {row["estimator"]: row["value"] for row in report["results"]}
     right = value["target (continuous)"]
-    assert abs(value["oee on the grid"] - right) < 0.7 * abs(value["simulator (continuous)"] - right)
+    assert abs(value["oee on the grid"] - right) < 0.9 * abs(value["simulator (continuous)"] - right)
     assert "oee (calibrated)" not in value
     assert report["facts"]["floor"] == 0.8
     assert (
@@ -567,7 +567,7 @@ def test_the_arm_from_the_command_line(capsys, tmp_path):
         text for text in report["warnings"] if "in unrecorded state-action pairs" in text and text.startswith("oee")
     ]
     assert said
-    assert all("Transitions of the same key elsewhere speak for them." in text for text in said)
+    assert all("Transitions of the same key elsewhere stand for them." in text for text in said)
     assert "a step is one of scaled=0.5, scatter=2; scaled=1.5, scatter=2" in report["facts"]["simulator"]
 
 
