@@ -119,7 +119,7 @@ def test_sensor_noise_puts_the_simulator_in_front():
     target = SensorNoise(SIMULATOR, 0.01)
     policies = {"near": cartpole_policy(0.3), "far": cartpole_policy(0.8)}
     report = evaluate_continuous(
-        SIMULATOR, log_of(target), policies, settings=Settings(grid=(), episodes=500), horizon=100, seed=0
+        SIMULATOR, log_of(target), policies, settings=Settings(episodes=500), horizon=100, seed=0
     )
     answers = {answer.policy: answer for answer in report.answers}
     assert [answer.estimator for answer in answers.values()] == ["simulator (continuous)"] * 2
@@ -136,7 +136,7 @@ def test_sensor_noise_puts_the_simulator_in_front():
 
 def test_history_may_be_given():
     log = log_of(Delay(SIMULATOR, 2), 2000)
-    settings = Settings(grid=(), episodes=100)
+    settings = Settings(episodes=100)
     names = {}
     for history in ("auto", 0, 1, 3):
         report = evaluate_continuous(

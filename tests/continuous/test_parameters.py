@@ -119,7 +119,7 @@ def test_parameters_come_first_and_the_residual_on_top():
 def test_a_report_fits_by_name():
     log = cartpole_log(CartPole(14.0), 1000)
     report = evaluate_continuous(
-        CartPole(10.0), log, {"p": cartpole_policy(0.5)}, settings=Settings(grid=(), episodes=200), horizon=50, seed=0,
+        CartPole(10.0), log, {"p": cartpole_policy(0.5)}, settings=Settings(episodes=200), horizon=50, seed=0,
         fit=["gravity"], estimators=["oee"],
     )  # fmt: skip
     assert [r["estimator"] for r in report.records()][:2] == ["oee (parameters, residual)", "oee (residual)"]
