@@ -111,11 +111,11 @@ class Report:
 
     @property
     def meaning(self) -> str:
-        """What a value is, in words without formulas."""
-        factor = "" if not self.normalized else f", times {1.0 - self.discount:.4g}"
-        paid = "" if self.discount == 1.0 else f", each step counting {self.discount:g} times the one before"
-        span = "" if self.horizon is None else f" of {self.horizon} steps"
-        return f"the sum of the rewards{span}{paid}{factor}"
+        """What a value is, in words."""
+        factor = f"{1.0 - self.discount:.4g} × " if self.normalized else ""
+        discounted, end = ("", "") if self.discount == 1.0 else ("discounted ", f" (discount {self.discount:g})")
+        span = "the rewards" if self.horizon is None else f"{self.horizon} rewards"
+        return f"{factor}the {discounted}sum of {span}{end}"
 
     @property
     def scale(self) -> float:

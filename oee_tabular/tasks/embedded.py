@@ -23,7 +23,7 @@ class Embedded:
     log : 3162 transitions, drawn from ``episodes`` without replacement
     episodes : 50 whole episodes of ``behavior_policy``, for importance sampling
     behavior_policy : (S, A), uniform
-    policies : name -> (S, A), whose values are asked
+    policies : name -> (S, A), whose values are asked: the expert's with a probability, else uniform
     horizon : number of rewards of a value
 
     Examples
@@ -53,12 +53,12 @@ def embedded_default(*, seed: int, discount: float = 0.99) -> Embedded:
     --------
     >>> default = embedded_default(seed=0)
     >>> len(default.log), list(default.policies)
-    (3162, ['delta=0.1', 'delta=0.5', 'delta=0.9'])
+    (3162, ['10% expert', '50% expert', '90% expert'])
     """
     simulator, target = (gridworld(10, slip, discount=discount) for slip in (0.3, 0.1))
     generator = np.random.default_rng(seed)
     behavior = uniform_policy(target)
     episodes = sample_episodes(target, behavior, 50, 1000, seed=generator)
     log = episodes.draw(3162, seed=generator)
-    policies = {f"delta={delta:g}": gridworld_policy(10, delta) for delta in (0.1, 0.5, 0.9)}
+    policies = {f"{delta:.0%} expert": gridworld_policy(10, delta) for delta in (0.1, 0.5, 0.9)}
     return Embedded(simulator, target, log, episodes, behavior, policies)

@@ -18,12 +18,12 @@ def problem(**options):
 
 def test_without_arguments_it_runs_the_paper_s_grid(run, tmp_path):
     out = run("evaluate --output out")
-    for word in ("delta=0.1", "delta=0.9", "oee", "model-based", "3162 transitions", "t = 0..199"):
+    for word in ("10% expert", "90% expert", "oee", "model-based", "3162 transitions", "t = 0..199"):
         assert word in out
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     errors = {(row["policy"], row["estimator"]): abs(row["error"]) for row in report["results"]}
-    for delta in ("delta=0.1", "delta=0.5", "delta=0.9"):
-        assert errors[delta, "oee"] < 0.5 * errors[delta, "simulator"]
+    for policy in ("10% expert", "50% expert", "90% expert"):
+        assert errors[policy, "oee"] < 0.5 * errors[policy, "simulator"]
     assert_allclose(report["results"][0]["true_value"], -1.5789855, rtol=1e-6)
     again = run("evaluate --output out --estimators simulator --discount 0.9 --horizon 50 --policy uniform --raw")
     assert "table.csv (replaced)" in again

@@ -189,6 +189,7 @@ def test_guaranteed_intervals_and_normalised_values_are_named():
     assert "guaranteed interval" in text
     assert "(1 − discount) × discounted sum of rewards" in text
     assert "discount 0.99 (normalised)" in text
+    assert "What a value is: 0.01 × the discounted sum of 10 rewards (discount 0.99)." in text
     assert "No difference in a single pair is significant (2 pairs" in text
 
 
