@@ -100,7 +100,7 @@ def test_moves_without_support(share):
     bag = ContinuousTransitions(log.state, log.action, following, log.reward, terminated=log.terminated)
     report = report_of(bag, replace(FEW, floor=0.0))
     rows = [row["estimator"] for row in report.records()]
-    assert rows[0] == "oee (residual)"
+    assert "oee (residual)" in rows
     assert ("oee on the grid" in rows) == (share < 0.01)
     text = "leave them out" if share < 0.01 else "The rows on the grid are left out"
     assert any(text in said for said in report.warnings)

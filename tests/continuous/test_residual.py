@@ -15,12 +15,12 @@ from oee_tabular.lab.robots.changes import classic
 from oee_tabular.tasks import (
     CartPole,
     ContinuousTask,
-    GridInterpolation,
     GymnasiumTask,
     Moves,
     Reacher,
     ResidualSimulator,
     cartpole_policy,
+    discretize,
     monte_carlo_value,
     reacher_policy,
     record,
@@ -292,8 +292,7 @@ def test_everything_goes_on_from_there():
     """Cells of the corrected simulator; a log of it; corrected again, nothing is left."""
     target = CARTPOLES["gravity"]
     corrected = ResidualSimulator(CartPole(10.0), cartpole_log(target, 3000), seed=0)
-    model = GridInterpolation((40, 40), closure_episodes=0).build(corrected)
-    right = GridInterpolation((40, 40), closure_episodes=0).build(CartPole(12.5))
+    model, right = (discretize(task, cells=(40, 40), closure_episodes=0) for task in (corrected, CartPole(12.5)))
     values = [
         oee.policy_value(m.mdp, m.policy(cartpole_policy(0.4)), horizon=100, normalized=True) for m in (model, right)
     ]

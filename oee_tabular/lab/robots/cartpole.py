@@ -27,6 +27,7 @@ from oee_tabular.lab.robots.cartpole_estimates import (
     target_log,
 )
 from oee_tabular.lab.robots.cartpole_truth import DELTAS, GRAVITIES, SIMULATED
+from oee_tabular.plots import label_ends
 from oee_tabular.ratio import transition_ratio
 
 if TYPE_CHECKING:
@@ -106,6 +107,8 @@ def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) ->
         ],
         by=("gravity",), columns=2, size=(6.4, 4.4),
     )(by_delta(own, DELTAS), summary, figure)  # fmt: skip
+    for ax in figure.axes[1::2]:
+        label_ends(ax)
 
 
 def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:

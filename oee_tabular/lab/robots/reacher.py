@@ -186,10 +186,10 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
 
 def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:
     """The paper's points for this length, of its own expert and targets."""
-    for name in ("true_value", *PUBLISHED.values()):
+    for name, marker in zip(("true_value", *PUBLISHED.values()), "xo^s", strict=True):
         points = paper.curve("reacher", _setting(rows.length.iloc[0]), name)
         if len(points):
-            ax.plot(points.x, points["mean"], "o", mfc="none", color="0.35", label=f"the paper's {name}")
+            ax.plot(points.x, points["mean"], marker, mfc="none", color="0.35", label=f"the paper's {name}")
 
 
 def finding(table: pd.DataFrame) -> str:
