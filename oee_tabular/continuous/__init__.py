@@ -3,11 +3,11 @@
 A wing: it imports the core, and nothing of the core imports it but on use, for the names that ``oee_tabular.tasks``, ``data``
 and ``report`` show. A task is a ``ContinuousTask`` (task); a log of it is ``ContinuousTransitions`` (log); a
 ``ResidualSimulator`` (residual) is a task corrected by a log, a ``LinearModel`` (linear_model) one learned from it, both again
-tasks; a ``Discretization`` (discretization) is a FiniteMDP with the way from states to its numbers, built on a grid
-(interpolation) or on visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with the configuration by which
+tasks; ``discretize`` (discretization) makes a FiniteMDP with the way from states to its numbers, on a grid or on cells of
+visited states; a ``ContinuousSimulator`` (simulator) is a task with the configuration by which
 logs are evaluated (evaluation), and has a name on the command line (names; Gymnasium's environments: gymnasium_named). Each of
-``cartpole``, ``reacher`` and ``kinova`` has its dynamics, its expert and its configuration; the paper's experiments with them
-are in ``lab.robots``.
+``cartpole``, ``reacher`` and ``kinova`` has its dynamics and its expert; the paper's experiments with them are in
+``lab.robots``.
 """
 
 from __future__ import annotations
