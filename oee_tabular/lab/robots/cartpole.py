@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +40,8 @@ PAPERS_N = 80_000
 MISTAKEN = (7.5, 12.5, 15.0)
 TRUTHS = {"compiled": ("target", PAPER_NOISE), "gymnasium": ("target without noise", 0.0)}
 ERROR = "mean |error| of the value, times (1 - discount)"
+ON_CELLS = ("simulator", "OEE", "OEE, calibrated", "model-based", "model-based, calibrated", "linear model")
+OTHERS = ("OEE, calibrated", "IS, per decision", "IS, self-normalised", "oracle", "oracle, calibrated")
 PAPERS = {"true_value": ("true", "x"), "oee": ("OEE", "o"), "mle": ("model (MLE)", "s"), "is": ("IS", "^")}
 
 
@@ -96,19 +99,27 @@ def published(summary: pd.DataFrame) -> list[float]:
 def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     """Values and errors at each delta, under each gravity, of the largest logs of the compiled target."""
     own = table[(table.target == "compiled") & (table.n == table.n.max())]
+    errors = "gravity {gravity:g} m/s²: errors"
     shared: dict[str, Any] = {"curves": "estimator", "x": "delta", "xlabel": "delta (share of the uniform policy)"}
     Beside(
         [
             Panels(
                 "value", title="gravity {gravity:g} m/s²: values", ylabel="value times (1 - discount)", beneath=mark_paper,
-                extra={"true": "truth"}, only=lambda rows: rows[rows.estimator == "OEE, calibrated"], **shared,
+                extra={"true value": "truth"}, only=lambda rows: rows[rows.estimator == "OEE, calibrated"], **shared,
             ),
-            Panels("error", title="gravity {gravity:g} m/s²: errors", ylabel=ERROR, log=True, **shared),
+            Panels("error", title=errors, ylabel=ERROR, log=True, only=partial(keep, ON_CELLS), **shared),
+            Panels("error", title=errors, ylabel=ERROR, log=True, only=partial(keep, OTHERS), **shared),
         ],
-        by=("gravity",), columns=2, size=(6.4, 4.4),
+        by=("gravity",), columns=3, size=(6.0, 4.4),
     )(by_delta(own, DELTAS), summary, figure)  # fmt: skip
-    for ax in figure.axes[1::2]:
-        label_ends(ax)
+    for ax in figure.axes:
+        if not ax.get_title().endswith("values"):
+            label_ends(ax)
+
+
+def keep(names: tuple[str, ...], rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows of these estimators."""
+    return rows[rows.estimator.isin(names)]
 
 
 def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:
@@ -273,6 +284,7 @@ CARTPOLE_DATA = Experiment(
         "estimator",
         "behavior",
         ("n", "gravity"),
+        only=partial(keep, ON_CELLS),
         log=True,
         ylabel=ERROR,
         columns=3,

@@ -180,7 +180,7 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     own = table[(table.n == table.n.max()) & table.series.isin(shown)]
     Panels(
         "value", "series", "delta", ("length",), "links of {length:g} m", "delta: share of random actions",
-        "value (discounted sum of 100 rewards)", extra={"true": "truth"}, bands=True, beneath=mark_paper, size=(6.4, 4.4),
+        "value (discounted sum of 100 rewards)", extra={"true value": "truth"}, bands=True, beneath=mark_paper, size=(6.4, 4.4),
     )(by_delta(own, DELTAS), summary, figure)  # fmt: skip
 
 
@@ -189,7 +189,7 @@ def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:
     for name, marker in zip(("true_value", *PUBLISHED.values()), "xo^s", strict=True):
         points = paper.curve("reacher", _setting(rows.length.iloc[0]), name)
         if len(points):
-            ax.plot(points.x, points["mean"], marker, mfc="none", color="0.35", label=f"the paper's {name}")
+            ax.scatter(points.x, points["mean"], marker=marker, color="0.35", label=f"the paper's {name}")
 
 
 def finding(table: pd.DataFrame) -> str:
