@@ -43,13 +43,13 @@ SHARED = """
 --impossible=refuse refuse|drop|allow=EPS  What to do with transitions of the log that the simulator gives probability 0:
     refuse them; drop them, and let them lead anywhere in the intervals; or allow=EPS, use
     simulator.with_support_of(log, EPS).
---box LOWER,UPPER  Bounds on P_target / P (0.5,2); either may be left out. They narrow every interval.
+--box LOWER,UPPER  Bounds on P_target / P (0.5,2); either may be left out. They narrow likelihood and guaranteed intervals.
 --horizon T  Number of rewards; none: the infinite discounted sum, or a continuous task's own.
 --discount GAMMA  Replaces the simulator's discount.
---rewards=simulator simulator|log  Rewards of model-based values.
+--rewards=simulator simulator|log  Rewards that oee and model-based use: the simulator's, or the log's mean where it has one.
 --confidence=0.95 LEVEL  Level of the intervals.
 --quick  Leave likelihood intervals out, which take most of the time of large problems.
---seed=0 N  The same seed gives the same bits.
+--seed=0 N  Random seed; the same one gives the same numbers.
 --jobs=1 N  Processes on this machine; -1: one for each core.
 --dask ADDRESS  Address of a dask scheduler, to run the cells there.
 --overwrite  Replace the file if it exists (a Minari folder: never).
@@ -57,7 +57,7 @@ SHARED = """
 GROUPS = ("Input", "Value", "Output")
 TYPES: dict[str, type] = {
     "N": int, "T": int, "EPS": float, "LEVEL": float, "GAMMA": float, "SECONDS": float,
-    "FILE": Path, "FOLDER": Path, "FILE.html": Path,
+    "FILE": Path, "FOLDER": Path,
 }  # fmt: skip
 # what the functions that the commands call name otherwise
 ARGUMENTS = {"n": "transitions", "behavior_policy": "behavior", "lower_ratio and upper_ratio": "box", "shape": "grid"}

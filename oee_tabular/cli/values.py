@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -40,14 +41,14 @@ Value:
 --normalized/--raw  Multiply values by (1 - discount).
 --estimators NAME,...  Comma-separated: {ESTIMATORS}.
 --rewards --confidence
---guaranteed  Give the intervals that hold at any sample size as well.
---quick --seed
+--guaranteed/--quick  Add intervals that are guaranteed at any sample size; or leave likelihood intervals out, which take most
+    of the time of large problems.
+--seed
 Output:
 --all  Print the rows that a short report leaves out, too.
 --verbose  Print every note, and the columns of diagnostics.
 --output FOLDER  Folder for report.json, table.csv and values.png.
---report FILE.html  One self-contained page, for people who did not run it.
---title TEXT  Page title (with --report).
+--report FILE.html  One self-contained page, for people who did not run it; TITLE=FILE.html gives it a title.
 --json  Print JSON instead, with version, answer, unit, discount, horizon, normalized, confidence, interval, seed, facts,
     results, intervals, best, comparison, conclusion, warnings.
 """)
@@ -60,20 +61,20 @@ def evaluate(options: Options) -> None:
 
     if options.output is not None:
         check_output(options.output)
+    title, _, name = (options.report or "").rpartition("=")
+    page = Path(name) if name else None
     if options.report is not None:
-        check_page(options.report)
-    elif options.title is not None:
-        raise ValueError("--title needs --report FILE.html, whose title it is")
+        check_page(page or Path(options.report))
     report = _evaluate(options)
     answer(
         report.to_text(all=options.all, verbose=options.verbose), report.to_dict() if options.json else {}, options.json
     )
     old = [*options.output.glob("*")] if options.output else []
-    old += [options.report] if options.report and options.report.exists() else []
+    old += [page] if page and page.exists() else []
     new = report.save(options.output) if options.output else []
-    if options.report:
-        report.to_html(options.report, title=options.title)
-        new.append(options.report)
+    if page:
+        report.to_html(page, title=title or None)
+        new.append(page)
     if new and not options.json:
         typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in old else str(path) for path in new)}")
 
@@ -92,7 +93,8 @@ def _evaluate(options: Options) -> Any:
         given = next(name for name, value in wants.items() if value)
         raise ValueError(f"{given} needs a continuous task (--simulator cartpole:gravity=10)")
     names = None if options.estimators is None else [part.strip() for part in options.estimators.split(",")]
-    common: dict[str, Any] = {name: getattr(options, name) for name in ("confidence", "seed", "guaranteed", "quick")}
+    common: dict[str, Any] = {"confidence": options.confidence, "seed": options.seed}
+    common |= {"guaranteed": options.guaranteed is True, "quick": options.guaranteed is False}
     common |= {"estimators": None if names is None else [*filter(None, names)], "normalized": bool(options.normalized)}
     if simulator is None and not log:
         from oee_tabular.estimators import Problem

@@ -343,7 +343,7 @@ def test_the_page_s_command_runs_and_gives_the_page_s_advice(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     problem().log.save("my log.csv")
     words = "evaluate --simulator gridworld:3,slip=0.3 --log 'my log.csv' --policy mine=mix:0.9 --horizon 20"
-    words += " --action-noise 0.05 --impossible allow=0.01 --discount 0.9 --report page.html --title 'Our dock & hall'"
+    words += " --action-noise 0.05 --impossible allow=0.01 --discount 0.9 --report 'Our dock & hall=page.html'"
     with pytest.raises(SystemExit):
         main(shlex.split(words))
     text, printed = (tmp_path / "page.html").read_text(), capsys.readouterr().out
