@@ -51,7 +51,7 @@ LEFT_OUT = """
 Method SgdTrace Finding Comparison Decision corrected_value EstimationCounterexample Outlook RowChanges Selection
 Sides SimulationLemma Families League Assumptions Result Discretization KinovaHand
 MonteCarlo Moves NamedTask Case Verdict Verdicts Family Estimator ContinuousTask StatePolicy train_expert
-fit_hand discretize check_estimator run league_of families garnet_worse evaluate_continuous record_goals hand_log
+fit_hand discretize ParameterFit fit_parameters check_estimator run league_of families garnet_worse evaluate_continuous record_goals hand_log
 reacher_log visited_states logs mdp_pairs mdps policies horizons padded_log relabelled_log
 load_kinova_log make_environment check_output check_page Settings GymnasiumTask gymnasium_simulator ContinuousSimulator
 LinearReacher VisitedCells GridInterpolation gaussian DEFAULT LAWS tandem

@@ -107,8 +107,8 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     Examples
     --------
     >>> simulator = gymnasium_simulator("CartPole-v1:gravity=12,length=0.65")
-    >>> simulator.task.state_names, simulator.horizon, simulator.cells
-    (('x', 'x_dot', 'theta', 'theta_dot'), 500, (9, 9, 9, 9))
+    >>> simulator.task.state_names, simulator.horizon
+    (('x', 'x_dot', 'theta', 'theta_dot'), 500)
     """
     identifier, physics = gymnasium_spec(spec)
     make = maker(identifier, physics)

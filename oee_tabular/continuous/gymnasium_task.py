@@ -17,10 +17,9 @@ Pendulum-v1, which this package does not ship, as a finite MDP:
 ...     low=[-np.pi, -8.0], high=[np.pi, 8.0], periodic=(True, False),
 ...     terminates=False,
 ... )
->>> from oee_tabular.tasks import GridInterpolation
->>> model = GridInterpolation((21, 21), closure_episodes=0).build(task)
->>> model.mdp.n_states, model.over
-(441, None)
+>>> from oee_tabular.tasks import discretize
+>>> discretize(task, cells=(21, 21)).mdp.n_states
+441
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ def test_moves_into_walls_stay_and_the_goal_absorbs():
 
 def test_without_slip_the_support_shrinks():
     assert gridworld(3, 0.0).transitions.nnz == 9 * 4
-    with pytest.raises(ValueError, match=r"it gives probability 0 to"):
+    with pytest.raises(ValueError, match=r"the simulator gives probability 0 to"):
         oee.true_ratio(gridworld(3, 0.1), gridworld(3, 0.0))
 
 

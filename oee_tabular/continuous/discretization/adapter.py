@@ -78,7 +78,7 @@ def discretize(
     >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=2000, max_steps=100, seed=0)
     >>> model = discretize(CartPole(10.0), log, cells=(32, 32), floor=0.001)
     >>> model.mdp
-    FiniteMDP(1025 states, 2 actions, 44026 transitions, rewards r(s, a), discount 0.99)
+    FiniteMDP(1025 states, 2 actions, 96779 transitions, rewards r(s, a), discount 0.99)
     >>> model.supported(model.counts(log))[1] < 0.001
     True
     """
