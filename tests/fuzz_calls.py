@@ -30,7 +30,7 @@ import oee_tabular as oee
 LIMIT = 5.0  # seconds of CPU of a call
 START = 300.0  # seconds for a child to import and compile
 LONGEST = 1500  # characters of a message
-ROOMS = ("mdp", "exact", "data", "simulate", "plots", "top")  # of these no name is left out
+ROOMS = ("mdp", "exact", "data", "simulate", "plots", "report", "top")  # of these no name is left out
 OURS = (ValueError, OSError, ImportError, MemoryError)
 PACKAGE = os.path.dirname(oee.__file__) + os.sep
 CHECKED = ("ContinuousTransitions", "Problem", "Transitions")  # whose arguments have valid values of their own
@@ -46,14 +46,16 @@ ALIASES = {  # words of the command line, which the same errors serve
     "episodes": ("frame",),
     "matrix": ("count",),
     "tie": ("frame",),
+    "name": ("folder", "path"),
+    "folder": ("output",),
 }
 LEFT_OUT = """
 Method SgdTrace Finding Comparison Decision corrected_value EstimationCounterexample Outlook RowChanges Selection
-Sides SimulationLemma Families League Assumptions Result Discretization KinovaHand
+Sides SimulationLemma Families League Assumptions Discretization KinovaHand
 MonteCarlo Moves NamedTask Case Verdict Verdicts Family Estimator ContinuousTask StatePolicy train_expert
-fit_hand discretize ParameterFit fit_parameters check_estimator run league_of families garnet_worse evaluate_continuous record_goals hand_log
-reacher_log visited_states logs mdp_pairs mdps policies horizons padded_log relabelled_log
-load_kinova_log make_environment check_output check_page Settings GymnasiumTask gymnasium_simulator ContinuousSimulator
+fit_hand discretize ParameterFit fit_parameters check_estimator run league_of families garnet_worse record_goals
+hand_log reacher_log visited_states logs mdp_pairs mdps policies horizons padded_log relabelled_log
+load_kinova_log make_environment GymnasiumTask gymnasium_simulator ContinuousSimulator
 LinearReacher VisitedCells GridInterpolation gaussian DEFAULT LAWS tandem
 """.split()  # noqa: SIM905 (of other rooms)
 

@@ -75,6 +75,7 @@ def holders(target, simulator, uniform, log, zeta, problem, moves):
         oee.exact.solve_policy_system(target.transitions[::4], target.initial, 0.9), oee.sample_returns(target, uniform, 9,
         5, seed=0),
     ]  # fmt: skip
+    values += [values[13].results[0], oee.report.Settings(episodes=100)]
     return {type(value).__name__: value for value in values}
 
 
@@ -116,6 +117,10 @@ def own_values(known):
         "ContinuousTransitions": columns | {name: getattr(moves, name)[:2] for name in ("state", "action", "next_state")},
         "reweight": {"ratio": known["zeta"]}, "check_policy": {"name": "policy", "horizon": None},
         "plan_data_collection": {"horizon": None, "n": 20, "solver": "auto"},
+        "evaluate_continuous": {"simulator": oee.tasks.CartPole(10.0), "log": moves, "policies": {"mine": driver},
+                                "settings": oee.report.Settings(episodes=100), "history": 0, "horizon": 20, "target": None},
+        "check_page": {"path": Path(tempfile.gettempdir()) / "page.html"},
+        "contest": {"policies": [known["policy"], known["policy"]]},
         "evaluate": {"target": None, "estimators": ["oee", "model-based"]}, "transition_ratio": dict.fromkeys(ratio_options),
         "InClass": {"features": np.arange(simulator.transitions.nnz) % 3.0, **kernel},
         "Tied": {"tie": np.arange(simulator.transitions.nnz) % 3}, "density_ratio": kernel,

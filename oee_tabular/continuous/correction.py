@@ -134,8 +134,9 @@ def choose_correction(
     fit : of the simulator's parameters, to be compared with none
     seed : as in ``ResidualSimulator``
     """
-    if history != "auto":
-        history = 0 if history == 0 else _checks.positive_integer(history, "history")
+    if not (isinstance(history, str) and history == "auto"):
+        is_zero = isinstance(history, int) and not isinstance(history, bool) and history == 0
+        history = 0 if is_zero else _checks.positive_integer(history, "history")
     candidates = [(None, task)] if fit is None else [(fit, fit.task), (None, task)]
     tried = [(used, *_with_history(base, log, history, seed)) for used, base in candidates]
     plain = tried[-1][1]

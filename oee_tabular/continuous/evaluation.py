@@ -102,7 +102,13 @@ def evaluate_continuous(
     """
     given = as_simulator(simulator, horizon) if isinstance(simulator, ContinuousTask) else simulator
     _checks.instance(given, ContinuousSimulator, "simulator", "a ContinuousTask or a ContinuousSimulator")
-    chosen = Settings() if settings is None else settings
+    _checks.instance(policies, Mapping, "policies", "a mapping from names to policies")
+    _checks.instance({} if facts is None else facts, Mapping, "facts")
+    if target is not None:
+        _checks.instance(target, ContinuousTask, "target", "a ContinuousTask")
+    estimators = None if estimators is None else _names(estimators, "estimators")
+    fit = fit if fit is None or isinstance(fit, ParameterFit) else _names(fit, "fit")
+    chosen = _checks.instance(Settings() if settings is None else settings, Settings, "settings")
     kind = given.calibration if chosen.calibration is None else chosen.calibration
     _checks.one_of(kind, "calibration", CALIBRATIONS)
     steps = given.horizon if horizon is None else _checks.positive_integer(horizon, "horizon")
@@ -189,9 +195,15 @@ def _policies(
     return tables, functions
 
 
+def _names(given: object, argument: str) -> list[str]:
+    """Names, at least one."""
+    names = [_checks.instance(name, str, argument, "names") for name in _checks.collection(given, argument, "names")]
+    if not names:
+        raise ValueError(f"{argument} must hold at least one name; it is empty")
+    return names
+
+
 def _fit(task: ContinuousTask, names: Sequence[str], log: ContinuousTransitions) -> ParameterFit:
-    if isinstance(names, str) or not names:
-        raise ValueError(f"fit must be a list of names of parameters; got {_checks.show(names)}")
     return fit_parameters(*parameters_of(task, names), log)
 
 

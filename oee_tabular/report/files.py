@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular import _files, _printing
+from oee_tabular import _checks, _files, _printing
 
 
 def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
@@ -35,7 +35,7 @@ def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
     ...     (Path(folder) / "new").exists()
     False
     """
-    path = Path(_files.local(folder, name))
+    path = Path(_files.local(folder, _checks.instance(name, str, "name")))
     nearest = path
     while not nearest.exists() and nearest != nearest.parent:
         nearest = nearest.parent

@@ -140,5 +140,5 @@ def test_bad_input():
         fit_parameters(CartPole, {"gravity": 10.0}, log, {"mass": (0.0, 1.0)})
     with pytest.raises(ValueError, match="task_of must be"):
         fit_parameters(None, {"gravity": 10.0}, log)
-    with pytest.raises(ValueError, match="fit must be a list of names"):
+    with pytest.raises(ValueError, match="fit must be names"):
         evaluate_continuous(CartPole(), log, {"p": cartpole_policy(0.5)}, horizon=10, fit="gravity")
