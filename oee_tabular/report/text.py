@@ -21,7 +21,7 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
     "calibrated": "value ± normal quantile × standard error. It includes the gap between two calibrations.",
     "simulator's samples": "value ± normal quantile × standard error. It counts the simulator's sampling noise alone.",
     "the estimator's own": "as the estimator gives it.",
-    "standard error": "value ± normal quantile × standard error (sampling noise only).",
+    "standard error": "value ± quantile × standard error (sampling noise).",
     "guaranteed": "it covers with at least this confidence for any number of transitions. It is the widest.",
     "sampling": "value ± normal quantile × standard error. Unrecorded state-action pairs behave as estimated.",
 }
@@ -206,15 +206,15 @@ def worst_case(unrecorded: int, share: float | None, *, dropped: bool) -> str:
     """Say what the quoted interval allows in unrecorded pairs; "" where there are none."""
     told = []
     if unrecorded:
-        pairs = f"{unrecorded} unrecorded state-action pair{'s' * (unrecorded > 1)}"
+        pairs = f"{unrecorded} unrecorded pair{'s' * (unrecorded > 1)}"
         of_time = "" if share is None else f" ({_printing.share(share)} of the policy's time)"
-        told.append(f"The interval allows the best and the worst in {pairs}{of_time}.")
+        told.append(f"The interval allows any outcome in {pairs}{of_time}.")
     return " ".join([*told, *["It lets dropped transitions lead anywhere."] * dropped])
 
 
 def sampling_interval(lower: float, upper: float, *, unrecorded: int) -> str:
     """Say what sampling noise alone leaves open."""
-    condition = "If they behave as estimated" if unrecorded else "Without these transitions"
+    condition = "If such pairs behave as estimated" if unrecorded else "Without these transitions"
     return f"{condition}, the interval is {format_interval(lower, upper)}."
 
 

@@ -77,9 +77,9 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     assert_allclose(row[["sampling_lower", "sampling_upper"]].astype(float), 0.1 * np.array(found.sampling), rtol=1e-9)
     assert np.isnan(report.table.set_index("estimator").sampling_lower["model-based"])
     share = f"{100 * (1 - row['coverage']):.1f}% of the policy's time"
-    sentence = next(x for x in report.uncertainty.sentences if "If they behave as estimated" in x)
-    assert f"unrecorded state-action pairs ({share})." in sentence
-    assert "If they behave as estimated, the interval is " in sentence
+    sentence = next(x for x in report.uncertainty.sentences if "If such pairs behave as estimated" in x)
+    assert f"unrecorded pairs ({share})." in sentence
+    assert "If such pairs behave as estimated, the interval is " in sentence
     report.save(tmp_path)
     kept = next(r for r in csv.DictReader((tmp_path / "table.csv").read_text().splitlines()) if r["estimator"] == "oee")
     results = json.loads((tmp_path / "report.json").read_text())
@@ -87,13 +87,13 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     assert float(kept["sampling_upper"]) == told["sampling_upper"] == results["intervals"][0]["sampling_upper"]
     page = report.to_html()
     assert "sampling interval" in page
-    assert "If they behave as estimated" in page
+    assert "If such pairs behave as estimated" in page
 
 
 def test_the_report_says_it_once_where_both_are_alike():
     problem, policy = chain(5)
     report = oee.evaluate(problem, policy, seed=0)
-    assert "If they behave as estimated" not in str(report)
+    assert "If such pairs behave as estimated" not in str(report)
     assert "sampling interval" not in report.to_html()
 
 

@@ -74,13 +74,14 @@ def test_what_a_policy_is_worth(changes, sentence):
          "The data show no significant difference from the simulator in the one recorded state-action pair. A short log cannot "
          "show a small one."),
         (text.worst_case(1, 0.003, dropped=False),
-         "The interval allows the best and the worst in 1 unrecorded state-action pair (0.3% of the policy's time)."),
+         "The interval allows any outcome in 1 unrecorded pair (0.3% of the policy's time)."),
         (text.worst_case(4, 0.25, dropped=True),
-         "The interval allows the best and the worst in 4 unrecorded state-action pairs (25.0% of the policy's time). "
+         "The interval allows any outcome in 4 unrecorded pairs (25.0% of the policy's time). "
          "It lets dropped transitions lead anywhere."),
         (text.worst_case(0, 0.0, dropped=True), "It lets dropped transitions lead anywhere."),
         (text.worst_case(0, 0.0, dropped=False), ""),
-        (text.sampling_interval(-2.0, 1.0, unrecorded=3), "If they behave as estimated, the interval is −2.000 to 1.000."),
+        (text.sampling_interval(-2.0, 1.0, unrecorded=3),
+         "If such pairs behave as estimated, the interval is −2.000 to 1.000."),
         (text.sampling_interval(-2.0, 1.0, unrecorded=0), "Without these transitions, the interval is −2.000 to 1.000."),
         (text.legend("one-step", ["oee", "mine"], 0.9),
          "90% interval of oee, mine (one-step): value ± normal quantile × standard error. An unrecorded pair has the variance "
