@@ -251,6 +251,7 @@ def _drop_weightless(results: Sequence[Result]) -> tuple[list[Result], list[str]
 
 
 Pair = tuple[str, str]  # (policy, estimator)
+N_FIGURES = 3  # of policies, the worst ones, that a note gives
 
 
 def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
@@ -262,17 +263,19 @@ def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
             group.append((finding, result.policy, result.estimator))
     sentences = []
     for members in groups.values():
-        worst, policy, estimator = max(members, key=lambda member: member[0].severity)
         by_policies: dict[tuple[str, ...], list[str]] = {}  # the policies it is said of -> the estimators
         for label in dict.fromkeys(member[2] for member in members):
             own = tuple(member[1] for member in members if member[2] == label)
             by_policies.setdefault(own, []).append(label)
         about = "; ".join(f"{', '.join(labels)} ({', '.join(own)})" for own, labels in by_policies.items())
-        sentence = f"{about}: {worst}"
-        if any(member[0].figure != worst.figure for member in members):
-            several = len({member[1] for member in members}) > 1
-            sentence += f" The figure is that of {policy if several else estimator}, the worst."
-        sentences.append((sentence, [member[1:] for member in members]))
+        figures: dict[str, str] = {}  # the worst of each policy, or of each estimator of a single one
+        several = len({policy for _, policy, _ in members}) > 1
+        worst = sorted(members, key=lambda member: -member[0].severity)
+        for finding, policy, label in worst:
+            figures.setdefault(policy if several else label, finding.figure)
+        told = ", ".join(f"{figure} ({name})" for name, figure in list(figures.items())[:N_FIGURES])
+        figure = worst[0][0].figure if len(set(figures.values())) == 1 else told
+        sentences.append((f"{about}: {worst[0][0].sentence(figure)}", [member[1:] for member in members]))
     return sentences
 
 

@@ -182,7 +182,7 @@ def no_best_policy(candidates: Sequence[str], n_policies: int, *, are_equal: boo
 
 def pair_rejections(rejected: int, tested: int) -> str:
     """Say in how many pairs the data reject the simulator."""
-    rest = " In the other pairs the log is too short to tell." if rejected < tested else ""
+    rest = " In the others the log shows no significant difference." if rejected < tested else ""
     return f"The data reject the simulator in {rejected} of the {tested} recorded state-action pairs.{rest}"
 
 

@@ -161,6 +161,6 @@ def test_a_user_s_own_finding_is_told():
         )
 
     report = oee.evaluate(problem, {"a": POLICY, "b": BEHAVIOR}, estimators={"own": own})
-    assert report.warnings == ("own (a, b): rewards are in cents0.5. The figure is that of b, the worst.",)
+    assert report.warnings == ("own (a, b): rewards are in cents0.5 (b), cents0.3 (a).",)
     assert report.notes["a", "own"] == report.notes["b", "own"] == (1,)
     assert np.isfinite(report.results[0].estimate.interval).all()

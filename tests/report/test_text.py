@@ -59,8 +59,8 @@ def test_what_a_policy_is_worth(changes, sentence):
         (text.no_best_policy(["a", "b"], 2, are_equal=False),
          "The log cannot say which of “a” and “b” is worth most in the target."),
         (text.pair_rejections(3, 40),
-         "The data reject the simulator in 3 of the 40 recorded state-action pairs. In the other pairs the log is too short to "
-         "tell."),
+         "The data reject the simulator in 3 of the 40 recorded state-action pairs. In the others the log shows no significant "
+         "difference."),
         (text.joint_rejection(24.51),
          "The data as a whole reject the simulator (z = 24.5), although no single state-action pair does. Transitions that the "
          "simulator calls likely are more frequent in the target."),
