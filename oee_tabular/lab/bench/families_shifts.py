@@ -24,14 +24,14 @@ def from_tables(about: str, tables: tuple[Array, Array], rewards: Array, discoun
     return pair(simulator, simulator.with_transitions(tables[1]), about)
 
 
+def miss(family: Family) -> float:
+    """By how much the true value is above the simulator's."""
+    return family.truth - policy_value(family.simulator, family.policy)
+
+
 def match_value(family_at: Callable[[float], Family], low: float, high: float) -> Family:
     """The family at the parameter in [low, high] where the simulator's value is right by luck."""
-
-    def miss(parameter: float) -> float:
-        family = family_at(parameter)
-        return family.truth - policy_value(family.simulator, family.policy)
-
-    return family_at(optimize.brentq(miss, low, high, xtol=1e-3))
+    return family_at(optimize.brentq(lambda parameter: miss(family_at(parameter)), low, high, xtol=1e-3))
 
 
 def normalize(table: Array) -> Array:
@@ -155,6 +155,8 @@ def lucky_garnet(rng: np.random.Generator) -> Family:
         real = normalize(table * np.exp(np.where(better, 0.6, -loss)[:, None, None] * z))
         return from_tables(about, (table, real), rewards, 0.95)
 
+    while miss(family_at(5.0)) > 0.0:  # the states drawn to be worse matter too little
+        better = rng.random(40) < 0.5
     return match_value(family_at, 0.0, 5.0)
 
 
