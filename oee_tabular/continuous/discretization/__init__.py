@@ -1,4 +1,4 @@
-"""Continuous tasks as finite MDPs: ``discretize`` (adapter), on a grid (grid) or on cells of visited states (cells).
+"""Continuous tasks as finite MDPs: ``discretize`` (adapter), on a grid or on cells of visited states (places).
 
 States s in R^d with features phi(s), cells j = 1, ..., N with weights w_j(phi) that sum to 1 over j, and pairs x_k at which
 the task is stepped (places):
@@ -15,10 +15,15 @@ out the part that the simulator has itself.
 """
 
 from oee_tabular.continuous.discretization.adapter import discretize
-from oee_tabular.continuous.discretization.cells import VisitedCells, VoronoiCells, visited_states
-from oee_tabular.continuous.discretization.grid import Grid, GridInterpolation
+from oee_tabular.continuous.discretization.cells import Grid, VoronoiCells
 from oee_tabular.continuous.discretization.model import Discretization
-from oee_tabular.continuous.discretization.places import Places, gauss_hermite
+from oee_tabular.continuous.discretization.places import (
+    GridInterpolation,
+    Places,
+    VisitedCells,
+    gauss_hermite,
+    visited_states,
+)
 
 __all__ = [
     "Discretization",

@@ -13,10 +13,9 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.discretization.cells import VisitedCells
-from oee_tabular.continuous.discretization.grid import Grid, GridInterpolation
-from oee_tabular.continuous.discretization.model import Discretization, finite_mdp
-from oee_tabular.continuous.discretization.places import Places
+from oee_tabular.continuous.discretization.cells import Grid
+from oee_tabular.continuous.discretization.model import Discretization, finite_mdp, uniform_policy_of
+from oee_tabular.continuous.discretization.places import GridInterpolation, Places, VisitedCells
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, require_log_of
 from oee_tabular.mdp import FiniteMDP
@@ -91,27 +90,24 @@ def discretize(
     if isinstance(cells, Discretization):
         places = cells.places
     else:
-        visiting = list(policies) or [lambda states: np.full((len(states), task.n_actions), 1.0 / task.n_actions)]
-        given = None if process is not task else log
+        visiting = list(policies) or [uniform_policy_of(task)]
+        given = log if process is task else None
         places = _builder(cells, process).places(process, given, mixed, visiting, seed)
     if share == 0.0 and others is None:
         mixed = []
-    simulators = [_simulator(process, process, places, discount)]
-    simulators += [_simulator(other, process, places, simulators[0]) for other in mixed]
-    weights = [1.0 - share] + [share / len(mixed)] * len(mixed) if mixed else [1.0]
-    metadata: dict[str, Any] = {
-        "task": task.name,
-        "parameters": task.parameters(),
-        "features": list(task.feature_names),
-    }
-    metadata |= places.facts | {"floor": share, "others": [other.parameters() for other in mixed]}
-    found = Discretization(simulators[0], process, places, tuple(simulators), (1.0,), metadata)
+    initial = _initial(process, places)
+    simulators = tuple(finite_mdp(process, places, *places.step(each), initial, discount) for each in (process, *mixed))
+    metadata: dict[str, Any] = {"task": task.name, "parameters": task.parameters()}
+    metadata |= {"features": list(task.feature_names)} | places.facts
+    metadata |= {"floor": share, "others": [other.parameters() for other in mixed]}
+    found = Discretization(simulators[0], process, places, simulators, (1.0,), metadata)
     if closure_episodes:
         found = _with_closure_error(found, _checks.positive_integer(closure_episodes, "closure_episodes"))
     found = replace(found, task=task)
-    if mixed:
-        return found.mixture(weights) if share > 0.0 else replace(found, weights=tuple(weights))
-    return found if share == 0.0 else _with_floor(found, process, share, log)
+    if not mixed:
+        return _with_floor(found, process, share, log) if share > 0.0 else found
+    weights = (1.0 - share, *[share / len(mixed)] * len(mixed))
+    return found.mixture(weights) if share > 0.0 else replace(found, weights=weights)
 
 
 def _builder(cells: Any, task: ContinuousTask) -> GridInterpolation | VisitedCells:
@@ -120,21 +116,15 @@ def _builder(cells: Any, task: ContinuousTask) -> GridInterpolation | VisitedCel
         chosen = (DEFAULT_VERTICES[k],) * k if k in DEFAULT_VERTICES else DEFAULT_CELLS
     if isinstance(chosen, GridInterpolation | VisitedCells):
         return chosen
-    if isinstance(chosen, int | np.integer):
-        return VisitedCells(int(chosen))
-    return GridInterpolation(chosen)
+    is_number = isinstance(chosen, int | np.integer)
+    return VisitedCells(int(chosen)) if is_number else GridInterpolation(chosen)
 
 
-def _simulator(task: ContinuousTask, paying: ContinuousTask, places: Places, like: FiniteMDP | float) -> FiniteMDP:
-    """The task stepped at the places; rewards that are made of terms are those of ``paying``."""
-    matrix, paid = places.step(task)
-    if task.terminates:
-        stay = np.full(task.n_actions, places.cells.n_cells)
-        size = (task.n_actions, places.cells.n_cells + 1)
-        last = sparse.csr_array((np.ones(len(stay)), (np.arange(len(stay)), stay)), shape=size)
-        matrix = sparse.csr_array(sparse.vstack([matrix, last], format="csr"))
-        paid = np.concatenate([paid, np.zeros((1, task.n_actions))])
-    return finite_mdp(paying, places, matrix, paid, like)
+def _initial(task: ContinuousTask, places: Places) -> Array:
+    """(S,) where episodes begin."""
+    starts, mass = task.initial_points()
+    initial = places.cells.weights(task.features(starts)).T @ mass
+    return np.append(initial / initial.sum(), np.zeros(int(task.terminates)))
 
 
 def _with_floor(
@@ -145,14 +135,10 @@ def _with_floor(
     begins = sparse.kron(sparse.eye_array(plain.n_states), np.ones((plain.n_actions, 1)), format="csr")
     around, counts = sparse.csr_array(0.5 * (plain.transitions + begins)), None
     if log is not None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # whoever encodes the log is told
+        with warnings.catch_warnings(action="ignore"):  # whoever encodes the log is told
             counts = model.counts(log, outside="nearest")
     while True:
         near = model.cells.neighbourhood(process, reach)
-        if process.terminates:
-            stays = sparse.csr_array(([1.0], ([0], [near.shape[1] - 1])), shape=(1, near.shape[1]))
-            near = sparse.csr_array(sparse.vstack([near, stays], format="csr"))
         matrix = sparse.csr_array((1.0 - floor) * plain.transitions + floor * (around @ near))
         mdp = FiniteMDP(matrix, plain.rewards, plain.initial, plain.discount)
         found = replace(model, mdp=mdp, metadata=model.metadata | {"reach": reach})

@@ -15,10 +15,10 @@ from scipy import sparse
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
-from oee_tabular._sparse import canonical, csr_on_pattern, find, row_of_entry, row_sums
+from oee_tabular._sparse import canonical, csr_on_pattern, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.discretization.grid import Grid
-from oee_tabular.continuous.discretization.places import Places, weights_of
+from oee_tabular.continuous.discretization.cells import Grid, weights_of
+from oee_tabular.continuous.discretization.places import Places, spread_over_pairs
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, check_states, require_log_of
@@ -27,7 +27,6 @@ from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import KIND
 
 OUTSIDE = ("error", "nearest", "drop")
-POINTS_AT_A_TIME = 100_000  # bounds the memory
 N_RISK_STEPS = 300  # of EM: weights of mixtures change by less than 1e-3 later
 
 
@@ -95,20 +94,14 @@ class Discretization:
         An array is looked at as ``Problem`` looks at it; it may leave out the state that is over.
         """
         n_actions = self.task.n_actions
-        if not callable(policy):
+        if callable(policy):
+            array = self.places.mean(check_probabilities(policy, self.points, n_actions))
+            array /= array.sum(axis=1, keepdims=True)
+        else:
             array = _checks.float_array(policy, name, ndim=(2,))
-            if self.over is not None and array.shape == (self.cells.n_cells, n_actions):
-                array = np.concatenate([array, np.full((1, n_actions), 1.0 / n_actions)])
-            return check_policy(array, self.mdp, name=name)
-        table = np.full((self.mdp.n_states, n_actions), 1.0 / n_actions)
-        total = np.zeros((self.cells.n_cells, n_actions))
-        for low in range(0, len(self.points), POINTS_AT_A_TIME):
-            part = slice(low, low + POINTS_AT_A_TIME)
-            at_points, cell = check_probabilities(policy, self.points[part], n_actions), self.places.point_cell[part]
-            for a in range(n_actions):
-                total[:, a] += np.bincount(cell, at_points[:, a], self.cells.n_cells)
-        table[: self.cells.n_cells] = total
-        return np.asarray(table / table.sum(axis=1, keepdims=True))
+        if self.over is not None and array.shape == (self.cells.n_cells, n_actions):
+            array = np.concatenate([array, np.full((1, n_actions), 1.0 / n_actions)])
+        return array if callable(policy) else check_policy(array, self.mdp, name=name)
 
     def policy_function(self, table: Array) -> StatePolicy:
         """A policy of states from one on the cells: its mean over the cells that a state is shared out to."""
@@ -130,10 +123,7 @@ class Discretization:
         """
         from oee_tabular.exact import policy_value  # what it compiles with is imported only here
 
-        def uniform(states: Array) -> Array:
-            return np.full((len(states), self.task.n_actions), 1.0 / self.task.n_actions)
-
-        chosen = uniform if policy is None else policy
+        chosen = uniform_policy_of(self.task) if policy is None else policy
         mc = monte_carlo_value(self.task, chosen, n_episodes, horizon, discount=self.mdp.discount, seed=seed)
         value = policy_value(self.plain, self.policy(chosen), horizon=horizon)
         scale = max(abs(mc.value), mc.deviation, np.finfo(float).tiny)
@@ -155,13 +145,14 @@ class Discretization:
         _checks.require_sums_to_one(np.array([shares.sum()]), "weights")
         used = [(share, part) for share, part in zip(shares, self.simulators, strict=True) if share > 0.0]
         matrix = sum(share * part.transitions for share, part in used)
-        paid = np.sum([share * part.rewards for share, part in used], axis=0)
-        found = finite_mdp(self.task, self.places, sparse.csr_array(matrix), paid, self.plain)
-        return replace(self, mdp=found, weights=tuple(shares.tolist()))
+        rewards = np.sum([share * part.rewards for share, part in used], axis=0)
+        mdp = finite_mdp(self.task, self.places, matrix, rewards, self.plain.initial, self.plain.discount)
+        return replace(self, mdp=mdp, weights=tuple(shares.tolist()))
 
     def with_transitions(self, transitions: sparse.csr_array) -> FiniteMDP:
         """Other transitions on the same states with the task's rewards, wherever they lead."""
-        return finite_mdp(self.task, self.places, transitions, self.plain.rewards, self.plain)
+        plain = self.plain
+        return finite_mdp(self.task, self.places, transitions, plain.rewards, plain.initial, plain.discount)
 
     @one_thread
     def fit_weights(self, counts: sparse.csr_array) -> Array:
@@ -202,9 +193,9 @@ class Discretization:
         _checks.one_of(outside, "outside", OUTSIDE[:2])
         array = check_states(self.task, states)
         ended = self.task.terminated(array) & self.task.end_shows(array)
-        self._outside(array, ~ended, "states", outside)
+        self._outside(array, ended, "states", outside)
         draws = None if seed is None else _checks.generator(seed).random(len(array))
-        return _pick(weights_of(self.cells, self.task, array, ended), draws)
+        return _pick(self._weights(array, ended), draws)
 
     def encode(
         self, log: ContinuousTransitions, *, seed: Any = None, outside: str = "error", strict: bool = False
@@ -225,16 +216,16 @@ class Discretization:
             A log with other dimensions than the task; actions or states that the task does not know.
         """
         kept, actions, ended = self._checked(log, outside, strict)
-        draws = None if seed is None else _checks.generator(seed).random((len(kept), 2))
-        if draws is not None and kept.episode is not None:  # the next row's state is this row's next state
-            same = kept.episode[1:] == kept.episode[:-1]
-            draws[:-1, 1] = np.where(same, draws[1:, 0], draws[:-1, 1])
-        start, arrival = self._weights(kept, ended)
-        first = _pick(start, None if draws is None else draws[:, 0])
-        following = _pick(arrival, None if draws is None else draws[:, 1])
+        draws: Any = (None, None)
+        same = np.zeros(0, dtype=np.int64)  # rows whose next state is the next row's state
         if kept.episode is not None:
-            follows = np.flatnonzero(kept.episode[1:] == kept.episode[:-1])
-            first[follows + 1] = following[follows]  # float32 copies of one state may lie on two sides of an edge
+            same = np.flatnonzero(kept.episode[1:] == kept.episode[:-1])
+        if seed is not None:
+            draws = _checks.generator(seed).random((len(kept), 2)).T
+            draws[1, same] = draws[0, same + 1]
+        first = _pick(self._weights(kept.state, np.zeros_like(ended)), draws[0])
+        following = _pick(self._weights(kept.next_state, ended), draws[1])
+        first[same + 1] = following[same]  # float32 copies of one state may lie on two sides of an edge
         columns = kept.columns() | {"state": first, "action": actions, "next_state": following, "terminated": ended}
         columns["truncated"] = (kept.truncated | kept.terminated) & ~ended
         return Transitions(**columns)
@@ -249,23 +240,19 @@ class Discretization:
         kept, actions, ended = self._checked(log, outside, strict)
         n_states, n_actions = self.mdp.n_states, self.task.n_actions
         if self.task.is_translation_invariant:
-            grid = self.cells
             before, after = self.task.features(kept.state), self.task.features(kept.next_state)
-            number = _pick(grid.weights(before), None)
+            number = _pick(self.cells.weights(before), None)
             start = sparse.csr_array((np.ones(len(kept)), number, np.arange(len(kept) + 1)), (len(kept), n_states))
-            arrival = grid.weights(grid.vertices(number) + after - before)
+            arrival = self.cells.weights(self.cells.vertices()[number] + after - before)
         else:
-            start, arrival = self._weights(kept, ended)
-        rows = start.indices.astype(np.int64) * n_actions + np.repeat(actions, np.diff(start.indptr))
-        spread = sparse.csr_array((start.data, rows, start.indptr), shape=(len(kept), n_states * n_actions))
-        return canonical(sparse.csr_array(spread.T @ arrival), drop_zeros=True)
+            start = self._weights(kept.state, np.zeros_like(ended))
+            arrival = self._weights(kept.next_state, ended)
+        return canonical(spread_over_pairs(start, actions, n_actions).T @ arrival, drop_zeros=True)
 
     def supported(self, counts: sparse.csr_array) -> tuple[sparse.csr_array, float]:
         """The counts that lie where ``mdp`` has probability, and the share of those that do not: to be reported with it."""
         matrix = canonical(counts, drop_zeros=True)
-        rows, columns = row_of_entry(matrix), matrix.indices.astype(np.int64)
-        possible = find(self.mdp.transitions, rows, columns)[1]
-        kept = canonical(csr_on_pattern(matrix, np.where(possible, matrix.data, 0.0)), drop_zeros=True)
+        kept = canonical(matrix.multiply(self.mdp.transitions != 0), drop_zeros=True)
         total = float(matrix.data.sum())
         return kept, 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0
 
@@ -280,7 +267,7 @@ class Discretization:
                 f"cells must be a grid without an absorbing state to tie displacements; they are {grid.extent()}"
             )
         first, action = np.divmod(row_of_entry(matrix), self.task.n_actions)
-        places = np.stack(np.unravel_index(np.arange(grid.n_cells), grid.shape), axis=1)
+        places = grid.indices()
         apart = places[matrix.indices] - places[first] + grid.shape
         return np.asarray(np.ravel_multi_index((action, *apart.T), (self.task.n_actions, *(2 * n for n in grid.shape))))
 
@@ -289,11 +276,8 @@ class Discretization:
         metadata = json.dumps(self.metadata | {"version": version("oee-tabular")})
         _files.save_npz(path, KIND, self.mdp.arrays() | {"metadata": np.array(metadata)})
 
-    def _weights(self, log: ContinuousTransitions, ended: BoolArray) -> tuple[sparse.csr_array, sparse.csr_array]:
-        alive = np.zeros(len(log), dtype=np.bool_)
-        return weights_of(self.cells, self.task, log.state, alive), weights_of(
-            self.cells, self.task, log.next_state, ended
-        )
+    def _weights(self, states: Array, ended: BoolArray) -> sparse.csr_array:
+        return weights_of(self.cells, self.task, states, ended)
 
     def _checked(
         self, log: ContinuousTransitions, outside: str, strict: bool
@@ -303,83 +287,79 @@ class Discretization:
         _checks.one_of(outside, "outside", OUTSIDE)
         _checks.boolean(strict, "strict")
         task, actions = self.task, log.action_numbers(self.task.actions, strict=strict)
-        ended = np.array(log.terminated)
-        if not task.terminates and ended.any():
-            row = int(np.flatnonzero(ended)[0])
-            raise ValueError(f"log.terminated[{row}] must be False: episodes of {task.name} do not end; it is True")
-        if task.terminates:
+        ended = log.terminated | task.terminated(log.next_state)
+        if not task.terminates:
+            for row in np.flatnonzero(log.terminated):
+                raise ValueError(f"log.terminated[{row}] must be False: episodes of {task.name} do not end; it is True")
+        else:
             before = np.flatnonzero(task.terminated(log.state))
             if before.size:
                 raise ValueError(
                     f"log.state[{before[0]}] must be a state in which {task.name} goes on; it is over in "
                     f"{log.state[before[0]].tolist()} ({before.size} such rows in all)"
                 )
-            ended = self._shown(log, ended | task.terminated(log.next_state))
-        gone = self._outside(log.state, np.ones(len(log), dtype=np.bool_), "log.state", outside)
-        gone |= self._outside(log.next_state, ~ended, "log.next_state", outside)
+            hidden = np.flatnonzero(ended & ~task.end_shows(log.next_state))
+            if hidden.size:
+                warnings.warn(
+                    f"log.terminated: {hidden.size} of {int(ended.sum())} ends do not show in the features "
+                    f"({', '.join(task.feature_names)}); the first, row {hidden[0]}, leads to "
+                    f"{log.next_state[hidden[0]].tolist()}. They are taken as truncated, the process going on",
+                    stacklevel=3,
+                )
+            ended[hidden] = False
+        gone = self._outside(log.state, np.zeros_like(ended), "log.state", outside)
+        gone |= self._outside(log.next_state, ended, "log.next_state", outside)
         if outside == "drop" and gone.any():
             if gone.all():
                 raise ValueError("outside must not be 'drop' where every row is outside; nothing would be left")
             return log.select(~gone), actions[~gone], ended[~gone]
         return log, actions, ended
 
-    def _shown(self, log: ContinuousTransitions, ended: BoolArray) -> BoolArray:
-        """Without the ends that the features do not tell, which are warned about."""
-        hidden = np.flatnonzero(ended & ~self.task.end_shows(log.next_state))
-        if hidden.size:
-            warnings.warn(
-                f"log.terminated: {hidden.size} of {int(ended.sum())} ends do not show in the features "
-                f"({', '.join(self.task.feature_names)}); the first, row {hidden[0]}, leads to "
-                f"{log.next_state[hidden[0]].tolist()}. They are taken as truncated, the process going on",
-                stacklevel=4,
-            )
-            ended[hidden] = False
-        return ended
-
-    def _outside(self, states: Array, asked: BoolArray, name: str, outside: str) -> BoolArray:
-        gone = np.asarray(self.cells.outside(self.task.features(states)) & asked)
+    def _outside(self, states: Array, ended: BoolArray, name: str, outside: str) -> BoolArray:
+        """Which states that are not over lie outside the cells: an error or a warning that counts them."""
+        features = self.task.features(states)
+        gone = self.cells.outside(features) & ~ended
         rows = np.flatnonzero(gone)
         if rows.size:
-            at = self.task.features(states[rows[:1]])[0]
-            place = ", ".join(f"{k}={v:.4g}" for k, v in zip(self.task.feature_names, at, strict=True))
-            found = f"{rows.size} of {len(states)} rows are not; the first, row {rows[0]}, is at {place}"
-            text = f"{name} must be inside {self.cells.extent()}: {found}"
+            at = zip(self.task.feature_names, features[rows[0]], strict=True)
+            place = ", ".join(f"{feature}={value:.4g}" for feature, value in at)
+            text = (
+                f"{name} must be inside {self.cells.extent()}: {rows.size} of {len(states)} rows are not; the first, "
+            )
+            text += f"row {rows[0]}, is at {place}"
             if outside == "error":
                 raise ValueError(
                     f"{text}. A wider grid, or outside='nearest' or 'drop' (--task-option outside=), takes them"
                 )
             done = "left out" if outside == "drop" else "moved to the nearest place inside"
             warnings.warn(f"{text}. They are {done}", stacklevel=4)
-        return gone
+        return np.asarray(gone)
 
 
 def finite_mdp(
-    task: ContinuousTask, places: Places, matrix: sparse.csr_array, paid: Array, like: FiniteMDP | float
+    task: ContinuousTask, places: Places, matrix: Any, paid: Array, initial: Array, discount: float
 ) -> FiniteMDP:
-    """The FiniteMDP of rows and rewards r(s, a); ``like`` has where episodes begin, or is the discount.
+    """The FiniteMDP of rows, which are normalised, and rewards r(s, a).
 
     Rewards of a task with ``reward_terms`` are those of the cells' mean terms, r(i, a, j): they telescope on cells as they do
     in the task. Taken transition by transition, their mean error would add up.
     """
     matrix = canonical(matrix, drop_zeros=True)
-    matrix.data.flags.writeable = True
-    matrix.data /= row_sums(matrix)[row_of_entry(matrix)]
-    rewards: Any = paid
+    rows, rewards = row_of_entry(matrix), paid
+    matrix = csr_on_pattern(matrix, matrix.data / row_sums(matrix)[rows], own=True)
     terms = task.reward_terms(places.points)
     if terms is not None:
-        mean = np.stack([places.mean(column) for column in terms.T], axis=1)
-        rows = row_of_entry(matrix)
-        state, action = np.divmod(rows, task.n_actions)
+        mean, (state, action) = places.mean(terms), np.divmod(rows, task.n_actions)
         between = task.reward_of(mean[state], action, mean[matrix.indices])
         first = between[matrix.indptr[:-1]]
         is_of_pair = np.array_equal(between, first[rows])
         rewards = first.reshape(paid.shape) if is_of_pair else csr_on_pattern(matrix, between)
-    if isinstance(like, FiniteMDP):
-        return FiniteMDP(matrix, rewards, like.initial, like.discount)
-    starts, mass = task.initial_points()
-    initial = np.zeros(matrix.shape[1])
-    initial[: places.cells.n_cells] = places.cells.weights(task.features(starts)).T @ mass
-    return FiniteMDP(matrix, rewards, initial / initial.sum(), like)
+    return FiniteMDP(matrix, rewards, initial, discount)
+
+
+def uniform_policy_of(task: ContinuousTask) -> StatePolicy:
+    """Every action alike."""
+    return lambda states: np.full((len(states), task.n_actions), 1.0 / task.n_actions)
 
 
 def _pick(weights: sparse.csr_array, draws: Array | None) -> IntArray:

@@ -1,4 +1,4 @@
-"""Where a continuous task is stepped, and the rows of transition probabilities that follow.
+"""Where a continuous task is stepped, the rows of transition probabilities that follow, and the two ways to choose it.
 
 A builder chooses cells among the features, and state-action pairs x_1, ..., x_m at which the task is stepped. The row of the
 numbered pair (i, a) is the weighted mean of where those lead,
@@ -7,43 +7,46 @@ numbered pair (i, a) is the weighted mean of where those lead,
 
 w_j the weight of cell j at a point. Another task stepped at the same places has the same states; a ratio between the two
 differs from 1 by their dynamics alone.
+
+``GridInterpolation``, up to a few dimensions: the Markov chain approximation of Munos and Moore [1]. The mean of a step is
+exact, and its variance too large by f (1 - f) h^2 a step and coordinate, which is why a grid must be fine compared with the
+*step*, not with the range. A log's states lie within the cells, not on the vertices, and soft counts of its transitions spread
+wider than the vertices' own rows. For a ratio of transition probabilities the simulator must be looked at in the same places:
+with a log the row of (i, a) is the mean over the log's own (s, a), each weighed by w_i(s), of where the *simulator* leads from
+there. The strength of a prior must then be given (small): the evidence takes the rows for independent samples, finds them
+closer than those would be, and believes the simulator. Where a command moves the features alike everywhere
+(``task.is_translation_invariant``) it is the other way round: the rows are the vertices' own, and the log's transitions are
+carried to the vertices.
+
+``VisitedCells``, for four dimensions and more, where a uniform grid spends nearly all its vertices where no episode goes: the
+Voronoi cells of centres put (by Lloyd's iteration [2]) among states that a log or the simulator did visit. Some of these are
+stepped under every action, and the log's under the action that was logged.
+
+References: [1] R. Munos and A. Moore, Variable resolution discretization in optimal control, Machine Learning 49, 2002.
+[2] S. Lloyd, Least squares quantization in PCM, IEEE Transactions on Information Theory 28, 1982.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._checks import Array, IntArray
 from oee_tabular._progress import progress_bar
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.continuous.discretization.cells import Cells, Grid, VoronoiCells, weights_of
+from oee_tabular.continuous.episodes import record
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states
 
 PLACES_AT_A_TIME = 250_000  # bounds the memory
-
-
-class Cells(Protocol):
-    """Where the numbered states lie among the features: the vertices of a grid, or centres."""
-
-    @property
-    def n_cells(self) -> int:
-        """How many there are."""
-
-    def weights(self, features: Array) -> sparse.csr_array:
-        """(n, n_cells) how each point is shared out; rows sum to 1, points outside go to the nearest place inside."""
-
-    def outside(self, features: Array) -> BoolArray:
-        """(n,) which points lie outside what the cells describe."""
-
-    def neighbourhood(self, task: ContinuousTask, reach: int) -> sparse.csr_array:
-        """(n_cells, S) rows that are uniform over what lies within ``reach`` of each cell."""
-
-    def extent(self) -> str:
-        """What they describe, in words."""
+POINTS_OF_A_BOX = 4  # along each axis, where a state is the box around its vertex
+NoisePoints = int | tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +60,7 @@ class Places:
     averages : csr (n_cells * A, m), W; None where pair k is row k
     points, point_cell : (p, d), (p,) states that stand for the cells: policies and costs are means over them
     noise_points : Gauss-Hermite points of each disturbance; None: the stepped task's
-    is_drawn : whether each pair has one random draw of them in place of those points
-    seed : of the draws
+    seed : of one draw of the disturbances for each pair, in place of those points; None: no draws
     facts : how they were chosen: plain numbers and words
     """
 
@@ -68,44 +70,49 @@ class Places:
     averages: sparse.csr_array | None
     points: Array
     point_cell: IntArray
-    noise_points: int | tuple[int, ...] | None
-    is_drawn: bool
-    seed: Any
+    noise_points: NoisePoints | None
+    seed: int | None
     facts: dict[str, Any]
 
     def mean(self, values: Array) -> Array:
-        """(n_cells,) the mean over each cell of values (p,), one for each point."""
-        n = np.bincount(self.point_cell, minlength=self.cells.n_cells)
-        return np.asarray(np.bincount(self.point_cell, values, self.cells.n_cells) / n)
+        """(n_cells, ...) the mean over each cell of values (p, ...), one for each point."""
+        p = len(self.point_cell)
+        matrix = sparse.csr_array((np.ones(p), (self.point_cell, np.arange(p))), shape=(self.cells.n_cells, p))
+        return np.asarray(((matrix @ values).T / np.diff(matrix.indptr)).T)
 
     def step(self, task: ContinuousTask) -> tuple[sparse.csr_array, Array]:
-        """Rows (n_cells * A, S) and rewards (n_cells, A) of a task."""
-        noise = None if self.is_drawn else task.noise_points if self.noise_points is None else self.noise_points
-        rng = _checks.generator(self.seed)
-        blocks, paid = [], []
-        for low in progress_bar("stepping", range(0, len(self.states), PLACES_AT_A_TIME)):
-            part = slice(low, low + PLACES_AT_A_TIME)
-            arrival, rewards = self._step_part(task, self.states[part], self.actions[part], noise, rng)
-            blocks.append(arrival)
-            paid.append(rewards)
-        matrix = blocks[0] if len(blocks) == 1 else sparse.csr_array(sparse.vstack(blocks, format="csr"))
-        every = np.concatenate(paid)
+        """Rows (S * A, S) and rewards (S, A) of a task."""
+        rng = None if self.seed is None else np.random.default_rng(self.seed)
+        parts = progress_bar("stepping", range(0, len(self.states), PLACES_AT_A_TIME))
+        blocks = [self._step_part(task, slice(low, low + PLACES_AT_A_TIME), rng) for low in parts]
+        matrix = sparse.csr_array(sparse.vstack([block for block, _ in blocks], format="csr"))
+        paid = np.concatenate([rewards for _, rewards in blocks])
         if self.averages is not None:
-            matrix, every = sparse.csr_array(self.averages @ matrix), np.asarray(self.averages @ every)
-        return matrix, every.reshape(-1, task.n_actions)
+            matrix, paid = sparse.csr_array(self.averages @ matrix), np.asarray(self.averages @ paid)
+        paid = paid.reshape(-1, task.n_actions)
+        if task.terminates:
+            last = np.eye(1, matrix.shape[1], matrix.shape[1] - 1)
+            stay = sparse.csr_array(np.repeat(last, task.n_actions, axis=0))
+            matrix = sparse.csr_array(sparse.vstack([matrix, stay], format="csr"))
+            paid = np.concatenate([paid, np.zeros((1, task.n_actions))])
+        return matrix, paid
 
     def _step_part(
-        self,
-        task: ContinuousTask,
-        states: Array,
-        actions: IntArray,
-        noise: int | tuple[int, ...] | None,
-        rng: np.random.Generator,
+        self, task: ContinuousTask, part: slice, rng: np.random.Generator | None
     ) -> tuple[sparse.csr_array, Array]:
+        """Where some of the pairs lead, and what they pay, on average over the disturbances."""
+        states, actions = self.states[part], self.actions[part]
+        n, size = len(states), task.n_disturbances
+        if rng is None:
+            points = task.noise_points if self.noise_points is None else self.noise_points
+            nodes, chances = gauss_hermite(points, size)
+            draws = [np.broadcast_to(node, (n, size)) for node in nodes]
+        else:
+            draws, chances = [rng.standard_normal((n, size))], np.ones(1)
         gone = task.terminated(states)
         total: Any = 0.0
-        paid = np.zeros(len(states))
-        for disturbance, chance in _disturbances(len(states), task.n_disturbances, noise, rng):
+        paid = np.zeros(n)
+        for disturbance, chance in zip(draws, chances, strict=True):
             moved = task.moves(states, actions, disturbance)
             bad = np.flatnonzero(~np.isfinite(moved.next_state).all(axis=1))
             if bad.size:
@@ -119,35 +126,7 @@ class Places:
         return sparse.csr_array(total), paid
 
 
-def weights_of(cells: Cells, task: ContinuousTask, states: Array, ended: BoolArray) -> sparse.csr_array:
-    """(n, S) how states are shared out among the numbered ones; what has ended lies in the absorbing state, the last."""
-    inner = cells.weights(task.features(states))
-    if not task.terminates:
-        return inner
-    inner = sparse.csr_array(sparse.diags_array(np.where(ended, 0.0, 1.0)) @ inner)
-    inner.eliminate_zeros()
-    found = sparse.csr_array(sparse.hstack([inner, sparse.csr_array(ended[:, None].astype(np.float64))]))
-    found.sort_indices()
-    return found
-
-
-def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
-    """Each state under each action, in rows s*A + a."""
-    return np.repeat(states, task.n_actions, axis=0), np.tile(np.arange(task.n_actions), len(states))
-
-
-def _disturbances(
-    n: int, size: int, noise: int | tuple[int, ...] | None, rng: np.random.Generator
-) -> Iterator[tuple[Array, float]]:
-    """Disturbances (n, size) with their probabilities: quadrature points, the same for all pairs, or a draw for each."""
-    if noise is None:
-        yield rng.standard_normal((n, size)), 1.0
-        return
-    for node, chance in zip(*gauss_hermite(noise, size), strict=True):
-        yield np.broadcast_to(node, (n, size)), float(chance)
-
-
-def gauss_hermite(points: int | tuple[int, ...], n: int) -> tuple[Array, Array]:
+def gauss_hermite(points: NoisePoints, n: int) -> tuple[Array, Array]:
     """Nodes (m, n) and weights (m,) that average over N(0, I_n): exact for polynomials of degree 2 points - 1.
 
     >>> nodes, weights = gauss_hermite((3, 1), 2)
@@ -159,11 +138,233 @@ def gauss_hermite(points: int | tuple[int, ...], n: int) -> tuple[Array, Array]:
         raise ValueError(
             f"noise_points must be a number or {n} numbers, one for each disturbance; it is {_checks.show(points)}"
         )
-    lines = [np.polynomial.hermite_e.hermegauss(_checks.positive_integer(count, "noise_points")) for count in counts]
-    if not lines:
-        return np.zeros((1, 0)), np.ones(1)
-    nodes = np.stack(np.meshgrid(*(line[0] for line in lines), indexing="ij"), axis=-1).reshape(-1, n)
-    weights = np.ones(1)
-    for line in lines:
-        weights = np.multiply.outer(weights, line[1] / line[1].sum()).ravel()
+    nodes, weights = np.zeros((1, 0)), np.ones(1)
+    for count in counts:
+        line, chance = np.polynomial.hermite_e.hermegauss(_checks.positive_integer(count, "noise_points"))
+        nodes = np.column_stack([np.repeat(nodes, len(line), axis=0), np.tile(line, len(nodes))])
+        weights = np.outer(weights, chance / chance.sum()).ravel()
     return nodes, weights
+
+
+def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
+    """Each state under each action, in rows s*A + a."""
+    return np.repeat(states, task.n_actions, axis=0), np.tile(np.arange(task.n_actions), len(states))
+
+
+@dataclass(frozen=True)
+class GridInterpolation:
+    """A regular grid over a task's features, for ``discretize(task, log, cells=GridInterpolation((60, 60)))``.
+
+    Parameters
+    ----------
+    shape : vertices along each feature, at least 2
+    low, high : (k,) the grid's range; default the task's ``feature_low`` and ``feature_high``
+    noise_points : the number of Gauss-Hermite points for each component of the disturbance (one number for all, or one each);
+        1 leaves that component at 0; None: the task's ``noise_points``
+    vertex_weight : at a log, how many transitions the row of the vertex itself is worth beside the log's places
+
+    Notes
+    -----
+    Cost: A S 2^k entries for each noise point; 10^6 vertices with two actions in a few seconds and under a gigabyte.
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole, discretize
+    >>> model = discretize(CartPole(gravity=10.0), cells=GridInterpolation((60, 60)))
+    >>> model.mdp.n_states, model.over
+    (3601, 3600)
+    """
+
+    shape: tuple[int, ...]
+    low: Any = None
+    high: Any = None
+    noise_points: NoisePoints | None = None
+    vertex_weight: float = 0.01
+
+    def __post_init__(self) -> None:
+        try:
+            shape = tuple(_checks.positive_integer(n, "shape") for n in self.shape)
+        except TypeError:
+            raise ValueError(f"shape must be a tuple of positive integers; got {_checks.show(self.shape)}") from None
+        if not shape or min(shape) < 2:
+            raise ValueError(f"shape must have at least 2 vertices along each feature; it is {shape}")
+        object.__setattr__(self, "shape", shape)
+        _checks.number_in(self.vertex_weight, "vertex_weight", 0.0, np.inf)
+
+    def grid(self, task: ContinuousTask) -> Grid:
+        """The grid for the features of ``task``."""
+        k = len(task.feature_names)
+        if len(self.shape) != k:
+            raise ValueError(
+                f"shape must have {k} numbers, one for each feature of {task.name} ({', '.join(task.feature_names)}); "
+                f"it is {self.shape}"
+            )
+        low = _checks.float_array(task.feature_low if self.low is None else self.low, "low")
+        high = _checks.float_array(task.feature_high if self.high is None else self.high, "high")
+        for name, end in (("low", low), ("high", high)):
+            if end.shape != (k,):
+                raise ValueError(f"{name} must have shape ({k},); it has shape {end.shape}")
+            _checks.require_finite(end, name)
+        for axis in np.flatnonzero(low >= high):
+            raise ValueError(f"high[{axis}] must be above low[{axis}], {low[axis]}; it is {high[axis]}")
+        return Grid(low, high, self.shape, task.periodic)
+
+    def places(
+        self,
+        task: ContinuousTask,
+        log: ContinuousTransitions | None,
+        others: Sequence[ContinuousTask],
+        policies: Sequence[StatePolicy],
+        seed: Any,
+    ) -> Places:
+        """The vertices under each action and, at a log, the log's own states and actions; the rest is not used."""
+        grid = self.grid(task)
+        points = task.embed(grid.vertices())
+        states, actions = each_action(task, points)
+        averages = None
+        facts: dict[str, Any] = {"builder": "GridInterpolation", "shape": list(self.shape)}
+        facts |= {"at_rows": 0, "at_outside": 0}
+        if task.is_translation_invariant:
+            line = (np.arange(POINTS_OF_A_BOX) + 0.5) / POINTS_OF_A_BOX - 0.5
+            box = np.stack(np.meshgrid(*[line] * len(self.shape), indexing="ij"), axis=-1).reshape(-1, len(self.shape))
+            points = task.embed((grid.vertices()[:, None] + box * grid.spacing).reshape(-1, len(self.shape)))
+        elif log is not None:
+            own, chosen = check_states(task, log.state, "log.state"), log.action_numbers(task.actions)
+            inside = ~grid.outside(task.features(own))
+            own, chosen = own[inside], chosen[inside]
+            averages = self._averages(grid.weights(task.features(own)), chosen, task.n_actions)
+            states, actions = np.concatenate([states, own]), np.concatenate([actions, chosen])
+            facts |= {"at_rows": len(log), "at_outside": int((~inside).sum()), "vertex_weight": self.vertex_weight}
+        cell = np.repeat(np.arange(grid.n_cells), len(points) // grid.n_cells)
+        return Places(grid, states, actions, averages, points, cell, self.noise_points, None, facts)
+
+    def _averages(self, start: sparse.csr_array, actions: IntArray, n_actions: int) -> sparse.csr_array:
+        """W for the vertices' own pairs and then the log's: w_i(s), and ``vertex_weight`` for the vertex itself."""
+        pairs = spread_over_pairs(start, actions, n_actions)
+        mass = np.asarray(pairs.sum(axis=0))
+        total = mass + self.vertex_weight
+        own = np.divide(self.vertex_weight, total, out=np.ones_like(mass), where=mass > 0)
+        scale = np.divide(1.0, total, out=np.zeros_like(mass), where=mass > 0)
+        logged = sparse.diags_array(scale) @ pairs.T
+        return sparse.csr_array(sparse.hstack([sparse.diags_array(own), logged], format="csr"))
+
+
+def spread_over_pairs(start: sparse.csr_array, actions: IntArray, n_actions: int) -> sparse.csr_array:
+    """(n, S * A) the weights (n, S) of states that are left by actions (n,), in the columns of the pairs s*A + a."""
+    pairs = start.indices.astype(np.int64) * n_actions + np.repeat(actions, np.diff(start.indptr))
+    return sparse.csr_array((start.data, pairs, start.indptr), shape=(len(actions), start.shape[1] * n_actions))
+
+
+@dataclass(frozen=True)
+class VisitedCells:
+    """Voronoi cells of visited states, for ``discretize(task, log, cells=VisitedCells(3000))``.
+
+    Parameters
+    ----------
+    n_cells : at most so many; cells in which no visited state lies are dropped
+    lloyd : Lloyd iterations for the centres
+    n_simulated : states that the task and the ``others`` of ``discretize`` visit by themselves under its ``policies``, for what
+        the log leaves out
+    n_stepped : of all these states, how many are stepped under every action; the log's are under the logged one as well
+    max_steps : longest episode; states of the log later than this do not shape the cells
+
+    Notes
+    -----
+    The same log, policies and seed give the same cells. Cost: lloyd (n + n_simulated) + A n_stepped nearest-cell searches, for
+    each task.
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole, cartpole_policy, discretize
+    >>> model = discretize(CartPole(form="full"), cells=VisitedCells(200), policies=[cartpole_policy(0.3)], closure_episodes=0)
+    >>> model.mdp.n_states
+    201
+    """
+
+    n_cells: int
+    lloyd: int = 3
+    n_simulated: int = 30_000
+    n_stepped: int = 60_000
+    max_steps: int = 100
+
+    def __post_init__(self) -> None:
+        for name in ("n_cells", "n_simulated", "n_stepped", "max_steps"):
+            _checks.positive_integer(getattr(self, name), name)
+        if self.lloyd:
+            _checks.positive_integer(self.lloyd, "lloyd")
+
+    def places(
+        self,
+        task: ContinuousTask,
+        log: ContinuousTransitions | None,
+        others: Sequence[ContinuousTask],
+        policies: Sequence[StatePolicy],
+        seed: Any,
+    ) -> Places:
+        """Cells of the log's states and of those that the simulators visit, and some of these under each action."""
+        rng = _checks.generator(seed)
+        points = visited_states([task, *others], policies, self.n_simulated, max_steps=self.max_steps, seed=rng)
+        if log is not None:
+            own = check_states(task, log.state, "log.state")
+            early = own if log.timestep is None else own[log.timestep < self.max_steps]
+            points = np.concatenate([early, points])
+        cells = self._cells(task.features(points), rng)
+        cell = cells.nearest(task.features(points))[0]
+        one_each = np.unique(cell, return_index=True)[1]
+        chosen = np.concatenate([one_each, rng.permutation(len(points))[: max(0, self.n_stepped - len(one_each))]])
+        states, actions = each_action(task, points[chosen])
+        start = np.repeat(cell[chosen], task.n_actions)
+        if log is not None:
+            states, actions = np.concatenate([states, own]), np.append(actions, log.action_numbers(task.actions))
+            start = np.append(start, cells.nearest(task.features(own))[0])
+        row, n_rows = start * task.n_actions + actions, cells.n_cells * task.n_actions
+        entries = (1.0 / np.bincount(row, minlength=n_rows)[row], (row, np.arange(len(row))))
+        averages = sparse.csr_array(entries, shape=(n_rows, len(row)))
+        facts = {"builder": "VisitedCells", "n_cells": cells.n_cells, "visited": len(points)}
+        return Places(cells, states, actions, averages, points, cell, None, int(rng.integers(2**62)), facts)
+
+    def _cells(self, features: Array, rng: np.random.Generator) -> VoronoiCells:
+        """Centres among these points (m, k)."""
+        spread = features.std(axis=0)
+        scale = np.where(spread > 0, spread, 1.0)
+        points = features / scale
+        unique = np.unique(points, axis=0)
+        centres = unique[rng.permutation(len(unique))[: self.n_cells]]
+        for _ in range(self.lloyd):
+            number = cKDTree(centres).query(points)[1]
+            n = np.bincount(number, minlength=len(centres))
+            total = np.stack([np.bincount(number, column, len(centres)) for column in points.T], axis=1)
+            centres = total[n > 0] / n[n > 0, None]
+        distance, number = cKDTree(centres).query(points)
+        return VoronoiCells(centres[np.unique(number)] * scale, scale, float(distance.max()))
+
+
+def visited_states(
+    tasks: Sequence[ContinuousTask], policies: Sequence[StatePolicy], n: int, *, max_steps: int, seed: Any
+) -> Array:
+    """(n, d) states before each transition, in equal parts from every task under every policy.
+
+    Parameters
+    ----------
+    tasks : those that the cells must serve: the simulator under several parameters (never the target's data)
+    policies : functions of states (n, d) giving probabilities (n, A)
+    n : how many states in all
+    max_steps : longest episode
+    seed : the same seed gives the same bits
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole, cartpole_policy
+    >>> visited_states([CartPole(5.0), CartPole(20.0)], [cartpole_policy(0.3)], 1000, max_steps=100, seed=0).shape
+    (1000, 4)
+    """
+    size = _checks.positive_integer(n, "n")
+    pairs = [(task, policy) for task in tasks for policy in policies]
+    if not pairs:
+        raise ValueError("tasks and policies must have at least one each; one of them is empty")
+    each = -(-size // len(pairs))
+    found = [
+        record(task, policy, n_transitions=each, max_steps=max_steps, seed=stream).state
+        for (task, policy), stream in zip(pairs, _checks.generator(seed).spawn(len(pairs)), strict=True)
+    ]
+    return np.concatenate(found)[:size]
