@@ -26,8 +26,6 @@ from oee_tabular.continuous.task import StatePolicy
 
 SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])  # theta in units of its limit, theta' in rad/s, the constant
 EXPERT_SEED = 2346
-
-
 EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)  # what train_expert() returns
 
 
@@ -67,8 +65,7 @@ def cartpole_policy(delta: float, *, deterministic: bool = False) -> StatePolicy
     >>> cartpole_policy(1.0)(np.zeros((1, 4))).tolist()
     [[0.5, 0.5]]
     """
-    _checks.boolean(deterministic, "deterministic")
-    return CartPolePolicy(delta, deterministic)
+    return CartPolePolicy(delta, _checks.boolean(deterministic, "deterministic"))
 
 
 def train_expert(
@@ -100,50 +97,40 @@ def train_expert(
 
     Notes
     -----
-    iterations * population * episodes * horizon compiled steps: a tenth of a second by default.
+    iterations * population * episodes * horizon steps: a tenth of a second by default.
 
     Examples
     --------
     >>> [round(weight, 3) for weight in train_expert()]
     [15.455, 1.425, -0.143]
     """
-    sizes = {
-        "iterations": iterations,
-        "population": population,
-        "elite": elite,
-        "episodes": episodes,
-        "horizon": horizon,
-    }
-    for name, value in sizes.items():
+    for name, value in (("iterations", iterations), ("population", population), ("elite", elite),
+                        ("episodes", episodes), ("horizon", horizon)):  # fmt: skip
         _checks.positive_integer(value, name)
     if elite > population:
         raise ValueError(f"elite must be at most the population, {population}; it is {elite}")
     low = _checks.number_in(smallest_spread, "smallest_spread", 0.0, np.inf)
     deviation = np.full(3, _checks.number_in(spread, "spread", 0.0, np.inf))
-    simulator = CartPole() if task is None else task
-    rng = _checks.generator(seed)
-    mean = np.zeros(3)
+    simulator, rng, mean = task or CartPole(), _checks.generator(seed), np.zeros(3)
     for _ in range(iterations):
         candidates = mean + deviation * rng.standard_normal((population, 3))
-        scores = _mean_steps(simulator, candidates / SCALE, episodes, horizon, rng)
+        steps = _lengths(simulator, np.repeat(candidates / SCALE, episodes, axis=0), horizon, rng)
+        scores = steps.reshape(-1, episodes).mean(axis=1)
         best = candidates[np.argsort(-scores, kind="stable")[:elite]]
         mean, deviation = best.mean(axis=0), np.maximum(best.std(axis=0), low)
-    weights = mean / SCALE
-    return float(weights[0]), float(weights[1]), float(weights[2])
+    first, second, third = (mean / SCALE).tolist()
+    return first, second, third
 
 
-def _mean_steps(task: CartPole, weights: Array, episodes: int, horizon: int, rng: np.random.Generator) -> Array:
-    """(population,) mean length of each candidate's episodes."""
-    n = len(weights) * episodes
-    each = np.repeat(weights, episodes, axis=0)
-    states, alive, steps = task.initial_states(n, rng), np.arange(n), np.zeros(n)
+def _lengths(task: CartPole, weights: Array, horizon: int, rng: np.random.Generator) -> Array:
+    """(n,) lengths of episodes, each under weights of its own (n, 3)."""
+    alive, lengths = np.arange(len(weights)), np.zeros(len(weights))
+    states = task.initial_states(len(weights), rng)
     for _ in range(horizon):
-        w = each[alive]
+        w = weights[alive]
         lean = w[:, 0] * states[:, 2] + w[:, 1] * states[:, 3] + w[:, 2]
         right = rng.random(len(alive)) * (1.0 + np.exp(-np.clip(lean, -500.0, 500.0))) < 1.0
         moved = task.step(states, right.astype(np.int64), rng)
-        steps[alive] += 1.0
+        lengths[alive] += 1.0
         alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
-        if alive.size == 0:
-            break
-    return np.asarray(steps.reshape(-1, episodes).mean(axis=1))
+    return lengths

@@ -29,6 +29,10 @@ FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)  # s, kv / kp: servos damp the s
 START = 0.01  # rad: how exactly the arm returns to its home pose
 JOINT_STATES = tuple(f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, N_JOINTS + 1))
 AT_A_TIME = 2048  # states whose trajectories MuJoCo returns in one array
+LIMITS = {
+    "velocity_scale": (0.0, 3.0), "latency": (0.0, PERIOD), "payload": (0.0, 4.0), "friction": (0.0, 9.0),
+    "gain": (0.05, 5.0), "encoder_noise": (0.0, 0.1),
+}  # fmt: skip
 STAND_IN = "simulated stand-in, not a robot"
 
 
@@ -85,12 +89,8 @@ class KinovaArm(HandTask):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "goal", goal_number(self.goal))
-        _checks.number_in(self.velocity_scale, "velocity_scale", 0.0, 3.0)
-        _checks.number_in(self.latency, "latency", 0.0, PERIOD)
-        _checks.number_in(self.payload, "payload", 0.0, 4.0)
-        _checks.number_in(self.friction, "friction", 0.0, 9.0)
-        _checks.number_in(self.gain, "gain", 0.05, 5.0)
-        _checks.number_in(self.encoder_noise, "encoder_noise", 0.0, 0.1)
+        for name, (low, high) in LIMITS.items():
+            _checks.number_in(getattr(self, name), name, low, high)
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One command from each state: 40 steps of MuJoCo each."""
@@ -121,8 +121,7 @@ class KinovaArm(HandTask):
 
     def parameters(self) -> dict[str, Any]:
         """All of them, and that this is no robot."""
-        names = ("goal", "velocity_scale", "latency", "payload", "friction", "gain", "encoder_noise")
-        return {"data": STAND_IN} | {name: getattr(self, name) for name in names}
+        return {"data": STAND_IN} | {name: getattr(self, name) for name in ("goal", *LIMITS)}
 
     def _follow(self, joints: Array, speeds: Array, references: Array) -> tuple[Array, Array]:
         """Angles and speeds after the servos have followed references (n, TICKS, 7)."""

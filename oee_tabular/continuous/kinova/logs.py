@@ -37,7 +37,20 @@ class KinovaPolicy:
 
     The controller commands sign(goal_i - x_i) along each axis that is off by more than the dead band of 0.015 m: a
     proportional command, cut to [-1, 1] and rounded. It looks at the first three coordinates of a state alone, the measured
-    position, so that it is the same for the arm and for its model.
+    position in m, so that it is the same for the arm and for its model.
+
+    Parameters
+    ----------
+    goal : 0..4, a row of GOALS
+    delta : share of random commands, in [0, 1]
+
+    Examples
+    --------
+    >>> from oee_tabular.continuous.kinova.dynamics import CENTER
+    >>> COMMANDS[kinova_policy(0)(CENTER[None]).argmax()].tolist()  # from home: forward along x, y and z
+    [1.0, 1.0, 1.0]
+    >>> kinova_policy(0, delta=0.27)(CENTER[None]).max().round(3).item()
+    0.74
     """
 
     goal: int = 0
@@ -56,34 +69,9 @@ class KinovaPolicy:
         return table
 
 
-def kinova_policy(goal: int, delta: float = 0.0) -> KinovaPolicy:
-    """delta * uniform + (1 - delta) * the proportional controller to a goal.
-
-    Parameters
-    ----------
-    goal : 0..4, a row of GOALS
-    delta : share of random commands, in [0, 1]
-
-    Returns
-    -------
-    KinovaPolicy
-        A function of states, whose first three coordinates are the hand's position in m.
-
-    Examples
-    --------
-    >>> from oee_tabular.continuous.kinova.dynamics import CENTER
-    >>> COMMANDS[kinova_policy(0)(CENTER[None]).argmax()].tolist()  # from home: forward along x, y and z
-    [1.0, 1.0, 1.0]
-    >>> kinova_policy(0, delta=0.27)(CENTER[None]).max().round(3).item()
-    0.74
-    """
-    return KinovaPolicy(goal, delta)
-
-
+kinova_policy = KinovaPolicy
 FARTHEST = 1.3  # m: beyond the reach of a Gen3
 MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
-
-
 HORIZON = 25  # commands of a run
 
 
@@ -116,11 +104,12 @@ def record_goals(
     runs = _checks.positive_integer(n_runs, "n_runs")
     steps = _checks.positive_integer(horizon, "horizon")
     rng = _checks.generator(seed)
-    logs = [
-        record(arm.towards(g), kinova_policy(g, delta), n_episodes=runs, max_steps=steps, seed=rng)
-        for g in range(len(GOALS))
-    ]
-    return ContinuousTransitions.concatenate(logs)
+    return ContinuousTransitions.concatenate(
+        [
+            record(arm.towards(g), kinova_policy(g, delta), n_episodes=runs, max_steps=steps, seed=rng)
+            for g in range(len(GOALS))
+        ]
+    )
 
 
 def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> ContinuousTransitions:
@@ -195,22 +184,17 @@ def load_kinova_log(path: str | os.PathLike[str], *, speed: float | None = None)
 
 
 def _positions(states: Array, name: str) -> Array:
+    """(n, 3) the positions of the hand, which must be possible ones."""
     width = states.shape[1]
-    if width == N_JOINTS:
-        _bounded(states, f"log.{name}", MOST_TURNS, "joint angles in rad")
-        return end_effector(states)
-    if width not in (3, N_ARM_STATES):
+    if width not in (3, N_JOINTS, N_ARM_STATES):
         raise ValueError(
             f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles) or {N_ARM_STATES} (the stand-in's "
             f"state); it has {width}"
         )
-    positions = np.array(states[:, :3])
-    _bounded(positions, f"log.{name}", FARTHEST, "positions in m")
-    return positions
-
-
-def _bounded(array: Array, name: str, limit: float, what: str) -> None:
-    bad = np.argwhere(np.abs(array) > limit)
-    if bad.size:
-        first = tuple(bad[0])
-        raise ValueError(f"{_checks.place(name, first)} must be within +-{limit:.4g}: {what}; it is {array[first]:g}")
+    is_angles = width == N_JOINTS
+    limit, what = (MOST_TURNS, "joint angles in rad") if is_angles else (FARTHEST, "positions in m")
+    array = states if is_angles else np.array(states[:, :3])
+    for place in np.argwhere(np.abs(array) > limit):
+        where = _checks.place(f"log.{name}", tuple(place))
+        raise ValueError(f"{where} must be within +-{limit:.4g}: {what}; it is {array[tuple(place)]:g}")
+    return end_effector(array) if is_angles else array

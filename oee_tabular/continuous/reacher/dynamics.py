@@ -35,6 +35,9 @@ LENGTH = 0.1  # m, the simulator's links
 TARGET = (0.1, 0.1)
 LEVELS = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
 INERTIAS = ("box", "capsule")
+PARAMETERS = (
+    "length", "reward_length", "target", "gear", "damping", "armature", "drag", "timestep", "substeps", "inertia",
+)  # fmt: skip
 FACTORS = (0.5, 0.7, 1.4, 2.0)  # of the length, in the other arms of the defensive simulator
 
 
@@ -107,7 +110,7 @@ class Reacher(ContinuousTask):
 
     Notes
     -----
-    A step is deterministic and compiled, O(n substeps). Episodes begin at rest, q1 uniform in [-3.14, 3.14], q2 in
+    A step is deterministic, O(n substeps). Episodes begin at rest, q1 uniform in [-3.14, 3.14], q2 in
     [-1.57, 1.57]; they do not end. Features are (cos q1, sin q1, q2, w1, w2).
     Checked against MuJoCo, which knows no drag, with ``inertia="capsule"``: see tests/continuous/test_reacher.py.
 
@@ -163,20 +166,50 @@ class Reacher(ContinuousTask):
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step, and its reward."""
-        actions = np.asarray(actions, dtype=np.int64)
-        following = self.advance(states, self.actions[actions])
-        paid = self.reward_of(self.reward_terms(states), actions, self.reward_terms(following))
-        return Moves(following, paid, np.zeros(len(states), dtype=np.bool_))
+        return self._paid(states, actions, self.advance(states, self.actions[np.asarray(actions, dtype=np.int64)]))
+
+    def _paid(self, states: Array, actions: IntArray, following: Array) -> Moves:
+        reward = self.reward_of(self.reward_terms(states), actions, self.reward_terms(following))
+        return Moves(following, reward, np.zeros(len(states), dtype=np.bool_))
 
     def advance(self, states: Array, commands: Array) -> Array:
         """(n, 4) the next states under commands (n, 2), which need not be among the nine; torques are gear * command."""
-        from oee_tabular.continuous.reacher import _dynamics
+        mass, centre, moment = self._bodies.T  # type: ignore[attr-defined]
+        inertia, h, length = moment + mass * centre**2, self.timestep, self.length
+        upper, lower = inertia[0] + (mass[1] + mass[2]) * length**2, inertia[1] + inertia[2]
+        cross = length * (mass[1] * centre[1] + mass[2] * centre[2])
+        q1, q2, w1, w2 = np.asarray(states, dtype=np.float64).T
+        torques = self.gear * commands
+        for _ in range(self.substeps):
+            cosine, sine = np.cos(q2), np.sin(q2)
+            m12 = lower + cross * cosine
+            m11, m22 = upper + lower + 2.0 * cross * cosine + self.armature, lower + self.armature
+            f1 = torques[:, 0] + cross * sine * (2.0 * w1 * w2 + w2 * w2) - self.damping * w1
+            f2 = torques[:, 1] - cross * sine * w1 * w1 - self.damping * w2
+            if self.drag > 0.0:
+                first, second = self._drag(cosine, w1, w1 + w2)
+                f1, f2 = f1 - self.drag * first, f2 - self.drag * second
+            a11, a22 = m11 + h * self.damping, m22 + h * self.damping
+            det = a11 * a22 - m12 * m12
+            w1, w2 = w1 + h * (a22 * f1 - m12 * f2) / det, w2 + h * (a11 * f2 - m12 * f1) / det
+            q1, q2 = q1 + h * w1, q2 + h * w2
+            stopped = (np.abs(q2) > STOP) & (w2 * q2 > 0.0)
+            w1, w2 = np.where(stopped, w1 + m12 / m11 * w2, w1), np.where(stopped, 0.0, w2)
+            q2 = np.clip(q2, -STOP, STOP)
+        return np.stack([q1, q2, w1, w2], axis=1)
 
-        length, armature, damping, drag = map(float, (self.length, self.armature, self.damping, self.drag))
-        arm = _dynamics.Arm(self._bodies, length, armature, damping, drag, STOP)  # type: ignore[attr-defined]
-        states = np.ascontiguousarray(states, dtype=np.float64)
-        torques = np.ascontiguousarray(self.gear * commands, dtype=np.float64)
-        return np.asarray(_dynamics.steps(states, torques, arm, float(self.timestep), int(self.substeps)))
+    def _drag(self, cosine: Array, w1: Array, w12: Array) -> tuple[Array, Array]:
+        """What Bullet's drag takes from the two joints' torques, for a drag of 1; the links turn at w1 and w12."""
+        bodies, length = self._bodies, self.length  # type: ignore[attr-defined]
+        mass, centre, moment = bodies[0]
+        first = w1 * (mass * centre**2 * (1.0 + np.abs(centre * w1)) + moment * (1.0 + np.abs(w1)))
+        second = np.zeros_like(w1)
+        for mass, centre, moment in bodies[1:]:
+            u, v = length * w1, centre * w12  # the centre's velocity along the normals of the two links
+            k = mass * (1.0 + np.sqrt(np.maximum(u * u + v * v + 2.0 * u * v * cosine, 0.0)))
+            around = k * centre * (v + u * cosine) + moment * w12 * (1.0 + np.abs(w12))
+            first, second = first + k * length * (u + v * cosine) + around, second + around
+        return first, second
 
     def distance(self, states: Array) -> Array:
         """(n,) from the fingertip (of ``reward_length``) to the target, m."""
@@ -219,11 +252,7 @@ class Reacher(ContinuousTask):
 
     def parameters(self) -> dict[str, Any]:
         """Every parameter."""
-        return {
-            "length": self.length, "reward_length": self.reward_length, "target": list(self.target), "gear": self.gear,
-            "damping": self.damping, "armature": self.armature, "drag": self.drag, "timestep": self.timestep,
-            "substeps": self.substeps, "inertia": self.inertia,
-        }  # fmt: skip
+        return {name: getattr(self, name) for name in PARAMETERS} | {"target": list(self.target)}
 
 
 def at_stop(states: Array) -> Array:
@@ -281,19 +310,16 @@ class LinearReacher(Reacher):
         design = _design(states, base.actions[log.action_numbers(base.actions)])
         change = log.next_state - states
         with ONE_THREAD:
-            coefficients: Array = np.asarray(np.linalg.lstsq(design, change)[0], dtype=np.float64)
+            coefficients = np.linalg.lstsq(design, change)[0]
             rest = change - design @ coefficients
-            covariance = rest.T @ rest / len(rest) + 1e-12 * np.eye(4)
-            root: Array = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+            root = np.linalg.cholesky(rest.T @ rest / len(rest) + 1e-12 * np.eye(4))
         options: dict[str, Any] = base.parameters() | {"target": base.target}
         return cls(**options, coefficients=coefficients, root=root)
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step of the model."""
         drift = _design(states, self.actions[np.asarray(actions, dtype=np.int64)]) @ self.coefficients
-        following = states + drift + disturbance @ self.root.T
-        paid = self.reward_of(self.reward_terms(states), actions, self.reward_terms(following))
-        return Moves(following, paid, np.zeros(len(states), dtype=np.bool_))
+        return self._paid(states, actions, states + drift + disturbance @ self.root.T)
 
 
 def _design(states: Array, commands: Array) -> Array:

@@ -11,7 +11,6 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.reacher.dynamics import LENGTH, LEVELS, RADIUS, TARGET, Reacher
-from oee_tabular.continuous.task import StatePolicy
 
 
 def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
@@ -46,9 +45,21 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
 class ReacherPolicy:
     """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4) giving probabilities (n, 9).
 
-    The expert is a proportional-derivative controller of the joint angles that put the *simulator's* fingertip on the target,
-    u = stiffness * (q* - q) - brake * w, each joint taking the nearest of its three levels. It believes in the simulator's
-    links whatever the arm. delta is the share of random actions: the opposite sense to the gridworld, as in the paper.
+    The expert (ours: the paper's is lost) is a proportional-derivative controller of the joint angles that put the
+    *simulator's* fingertip on the target, u = stiffness * (q* - q) - brake * w, each joint taking the nearest of its three
+    levels. It believes in the simulator's links whatever the arm.
+
+    Parameters
+    ----------
+    delta : share of random actions, in [0, 1]: the opposite sense to the gridworld, as in the paper
+    target : (x, y) in m
+    length : of the links that the expert believes in, m
+    stiffness, brake : of the controller
+
+    Examples
+    --------
+    >>> reacher_policy(0.9)(np.zeros((1, 4))).max().round(12).item()
+    0.2
     """
 
     delta: float = 0.0
@@ -73,19 +84,7 @@ class ReacherPolicy:
         return table
 
 
-def reacher_policy(delta: float) -> StatePolicy:
-    """The paper's kind of policies: delta * uniform + (1 - delta) * our expert (the paper's is lost).
-
-    Parameters
-    ----------
-    delta : share of random actions, in [0, 1]
-
-    Examples
-    --------
-    >>> reacher_policy(0.9)(np.zeros((1, 4))).max().round(12).item()
-    0.2
-    """
-    return ReacherPolicy(delta)
+reacher_policy = ReacherPolicy
 
 
 def reacher_log(task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None) -> ContinuousTransitions:
