@@ -13,8 +13,8 @@ from oee_tabular.continuous.kinova.hand import ideal_hand
 from oee_tabular.lab.output import summary_of
 from oee_tabular.lab.registry import Stream
 from oee_tabular.lab.robots.changes import classic, coverage, experiment
-from oee_tabular.lab.robots.changes.cases import CASES, Delayed, towards
-from oee_tabular.lab.robots.changes.chain import Chain
+from oee_tabular.lab.robots.changes.cases import CASES, Delayed
+from oee_tabular.lab.robots.kinova import towards
 from oee_tabular.tasks import (
     CartPole,
     HistoryTask,
@@ -85,7 +85,7 @@ def test_cartpole_with_everything_as_it_was():
 
 
 def test_a_chain_without_friction_keeps_its_energy():
-    task = Chain(friction=0.0, noise=0.0)
+    task = classic.Chain(friction=0.0, noise=0.0)
     states = 0.3 * task.initial_states(50, np.random.default_rng(0))
 
     def energy(states):

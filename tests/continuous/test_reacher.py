@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 
-from oee_tabular.continuous.reacher import _dynamics as kernel
 from oee_tabular.continuous.reacher.dynamics import STOP, at_stop, fingertip, link_bodies
 from oee_tabular.continuous.reacher.expert import ReacherPolicy, joint_angles
 from oee_tabular.tasks import (
@@ -27,7 +26,7 @@ def states_of(rng, n, speed=4.0):
 
 
 def inertia(q2, length, kind="box"):
-    """M(q) from the Jacobians of the centres of mass, link by link: nothing of the kernel's algebra."""
+    """M(q) from the Jacobians of the centres of mass, link by link: nothing of the step's algebra."""
     total = np.zeros((2, 2))
     for k, (mass, r, moment) in enumerate(link_bodies(length, kind)):
         if k == 0:
@@ -77,7 +76,7 @@ def test_small_steps_converge_to_the_equations_of_motion():
 @given(seeds, st.sampled_from(LENGTHS), st.booleans())
 @settings(max_examples=20)
 def test_laws_of_a_step(seed, length, tamed):
-    """Mirror images, the shoulder's angle as a mere rotation, 2 pi, and the compiled kernel as it is written."""
+    """Mirror images, the shoulder's angle as a mere rotation, 2 pi, and the elbow's stop."""
     rng = np.random.default_rng(seed)
     arm = Reacher.tamed(length) if tamed else Reacher(length)
     states, commands = states_of(rng, 20), rng.uniform(-1, 1, (20, 2))
@@ -87,9 +86,6 @@ def test_laws_of_a_step(seed, length, tamed):
     assert_allclose(arm.advance(turned, commands), after + np.array([0.7, 0.0, 0.0, 0.0]), rtol=0, atol=1e-12)
     assert_allclose(fingertip(states + np.array([2 * np.pi, 0, 0, 0]), length), fingertip(states, length), atol=1e-12)
     assert (np.abs(after[:, 1]) <= STOP).all()
-    made = kernel.Arm(link_bodies(length), length, 0.0, arm.damping, arm.drag, STOP)
-    plain = kernel.steps.py_func(states, 0.05 * commands, made, arm.timestep, arm.substeps)
-    assert_allclose(plain, after, rtol=1e-12, atol=1e-12)
 
 
 @given(seeds, st.sampled_from(LENGTHS))
@@ -107,12 +103,11 @@ def test_drag_is_a_force_at_each_centre_and_a_torque_on_each_link(seed, length):
             velocity, spin = jacobian @ (w1, w2), turn @ (w1, w2)
             row -= jacobian.T @ (k * mass * velocity * (1 + np.hypot(*velocity)))
             row -= turn * k * moment * spin * (1 + abs(spin))
-    arm, drawn = (kernel.Arm(link_bodies(length, "box"), length, 0.0, 0.0, drag, 10.0) for drag in (0.0, k))
-    braked = kernel.steps(states, np.zeros((20, 2)), drawn, 1e-3, 1)
-    pushed = kernel.steps(states, torques, arm, 1e-3, 1)
-    free = kernel.steps(states, np.zeros((20, 2)), arm, 1e-3, 1)
+    arm, drawn = (Reacher(length, gear=1.0, drag=drag, timestep=1e-3) for drag in (0.0, k))
+    braked, still = drawn.advance(states, np.zeros((20, 2))), arm.advance(states, np.zeros((20, 2)))
+    pushed = arm.advance(states, torques)
     assert_allclose(braked, pushed, rtol=1e-12, atol=1e-14)
-    assert np.abs(braked - free)[:, 2:].max() > 1e-4
+    assert np.abs(braked - still)[:, 2:].max() > 1e-4
 
 
 @given(seeds, st.sampled_from(LENGTHS))

@@ -33,7 +33,7 @@ def table():
 
 
 def test_every_curve_is_there(table):
-    shown = {reacher.WEIGHTED, reacher.AVERAGED, reacher.PLAIN, reacher.MODEL, reacher.LINEAR, reacher.ORACLE,
+    shown = {reacher.WEIGHTED, reacher.AVERAGED, reacher.PLAIN, reacher.MODEL, reacher.LINEAR, reacher.RESIDUAL, reacher.ORACLE,
              reacher.SIMULATOR, reacher.OWN_REWARD, reacher.AVERAGE, reacher.UNKNOWN, reacher.UNKNOWN_AVERAGED}  # fmt: skip
     assert shown <= set(table.series)
     assert f"{reacher.WEIGHTED}, calibrated" in set(table.series)

@@ -310,9 +310,9 @@ class LinearReacher(Reacher):
         design = _design(states, base.actions[log.action_numbers(base.actions)])
         change = log.next_state - states
         with ONE_THREAD:
-            coefficients = np.linalg.lstsq(design, change)[0]
+            coefficients: Array = np.linalg.lstsq(design, change)[0].astype(np.float64)
             rest = change - design @ coefficients
-            root = np.linalg.cholesky(rest.T @ rest / len(rest) + 1e-12 * np.eye(4))
+            root: Array = np.linalg.cholesky(rest.T @ rest / len(rest) + 1e-12 * np.eye(4)).astype(np.float64)
         options: dict[str, Any] = base.parameters() | {"target": base.target}
         return cls(**options, coefficients=coefficients, root=root)
 

@@ -11,6 +11,7 @@ from oee_tabular._checks import Array
 from oee_tabular.continuous.cartpole.dynamics import PAPER_NOISE, CartPole
 from oee_tabular.continuous.discretization import Discretization, VisitedCells, discretize
 from oee_tabular.continuous.names import continuous_simulator
+from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.findings import listed
 from oee_tabular.lab.panels import Beside, Panels
@@ -23,6 +24,7 @@ from oee_tabular.lab.robots.cartpole_estimates import (
     calibrated,
     estimates,
     exact_values,
+    fine_values,
     off_environment,
     policies_of,
     target_log,
@@ -40,9 +42,15 @@ PAPERS_N = 80_000
 MISTAKEN = (7.5, 12.5, 15.0)
 TRUTHS = {"compiled": ("target", PAPER_NOISE), "gymnasium": ("target without noise", 0.0)}
 ERROR = "mean |error| of the value, times (1 - discount)"
-ON_CELLS = ("simulator", "OEE", "OEE, calibrated", "model-based", "model-based, calibrated", "linear model")
+RESIDUAL = "residual"
+ON_CELLS = ("simulator", "OEE", "OEE, calibrated", "model-based", "model-based, calibrated", "linear model", RESIDUAL)
 OTHERS = ("OEE, calibrated", "IS, per decision", "IS, self-normalised", "oracle", "oracle, calibrated")
 PAPERS = {"true_value": ("true", "x"), "oee": ("OEE", "o"), "mle": ("model (MLE)", "s"), "is": ("IS", "^")}
+
+PAPERS_NAMES = {
+    "OEE": "oee", "OEE, calibrated": "oee", "model-based": "mle", "model-based, calibrated": "mle",
+    "IS, per decision": "is", "IS, self-normalised": "is",
+}  # fmt: skip
 
 
 def rows_of(values: dict[str, Array], case: str, gravity: float, found: Corrected | None = None) -> list[Row]:
@@ -64,27 +72,28 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     """Values are (1 - discount) times the discounted sum of 100 rewards, at most 0.634, of delta uniform + (1 - delta)
     expert; logs of delta = 0.3. The truth is a mean of 400 000 episodes (standard error at most 0.0003). 32 x 32 vertices over
     angle and angular velocity, the simulator looked at in the log's places, strength 0.01. Calibrated: times the simulator's
-    Monte Carlo value / its value on the grid. The oracle is the target itself on the same grid. Hollow grey marks: the paper's.
+    Monte Carlo value / its value on the grid. The oracle is the target itself on the same grid. Residual: the simulator
+    corrected by what the log's steps leave over its own. Hollow grey marks: the paper's.
     """
     kind, gravity = str(settings["target"]), float(settings["gravity"])
     log = target_log(kind, gravity, int(settings["n"]), stream.generator())
     case, noise = TRUTHS[kind]
     values, found = estimates(log, gravity, noise=noise)
+    values[RESIDUAL] = fine_values(ResidualSimulator(CartPole(SIMULATED), log, seed=0))
     return rows_of(values, case, gravity, found)
 
 
 def published_error(gravity: float, estimator: str) -> float:
     """Mean |error| of the paper's own curve from its own true curve; of the simulator, between its two true curves."""
-    names = {"OEE": "oee", "OEE, calibrated": "oee", "model-based": "mle", "model-based, calibrated": "mle",
-             "IS, per decision": "is", "IS, self-normalised": "is"}  # fmt: skip
-    setting = f"gravity={gravity}"
+    setting, name = f"gravity={gravity}", PAPERS_NAMES.get(estimator)
+    right = paper.curve("cartpole", setting, "true_value")
     if estimator == "simulator" and gravity != SIMULATED:
         curve = paper.curve("cartpole", f"gravity={SIMULATED}", "true_value")
-    elif estimator in names:
-        curve = paper.curve("cartpole", setting, names[estimator])
-    else:
+    elif name is None:
         return float("nan")
-    both = curve.merge(paper.curve("cartpole", setting, "true_value"), on="x")
+    else:
+        curve = paper.curve("cartpole", setting, name)
+    both = curve.merge(right, on="x")
     return float((both["mean_x"] - both["mean_y"]).abs().mean()) if len(both) else float("nan")
 
 
@@ -99,19 +108,14 @@ def published(summary: pd.DataFrame) -> list[float]:
 def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     """Values and errors at each delta, under each gravity, of the largest logs of the compiled target."""
     own = table[(table.target == "compiled") & (table.n == table.n.max())]
-    errors = "gravity {gravity:g} m/s²: errors"
     shared: dict[str, Any] = {"curves": "estimator", "x": "delta", "xlabel": "delta (share of the uniform policy)"}
-    Beside(
-        [
-            Panels(
-                "value", title="gravity {gravity:g} m/s²: values", ylabel="value times (1 - discount)", beneath=mark_paper,
-                extra={"true value": "truth"}, only=lambda rows: rows[rows.estimator == "OEE, calibrated"], **shared,
-            ),
-            Panels("error", title=errors, ylabel=ERROR, log=True, only=partial(keep, ON_CELLS), **shared),
-            Panels("error", title=errors, ylabel=ERROR, log=True, only=partial(keep, OTHERS), **shared),
-        ],
-        by=("gravity",), columns=3, size=(6.0, 4.4),
-    )(by_delta(own, DELTAS), summary, figure)  # fmt: skip
+    errors = shared | {"title": "gravity {gravity:g} m/s²: errors", "ylabel": ERROR, "log": True}
+    values = Panels(
+        "value", title="gravity {gravity:g} m/s²: values", ylabel="value times (1 - discount)", beneath=mark_paper,
+        extra={"true value": "truth"}, only=partial(keep, ("OEE, calibrated",)), **shared,
+    )  # fmt: skip
+    groups = [Panels("error", only=partial(keep, names), **errors) for names in (ON_CELLS, OTHERS)]
+    Beside([values, *groups], by=("gravity",), columns=3, size=(6.0, 4.4))(by_delta(own, DELTAS), summary, figure)
     for ax in figure.axes:
         if not ax.get_title().endswith("values"):
             label_ends(ax)
@@ -127,22 +131,21 @@ def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:
     for series, (name, marker) in PAPERS.items():
         points = paper.curve("cartpole", f"gravity={rows.gravity.iloc[0]}", series)
         if len(points):
-            ax.plot(
-                points.x,
-                points["mean"],
-                ls="none",
-                marker=marker,
-                mfc="none",
-                color="0.35",
-                label=f"the paper's {name}",
-            )
+            style: dict[str, Any] = {
+                "ls": "none",
+                "marker": marker,
+                "mfc": "none",
+                "color": "0.35",
+                "label": f"the paper's {name}",
+            }
+            ax.plot(points.x, points["mean"], **style)
 
 
 def finding_2(table: pd.DataFrame) -> str:
     """Errors on the gravities that are not the simulator's, at the largest n."""
     n = table.n.max()
     own = table[(table.target == "compiled") & (table.n == n) & (table.gravity != SIMULATED)]
-    names = ["OEE, calibrated", "linear model", "IS, per decision", "IS, self-normalised", "simulator"]
+    names = [RESIDUAL, "OEE, calibrated", "linear model", "IS, per decision", "IS, self-normalised", "simulator"]
     means = own[own.estimator.isin(names)].groupby("estimator").error.mean().sort_values()
     return f"Mean error at n = {n} under other gravities: {listed(means)}" if len(means) else ""
 
@@ -182,51 +185,38 @@ def resolution(settings: Cell, stream: Stream) -> list[Row]:
     log covers a grid of the whole state. uncovered: share of the log's transitions without probability, which are left out.
     """
     name, n, gravity = str(settings["states"]), int(settings["n"]), float(settings["gravity"])
+    uncovered = 0.0
     if n == 0:
-        return _without_data(name, gravity)
-    log = target_log("compiled", gravity, n, stream.generator("n", "gravity"))
-    if name in GRIDS:
-        found = off_environment(log, vertices=GRIDS[name])
-        return _with_cost({"OEE": found.raw, "OEE, calibrated": found.calibrated}, gravity, found.simulator)
-    return _whole_state(name, log, gravity) if name in FULL_CELLS else []
+        form = "angle" if name in GRIDS else "full"
+        shape = (GRIDS[name],) * 2 if name in GRIDS else (FULL_GRIDS.get(name),) * 4
+        cells = FULL_CELLS.get(name, shape)
+        model = discretize(CartPole(SIMULATED, form=form), cells=cells, policies=VISITING, closure_episodes=0)
+        target = discretize(CartPole(gravity, form=form), cells=model, closure_episodes=0)
+        raw, inside = (exact_values(each.mdp, policies_of(model)) for each in (target, model))
+        values = {"target on these states": raw, "the same, calibrated": calibrated(raw, inside)}
+    elif name in FULL_GRIDS:
+        return []
+    else:
+        log = target_log("compiled", gravity, n, stream.generator("n", "gravity"))
+        if name in GRIDS:
+            found = off_environment(log, vertices=GRIDS[name])
+            model, raw, mended = found.simulator, found.raw, found.calibrated
+        else:
+            model, raw, mended, uncovered = _whole_state(log, VisitedCells(FULL_CELLS[name], n_simulated=2000))
+        values = {"OEE": raw, "OEE, calibrated": mended}
+    values = {"simulator": cartpole_truth.values("simulator", SIMULATED)} | values
+    cost: Row = {"number_of_states": model.mdp.n_states, "entries": int(model.mdp.transitions.nnz)}
+    return [row | cost | {"uncovered": uncovered} for row in rows_of(values, "target", gravity)]
 
 
-def _without_data(name: str, gravity: float) -> list[Row]:
-    form = "angle" if name in GRIDS else "full"
-    simulator = _discretised(name, CartPole(SIMULATED, form=form))
-    target = discretize(CartPole(gravity, form=form), cells=simulator, closure_episodes=0)
-    raw, inside = (exact_values(model.mdp, policies_of(model)) for model in (target, simulator))
-    mended = calibrated(raw, inside)
-    return _with_cost({"target on these states": raw, "the same, calibrated": mended}, gravity, simulator)
-
-
-def _discretised(name: str, task: CartPole) -> Discretization:
-    shape = (GRIDS[name],) * 2 if name in GRIDS else (FULL_GRIDS.get(name),) * 4
-    return discretize(task, cells=FULL_CELLS.get(name, shape), policies=VISITING, closure_episodes=0)
-
-
-def _whole_state(name: str, log: Any, gravity: float) -> list[Row]:
+def _whole_state(log: Any, cells: VisitedCells) -> tuple[Discretization, Array, Array, float]:
     """Estimates on cells of (x, x', theta, theta'), the simulator looked at in the log's places."""
-    cells, task = VisitedCells(FULL_CELLS[name], n_simulated=2000), CartPole(form="full")
-    model = discretize(task, log, cells=cells, floor=FLOOR, policies=VISITING, closure_episodes=0)
+    model = discretize(CartPole(form="full"), log, cells=cells, floor=FLOOR, policies=VISITING, closure_episodes=0)
     inside = ~(model.cells.outside(log.state) | model.cells.outside(log.next_state) & ~log.terminated)
-    policies = policies_of(model)
     counts, uncovered = model.supported(model.counts(log.select(inside)))
     zeta = transition_ratio(counts, model.mdp, prior="simulator", strength=FULL_STRENGTH)
-    raw = exact_values(zeta.target_model(model.mdp), policies)
-    below = exact_values(model.mdp, policies)
-    mended = calibrated(raw, below)
-    return _with_cost({"OEE": raw, "OEE, calibrated": mended}, gravity, model, uncovered)
-
-
-def _with_cost(values: dict[str, Array], gravity: float, model: Discretization, uncovered: float = 0.0) -> list[Row]:
-    cost: Row = {
-        "number_of_states": model.mdp.n_states,
-        "entries": int(model.mdp.transitions.nnz),
-        "uncovered": uncovered,
-    }
-    values = {"simulator": cartpole_truth.values("simulator", SIMULATED)} | values
-    return [row | cost for row in rows_of(values, "target", gravity)]
+    raw, below = (exact_values(mdp, policies_of(model)) for mdp in (zeta.target_model(model.mdp), model.mdp))
+    return model, raw, calibrated(raw, below), uncovered
 
 
 def draw_resolution(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
@@ -241,11 +231,7 @@ def draw_resolution(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) 
 RESOLUTION = Experiment(
     id="cartpole_resolution",
     title="CartPole: error against the grid's resolution and against n, in two and in four dimensions",
-    axes={
-        "states": (*GRIDS, *FULL_GRIDS, *FULL_CELLS),
-        "n": (0, 3162, 10_000, 31_623, PAPERS_N),
-        "gravity": MISTAKEN,
-    },
+    axes={"states": (*GRIDS, *FULL_GRIDS, *FULL_CELLS), "n": (0, 3162, 10_000, 31_623, PAPERS_N), "gravity": MISTAKEN},
     smoke={"states": ("20 x 20", "32 x 32", "whole state, 1000 cells"), "n": (0, 10_000), "gravity": (15.0,)},
     run=resolution,
     keys=("states", "n", "gravity", "estimator"),
@@ -255,7 +241,7 @@ RESOLUTION = Experiment(
     repetitions=3,
     smoke_repetitions=1,
     group="continuous",
-)
+)  # fmt: skip
 
 
 # ---- data quality, configuration -------------------------------------------------------------------------------------------
@@ -280,14 +266,7 @@ CARTPOLE_DATA = Experiment(
     keys=("behavior", "gravity", "n", "estimator"),
     measures=("error", "visited"),
     draw=Panels(
-        "error",
-        "estimator",
-        "behavior",
-        ("n", "gravity"),
-        only=partial(keep, ON_CELLS),
-        log=True,
-        ylabel=ERROR,
-        columns=3,
+        "error", "estimator", "behavior", ("n", "gravity"), only=partial(keep, ON_CELLS), log=True, ylabel=ERROR, columns=3,
         xlabel="delta of the policy that recorded the log",
     ),
     finding=lambda table: (
@@ -297,7 +276,7 @@ CARTPOLE_DATA = Experiment(
     repetitions=5,
     smoke_repetitions=1,
     group="continuous",
-)
+)  # fmt: skip
 
 
 def choice(settings: Cell, stream: Stream) -> list[Row]:
@@ -314,28 +293,18 @@ CARTPOLE_CHOICE = Experiment(
     id="cartpole_choice",
     title="CartPole: how grid and strength were chosen",
     axes={
-        "vertices": (24, 32, 60),
-        "strength": (0.01, 0.1, 0.3, 1.0),
-        "gravity": MISTAKEN,
-        "n": (10_000, PAPERS_N),
+        "vertices": (24, 32, 60), "strength": (0.01, 0.1, 0.3, 1.0), "gravity": MISTAKEN, "n": (10_000, PAPERS_N),
     },
     smoke={"vertices": (24, 32), "strength": (0.01, 1.0), "gravity": (15.0,), "n": (10_000,)},
     run=choice,
     keys=("vertices", "strength", "gravity", "n", "estimator"),
     measures=("error",),
     draw=Panels(
-        "error",
-        "vertices",
-        "strength",
-        ("n",),
-        log=True,
-        ylabel=ERROR,
-        xlabel="strength of the prior (transitions a row)",
-        only=lambda rows: rows[rows.estimator == "OEE, calibrated"],
-        axes={"xscale": "log"},
+        "error", "vertices", "strength", ("n",), log=True, ylabel=ERROR, xlabel="strength of the prior (transitions a row)",
+        only=partial(keep, ("OEE, calibrated",)), axes={"xscale": "log"},
     ),
     finding=lambda table: f"Least error, by vertices: {listed(least(table, 'vertices'))}",
     repetitions=4,
     smoke_repetitions=1,
     group="continuous",
-)
+)  # fmt: skip

@@ -26,7 +26,7 @@ from oee_tabular.continuous.discretization import Discretization, GridInterpolat
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import Moves
+from oee_tabular.continuous.task import ContinuousTask, Moves
 from oee_tabular.estimators.rollouts import normalize_by_step, segment_products
 from oee_tabular.exact import policy_value
 from oee_tabular.lab.robots import cartpole_truth, frequencies
@@ -36,7 +36,7 @@ from oee_tabular.ratio import TransitionRatio, transition_ratio
 
 VERTICES, STRENGTH, FLOOR = 32, 0.01, 1e-3
 DISCOUNT, BEHAVIOR = 0.99, 0.3
-LINEAR_VERTICES = 320  # at which a linear model's values are within 0.1% of its own Monte Carlo
+FINE_VERTICES = 320  # at which a task's values are within 0.1% of its own Monte Carlo
 
 
 def exact_values(mdp: FiniteMDP, policies: Iterable[Array]) -> Array:
@@ -78,44 +78,46 @@ class Linear(CartPole):
     @classmethod
     def fitted(cls, log: ContinuousTransitions) -> Linear:
         """Least squares of the next state; the model knows where the pole has fallen."""
-        push = CartPole().actions[log.action]
-        return cls(noise=0.0, coefficients=np.linalg.lstsq(_design(log.state, push), log.next_state[:, 2:])[0])
+        design = cls.design(log.state, cls.actions[log.action])
+        return cls(noise=0.0, coefficients=np.linalg.lstsq(design, log.next_state[:, 2:])[0])
+
+    @staticmethod
+    def design(states: Array, push: Array) -> Array:
+        """(n, 4) theta, theta', the force and 1."""
+        return np.column_stack([states[:, 2:], push, np.ones(len(states))])
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step, without noise."""
         following = np.zeros_like(states)
-        following[:, 2:] = _design(states, self.actions[actions]) @ self.coefficients
+        following[:, 2:] = self.design(states, self.actions[actions]) @ self.coefficients
         return Moves(following, np.ones(len(states)), self.terminated(following))
 
 
-def _design(states: Array, push: Array) -> Array:
-    return np.column_stack([states[:, 2], states[:, 3], push, np.ones(len(states))])
-
-
-def linear_values(log: ContinuousTransitions) -> Array:
-    """The linear model's values, exact on a fine grid."""
-    shape = (LINEAR_VERTICES, LINEAR_VERTICES)
-    model = discretize(Linear.fitted(log), cells=shape, closure_episodes=0)
+def fine_values(task: ContinuousTask) -> Array:
+    """The values in a task of the angle, exact on a fine grid; noise is left at 0."""
+    model = discretize(task, cells=(FINE_VERTICES, FINE_VERTICES), closure_episodes=0)
     return exact_values(model.mdp, policies_of(model))
 
 
 def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) -> Array:
     """Per decision, on the log's whole episodes, with the probabilities that policy and behaviour have in each state."""
     assert log.episode is not None
-    assert log.timestep is not None
-    assert log.reward is not None
-    whole = ~(log.truncated & (log.timestep < HORIZON - 1))  # the last episode is cut where the log ends
-    whole = np.isin(log.episode, np.unique(log.episode[~whole]), invert=True)
-    starts = np.concatenate([np.flatnonzero(np.diff(log.episode[whole], prepend=-1)), [int(whole.sum())]])
-    timestep, action = log.timestep[whole], log.action[whole]
-    reward = (1.0 - DISCOUNT) * DISCOUNT ** timestep.astype(np.float64) * log.reward[whole]
+    cut = log.episode[
+        log.truncated & (log.columns()["timestep"] < HORIZON - 1)
+    ]  # the last episode is cut where the log ends
+    whole = log.first(len(log) - int(np.isin(log.episode, cut).sum()))
+    columns = whole.columns()
+    action, known = columns["action"], columns["behavior_probability"]
+    starts = np.append(np.flatnonzero(np.diff(columns["episode"], prepend=-1)), len(whole))
+    reward = (1.0 - DISCOUNT) * DISCOUNT ** columns["timestep"].astype(np.float64) * columns["reward"]
     found = []
     for delta in DELTAS:
-        chosen = cartpole_policy(delta)(log.state[whole])[np.arange(len(action)), action]
-        weight = segment_products(chosen / log.behavior_probability[whole], starts)  # type: ignore[index]
-        plain = float(np.add.reduceat(weight * reward, starts[:-1]).mean())
-        last = weight[starts[1:] - 1]
-        found.append(normalize_by_step(reward, weight, starts, last)[0] if self_normalized else plain)
+        chosen = cartpole_policy(delta)(whole.state)[np.arange(len(action)), action]
+        weight = segment_products(chosen / known, starts)
+        if self_normalized:
+            found.append(normalize_by_step(reward, weight, starts, weight[starts[1:] - 1])[0])
+        else:
+            found.append(float(np.add.reduceat(weight * reward, starts[:-1]).mean()))
     return np.array(found)
 
 
@@ -142,10 +144,8 @@ def off_environment(log: ContinuousTransitions, *, vertices: int = VERTICES, str
         counts = simulator.counts(log, outside="drop")
     zeta = transition_ratio(counts, simulator.mdp, prior="simulator", strength=strength)
     policies = policies_of(simulator)
-    raw = exact_values(zeta.target_model(simulator.mdp), policies)
-    inside = exact_values(simulator.mdp, policies)
-    mended = calibrated(raw, inside)
-    return Corrected(simulator, counts, zeta, policies, raw, mended)
+    raw, inside = (exact_values(mdp, policies) for mdp in (zeta.target_model(simulator.mdp), simulator.mdp))
+    return Corrected(simulator, counts, zeta, policies, raw, calibrated(raw, inside))
 
 
 def model_based(log: ContinuousTransitions, found: Corrected) -> tuple[Array, Array]:
@@ -181,7 +181,7 @@ def estimates(log: ContinuousTransitions, gravity: float, *, noise: float) -> tu
         "OEE, calibrated": found.calibrated,
         "model-based": model,
         "model-based, calibrated": model_mended,
-        "linear model": linear_values(log),
+        "linear model": fine_values(Linear.fitted(log)),
         "IS, per decision": importance_sampling(log, self_normalized=False),
         "IS, self-normalised": importance_sampling(log, self_normalized=True),
         "oracle": ideal,

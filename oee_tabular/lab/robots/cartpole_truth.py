@@ -46,14 +46,13 @@ def monte_carlo(case: str, gravity: float, delta: float, episodes: int = EPISODE
 
 def make(episodes: int = EPISODES) -> pd.DataFrame:
     """The whole table: case, gravity, delta, value, standard_error, episodes."""
-    rows: list[dict[str, object]] = []
-    for case, (gravities, _, _) in CASES.items():
-        for gravity in gravities:
-            for delta in DELTAS:
-                found = monte_carlo(case, gravity, delta, episodes)
-                rows.append({"case": case, "gravity": gravity, "delta": delta, "value": found.value,
-                             "standard_error": float(found.standard_error), "episodes": episodes})  # fmt: skip
-    return pd.DataFrame(rows)
+    keys = [
+        (case, gravity, delta) for case, (gravities, _, _) in CASES.items() for gravity in gravities for delta in DELTAS
+    ]
+    found = [monte_carlo(*key, episodes) for key in keys]
+    table = pd.DataFrame(keys, columns=["case", "gravity", "delta"])
+    errors = [each.standard_error for each in found]
+    return table.assign(value=[each.value for each in found], standard_error=errors, episodes=episodes)
 
 
 @functools.cache
@@ -65,8 +64,7 @@ def table() -> pd.DataFrame:
 
 def values(case: str, gravity: float, column: str = "value") -> Array:
     """(6,) values at each of ``DELTAS``, or their standard errors."""
-    found = table()
-    own = found[(found.case == case) & (found.gravity == gravity)].set_index("delta")[column]
+    own = table().query("case == @case and gravity == @gravity").set_index("delta")[column]
     return np.asarray(own.reindex(DELTAS), dtype=np.float64)
 
 

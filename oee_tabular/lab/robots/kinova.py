@@ -6,6 +6,7 @@ the controller by every estimator. Values are mean discounted costs over the goa
 
 from __future__ import annotations
 
+import copy
 import functools
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from oee_tabular.continuous import kinova
 from oee_tabular.continuous.discretization import Discretization, discretize
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.findings import percent, reach
@@ -25,6 +27,7 @@ from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
 from oee_tabular.lab.robots import frequencies
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio import TransitionRatio, transition_ratio
+from oee_tabular.simulate import sample_episodes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,9 +41,13 @@ TARGETS: dict[str, dict[str, float]] = {
 }  # fmt: skip
 POLICIES = (0.0, 0.3)  # delta: the controller itself, and with 30 % of random commands
 N_RUNS, CONVERGED = 10, 50  # runs to each goal: recorded, and for a value without noise
+RUNS = (len(kinova.GOALS), N_RUNS, kinova.HORIZON)  # the shape of a log
+DISCOUNTS = 0.99 ** np.arange(kinova.HORIZON)
 EPSILON, STRENGTH = 0.1, 3.0  # of the defensive simulator, and of the ties (moves for each command)
 TRUE, OEE, SIMULATOR = "true value, 50 runs", "OEE, tied, exact", "simulator, 50 runs"
+RESIDUAL = "residual, 250 runs"
 PUBLISHED = {TRUE: "true_value", OEE: "oee", SIMULATOR: "simulator"}
+REFERENCE, UNIT = "velocity x 1.4", "mean discounted cost over 5 goals (m), T = 25"
 PUBLISHED_SD = {TRUE: 0.016, OEE: 0.101, SIMULATOR: 0.170}
 
 
@@ -49,48 +56,52 @@ def arm_of(target: str) -> kinova.KinovaArm:
     return kinova.KinovaArm(**({} if target == "simulator" else TARGETS[target]))  # type: ignore[arg-type]
 
 
-@functools.lru_cache(maxsize=2)
-def simulators() -> tuple[Discretization, Discretization]:
-    """The simulator of the hand's position on the grid, and its defensive mixture."""
+@functools.cache
+def simulators() -> tuple[tuple[Discretization, IntArray], tuple[Discretization, IntArray]]:
+    """The simulator of the hand's position on the grid, and its defensive mixture, each with its ties."""
     defensive = discretize(kinova.fit_hand(arm_of("simulator")), floor=EPSILON, closure_episodes=0)
-    return replace(defensive, mdp=defensive.plain), defensive
+    plain = replace(defensive, mdp=defensive.plain)
+    return (plain, plain.displacement_ties()), (defensive, defensive.displacement_ties())
 
 
-@functools.lru_cache(maxsize=2)
-def ties() -> tuple[IntArray, IntArray]:
-    """The ties of both."""
-    plain, defensive = simulators()
-    return plain.displacement_ties(), defensive.displacement_ties()
-
-
-@functools.lru_cache(maxsize=8)
+@functools.cache
 def controller(goal: int) -> tuple[Array, Array]:
     """(S, 27) the controller to a goal and (S,) the rewards for it, on the grid."""
-    plain = simulators()[0]
+    plain = simulators()[0][0]
     costs = kinova.ideal_hand().towards(goal).costs(plain.points)
     return plain.policy(kinova.kinova_policy(goal)), plain.places.mean(costs)
 
 
-@functools.lru_cache(maxsize=4)
+@functools.cache
 def grid_values(target: str) -> dict[str, dict[float, Array]]:
     """name -> delta -> values of the goals on the grid: of the simulators, and of the target itself (the oracle)."""
-    plain, defensive = simulators()
+    (plain, _), (defensive, _) = simulators()
     own = discretize(kinova.fit_hand(arm_of(target)), cells=plain, closure_episodes=0)
     models = {"simulator on the grid": plain, "defensive simulator on the grid": defensive, "oracle on the grid": own}
     return {name: goal_values(model.mdp) for name, model in models.items()}
 
 
-@functools.lru_cache(maxsize=16)
+@functools.cache
 def converged(target: str, delta: float) -> Array:
     """(5,) Monte Carlo values of the goals in the arm itself, 50 runs each."""
-    arm = arm_of(target)
-    found = [
-        monte_carlo_value(
-            replace(arm, goal=g), kinova.kinova_policy(g, delta), CONVERGED, kinova.HORIZON, seed=[9, g]
-        ).value
-        for g in range(len(kinova.GOALS))
-    ]
-    return np.array(found)
+    return simulated_values(arm_of(target), delta)
+
+
+def simulated_values(task: Any, delta: float) -> Array:
+    """(5,) Monte Carlo values of the goals, 50 runs each: in an arm or in a corrected one."""
+    goals, horizon = range(len(kinova.GOALS)), kinova.HORIZON
+    policies = [kinova.kinova_policy(g, delta) for g in goals]
+    found = [monte_carlo_value(towards(task, g), policies[g], CONVERGED, horizon, seed=[9, g]) for g in goals]
+    return np.array([each.value for each in found])
+
+
+def towards(task: Any, goal: int) -> Any:
+    """The arm, or the corrected one, with another goal: the step is the same."""
+    if not isinstance(task, ResidualSimulator):
+        return task.towards(goal)
+    again = copy.copy(task)
+    again.task = towards(task.task, goal)
+    return again
 
 
 def goal_values(mdp: FiniteMDP) -> dict[float, Array]:
@@ -114,22 +125,23 @@ def goal_values(mdp: FiniteMDP) -> dict[float, Array]:
 
 def run_values(log: ContinuousTransitions) -> Array:
     """(5,) mean discounted cost of the runs to each goal."""
-    assert log.reward is not None
-    costs = log.reward.reshape(len(kinova.GOALS), N_RUNS, kinova.HORIZON)
-    return np.asarray((costs @ 0.99 ** np.arange(kinova.HORIZON)).mean(axis=1))
+    return np.asarray((np.reshape(log.reward, RUNS) @ DISCOUNTS).mean(axis=1))  # type: ignore[arg-type]
 
 
 def importance_sampling(log: ContinuousTransitions, delta: float) -> Array:
-    """(5,) per-decision importance sampling from the runs themselves."""
-    assert log.reward is not None
-    assert log.behavior_probability is not None
-    shape = (len(kinova.GOALS), N_RUNS, kinova.HORIZON)
+    """(5,) per-decision importance sampling from the runs themselves; r_t is paid by the state alone."""
+    goal = np.repeat(np.arange(len(kinova.GOALS)), len(log) // len(kinova.GOALS))
     chosen = np.empty(len(log))
-    for g, rows in enumerate(np.split(np.arange(len(log)), len(kinova.GOALS))):
+    for g in range(len(kinova.GOALS)):
+        rows = np.flatnonzero(goal == g)
         chosen[rows] = kinova.kinova_policy(g, delta)(log.state[rows])[np.arange(len(rows)), log.action[rows]]
-    weight = np.cumprod((chosen / log.behavior_probability).reshape(shape), axis=2)
-    weight = np.concatenate([np.ones((*shape[:2], 1)), weight[:, :, :-1]], axis=2)  # r_t is paid by the state alone
-    return np.asarray((weight * log.reward.reshape(shape) @ 0.99 ** np.arange(kinova.HORIZON)).mean(axis=1))
+    weight = weights_before(np.reshape(chosen / log.behavior_probability, RUNS))  # type: ignore[operator]
+    return np.asarray((weight * np.reshape(log.reward, RUNS) @ DISCOUNTS).mean(axis=1))  # type: ignore[arg-type]
+
+
+def weights_before(ratios: Array) -> Array:
+    """The product of the ratios of earlier steps, at each step."""
+    return np.concatenate([np.ones_like(ratios[..., :1]), np.cumprod(ratios, axis=-1)[..., :-1]], axis=-1)
 
 
 def product_values(
@@ -137,25 +149,15 @@ def product_values(
 ) -> tuple[Array, Array]:
     """The paper's product of ratios over 10 simulated runs to each goal: (5,) plain and (5,) self-normalised."""
     plain, normalized = [], []
-    matrix, n_actions = model.mdp.transitions, model.mdp.n_actions
     for g in range(len(kinova.GOALS)):
         policy, costs = controller(g)
-        policy = delta / n_actions + (1.0 - delta) * policy
-        states, ratio = np.empty((N_RUNS, kinova.HORIZON), dtype=np.int64), np.ones((N_RUNS, kinova.HORIZON))
-        for run in range(N_RUNS):
-            s = int(rng.choice(len(policy), p=model.mdp.initial))
-            for t in range(kinova.HORIZON):
-                states[run, t] = s
-                row = s * n_actions + int(rng.choice(n_actions, p=policy[s]))
-                entries = slice(matrix.indptr[row], matrix.indptr[row + 1])
-                entry = entries.start + int(rng.choice(entries.stop - entries.start, p=matrix.data[entries]))
-                s = int(matrix.indices[entry])
-                if t + 1 < kinova.HORIZON:  # r_t is paid by the state alone: its weight ends with zeta_t
-                    ratio[run, t + 1] = ratio[run, t] * zeta.values.data[entry]
-        weight = ratio
-        paid = costs[states] * 0.99 ** np.arange(kinova.HORIZON)
-        plain.append(float((weight * paid).mean(axis=0).sum()))
-        normalized.append(float(((weight * paid).sum(axis=0) / weight.sum(axis=0)).sum()))
+        policy = delta / policy.shape[1] + (1.0 - delta) * policy
+        runs = sample_episodes(model.mdp, policy, N_RUNS, kinova.HORIZON, seed=rng)
+        rows = runs.state * policy.shape[1] + runs.action
+        weight = weights_before(np.reshape(zeta.values[rows, runs.next_state], RUNS[1:]))
+        paid = weight * np.reshape(costs[runs.state], RUNS[1:])
+        plain.append(paid.mean(axis=0) @ DISCOUNTS)
+        normalized.append((paid.sum(axis=0) / weight.sum(axis=0)) @ DISCOUNTS)
     return np.array(plain), np.array(normalized)
 
 
@@ -165,18 +167,17 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     commands. removed: share of the simulator's error (of 250 runs) that is gone. zeta is tied over displacements, against a
     defensive simulator (10% of it displacements times 0.5 and 1.5, a change of the paper's fixed simulator; the plain one
     beside it); calibrated: plus the simulator's difference between 250 runs and the grid. uncovered: share of the log's
-    transitions without support, left_out: of states outside the grid. The paper's column has the real arm's numbers.
+    transitions without support, left_out: of states outside the grid. residual: the simulated arm corrected by what the log's
+    steps leave over its own, 250 runs. The paper's column has the real arm's numbers.
     """
     target, data = str(settings["target"]), float(settings["data"])
-    rng = stream.generator()
-    plain, defensive = simulators()
-    plain_tie, tie = ties()
+    rng, ((plain, plain_tie), (defensive, tie)) = stream.generator(), simulators()
     recorded = {
         delta: kinova.record_goals(arm_of(target), n_runs=N_RUNS, delta=delta, seed=rng)
         for delta in sorted({data, *POLICIES})
     }
-    log = recorded[data]
-    log = kinova.hand_log(log)
+    corrected = ResidualSimulator(arm_of("simulator"), recorded[data], seed=0)
+    log = kinova.hand_log(recorded[data])
     inside = ~(defensive.cells.outside(log.state) | defensive.cells.outside(log.next_state))
     counts = defensive.counts(log if inside.all() else log.select(inside))
     kept, uncovered = defensive.supported(counts)
@@ -205,23 +206,26 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
             "OEE, tied, exact, calibrated": values[OEE] + simulated - values["defensive simulator on the grid"],
             "OEE, tied, 50 simulated runs": product,
             "OEE, tied, 50 simulated runs, self-normalised": normalized,
+            RESIDUAL: simulated_values(corrected, delta),
             "PDIS": importance_sampling(recorded[data], delta),
         }
         apart = abs(simulated.mean() - truth.mean())
         for name in ORDER:
-            error = values[name].mean() - truth.mean()
-            row: Row = {"policy": delta, "estimator": name, "value": values[name].mean(), "error": error}
+            value = values[name].mean()
+            row: Row = {"policy": delta, "estimator": name, "value": value, "error": value - truth.mean()}
             row |= {
-                "removed": 1.0 - abs(error) / apart,
-                "uncovered": models.get(name, (None, 0.0))[1],
+                "removed": 1.0 - abs(value - truth.mean()) / apart,
+                "uncovered": 0.0,
                 "left_out": 1.0 - inside.mean(),
             }
-            rows.append(row | {f"goal_{g}": float(value) for g, value in enumerate(values[name])})
+            if name in models:
+                row["uncovered"] = models[name][1]
+            rows.append(row | {f"goal_{g}": float(x) for g, x in enumerate(values[name])})
     return rows
 
 
 ORDER = (
-    TRUE, OEE, SIMULATOR, "OEE, tied, exact, calibrated", "OEE, tied, 50 simulated runs",
+    TRUE, OEE, SIMULATOR, RESIDUAL, "OEE, tied, exact, calibrated", "OEE, tied, 50 simulated runs",
     "OEE, tied, 50 simulated runs, self-normalised", "OEE, tied, exact, plain simulator", "OEE, not tied",
     "model-based", "PDIS", "oracle on the grid", "simulator on the grid", "defensive simulator on the grid",
     "true value, 250 runs", "simulator, 250 runs",
@@ -236,9 +240,6 @@ def published(summary: pd.DataFrame) -> list[float]:
     ]
 
 
-REFERENCE = "velocity x 1.4"
-
-
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     """Mean and standard deviation over the seeds of every estimator of the controller; Table I of the paper."""
     from oee_tabular.plots import plot_intervals
@@ -249,15 +250,13 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     axes = panels(figure, [*names, "the paper's Table I (the real arm)"], columns=2, size=(6.4, 4.6))
     for ax, (target, data) in zip(axes, cases, strict=False):
         shown = part[(part.target == target) & (part.data == data)].set_index("estimator")
-        truth = float(shown.loc["true value, 250 runs", "value_mean"])
         mean, sd = shown["value_mean"], shown["value_sd"].fillna(0.0)
+        truth = float(mean["true value, 250 runs"])
         ends = (1.25 * min(truth, mean[SIMULATOR]), 0.75 * max(truth, mean[SIMULATOR]))
         plot_intervals(list(shown.index), mean, mean - sd, mean + sd, ax, truth=truth, limits=ends, xlabel=UNIT)
-    known = np.array([paper_value(name) for name in PUBLISHED])
-    sd = np.array([PUBLISHED_SD[name] for name in PUBLISHED])
-    plot_intervals(
-        ["true value", "OEE", "simulator"], known, known - sd, known + sd, axes[-1], truth=known[0], xlabel=UNIT
-    )
+    mean, sd = np.array([paper_value(name) for name in PUBLISHED]), np.array([PUBLISHED_SD[name] for name in PUBLISHED])
+    names = ["true value", "OEE", "simulator"]
+    plot_intervals(names, mean, mean - sd, mean + sd, axes[-1], truth=mean[0], xlabel=UNIT)
 
 
 def finding(table: pd.DataFrame) -> str:
@@ -266,9 +265,6 @@ def finding(table: pd.DataFrame) -> str:
     means = own.groupby(["target", "data"], sort=False).removed.mean()
     parts = [f"{reach(means[target], percent)} ({target})" for target in own.target.unique()]
     return f"Exact OEE, tied, removes {', '.join(parts)} of the simulator's error"
-
-
-UNIT = "mean discounted cost over 5 goals (m), T = 25"
 
 
 def paper_value(name: str) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,12 +17,10 @@ from oee_tabular.continuous.episodes import paired_returns, record
 from oee_tabular.continuous.history import HistoryTask
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.reacher.expert import reacher_policy
-from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 from oee_tabular.lab.robots.cartpole_truth import DELTAS as CARTPOLE_DELTAS
 from oee_tabular.lab.robots.changes import classic
-from oee_tabular.lab.robots.changes.chain import Chain, braking
-from oee_tabular.lab.robots.kinova import TARGETS
+from oee_tabular.lab.robots.kinova import arm_of, towards
 from oee_tabular.lab.robots.reacher import DELTAS as REACHER_DELTAS
 from oee_tabular.lab.robots.reacher import Even
 
@@ -96,15 +93,6 @@ class Arm(Case):
         return np.asarray(np.mean(found, axis=0))
 
 
-def towards(task: Any, goal: int) -> Any:
-    """The arm, or the corrected one, with another goal: the step is the same."""
-    if not isinstance(task, ResidualSimulator):
-        return task.towards(goal)
-    again = copy.copy(task)
-    again.task = towards(task.task, goal)
-    return again
-
-
 class Delayed(HistoryTask):
     """The task does what was asked for a step ago."""
 
@@ -134,7 +122,7 @@ _CARTPOLE = Case(
 _PENDULUM = Case("Pendulum", classic.Pendulum(), classic.Pendulum(), classic.swinging, grid=(41, 41))
 _CAR = Case("MountainCar", classic.MountainCar(), classic.MountainCar(), classic.rocking, grid=(40, 40))
 _ACROBOT = Case("Acrobot", classic.Acrobot(), classic.Acrobot(), classic.pumping, horizon=500)
-_CHAIN = Case("Chain", Chain(), Chain(), braking, sizes=(20_000, 150_000), horizon=100)
+_CHAIN = Case("Chain", classic.Chain(), classic.Chain(), classic.braking, sizes=(20_000, 150_000), horizon=100)
 
 
 def _reacher(length: float) -> Case:
@@ -145,9 +133,8 @@ def _reacher(length: float) -> Case:
 
 
 def _arm(name: str) -> Case:
-    target = kinova.KinovaArm(**TARGETS[name])  # type: ignore[arg-type]
     return Arm(
-        "Kinova", kinova.KinovaArm(), target, functools.partial(kinova.kinova_policy, 0), sizes=(1250,),
+        "Kinova", arm_of("simulator"), arm_of(name), functools.partial(kinova.kinova_policy, 0), sizes=(1250,),
         deltas=(0.0, 0.3), horizon=kinova.HORIZON, episodes=100,
     )  # fmt: skip
 
@@ -177,6 +164,6 @@ CASES: dict[str, Case] = {
     "Reacher, long": _reacher(0.2),
     "Kinova, velocity x 1.4": _arm("velocity x 1.4"),
     "Kinova, six causes": _arm("everything"),
-    "Chain, mass, springs": replace(_CHAIN, target=Chain(mass=1.3, stiffness=1.4)),
-    "Chain, all at once": replace(_CHAIN, target=Chain(1.2, 1.6, 0.3, 0.3, 0.7, 0.03)),
+    "Chain, mass, springs": replace(_CHAIN, target=classic.Chain(mass=1.3, stiffness=1.4)),
+    "Chain, all at once": replace(_CHAIN, target=classic.Chain(1.2, 1.6, 0.3, 0.3, 0.7, 0.03)),
 }

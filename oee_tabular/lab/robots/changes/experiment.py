@@ -70,37 +70,32 @@ WITHOUT_LINEAR = ("Kinova",)  # 27 coordinates and 27 commands in 1250 moves
 
 def _row(case: Case, estimator: str, name: str, found: list[Array]) -> Row:
     """Values, errors, and how much of an error may be Monte Carlo's."""
-    apart = [returns - known(name, delta) for returns, delta in zip(found, case.deltas, strict=True)]
-    before = [known(name, delta, simulator=True) - known(name, delta) for delta in case.deltas]
-    errors, simulated = (np.array([x.mean() for x in each]) for each in (apart, before))
-    noise = [x.std() / np.sqrt(x.size) for x in apart]
-    error, of_simulator = float(np.abs(errors).mean()), float(np.abs(simulated).mean())
-    row: Row = {"estimator": estimator, "error": error, "share": error / of_simulator if of_simulator > 0 else np.nan}
-    row["noise"] = float(np.mean(noise))
     truth = [known(name, delta) for delta in case.deltas]
-    row["truth_standard_error"] = float(max(x.std() / np.sqrt(x.size) for x in truth))
-    for delta, e, x in zip(case.deltas, errors, truth, strict=True):
-        row |= {f"error_{delta:g}": float(e), f"truth_{delta:g}": float(x.mean())}
+    apart = [returns - right for returns, right in zip(found, truth, strict=True)]
+    before = [known(name, delta, simulator=True) - right for delta, right in zip(case.deltas, truth, strict=True)]
+    error, of_simulator = (float(np.mean([abs(x.mean()) for x in each])) for each in (apart, before))
+    noise, truth_noise = ([x.std() / np.sqrt(x.size) for x in each] for each in (apart, truth))
+    row: Row = {"estimator": estimator, "error": error, "share": error / of_simulator if of_simulator > 0 else np.nan}
+    row |= {"noise": float(np.mean(noise)), "truth_standard_error": float(max(truth_noise))}
+    for delta, e, x in zip(case.deltas, apart, truth, strict=True):
+        row |= {f"error_{delta:g}": float(e.mean()), f"truth_{delta:g}": float(x.mean())}
     return row
 
 
 def _on_grid(case: Case, name: str, log: ContinuousTransitions) -> dict[str, list[Array]]:
     """The log's zeta on a grid of the task's features, raw and calibrated by the simulator's ratio."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # states outside, moves without support: left out here
+    with warnings.catch_warnings(action="ignore"):  # states outside, transitions without support: left out here
         model = discretize(case.simulator, log, cells=case.grid, floor=FLOOR, closure_episodes=0)
         counts, _ = model.supported(model.counts(log, outside="drop"))
     zeta = transition_ratio(counts, model.mdp, prior="simulator", strength=STRENGTH)
     corrected = zeta.target_model(model.mdp)
-    raw, mended = [], []
+    found: dict[str, list[Array]] = {CALIBRATED: [], GRID: []}
     for delta in case.deltas:
-        policy = model.policy(case.acting(delta))
-        value, inside = (
-            case.scale * policy_value(mdp, policy, horizon=case.horizon) for mdp in (corrected, model.plain)
-        )
-        raw.append(np.full(case.episodes, value))
-        mended.append(np.full(case.episodes, value * known(name, delta, simulator=True).mean() / inside))
-    return {CALIBRATED: mended, GRID: raw}
+        policy, simulated = model.policy(case.acting(delta)), known(name, delta, simulator=True).mean()
+        value, inside = (policy_value(mdp, policy, horizon=case.horizon) for mdp in (corrected, model.plain))
+        found[CALIBRATED].append(np.full(case.episodes, value * simulated / inside))
+        found[GRID].append(np.full(case.episodes, case.scale * value))
+    return found
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
