@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -48,12 +49,14 @@ def _connect(address: str) -> Any:
         raise OSError(f"no dask scheduler answers at {address!r}: {error}") from None
 
 
-def end_with_parent(parent: int) -> None:
-    """In a worker: a thread that ends it once ``parent`` is gone, which a SIGKILL leaves no time to say."""
+def end_with_parent(parent: int, *, with_group: bool = False) -> None:
+    """In a worker: a thread that ends it, or its group, once ``parent`` is gone, which a SIGKILL leaves no time to say."""
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH)
+        if with_group:
+            os.killpg(0, signal.SIGKILL)
         os._exit(1)
 
     if os.name == "posix":  # elsewhere getppid names a parent that is gone

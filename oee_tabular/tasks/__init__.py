@@ -11,15 +11,12 @@ from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_text
 
 if TYPE_CHECKING:  # the rest is the wing's, imported on use
+    # fmt: off
+    # isort: off
     from oee_tabular.continuous.cartpole.dynamics import CartPole
     from oee_tabular.continuous.cartpole.expert import cartpole_policy, train_expert
-    from oee_tabular.continuous.discretization import (
-        Discretization,
-        GridInterpolation,
-        VisitedCells,
-        discretize,
-        visited_states,
-    )
+    from oee_tabular.continuous.discretization import Discretization, GridInterpolation, VisitedCells, discretize
+    from oee_tabular.continuous.discretization import visited_states
     from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
@@ -36,56 +33,19 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.residual_value import corrected_value
     from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
+    # isort: on
+    # fmt: on
 
 __all__ = [
-    "CartPole",
-    "ContinuousSimulator",
-    "ContinuousTask",
-    "Discretization",
-    "Embedded",
-    "GridInterpolation",
-    "GymnasiumTask",
-    "HistoryTask",
-    "KinovaArm",
-    "KinovaHand",
-    "LinearModel",
-    "LinearReacher",
-    "MonteCarlo",
-    "Moves",
-    "NamedTask",
-    "ParameterFit",
-    "Reacher",
-    "ResidualSimulator",
-    "Settings",
-    "StatePolicy",
-    "VisitedCells",
-    "cartpole_policy",
-    "corrected_value",
-    "discretize",
-    "embedded_default",
-    "evaluate_continuous",
-    "fit_hand",
-    "fit_parameters",
-    "gridworld",
-    "gridworld_expert",
-    "gridworld_policy",
-    "gymnasium_simulator",
-    "hand_log",
-    "kinova_policy",
-    "load_kinova_log",
-    "make_environment",
-    "monte_carlo_value",
-    "named_task",
-    "reacher_log",
-    "reacher_policy",
-    "record",
-    "record_episodes",
-    "record_goals",
-    "resimulate",
-    "toy_text",
-    "train_expert",
+    "CartPole", "ContinuousSimulator", "ContinuousTask", "Discretization", "Embedded", "GridInterpolation",
+    "GymnasiumTask", "HistoryTask", "KinovaArm", "KinovaHand", "LinearModel", "LinearReacher", "MonteCarlo", "Moves",
+    "NamedTask", "ParameterFit", "Reacher", "ResidualSimulator", "Settings", "StatePolicy", "VisitedCells",
+    "cartpole_policy", "corrected_value", "discretize", "embedded_default", "evaluate_continuous", "fit_hand",
+    "fit_parameters", "gridworld", "gridworld_expert", "gridworld_policy", "gymnasium_simulator", "hand_log",
+    "kinova_policy", "load_kinova_log", "make_environment", "monte_carlo_value", "named_task", "reacher_log",
+    "reacher_policy", "record", "record_episodes", "record_goals", "resimulate", "toy_text", "train_expert",
     "visited_states",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

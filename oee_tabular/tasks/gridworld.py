@@ -14,20 +14,12 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array
 from oee_tabular.mdp import FiniteMDP, mix
 from oee_tabular.mdp.policies import deterministic_policy
 
 MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 STATE_BYTES = 1800.0  # that are taken for each state while an MDP is made, measured
-
-
-def _destinations(size: int) -> IntArray:
-    """(S, 4): where each direction leads, walls included."""
-    row, column = np.divmod(np.arange(size * size), size)
-    to_row = np.clip(row[:, None] + MOVES[:, 0], 0, size - 1)
-    to_column = np.clip(column[:, None] + MOVES[:, 1], 0, size - 1)
-    return np.asarray(to_row * size + to_column)
 
 
 def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next", discount: float = 0.99) -> FiniteMDP:
@@ -54,29 +46,23 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
         raise ValueError(f"size must be at least 2; it is {n}")
     wrong = _checks.number_in(slip, "slip", 0.0, 1.0)
     _checks.one_of(pay, "pay", ("next", "current"))
-    n_states = n * n
-    goal = n_states - 1
-    destinations = _destinations(n)
-    destinations[goal] = goal
+    cells = np.stack(np.divmod(np.arange(n * n), n), axis=1)
+    row, column = np.clip(cells[:, None] + MOVES, 0, n - 1).transpose(2, 0, 1)  # (S, 4), walls included
+    next_cells = np.repeat(row * n + column, 4, axis=0)  # for each action, the four directions
+    next_cells[-4:] = n * n - 1  # the goal
     weights = np.full((4, 4), wrong / 3.0)
     np.fill_diagonal(weights, 1.0 - wrong)
-    rows = np.repeat(np.arange(n_states * 4), 4)
-    columns = np.repeat(destinations, 4, axis=0).reshape(-1)  # for each action, the four directions
-    data = np.tile(weights.reshape(-1), n_states)
-    data[goal * 16 :] = np.tile([1.0, 0.0, 0.0, 0.0], 4)  # exactly 1, which the sum of the four need not be
-    transitions = sparse.csr_array((data, (rows, columns)), shape=(n_states * 4, n_states))
-    row, column = np.divmod(np.arange(n_states), n)
-    payment = 0.2 * (row + column - (2 * n - 2))
-    rewards: Array | sparse.csr_array = payment
+    weights = np.tile(weights, (n * n, 1))
+    weights[-4:] = [1.0, 0.0, 0.0, 0.0]  # exactly 1, which the sum of the four need not be
+    pointers = np.arange(0, 16 * n * n + 1, 4)
+    transitions = sparse.csr_array((weights.ravel(), next_cells.ravel(), pointers), shape=(4 * n * n, n * n))
+    rewards: Array | sparse.csr_array = 0.2 * (cells.sum(axis=1) - (2 * n - 2))
     if pay == "next":
         transitions.sum_duplicates()
         transitions.eliminate_zeros()
-        rewards = sparse.csr_array(
-            (payment[transitions.indices], transitions.indices, transitions.indptr), transitions.shape
-        )
-    initial = np.zeros(n_states)
-    initial[0] = 1.0
-    return FiniteMDP(transitions, rewards, initial, discount, layout=np.column_stack([row, column]))
+        entries = rewards[transitions.indices], transitions.indices, transitions.indptr
+        rewards = sparse.csr_array(entries, transitions.shape)
+    return FiniteMDP(transitions, rewards, np.eye(1, n * n)[0], discount, layout=cells)
 
 
 def gridworld_expert(size: int) -> Array:

@@ -79,14 +79,14 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     >>> named_task("FrozenLake-v1:is_slippery=False", discount=0.9).mdp
     FiniteMDP(16 states, 4 actions, 64 transitions, rewards r(s, a, s'), discount 0.9)
     """
-    _checks.instance(spec, str, "spec")
+    name, _, rest = _checks.instance(spec, str, "spec").partition(":")
+    given = {} if discount is None else {"discount": discount}
     if Path(spec).suffix.lower() == ".npz":
         mdp = FiniteMDP.load(spec)
         mdp = mdp if discount is None else mdp.with_discount(discount)
         return NamedTask(spec, mdp, lambda: _plan(mdp))
-    given = {} if discount is None else {"discount": discount}
-    if spec.partition(":")[0] == "gridworld":
-        positional, keywords = arguments(spec.partition(":")[2])
+    if name == "gridworld":
+        positional, keywords = arguments(rest)
         try:
             bound = inspect.signature(gridworld).bind(*positional, **(keywords | given))
         except TypeError as error:
@@ -99,8 +99,8 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         model = simulator.discretize(**({"discount": 0.99} | given))
         expert = lambda: model.policy(simulator.policy("expert"))  # noqa: E731
         return NamedTask(spec, model.mdp, expert, continuous=simulator, discretization=model)
-    environment_exists(spec.partition(":")[0], ("gridworld", *wing.CONTINUOUS))
-    name, keywords = parse_spec(spec)
+    environment_exists(name, ("gridworld", *wing.CONTINUOUS))
+    _, keywords = parse_spec(spec)
     mdp = toy_text(name, **(keywords | given))
     keywords.pop("discount", None)
     return NamedTask(spec, mdp, lambda: _plan(mdp), lambda: make_environment(name, **keywords))

@@ -14,8 +14,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._progress import progress_bar
 from oee_tabular.data import Transitions
-from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.policies import policy_table
+from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.mdp.policies import count_dimensions
 
 
 def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
@@ -133,9 +133,12 @@ def record_episodes(
     _checks.require_memory(8.0 * (limit or 0), "n_transitions", limit)
     episodes = None if n_episodes is None else _checks.positive_integer(n_episodes, "n_episodes")
     longest = None if max_steps is None else _checks.positive_integer(max_steps, "max_steps")
-    pi = _table(policy, *_sizes(env))
+    sizes = [_count(env, name) for name in ("observation_space", "action_space")]
+    n_rows = len(policy) if count_dimensions(policy) == 2 else 0  # type: ignore[arg-type]
+    numbered = SimpleNamespace(n_states=max(n_rows, sizes[0]), n_actions=sizes[1], terminal_state=np.arange(sizes[0]))
+    pi = check_policy(policy, numbered)
     rows = _step(env, pi, limit, episodes, longest, _checks.generator(seed))
-    states, actions, next_states, rewards, terminated, truncated, numbers = map(np.array, zip(*rows, strict=True))
+    states, actions, next_states, rewards, terminated, truncated, episode = map(np.array, zip(*rows, strict=True))
     truncated[-1] = True  # unless it terminated
     return Transitions(
         states,
@@ -144,9 +147,17 @@ def record_episodes(
         rewards,
         terminated=terminated,
         truncated=truncated & ~terminated,
-        episode=numbers,
+        episode=episode,
         behavior_probability=pi[states, actions],
     )
+
+
+def _count(env: object, name: str) -> int:
+    """The number of observations, or of actions."""
+    space: object = getattr(env, name, None)
+    if not hasattr(space, "n") or int(getattr(space, "start", 0)) != 0:
+        raise ValueError(f"env.{name} must be Discrete, from 0; it is {space}")
+    return int(space.n)
 
 
 def _step(
@@ -159,38 +170,17 @@ def _step(
     first_seed: int | None = int(generator.integers(2**31))
     progress = progress_bar("recording", total=limit or episodes)
     for episode in itertools.count() if episodes is None else range(episodes):
-        state, ended, steps = int(env.reset(seed=first_seed)[0]), False, 0
+        state, has_ended, steps = int(env.reset(seed=first_seed)[0]), False, 0
         first_seed = None
-        while not ended and len(rows) != limit:
+        while not has_ended and len(rows) != limit:
             action = int(np.searchsorted(cumulative[state], generator.random(), side="right"))
-            following, reward, terminated, truncated, _ = env.step(action)
+            next_state, reward, terminated, truncated, _ = env.step(action)
             steps += 1
             truncated = bool(truncated) or steps == longest
-            rows.append((state, action, int(following), float(reward), bool(terminated), truncated, episode))
-            state, ended = int(following), bool(terminated) or truncated
-            progress.update(1 if limit is not None else int(ended))
+            rows.append((state, action, int(next_state), float(reward), bool(terminated), truncated, episode))
+            state, has_ended = int(next_state), bool(terminated) or truncated
+            progress.update(1 if limit is not None else int(has_ended))
         if len(rows) == limit:
             break
     progress.close()
     return rows
-
-
-def _table(policy: PolicyLike, n_states: int, n_actions: int) -> Array:
-    """A policy, an action for each observation, a mapping or a function of them, as (S, A); S may be more."""
-    numbered = SimpleNamespace(n_states=n_states, n_actions=n_actions, terminal_state=np.arange(n_states))
-    pi = _checks.float_array(policy_table(policy, numbered, "policy"), "policy", ndim=2)
-    if pi.shape[0] < n_states or pi.shape[1] != n_actions:
-        raise ValueError(f"policy must have shape ({n_states}, {n_actions}); it has shape {pi.shape}")
-    _checks.require_nonnegative(pi, "policy")
-    _checks.require_sums_to_one(pi.sum(axis=1), "policy")
-    return pi
-
-
-def _sizes(env: object) -> tuple[int, int]:
-    sizes = []
-    for name in ("observation_space", "action_space"):
-        space: object = getattr(env, name, None)
-        if not hasattr(space, "n") or int(getattr(space, "start", 0)) != 0:
-            raise ValueError(f"env.{name} must be Discrete, from 0; it is {space}")
-        sizes.append(int(space.n))
-    return sizes[0], sizes[1]

@@ -23,6 +23,7 @@ Equalities hold to 1e-8. Means are over logs of 4800 episodes: a t test, which a
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.testing.cases import CASES, Case, case, padded_log, relabelled_log
@@ -33,37 +34,18 @@ if TYPE_CHECKING:
     from oee_tabular.testing.strategies import horizons, logs, mdp_pairs, mdps, policies
 
 _STRATEGIES = ("horizons", "logs", "mdp_pairs", "mdps", "policies")
-
 __all__ = [
-    "CASES",
-    "CLAIMS",
-    "DEFAULT",
-    "LAWS",
-    "Case",
-    "Comparison",
-    "Verdict",
-    "Verdicts",
-    "case",
-    "check_estimator",
-    "claims_of",
-    "compare_with_oracle",
-    "horizons",
-    "logs",
-    "mdp_pairs",
-    "mdps",
-    "padded_log",
-    "policies",
+    "CASES", "CLAIMS", "DEFAULT", "LAWS", "Case", "Comparison", "Verdict", "Verdicts", "case", "check_estimator",
+    "claims_of", "compare_with_oracle", "horizons", "logs", "mdp_pairs", "mdps", "padded_log", "policies",
     "relabelled_log",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name in _STRATEGIES:  # hypothesis is imported on use
-        from oee_tabular.testing import strategies
-
-        return getattr(strategies, name)
-    raise AttributeError(f"module 'oee_tabular.testing' has no attribute {name!r}")
+    if name not in _STRATEGIES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module("oee_tabular.testing.strategies"), name)  # hypothesis is imported on use
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return __all__

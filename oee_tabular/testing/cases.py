@@ -8,9 +8,9 @@ a line, in the order of their numbers (``layout``): renamed states keep their pl
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,12 +86,8 @@ class Case:
 
     def problem_of(self, log: Transitions) -> Problem:
         """The problem of a log, on copies of everything."""
-        return Problem(
-            copy.deepcopy(self.simulator),
-            Transitions(**log.columns()),
-            horizon=self.horizon,
-            behavior_policy=self.behavior.copy(),
-        )
+        simulator, own_log = copy.deepcopy(self.simulator), Transitions(**log.columns())
+        return Problem(simulator, own_log, horizon=self.horizon, behavior_policy=self.behavior.copy())
 
     def with_rewards(self, scale: float, shift: float) -> Case:
         """The same with rewards scale * r + shift, in every state."""
@@ -109,13 +105,8 @@ class Case:
         new_states = _permutation(states, "states", self.simulator.n_states)
         new_actions = _permutation(actions, "actions", self.simulator.n_actions)
         old = np.ix_(np.argsort(new_states), np.argsort(new_actions))
-        return replace(
-            self,
-            simulator=_relabel(self.simulator, old),
-            target=_relabel(self.target, old),
-            policy=self.policy[old],
-            behavior=self.behavior[old],
-        )
+        simulator, target = (_relabel(mdp, old) for mdp in (self.simulator, self.target))
+        return replace(self, simulator=simulator, target=target, policy=self.policy[old], behavior=self.behavior[old])
 
 
 def pair_shares(target: FiniteMDP, behavior: Array, steps: int) -> Array:
@@ -180,10 +171,12 @@ def padded_log(log: Transitions, actions: Sequence[int], probability: float) -> 
     (4, 2, 8)
     """
     starts, n = log.episode_starts, len(actions)
-    if starts is None or log.episode is None:
+    if starts is None:
         raise ValueError("log must have episodes; it has none")
+    columns = log.columns()
     last = starts[1:] - 1
     last = last[log.terminated[last]]
+    columns["terminated"] = columns["terminated"] & ~np.isin(np.arange(len(log)), last)
     end = np.repeat(log.next_state[last], n)
     more: dict[str, Any] = {
         "state": end,
@@ -191,14 +184,11 @@ def padded_log(log: Transitions, actions: Sequence[int], probability: float) -> 
         "next_state": end,
         "reward": 0.0,
         "terminated": np.tile(np.arange(n) == n - 1, len(last)),
-        "episode": np.repeat(log.episode[last], n),
+        "episode": np.repeat(columns["episode"][last], n),
         "behavior_probability": probability,
     }
-    columns = log.columns()
-    columns["terminated"] = columns["terminated"] & ~np.isin(np.arange(len(log)), last)
-    return Transitions(
-        **{name: np.insert(columns[name], np.repeat(last + 1, n), new) for name, new in more.items() if name in columns}
-    )
+    after = np.repeat(last + 1, n)
+    return Transitions(**{name: np.insert(columns[name], after, new) for name, new in more.items() if name in columns})
 
 
 def _relabel(mdp: FiniteMDP, old: tuple[IntArray, ...]) -> FiniteMDP:
@@ -208,84 +198,67 @@ def _relabel(mdp: FiniteMDP, old: tuple[IntArray, ...]) -> FiniteMDP:
     rewards: Any = mdp.rewards[old]
     if mdp.transition_rewards is not None:
         rewards = mdp.transition_rewards[rows][:, states]
-    names = (
-        None if own is None else [own[k] for k in index]
-        for own, index in ((mdp.state_names, states), (mdp.action_names, actions))
-    )
     layout = None if mdp.layout is None else mdp.layout[states]
-    transitions = mdp.transitions[rows][:, states]
-    return FiniteMDP(transitions, rewards, mdp.initial[states], mdp.discount, layout=layout).with_names(*names)
+    new = FiniteMDP(mdp.transitions[rows][:, states], rewards, mdp.initial[states], mdp.discount, layout=layout)
+    names = ((mdp.state_names, states), (mdp.action_names, actions))
+    return new.with_names(*(None if own is None else [own[k] for k in index] for own, index in names))
 
 
-# ---- the cases: simulator, target, policy and behaviour of a discount ---------------------------------------------------
-
-Parts = tuple[FiniteMDP, FiniteMDP, Array, Array]
-_REWARDS = np.array([[4.0, -1.0], [2.0, 7.0], [-3.0, 5.0], [0.0, 0.0]])
-_TARGET = [[[3, 3, 3, 1], [1, 2, 2, 5]], [[5, 1, 1, 3], [2, 5, 2, 1]], [[1, 2, 2, 5], [3, 1, 3, 3]]]
-_SIMULATOR = [[[2, 2, 3, 3], [1, 2, 3, 4]], [[4, 1, 2, 3], [3, 3, 2, 2]], [[2, 2, 2, 4], [2, 2, 2, 4]]]
+# ---- the cases ----------------------------------------------------------------------------------------------------------
 
 
-def _terminating(tenths: object, discount: float) -> FiniteMDP:
-    """Three states that pay, each left for an absorbing one; ``tenths`` (3, 2, 4) are their transitions."""
-    transitions = np.zeros((4, 2, 4))
-    transitions[:3] = np.asarray(tenths) / 10.0
-    transitions[3, :, 3] = 1.0
-    return FiniteMDP(transitions, _REWARDS, np.array([0.8, 0.2, 0.0, 0.0]), discount, layout=np.arange(4))
+class _Pair(NamedTuple):
+    """Tables of transitions in tenths; a state that they only lead to is absorbing."""
+
+    simulator: Any
+    target: Any
+    rewards: Any
+    initial: Any
+    policy: Any
+    behavior: Any
+
+    def make(self, tenths: Any, discount: float) -> FiniteMDP:
+        transitions = np.array(tenths) / 10.0
+        n, n_actions, n_states = transitions.shape
+        absorbing = np.tile(np.eye(n_states)[n:, None], (1, n_actions, 1))
+        transitions = np.concatenate([transitions, absorbing])
+        return FiniteMDP(transitions, self.rewards, self.initial, discount, layout=np.arange(n_states))
 
 
-def _make_ragged(discount: float) -> Parts:
-    policy = np.array([[0.8, 0.2], [0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
-    behavior = np.array([[0.6, 0.4], [0.4, 0.6], [0.6, 0.4], [1.0, 0.0]])
-    return _terminating(_SIMULATOR, discount), _terminating(_TARGET, discount), policy, behavior
-
-
-def _make_moves(discount: float) -> Parts:
-    """Nothing ends, and a reward belongs to the transition."""
-    target = np.array([[[1, 7, 2], [5, 0, 5]], [[0, 2, 8], [6, 2, 2]], [[8, 2, 0], [3, 4, 3]]]) / 10.0
-    simulator = np.array([[[2, 5, 3], [4, 0, 6]], [[0, 4, 6], [4, 3, 3]], [[6, 4, 0], [4, 3, 3]]]) / 10.0
-    rewards = np.arange(18).reshape(3, 2, 3) * 7 % 11 - 3.0
-    rewards[:, :, 0] += 4.0
-    start = np.array([0.5, 0.5, 0.0])
-    pair = [FiniteMDP(table, rewards, start, discount, layout=np.arange(3)) for table in (simulator, target)]
-    return pair[0], pair[1], np.array([[0.7, 0.3], [0.2, 0.8], [0.6, 0.4]]), np.full((3, 2), 0.5)
-
-
-def _make_survival(discount: float) -> Parts:
-    """One action; alive pays 1. Episodes that ended count: without them the value would be sum gamma^t."""
-    pair = [
-        FiniteMDP([[[stay, 1 - stay]], [[0.0, 1.0]]], [1.0, 0.0], [1.0, 0.0], discount, layout=[0.0, 1.0])
-        for stay in (0.5, 0.7)
-    ]
-    return pair[0], pair[1], np.ones((2, 1)), np.ones((2, 1))
-
-
-def _make_partial(discount: float) -> Parts:
-    """Some (s, a) are never recorded, and the policy takes them."""
-    simulator, target, policy, behavior = _make_ragged(discount)
-    behavior[1] = [1.0, 0.0]
-    return simulator, target, policy, behavior
-
-
-def _make_violated(discount: float) -> Parts:
-    """The target moves where the simulator never does: from state 0 to state 2."""
-    _, target, policy, behavior = _make_ragged(discount)
-    tenths = np.array(_SIMULATOR)
-    tenths[0, :, 3] += tenths[0, :, 2]
-    tenths[0, :, 2] = 0
-    return _terminating(tenths, discount), target, policy, behavior
-
-
-_MADE: Mapping[str, tuple[Callable[[float], Parts], float, int | None, int]] = {  # discount, horizon, steps
-    "ragged": (_make_ragged, 0.9, 6, 6),
-    "ragged infinite": (_make_ragged, 0.8, None, 80),
-    "moves": (_make_moves, 1.0, 4, 5),
-    "moves infinite": (_make_moves, 0.3, None, 18),
-    "survival": (_make_survival, 0.9, 12, 12),
-    "survival infinite": (_make_survival, 0.9, None, 120),
-    "partial": (_make_partial, 0.9, 5, 5),
-    "partial infinite": (_make_partial, 0.5, None, 60),
-    "violated": (_make_violated, 0.9, 6, 6),
-    "violated infinite": (_make_violated, 0.9, None, 6),
+_RAGGED = _Pair(  # three states that pay, each left for an absorbing one
+    simulator=[[[2, 2, 3, 3], [1, 2, 3, 4]], [[4, 1, 2, 3], [3, 3, 2, 2]], [[2, 2, 2, 4], [2, 2, 2, 4]]],
+    target=[[[3, 3, 3, 1], [1, 2, 2, 5]], [[5, 1, 1, 3], [2, 5, 2, 1]], [[1, 2, 2, 5], [3, 1, 3, 3]]],
+    rewards=[[4.0, -1.0], [2.0, 7.0], [-3.0, 5.0], [0.0, 0.0]],
+    initial=[0.8, 0.2, 0.0, 0.0],
+    policy=[[0.8, 0.2], [0.3, 0.7], [0.5, 0.5], [1.0, 0.0]],
+    behavior=[[0.6, 0.4], [0.4, 0.6], [0.6, 0.4], [1.0, 0.0]],
+)
+_MOVES = _Pair(  # nothing ends, and a reward belongs to the transition
+    simulator=[[[2, 5, 3], [4, 0, 6]], [[0, 4, 6], [4, 3, 3]], [[6, 4, 0], [4, 3, 3]]],
+    target=[[[1, 7, 2], [5, 0, 5]], [[0, 2, 8], [6, 2, 2]], [[8, 2, 0], [3, 4, 3]]],
+    rewards=[[[1, 4, 0], [11, 3, -1]], [[10, 2, -2], [9, 1, -3]], [[8, 0, 7], [7, -1, 6]]],
+    initial=[0.5, 0.5, 0.0],
+    policy=[[0.7, 0.3], [0.2, 0.8], [0.6, 0.4]],
+    behavior=[[0.5, 0.5]] * 3,
+)
+_SURVIVAL = _Pair(  # alive pays 1. Episodes that ended count: without them the value would be sum gamma^t
+    [[[5, 5]]], [[[7, 3]]], rewards=[1.0, 0.0], initial=[1.0, 0.0], policy=np.ones((2, 1)), behavior=np.ones((2, 1))
+)
+# the policy takes an action that is never recorded
+_PARTIAL = _RAGGED._replace(behavior=[[0.6, 0.4], [1.0, 0.0], [0.6, 0.4], [1.0, 0.0]])
+# the simulator never moves from state 0 to state 2
+_VIOLATED = _RAGGED._replace(simulator=[[[2, 2, 0, 6], [1, 2, 0, 7]], *_RAGGED.simulator[1:]])
+_MADE: Mapping[str, tuple[_Pair, float, int | None, int]] = {  # discount, horizon, steps
+    "ragged": (_RAGGED, 0.9, 6, 6),
+    "ragged infinite": (_RAGGED, 0.8, None, 80),
+    "moves": (_MOVES, 1.0, 4, 5),
+    "moves infinite": (_MOVES, 0.3, None, 18),
+    "survival": (_SURVIVAL, 0.9, 12, 12),
+    "survival infinite": (_SURVIVAL, 0.9, None, 120),
+    "partial": (_PARTIAL, 0.9, 5, 5),
+    "partial infinite": (_PARTIAL, 0.5, None, 60),
+    "violated": (_VIOLATED, 0.9, 6, 6),
+    "violated infinite": (_VIOLATED, 0.9, None, 6),
 }
 CASES = tuple(_MADE)
 
@@ -304,9 +277,9 @@ def case(name: str) -> Case:
     >>> round(case("ragged").truth, 2), round(case("same ragged").truth, 2)
     (10.07, 10.07)
     """
-    _checks.instance(name, str, "name")
-    bare = name.removeprefix("same ")
+    bare = _checks.instance(name, str, "name").removeprefix("same ")
     _checks.one_of(bare, "name", CASES)
-    make, discount, horizon, steps = _MADE[bare]
-    pair = Case(name, *make(discount), horizon, steps)
-    return pair if bare == name else replace(pair, simulator=copy.deepcopy(pair.target))
+    pair, discount, horizon, steps = _MADE[bare]
+    simulator = pair.make(pair.simulator if bare == name else pair.target, discount)
+    policy, behavior = np.array(pair.policy), np.array(pair.behavior)
+    return Case(name, simulator, pair.make(pair.target, discount), policy, behavior, horizon, steps)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -18,6 +17,7 @@ from typing import Any
 
 from oee_tabular import _checks
 from oee_tabular._arguments import module_and_path, own_modules, own_object
+from oee_tabular._workers import end_with_parent
 from oee_tabular.estimators import Simulator
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.testing.conformance import (
@@ -25,9 +25,9 @@ from oee_tabular.testing.conformance import (
     Verdict,
     Verdicts,
     check_estimator,
+    check_law,
     check_numbers,
-    subject_of,
-    verdict_on,
+    make_subject,
 )
 
 EXAMPLE = "my_package.mine:MyEstimator"
@@ -59,30 +59,25 @@ def check(spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60
     seconds = _checks.number_in(timeout, "timeout", 0.0, LONGEST, open_ends=True)
     module_and_path(spec, "the estimator", EXAMPLE)
     verdicts: dict[str, Verdict] = {}
-    claims: frozenset[str] = frozenset()
-    while left := [name for name in LAWS if name not in verdicts]:
-        if sum(verdict.outcome == "hangs" for verdict in verdicts.values()) == MOST_HANGS:
-            for name in left:
-                owed = LAWS[name].is_claimed(claims)
-                verdicts[name] = Verdict(
-                    name, *(("not run", f"{MOST_HANGS} laws hang") if owed else ("not claimed", ""))
-                )
-            break
+    n_hangs = 0
+    while (left := [name for name in LAWS if name not in verdicts]) and n_hangs < MOST_HANGS:
         with _process(spec, seed, repetitions, left) as answer:
             answer(PREPARING)
             try:
-                title, claims, refusal = answer(seconds)
+                title, claims = answer(seconds)
             except Ended as ended:
                 raise ValueError(f"{spec!r} cannot be imported: {ended.text}") from None
-            if refusal is not None:
-                raise ValueError(refusal)
             for name in left:
                 try:
                     verdicts[name] = answer(seconds)
                 except Ended as ended:
                     example = f"check_estimator(..., laws=[{name!r}], seed={seed})"
                     verdicts[name] = Verdict(name, ended.outcome, ended.text, example)
+                    n_hangs += ended.outcome == "hangs"
                     break
+    for name in left:
+        is_claimed = LAWS[name].is_claimed(claims)
+        verdicts[name] = Verdict(name, *(("not run", f"{MOST_HANGS} laws hang") if is_claimed else ("not claimed", "")))
     return Verdicts(title, claims, seed, verdicts)
 
 
@@ -115,6 +110,8 @@ def _process(spec: str, seed: int, repetitions: int, laws: list[str]) -> Iterato
             except (EOFError, OSError):
                 process.join(5.0)
                 raise Ended("exits", f"{title}{_describe_end(process.exitcode)}") from None
+        if isinstance(message, ValueError):
+            raise message
         return message
 
     try:
@@ -142,28 +139,19 @@ def _run(answers: Connection, spec: str, seed: int, repetitions: int, laws: list
     """What the process does: it says that it is ready, what the estimator is or why there is none, and each verdict."""
     if hasattr(os, "setsid"):
         os.setsid()  # a group, with what the estimator starts
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent(os.getppid(), with_group=True)
     check_estimator(Simulator(), repetitions=3)  # compiles what laws need: the seconds are not the estimator's
     answers.send(None)  # ready
     with own_modules():
         try:
-            title, subject = subject_of(own_estimator(spec), seed, repetitions)
+            subject = make_subject(own_estimator(spec), seed, repetitions)
         except Exception as error:
             text = str(error) if isinstance(error, ValueError) else f"{spec!r} raises {type(error).__name__}: {error}"
-            answers.send(("", frozenset(), text))
+            answers.send(ValueError(text))
             return
-        answers.send((title, subject.claims, None))
+        answers.send((subject.name, subject.claims))
         for name in laws:
-            answers.send(verdict_on(name, replace(subject, report=answers.send)))
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        if hasattr(os, "killpg"):
-            os.killpg(0, signal.SIGKILL)  # itself as well
-        os._exit(1)
+            answers.send(check_law(name, replace(subject, report=answers.send)))
 
 
 def own_estimator(spec: str) -> Any:

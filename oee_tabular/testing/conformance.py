@@ -12,8 +12,8 @@ from typing import Any
 from oee_tabular import _checks, _printing
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.testing import laws, protocol_laws
-from oee_tabular.testing.calls import Broken, Subject, name_of
 from oee_tabular.testing.cases import case
+from oee_tabular.testing.subject import Broken, Subject, name_of
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Law:
     @property
     def statement(self) -> str:
         """What it says."""
-        return " ".join(inspect.getdoc(self.check).split("\n\n")[0].split())  # type: ignore[union-attr]
+        return (inspect.getdoc(self.check) or "").split("\n\n")[0]
 
 
 LAWS: Mapping[str, Law] = {
@@ -142,19 +142,16 @@ class Verdicts(Mapping[str, Verdict]):
     def __str__(self) -> str:
         outcomes = [verdict.outcome for verdict in self.verdicts.values()]
         n_kept, n_idle, n_left = (outcomes.count(word) for word in ("holds", "not claimed", "not run"))
-        summary = (
-            f"{n_kept} law{' holds' if n_kept == 1 else 's hold'}, {len(self.broken)} broken, {n_idle} not claimed"
-        )
+        kept = f"{n_kept} law{' holds' if n_kept == 1 else 's hold'}"
+        summary = f"{kept}, {len(self.broken)} broken, {n_idle} not claimed"
         summary += f", {n_left} not run" if n_left else ""
         lines = [f"{self.estimator}: {'passed' if self.passed else 'NOT PASSED'} ({summary}; seed {self.seed})"]
         lines.append(f"claims: {', '.join(sorted(self.claims)) or 'none'}")
         for verdict in self.verdicts.values():
-            texts = [verdict.text] if verdict.text else []
-            if verdict.example and verdict.outcome != "holds":
-                texts.append(f"see it: {verdict.example}")
-            body = [line for text in texts for line in textwrap.wrap(text, 92)] or [""]
+            example = f"see it: {verdict.example}" if verdict.example and verdict.outcome != "holds" else ""
+            body = [*textwrap.wrap(verdict.text, 92), *textwrap.wrap(example, 92), ""]
             lines.append(f"{verdict.law:16}{verdict.outcome:12}{body[0]}".rstrip())
-            lines += [" " * 28 + line for line in body[1:]]
+            lines += [" " * 28 + line for line in body[1:-1]]
         return "\n".join(lines)
 
     __repr__ = __str__
@@ -217,9 +214,8 @@ def check_estimator(
     for name in chosen:
         _checks.one_of(name, "laws", tuple(LAWS))
     check_numbers(seed, repetitions)
-    title, subject = subject_of(estimator, seed, repetitions, claims=claims, from_pair=from_pair)
-    verdicts = {name: verdict_on(name, subject) for name in chosen}
-    return Verdicts(title, subject.claims, seed, verdicts)
+    subject = make_subject(estimator, seed, repetitions, claims=claims, from_pair=from_pair)
+    return Verdicts(subject.name, subject.claims, seed, {name: check_law(name, subject) for name in chosen})
 
 
 def check_numbers(seed: object, repetitions: object) -> None:
@@ -230,27 +226,26 @@ def check_numbers(seed: object, repetitions: object) -> None:
         raise ValueError(f"repetitions must be at least 3; it is {repetitions}")
 
 
-def subject_of(
+def make_subject(
     estimator: Any, seed: int, repetitions: int, *, claims: Iterable[str] | None = None, from_pair: bool = False
-) -> tuple[str, Subject]:
-    """The estimator's name, and what the laws are checked on; ValueError where it is no estimator."""
+) -> Subject:
+    """What the laws are checked on; ValueError where it is no estimator."""
+    given = estimator
     if from_pair:
         _checks.function(estimator, "estimator")
         pair = case("ragged")
         try:
-            made = estimator(pair.simulator, pair.target)
+            given = estimator(pair.simulator, pair.target)
         except Exception as error:
-            raise ValueError(
-                f"estimator must be a function (simulator, target) -> estimator; it raises {error!r}"
-            ) from error
-        as_estimator(made)
-        return name_of(made), Subject(estimator, claims_of(made, claims), seed, repetitions, is_oracle=True)
-    own = as_estimator(estimator).function
-    return name_of(own), Subject(lambda simulator, target: own, claims_of(own, claims), seed, repetitions)
+            text = f"estimator must be a function (simulator, target) -> estimator; it raises {error!r}"
+            raise ValueError(text) from error
+    own = as_estimator(given).function
+    make = estimator if from_pair else lambda simulator, target: own
+    return Subject(name_of(own), make, claims_of(own, claims), seed, repetitions, is_oracle=from_pair)
 
 
-def verdict_on(name: str, subject: Subject) -> Verdict:
-    """What becomes of one law."""
+def check_law(name: str, subject: Subject) -> Verdict:
+    """The verdict on one law."""
     if not LAWS[name].is_claimed(subject.claims):
         return Verdict(name, "not claimed", "")
     try:
@@ -284,15 +279,15 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
     """
     words: Any = claims
     name = "claims"
-    if words is None:
+    if claims is None:
         name = f"{type(estimator).__name__}.claims"
         try:
             words = getattr(estimator, "claims", None)
             words = words() if callable(words) else words
         except Exception as error:
             raise ValueError(f"{name} must be a collection of words; it raises {error!r}") from None
-    if words is None:
-        return DEFAULT
+        if words is None:
+            return DEFAULT
     words = _checks.collection(words, name, "a collection of words")
     for word in words:
         near = difflib.get_close_matches(str(word), CLAIMS, n=1)

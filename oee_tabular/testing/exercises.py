@@ -1,6 +1,7 @@
 """Answers to the exercises of the notebooks: ``check("05_b", answer)`` is exercise b of notebook 05."""
 
 import tomllib
+from contextlib import suppress
 from importlib import resources
 from typing import Any
 
@@ -29,30 +30,23 @@ def check(exercise: str, answer: Any) -> None:
     >>> check("00_a", 0.99**13)
     Right.
     """
-    with resources.files("oee_tabular.testing").joinpath("exercises.toml").open("rb") as file:
-        exercises: dict[str, dict[str, Any]] = tomllib.load(file)
+    text = resources.files("oee_tabular.testing").joinpath("exercises.toml").read_text(encoding="utf-8")
+    exercises: dict[str, dict[str, Any]] = tomllib.loads(text)
     if exercise not in exercises:
         raise ValueError(f"exercise must be one of {', '.join(exercises)}; it is {exercise!r}")
-    expected = exercises[exercise]["answer"]
-    tolerance = exercises[exercise].get("tolerance", TOLERANCE)
+    expected, hint = exercises[exercise]["answer"], exercises[exercise]["hint"]
     if answer is None:
         print("Not answered yet: put your answer in place of None and run the cell again.")
         return
     if isinstance(expected, bool):
-        kind, is_right = "True or False", answer is expected
-        has_kind = isinstance(answer, bool)
+        kind, has_kind, is_right = "True or False", isinstance(answer, bool), answer is expected
     else:
         kind = f"a list of {len(expected)} numbers" if isinstance(expected, list) else "one number"
-        has_kind = _is_numeric(answer, np.shape(expected))
-        is_right = has_kind and bool(np.all(np.abs(np.subtract(answer, expected)) <= tolerance * np.abs(expected)))
-    hint = exercises[exercise]["hint"] if has_kind else f"the answer is {kind}; {exercises[exercise]['hint']}"
-    assert is_right, f"{answer!r} is not right. Hint: {hint}"
+        numbers = np.empty(0, dtype=object)
+        with suppress(ValueError):  # a ragged list
+            numbers = np.asarray(answer)
+        has_kind = numbers.dtype.kind in "iuf" and numbers.shape == np.shape(expected)
+        allowed = exercises[exercise].get("tolerance", TOLERANCE) * np.abs(expected)
+        is_right = has_kind and bool(np.all(np.abs(numbers - expected) <= allowed))
+    assert is_right, f"{answer!r} is not right. Hint: {'' if has_kind else f'the answer is {kind}; '}{hint}"
     print("Right.")
-
-
-def _is_numeric(answer: Any, shape: tuple[int, ...]) -> bool:
-    try:
-        numbers = np.asarray(answer)
-    except ValueError:  # a ragged list
-        return False
-    return numbers.dtype.kind in "iuf" and numbers.shape == shape

@@ -22,8 +22,8 @@ from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes, sample_transitions
-from oee_tabular.testing.calls import name_of
 from oee_tabular.testing.cases import pair_shares
+from oee_tabular.testing.subject import name_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class Comparison:
     @property
     def bias_error(self) -> float:
         """Standard error of ``bias``."""
-        return math.sqrt(self.variance / len(self.values)) if len(self.values) > 1 else math.nan
+        return math.sqrt(self.variance / max(len(self.values), 1))
 
     @property
     def variance(self) -> float:
@@ -89,10 +89,10 @@ class Comparison:
     @property
     def rmse_error(self) -> float:
         """Standard error of ``rmse`` (delta method)."""
-        squares = (self.values - self.truth) ** 2
-        if len(squares) < 2:
-            return math.nan
-        return float(squares.std(ddof=1) / np.sqrt(len(squares)) / (2.0 * self.rmse)) if self.rmse > 0 else 0.0
+        n = len(self.values)
+        if n < 2 or self.rmse == 0.0:
+            return math.nan if n < 2 else 0.0
+        return float(np.std((self.values - self.truth) ** 2, ddof=1) / np.sqrt(n) / (2.0 * self.rmse))
 
     @property
     def inefficiency(self) -> float:
@@ -110,10 +110,9 @@ class Comparison:
 
     def __str__(self) -> str:
         lines = [f"{self.estimator}: {len(self.values)} logs of {self.n} {self.unit}"]
-        rows: list[tuple[str, float, float | None]] = [("J_target", self.truth, None)]
-        if self.limit is not None:
-            rows.append(("limit", self.limit, None))
-        rows += [
+        rows: list[tuple[str, float | None, float | None]] = [
+            ("J_target", self.truth, None),
+            ("limit", self.limit, None),
             ("bias", self.bias, self.bias_error),
             ("variance", self.variance, self.variance_error),
             ("root-mean-square error", self.rmse, self.rmse_error),
@@ -121,7 +120,8 @@ class Comparison:
             ("n * variance / bound", self.inefficiency, self.inefficiency_error),
         ]
         for name, value, error in rows:
-            lines.append(f"  {name:32}{value:11.5g}" + ("" if error is None else f" ± {error:.2g}"))
+            shown = "" if error is None else f" ± {error:.2g}"
+            lines += [] if value is None else [f"  {name:32}{value:11.5g}{shown}"]
         if self.failures:
             lines.append(f"  without a value: {self.failures} more logs ({self.reasons})")
         return "\n".join(lines)
@@ -196,14 +196,13 @@ def compare_with_oracle(
     behavior: Array | None = None
     draw: Callable[..., Transitions]
     if behavior_policy is None:
-        shape = (simulator.n_states, simulator.n_actions)
-        share = _checks.distribution(data_distribution, "data_distribution", shape)
+        share = _checks.distribution(data_distribution, "data_distribution", (simulator.n_states, simulator.n_actions))
         draw = partial(sample_transitions, target, share, size)
         bound = efficiency_bound(target, pi, share, horizon=horizon)
+        data = {"data_distribution": share}
     else:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
         steps = rollout_horizon(target.discount, optional_horizon_length(horizon, target))
-        share = pair_shares(target, behavior, steps)
         draw = partial(sample_episodes, target, behavior, size, steps)
         try:
             bound = trajectory_efficiency_bound(target, behavior, pi, horizon=steps)
@@ -211,16 +210,16 @@ def compare_with_oracle(
             if not np.any((pi > 0) & (behavior == 0)):
                 raise
             bound = math.inf  # the behaviour policy never takes an action that the policy takes
-    limit = getattr(own.function, "limit", None)
-    data = {"data_distribution": share} | ({} if behavior is None else {"behavior_policy": behavior})
-    values, reasons = [], []
+        data = {"data_distribution": pair_shares(target, behavior, steps), "behavior_policy": behavior}
+    values, statuses = [], []
     for k in range(times):
         log = draw(seed=_checks.seed_sequence(seed, (k,)))
         estimate = own(Problem(simulator, log, horizon=horizon, behavior_policy=behavior), pi.copy(), seed=k)
         if estimate.status == "ok":
             values.append(float(estimate.value))
         else:
-            reasons.append(estimate.status)
+            statuses.append(estimate.status)
+    limit = getattr(own.function, "limit", None)
     return Comparison(
         estimator=name_of(own.function),
         truth=policy_value(target, pi, horizon=horizon),
@@ -229,6 +228,6 @@ def compare_with_oracle(
         n=size,
         unit="transitions" if behavior is None else "episodes",
         values=np.array(values),
-        failures=len(reasons),
-        reasons=reasons[0] if reasons else "",
+        failures=len(statuses),
+        reasons=statuses[0] if statuses else "",
     )

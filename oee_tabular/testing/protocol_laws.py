@@ -15,47 +15,69 @@ from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.functions import RETURNED, as_estimator
 from oee_tabular.exact import policy_value
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.testing.calls import Broken, NotClaimed, Raises, Refused, Subject, both, call, one, shorten
 from oee_tabular.testing.cases import Case
+from oee_tabular.testing.subject import Broken, NotClaimed, Raises, Refused, Subject, call, on_cases, shorten
 
 FEW, EPISODES = 20, 200
 
 
 def well_formed(subject: Subject) -> str:
     """Odd small problems give a finite value, a status that is not "ok", or a ValueError that says why."""
-    n_answers, n_refusals, reason, floats = 0, 0, "", ""
-    for pair, log in odd_problems(subject):
-        subject.report(pair.title)
+    answers, refusals = [], []
+    for pair, log in _odd_problems(subject):
         try:
-            estimate = subject.estimate(pair, log, seed=0)
-            n_answers += 1
-            if RETURNED in estimate.diagnostics:
-                floats = "; floats, so that standard errors, intervals and statuses are skipped"
+            with subject.look_at(pair, f", {len(log)} transitions"):
+                answers.append(subject.estimate(pair, log, 0))
         except Refused as refusal:
-            n_refusals, reason = n_refusals + 1, refusal.text
-        except Broken as broken:
-            raise type(broken)(f"{pair.title}, {len(log)} transitions: {broken.text}", broken.example) from broken
-    if n_answers == 0:
-        raise Raises(f"all {n_refusals} problems are refused, the last: {reason}")
-    refusals = f", {n_refusals} refused ({shorten(reason, 80)})" if n_refusals else ""
-    return f"{n_answers} of {n_answers + n_refusals} odd problems answered{refusals}{floats}"
+            refusals.append(refusal)
+    reason = str(refusals[-1].__cause__) if refusals else ""
+    if not answers:
+        raise Raises(f"all {len(refusals)} problems are refused, the last: {reason}")
+    text = f"{len(answers)} of {len(answers) + len(refusals)} odd problems answered"
+    text += f", {len(refusals)} refused ({shorten(reason, 80)})" if refusals else ""
+    if any(RETURNED in estimate.diagnostics for estimate in answers):
+        text += "; floats, so that standard errors, intervals and statuses are skipped"
+    return text
 
 
-def input_unchanged(subject: Subject) -> str:
+def _odd_problems(subject: Subject) -> Iterator[tuple[Case, Transitions]]:
+    """One state, one action, discounts 0 and 1, one reward, one episode, no episodes, actions never recorded."""
+    single = FiniteMDP([[[1.0]]], [2.0], [1.0], 0.5)
+    fork = [[[0.5, 0.5], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]]  # half the starts are terminal
+    leave = FiniteMDP(fork, [[1.0, 3.0], [0.0, 0.0]], [0.5, 0.5], 1.0)
+    certain = FiniteMDP([[[0.0, 1.0]], [[1.0, 0.0]]], [1.0, -1.0], [1.0, 0.0], 0.9)
+    first, even, one = [[1.0, 0.0]] * 2, [[0.5, 0.5]] * 2, [[1.0]]
+    rows: list[tuple[str, FiniteMDP, Any, Any, int | None, int]] = [  # policy, behaviour, horizon, steps
+        ("one state", single, one, one, 3, 3),
+        ("one state", single, one, one, None, 60),
+        ("discount 0", leave.with_discount(0.0), first, even, None, 5),
+        ("discount 1", leave, first, even, 4, 4),
+        ("discount 1", leave, even, even, None, 40),
+        ("one reward", leave, first, even, 1, 3),
+        ("nothing random", certain, one * 2, one * 2, 4, 4),
+        ("an action never recorded", leave, even, first, 4, 4),
+        ("no episode of the policy's", leave, [[0.0, 1.0], [1.0, 0.0]], first, 4, 4),
+    ]
+    for k, (name, mdp, policy, behavior, horizon, steps) in enumerate(rows):
+        pair = Case(name, mdp, mdp, np.array(policy), np.array(behavior), horizon, steps)
+        yield pair, pair.log(FEW, seed=subject.log_seed("odd", k))
+    for pair in subject.cases("ragged", "ragged infinite"):
+        yield pair, pair.log(1, seed=subject.log_seed("odd", "one episode"))
+        yield pair, pair.log(FEW, seed=subject.log_seed("odd", "no episodes")).draw(10, seed=0)
+
+
+@on_cases("ragged", "ragged infinite", "moves")
+def input_unchanged(subject: Subject, pair: Case) -> str:
     """Problem, log, simulator and policy are after the call what they were, to the bit (their arrays made writable)."""
-
-    def check(pair: Case) -> str:
-        problem, policy = pair.problem(EPISODES, seed=subject.log_seed("input", pair.name)), pair.policy.copy()
-        arrays = dict(_arrays(problem, policy))
-        for array in arrays.values():
-            array.flags.writeable = True
-        before = {name: array.copy() for name, array in arrays.items()}
-        fields = {name: getattr(problem, name) for name in Problem.__dataclass_fields__}
-        failure: Broken | None = None
-        try:
-            call(subject.estimator(pair), problem, policy, 0)
-        except Broken as broken:
-            failure = broken
+    problem, policy = pair.problem(EPISODES, seed=subject.log_seed("input", pair.name)), pair.policy.copy()
+    fields = {name: getattr(problem, name) for name in Problem.__dataclass_fields__}
+    arrays = dict(_arrays(problem, policy))
+    for array in arrays.values():
+        array.flags.writeable = True
+    before = {name: array.copy() for name, array in arrays.items()}
+    try:
+        call(subject.estimator(pair), problem, policy, 0)
+    finally:  # a changed input is told before an error
         for name, value in fields.items():
             if getattr(problem, name) is not value:
                 raise Broken(f"problem.{name} is another object after the call")
@@ -63,28 +85,34 @@ def input_unchanged(subject: Subject) -> str:
             if not np.array_equal(array, before[name], equal_nan=array.dtype.kind == "f"):
                 n_changed = int(np.sum(array != before[name]))
                 raise Broken(f"{name} is changed in {n_changed} of {array.size} places")
-        if failure is not None:
-            raise failure
-        return f"{len(arrays)} arrays and every field as before"
-
-    return subject.check_cases(check, *both("ragged"), *one("moves"))
+    return f"{len(arrays)} arrays and every field as before"
 
 
-def reproducible(subject: Subject) -> str:
+def _arrays(problem: Problem, policy: PolicyLike) -> Iterator[tuple[str, Any]]:
+    simulator = problem.simulator
+    yield "policy", policy
+    yield "problem.behavior_policy", problem.behavior_policy
+    yield from ((f"log.{name}", column) for name, column in problem.log.columns().items())
+    yield from ((f"simulator.{name}", getattr(simulator, name)) for name in ("rewards", "initial", "terminal_state"))
+    tables = {"simulator.transitions": simulator.transitions, "problem.counts": problem.counts}
+    if simulator.transition_rewards is not None:
+        tables["simulator.transition_rewards"] = simulator.transition_rewards
+    for name, table in tables.items():
+        yield from ((f"{name}.{part}", getattr(table, part)) for part in ("data", "indices", "indptr"))
+
+
+@on_cases("ragged", "ragged infinite")
+def reproducible(subject: Subject, pair: Case) -> str:
     """The same seed gives the same bits, whatever the global random state, which it leaves alone."""
-
-    def check(pair: Case) -> str:
-        log = pair.log(EPISODES, seed=subject.log_seed("reproducible", pair.name))
-        first, second = (_estimate_in_state(subject, pair, log, state) for state in (1, 2))
-        for name in ("value", "standard_error"):
-            values = getattr(first, name), getattr(second, name)
-            before, after = (np.array(value, dtype=np.float64) for value in values)
-            if not np.array_equal(before, after, equal_nan=True):
-                text = f"{name} of seed 7 is {values[0]!r}, and when called again {values[1]!r}"
-                raise Broken(text, "the same problem twice, seed=7")
-        return f"seed 7 gives {first.value!r} twice"
-
-    return subject.check_cases(check, *both("ragged"))
+    log = pair.log(EPISODES, seed=subject.log_seed("reproducible", pair.name))
+    first, second = (_estimate_in_state(subject, pair, log, state) for state in (1, 2))
+    for name in ("value", "standard_error"):
+        values = getattr(first, name), getattr(second, name)
+        before, after = (np.array(value, dtype=np.float64) for value in values)
+        if not np.array_equal(before, after, equal_nan=True):
+            text = f"{name} of seed 7 is {values[0]!r}, and when called again {values[1]!r}"
+            raise Broken(text, "the same problem twice, seed=7")
+    return f"seed 7 gives {first.value!r} twice"
 
 
 def _estimate_in_state(subject: Subject, pair: Case, log: Transitions, state: int) -> Estimate:
@@ -110,44 +138,38 @@ def _random_state() -> object:
     return random.getstate(), [part.tobytes() if isinstance(part, np.ndarray) else part for part in parts]
 
 
-def seeds(subject: Subject) -> str:
+@on_cases("ragged")
+def seeds(subject: Subject, pair: Case) -> str:
     """Other seeds give the same bits (owed by every estimator that does not claim to be random)."""
     if "random" in subject.claims:
         raise NotClaimed("it claims to be random")
-
-    def check(pair: Case) -> str:
-        log = pair.log(EPISODES, seed=subject.log_seed("seeds"))
-        values = [subject.value(pair, log, seed=seed) for seed in range(4)]
-        if len(set(values)) > 1:
-            shown = ", ".join(f"{value:.8g}" for value in values)
-            raise Broken(f"seeds 0 to 3 give {shown}, and it does not claim to be random")
-        return f"seeds 0 to 3 give {values[0]:.8g} each"
-
-    return subject.check_cases(check, *one("ragged"))
+    log = pair.log(EPISODES, seed=subject.log_seed("seeds"))
+    values = [subject.value(pair, log, seed=seed) for seed in range(4)]
+    if len(set(values)) > 1:
+        shown = ", ".join(f"{value:.8g}" for value in values)
+        raise Broken(f"seeds 0 to 3 give {shown}, and it does not claim to be random")
+    return f"seeds 0 to 3 give {values[0]:.8g} each"
 
 
-def support(subject: Subject) -> str:
+@on_cases("violated")
+def support(subject: Subject, pair: Case) -> str:
     """Where the target moves to what the simulator gives probability 0: a ValueError or a status, no silent number.
 
     ``Problem`` refuses a log with such a transition. Looked at are the estimator's limit for such a target (J_target itself is
     right), and an oracle of such a target.
     """
-
-    def check(pair: Case) -> str:
-        texts = ["Problem refuses the log"]
-        try:
-            own = subject.limit(pair)
-        except Refused as refused:
-            texts.append(f"limit: {shorten(refused.text, 60)}")
-        else:
-            if own is not None and np.isfinite(own) and "consistent" in subject.claims:
-                _require_status(Estimate(own), pair)
-                texts.append("limit is J_target")
-        if subject.is_oracle:
-            texts.append(_check_oracle(subject, pair))
-        return ", ".join(texts)
-
-    return subject.check_cases(check, *one("violated"))
+    texts = ["Problem refuses the log"]
+    try:
+        own = subject.limit(pair)
+    except Refused as refused:
+        texts.append(f"limit: {shorten(refused.text, 60)}")
+    else:
+        if own is not None and np.isfinite(own) and "consistent" in subject.claims:
+            _require_status(Estimate(own), pair)
+            texts.append("limit is J_target")
+    if subject.is_oracle:
+        texts.append(_check_oracle(subject, pair))
+    return ", ".join(texts)
 
 
 def _check_oracle(subject: Subject, pair: Case) -> str:
@@ -171,45 +193,3 @@ def _require_status(estimate: Estimate, pair: Case) -> None:
             f"{estimate.value:.6g} without a word, J_target {pair.truth:.6g}, J_simulator {simulator:.6g}",
             "s=0 -> s'=2 has probability 0 in the simulator",
         )
-
-
-def odd_problems(subject: Subject) -> Iterator[tuple[Case, Transitions]]:
-    """One state, one action, discounts 0 and 1, one reward, one episode, no episodes, actions never recorded."""
-    single = FiniteMDP(np.ones((1, 1, 1)), np.array([2.0]), np.ones(1), 0.5)
-    fork = np.array([[[0.5, 0.5], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]])
-    leave = FiniteMDP(
-        fork, np.array([[1.0, 3.0], [0.0, 0.0]]), np.array([0.5, 0.5]), 1.0
-    )  # half the starts are terminal
-    certain = FiniteMDP(np.array([[[0.0, 1.0]], [[1.0, 0.0]]]), np.array([1.0, -1.0]), np.array([1.0, 0.0]), 0.9)
-    first, even = np.array([[1.0, 0.0], [1.0, 0.0]]), np.full((2, 2), 0.5)
-    ones = np.ones((1, 1)), np.ones((2, 1))
-    rows: list[tuple[str, FiniteMDP, Any, Any, int | None, int]] = [  # policy, behaviour, horizon, steps
-        ("one state", single, ones[0], ones[0], 3, 3),
-        ("one state", single, ones[0], ones[0], None, 60),
-        ("discount 0", leave.with_discount(0.0), first, even, None, 5),
-        ("discount 1", leave, first, even, 4, 4),
-        ("discount 1", leave, even, even, None, 40),
-        ("one reward", leave, first, even, 1, 3),
-        ("nothing random", certain, ones[1], ones[1], 4, 4),
-        ("an action never recorded", leave, even, first, 4, 4),
-        ("no episode of the policy's", leave, np.array([[0.0, 1.0], [1.0, 0.0]]), first, 4, 4),
-    ]
-    for k, (name, mdp, *rest) in enumerate(rows):
-        pair = Case(name, mdp, mdp, *rest)
-        yield pair, pair.log(FEW, seed=subject.log_seed("odd", k))
-    for pair in subject.cases(*both("ragged")):
-        yield pair, pair.log(1, seed=subject.log_seed("odd", "one episode"))
-        yield pair, pair.log(FEW, seed=subject.log_seed("odd", "no episodes")).draw(10, seed=0)
-
-
-def _arrays(problem: Problem, policy: PolicyLike) -> Iterator[tuple[str, Any]]:
-    simulator = problem.simulator
-    yield "policy", policy
-    yield "problem.behavior_policy", problem.behavior_policy
-    yield from ((f"log.{name}", column) for name, column in problem.log.columns().items())
-    yield from ((f"simulator.{name}", getattr(simulator, name)) for name in ("rewards", "initial", "terminal_state"))
-    tables = {"simulator.transitions": simulator.transitions, "problem.counts": problem.counts}
-    if simulator.transition_rewards is not None:
-        tables["simulator.transition_rewards"] = simulator.transition_rewards
-    for name, table in tables.items():
-        yield from ((f"{name}.{part}", getattr(table, part)) for part in ("data", "indices", "indptr"))

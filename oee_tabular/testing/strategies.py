@@ -10,7 +10,7 @@ Needs hypothesis: ``pip install '.[testing]'``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -69,31 +69,28 @@ def mdps(
     low, high = (_checks.positive_integer(n, f"{end}_states") for n, end in ((min_states, "min"), (max_states, "max")))
     if low > high:
         raise ValueError(f"min_states must be at most max_states; they are {low} and {high}")
-    actions = _checks.positive_integer(max_actions, "max_actions")
-    factors = [_checks.number_in(value, "discounts", 0.0, 1.0) for value in discounts]
-    for name, values in (("discounts", factors), ("rewards", rewards)):
+    most_actions = _checks.positive_integer(max_actions, "max_actions")
+    for name, values in (("discounts", discounts), ("rewards", rewards)):
         if not len(values):
             raise ValueError(f"{name} must hold at least one; it is empty")
+    factors = [_checks.number_in(value, "discounts", 0.0, 1.0) for value in discounts]
     for form in rewards:
         _checks.one_of(form, "rewards", REWARDS)
 
     @st.composite
     def draw_mdp(draw: st.DrawFn) -> FiniteMDP:
-        n, a = draw(st.integers(low, high)), draw(st.integers(1, actions))
+        n, a = draw(st.integers(low, high)), draw(st.integers(1, most_actions))
         discount = draw(st.sampled_from(factors))
-        ends = draw(st.booleans() if absorbing is None else st.just(absorbing)) or discount == 1.0
-        row = _row(n, [n - 1] if discount == 1.0 else [])
-        matrix = np.array([[draw(row) for _ in range(a)] for _ in range(n)])
-        shape = (n, a, n)[: REWARDS.index(draw(st.sampled_from(rewards))) + 1]
+        does_end = draw(st.booleans() if absorbing is None else st.just(absorbing)) or discount == 1.0
+        row = _rows(n, [n - 1] if discount == 1.0 else [])
+        transitions = np.array([[draw(row) for _ in range(a)] for _ in range(n)])
+        shape = (n, a, n)[: len(draw(st.sampled_from(rewards)))]
         size = int(np.prod(shape))
-        table = np.array(draw(st.lists(st.integers(-5, 5), min_size=size, max_size=size)), dtype=np.float64).reshape(
-            shape
-        )
-        if ends:
-            matrix[-1] = 0.0
-            matrix[-1, :, -1] = 1.0
-            table[-1] = 0.0
-        return FiniteMDP(matrix, table, draw(_row(n)), discount)
+        table = np.reshape(draw(st.lists(st.integers(-5, 5), min_size=size, max_size=size)), shape)
+        if does_end:
+            transitions[-1] = np.eye(n)[-1]
+            table[-1] = 0
+        return FiniteMDP(transitions, table, draw(_rows(n)), discount)
 
     return draw_mdp()
 
@@ -118,8 +115,8 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     """
     _checks.boolean(zeros, "zeros")
     model = _checks.instance(mdp, FiniteMDP, "mdp")
-    row = _row(model.n_actions, [] if zeros else list(range(model.n_actions)))
-    return st.lists(row, min_size=model.n_states, max_size=model.n_states).map(np.array)
+    rows = _rows(model.n_actions, [] if zeros else range(model.n_actions))
+    return st.lists(rows, min_size=model.n_states, max_size=model.n_states).map(np.array)
 
 
 def mdp_pairs(
@@ -153,41 +150,30 @@ def mdp_pairs(
         options = {"min_states": 2} | options
         if _checks.positive_integer(options["min_states"], "min_states") < 2:
             raise ValueError("min_states must be at least 2 for support 'violated'; it is 1")
-        return _violated_pairs(mdps(**options))
-    return _supported_pairs(mdps(**options), support == "equal")
+    simulators = mdps(**options)
 
+    @st.composite
+    def draw_pair(draw: st.DrawFn) -> tuple[FiniteMDP, FiniteMDP]:
+        simulator = draw(simulators)
+        n, a = simulator.n_states, simulator.n_actions
+        last = [n - 1] if simulator.discount == 1.0 else []  # where every row must be able to end
+        matrix = simulator.transitions.toarray()
+        if support == "violated":  # the simulator has no chance of a transition that the target makes
+            start, action, to = (draw(st.integers(0, most)) for most in (n - 2, a - 1, n - 2))
+            row, initial = start * a + action, simulator.initial
+            matrix[row] = np.insert(draw(_rows(n - 1, [k - 1 for k in last])), to, 0.0)
+            if initial[start] == 0.0:
+                initial = (initial + np.eye(n)[start]) / 2.0
+            simulator = simulator.with_transitions(matrix.reshape(n, a, n)).with_initial(initial)
+            matrix[row] = draw(_rows(n, [*last, to]))
+        else:
+            for chances in matrix:
+                where = np.flatnonzero(chances)
+                certain = where if support == "equal" else last
+                chances[where] = draw(_rows(len(where), np.flatnonzero(np.isin(where, certain))))
+        return simulator, simulator.with_transitions(matrix.reshape(n, a, n))
 
-@st.composite
-def _supported_pairs(
-    draw: st.DrawFn, simulators: st.SearchStrategy[FiniteMDP], equal: bool
-) -> tuple[FiniteMDP, FiniteMDP]:
-    simulator = draw(simulators)
-    matrix = simulator.transitions.toarray()
-    for row in matrix:
-        where = np.flatnonzero(row)
-        keep = list(range(len(where)))
-        if not equal:
-            keep = [k for k in keep if simulator.discount == 1.0 and where[k] == simulator.n_states - 1]
-        row[where] = draw(_row(len(where), keep))
-    return simulator, simulator.with_transitions(matrix.reshape(simulator.n_states, simulator.n_actions, -1))
-
-
-@st.composite
-def _violated_pairs(draw: st.DrawFn, bases: st.SearchStrategy[FiniteMDP]) -> tuple[FiniteMDP, FiniteMDP]:
-    base = draw(bases)
-    n, shape = base.n_states, (base.n_states, base.n_actions, base.n_states)
-    matrix = base.transitions.toarray()
-    start, action = draw(st.integers(0, n - 2)), draw(st.integers(0, base.n_actions - 1))
-    to = draw(st.integers(0, n - 2))  # never the last, where all must be able to end at discount 1
-    row, ends = start * base.n_actions + action, base.discount == 1.0
-    matrix[row] = np.insert(draw(_row(n - 1, [n - 2] if ends else [])), to, 0.0)
-    initial = base.initial.copy()
-    if initial[start] == 0.0:
-        initial = (initial + np.eye(n)[start]) / 2.0
-    rewards = base.rewards if base.transition_rewards is None else base.transition_rewards
-    simulator = FiniteMDP(matrix.reshape(shape), rewards, initial, base.discount)
-    matrix[row] = draw(_row(n, [n - 1, to] if ends else [to]))
-    return simulator, simulator.with_transitions(matrix.reshape(shape))
+    return draw_pair()
 
 
 def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int | None]:
@@ -209,10 +195,9 @@ def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int |
     """
     model = _checks.instance(mdp, FiniteMDP, "mdp")
     finite = st.integers(1, _checks.positive_integer(max_horizon, "max_horizon"))
-    rows = model.transitions.toarray().reshape(model.n_states, model.n_actions, -1)
-    over = model.absorbing()
-    ends = bool(over.any()) and bool((rows[~over][:, :, over].sum(axis=2) > 0).all())
-    return st.none() | finite if model.discount < 1.0 or ends else finite
+    ended = model.absorbing()
+    ends_anyhow = bool(ended.any() and (model.transitions[:, ended].sum(axis=1) > 0).all())
+    return st.none() | finite if model.discount < 1.0 or ends_anyhow else finite
 
 
 def logs(
@@ -252,42 +237,37 @@ def logs(
     even = np.full((model.n_states, model.n_actions), 1.0 / model.n_actions)
     behavior = even if behavior_policy is None else check_policy(behavior_policy, model, name="behavior_policy")
     n, steps = _checks.positive_integer(max_episodes, "max_episodes"), _checks.positive_integer(max_steps, "max_steps")
-    matrix, ends = model.transitions, model.absorbing()
+    ended = model.absorbing()
 
     @st.composite
     def draw_log(draw: st.DrawFn) -> Transitions:
         is_bag = draw(st.sampled_from(KINDS) if kind is None else st.just(kind)) == "transitions"
         starts = list(range(model.n_states)) if is_bag else np.flatnonzero(model.initial).tolist()
-        moves = []
+        made = []
         for k in range(draw(st.integers(1, n * steps if is_bag else n))):
             state = draw(st.sampled_from(starts))
             for _ in range(1 if is_bag else draw(st.integers(1, steps))):
                 action = draw(st.sampled_from(np.flatnonzero(behavior[state]).tolist()))
-                row = state * model.n_actions + action
-                following = draw(st.sampled_from(matrix.indices[matrix.indptr[row] : matrix.indptr[row + 1]].tolist()))
-                moves.append((state, action, following, k))
-                state = following
-                if ends[state]:
+                row = model.transitions[[state * model.n_actions + action]]
+                next_state = draw(st.sampled_from(row.indices.tolist()))
+                made.append((state, action, next_state, k))
+                state = next_state
+                if ended[state]:
                     break
-        states, actions, next_states, episode = np.array(moves).T
-        table = model.rewards[states, actions]
+        states, actions, next_states, episode = np.array(made).T
+        reward = model.rewards[states, actions]
         if model.transition_rewards is not None:
-            table = model.transition_rewards.toarray()[states * model.n_actions + actions, next_states]
-        return Transitions(
-            states,
-            actions,
-            next_states,
-            table if rewards else None,
-            terminated=None if is_bag else ends[next_states],
-            episode=None if is_bag else episode,
-            behavior_probability=behavior[states, actions],
-        )
+            reward = model.transition_rewards.toarray()[states * model.n_actions + actions, next_states]
+        columns = {"behavior_probability": behavior[states, actions]} | ({"reward": reward} if rewards else {})
+        if not is_bag:
+            columns |= {"episode": episode, "terminated": ended[next_states]}
+        return Transitions(states, actions, next_states, **columns)
 
     return draw_log()
 
 
-def _row(size: int, certain: Sequence[int] = ()) -> st.SearchStrategy[Array]:
-    """A distribution of small weights; the entries in ``certain`` are positive."""
+def _rows(size: int, certain: Iterable[int] = ()) -> st.SearchStrategy[Array]:
+    """Distributions of small weights; the entries in ``certain`` are positive."""
 
     def normalize(drawn: list[int]) -> Array:
         weights = np.array(drawn, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Calls of somebody else's estimator: each becomes a value or a ``Broken``, never a crash."""
+"""The estimator under check: every call of it becomes a value or a ``Broken``, never a crash."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import wraps
 from typing import Any
 
 import numpy as np
 
-from oee_tabular._checks import Array, Seed
+from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import UNEXPLAINED
@@ -22,21 +23,9 @@ from oee_tabular.estimators.functions import AnswerError, as_estimator, is_numbe
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.testing.cases import Case, case
 
-Forms = tuple[str, ...]  # names of cases, of which the first that an estimator answers is looked at
-
-
-def both(name: str) -> tuple[Forms, ...]:
-    """A case with its horizon and without one, each where the estimator answers it."""
-    return ((name,), (f"{name} infinite",))
-
-
-def one(name: str) -> tuple[Forms, ...]:
-    """A case with its horizon, or without one for an estimator that answers only those."""
-    return ((name, f"{name} infinite"),)
-
 
 class Broken(Exception):
-    """A law that does not hold: what was found, and how to see it again."""
+    """A law that does not hold: the numbers, and how to see it again."""
 
     outcome = "fails"
 
@@ -67,6 +56,7 @@ class Subject:
 
     Attributes
     ----------
+    name : what tables call it
     make : (simulator, target) -> estimator; gives the same one for every pair unless it is an oracle's
     claims : words of ``CLAIMS``
     seed, repetitions : of the logs that the statistical laws draw
@@ -75,6 +65,7 @@ class Subject:
     values : of small and of large logs, which several laws need, by case
     """
 
+    name: str
     make: Callable[[FiniteMDP, FiniteMDP], Any]
     claims: frozenset[str]
     seed: int
@@ -83,29 +74,25 @@ class Subject:
     report: Callable[[str], object] = lambda title: None
     values: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
-    def answers(self, pair: Case) -> bool:
-        """Whether the estimator claims to answer cases with such a horizon; claiming neither form is claiming both."""
-        asked = self.claims & {"finite", "infinite"}
-        return not asked or ("infinite" if pair.horizon is None else "finite") in asked
+    def cases(self, *names: str) -> list[Case]:
+        """The cases, each without its horizon (or with it) where the estimator claims to answer only those."""
+        asked = self.claims & {"finite", "infinite"}  # claiming neither is claiming both
+        if len(asked) == 1:
+            end = " infinite" if "infinite" in asked else ""
+            names = tuple(name.removesuffix(" infinite") + end for name in names)
+        return [case(name) for name in dict.fromkeys(names)]
 
-    def cases(self, *forms: Forms) -> list[Case]:
-        """The first case of each form that the estimator answers."""
-        found = [[pair for pair in map(case, names) if self.answers(pair)] for names in forms]
-        return [pairs[0] for pairs in found if pairs]
-
-    def check_cases(self, check: Callable[[Case], str], *forms: Forms) -> str:
-        """What a law finds on each case; ``Broken`` says on which case, with its horizon and discount."""
-        texts = []
-        for pair in self.cases(*forms):
-            self.report(pair.title)
-            try:
-                texts.append(f"{pair.name}: {check(pair)}")
-            except NotClaimed:
-                raise
-            except Broken as broken:
-                example = f"pair = case({pair.name!r}); {broken.example}".rstrip("; ")
-                raise type(broken)(f"{pair.title}: {broken.text}", example) from broken
-        return "; ".join(texts)
+    @contextmanager
+    def look_at(self, pair: Case, more: str = "", example: str = "") -> Iterator[None]:
+        """``Broken`` says on which case, with its horizon and discount."""
+        self.report(pair.title)
+        try:
+            yield
+        except NotClaimed:
+            raise
+        except Broken as broken:
+            example = f"{example}{broken.example}".rstrip("; ")
+            raise type(broken)(f"{pair.title}{more}: {broken.text}", example) from broken
 
     def log_seed(self, *words: object) -> np.random.SeedSequence:
         """The seed of a log, by a law's name, a case's name or a size."""
@@ -113,9 +100,7 @@ class Subject:
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
     def estimator(self, pair: Case) -> Any:
-        """The estimator for a pair (an oracle's: on copies of it)."""
-        if not self.is_oracle:
-            return self.make(pair.simulator, pair.target)
+        """The estimator for a pair, made on copies of it."""
         with capture_errors("making the estimator"):
             return self.make(copy.deepcopy(pair.simulator), copy.deepcopy(pair.target))
 
@@ -128,7 +113,7 @@ class Subject:
                 estimator = dataclasses.replace(estimator, n_rollouts=max(own, rollouts))  # type: ignore[type-var]
         return call(estimator, pair.problem_of(log), pair.policy.copy(), seed)
 
-    def value(self, pair: Case, log: Transitions, seed: int, *, rollouts: int | None = None) -> float:
+    def value(self, pair: Case, log: Transitions, seed: int = 0, *, rollouts: int | None = None) -> float:
         """The value of one estimate; ``Broken`` where its status is not "ok"."""
         estimate = self.estimate(pair, log, seed, rollouts=rollouts)
         if estimate.status != "ok":
@@ -149,35 +134,51 @@ class Subject:
         return float(limit)
 
 
-def call(estimator: Any, problem: Problem, policy: Array, seed: Seed) -> Estimate:
+def on_cases(*names: str) -> Callable[[Callable[[Subject, Case], str]], Callable[[Subject], str]]:
+    """A law that is checked on each of these cases, and says what it found on each."""
+
+    def repeat(check: Callable[[Subject, Case], str]) -> Callable[[Subject], str]:
+        @wraps(check)
+        def check_cases(subject: Subject) -> str:
+            texts = []
+            for pair in subject.cases(*names):
+                with subject.look_at(pair, example=f"pair = case({pair.name!r}); "):
+                    texts.append(f"{pair.name}: {check(subject, pair)}")
+            return "; ".join(texts)
+
+        return check_cases
+
+    return repeat
+
+
+def call(estimator: Any, problem: Problem, policy: Array, seed: int) -> Estimate:
     """``estimator(problem, policy, seed=seed)``, well-formed, or ``Broken``."""
     with capture_errors(f"estimator(problem, policy, seed={seed})"):
         estimate = as_estimator(estimator)(problem, policy, seed=seed)
-        trouble = find_defect(estimate)
-    if trouble:
-        raise Broken(trouble, f"seed={seed}")
+        defect = find_defect(estimate)
+    if defect:
+        raise Broken(defect, f"seed={seed}")
     return estimate
 
 
 def find_defect(estimate: Any) -> str:
     """What is wrong with an estimate, whose fields may hold anything; or nothing."""
-    if not is_number(estimate.value):
-        return f"value must be a float; it is {type(estimate.value).__name__}"
-    if not isinstance(estimate.status, str) or not estimate.status:
-        return f'status must be "ok" or say what is wrong; it is {estimate.status!r}'
-    if estimate.status in ("ok", UNEXPLAINED) and not np.isfinite(estimate.value):
-        return f'value must be finite where status is "ok"; it is {float(estimate.value)}'
-    error = estimate.standard_error
+    value, error = estimate.value, estimate.standard_error
+    if not is_number(value):
+        return f"value must be a float; it is {type(value).__name__}"
+    if not estimate.status:
+        return 'status must be "ok" or say what is wrong; it is empty'
+    if estimate.status in ("ok", UNEXPLAINED) and not np.isfinite(value):
+        return f'value must be finite where status is "ok"; it is {float(value)}'
     if error is not None and not (is_number(error) and np.isfinite(error) and error >= 0):
         return f"standard_error must be None or a nonnegative number; it is {error!r}"
-    if estimate.interval is not None:
-        try:
-            lower, upper = estimate.interval
-            is_ordered = bool(lower <= upper)
-        except (TypeError, ValueError):
-            is_ordered = False
-        if not is_ordered:
-            return f"interval must be None or (lower, upper) with lower <= upper; it is {estimate.interval!r}"
+    try:
+        lower, upper = (0.0, 0.0) if estimate.interval is None else estimate.interval
+        is_ordered = bool(lower <= upper)
+    except (TypeError, ValueError):
+        is_ordered = False
+    if not is_ordered:
+        return f"interval must be None or (lower, upper) with lower <= upper; it is {estimate.interval!r}"
     if not isinstance(estimate.diagnostics, dict):
         return f"diagnostics must be a dict; it is {type(estimate.diagnostics).__name__}"
     return ""
@@ -210,10 +211,5 @@ def shorten(text: str, length: int = 160) -> str:
 
 def name_of(estimator: object) -> str:
     """What to call an estimator in a table: a function's name, a representation that says something, or the class's name."""
-    kind: Any = type(estimator)
-    try:
-        text = str(estimator.__name__ if hasattr(estimator, "__name__") else repr(estimator))
-    except Exception:
-        return str(kind.__name__)
-    says_nothing = kind.__repr__ is object.__repr__ or len(text) > 100
-    return str(kind.__name__) if says_nothing else text
+    name, text = getattr(estimator, "__name__", ""), repr(estimator)
+    return str(name or type(estimator).__name__) if name or text.startswith("<") or len(text) > 100 else text
