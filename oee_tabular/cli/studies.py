@@ -42,7 +42,8 @@ def reproduce(options: Options) -> None:
 
 @with_options("""
 Input:
---estimators=oee,model-based NAME,...  Comma-separated: evaluate (as printed), MODULE:OBJECT, {ESTIMATORS}.
+--estimators=oee,model-based NAME,...  Comma-separated: evaluate (as printed), MODULE:OBJECT, scope-rl:NAME,
+  offline-rl-ope:NAME, {ESTIMATORS}.
 --families NAME,...  Comma-separated, or MODULE:FUNCTION of your own (none: all).
 Value:
 --sizes N,...  Transitions of each stochastic state-action pair, comma-separated (none: 0.3,1,3,10,30).

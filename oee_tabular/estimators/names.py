@@ -108,9 +108,18 @@ NAMED: Mapping[str, Named] = {
 }
 
 
-ALIASES: Mapping[str, str] = {  # from the literature: in a table, fitted Q evaluation and the direct method are the model
-    "fqe": "model-based", "dm": "model-based", "mle": "model-based", "mis": "marginalized", "snis": "wis",
-}  # fmt: skip
+ALIASES: Mapping[str, str] = {  # from the literature; in a table each has the solution of an estimator above
+    "fqe": "model-based",  # fitted Q evaluation: Q = r + gamma P Q with the log's means and frequencies
+    "mql": "model-based",  # minimax Q learning: the same equation, one moment for each pair
+    "dm": "model-based",
+    "mle": "model-based",
+    "mis": "marginalized",
+    "mwl": "dualdice",  # minimax weight learning: weights under which the log's frequencies balance the policy's flow
+    "bestdice": "dualdice",  # as have the other saddle points of the DICE family
+    "gendice": "dualdice",
+    "gradientdice": "dualdice",
+    "snis": "wis",
+}
 
 
 def names(*, needs_target: bool = False) -> list[str]:

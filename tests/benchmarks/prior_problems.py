@@ -79,8 +79,8 @@ def main():
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--problems", type=int, default=0, help="the seed of the problems' parameters")
     options = parser.parse_args()
-    for title, makers in (("seen", FAMILIES[::2]), ("kept aside", FAMILIES[1::2])):
-        families = {make.__name__: make(np.random.default_rng(options.problems)) for make in makers}
+    for title, names in (("seen", list(FAMILIES)[::2]), ("kept aside", list(FAMILIES)[1::2])):
+        families = {name: FAMILIES[name](np.random.default_rng(options.problems)) for name in names}
         cells = [measure_cell(*item, size, options.seeds) for item in families.items() for size in SIZES]
         print("\n".join(describe_half(title, cells)), flush=True)
 

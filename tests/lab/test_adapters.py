@@ -1,16 +1,23 @@
-"""Estimators of other libraries: the padding by hand, the libraries' numbers where they are installed (they pull in torch)."""
+"""Estimators of others: the padding by hand, names that have one solution in a table, other libraries' numbers.
 
-import importlib.util
+The libraries pull in torch: without them stubs stand in, which compute what they are given.
+"""
+
+import sys
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular.estimators.names import NAMED
-from oee_tabular.lab.bench.adapters import OFFLINE, SCOPE, OfflineRLOPE, ScopeRL, padded
+from oee_tabular.estimators.names import NAMED, named_estimators
+from oee_tabular.lab.bench.adapters import PEERS, Peer, pad_episodes
 
 SAME = {"TrajectoryWiseImportanceSampling": "is", "PerDecisionImportanceSampling": "pdis", "SelfNormalizedTIS": "wis",
         "SelfNormalizedPDIS": "wpdis", "VanillaISPDIS": "pdis", "PDWIS": "wpdis"}  # fmt: skip
+ALL = [(library, name) for library, names in PEERS.items() for name in names]
+MISSING = {"scope-rl": "scope_rl.ope.discrete.basic_estimators", "offline-rl-ope": "offline_rl_ope.api"}
 
 
 @pytest.fixture(scope="module", params=["random_walk", "machine"])
@@ -21,61 +28,138 @@ def drawn(request):
 
 def test_padded_episodes_give_the_same_importance_sampling(drawn):
     family, problem = drawn
-    episodes = padded(problem, family.policy)
-    taken = np.take_along_axis(episodes.policy, episodes.action[:, :, None], axis=2)[:, :, 0]
-    weights = np.cumprod(taken / episodes.behavior, axis=1)
+    episodes = pad_episodes(problem, family.policy)
+    taken = np.take_along_axis(episodes["policy"], episodes["action"][:, :, None], axis=2)[:, :, 0]
+    weights = np.cumprod(taken / episodes["behavior"], axis=1)
     discount = family.simulator.discount ** np.arange(weights.shape[1])
-    value = (discount * weights * episodes.reward).sum(axis=1).mean()
-    np.testing.assert_allclose(value, NAMED["pdis"]()(problem, family.policy).value, rtol=1e-12)
-    assert episodes.alive.sum() == len(problem.log)
-    np.testing.assert_allclose(episodes.policy.sum(axis=2), 1.0)
+    value = (discount * weights * episodes["reward"]).sum(axis=1).mean()
+    assert_allclose(value, NAMED["pdis"]()(problem, family.policy).value, rtol=1e-12)
+    assert episodes["alive"].sum() == len(problem.log)
+    assert_allclose(episodes["policy"].sum(axis=2), 1.0)
 
 
 def test_a_horizon_cuts_episodes():
     pair = oee.testing.case("ragged")
-    assert padded(pair.problem(50, seed=0), pair.policy).alive.shape == (50, 6)
+    assert pad_episodes(pair.problem(50, seed=0), pair.policy)["alive"].shape == (50, 6)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("scope_rl") is None, reason="needs scope-rl, with torch")
-@pytest.mark.parametrize("name", SCOPE)
-def test_scope_rl(name, drawn):
+@pytest.mark.parametrize(("library", "name"), ALL)
+def test_the_libraries(library, name, drawn):
+    pytest.importorskip(MISSING[library], reason=f"needs {library}, with torch")
     family, problem = drawn
-    value = ScopeRL(name)(problem, family.policy).value
+    value = Peer(library, name)(problem, family.policy).value
     assert np.isfinite(value)
-    if name in SAME:
-        np.testing.assert_allclose(value, NAMED[SAME[name]]()(problem, family.policy).value, rtol=1e-8)
+    if name in SAME:  # offline-rl-ope has single precision
+        rtol = 1e-8 if library == "scope-rl" else 1e-4
+        assert_allclose(value, NAMED[SAME[name]]()(problem, family.policy).value, rtol=rtol)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("offline_rl_ope") is None, reason="needs offline-rl-ope, with torch")
-@pytest.mark.parametrize("name", OFFLINE)
-def test_offline_rl_ope(name, drawn):
-    family, problem = drawn
-    value = OfflineRLOPE(name)(problem, family.policy).value
-    np.testing.assert_allclose(value, NAMED[SAME[name]]()(problem, family.policy).value, rtol=1e-4)  # single precision
+def scope_rl(*, step_per_trajectory, action, reward, pscore, evaluation_policy_action_dist, gamma, **others):
+    """Per-decision importance sampling on what SCOPE-RL is given: flat arrays."""
+    taken = evaluation_policy_action_dist[np.arange(len(action)), action] / pscore
+    weights = np.cumprod(taken.reshape(-1, step_per_trajectory), axis=1)
+    assert others["state_action_value_prediction"].shape == evaluation_policy_action_dist.shape
+    return (weights * reward.reshape(weights.shape)) @ gamma ** np.arange(step_per_trajectory)
 
 
-def test_without_the_libraries_the_extra_is_named(drawn, monkeypatch):
-    family, problem = drawn
-    monkeypatch.setitem(__import__("sys").modules, "scope_rl.ope.discrete", None)
-    monkeypatch.setitem(__import__("sys").modules, "torch", None)
-    with pytest.raises(ImportError, match=r"ScopeRL needs scope-rl; in a clone: pip install '.\[scope-rl\]'"):
-        ScopeRL()(problem, family.policy)
-    with pytest.raises(ImportError, match=r"pip install '.\[offline-rl-ope\]'"):
-        OfflineRLOPE()(problem, family.policy)
-    row = oee.bench.run(ScopeRL(), families=["machine"], sizes=[1], seeds=1).table.iloc[-1]
-    assert (row.estimator, row.status.split(":")[0]) == ("ScopeRL", "ImportError")
+def offline_rl_ope(*, rewards, states, actions, weights, discount, is_msk):
+    """The same on what offline-rl-ope is given: a column of rewards for each episode."""
+    paid = np.array([column[:, 0] for column in rewards]) * is_msk
+    return (weights * paid) @ discount ** np.arange(weights.shape[1])
 
 
-def test_bad_calls(drawn):
-    family, problem = drawn
-    with pytest.raises(ValueError, match="estimator must be one of 'VanillaISPDIS', 'PDWIS'; got 'IS'"):
-        OfflineRLOPE("IS")
-    log = problem.log
-    bag = oee.Transitions(log.state, log.action, log.next_state, log.reward)
-    with pytest.raises(ValueError, match="log must have episodes for importance sampling"):
-        padded(oee.Problem(problem.simulator, bag), family.policy)
-    bare = oee.Transitions(
-        log.state, log.action, log.next_state, log.reward, terminated=log.terminated, episode=log.episode
-    )
-    with pytest.raises(ValueError, match="log must have behaviour probabilities for importance sampling"):
-        padded(oee.Problem(problem.simulator, bare), family.policy)
+@pytest.fixture
+def stubs(monkeypatch):
+    """Both libraries, and torch, as far as the adapters call them."""
+    scope = SimpleNamespace(estimate_policy_value=lambda **given: scope_rl(**given).mean())
+    offline = SimpleNamespace(predict=lambda **given: offline_rl_ope(**given).mean())
+    parts = {
+        MISSING["scope-rl"]: {"PerDecisionImportanceSampling": lambda: scope},
+        MISSING["offline-rl-ope"]: {
+            "StandardEstimators": SimpleNamespace(IS=SimpleNamespace(VanillaISPDIS=lambda: offline))
+        },
+        "torch": {"float32": float, "tensor": lambda values, dtype: np.asarray(values).view(Tensor)},
+    }
+    for name, contents in parts.items():
+        module = ModuleType(name)
+        vars(module).update(contents)
+        for part in ("scope_rl", "scope_rl.ope", "scope_rl.ope.discrete", "offline_rl_ope"):
+            if name.startswith(f"{part}."):
+                monkeypatch.setitem(sys.modules, part, ModuleType(part))
+        monkeypatch.setitem(sys.modules, name, module)
+
+
+class Tensor(np.ndarray):
+    def unsqueeze(self, axis):
+        return np.expand_dims(self, axis)
+
+
+def test_peers_by_name_beside_ours(stubs):
+    names = "scope-rl:PerDecisionImportanceSampling, offline-rl-ope:VanillaISPDIS, pdis"
+    table = oee.bench.run(names, families="machine", sizes=3, seeds=2).table
+    assert (table.status == "ok").all()
+    values = table.pivot(index="seed", columns="estimator", values="value")
+    for name in names.split(", "):
+        assert_allclose(values[name], values["pdis"], rtol=1e-12)
+
+
+def test_without_the_libraries_the_extra_is_named(monkeypatch):
+    for library, module in MISSING.items():
+        monkeypatch.setitem(sys.modules, module, None)
+        name = PEERS[library][-1]
+        with pytest.raises(
+            ImportError, match=rf"{library}:{name} needs {library}; in a clone: pip install '.\[{library}\]'"
+        ):
+            oee.bench.run(f"oee,{library}:{name}", families="machine")
+    row = oee.bench.run(Peer("scope-rl", "DoublyRobust"), families=["machine"], sizes=[1], seeds=1).table.iloc[-1]
+    assert (row.estimator, row.status.split(":")[0]) == ("Peer", "ImportError")
+
+
+@pytest.mark.parametrize("name", ["machine", "queue25"])
+def test_names_from_the_literature_solve_the_published_equations(name):
+    """On a log of all pairs: E[(r + gamma q(s', pi) - q(s, a)) f] = 0 and E[w (f(s, a) - gamma f(s', pi))] = f(s_0, pi)."""
+    family = oee.bench.families()[name]
+    simulator, policy = family.simulator, family.policy
+    log = oee.sample_transitions(family.target, np.full(policy.shape, 1 / policy.size), 20_000, seed=0)
+    problem = oee.Problem(simulator, log)
+    pair, moves = log.state * policy.shape[1] + log.action, np.zeros((policy.size, policy.shape[0]))
+    np.add.at(moves, (pair, log.next_state), simulator.discount)
+    matrix = np.diag(np.bincount(pair)) - (moves[:, :, None] * policy).reshape(policy.size, -1)
+    rewards, start = np.bincount(pair, problem.rewards_of(log)), (simulator.initial[:, None] * policy).ravel()
+    by_q, by_w = start @ np.linalg.solve(matrix, rewards), np.linalg.solve(matrix.T, start) @ rewards
+    for own, value in {"fqe": by_q, "mql": by_q, "mwl": by_w, "gendice": by_w, "dualdice": by_w}.items():
+        (estimator,) = named_estimators([own]).values()
+        assert_allclose(estimator(problem, policy).value, value, rtol=1e-9)
+    rows = oee.bench.run(["fqe", "mql", "gradientdice"], families=[name], sizes=[3], seeds=1).table
+    assert rows.estimator.tolist()[2:] == ["fqe", "mql", "gradientdice"]
+    assert rows.status.tolist() == ["ok"] * 5
+
+
+def test_episodes_for_someone_elses_script():
+    """The three lines of peers.md, and what they make."""
+    family = oee.bench.families()["inventory20"]
+    log = family.log(1000, seed=0)
+    episodes = np.split(np.column_stack([log.state, log.action, log.reward, log.next_state]), log.episode_starts[1:-1])
+    assert sum(map(len, episodes)) == 1000
+    assert all((episode[1:, 0] == episode[:-1, 3]).all() for episode in episodes)
+    assert len(episodes) == len(np.unique(log.episode))
+
+
+BAG = oee.Transitions([0], [0], [1], [1.0])
+BARE = oee.Transitions([0], [0], [1], [1.0], episode=[0])
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda case: Peer("offline-rl-ope", "IS"), "offline-rl-ope's estimator must be one of 'Vanilla.*; got 'IS'"),
+        (lambda case: oee.bench.run("scope-rl:PDIS"), "scope-rl's estimator must be one of 'Traj.*; got 'PDIS'"),
+        (lambda case: oee.bench.run("scope-rl"), "scope-rl's estimator must be one of .*; got ''"),
+        (lambda case: Peer("d3rlpy", "FQE"), "library must be one of 'scope-rl', 'offline-rl-ope'; got 'd3rlpy'"),
+        (lambda case: pad_episodes(oee.Problem(case.simulator, BAG), case.policy), "log must have episodes for importance"),
+        (lambda case: pad_episodes(oee.Problem(case.simulator, BARE), case.policy), "log must have behaviour probabilities"),
+    ],
+)  # fmt: skip
+def test_bad_calls(call, text):
+    with pytest.raises(ValueError, match=text):
+        call(oee.testing.case("ragged"))

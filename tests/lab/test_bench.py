@@ -261,7 +261,7 @@ def test_the_command(tmp_path, capsys, here):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--seeds", 0), "--seeds must be at least 1; got 0"),
+        (("--seeds", 0), "--seeds must be a positive integer; it is 0"),
         (("--seed", -1), "(?s)--seed.*(greater than or equal to 0|x>=0)"),
         (("--sizes", "1;3"), "--sizes must be numbers with commas between them, 0.3,1,3; got '1;3'"),
         (("--sizes", "-1"), r"sizes must be in \[0, inf\); it is -1"),

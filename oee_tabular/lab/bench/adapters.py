@@ -1,16 +1,11 @@
-"""Estimators that others publish, on tables: SCOPE-RL's [1] and offline-rl-ope's [2].
+"""Estimators that others publish, on tables: SCOPE-RL's [1] and offline-rl-ope's [2]; ``notebooks/peers.md`` is their page.
 
-Both take episodes of one length, so that ragged ones are padded: after its end an episode stays, is paid nothing, and weighs
-what it weighed. Both estimate from the log alone; SCOPE-RL's doubly robust ones are given Q of the simulator. What learns
-weights or values with networks (its marginal estimators, d3rlpy's fitted Q) is not adapted: it is made for large states, slow.
+    in a clone: pip install '.[scope-rl]'         oee bench --estimators scope-rl:DoublyRobust
+    in a clone: pip install '.[offline-rl-ope]'   oee bench --estimators offline-rl-ope:PDWIS
 
 Both install beside numpy 2.4 and work (SCOPE-RL 0.2.1, offline-rl-ope 7.0.0), but they pull in torch (4 GB with its CUDA
 libraries), d3rlpy (2.8.0, as 2.8.1 pins gymnasium 1.0.0) and gym, which prints a notice. offline-rl-ope imports jaxtyping and
-typeguard below 3, which it does not ask for; the extra does. Their importance sampling is ours to rounding ("is", "pdis",
-"wis", "wpdis"): the tests compare them.
-
-    in a clone: pip install '.[scope-rl]'         oee bench --estimators oee_tabular.lab.bench.adapters:ScopeRL
-    in a clone: pip install '.[offline-rl-ope]'   oee bench --estimators oee_tabular.lab.bench.adapters:OfflineRLOPE
+typeguard below 3, which it does not ask for; the extra does.
 
 References: [1] H. Kiyohara et al., SCOPE-RL: a Python library for offline reinforcement learning and off-policy evaluation,
 2023. [2] J. Spear, offline-rl-ope, https://pypi.org/project/offline-rl-ope.
@@ -18,39 +13,34 @@ References: [1] H. Kiyohara et al., SCOPE-RL: a Python library for offline reinf
 
 from __future__ import annotations
 
+import functools
+import importlib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike, Seed
+from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.exact import action_values
 from oee_tabular.mdp import check_policy
 
-SCOPE = (
-    "TrajectoryWiseImportanceSampling", "PerDecisionImportanceSampling", "SelfNormalizedTIS", "SelfNormalizedPDIS",
-    "DoublyRobust", "SelfNormalizedDR",
-)  # fmt: skip
-OFFLINE = ("VanillaISPDIS", "PDWIS")
+PEERS: Mapping[str, tuple[str, ...]] = {
+    "scope-rl": (
+        "TrajectoryWiseImportanceSampling", "PerDecisionImportanceSampling", "SelfNormalizedTIS", "SelfNormalizedPDIS",
+        "DoublyRobust", "SelfNormalizedDR",
+    ),
+    "offline-rl-ope": ("VanillaISPDIS", "PDWIS"),
+}  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Padded:
-    """Episodes of one length, (episodes, T): what both libraries read."""
-
-    state: IntArray
-    action: IntArray
-    reward: Array
-    behavior: Array
-    policy: Array
-    alive: BoolArray
-
-
-def padded(problem: Problem, policy: Array) -> Padded:
-    """The log's episodes, at most ``problem.horizon`` steps of each; ``policy`` (episodes, T, A) at each step.
+def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
+    """Episodes of one length, at most ``problem.horizon`` steps: state, action, reward, behavior and alive (episodes, T).
 
     After its end an episode repeats its last state, takes action 0 with probability 1 under both policies and is paid 0.
+    ``policy`` (episodes, T, A) is that of the policy at each step.
     """
     log = problem.recorded
     starts, probability = log.episode_starts, log.behavior_probability
@@ -63,98 +53,79 @@ def padded(problem: Problem, policy: Array) -> Padded:
     time = np.arange(steps)
     alive = time < lengths[:, None]
     row = starts[:-1, None] + np.minimum(time, lengths[:, None] - 1)
-    first = np.zeros(policy.shape[1])
-    first[0] = 1.0
-    return Padded(
-        np.where(alive, log.state[row], log.next_state[row]),
-        np.where(alive, log.action[row], 0),
-        np.where(alive, problem.rewards_of(log)[row], 0.0),
-        np.where(alive, probability[row], 1.0),
-        np.where(alive[:, :, None], policy[log.state[row]], first),
-        alive,
-    )
+    return {
+        "state": np.where(alive, log.state[row], log.next_state[row]),
+        "action": np.where(alive, log.action[row], 0),
+        "reward": np.where(alive, problem.rewards_of(log)[row], 0.0),
+        "behavior": np.where(alive, probability[row], 1.0),
+        "policy": np.where(alive[:, :, None], policy[log.state[row]], np.eye(policy.shape[1])[0]),
+        "alive": alive,
+    }
 
 
 @dataclass(frozen=True)
-class ScopeRL:
-    """An estimator of SCOPE-RL on the log's episodes.
+class Peer:
+    """An estimator of another library on the log's episodes; it gives no standard error.
 
     Parameters
     ----------
-    estimator : the name of its class in ``scope_rl.ope.discrete``
+    library : "scope-rl" | "offline-rl-ope"
+    estimator : the name of its class in ``scope_rl.ope.discrete`` or ``offline_rl_ope.api.StandardEstimators``
 
     Examples
     --------
-    >>> ScopeRL("PDIS")
+    >>> Peer("scope-rl", "PDIS")
     Traceback (most recent call last):
-    ValueError: estimator must be one of 'TrajectoryWiseImportanceSampling', 'PerDecisionImportanceSampling',
+    ValueError: scope-rl's estimator must be one of 'TrajectoryWiseImportanceSampling', 'PerDecisionImportanceSampling',
     'SelfNormalizedTIS', 'SelfNormalizedPDIS', 'DoublyRobust', 'SelfNormalizedDR'; got 'PDIS'
     """
 
-    estimator: str = "SelfNormalizedPDIS"
+    library: str
+    estimator: str
 
     def __post_init__(self) -> None:
-        _checks.one_of(self.estimator, "estimator", SCOPE)
+        _checks.one_of(self.library, "library", tuple(PEERS))
+        _checks.one_of(self.estimator, f"{self.library}'s estimator", PEERS[self.library])
+
+    def load(self) -> Any:
+        """The estimator as the library makes it; ImportError, which names the extra, without the library."""
+        try:
+            if self.library == "scope-rl":
+                return getattr(importlib.import_module("scope_rl.ope.discrete.basic_estimators"), self.estimator)()
+            return getattr(importlib.import_module("offline_rl_ope.api").StandardEstimators.IS, self.estimator)()
+        except ImportError as error:
+            raise ImportError(
+                f"{self.library}:{self.estimator} needs {self.library}; in a clone: pip install '.[{self.library}]'"
+            ) from error
 
     def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """Its ``estimate_policy_value``; it gives no standard error."""
-        try:
-            from scope_rl.ope.discrete import basic_estimators
-        except ImportError as error:
-            raise ImportError("ScopeRL needs scope-rl; in a clone: pip install '.[scope-rl]'") from error
-        pi = check_policy(policy, problem.simulator)
-        episodes = padded(problem, pi)
-        q = action_values(problem.simulator, pi, horizon=problem.horizon)[episodes.state]
-        q[~episodes.alive] = 0.0
-        value = getattr(basic_estimators, self.estimator)().estimate_policy_value(
-            step_per_trajectory=episodes.action.shape[1],
-            action=episodes.action.reshape(-1),
-            reward=episodes.reward.reshape(-1),
-            pscore=episodes.behavior.reshape(-1),
-            evaluation_policy_action_dist=episodes.policy.reshape(-1, pi.shape[1]),
-            state_action_value_prediction=q.reshape(-1, pi.shape[1]),
-            gamma=float(problem.simulator.discount),
-        )
-        return Estimate(float(value))
-
-
-@dataclass(frozen=True)
-class OfflineRLOPE:
-    """An estimator of offline-rl-ope on the log's episodes, with weights per decision.
-
-    Parameters
-    ----------
-    estimator : the name of its class in ``offline_rl_ope.api.StandardEstimators``
-
-    Examples
-    --------
-    >>> OfflineRLOPE()
-    OfflineRLOPE(estimator='PDWIS')
-    """
-
-    estimator: str = "PDWIS"
-
-    def __post_init__(self) -> None:
-        _checks.one_of(self.estimator, "estimator", OFFLINE)
-
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
-        """Its ``predict``; it gives no standard error."""
-        try:
-            import torch
-            from offline_rl_ope.api import StandardEstimators
-        except ImportError as error:
-            extra = "in a clone: pip install '.[offline-rl-ope]'"
-            raise ImportError(f"OfflineRLOPE needs offline-rl-ope and typeguard below 3: {extra}") from error
-        episodes = padded(problem, check_policy(policy, problem.simulator))
-        taken = np.take_along_axis(episodes.policy, episodes.action[:, :, None], axis=2)[:, :, 0]
-        weights = np.cumprod(taken / episodes.behavior, axis=1)
-        columns = [torch.tensor(column, dtype=torch.float32).unsqueeze(-1) for column in episodes.reward]
-        value = getattr(StandardEstimators.IS, self.estimator)().predict(
-            rewards=columns,
-            states=columns,  # not used by weights
-            actions=columns,
-            weights=torch.tensor(weights, dtype=torch.float32),
-            discount=float(problem.simulator.discount),
-            is_msk=torch.ones(weights.shape, dtype=torch.float32),
-        )
+        """Its value of the policy."""
+        pi, discount = check_policy(policy, problem.simulator), float(problem.simulator.discount)
+        estimator, episodes = self.load(), pad_episodes(problem, pi)
+        if self.library == "scope-rl":
+            q = action_values(problem.simulator, pi, horizon=problem.horizon)[episodes["state"]]
+            q[~episodes["alive"]] = 0.0
+            value = estimator.estimate_policy_value(
+                step_per_trajectory=q.shape[1],
+                action=episodes["action"].reshape(-1),
+                reward=episodes["reward"].reshape(-1),
+                pscore=episodes["behavior"].reshape(-1),
+                evaluation_policy_action_dist=episodes["policy"].reshape(-1, q.shape[2]),
+                state_action_value_prediction=q.reshape(-1, q.shape[2]),
+                gamma=discount,
+            )
+        else:
+            torch = importlib.import_module("torch")
+            tensor = functools.partial(torch.tensor, dtype=torch.float32)
+            taken = np.take_along_axis(episodes["policy"], episodes["action"][:, :, None], axis=2)[:, :, 0]
+            weights = np.cumprod(taken / episodes["behavior"], axis=1)
+            columns = [tensor(column).unsqueeze(-1) for column in episodes["reward"]]
+            value = estimator.predict(
+                rewards=columns,
+                states=columns,  # not used by weights
+                actions=columns,
+                weights=tensor(weights),
+                discount=discount,
+                is_msk=tensor(np.ones(weights.shape)),
+            )
         return Estimate(float(value))

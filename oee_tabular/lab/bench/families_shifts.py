@@ -12,15 +12,32 @@ from typing import Any
 import numpy as np
 from scipy import optimize, stats
 
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact import optimal_policy, policy_value, state_values
-from oee_tabular.lab.bench.family import Family, Moves, pair, poisson, shifted, spread
+from oee_tabular.lab.bench.family import Family, Maker, Moves, cross, normalize, pair, poisson, shift
 from oee_tabular.mdp import FiniteMDP
+
+DECK = np.append(np.ones(9), 4.0) / 13
+OUTCOME = np.zeros((203, 2, 203))
+OUTCOME[:200, :, 200], OUTCOME[:200, :, 202] = -1.0, 1.0
+ONE, TWO = np.divmod(np.arange(64), 8)
+CLAIMS = np.arange(1, 61)
+RETURNS = np.arange(-15, 16)
+PREY, HUNTERS = np.divmod(np.arange(96), 8)
+HARVESTS = np.array([0, 1, 3])
+PRICES, STOCK = np.array([1.0, 1.5, 2.0, 3.0]), np.arange(176) % 16
+BATCHES, DEMAND = np.array([0, 3, 6, 10]), poisson(3.0, 30)
+SALES = np.minimum(np.arange(31)[:, None], np.arange(31)) @ DEMAND
+LEVEL, SEASON = np.divmod(np.arange(60), 4)
+SWING = np.array([1.0, 0.6, -0.8, -0.8])
+CARS = np.arange(294) // 7 % 7, np.arange(294) % 7
+RATES = np.array([[0.2, 0.3, 0.7, 0.3, 0.2, 0.2], [0.2, 0.2, 0.2, 0.3, 0.6, 0.3]])
+X, Y = np.divmod(np.arange(81), 9)
 
 
 def from_tables(about: str, tables: tuple[Array, Array], rewards: Array, discount: float) -> Family:
     """A family from the simulator's and the target's probabilities, (S, A, S)."""
-    simulator = FiniteMDP(tables[0], rewards, spread(len(rewards), slice(None)), discount)
+    simulator = FiniteMDP(tables[0], rewards, np.full(len(rewards), 1 / len(rewards)), discount)
     return pair(simulator, simulator.with_transitions(tables[1]), about)
 
 
@@ -34,11 +51,6 @@ def match_value(family_at: Callable[[float], Family], low: float, high: float) -
     return family_at(optimize.brentq(lambda parameter: miss(family_at(parameter)), low, high, xtol=1e-3))
 
 
-def normalize(table: Array) -> Array:
-    """Rows along the last axis that sum to 1."""
-    return np.asarray(table / table.sum(axis=-1, keepdims=True))
-
-
 def draw_garnet(rng: np.random.Generator, n_states: int = 40, n_actions: int = 3, n_successors: int = 5) -> Array:
     """(S, A, S) of random rows: ``n_successors`` random states with uniform Dirichlet probabilities."""
     table = np.zeros((n_states, n_actions, n_states))
@@ -47,26 +59,15 @@ def draw_garnet(rng: np.random.Generator, n_states: int = 40, n_actions: int = 3
     return table
 
 
-def blackjack(rng: np.random.Generator) -> Family:
+def blackjack(s: IntArray, stand: IntArray, cards: Array) -> Moves:
     """Own total 2 to 21, dealer's card 1 to 10, aces count 1; then lost, even, won; draw or stand."""
-
-    def moves(s: int, stand: int, cards: Array) -> Moves:
-        total, shown = s // 10 + 2, s % 10 + 1
-        if s >= 200:
-            return []
-        if not stand:
-            return [(p, 200 if total + card > 21 else s + 10 * card) for card, p in enumerate(cards, 1)]
-        dealer = np.eye(32)[shown]
-        for t in range(1, 17):
-            dealer[t + 1 : t + 11] += dealer[t] * cards
-        return [(dealer[t], 202 if t > 21 or t < total else 201 if t == total else 200) for t in range(17, 27)]
-
-    deck = np.append(np.ones(9), 4.0) / 13
-    real = deck * np.repeat([1.0, rng.uniform(1.4, 1.9), 1.0, rng.uniform(0.4, 0.7)], [4, 2, 3, 1])
-    rewards = np.zeros((203, 2, 203))
-    rewards[:200, :, 200], rewards[:200, :, 202] = -1.0, 1.0
-    about = "High cards are rarer and middle ones more frequent than simulated."
-    return shifted(moves, (203, 2), rewards, 0.99, (deck,), (normalize(real),), about, start=range(20, 150))
+    total, drawn, final = s // 10 + 2, np.arange(1, 11), np.arange(17, 27)
+    dealer = np.eye(32)[1:11]
+    for t in range(1, 17):
+        dealer[:, t + 1 : t + 11] += dealer[:, t : t + 1] * cards
+    yield (1 - stand) * cards, np.where(total + drawn > 21, 200, s + 10 * drawn)
+    wins = np.where((final > 21) | (final < total), 202, np.where(final == total, 201, 200))
+    yield stand * dealer[s[:, :, 0] % 10, 17:27], wins
 
 
 def blend_with_stranger(rng: np.random.Generator) -> Family:
@@ -76,63 +77,40 @@ def blend_with_stranger(rng: np.random.Generator) -> Family:
     return from_tables(about, (0.95 * mine + 0.05 * other, 0.7 * mine + 0.3 * other), rewards, 0.95)
 
 
-def coupled_maintenance(rng: np.random.Generator) -> Family:
+def coupled_maintenance(s: IntArray, action: IntArray, base: float, load: float) -> Moves:
     """Two parts with wear 0 to 7; the action's bits say which are repaired."""
 
-    def wear_distribution(wear: int, repaired: int, rate: float) -> Array:
-        law = np.zeros(8)
-        for before, p in ((0, 0.95), (wear, 0.05)) if repaired else ((wear, 1.0),):
-            law[before] += p * (1 - rate)
-            law[min(before + 1, 7)] += p * rate
-        return law
+    def wear(part: IntArray, is_repaired: IntArray, rate: Array) -> Array:
+        k, new, old = np.arange(8), 0.95 * is_repaired, np.where(is_repaired, 0.05, 1.0)
+        law = new * (1 - rate) * (k == 0) + new * rate * (k == 1) + old * (1 - rate) * (k == part)
+        return np.asarray(law + old * rate * (k == np.minimum(part + 1, 7)))
 
-    def moves(s: int, action: int, base: float, load: float) -> Moves:
-        one, two = divmod(s, 8)
-        rates = base + load * two / 7, base + load * one / 7
-        laws = wear_distribution(one, action & 1, rates[0]), wear_distribution(two, action & 2, rates[1])
-        return zip(np.outer(*laws).ravel(), range(64), strict=True)
-
-    one, two = np.divmod(np.arange(64), 8)
-    rewards = (4 - 0.08 * (one**2 + two**2))[:, None] - np.array([0.0, 1.5, 1.5, 2.5])
-    real = 0.2, rng.uniform(0.3, 0.5)
-    about = "A worn part wears out the other one; simulated, they wear independently."
-    return shifted(moves, (64, 4), rewards, 0.96, (0.3, 0.0), real, about, recorded=0.8)
+    one, two = np.divmod(s, 8)
+    laws = wear(one, action & 1, base + load * two / 7), wear(two, action // 2, base + load * one / 7)
+    return [(cross(*laws), np.arange(64))]
 
 
-def epidemic_superspreading(rng: np.random.Generator) -> Family:
+def epidemic_superspreading(infected: IntArray, action: IntArray, dispersion: float) -> Moves:
     """0 to 30 infected; open, distance, closed."""
-
-    def moves(infected: int, action: int, dispersion: float) -> Moves:
-        mean = 0.3 + (0.45, 0.28, 0.15)[action] * infected * (1 - infected / 45)
-        new = stats.nbinom.pmf(np.arange(200), dispersion, dispersion / (dispersion + mean))
-        still_ill = stats.binom.pmf(np.arange(infected + 1), infected, 0.7)
-        return [(p, min(count, 30)) for count, p in enumerate(np.convolve(new, still_ill))]
-
-    rewards = -0.2 * np.arange(31.0)[:, None] - np.array([0.0, 0.8, 2.0])
-    real = (rng.uniform(0.5, 1.0),)
-    about = "A few infect many others: new infections have the simulated mean and a far larger variance."
-    return shifted(moves, (31, 3), rewards, 0.95, (1000.0,), real, about, start=range(1, 8))
+    mean = 0.3 + np.array([0.45, 0.28, 0.15])[action] * infected * (1 - infected / 45)
+    new = stats.nbinom.pmf(np.arange(200), dispersion, dispersion / (dispersion + mean))
+    still_ill = stats.binom.pmf(np.arange(31), infected, 0.7)[:, 0]
+    law = np.zeros((31, 3, 230))
+    for i, a in np.ndindex(31, 3):
+        law[i, a, : 200 + i] = np.convolve(new[i, a], still_ill[i, : i + 1])
+    return [(law, np.arange(230))]
 
 
-def insurance_claims(rng: np.random.Generator) -> Family:
+def find_law_of_mean_5(weights: Callable[[float], Any], low: float, high: float) -> Array:
+    """The distribution of claims of mean 5 in a family of weights."""
+    root = optimize.brentq(lambda x: normalize(weights(x)) @ CLAIMS - 5, low, high)
+    return normalize(weights(root))
+
+
+def insurance_claims(capital: IntArray, action: IntArray, claims: Array, frequency: float) -> Moves:
     """Capital 0 (ruin) to 49; claims of 1 to 60, of which all, half or a quarter is kept."""
-    sizes = np.arange(1, 61)
-
-    def distribution_of_mean_5(weights: Callable[[float], Any], low: float, high: float) -> Array:
-        return normalize(weights(optimize.brentq(lambda x: normalize(weights(x)) @ sizes - 5, low, high)))
-
-    def moves(capital: int, action: int, claims: Array, frequency: float) -> Moves:
-        income = min(capital + (3, 2, 1)[action], 49)
-        after = np.maximum(income - np.ceil(sizes * (1.0, 0.5, 0.25)[action]).astype(int), 0)
-        return [(1 - frequency, income), *zip(frequency * claims, after, strict=True)] if capital else []
-
-    thin, heavy = (
-        distribution_of_mean_5(lambda x: x**sizes, 0.5, 0.99),
-        distribution_of_mean_5(lambda x: sizes**-x, 1.01, 4.0),
-    )
-    real = heavy, rng.uniform(0.38, 0.45)
-    about, rewards = "Claims have a heavy tail at the simulated mean.", np.sqrt(np.arange(50.0))
-    return shifted(moves, (50, 3), rewards, 0.97, (thin, 0.4), real, about, start=range(10, 41))
+    income = np.minimum(capital + 3 - action, 49)
+    return (1 - frequency, income), (frequency * claims, income - np.ceil(CLAIMS * 0.5**action).astype(int))
 
 
 def low_rank(rng: np.random.Generator) -> Family:
@@ -162,116 +140,71 @@ def lucky_garnet(rng: np.random.Generator) -> Family:
 
 def lucky_queue(rng: np.random.Generator) -> Family:
     """0 to 29 jobs, slow or fast service."""
-
-    def moves(jobs: int, fast: int, arrival: float, factor: float) -> Moves:
-        done = factor * (0.5, 0.7)[fast] if jobs else 0.0
-        up, down = arrival * (1 - done), (1 - arrival) * done
-        return (up, min(jobs + 1, 29)), (down, max(jobs - 1, 0)), (1 - up - down, jobs)
-
-    rewards = -0.1 * np.arange(30.0)[:, None] - np.array([0.0, 0.4])
     arrival, about = rng.uniform(0.34, 0.4), "Fewer arrivals and slower service than simulated, which cancel by luck."
+    cost = -0.1 * np.arange(30.0)[:, None] - np.array([0.0, 0.4])
+
+    def moves(jobs: IntArray, fast: IntArray, arrival: float, factor: float) -> Moves:
+        done = np.where(jobs > 0, factor * np.where(fast, 0.7, 0.5), 0.0)
+        up, down = arrival * (1 - done), (1 - arrival) * done
+        return (up, jobs + 1), (down, jobs - 1), (1 - up - down, jobs)
 
     def family_at(factor: float) -> Family:
-        return shifted(moves, (30, 2), rewards, 0.97, (0.45, 1.0), (arrival, factor), about)
+        return shift(about, (30, 2), cost, 0.97, (0.45, 1.0), (arrival, factor), moves)()
 
     return match_value(family_at, 0.3, 1.0)
 
 
-def portfolio_tails(rng: np.random.Generator) -> Family:
+def portfolio_tails(wealth: IntArray, action: IntArray, law: Array) -> Moves:
     """Wealth 0 (broke) to 40 on a logarithmic scale; nothing, half or all of it at risk."""
-    returns = np.arange(-15, 16)
-
-    def moves(wealth: int, action: int, law: Array) -> Moves:
-        after = wealth + np.round((0.0, 0.5, 1.0)[action] * returns).astype(int)
-        spent = [(share * law, (after - k).clip(0, 40)) for k, share in ((0, 0.8), (1, 0.2))]
-        return [pair for p, where in spent for pair in zip(p, where, strict=True)] if wealth else []
-
-    thin, heavy = stats.norm(0.5, 3.0).pdf(returns), stats.t(rng.uniform(2, 3), 0.5, 1.7).pdf(returns)
-    about, rewards = (
-        "Returns have the heavy tails of Student's t; simulated, they are normal.",
-        np.log1p(np.arange(41.0)),
-    )
-    return shifted(moves, (41, 3), rewards, 0.96, (thin,), (heavy,), about, start=range(10, 31))
+    after = wealth + np.round(0.5 * action * RETURNS).astype(int)
+    return (0.8 * law, after), (0.2 * law, after - 1)
 
 
-def predator_prey(rng: np.random.Generator) -> Family:
+def predator_prey(s: IntArray, action: IntArray, growth: float, death: float, bite: float) -> Moves:
     """Prey 0 to 11, predators 0 to 7; harvests of 0, 1 and 3."""
-
-    def moves(s: int, action: int, growth: float, death: float, bite: float) -> Moves:
-        prey, hunters = divmod(s, 8)
-        left = max(prey - (0, 1, 3)[action], 0)
-        mean = max(0.3 + left * (1 + growth * (1 - left / 11)) - bite * left * hunters, 0.1)
-        more = 0.2 + (1 - death) * hunters + 0.4 * bite * left * hunters
-        return zip(np.outer(poisson(mean, 11), poisson(more, 7)).ravel(), range(96), strict=True)
-
-    prey, hunters = np.divmod(np.arange(96), 8)
-    rewards = np.minimum(prey[:, None], [0, 1, 3]) ** 0.7 - 0.05 * hunters[:, None]
-    real = rng.uniform(0.5, 0.7), rng.uniform(0.3, 0.4), rng.uniform(0.05, 0.08)
-    about = "Growth, death and hunting all differ from the simulator's."
-    return shifted(moves, (96, 3), rewards, 0.95, (0.8, 0.5, 0.06), real, about)
+    hunters, left = HUNTERS[s], np.maximum(PREY[s] - HARVESTS[action], 0)
+    mean = np.maximum(0.3 + left * (1 + growth * (1 - left / 11)) - bite * left * hunters, 0.1)
+    more = 0.2 + (1 - death) * hunters + 0.4 * bite * left * hunters
+    return [(cross(poisson(mean, 11), poisson(more, 7)), np.arange(96))]
 
 
-def pricing(rng: np.random.Generator) -> Family:
-    """Ten weeks, stock 0 to 15, four prices."""
-    prices = np.array([1.0, 1.5, 2.0, 3.0])
-
-    def moves(s: int, action: int, base: float, elasticity: float) -> Moves:
-        week, stock = divmod(s, 16)
-        demand = poisson(base * np.exp(-elasticity * (prices[action] - 1)), stock) if stock else [1.0]
-        return [(p, s + 16 - sold) for sold, p in enumerate(demand)] if week < 10 else []
-
-    stock = np.arange(176) % 16
-    rewards = prices[:, None] * np.maximum(stock[:, None] - stock, 0)[:, None, :]
-    real = rng.uniform(4.0, 5.0), rng.uniform(1.1, 1.5)
-    about = "More customers come than simulated, and high prices deter more of them."
-    return shifted(moves, (176, 4), rewards, 0.99, (3.5, 0.8), real, about, start=range(8, 16))
-
-
-def random_yield(rng: np.random.Generator) -> Family:
+def random_yield(stock: IntArray, action: IntArray, dispersion: float) -> Moves:
     """Stock 0 to 30, batches of 0, 3, 6 and 10."""
-    batches, demand = np.array([0, 3, 6, 10]), poisson(3.0, 30)
-
-    def moves(stock: int, action: int, dispersion: float) -> Moves:
-        good = np.arange(batches[action] + 1)
-        law = stats.betabinom.pmf(good, batches[action], 0.7 * dispersion, 0.3 * dispersion) if action else [1.0]
-        left = np.minimum(np.maximum(stock - np.arange(31), 0)[:, None] + good, 30)
-        return zip(np.outer(demand, law).ravel(), left.ravel(), strict=True)
-
-    sales = np.minimum(np.arange(31)[:, None], np.arange(31)) @ demand
-    rewards = (2 * sales - 0.1 * np.arange(31))[:, None] - 0.3 * batches - 0.5 * (batches > 0)
-    about, real = "A batch succeeds or fails as a whole, with the simulated mean.", (rng.uniform(0.5, 1.0),)
-    return shifted(moves, (31, 4), rewards, 0.96, (1e4,), real, about)
+    sold, good = np.divmod(np.arange(31 * 11), 11)
+    law = stats.betabinom.pmf(np.arange(11), BATCHES[action], 0.7 * dispersion, 0.3 * dispersion)
+    law[:, 0] = np.arange(11) == 0
+    return [(cross(DEMAND, law), np.maximum(stock - sold, 0) + good)]
 
 
 def reservoir(rng: np.random.Generator) -> Family:
     """Level 0 to 14 in four seasons; releases of 0 to 3."""
-
-    def moves(s: int, action: int, inflows: Array) -> Moves:
-        level, season = divmod(s, 4)
-        left, following = max(level - action, 0), (season + 1) % 4
-        return [(p, min(left + inflow, 14) * 4 + following) for inflow, p in enumerate(poisson(inflows[season], 14))]
-
-    level, season = np.divmod(np.arange(60), 4)
-    rewards = np.sqrt(np.minimum(level[:, None], np.arange(4))) * np.array([1.0, 0.8, 1.2, 1.5])[season][:, None]
-    rewards -= np.select([level == 14, level == 0], [2.0, 3.0])[:, None]
-    swing = rng.uniform(0.8, 1.1) * np.array([1.0, 0.6, -0.8, -0.8])
+    rewards = np.sqrt(np.minimum(LEVEL[:, None], np.arange(4))) * np.array([1.0, 0.8, 1.2, 1.5])[SEASON][:, None]
+    rewards -= np.select([LEVEL == 14, LEVEL == 0], [2.0, 3.0])[:, None]
+    swing = rng.uniform(0.8, 1.1) * SWING
     about = "Seasons differ more than simulated, with the same inflow a year."
-    return shifted(moves, (60, 4), rewards, 0.97, (1.7 + 0.2 * swing,), (1.7 + swing,), about)
+
+    def moves(s: IntArray, action: IntArray, inflows: Array) -> Moves:
+        left = np.maximum(LEVEL[s] - action, 0)
+        return [(poisson(inflows[SEASON[s]], 14), np.minimum(left + np.arange(15), 14) * 4 + (SEASON[s] + 1) % 4)]
+
+    return shift(about, (60, 4), rewards, 0.97, (1.7 + 0.2 * swing,), (1.7 + swing,), moves)()
 
 
 def router_fault(rng: np.random.Generator) -> Family:
     """40 nodes with three links each; node 0 pays and sends the packet anywhere."""
     links = np.array([rng.permutation(40)[:3] for _ in range(40)])
     busiest = 1 + int(np.bincount(links.ravel(), minlength=40)[1:].argmax())
-
-    def moves(node: int, link: int, works: float) -> Moves:
-        p = works if node == busiest else 0.9
-        lost = [(0.1 * (1 - p) / 3, k) for k in links[node]]
-        return [(p, links[node, link]), (0.9 * (1 - p), node), *lost] if node else [(1 / 40, k) for k in range(40)]
-
     about, real = "The busiest node loses most packets; the others are as simulated.", (rng.uniform(0.1, 0.25),)
+
+    def moves(node: IntArray, link: IntArray, works: float) -> Moves:
+        p, goes = np.where(node == busiest, works, 0.9), node > 0
+        yield goes * p, links[node, link]
+        yield goes * (0.9 * (1 - p)), node
+        yield goes * (0.1 * (1 - p) / 3), links[node[:, :, 0]]
+        yield (node == 0) / 40, np.arange(40)
+
     rewards = np.append(5.0, -np.ones(39))
-    return shifted(moves, (40, 3), rewards, 0.96, (0.9,), real, about, recorded=0.7)
+    return shift(about, (40, 3), rewards, 0.96, (0.9,), real, moves, recorded=0.7)()
 
 
 def scattered_points(rng: np.random.Generator) -> Family:
@@ -288,53 +221,30 @@ def scattered_points(rng: np.random.Generator) -> Family:
     return from_tables(about, (scatter(0.12, 1.0), scatter(rng.uniform(0.15, 0.2), 0.4)), rewards, 0.93)
 
 
-def traffic_hours(rng: np.random.Generator) -> Family:
+def traffic_hours(s: IntArray, green: IntArray, north: Array, west: Array) -> Moves:
     """Six hours, queues of 0 to 6 from north and west; who has green."""
+    hour, both = s // 49, np.arange(49)
 
-    def queue_distribution(waiting: int, is_green: bool, rate: float) -> Array:
-        law, leave = np.zeros(7), stats.binom.pmf(np.arange(3), 2, 0.85 * is_green)
-        for (served, come), p in np.ndenumerate(np.outer(leave, stats.binom.pmf(np.arange(3), 2, rate))):
-            law[min(max(waiting - served, 0) + come, 6)] += p
-        return law
+    def queue(waiting: IntArray, is_green: IntArray, rate: Array) -> Array:
+        leave, come = (stats.binom.pmf(np.arange(3), 2, p) for p in (0.85 * is_green, rate))
+        law, (served, new) = cross(leave, come), np.divmod(np.arange(9), 3)
+        after = np.minimum(np.maximum(waiting - served, 0) + new, 6)
+        return np.stack([sum(law[..., k] * (after[..., k] == n) for k in range(9)) for n in range(7)], axis=-1)
 
-    def moves(s: int, green: int, north: Array, west: Array) -> Moves:
-        hour, both = s // 49, np.arange(49)
-        laws = (
-            queue_distribution(s // 7 % 7, green == 0, north[hour]),
-            queue_distribution(s % 7, green == 1, west[hour]),
-        )
-        law, later = np.outer(*laws).ravel(), 49 * ((hour + 1) % 6)
-        return [*zip(0.75 * law, 49 * hour + both, strict=True), *zip(0.25 * law, later + both, strict=True)]
-
-    rates = np.array([[0.2, 0.3, 0.7, 0.3, 0.2, 0.2], [0.2, 0.2, 0.2, 0.3, 0.6, 0.3]])
-    real = np.roll(rates[0], 1), rates[1] + rng.uniform(0.1, 0.2)
-    rewards = -0.2 * (np.arange(294) // 7 % 7 + np.arange(294) % 7)
-    about = "One rush hour comes later than simulated, and more cars come from the west."
-    return shifted(moves, (294, 2), rewards, 0.95, tuple(rates), real, about)
+    law = cross(queue(CARS[0][s], 1 - green, north[hour]), queue(CARS[1][s], green, west[hour]))
+    return (0.75 * law, 49 * hour + both), (0.25 * law, 49 * ((hour + 1) % 6) + both)
 
 
-def two_motors(rng: np.random.Generator) -> Family:
+def two_motors(s: IntArray, action: IntArray, wear: float, overshoots: float) -> Moves:
     """A table of 9 x 9 places; each motor moves by -1, 0 or 1; 40 steps."""
 
-    def place_distribution(place: int, way: int, fails: float, overshoots: float) -> Array:
-        law = np.zeros(9)
-        shares = (fails, 1 - fails - overshoots, overshoots) if way else (0.03, 0.94, 0.03)
-        for k, p in enumerate(shares):
-            law[min(max(place + (k * way if way else k - 1), 0), 8)] += p
-        return law
+    def place(at: IntArray, way: IntArray, fails: Any, overshoots: float) -> Array:
+        shares = [np.where(way, p, q) for p, q in ((fails, 0.03), (1 - fails - overshoots, 0.94), (overshoots, 0.03))]
+        after = [np.clip(at + np.where(way, k * way, k - 1), 0, 8) for k in range(3)]
+        return np.asarray(sum(p * (to == np.arange(9)) for p, to in zip(shares, after, strict=True)))
 
-    def moves(s: int, action: int, wear: float, overshoots: float) -> Moves:
-        (x, y), (x_way, y_way) = divmod(s, 9), divmod(action, 3)
-        laws = (
-            place_distribution(x, x_way - 1, 0.1 + wear * x / 8, 0.05),
-            place_distribution(y, y_way - 1, 0.1, overshoots),
-        )
-        return zip(np.outer(*laws).ravel(), range(81), strict=True)
-
-    x, y = np.divmod(np.arange(81), 9)
-    rewards, real = -np.hypot(x - 6, y - 2) / 4, (rng.uniform(0.3, 0.5), rng.uniform(0.2, 0.3))
-    about = "One motor fails the more often the farther out it is, and the other one overshoots."
-    return shifted(moves, (81, 9), rewards, 0.95, (0.0, 0.05), real, about, horizon=40)
+    one = place(X[s], action // 3 - 1, 0.1 + wear * X[s] / 8, 0.05)
+    return [(cross(one, place(Y[s], action % 3 - 1, 0.1, overshoots)), np.arange(81))]
 
 
 def web_pages(rng: np.random.Generator) -> Family:
@@ -346,8 +256,67 @@ def web_pages(rng: np.random.Generator) -> Family:
     return from_tables(about, (0.85 * links + 0.15 / 120, real), rewards, 0.9)
 
 
-FAMILIES = (  # in the order of the alphabet
-    blackjack, blend_with_stranger, coupled_maintenance, epidemic_superspreading, insurance_claims, low_rank, lucky_garnet,
-    lucky_queue, portfolio_tails, predator_prey, pricing, random_yield, reservoir, router_fault, scattered_points,
-    traffic_hours, two_motors, web_pages,
-)  # fmt: skip
+FAMILIES: dict[str, Maker] = {  # in the order of the alphabet
+    "blackjack": shift(
+        "High cards are rarer and middle ones more frequent than simulated.", (203, 2), OUTCOME, 0.99, (DECK,),
+        lambda rng: (normalize(DECK * np.repeat([1, rng.uniform(1.4, 1.9), 1, rng.uniform(0.4, 0.7)], [4, 2, 3, 1])),),
+        blackjack, start=range(20, 150), ends=range(200, 203),
+    ),
+    "blend_with_stranger": blend_with_stranger,
+    "coupled_maintenance": shift(
+        "A worn part wears out the other one; simulated, they wear independently.", (64, 4),
+        (4 - 0.08 * (ONE**2 + TWO**2))[:, None] - np.array([0.0, 1.5, 1.5, 2.5]), 0.96, (0.3, 0.0),
+        lambda rng: (0.2, rng.uniform(0.3, 0.5)), coupled_maintenance, recorded=0.8,
+    ),
+    "epidemic_superspreading": shift(
+        "A few infect many others: new infections have the simulated mean and a far larger variance.", (31, 3),
+        -0.2 * np.arange(31.0)[:, None] - np.array([0.0, 0.8, 2.0]), 0.95, (1000.0,), lambda rng: (rng.uniform(0.5, 1.0),),
+        epidemic_superspreading, start=range(1, 8),
+    ),
+    "insurance_claims": shift(
+        "Claims have a heavy tail at the simulated mean.", (50, 3), np.sqrt(np.arange(50.0)), 0.97,
+        (find_law_of_mean_5(lambda x: x**CLAIMS, 0.5, 0.99), 0.4),
+        lambda rng: (find_law_of_mean_5(lambda x: CLAIMS**-x, 1.01, 4.0), rng.uniform(0.38, 0.45)), insurance_claims,
+        start=range(10, 41), ends=[0],
+    ),
+    "low_rank": low_rank,
+    "lucky_garnet": lucky_garnet,
+    "lucky_queue": lucky_queue,
+    "portfolio_tails": shift(
+        "Returns have the heavy tails of Student's t; simulated, they are normal.", (41, 3), np.log1p(np.arange(41.0)), 0.96,
+        (stats.norm(0.5, 3.0).pdf(RETURNS),), lambda rng: (stats.t(rng.uniform(2, 3), 0.5, 1.7).pdf(RETURNS),),
+        portfolio_tails, start=range(10, 31), ends=[0],
+    ),
+    "predator_prey": shift(
+        "Growth, death and hunting all differ from the simulator's.", (96, 3),
+        np.minimum(PREY[:, None], HARVESTS) ** 0.7 - 0.05 * HUNTERS[:, None], 0.95, (0.8, 0.5, 0.06),
+        lambda rng: (rng.uniform(0.5, 0.7), rng.uniform(0.3, 0.4), rng.uniform(0.05, 0.08)), predator_prey,
+    ),
+    # ten weeks, stock 0 to 15, four prices
+    "pricing": shift(
+        "More customers come than simulated, and high prices deter more of them.", (176, 4),
+        PRICES[:, None] * np.maximum(STOCK[:, None] - STOCK, 0)[:, None, :], 0.99, (3.5, 0.8),
+        lambda rng: (rng.uniform(4.0, 5.0), rng.uniform(1.1, 1.5)),
+        lambda s, a, base, elasticity: [
+            (poisson(base * np.exp(-elasticity * (PRICES[a] - 1)), s % 16), s + 16 - np.arange(16))
+        ], start=range(8, 16), ends=range(160, 176),
+    ),
+    "random_yield": shift(
+        "A batch succeeds or fails as a whole, with the simulated mean.", (31, 4),
+        (2 * SALES - 0.1 * np.arange(31))[:, None] - 0.3 * BATCHES - 0.5 * (BATCHES > 0), 0.96, (1e4,),
+        lambda rng: (rng.uniform(0.5, 1.0),), random_yield,
+    ),
+    "reservoir": reservoir,
+    "router_fault": router_fault,
+    "scattered_points": scattered_points,
+    "traffic_hours": shift(
+        "One rush hour comes later than simulated, and more cars come from the west.", (294, 2), -0.2 * (CARS[0] + CARS[1]),
+        0.95, RATES, lambda rng: (np.roll(RATES[0], 1), RATES[1] + rng.uniform(0.1, 0.2)), traffic_hours,
+    ),
+    "two_motors": shift(
+        "One motor fails the more often the farther out it is, and the other one overshoots.", (81, 9),
+        -np.hypot(X - 6, Y - 2) / 4, 0.95, (0.0, 0.05), lambda rng: (rng.uniform(0.3, 0.5), rng.uniform(0.2, 0.3)),
+        two_motors, horizon=40,
+    ),
+    "web_pages": web_pages,
+}  # fmt: skip

@@ -1,22 +1,22 @@
 """A family of environment shift: a simulator, a target that differs from it, a policy, and how the target is recorded.
 
-Below it what families are made of: models from lists of moves, policies, changes of rows.
+Below it what families are made of: pairs of models that differ in the parameters of their transitions, distributions.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from scipy import sparse, stats
+from scipy import sparse, special, stats
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Seed
-from oee_tabular._sparse import row_of_entry, row_sums
+from oee_tabular._sparse import csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, optimal_policy, policy_value
@@ -170,133 +170,110 @@ def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
 
 
 Moves = Iterable[tuple[Any, Any]]  # (probability, next state)
-Recorded = Literal["uniform", "half", "policy"]
-RECORDED_BY: dict[str, float] = {"uniform": 0.0, "half": 0.5, "policy": 0.9}  # the policy's share; the rest is uniform
+Maker = Callable[..., Family]  # of a generator, or without parameters
 
 
 def pair(
     simulator: FiniteMDP,
-    target: FiniteMDP | object,
+    target: Any,
     about: str,
     *,
     optimal: float = 0.9,
-    recorded: Recorded | float = "half",
+    recorded: float = 0.5,
     length: int = 200,
     policy: Array | None = None,
     horizon: int | None = None,
 ) -> Family:
-    """A family whose policy is the simulator's optimum, ``optimal`` of it, the rest uniform; ``recorded`` by a share of it.
+    """A family whose policy is the simulator's optimum, ``optimal`` of it, the rest uniform.
 
     Parameters
     ----------
-    simulator : FiniteMDP
     target : FiniteMDP, or its transitions (then with the simulator's rewards)
-    about, length, policy, horizon : as in ``Family``; a policy is used instead of the optimum
-    optimal : the share of the optimum in the policy
-    recorded : "uniform", "half" of the policy, "policy" (90% of it), or another share of it; the rest uniform
+    recorded : the share of the policy in what records the target; the rest is uniform
+    policy : instead of the optimum
     """
     if not isinstance(target, FiniteMDP):
         target = simulator.with_transitions(target)
     uniform = uniform_policy(simulator)
     pi = mix(optimal_policy(simulator), uniform, optimal) if policy is None else policy
-    share = RECORDED_BY[recorded] if isinstance(recorded, str) else recorded
-    return Family(simulator, target, pi, mix(pi, uniform, share), about, horizon=horizon, length=horizon or length)
+    return Family(simulator, target, pi, mix(pi, uniform, recorded), about, horizon=horizon, length=horizon or length)
 
 
-def shifted(
-    moves: Callable[..., Moves],
-    shape: tuple[int, int],
-    pay: object,
-    discount: float,
-    believed: Sequence[Any],
-    real: Sequence[Any],
+def shift(
     about: str,
-    *,
-    start: object = None,
-    **options: Any,
-) -> Family:
-    """A family of two models of the same ``moves``, with the parameters that the simulator believes and with the real ones.
-
-    Parameters
-    ----------
-    moves, shape, pay, discount, start : as in ``model``; about, options : as in ``pair``
-    """
-    simulator, target = (model(moves, shape, pay, discount, how, start=start) for how in (believed, real))
-    return pair(simulator, target, about, **options)
-
-
-def shift(*arguments: Any, **options: Any) -> Callable[[Callable[..., Moves]], Callable[[], Family]]:
-    """Make of a function of moves what makes its family; the arguments are the further ones of ``shifted``."""
-
-    def decorate(moves: Callable[..., Moves]) -> Callable[[], Family]:
-        return lambda: shifted(moves, *arguments, **options)
-
-    return decorate
-
-
-def model(
-    moves: Callable[..., Moves],
-    shape: tuple[int, int],
-    pay: object,
+    shape: tuple[int, ...],
+    rewards: Any,
     discount: float,
-    how: Sequence[Any],
+    believed: Any,
+    real: Any,
+    moves: Callable[..., Moves],
     *,
-    start: object,
-) -> FiniteMDP:
-    """The MDP of moves with the parameters ``how``.
+    start: Any = slice(None),
+    ends: Collection[int] = (),
+    **options: Any,
+) -> Maker:
+    """What makes a family of two models that differ in the parameters of their transitions.
 
     Parameters
     ----------
-    moves : (s, a, *how) -> (probability, next state), one after the other; equal next states are added up; none: terminal
     shape : (S, A)
-    pay : rewards as of ``FiniteMDP``, or a function of the arrays s, a, s'
-    start : states in which episodes begin, evenly; None: all
+    rewards : as of ``FiniteMDP``, or a function of s, a and the next state: r(s, a, s') on the support
+    believed, real : the simulator's and the target's parameters; ``real`` may be a function that draws them from a generator
+    moves : function of the states s (S, 1, 1), the actions a (1, A, 1) and the parameters that gives pairs (probability,
+        next state), each broadcast to (S, A, K), K possible next states at once; equal ones are added up, and what lies
+        beyond the first or last state is that state
+    start : states in which episodes begin, evenly
+    ends : states in which an episode is over
+    about, options : as in ``pair``
     """
     n_states, n_actions = shape
-    entries = [
-        (s * n_actions + a, to, probability)
-        for s in range(n_states)
-        for a in range(n_actions)
-        for probability, to in list(moves(s, a, *how)) or [(1.0, s)]
-        if probability > 0
-    ]
-    rows, columns, data = (np.array(column) for column in zip(*entries, strict=True))
-    matrix = sparse.csr_array((data, (rows, columns)), shape=(n_states * n_actions, n_states))
-    matrix.sum_duplicates()
-    transitions = scaled(matrix)
-    rewards = paid_on(transitions, pay, n_actions) if callable(pay) else pay
-    return FiniteMDP(transitions, rewards, spread(n_states, range(n_states) if start is None else start), discount)
+    s, a = np.ogrid[:n_states, :n_actions, :1][:2]
+    is_over = np.isin(s, list(ends))
+    initial = np.zeros(n_states)
+    initial[start] = 1.0
+
+    def model(parameters: Any) -> FiniteMDP:
+        parts = [(is_over, s), *((np.where(is_over, 0.0, p), to) for p, to in moves(s, a, *parameters))]
+        entries = [np.broadcast_arrays(p, np.clip(to, 0, n_states - 1), s * n_actions + a) for p, to in parts]
+        data, columns, rows = (np.concatenate(arrays, axis=2) for arrays in zip(*entries, strict=True))
+        present = data > 0
+        where = (rows[present], columns[present])
+        transitions = scale_rows(sparse.csr_array((data[present], where), (n_states * n_actions, n_states)))
+        paid = rewards
+        if callable(rewards):
+            values = rewards(*np.divmod(row_of_entry(transitions), n_actions), transitions.indices.astype(int))
+            paid = csr_on_pattern(transitions, np.asarray(values, dtype=np.float64))
+        return FiniteMDP(transitions, paid, normalize(initial), discount)
+
+    def build(parameters: Any) -> Family:
+        return pair(model(believed), model(parameters), about, **options)
+
+    return (lambda rng: build(real(rng))) if callable(real) else (lambda: build(real))
 
 
-def paid_on(transitions: sparse.csr_array, paid: Callable[[Any, Any, Any], Any], n_actions: int) -> sparse.csr_array:
-    """r(s, a, s') on the moves of ``transitions``; ``paid`` takes and gives arrays."""
-    state, action = np.divmod(row_of_entry(transitions), n_actions)
-    rewards = np.asarray(paid(state, action, transitions.indices.astype(np.int64)), dtype=np.float64)
-    return sparse.csr_array((rewards, transitions.indices, transitions.indptr), transitions.shape)
-
-
-def scaled(matrix: sparse.csr_array) -> sparse.csr_array:
+def scale_rows(matrix: sparse.csr_array) -> sparse.csr_array:
     """Rows that sum to 1."""
-    return sparse.csr_array(
-        (matrix.data / row_sums(matrix)[row_of_entry(matrix)], matrix.indices, matrix.indptr), matrix.shape
-    )
+    return csr_on_pattern(matrix, matrix.data / row_sums(matrix)[row_of_entry(matrix)])
 
 
-def poisson(mean: float, largest: int) -> Array:
-    """Pr(N = 0), ..., Pr(N = largest), the last one Pr(N >= largest)."""
-    found = np.empty(largest + 1)
-    found[:largest] = stats.poisson.pmf(np.arange(largest), mean)
-    found[largest] = stats.poisson.sf(largest - 1, mean)
-    return found
+def normalize(table: Array) -> Array:
+    """Rows along the last axis that sum to 1."""
+    return np.asarray(table / table.sum(axis=-1, keepdims=True))
 
 
-def binomial(n: int, probability: float) -> Array:
-    """Pr(N = 0), ..., Pr(N = n)."""
-    return np.array([math.comb(n, k) * probability**k * (1.0 - probability) ** (n - k) for k in range(n + 1)])
+def poisson(mean: Any, largest: Any) -> Array:
+    """Pr(min(N, largest) = k), k along the last axis."""
+    k = np.arange(np.max(largest) + 1)
+    return np.where(k < largest, stats.poisson.pmf(k, mean), np.where(k == largest, stats.poisson.sf(k - 1, mean), 0.0))
 
 
-def spread(n_states: int, states: Any) -> Array:
-    """The uniform distribution over these states, (S,)."""
-    found = np.zeros(n_states)
-    found[states] = 1.0
-    return np.asarray(found / found.sum())
+def binomial(n: Any, probability: Any) -> Array:
+    """Pr(N = k), k along the last axis."""
+    k = np.arange(np.max(n) + 1)
+    return np.where(k <= n, special.comb(n, k) * probability**k * (1.0 - probability) ** np.maximum(n - k, 0), 0.0)
+
+
+def cross(one: Array, other: Array) -> Array:
+    """The joint distribution of two independent parts, the second varying faster, along the last axis."""
+    joint = one[..., :, None] * other[..., None, :]
+    return joint.reshape(*joint.shape[:-2], -1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,15 +12,17 @@ import pandas as pd
 
 from oee_tabular import _files
 from oee_tabular._checks import Array
-from oee_tabular.lab.bench.inputs import REFERENCES
-from oee_tabular.lab.bench.scores import score, wide
+from oee_tabular.lab.bench.scores import LIKELIHOOD, SIMULATOR, score, wide
 from oee_tabular.lab.output import draw_bytes, pipe_table
 from oee_tabular.lab.store import refuse_links
 from oee_tabular.plots.style import DIVERGING, INK, disable_math, series, shorten
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+SHARES = ("surely above 1.1", "coverage", "its coverage", "coverage of 1.96 se")
+PICTURES = {"profile": "Share of cells by ratio", "sizes": "RMSE by size", "heat": "Ratio by family and size"}
 REACH = 3.0  # powers of two on either side of 1 that the heat map's colours tell apart
 N_CURVES = 10  # estimators that the picture over sizes shows
 EXPLAINED = (
@@ -63,20 +64,16 @@ class League:
 
     def __str__(self) -> str:
         """The league table, what it means, and why estimators had no value."""
-        shares = ("surely above 1.1", "coverage", "its coverage", "coverage of 1.96 se")
-        league = self.league.copy()
+        league = self.league.astype(object)
         for column in league.columns[2:]:
-            form = "{:.0%}" if column in shares else "{:.3g}"
-            league[column] = [
-                "" if isinstance(x, float) and math.isnan(x) else form.format(x) if isinstance(x, float) else str(x)
-                for x in league[column]
-            ]
-        failed = [
-            f"{row.estimator}: no value on {row.logs} logs: {row.status}" for row in self._failures().itertuples()
-        ]
+            form = "{:.0%}" if column in SHARES else "{:.3g}"
+            league[column] = [form.format(x) if isinstance(x, float) else str(x) for x in league[column].fillna("")]
         tables = [
             f"{kind} families\n{part.drop(columns='families').set_index('estimator').T.to_string()}"
             for kind, part in league.groupby("families", sort=False)
+        ]
+        failed = [
+            f"{row.estimator}: no value on {row.logs} logs: {row.status}" for row in self._failures().itertuples()
         ]
         return "\n\n".join([*tables, EXPLAINED, *(["\n".join(failed)] if failed else [])])
 
@@ -95,60 +92,53 @@ class League:
 
     def profile(self, figure: Figure) -> None:
         """Draw for each estimator the share of cells whose ratio is at most tau."""
-        figure.set_size_inches(7.0, 4.4)
-        ax = figure.subplots()
+        ax = _axes(figure, xlabel="tau: RMSE over the reference's", ylabel="share of cells with a ratio of at most tau")
         known = self.cells["ratio"][(self.cells["ratio"] > 0) & np.isfinite(self.cells["ratio"])]
         low, high = (0.5, 2.0) if known.empty else (max(known.min() / 1.2, 1e-3), min(known.max() * 1.2, 1e3))
         for k, (name, own) in enumerate(self.cells.groupby("estimator", sort=False)):
             ratios = np.clip(np.sort(own["ratio"].dropna().to_numpy()), low, high)
             share = np.arange(len(ratios) + 1) / len(own)
-            style = series(k)
-            ax.step([low, *ratios, high], [*share, share[-1]], where="post", color=style["color"], ls=style["linestyle"],
-                    marker=style["marker"], markevery=0.12, ms=5, lw=1.7, label=shorten(name))  # fmt: skip
+            ax.step([low, *ratios, high], [*share, share[-1]], where="post", markevery=0.12, ms=5, label=shorten(name),
+                    **series(k))  # fmt: skip
         ax.axvline(1.0, color=INK, lw=0.9, ls=(0, (4, 2)))
-        ax.set_xscale("log")
-        ax.set_ylim(0.0, 1.02)
-        ax.set_xlabel("tau: RMSE over the reference's")
-        ax.set_ylabel("share of cells with a ratio of at most tau")
+        ax.set(xscale="log", ylim=(0.0, 1.02))
         disable_math(ax.legend(fontsize="small", loc="best").get_texts())
 
     def sizes(self, figure: Figure) -> None:
         """Draw each estimator's RMSE over eff by size, its geometric mean over families with a standard error over them."""
-        figure.set_size_inches(7.0, 4.4)
-        ax = figure.subplots()
+        ax = _axes(figure, xlabel="transitions per stochastic pair", ylabel="RMSE over eff")
         logs = self.cells.assign(log=np.log(self.cells["over_eff"].where(self.cells["over_eff"] > 0)))
         for k, (name, own) in enumerate(list(logs.groupby("estimator", sort=False))[:N_CURVES]):
             points = own.groupby("size")["log"].agg(["mean", "sem"])
             shift = 1.0 + 0.02 * (k - N_CURVES / 2)
             middle, error = np.exp(points["mean"]), points["sem"].fillna(0.0)
-            ends = [middle - np.exp(points["mean"] - error), np.exp(points["mean"] + error) - middle]
+            ends = [middle * -np.expm1(-error), middle * np.expm1(error)]
             ax.errorbar(points.index * shift, middle, ends, **series(k), ms=5, capsize=2, label=shorten(name))
-        ax.set(xscale="log", yscale="log", xlabel="transitions per stochastic pair", ylabel="RMSE over eff")
+        ax.set(xscale="log", yscale="log")
         disable_math(ax.legend(fontsize="small", loc="best").get_texts())
 
     def heat(self, figure: Figure) -> None:
         """Draw the ratio of each family and size, a panel for each estimator that is no reference, a number in each cell."""
-        names = [name for name in dict.fromkeys(self.cells["estimator"]) if name not in REFERENCES] or list(REFERENCES)
-        families, sizes = list(dict.fromkeys(self.cells["family"])), sorted(self.cells["size"].unique())
+        references = [LIKELIHOOD, SIMULATOR]
+        names = [name for name in self.cells["estimator"].unique() if name not in references] or references
+        families, sizes = list(self.cells["family"].unique()), sorted(self.cells["size"].unique())
         figure.set_size_inches(2.6 + (1.2 + 0.62 * len(sizes)) * len(names), 1.6 + 0.25 * len(families))
         axes: Any = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
-        image = None
         for ax, name in zip(axes, names, strict=True):
-            own = wide(self.cells, ["family", "size"], "ratio")[name]
-            ratios = np.array([[own.get((family, size), np.nan) for size in sizes] for family in families])
+            own = self.cells[self.cells["estimator"] == name]
+            ratios = wide(own, "family", "ratio", "size").reindex(index=families, columns=sizes).to_numpy()
             with np.errstate(divide="ignore"):
                 power = np.clip(np.log2(ratios), -REACH, REACH)
             image = ax.imshow(power, cmap=DIVERGING, vmin=-REACH, vmax=REACH, aspect="auto")
             for (i, j), ratio in np.ndenumerate(ratios):
-                pale = abs(power[i, j]) < 0.6 * REACH
+                color = "black" if abs(power[i, j]) < 0.6 * REACH else "white"
                 text = "-" if np.isnan(ratio) else f"{ratio:.2g}"
-                ax.text(j, i, text, ha="center", va="center", fontsize=8.5, color="black" if pale else "white")
+                ax.text(j, i, text, ha="center", va="center", fontsize=8.5, color=color)
             ax.set_title(shorten(name), fontsize="medium")
             ax.set_xticks(range(len(sizes)), [f"{size:g}" for size in sizes], fontsize=9)
             ax.set_yticks(range(len(families)), [shorten(family) for family in families], fontsize=9)
             ax.set_xlabel("transitions per stochastic pair", fontsize="small")
             disable_math([ax.title, *ax.get_yticklabels()])
-        assert image is not None
         bar = figure.colorbar(image, ax=list(axes), shrink=0.6)
         bar.set_ticks([-3, -2, -1, 0, 1, 2, 3], labels=["1/8", "1/4", "1/2", "1", "2", "4", "8"])
         bar.ax.tick_params(labelsize=9)
@@ -156,19 +146,17 @@ class League:
 
     def page(self, about: Mapping[str, str], command: str) -> str:
         """The league as a page of markdown; ``about``: what the simulator of each family has wrong."""
-        failed = self._failures()
-        lines = ["# Estimators on families of environment shift", ""]
-        lines += [f"`{command}`", ""] if command else []
+        parts = {"# Estimators on families of environment shift": f"`{command}`" if command else ""}
         for kind, part in self.league.groupby("families", sort=False):
             table = part.drop(columns="families").set_index("estimator").T.reset_index(names="measure")
-            lines += [f"## {str(kind).capitalize()} families", "", pipe_table(table), ""]
-        lines += [EXPLAINED, "", "![Share of cells by ratio](profile.png)", "", "![RMSE by size](sizes.png)", ""]
-        lines += ["![Ratio by family and size](heat.png)", ""]
-        lines += ["## Without a value", "", pipe_table(failed), ""] if len(failed) else []
+            parts[f"## {str(kind).capitalize()} families"] = pipe_table(table)
+        parts[EXPLAINED] = "\n\n".join(f"![{text}]({name}.png)" for name, text in PICTURES.items())
+        if len(failed := self._failures()):
+            parts["## Without a value"] = pipe_table(failed)
         if about:
             frame = pd.DataFrame({"family": list(about), "what the simulator has wrong": list(about.values())})
-            lines += ["## Families", "", pipe_table(frame), ""]
-        return "\n".join(lines)
+            parts["## Families"] = pipe_table(frame)
+        return "\n\n".join(text for part in parts.items() for text in part if text) + "\n"
 
     def to_latex(self) -> str:
         """The league as a LaTeX table (booktabs)."""
@@ -186,11 +174,18 @@ class League:
             "league.md": self.page(about or {}, command).encode(),
             "league.tex": self.to_latex().encode(),
         }
-        for name, draw in {"profile": self.profile, "sizes": self.sizes, "heat": self.heat}.items():
-            contents[f"{name}.png"] = draw_bytes(draw, salt="bench", kinds=("png",))["png"]
+        for name in PICTURES:
+            contents[f"{name}.png"] = draw_bytes(getattr(self, name), salt="bench", kinds=("png",))["png"]
         refuse_links(Path(folder))
         _files.write_all(Path(folder), contents)
         return [Path(folder) / name for name in contents]
+
+
+def _axes(figure: Figure, **labels: str) -> Axes:
+    figure.set_size_inches(7.0, 4.4)
+    ax = figure.subplots()
+    ax.set(**labels)
+    return ax
 
 
 def league_of(table: pd.DataFrame) -> League:

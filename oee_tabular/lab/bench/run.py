@@ -1,13 +1,19 @@
-"""A run of the benchmark: the cells family x size, a seed each repetition, through the lab's runner; ``oee bench``."""
+"""A run of the benchmark: the cells family x size, a seed each repetition, through the lab's runner; ``oee bench``.
+
+Estimators and families are given by name, as MODULE:OBJECT or as objects.
+"""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,58 +21,30 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _files
+from oee_tabular._arguments import own_modules, own_object
+from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._sparse import row_sums
-from oee_tabular.estimators import Estimate, Problem
+from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
 from oee_tabular.estimators.base import UNEXPLAINED
 from oee_tabular.estimators.functions import as_estimator
+from oee_tabular.estimators.names import named_estimators
+from oee_tabular.estimators.names import names as estimator_names
 from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import efficiency_bound, occupancy
+from oee_tabular.lab.bench.adapters import PEERS, Peer
 from oee_tabular.lab.bench.families import HELD, check_seed
 from oee_tabular.lab.bench.families import families as own_families
 from oee_tabular.lab.bench.family import Family
-from oee_tabular.lab.bench.inputs import (
-    REFERENCES,
-    Source,
-    choose_estimators,
-    choose_families,
-    estimator_of,
-    modules_of,
-)
 from oee_tabular.lab.bench.league import League, league_of
+from oee_tabular.lab.bench.scores import LIKELIHOOD, SIMULATOR
 from oee_tabular.lab.registry import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.run import run_and_write, run_experiment
 from oee_tabular.lab.store import Store, alone
+from oee_tabular.testing.command import own_estimator
 
 SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
 SEEDS = 40
-NO_ESTIMATE: Row = {
-    "value": math.nan, "error": math.nan, "standard_error": math.nan, "lower": math.nan, "upper": math.nan, "interval": "",
-    "seconds": math.nan, "status": "ok",
-}  # fmt: skip
-
-
-def plan(
-    estimators: object, *, families: object = None, sizes: Any = SIZES, seeds: int = SEEDS, seed: int = 0
-) -> RunSettings:
-    """Check the arguments of ``run`` and make every family once: settings of an experiment of the lab's kind."""
-    count, first = _checks.positive_integer(seeds, "seeds"), check_seed(seed)
-    chosen = choose_estimators(estimators)
-    source = choose_families(families, first)
-    values = [sizes] if np.isscalar(sizes) else list(sizes)
-    numbers = sorted({_checks.number_in(value, "sizes", 0.0, np.inf) for value in values})
-    if not numbers or numbers[0] <= 0:
-        raise ValueError(
-            "sizes must be positive numbers of transitions per stochastic state-action pair, at least one; "
-            f"got {_checks.show(sizes)}"
-        )
-    experiment = Experiment(
-        id="bench", title="Estimators on families of environment shift", group="bench",
-        axes={"family": source.names, "size": tuple(numbers)}, repetitions=count,
-        run=BenchCells({name: name for name in REFERENCES} | chosen, source),
-        keys=("family", "size", "estimator"), measures=(), draw=lambda table, summary, figure: None,
-    )  # fmt: skip
-    asked = {"estimators": list(chosen), "families": source.label}
-    return RunSettings(experiment, experiment.axes, count, first, asked, modules_of([*chosen.values(), source.given]))
+REFERENCES: Mapping[str, Estimator] = {LIKELIHOOD: ModelBased(fallback="simulator"), SIMULATOR: Simulator()}
 
 
 def run(
@@ -91,7 +69,7 @@ def run(
     Parameters
     ----------
     estimators : names as in ``oee evaluate --estimators``, "evaluate" (the value and interval that ``oee.evaluate`` prints),
-        "module:object", estimators; one or several, or a mapping name -> one of these
+        "scope-rl:NAME", "offline-rl-ope:NAME", "module:object", estimators; one or several, or a mapping name -> one of these
     families : None (``families()``), names of its, "module:function", a function of the seed (or without parameters) that
         makes a mapping name -> Family, or such a mapping
     sizes : transitions per stochastic state-action pair (one with more than one next state in the simulator)
@@ -106,7 +84,7 @@ def run(
     Returns
     -------
     League
-        ``table`` (a row for each family, size, seed and estimator), ``cells`` (over the seeds), ``league`` (over the cells).
+        ``table`` (a row for each seed), ``cells`` (over the seeds), ``league`` (over the cells).
 
     Raises
     ------
@@ -127,36 +105,66 @@ def run(
     _checks.boolean(fresh, "fresh")
     _checks.boolean(progress, "progress")
     settings = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed)
-    options: dict[str, Any] = {"jobs": jobs, "dask": dask, "fresh": fresh, "progress": progress}
-    if output is None:
-        with tempfile.TemporaryDirectory() as folder:
-            store = run_experiment(Path(folder), settings, **options).store
-    else:
-        with alone(Path(output)):
-            store = run_experiment(Path(output), settings, **options).store
+    with tempfile.TemporaryDirectory() if output is None else nullcontext(output) as folder, alone(Path(folder)):
+        sweep = run_experiment(Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress)
+    return league_from(sweep.store)
+
+
+def plan(
+    estimators: object, *, families: object = None, sizes: Any = SIZES, seeds: int = SEEDS, seed: int = 0
+) -> RunSettings:
+    """Check the arguments of ``run`` and make every family once: settings of an experiment of the lab's kind."""
+    count, first = _checks.positive_integer(seeds, "seeds"), check_seed(seed)
+    chosen = choose_estimators(estimators)
+    source, names = choose_families(families, first)
+    values = [sizes] if np.isscalar(sizes) else list(sizes)
+    numbers = sorted({_checks.number_in(value, "sizes", 0.0, np.inf) for value in values})
+    if not numbers or numbers[0] <= 0:
+        raise ValueError(
+            "sizes must be positive numbers of transitions per stochastic state-action pair, at least one; "
+            f"got {_checks.show(sizes)}"
+        )
+    experiment = Experiment(
+        id="bench", title="Estimators on families of environment shift", group="bench",
+        axes={"family": names, "size": tuple(numbers)}, repetitions=count,
+        run=BenchCells({name: name for name in REFERENCES} | chosen, source),
+        keys=("family", "size", "estimator"), measures=(), draw=lambda table, summary, figure: None,
+    )  # fmt: skip
+    label = "the package's" if source is None else source if isinstance(source, str) else "given"
+    asked = {"estimators": list(chosen), "families": label}
+    return RunSettings(experiment, experiment.axes, count, first, asked, modules_of([*chosen.values(), source]))
+
+
+def league_from(store: Store) -> League:
+    """The league of finished cells."""
     return league_of(store.table().drop(columns="repetition"))
 
 
 @dataclass(frozen=True, eq=False)
 class BenchCells:
-    """The rows of one cell: a log of a family, every estimator on it."""
+    """The rows of one cell: a log of a family, every estimator on it.
+
+    Attributes
+    ----------
+    estimators : name -> spec or estimator
+    source : None (the package's families), "module:function", a function of the seed or without parameters, or a mapping
+    """
 
     estimators: Mapping[str, Any]
-    source: Source
+    source: Any
 
     def __call__(self, cell: Cell, stream: Stream) -> list[Row]:
         """One seed of family x size; the seed of the family is the run's first plus the repetition."""
         seed, name, size = stream.seed + int(cell["repetition"]), str(cell["family"]), float(cell["size"])
-        family = self.source.family(name, seed)
+        family = find_family(self.source, name, seed)
         own = Stream(stream.experiment, seed, {"family": name, "size": size})
         problem = family.problem(family.size(size), own.generator(use="log"))
-        kind = "held" if name in HELD or self.source.given is not None else "tuned"
+        kind = "held" if name in HELD or self.source is not None else "tuned"
         facts = {"seed": seed, "families": kind, **facts_of(family, problem)}
-        rows = []
-        for key, given in self.estimators.items():
-            number = int(own.sequence(use=key).generate_state(1)[0])
-            rows.append({**facts, "estimator": key, **NO_ESTIMATE, **measure(key, given, family, problem, number)})
-        return rows
+        return [
+            {**facts, "estimator": key, **measure(key, given, family, problem, int(own.sequence(use=key).generate_state(1)[0]))}
+            for key, given in self.estimators.items()
+        ]  # fmt: skip
 
 
 def facts_of(family: Family, problem: Problem) -> Row:
@@ -181,22 +189,24 @@ def facts_of(family: Family, problem: Problem) -> Row:
 
 def measure(name: str, given: object, family: Family, problem: Problem, seed: int) -> Row:
     """What one estimator gives on one log: value, error, interval, seconds, status; what it raises is its status."""
+    row: Row = dict.fromkeys(("value", "error", "standard_error", "lower", "upper", "interval", "seconds"), math.nan)
+    row |= {"interval": "", "status": "ok"}
     start = time.process_time()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             estimate = as_estimator(estimator_of(name, given, family))(problem, family.policy, seed=seed)
-        seconds = time.process_time() - start
+        row["seconds"] = time.process_time() - start
         value = float(estimate.value)
         if not math.isfinite(value):
-            known = estimate.status not in ("ok", UNEXPLAINED)
-            return {"seconds": seconds, "status": estimate.status if known else f"the value is {value}"}
+            is_explained = estimate.status not in ("ok", UNEXPLAINED)
+            return row | {"status": estimate.status if is_explained else f"the value is {value}"}
         lower, upper, method = _interval_of(estimate, value)
     except Exception as error:
-        return {"status": f"{type(error).__name__}: {error}"}
+        return row | {"seconds": math.nan, "status": f"{type(error).__name__}: {error}"}
     deviation = math.nan if estimate.standard_error is None else float(estimate.standard_error)
-    return {"value": value, "error": value - family.truth, "standard_error": deviation, "lower": lower, "upper": upper,
-            "interval": method, "seconds": seconds, "status": estimate.status}  # fmt: skip
+    return row | {"value": value, "error": value - family.truth, "standard_error": deviation, "lower": lower,
+                  "upper": upper, "interval": method, "status": estimate.status}  # fmt: skip
 
 
 def _interval_of(estimate: Estimate, value: float) -> tuple[float, float, str]:
@@ -210,6 +220,148 @@ def _interval_of(estimate: Estimate, value: float) -> tuple[float, float, str]:
     return value - NORMAL * error, value + NORMAL * error, "value +- 1.96 standard errors"
 
 
+# ---- estimators
+
+
+def choose_estimators(given: Any) -> dict[str, Any]:
+    """Name -> spec or estimator, each looked up once, of what ``run`` takes; ValueError for one that is none."""
+    if isinstance(given, str):
+        given = split(given)
+    elif not isinstance(given, Mapping | Sequence):
+        given = [given]
+    chosen: dict[str, Any] = {}
+    for key, item in given.items() if isinstance(given, Mapping) else [(None, item) for item in given]:
+        if not isinstance(item, str) and not callable(item):
+            raise ValueError(f"estimators must be names, MODULE:OBJECT or callables; got {_checks.show(item)}")
+        name = item if isinstance(item, str) else str(getattr(item, "__name__", type(item).__name__))
+        while key is None and name in chosen and not isinstance(item, str):
+            name += "'"
+        name = name if key is None else str(key)
+        if name in chosen:
+            raise ValueError(f"estimators must have different names; {name!r} is there twice")
+        if name in REFERENCES and item != name:
+            raise ValueError(f"estimators must not be called {name!r}, which is a reference; {_checks.show(item)} is")
+        if isinstance(item, str) and item not in REFERENCES and item not in estimator_names(needs_target=True):
+            look_up_estimator(item)
+        chosen[name] = item
+    if not chosen:
+        raise ValueError("estimators must name at least one; it is empty")
+    return chosen
+
+
+def estimator_of(name: str, given: Any, family: Family) -> Any:
+    """The estimator of that name on a family; an oracle is told its target."""
+    if name in REFERENCES or not isinstance(given, str):
+        return REFERENCES.get(name, given)
+    if given in estimator_names(needs_target=True):
+        return named_estimators([given], family.target)[given]
+    return look_up_estimator(given)
+
+
+@functools.lru_cache(maxsize=64)
+def look_up_estimator(spec: str) -> Any:
+    """The estimator of a name, of PEER:NAME or of MODULE:OBJECT."""
+    module, _, name = spec.partition(":")
+    if module in PEERS:
+        peer = Peer(module, name)
+        peer.load()  # a missing library is said at once
+        return peer
+    if name:
+        with own_modules():
+            return own_estimator(spec)
+    return evaluate_as_printed if spec == "evaluate" else next(iter(named_estimators([spec]).values()))
+
+
+def evaluate_as_printed(problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
+    """What ``oee.evaluate`` prints: its value of ``oee`` and the interval beside it."""
+    from oee_tabular.report import evaluate
+
+    report = evaluate(problem, {"policy": policy}, estimators=["oee"], confidence=0.95, seed=seed)
+    return report.results[0].estimate
+
+
+# ---- families
+
+
+def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
+    """The source of what a user gave, and the names; every family of the first seed is made: a bad one is told at once.
+
+    Raises
+    ------
+    ValueError
+        An unknown name; what is no mapping of families; a family that cannot be made (its name and why).
+    """
+    if isinstance(given, str) and ":" not in given:
+        given = split(given)
+    if given is None:
+        names = tuple(own_families(seed))
+    elif isinstance(given, str | Mapping) or not isinstance(given, Iterable):
+        names = tuple(families_at(given, seed))
+    else:
+        given, names = None, tuple(dict.fromkeys(given))
+        every = own_families(seed, large=True)
+        for name in names:
+            if name not in every:
+                raise ValueError(every.missing(name))
+    if not names:
+        raise ValueError("families must name at least one; it is empty")
+    for name in names:
+        find_family(given, name, seed)
+    return given, names
+
+
+def find_family(source: Any, name: str, seed: int) -> Family:
+    """One family; ValueError where it is missing, is no Family or cannot be made."""
+    every = families_at(source, seed)
+    if name not in every:
+        raise ValueError(f"families must have {name!r} at every seed; at seed {seed} it is missing")
+    family = every[name]
+    if not isinstance(family, Family):
+        raise ValueError(f"family {name!r} must be a Family; it is a {type(family).__name__}")
+    return family
+
+
+def families_at(source: Any, seed: int) -> Mapping[str, Family]:
+    """The families of one seed; those that have a name are made once a process."""
+    if source is None or isinstance(source, str):
+        return _named_families(source, seed)
+    if not isinstance(source, Mapping):
+        _checks.function(source, "families")
+        source = source(seed) if inspect.signature(source).parameters else source()
+    if not isinstance(source, Mapping) or not all(isinstance(name, str) for name in source):
+        raise ValueError(f"families must make a mapping name -> Family; they make a {type(source).__name__}")
+    return source
+
+
+@functools.lru_cache(maxsize=128)
+def _named_families(spec: str | None, seed: int) -> Mapping[str, Family]:
+    if spec is None:
+        return own_families(seed, large=True)
+    with own_modules():
+        return families_at(own_object(spec, "families", "my_package.mine:families"), seed)
+
+
+def split(text: str) -> list[str]:
+    """The words between commas."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def modules_of(objects: Sequence[object]) -> tuple[str, ...]:
+    """The modules that hold a user's own objects: their files are part of what the results depend on."""
+    modules = set()
+    for item in objects:
+        if isinstance(item, str):
+            name = item.partition(":")[0] if ":" in item else ""
+        else:
+            name = str(getattr(item, "__module__", "") or getattr(type(item), "__module__", ""))
+        if name.split(".")[0] not in ("", "oee_tabular", "__main__", "builtins", *PEERS):
+            modules.add(name)
+    return tuple(sorted(modules))
+
+
+# ---- the command
+
+
 def bench(
     *,
     estimators: str,
@@ -217,41 +369,29 @@ def bench(
     seeds: int,
     seed: int,
     families: str | None,
-    jobs: int,
-    dask: str | None,
     output: Path,
-    fresh: bool,
     say: Callable[[str], None],
+    **options: Any,
 ) -> None:
     """One run; bad arguments, families that cannot be made and folders with other settings are refused before it begins."""
-    if seeds < 1:
-        raise ValueError(f"--seeds must be at least 1; got {seeds}")
     _files.local(output)
-    names = [name.strip() for name in estimators.split(",") if name.strip()]
     try:
-        numbers = SIZES if sizes is None else [float(part) for part in sizes.split(",") if part.strip()]
+        numbers = SIZES if sizes is None else [float(word) for word in split(sizes)]
     except ValueError:
         raise ValueError(
             f"--sizes must be numbers with commas between them, 0.3,1,3; got {_checks.show(sizes)}"
         ) from None
-    settings = plan(names, families=families, sizes=numbers, seeds=seeds, seed=seed)
-    if not fresh:
-        Store(output, settings)
-    command = f"oee bench --estimators {estimators}" + "".join(
-        f" --{name} {value}"
-        for name, value, default in (
-            ("sizes", sizes, None), ("seeds", seeds, SEEDS), ("seed", seed, 0), ("families", families, None)
-        )
-        if value != default
-    )  # fmt: skip
+    settings = plan(estimators, families=families, sizes=numbers, seeds=seeds, seed=seed)
+    source = families if families is not None and ":" in families else None
+    given = {"sizes": (sizes, None), "seeds": (seeds, SEEDS), "seed": (seed, 0), "families": (families, None)}
+    words = [f" --{name} {value}" for name, (value, default) in given.items() if value != default]
 
     def write(store: Store) -> None:
-        cells, league = settings.experiment.run, league_of(store.table().drop(columns="repetition"))
-        assert isinstance(cells, BenchCells)
-        league.save(output, about={x: cells.source.family(x, seed).about for x in cells.source.names}, command=command)
+        league = league_from(store)
+        about = {name: find_family(source, name, seed).about for name in map(str, settings.axes["family"])}
+        league.save(output, about=about, command=f"oee bench --estimators {estimators}{''.join(words)}")
         say(f"{league}\n")
 
-    run_and_write(output, settings, write, say=say, jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty())
-    if families is None:
-        for sentence in own_families(seed).left_out.values():
-            say(sentence)
+    run_and_write(output, settings, write, say=say, progress=sys.stderr.isatty(), **options)
+    for sentence in own_families(seed).left_out.values() if families is None else ():
+        say(sentence)

@@ -16,28 +16,21 @@ import pandas as pd
 
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular.lab.bench.floor import LEAST, floor
-from oee_tabular.lab.bench.inputs import LIKELIHOOD, REFERENCES, SIMULATOR
 
+LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"  # the references
 N_RESAMPLES = 2000  # of the seeds
 LOW = 0.05  # the bootstrap quantile that a sure ratio exceeds
 LIMIT = 1.1
-TRUSTED_SIZE, TRUSTED_COVER = (
-    3.0,
-    0.9,
-)  # transitions per stochastic pair, share of the policy's time: whose intervals count
+TRUSTED_SIZE = 3.0  # transitions per stochastic pair from which intervals count
+TRUSTED_COVER = 0.9  # share of the policy's time above which they do
 FEW = 10  # logs of a family, below which its coverage is not called the worst
 NORMAL = 1.959963984540054
 
 
 def score(table: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The cells of a run's rows, and the league."""
-    cells = pd.DataFrame(
-        [
-            row
-            for (family, size), part in table.groupby(["family", "size"], sort=False)
-            for row in _cell_rows(str(family), float(size), part)  # type: ignore[arg-type]
-        ]
-    )
+    groups = table.groupby(["family", "size"], sort=False)
+    cells = pd.DataFrame([row for key, part in groups for row in _cell_rows(key, part)])
     league = [_league_row(part) for _, part in cells.groupby(["families", "estimator"], sort=False)]
     return cells, pd.DataFrame(league)
 
@@ -47,17 +40,18 @@ def wide(frame: pd.DataFrame, index: Any, values: str, columns: Any = "estimator
     return frame.pivot(index=index, columns=columns, values=values)  # noqa: PD010 (the other one drops what is nan)
 
 
-def _cell_rows(family: str, size: float, part: pd.DataFrame) -> list[dict[str, Any]]:
+def _cell_rows(key: Any, part: pd.DataFrame) -> list[dict[str, Any]]:
     """One row for each estimator of a cell."""
+    family, size = key
     errors = wide(part, ["seed"], "error")
     first = part.drop_duplicates("seed").set_index("seed").reindex(errors.index)
     eff = np.sqrt(first["bound"].to_numpy())
-    counted = (first["covered"] > TRUSTED_COVER).to_numpy() & (size >= TRUSTED_SIZE)
+    is_counted = (first["covered"] > TRUSTED_COVER).to_numpy() & (size >= TRUSTED_SIZE)
     rows = []
     for name, mine in part.groupby("estimator", sort=False):
         mine = mine.set_index("seed").reindex(errors.index)
         known = errors[name].notna().to_numpy()
-        squares = {key: errors[key].to_numpy()[known] ** 2 for key in (name, *REFERENCES)}
+        squares = (errors[[name, LIKELIHOOD, SIMULATOR]].to_numpy()[known] ** 2).T
         rows.append(
             {
                 "family": family,
@@ -67,35 +61,34 @@ def _cell_rows(family: str, size: float, part: pd.DataFrame) -> list[dict[str, A
                 "identical": bool(first["identical"].iloc[0]),
                 "seeds": len(mine),
                 "failed": int((~known).sum()),
-                **_ratios(squares[name], squares[LIKELIHOOD], squares[SIMULATOR], eff[known]),
+                **(_ratios(squares, eff[known]) if known.any() else {}),
                 "bias": float(errors[name].mean()),
                 "covered": float(first["covered"].mean()),
-                **_intervals(mine, eff, counted),
+                **_intervals(mine, eff, is_counted),
                 "seconds": float(mine["seconds"].median()),
             }
         )
     return rows
 
 
-def _ratios(own: Array, likelihood: Array, simulator: Array, eff: Array) -> dict[str, float]:
+def _ratios(squares: Array, eff: Array) -> dict[str, float]:
     """RMSE of all three, their ratios, the 5% bootstrap quantile of the first, the floor at the simulator's error."""
-    if len(own) == 0:
-        return {}
+    n = squares.shape[1]
     mean_eff = math.sqrt(float(np.mean(eff**2)))
     least = LEAST * mean_eff if math.isfinite(mean_eff) else 0.0
-    samples = np.vstack([np.full(len(own), 1.0 / len(own)), resamples(len(own))])
-    rmse, other, bare = (np.sqrt(samples @ squares) for squares in (own, likelihood, simulator))
-    ratio = _over(rmse, np.maximum(np.minimum(other, bare), least))
+    samples = np.vstack([np.full(n, 1.0 / n), resamples(n)])
+    rmse, likelihood, simulator = (np.sqrt(samples @ own) for own in squares)
+    ratio = _over(rmse, np.maximum(np.minimum(likelihood, simulator), least))
     unit = mean_eff if 0 < mean_eff < math.inf else math.nan
     return {
         "rmse": float(rmse[0]),
-        LIKELIHOOD: float(other[0]),
-        SIMULATOR: float(bare[0]),
+        LIKELIHOOD: float(likelihood[0]),
+        SIMULATOR: float(simulator[0]),
         "ratio": float(ratio[0]),
         "low": float(np.quantile(ratio[1:], LOW, method="lower")),
-        "b": float(bare[0] / unit),
-        "floor": float(floor(bare[:1] / unit)[0]),
-        "over_likelihood": float(_over(rmse[:1], other[:1])[0]),
+        "b": float(simulator[0] / unit),
+        "floor": float(floor(simulator[0] / unit)),
+        "over_likelihood": float(_over(rmse[:1], likelihood[:1])[0]),
         "over_eff": float(rmse[0] / unit),
     }
 
@@ -113,17 +106,16 @@ def resamples(seeds: int) -> Array:
     return np.asarray(drawn / seeds)
 
 
-def _intervals(mine: pd.DataFrame, eff: Array, counted: BoolArray) -> dict[str, float]:
+def _intervals(mine: pd.DataFrame, eff: Array, is_counted: BoolArray) -> dict[str, float]:
     """Of the reported interval and of value +- 1.96 standard errors: logs that count, those covered, width / (2 * 1.96 eff)."""
-    value, half = mine["value"].to_numpy(), NORMAL * mine["standard_error"].to_numpy()
-    truth, numbers = mine["truth"].to_numpy(), dict[str, float]()
-    ends = {"": (mine["lower"].to_numpy(), mine["upper"].to_numpy()), "se_": (value - half, value + half)}
+    half, numbers = NORMAL * mine["standard_error"], dict[str, float]()
+    ends = {"": (mine["lower"], mine["upper"]), "se_": (mine["value"] - half, mine["value"] + half)}
     for prefix, (lower, upper) in ends.items():
-        here = counted & np.isfinite(lower) & np.isfinite(upper)
+        here = is_counted & np.isfinite(lower) & np.isfinite(upper)
         relative = ((upper - lower) / (2.0 * NORMAL * eff))[here & (eff > 0) & np.isfinite(eff)]
         numbers[f"{prefix}logs"] = int(here.sum())
-        numbers[f"{prefix}held"] = int((here & (lower <= truth) & (truth <= upper)).sum())
-        numbers[f"{prefix}width"] = float(np.median(relative)) if len(relative) else math.nan
+        numbers[f"{prefix}held"] = int((here & mine["truth"].between(lower, upper)).sum())
+        numbers[f"{prefix}width"] = float(relative.median())
     return numbers
 
 
@@ -131,6 +123,9 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
     """One estimator over the cells of one kind of families."""
     known = cells[cells["ratio"].notna()]
     worst = known.iloc[int(known["ratio"].to_numpy().argmax())] if len(known) else None
+    sums = cells[["logs", "held", "se_logs", "se_held"]].sum()
+    by = cells.groupby("family", sort=False)[["logs", "held"]].sum()
+    share = (by["held"] / by["logs"])[by["logs"] >= FEW]
     return {
         "estimator": cells["estimator"].iloc[0],
         "families": cells["families"].iloc[0],
@@ -139,36 +134,22 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
         "floor": geometric_mean(known["floor"]),
         "worst": math.nan if worst is None else float(worst["ratio"]),
         "worst cell": "" if worst is None else f"{worst['family']} at {worst['size']:g}",
-        "surely above 1.1": float((known["low"] > LIMIT).mean()) if len(known) else math.nan,
+        "surely above 1.1": float((known["low"] > LIMIT).mean()),
         "over likelihood": geometric_mean(known["over_likelihood"]),
         "over eff": geometric_mean(known["over_eff"]),
-        **_coverage(cells),
+        "logs": int(sums["logs"]),
+        "coverage": float(sums["held"] / (sums["logs"] or math.nan)),
+        "worst family": str(share.idxmin()) if len(share) else "",
+        "its coverage": float(share.min()),
+        "width": float(cells["width"].median()),
+        "coverage of 1.96 se": float(sums["se_held"] / (sums["se_logs"] or math.nan)),
+        "width of 1.96 se": float(cells["se_width"].median()),
         "seconds": float(cells["seconds"].mean()),
         "failed": int(cells["failed"].sum()),
     }
 
 
-def _coverage(cells: pd.DataFrame) -> dict[str, Any]:
-    """Coverage and median width of both intervals, and the family that is covered least by the reported one."""
-    sums = cells[["logs", "held", "se_logs", "se_held"]].sum()
-    by = cells.groupby("family", sort=False)[["logs", "held"]].sum()
-    share = (by["held"] / by["logs"])[by["logs"] >= FEW]
-    return {
-        "logs": int(sums["logs"]),
-        "coverage": float(sums["held"] / sums["logs"]) if sums["logs"] else math.nan,
-        "worst family": str(share.idxmin()) if len(share) else "",
-        "its coverage": float(share.min()) if len(share) else math.nan,
-        "width": float(cells["width"].median()),
-        "coverage of 1.96 se": float(sums["se_held"] / sums["se_logs"]) if sums["se_logs"] else math.nan,
-        "width of 1.96 se": float(cells["se_width"].median()),
-    }
-
-
-def geometric_mean(values: object) -> float:
+def geometric_mean(values: Any) -> float:
     """exp(mean log), of those that are numbers; nan without any."""
-    known = np.asarray(values, dtype=np.float64)
-    known = known[~np.isnan(known)]
-    if len(known) == 0:
-        return math.nan
     with np.errstate(divide="ignore"):
-        return float(np.exp(np.log(known).mean()))
+        return float(np.exp(np.log(pd.Series(values, dtype=float)).mean()))

@@ -1,0 +1,273 @@
+"""Stocks, queues, machines, chains and further trades, in each of which a number or two differ."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.lab.bench.family import Family, Maker, Moves, binomial, cross, poisson, shift
+
+HIGHER = "Customers ask for more than simulated."
+LINE = (0.45, 0.5, 0.7)  # arrivals, slow and fast service of the simulated queue
+PEOPLE = 12
+SUSCEPTIBLE, INFECTED = np.array([(s, i) for s in range(PEOPLE + 1) for i in range(PEOPLE + 1 - s)]).T
+PATIENTS = 6
+TRIALS = np.array([counts for counts in itertools.product(range(7), repeat=4) if sum(counts) <= PATIENTS])
+NUMBER_OF_TRIAL = np.zeros((8,) * 4, dtype=np.int64)  # of cured, failed with one arm, and with the other
+NUMBER_OF_TRIAL[tuple(TRIALS.T)] = np.arange(len(TRIALS))
+CURES = TRIALS[:, 0] + TRIALS[:, 2]
+PLACES = np.arange(31)[:, None]
+NOISE = np.array([0.05, 0.2, 0.5, 0.2, 0.05])
+WIDE = NOISE**0.5 / (NOISE**0.5).sum()
+HARVESTS = np.array([0, 1, 2, 4, 6])
+
+
+def inventory(believed: float, demand: float, about: str, n_states: int = 20, step: int = 3, **options: Any) -> Maker:
+    """Poisson demand; order 0 to 4 times ``step``; price 3, cost 1, holding .1 a unit, sales beyond the stock are lost."""
+
+    def fill(stock: IntArray, order: IntArray) -> Any:
+        return np.minimum(stock + step * order, n_states - 1)
+
+    def profit(s: IntArray, a: IntArray, to: IntArray) -> Array:
+        return np.asarray(3.0 * (fill(s, a) - to) - (fill(s, a) - s) - 0.1 * to)
+
+    def moves(stock: IntArray, order: IntArray, mean: float) -> Moves:
+        full = fill(stock, order)
+        return [(poisson(mean, full), full - np.arange(n_states))]
+
+    return shift(about, (n_states, 5), profit, 0.95, (believed,), (demand,), moves, **options)
+
+
+def queue(real: tuple[float, ...], about: str, **options: Any) -> Maker:
+    """25 jobs at most; (arrival, slow service, fast service) probabilities of a step; a job costs .1, fast service .4."""
+
+    def moves(jobs: IntArray, fast: IntArray, arrival: float, *service: float) -> Moves:
+        done = np.where(jobs > 0, np.choose(fast, service), 0.0)
+        yield arrival * (1 - done), jobs + 1
+        yield (1 - arrival) * done, jobs - 1
+        yield arrival * done + (1 - arrival) * (1 - done), jobs
+
+    cost = -0.1 * np.arange(25.0)[:, None] - 0.4 * np.arange(2.0)
+    return shift(about, (25, 2), cost, 0.98, LINE, real, moves, length=50, **options)
+
+
+def tandem(size: int = 45) -> Family:
+    """Two stations in line, less than ``size`` jobs each; slow or fast at each; the target has more arrivals, slower service.
+
+    Policy: fast at a station with more than 3 jobs. Data: uniform actions, episodes of 8000 steps from the empty stations.
+
+    Parameters
+    ----------
+    size : int of at least 2; S = size * size
+
+    Examples
+    --------
+    >>> family = tandem(9)
+    >>> family.simulator.n_states, round(family.truth, 1)
+    (81, -98.7)
+    """
+
+    def moves(state: IntArray, action: IntArray, arrival: float, first: float, second: float) -> Moves:
+        (i, j), (fast_2, fast_1) = np.divmod(state, size), np.divmod(action, 2)
+        one, two = first * np.where(fast_1, 1.6, 1.0), second * np.where(fast_2, 1.6, 1.0)
+        yield arrival, np.minimum(i + 1, size - 1) * size + j
+        yield one, np.where(i > 0, (i - 1) * size + np.minimum(j + 1, size - 1), state)
+        yield two, np.where(j > 0, state - 1, state)
+        yield 1.0 - arrival - one - two, state
+
+    i, j = np.divmod(np.arange(size * size), size)
+    cost = -(i + 1.5 * j)[:, None] / 10 - np.array([0.0, 0.6, 0.8, 1.4])
+    about = "More arrivals and slower service at both stations of a line than simulated."
+    return shift(
+        about, cost.shape, cost, 0.99, (0.20, 0.22, 0.23), (0.25, 0.20, 0.22), moves,
+        policy=np.eye(4)[(i > 3) + 2 * (j > 3)], start=0, recorded=0.0, length=8000,
+    )()  # fmt: skip
+
+
+def machine(wear: IntArray, action: IntArray, one: float, two: float) -> Moves:
+    """Wear 0 to 11; keep, repair (half of the wear, 2) or replace (6); a worn machine earns less and wears by 0, 1 or 2."""
+    after = np.choose(action, [wear, wear // 2, 0])
+    return (1 - one - two, after), (one, after + 1), (two, after + 2)
+
+
+def mountain(place: IntArray, action: IntArray, pull: float) -> Moves:
+    """A valley of 25 places; push left, rest, push right; the slope pulls back; the right top ends it with 10."""
+    slope = pull * (place - 10) / 14
+    right, left = 0.3 + 0.2 * (action - 1) - slope, 0.3 - 0.2 * (action - 1) + slope
+    return (right, place + 1), (left, place - 1), (1 - left - right, place)
+
+
+FIRST: dict[str, Maker] = {
+    "inventory20": inventory(4.0, 5.2, HIGHER),
+    "inventory_slack": inventory(4.0, 3.0, "Customers ask for less than simulated."),
+    "inventory40": inventory(7.0, 8.5, HIGHER, 40, 5, recorded=0.9),
+    "inventory_identical": inventory(4.0, 4.0, "The simulator of the stock is right."),
+    "queue25": queue((0.55, 0.5, 0.7), "Jobs arrive more often than simulated.", recorded=0.0),
+    "queue_slower": queue((0.45, 0.42, 0.6), "Service is slower than simulated."),
+    "queue_identical": queue(LINE, "The simulator of the queue is right.", recorded=0.9),
+    "tandem9": lambda: tandem(9),
+    "machine": shift(
+        "Machines wear out faster than simulated.", (12, 3),
+        4.0 - 0.05 * np.arange(12.0)[:, None] ** 2 - np.array([0.0, 2.0, 6.0]), 0.97, (0.3, 0.05), (0.4, 0.15), machine,
+        recorded=0.9,
+    ),
+    # age 0 to 11; wait or cut; a fire takes it back to 0; a cut pays the age's wood, the oldest forest 1 a year
+    "forest12": shift(
+        "Fires are twice as frequent as simulated.", (12, 2), np.stack([np.arange(12) == 11, 0.15 * np.arange(12.0)], axis=1),
+        0.96, (0.08,), (0.16,), lambda age, cut, fire: [(1 - fire, np.where(cut, 0, age + 1)), (fire, 0)], length=40,
+    ),
+    # nine places; swimming up works with some probability, the current takes back; little pay below, much above
+    "river_swim": shift(
+        "The current is stronger than simulated.", (9, 2), np.array([[0.05, 0.0], *[[0.0, 0.0]] * 7, [0.0, 1.0]]), 0.98,
+        (0.35, 0.10), (0.32, 0.16),
+        lambda s, swim, up, back: [
+            (swim * up, s + 1), (np.where(swim, back, 1.0), s - 1), (swim * (1 - up - back), s)
+        ], length=20,
+    ),
+    # 30 places, left or right, an end to the right; a slip goes the other way; every step costs 1
+    "corridor30": shift(
+        "Steps slip more often than simulated.", (30, 2), np.append(-np.ones(29), 0.0), 0.98, (0.2,), (0.35,),
+        lambda s, right, slip: [(1 - slip, s + 2 * right - 1), (slip, s - 2 * right + 1)],
+        start=range(29), ends=[29], recorded=0.9,
+    ),
+    "mountain": shift(
+        "The slopes of the valley are steeper than simulated.", (25, 3),
+        lambda s, a, to: np.where((to == 24) & (s != 24), 10.0, np.where(s == 24, 0.0, -0.02 * np.abs(a - 1))), 0.99,
+        (0.04,), (0.16,), mountain, start=range(5, 16), ends=[24],
+    ),
+}  # fmt: skip
+
+
+def ageing_asset(state: IntArray, action: IntArray, shock: float) -> Moves:
+    """Age 0 to 9, or failed by wear (10), or by a shock (11); run gently, run hard, renew. Hard running ages and earns more."""
+    runs = (state < 10) & (action < 2)
+    repaired = np.where(action < 2, 0.05, np.select([state == 10, state == 11], [0.5, 0.7], 0.95))
+    wear, shocked, older = 0.003 * (1 + action) * state, shock * (1 + action), 0.4 + 0.3 * action
+    yield np.where(runs, 0.0, repaired), 0
+    yield np.where(runs, 0.0, 1 - repaired), state
+    yield runs * wear, 10
+    yield runs * shocked, 11
+    yield runs * (1 - wear - shocked) * older, np.minimum(state + 1, 9)
+    yield runs * (1 - wear - shocked) * (1 - older), state
+
+
+def number_of_sick(susceptible: Any, infected: Any) -> Any:
+    """The state of so many susceptible and infected people."""
+    return susceptible * (PEOPLE + 1) - susceptible * (susceptible - 1) // 2 + infected
+
+
+def epidemic(state: IntArray, action: IntArray, infection: float) -> Moves:
+    """Twelve people, susceptible and infected; nothing, distance (.5) or lockdown (1.2); an infected one costs 1 a step."""
+    s, i = SUSCEPTIBLE[state], INFECTED[state]
+    rate = infection * np.array([1.0, 0.55, 0.25])[action]
+    new, cured = np.divmod(np.arange((PEOPLE + 1) ** 2), PEOPLE + 1)
+    law = cross(binomial(s, 1 - (1 - rate / PEOPLE) ** i), binomial(i, 0.25))
+    yield law * np.where(s < PEOPLE, 0.98, 1.0), number_of_sick(s - new, i - cured + new)
+    yield 0.02 * (s < PEOPLE), number_of_sick(PEOPLE - 2, 2)  # immunity is lost: all begins again
+
+
+def clinical_trial(state: IntArray, arm: IntArray, *arms: float) -> Moves:
+    """Six patients, two arms; the simulator predicts by the counts so far, Beta(1, 1); the arms cure .6 and .25 in truth."""
+    a, b, c, d = TRIALS[state[:, :, 0]].transpose(2, 0, 1)[..., None]
+    cured, failed = np.where(arm, c, a), np.where(arm, d, b)
+    cure = np.choose(arm, arms) if arms else (cured + 1) / (cured + failed + 2)
+    yield cure, NUMBER_OF_TRIAL[a + 1 - arm, b, c + arm, d]
+    yield 1 - cure, NUMBER_OF_TRIAL[a, b + 1 - arm, c, d + arm]
+
+
+def parking(state: IntArray, action: IntArray, free: float) -> Moves:
+    """Fifteen places on the way to a shop; drive on, or park where it is free; walking costs more than driving; rounds."""
+    distance, empty = np.divmod(state, 2)
+    drives = 1 - action * empty
+    ahead = np.where(distance > 0, distance - 1, 14)
+    chance = free * (0.4 + 0.6 * ahead / 14)
+    return (1 - drives, 30), (drives * chance, 2 * ahead + 1), (drives * (1 - chance), 2 * ahead)
+
+
+def wins(s: IntArray, a: IntArray, to: IntArray) -> BoolArray:
+    """1 for the arrival at 20."""
+    return np.asarray((to == 20) & (s != 20))
+
+
+def gambler(capital: IntArray, action: IntArray, win: float) -> Moves:
+    """Capital 0 to 20, stakes of 1, 2 or 4; at 20 the game is won and pays 1, at 0 it is lost."""
+    put = np.minimum(2**action, np.minimum(capital, 20 - capital))
+    return (win, capital + put), (1 - win, capital - put)
+
+
+def fishery(stock: IntArray, action: IntArray, growth: float) -> Moves:
+    """Stock 0 to 20, harvests of 0, 1, 2, 4 or 6; logistic growth with Poisson noise; a restocked sea starts at 0 or more."""
+    left = np.maximum(stock - HARVESTS[action], 0)
+    return [(poisson(0.3 + left + growth * left * (1 - left / 20), 20), np.arange(21))]
+
+
+def traffic(state: IntArray, change: IntArray, *lanes: float) -> Moves:
+    """Twenty stretches of a road, two lanes; stay or change (.3); each lane moves with its own probability; a step costs 1."""
+    there = state ^ change  # the same stretch, in the lane that is chosen
+    go = np.array(lanes)[there % 2] * np.where(change, 0.8, 1.0)
+    return (go, there + 2), (1 - go, there)
+
+
+def elevator(state: IntArray, action: IntArray, low: float) -> Moves:
+    """Nine floors, a lift up, down or waiting; calls come from floors below the middle more often than simulated."""
+    at, call, floors = np.clip(state // 10 + action - 1, 0, 8), state % 10, np.arange(9)  # call 9: none
+    goes = (call < 9) & (at != call)
+    yield goes, at * 10 + call
+    yield 0.4 * ~goes, at * 10 + 9
+    yield 0.6 * np.where(floors < 4, low / 4, (1 - low) / 5) * ~goes, at * 10 + floors
+
+
+TRADES: dict[str, Maker] = {
+    "ageing_asset": shift(
+        "One of two ways to fail, the shock, is more frequent than simulated.", (12, 3),
+        np.array([[1.0, 1.6, -2.0]] * 10 + [[-1.0, -1.0, -3.0], [-0.5, -0.5, -1.5]]), 0.98, (0.02,), (0.05,), ageing_asset,
+        start=range(10),
+    ),
+    "epidemic": shift(
+        "Infection is more likely than simulated.", (len(INFECTED), 3), -INFECTED[:, None] - np.array([0.0, 0.5, 1.2]), 0.95,
+        (0.5,), (0.7,), epidemic, start=number_of_sick(np.array([10, 8, 6]), np.array([2, 2, 3])), recorded=0.0,
+    ),
+    "clinical_trial": shift(
+        "The simulator predicts two arms of a trial from a uniform prior; one cures often, one seldom.", (len(TRIALS), 2),
+        lambda s, a, to: CURES[to] - CURES[s], 0.99, (), (0.6, 0.25), clinical_trial,
+        start=0, ends=np.flatnonzero(TRIALS.sum(axis=1) == PATIENTS), optimal=0.85,
+    ),
+    "parking": shift(
+        "Free places are rarer than simulated.", (31, 2),
+        np.where(PLACES == 30, 0.0, np.where(PLACES % 2 * [0, 1], -0.2 - 0.5 * (PLACES // 2), -0.3)), 0.99, (0.5,), (0.3,),
+        parking, start=range(16, 30), ends=[30], recorded=0.0,
+    ),
+    # 21 places with absorbing ends, the right one pays 1; two steps' sizes; the drift is towards the left
+    "random_walk": shift(
+        "The walk drifts to the losing side; the simulator has it fair.", (21, 2), wins, 0.99, (0.5,), (0.56,),
+        lambda s, far, left: [(left, s - 1 - far), (1 - left, s + 1 + far)], start=range(5, 16), ends=[0, 20],
+    ),
+    # a ring of 30 places, moves of -1, 0 or 2 with noise of two places; a pay at one place; noise is wider in one half
+    "sensors": shift(
+        "In half of the places the motion is noisier than simulated.", (30, 3),
+        np.exp(-((np.arange(30) - 20.0) ** 2) / 4.0), 0.95, (30,), (15,),
+        lambda s, a, half: [
+            (np.where(s >= half, WIDE, NOISE), (s + np.array([-1, 0, 2])[a] + np.arange(-2, 3)) % 30)
+        ],
+    ),
+    "fishery": shift(
+        "Fish grow back more slowly than simulated.", (21, 5), np.minimum(np.arange(21)[:, None], HARVESTS) ** 0.8, 0.96,
+        (0.8,), (0.5,), fishery,
+    ),
+    "traffic": shift(
+        "The fast lane is jammed, which the simulator does not know.", (41, 2),
+        np.array([[-1.0, -1.3]] * 40 + [[0.0, 0.0]]), 0.98, (0.7, 0.5), (0.45, 0.55), traffic, start=range(20), ends=[40],
+    ),
+    "elevator": shift(
+        "Most calls come from the lower floors; simulated, they come from anywhere.", (90, 3),
+        np.where(np.arange(90) % 10 < 9, -1.0, 0.0)[:, None] - np.array([0.1, 0.0, 0.1]), 0.95, (4 / 9,), (0.8,), elevator,
+        start=range(9, 90, 10),
+    ),
+    "gambler": shift(
+        "The bank wins more often than simulated.", (21, 3), wins, 0.99, (0.48,), (0.42,), gambler,
+        start=range(1, 20), ends=[0, 20], recorded=0.9,
+    ),
+}  # fmt: skip
