@@ -1,5 +1,3 @@
-import time
-
 import gymnasium
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ from oee_tabular.continuous.cartpole.dynamics import ANGLE_LIMIT
 from oee_tabular.continuous.cartpole.expert import EXPERT
 from oee_tabular.tasks import (
     CartPole,
-    GridInterpolation,
     GymnasiumTask,
     cartpole_policy,
     discretize,
@@ -50,15 +47,6 @@ def test_one_step_is_gymnasium_s_to_the_last_bit(gravity):
     assert_array_equal(ours.next_state, theirs.next_state)
     assert_array_equal(ours.terminated, theirs.terminated)
     assert_array_equal(ours.reward, theirs.reward)
-
-
-def test_whole_episodes_are_gymnasium_s():
-    log = gymnasium_cartpole(12.5).record(cartpole_policy(0.3), n_transitions=500, max_steps=100, seed=1)
-    ours = resimulate(CartPole(12.5, noise=0.0), log)
-    assert_array_equal(ours.next_state, log.next_state)
-    assert_array_equal(ours.terminated, log.terminated)
-    assert log.n_state == 4
-    assert (np.abs(log.state[log.timestep == 0]) <= 0.05).all()
 
 
 @given(st.floats(0, 30), st.integers(0, 2**32 - 1))
@@ -107,43 +95,6 @@ def test_the_angle_alone_is_an_exact_reduction():
         whole = monte_carlo_value(CartPole(15.0), cartpole_policy(delta), 4000, 100, seed=5)
         angle = monte_carlo_value(Still(15.0), cartpole_policy(delta), 4000, 100, seed=5)
         assert_allclose(angle.value, whole.value, rtol=1e-3)
-
-
-@pytest.mark.parametrize("delta", [0.0, 0.3, 0.6, 1.0])
-def test_the_grid_agrees_with_monte_carlo(delta):
-    model = discretize(CartPole(12.5), cells=(100, 100), closure_episodes=0)
-    policy = cartpole_policy(delta)
-    value = oee.policy_value(model.mdp, model.policy(policy), horizon=100)
-    mc = monte_carlo_value(CartPole(12.5), policy, 10_000, 100, seed=3)
-    assert abs(value - mc.value) < 0.01 * mc.value + 3 * mc.standard_error
-
-
-def test_a_hundred_by_a_hundred_takes_less_than_a_second():
-    discretize(CartPole(), cells=(10, 10), closure_episodes=0)  # compile
-    began = time.perf_counter()
-    model = discretize(CartPole(), cells=(100, 100), closure_episodes=0)
-    oee.policy_value(model.mdp, model.policy(cartpole_policy(0.4)), horizon=100)
-    assert time.perf_counter() - began < 1.0
-
-
-def test_four_dimensions():
-    with pytest.warns(UserWarning, match="closure error"):
-        model = discretize(CartPole(form="full"), cells=(8, 8, 8, 8))
-    assert model.mdp.n_states == 8**4 + 1
-    assert model.task.feature_names == NAMES
-    assert_allclose(model.mdp.initial.sum(), 1.0)
-
-
-def test_process_noise_by_quadrature():
-    """With noise as large as a step, Gauss-Hermite points bring the grid's value to Monte Carlo's; without, it is off."""
-    task = CartPole(10.0, noise=0.05)
-    policy = cartpole_policy(0.3)
-    mc = monte_carlo_value(task, policy, 20_000, 50, seed=2)
-    values = []
-    for points in (1, (1, 1, 5, 5)):
-        model = discretize(task, cells=GridInterpolation((60, 60), noise_points=points), closure_episodes=0)
-        values.append(oee.policy_value(model.mdp, model.policy(policy), horizon=50))
-    assert abs(values[1] - mc.value) < 0.03 * mc.value < abs(values[0] - mc.value)
 
 
 def test_the_shipped_expert_is_the_trained_one():

@@ -23,7 +23,6 @@ from oee_tabular.continuous.discretization import (
     visited_states,
 )
 from oee_tabular.data import ContinuousTransitions
-from oee_tabular.estimators import calibrate
 from oee_tabular.tasks import (
     CartPole,
     ContinuousTask,
@@ -32,7 +31,6 @@ from oee_tabular.tasks import (
     Reacher,
     cartpole_policy,
     kinova,
-    monte_carlo_value,
     reacher_policy,
     record,
     resimulate,
@@ -153,17 +151,22 @@ def test_default_cells_follow_the_number_of_features():
     assert discretize(CartPole(form="full"), cells=few, **QUICK).mdp.n_states == 1001
 
 
+def assert_floor(model, log, floor, rows=slice(None)):
+    """A share of each row lies near, the log is reached, and nothing else is another."""
+    apart = (model.mdp.transitions - (1 - floor) * model.plain.transitions).toarray()
+    assert apart.min() > -1e-15
+    assert_allclose(apart.sum(axis=1)[rows], floor, rtol=1e-9)
+    assert_allclose(model.mdp.rewards, model.plain.rewards)
+    assert model.supported(model.counts(log, outside="nearest"))[1] <= 1e-3
+    assert model.metadata["floor"] == floor
+
+
 @given(seeds)
 @settings(max_examples=8)
+@pytest.mark.filterwarnings("ignore:log.*state must be inside")
 def test_a_floor_is_a_share_of_what_lies_near_and_reaches_the_log(seed):
     log = record(CartPole(15.0), half, n_transitions=300, max_steps=60, seed=seed)
-    model = discretize(CartPole(), log, cells=(12, 12), floor=1e-3, **QUICK)
-    apart = (model.mdp.transitions - 0.999 * model.plain.transitions).toarray()
-    assert apart.min() > -1e-15
-    assert_allclose(apart.sum(axis=1), 1e-3, rtol=1e-9)
-    assert_allclose(model.mdp.rewards, model.plain.rewards)
-    assert model.supported(model.counts(log, outside="drop"))[1] <= 1e-3
-    assert model.metadata["floor"] == 1e-3
+    assert_floor(discretize(CartPole(), log, cells=(12, 12), floor=1e-3, **QUICK), log, 1e-3)
 
 
 def test_at_a_log_the_simulator_is_what_its_own_log_says():
@@ -181,26 +184,6 @@ def test_at_a_log_the_simulator_is_what_its_own_log_says():
     assert (model.metadata["at_rows"], model.metadata["at_outside"]) == (3000, 0)
 
 
-@pytest.mark.filterwarnings("ignore:log.terminated. .* ends do not show")
-def test_off_environment_evaluation_of_cartpole():
-    """The documented configuration: a small fraction of the simulator's error is left (the study has the figures)."""
-    simulator, target = CartPole(10.0), CartPole(15.0)
-    log = record(target, cartpole_policy(0.3), n_transitions=10_000, max_steps=100, seed=0)
-    model = discretize(simulator, log, floor=1e-3, **QUICK)
-    zeta = oee.transition_ratio(model.counts(log), model.mdp, prior="simulator", strength=0.01)
-    problem = oee.Problem(model.mdp, model.encode(log, seed=0), horizon=100)
-    policy = cartpole_policy(0.4)
-    pi = model.policy(policy)
-    estimate = oee.estimators.OffEnvironment(zeta)(problem, pi)
-    inside = oee.policy_value(model.plain, pi, horizon=100)
-    outside, truth = (monte_carlo_value(task, policy, 20_000, 100, seed=1) for task in (simulator, target))
-    calibrated = calibrate(estimate, discretised=inside, continuous=outside.value)
-    error = abs(calibrated.diagnostics["calibrated_value"] - truth.value)
-    assert error < 0.25 * abs(outside.value - truth.value)
-    ideal = discretize(target, cells=model, **QUICK)  # the target itself on the same states, in the same places
-    assert_allclose(oee.policy_value(ideal.mdp, pi, horizon=100) * outside.value / inside, truth.value, rtol=0.01)
-
-
 def test_closure_error():
     error, noise = discretize(CartPole(), cells=(100, 100), **QUICK).closure_error()
     assert abs(error) < 0.02
@@ -214,17 +197,6 @@ def test_closure_error():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         discretize(CartPole(), cells=(100, 100))
-
-
-@given(st.integers(2, 12), st.integers(2, 12), st.floats(0.0, 1.0), seeds)
-@settings(max_examples=15)
-def test_every_grid_of_cartpole_is_a_finite_mdp(rows, columns, floor, seed):
-    log = record(CartPole(12.0), half, n_transitions=60, max_steps=30, seed=seed)
-    model = discretize(CartPole(), log, cells=(rows, columns), floor=floor, **QUICK)
-    assert model.mdp.n_states == rows * columns + 1
-    assert_allclose(row_sums(model.mdp.transitions), 1.0, atol=1e-12)
-    value = oee.policy_value(model.mdp, model.policy(half), horizon=50)
-    assert 0 < value <= sum(0.99**t for t in range(50)) + 1e-9
 
 
 # ---------------------------------------------------------------- encoding
@@ -281,18 +253,15 @@ def test_the_end_of_the_track_does_not_show_in_the_angle():
 
 def test_states_outside_are_named_and_counted():
     fast = np.array(LOG.state)
-    fast[7, 3] = 5.0
-    fast[9, 3] = -6.0
+    fast[[7, 9], 3] = 5.0, -6.0
     bag = ContinuousTransitions(fast, LOG.action, LOG.next_state, terminated=LOG.terminated)
     text = r"log.state must be inside the 16 x 16 grid .*: 2 of 400 rows are not; the first, row 7, is at theta=.*, theta_dot=5"
     with pytest.raises(ValueError, match=text):
         MODEL.encode(bag)
-    with pytest.warns(UserWarning, match=text + ".* moved to the nearest place inside"):
-        assert len(MODEL.encode(bag, outside="nearest")) == 400
-    with pytest.warns(UserWarning, match=text + ".* left out"):
-        assert len(MODEL.encode(bag, outside="drop")) == 398
-    with pytest.warns(UserWarning, match="left out"):
-        assert_allclose(MODEL.counts(bag, outside="drop").sum(), 398)
+    for outside, told, n in (("nearest", "moved to the nearest place inside", 400), ("drop", "left out", 398)):
+        for number in (lambda o: len(MODEL.encode(bag, outside=o)), lambda o: MODEL.counts(bag, outside=o).sum()):
+            with pytest.warns(UserWarning, match=f"{text}.* {told}"):
+                assert_allclose(number(outside), n)
     assert discretize(CartPole(), bag, cells=(16, 16), **QUICK).metadata["at_outside"] == 2
 
 
@@ -353,11 +322,8 @@ def test_cells_encode_logs_and_rows_are_where_the_log_s_states_lead():
 def test_a_floor_around_cells():
     log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=2000, max_steps=100, seed=9)
     floored = discretize(FULL, log, cells=SMALL, policies=POLICIES, floor=0.01, seed=1, **QUICK)
-    apart = floored.mdp.transitions - 0.99 * floored.plain.transitions
-    assert apart.min() >= -1e-15
-    assert_allclose(apart.sum(axis=1)[:-2], 0.01)
+    assert_floor(floored, log, 0.01, slice(-2))
     assert floored.mdp.absorbing()[floored.over]
-    assert floored.supported(floored.counts(log, outside="nearest"))[1] <= 1e-3
 
 
 # ---------------------------------------------------------------- several simulators in one support

@@ -16,10 +16,6 @@ def needs_mujoco():
     return pytest.importorskip("mujoco", reason="needs the extra: pip install 'oee-tabular[mujoco]'")
 
 
-def synthetic(scale=1.0):
-    return kinova.ideal_hand(scale)
-
-
 def test_the_kinematics_of_the_fact_table():
     assert_allclose(end_effector(np.zeros((1, 7)))[0], [0.0, -0.02485, 1.18739], atol=1e-5)
     assert_allclose(end_effector(HOME[None])[0], [0.4567, 0.00135, 0.4337], atol=5e-5)

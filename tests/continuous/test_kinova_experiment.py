@@ -43,10 +43,3 @@ def test_it_is_laid_out_like_table_1_and_says_that_it_is_a_stand_in():
     made = figures(TABLE_1, table, summary)["figure.svg"].decode()
     assert "stand-in" in made
     assert "the real arm" in made
-
-
-def test_settings():
-    assert TABLE_1.requires == ("mujoco",)
-    assert TABLE_1.group == "continuous"
-    assert len(TABLE_1.settings(smoke=True).cells()) == 1
-    assert len(TABLE_1.settings().cells()) == 40

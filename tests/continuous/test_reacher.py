@@ -242,12 +242,3 @@ BAD = {
 def test_bad_calls(call, text):
     with pytest.raises(ValueError, match=text):
         call()
-
-
-def test_nothing_is_compiled_at_import():
-    """Making a task, a policy or a log's error needs no kernel."""
-    import subprocess
-    import sys
-
-    code = "import oee_tabular.tasks as t, sys; t.Reacher(); t.reacher_policy(.1); assert 'numba' not in sys.modules"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

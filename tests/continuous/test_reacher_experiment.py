@@ -69,12 +69,6 @@ def test_the_paper_s_errors():
     assert_allclose(reacher.published(summary), [1.838, np.nan, np.nan], atol=1e-3)
 
 
-def test_the_smoke_subset_is_small():
-    smoke = FIGURE_3.settings(smoke=True)
-    assert [cell["n"] for cell in smoke.cells()] == [15_000, 15_000]
-    assert {cell["length"] for cell in smoke.cells()} == {0.2, 0.05}
-
-
 def test_even_beginnings_have_the_same_mean():
     policy = reacher_policy(0.5)
     even, plain = (monte_carlo_value(task, policy, 4000, 20, seed=0) for task in (reacher.Even(), Reacher()))
