@@ -37,21 +37,18 @@ def places(task, n=200, seed=0):
 # ---------------------------------------------------------------- dynamics
 
 
-@pytest.mark.parametrize(
-    ("name", "task", "changes"),
-    [
-        ("Pendulum-v1", classic.Pendulum(1.2, 1.1, 9.0), {"m": 1.2, "l": 1.1, "g": 9.0}),
-        ("MountainCar-v0", classic.MountainCar(0.0027, 0.0009), {"gravity": 0.0027, "force": 0.0009}),
-        (
-            "Acrobot-v1",
-            classic.Acrobot(1.2, 1.3, 1.15),
-            {"LINK_MASS_1": 1.2, "LINK_MASS_2": 1.3, "LINK_LENGTH_1": 1.15, "LINK_COM_POS_1": 0.575},
-        ),
-    ],
-)
+GYMNASIUMS = [
+    ("Pendulum-v1", classic.Pendulum(1.2, 1.1, 9.0), {"m": 1.2, "l": 1.1, "g": 9.0}),
+    ("MountainCar-v0", classic.MountainCar(0.0027, 0.0009), {"gravity": 0.0027, "force": 0.0009}),
+    ("Acrobot-v1", classic.Acrobot(1.2, 1.3, 1.15),
+     {"LINK_MASS_1": 1.2, "LINK_MASS_2": 1.3, "LINK_LENGTH_1": 1.15, "LINK_COM_POS_1": 0.575}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "task", "changes"), GYMNASIUMS)
 def test_a_step_is_gymnasium_s(name, task, changes):
     env = gymnasium.make(name).unwrapped
-    env.reset(seed=0)
+    again = [np.array((env.reset(seed=k), env.state)[1]) for k in range(50)]
     for parameter, value in changes.items():
         assert hasattr(env, parameter)
         setattr(env, parameter, value)
@@ -59,16 +56,11 @@ def test_a_step_is_gymnasium_s(name, task, changes):
     moved = task.moves(states, actions, np.zeros((len(states), 0)))
     for i, (state, a) in enumerate(zip(states, actions, strict=True)):
         env.state = np.array(state)
-        command = task.actions[[a]] if name == "Pendulum-v1" else int(a)
-        _, reward, over, _, _ = env.step(command)
+        _, reward, over, _, _ = env.step(task.actions[[a]] if name == "Pendulum-v1" else int(a))
         assert_allclose(moved.next_state[i], env.state, rtol=0, atol=1e-10)
         assert_allclose(moved.reward[i], reward)
         assert moved.terminated[i] == over
     starts = task.initial_states(500, np.random.default_rng(0))
-    again = []
-    for k in range(50):
-        env.reset(seed=k)
-        again.append(np.array(env.state))
     assert (np.min(again, axis=0) >= starts.min(axis=0) - 0.1).all()
     assert (np.max(again, axis=0) <= starts.max(axis=0) + 0.1).all()
 
@@ -113,17 +105,15 @@ def test_the_linear_model_finds_a_linear_task():
         def moves(self, states, actions, disturbance):
             slope = np.array([[0, 0.02, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0.02], [0, 0, 0.3, 0]])
             following = states + states @ slope.T + 0.1 * self.actions[actions][:, None] * [0, 0.2, 0, -0.3]
-            following += 0.01 * disturbance
-            return Moves(following, np.ones(len(states)), self.terminated(following))
+            return Moves(following + 0.01 * disturbance, np.ones(len(states)), self.terminated(following))
 
     target = Straight(10.0)
     log = record(target, CASES["CartPole, delay"].acting(0.3), n_transitions=4000, max_steps=100, seed=0)
     model = LinearModel(CartPole(10.0), log)
     states, actions = log.state[:20], log.action[:20]
     right = target.moves(states, actions, np.zeros((20, 4))).next_state
-    within = (right <= log.next_state.max(axis=0) - 0.03) & (
-        right >= log.next_state.min(axis=0) + 0.03
-    )  # far from its stops
+    low, high = log.next_state.min(axis=0) + 0.03, log.next_state.max(axis=0) - 0.03
+    within = (low <= right) & (right <= high)  # far from its stops
     assert within.sum() > 40
     moved = model.step(np.repeat(states, 5000, axis=0), np.repeat(actions, 5000), np.random.default_rng(0)).next_state
     moved = moved.reshape(20, 5000, 4)
@@ -167,15 +157,19 @@ def errors(tables, name):
     return tables[tables.case == name].set_index("estimator")
 
 
-@pytest.mark.parametrize("name", ["CartPole, pole x 1.3", "Pendulum, mass, gravity", "Chain, mass, springs"])
-def test_the_residual_row_is_within_a_quarter(tables, name):
-    rows = errors(tables, name)
-    assert rows.share["simulator"] == 1.0
-    assert rows.share["residual"] < 0.25
-    assert rows.differs.all()
-    assert not rows.hidden.any()
-    assert {"linear model"} <= set(rows.index)
-    assert ({"grid", "calibrated"} <= set(rows.index)) == bool(CASES[name].grid)
+def test_the_residual_row_is_within_a_quarter(tables):
+    for name in ("CartPole, pole x 1.3", "Pendulum, mass, gravity", "Chain, mass, springs"):
+        rows = errors(tables, name)
+        assert rows.share["simulator"] == 1.0
+        assert rows.share["residual"] < 0.25
+        assert rows.differs.all()
+        assert not rows.hidden.any()
+        assert "linear model" in rows.index
+        assert ({"grid", "calibrated"} <= set(rows.index)) == bool(CASES[name].grid)
+    row = errors(tables, "CartPole, pole x 1.3").loc["residual"]
+    assert_allclose(row.error, np.mean([abs(row["error_0.2"]), abs(row["error_0.4"])]))
+    assert 0 < row.noise < row.truth_standard_error
+    assert 0.2 < row["truth_0.4"] < row["truth_0.2"] < 0.634
 
 
 def test_a_delay_is_said_and_the_last_action_mends_it(tables):
@@ -183,13 +177,6 @@ def test_a_delay_is_said_and_the_last_action_mends_it(tables):
     assert rows.hidden.all()
     assert rows.share["residual, last action"] < 1 / 3
     assert rows.error["residual"] > 2 * rows.error["residual, last action"]
-
-
-def test_errors_are_of_the_values(tables):
-    row = errors(tables, "CartPole, pole x 1.3").loc["residual"]
-    assert_allclose(row.error, np.mean([abs(row["error_0.2"]), abs(row["error_0.4"])]))
-    assert 0 < row.noise < row.truth_standard_error
-    assert 0.2 < row["truth_0.4"] < row["truth_0.2"] < 0.634
 
 
 def test_the_figure_has_a_line_for_each_case(tables):
@@ -215,20 +202,16 @@ def test_every_case_is_a_change_but_one():
 
 def test_a_small_coverage(monkeypatch):
     """Six logs of 1000 moves: of their intervals at least five hold the truth, by the log's part alone as well."""
-    monkeypatch.setattr(coverage, "N", 1000)
-    monkeypatch.setattr(coverage, "EPISODES", 200)
-    monkeypatch.setattr(coverage, "PATHS", 50)
-    monkeypatch.setattr(coverage, "TRUTH", 20_000)
+    for name, size in {"N": 1000, "EPISODES": 200, "PATHS": 50, "TRUTH": 20_000}.items():
+        monkeypatch.setattr(coverage, name, size)
     name = "CartPole, gravity 12.5"
     coverage.truth.cache_clear()
     coverage.pair.cache_clear()
     table = coverage.RESIDUAL_COVERAGE.table(case=name, repetitions=6)
     coverage.truth.cache_clear()
     coverage.pair.cache_clear()
-    assert table.covered.sum() >= 5
-    assert table.covered_paired.sum() >= 5
-    held = (table.lower <= table.truth) & (table.truth <= table.upper)
-    assert_array_equal(table.covered, held)
+    assert min(table.covered.sum(), table.covered_paired.sum()) >= 5
+    assert_array_equal(table.covered, (table.lower <= table.truth) & (table.truth <= table.upper))
     apart = table.error.abs() / np.hypot(table.error_of_log, table.noise)
     assert_array_equal(table.covered_paired == 1.0, apart <= 2.262)  # Student's t, 9 degrees of freedom
     assert table.error_of_log.mean() < 0.1 * (table.upper - table.lower).mean()  # the rollouts' part is most

@@ -95,8 +95,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
         Reacher(SIMULATED, length), log, cells=CELLS, others=others, policies=VISITING, closure_episodes=0,
         seed=stream.sequence(use="cells"),
     )  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # next states far from every cell go to the nearest
+    with warnings.catch_warnings(action="ignore"):  # next states far from every cell go to the nearest
         counts = model.counts(log, outside="nearest")
     found, facts = estimates(model, counts, length)
     found[RESIDUAL] = monte_carlo_values(ResidualSimulator(Even(SIMULATED, length), log, seed=0), MODEL_EPISODES, 4)
@@ -118,35 +117,31 @@ def estimates(
     policies = [model.policy(reacher_policy(delta)) for delta in DELTAS]
     below, above = values_of(model.plain, policies), truth(SIMULATED, length)
     found: dict[str, Array] = {}
-    facts: dict[str, Row] = {}
-
-    def add(name: str, values: Array) -> None:
-        found[name], found[f"{name}, calibrated"] = values, values + above - below
-
-    for averaged, weighted, plain, lengths in (
-        (AVERAGED, WEIGHTED, PLAIN, LENGTHS),
-        (UNKNOWN_AVERAGED, UNKNOWN, None, [other for other in WIDER if other != length]),
+    facts: dict[str, Row] = {SIMULATOR: {"uncovered": replace(model, mdp=model.plain).supported(counts)[1]}}
+    for averaged, weighted, lengths in (
+        (AVERAGED, WEIGHTED, LENGTHS),
+        (UNKNOWN_AVERAGED, UNKNOWN, [other for other in WIDER if other != length]),
     ):
-        average = np.array([float(other in lengths) for other in WIDER]) / len(lengths)
+        is_known = lengths is LENGTHS
+        average = np.isin(WIDER, lengths) / len(lengths)
         allowed, uncovered = model.mixture(average).supported(counts)
         weights = fit_among(model, allowed, lengths)
         mixtures = {averaged: average, weighted: (1.0 - DEFENSIVE) * weights + DEFENSIVE * average}
-        if plain is not None:
-            mixtures[plain] = (1.0 - DEFENSIVE) * np.eye(len(WIDER))[0] + DEFENSIVE * average
+        if is_known:
+            mixtures[PLAIN] = (1.0 - DEFENSIVE) * np.eye(len(WIDER))[0] + DEFENSIVE * average
+            found[AVERAGE] = values_of(model.mixture(average).mdp, policies)
         for name, shares in mixtures.items():
             simulator = model.mixture(shares).mdp
             zeta = transition_ratio(allowed, simulator, prior="simulator", strength=STRENGTH)
-            add(name, values_of(zeta.target_model(simulator), policies))
+            found[name] = values_of(zeta.target_model(simulator), policies)
             largest = float(zeta.values.data.max())
             facts[name] = {"uncovered": uncovered, "largest_zeta": largest, "d_inf": float(np.log(largest))}
             facts[name] |= {"visited": float(zeta.visited.mean())}
-            if lengths is LENGTHS:
-                facts[name] |= {"weight_of_true_length": float(weights[WIDER.index(length)])}
-                found[AVERAGE] = values_of(model.mixture(average).mdp, policies)
-    add(MODEL, values_of(model.with_transitions(frequencies(counts, model.plain.n_actions)), policies))
+            facts[name] |= {"weight_of_true_length": float(weights[WIDER.index(length)])} if is_known else {}
+    found[MODEL] = values_of(model.with_transitions(frequencies(counts, model.plain.n_actions)), policies)
+    found |= {f"{name}, calibrated": values + above - below for name, values in found.items() if name != AVERAGE}
     found[ORACLE] = values_of(model.simulators[WIDER.index(length)], policies)
     found[SIMULATOR], found[OWN_REWARD] = above, truth(SIMULATED, SIMULATED)
-    facts[SIMULATOR] = {"uncovered": replace(model, mdp=model.plain).supported(counts)[1]}
     return found, facts
 
 
@@ -158,14 +153,14 @@ def fit_among(model: Discretization, counts: sparse.csr_array, lengths: Sequence
     return weights
 
 
-def _setting(length: Any) -> str:
-    return f"link_length_ratio={float(length) / SIMULATED}"
+def paper_curve(length: Any, series: str) -> pd.DataFrame:
+    """The paper's curve for links of this length; empty where it was not published."""
+    return paper.curve("reacher", f"link_length_ratio={float(length) / SIMULATED}", series)
 
 
 def published_error(length: float, series: str) -> float:
     """The mean over delta of |curve - true value| in the paper's figure; nan where it was not published."""
-    right = paper.curve("reacher", _setting(length), "true_value")
-    other = paper.curve("reacher", _setting(length), series)
+    right, other = paper_curve(length, "true_value"), paper_curve(length, series)
     if len(right) == 0 or len(other) != len(right):
         return float("nan")
     return float(np.abs(other["mean"] - right["mean"]).mean())
@@ -192,7 +187,7 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
 def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:
     """The paper's points for this length, of its own expert and targets."""
     for name, marker in zip(("true_value", *PUBLISHED.values()), "xo^s", strict=True):
-        points = paper.curve("reacher", _setting(rows.length.iloc[0]), name)
+        points = paper_curve(rows.length.iloc[0], name)
         if len(points):
             ax.scatter(points.x, points["mean"], marker=marker, color="0.35", label=f"the paper's {name}")
 
