@@ -22,7 +22,6 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.continuous.cartpole.dynamics import ANGLE_LIMIT, CartPole
-from oee_tabular.continuous.task import StatePolicy
 
 SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])  # theta in units of its limit, theta' in rad/s, the constant
 EXPERT_SEED = 2346
@@ -33,8 +32,17 @@ EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)  # what t
 class CartPolePolicy:
     """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4) giving probabilities (n, 2).
 
-    The expert pushes to the right with probability sigma(w_1 theta + w_2 theta' + w_3); deterministic, where that is above 1/2.
-    delta is the share of the uniform policy: the opposite sense to the gridworld, as in the paper.
+    Parameters
+    ----------
+    delta : share of the uniform policy, in [0, 1]: the opposite sense to the gridworld, as in the paper
+    deterministic : whether the expert takes its likelier action; else it pushes to the right with probability
+        sigma(w_1 theta + w_2 theta' + w_3)
+    weights : w, the shipped expert's by default
+
+    Examples
+    --------
+    >>> cartpole_policy(1.0)(np.zeros((1, 4))).tolist()
+    [[0.5, 0.5]]
     """
 
     delta: float = 0.0
@@ -43,6 +51,7 @@ class CartPolePolicy:
 
     def __post_init__(self) -> None:
         _checks.number_in(self.delta, "delta", 0.0, 1.0)
+        _checks.boolean(self.deterministic, "deterministic")
 
     def __call__(self, states: Array) -> Array:
         """(n, 2) probabilities of pushing to the left and to the right."""
@@ -52,20 +61,7 @@ class CartPolePolicy:
         return np.stack([1.0 - right, right], axis=1)
 
 
-def cartpole_policy(delta: float, *, deterministic: bool = False) -> StatePolicy:
-    """The paper's policies: delta * uniform + (1 - delta) * the shipped expert (stochastic by default).
-
-    Parameters
-    ----------
-    delta : share of the uniform policy, in [0, 1]
-    deterministic : whether the expert takes its likelier action
-
-    Examples
-    --------
-    >>> cartpole_policy(1.0)(np.zeros((1, 4))).tolist()
-    [[0.5, 0.5]]
-    """
-    return CartPolePolicy(delta, _checks.boolean(deterministic, "deterministic"))
+cartpole_policy = CartPolePolicy
 
 
 def train_expert(

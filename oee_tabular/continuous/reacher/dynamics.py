@@ -296,14 +296,6 @@ class LinearReacher(Reacher):
         ------
         ValueError
             A log with other dimensions than the arm's, or actions that are not its.
-
-        Examples
-        --------
-        >>> from oee_tabular.tasks import record
-        >>> from oee_tabular.continuous.reacher.expert import reacher_policy
-        >>> log = record(Reacher.tamed(), reacher_policy(1.0), n_transitions=2000, max_steps=25, seed=0)
-        >>> LinearReacher.fit(log, Reacher.tamed()).coefficients.shape
-        (7, 4)
         """
         base = Reacher() if task is None else task
         states = check_states(base, log.state, "log.state")
