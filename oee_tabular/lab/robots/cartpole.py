@@ -43,8 +43,8 @@ MISTAKEN = (7.5, 12.5, 15.0)
 TRUTHS = {"compiled": ("target", PAPER_NOISE), "gymnasium": ("target without noise", 0.0)}
 ERROR = "mean |error| of the value, times (1 - discount)"
 RESIDUAL = "residual"
-ON_CELLS = ("simulator", "OEE", "OEE, calibrated", "model-based", "model-based, calibrated", "linear model", RESIDUAL)
-OTHERS = ("OEE, calibrated", "IS, per decision", "IS, self-normalised", "oracle", "oracle, calibrated")
+ON_CELLS = ("simulator", "OEE", "OEE, calibrated", "model-based", "model-based, calibrated", "linear model")
+OTHERS = ("OEE, calibrated", RESIDUAL, "IS, per decision", "IS, self-normalised", "oracle", "oracle, calibrated")
 PAPERS = {"true_value": ("true", "x"), "oee": ("OEE", "o"), "mle": ("model (MLE)", "s"), "is": ("IS", "^")}
 
 PAPERS_NAMES = {

@@ -176,7 +176,7 @@ def published(summary: pd.DataFrame) -> list[float]:
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     """Value against delta for each length (at the largest n), and the paper's points."""
-    shown = (WEIGHTED, RESIDUAL, MODEL, OWN_REWARD, SIMULATOR, UNKNOWN, ORACLE)
+    shown = (WEIGHTED, RESIDUAL, MODEL, OWN_REWARD, SIMULATOR, UNKNOWN)
     own = table[(table.n == table.n.max()) & table.series.isin(shown)]
     Panels(
         "value", "series", "delta", ("length",), "links of {length:g} m", "delta: share of random actions",
@@ -196,7 +196,9 @@ def finding(table: pd.DataFrame) -> str:
     """Errors over the lengths, at the largest n."""
     n = table.n.max()
     means = table[table.n == n].groupby(["series", "length"]).error.mean()
-    parts = [f"{name} {reach(means[name])}" for name in (RESIDUAL, WEIGHTED, UNKNOWN, MODEL, SIMULATOR)]
+    parts = [
+        f"{name} {reach(means[name])}" for name in (RESIDUAL, WEIGHTED, UNKNOWN, MODEL, SIMULATOR) if name in means
+    ]
     return f"Mean error of the value at n = {n}: " + "; ".join(parts)
 
 
