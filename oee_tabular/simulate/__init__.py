@@ -36,7 +36,7 @@ by the seed, with a counter of (step, stream, episode). So
 
 Work is shared by Python threads over kernels that release the interpreter (``sampler``); runs of less than a million steps stay
 on the calling thread. A step of returns takes less than half of what a plain compiled
-loop needs (tests/benchmarks/rollouts.py).
+loop needs (`tests/benchmarks/speed.py rollouts`).
 """
 
 from oee_tabular.simulate.logs import sample_episodes, sample_transitions

@@ -12,17 +12,18 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 
 import gymnasium
 import numpy as np
 from scipy.special import ndtr
 
 from oee_tabular.continuous.correction import choose_correction
-from oee_tabular.continuous.episodes import paired_returns
 from oee_tabular.continuous.parameters import fit_parameters, parameters_of
 from oee_tabular.continuous.task import DerivedTask, Moves
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.robots.changes import classic
+from oee_tabular.lab.robots.changes.cases import Case
 from oee_tabular.tasks import CartPole, ResidualSimulator, cartpole_policy, gymnasium_simulator, record
 
 NONE = -99.0  # no command yet
@@ -137,45 +138,36 @@ def of_own(policy, d):
     return lambda states: policy(np.ascontiguousarray(states[:, :d]))
 
 
-def value(task, policy, episodes, horizon, scale):
-    seed = np.random.SeedSequence(1)
-    return scale * paired_returns(task, policy, episodes, horizon, discount=0.99, seed=seed).mean()
+def errors_of(case, task):
+    """Of the values of a task's own dynamics, for a policy near the log's and one far from it."""
+    return np.array([(case.returns(task, delta) - case.returns(case.target, delta)).mean() for delta in case.deltas])
 
 
 def study_hidden_state(n_logs, n_values):
-    simulator, said, named = CartPole(10.0), 0, 0
+    """Delays, lags and sensor noise."""
+    simulator, options = CartPole(10.0), {"deltas": (0.2, 0.8), "horizon": 100, "scale": 0.01}
     targets = {f"delay {k}": (Delay(simulator, k), k) for k in (1, 2, 3)}
     targets |= {f"lag {lag}": (Lag(simulator, lag), 0) for lag in (0.3, 0.5, 0.7)}
     targets["sensor noise"] = SensorNoise(simulator, 0.01), 0
     for name, (target, lag) in targets.items():
-        errors, steps, trusted, found = [], [], [], [0, 0]
-        policies = [of_own(cartpole_policy(delta), 4) for delta in (0.2, 0.8)]
-        truths = [value(target, policy, 4000, 100, 0.01) for policy in policies]
+        case = Case(name, simulator, target, cartpole_policy, **options)
+        n_said, n_named, errors, chosen = 0, 0, [], []
         for seed in range(n_logs):
-            log = shown(
-                record(target, of_own(cartpole_policy(0.3), 4), n_transitions=10_000, max_steps=100, seed=seed), 4
-            )
-            plain = ResidualSimulator(simulator, log, seed=0)
-            hidden = [c.history for c in plain.coordinates if c.hidden]
-            found[0] += bool(hidden)
+            log = case.log(10_000, seed)
+            hidden = [c.history for c in ResidualSimulator(simulator, log, seed=0).coordinates if c.hidden]
             best = max(hidden, key=lambda effect: effect.lag_r_squared, default=None)
-            found[1] += best is not None and (best.lag, best.of) == (lag, "action")
-            if seed >= n_values:
-                continue
-            chosen = choose_correction(simulator, log, seed=0)
-            front = chosen.learned if chosen.is_trusted else simulator
-            errors.append([value(front, p, 4000, 100, 0.01) - truth for p, truth in zip(policies, truths, strict=True)])
-            steps.append(chosen.steps)
-            trusted.append(chosen.is_trusted)
-        said, named = said + found[0] * (name != "sensor noise"), named + found[1]
+            n_said += bool(hidden)
+            n_named += best is not None and (best.lag, best.of) == (lag, "action")
+            if seed < n_values:
+                chosen.append(choose_correction(simulator, log, seed=0))
+                errors.append(errors_of(case, chosen[-1].learned if chosen[-1].is_trusted else simulator))
         near, far = np.abs(errors).mean(axis=0)
-        before = [value(simulator, p, 4000, 100, 0.01) - truth for p, truth in zip(policies, truths, strict=True)]
         print(
-            f"{name}: said {found[0]} of {n_logs}, lag named {found[1]}, steps {steps}, trusted {sum(trusted)} of {n_values}; "
-            f"mean |error| near {near:.4f} far {far:.4f} (simulator {before[0]:+.4f} {before[1]:+.4f})",
+            f"{name}: said {n_said} of {n_logs}, lag named {n_named}, steps {[c.steps for c in chosen]}, trusted "
+            f"{sum(c.is_trusted for c in chosen)} of {n_values}; mean |error| near {near:.4f} far {far:.4f} (simulator "
+            "{:+.4f} {:+.4f})".format(*errors_of(case, simulator)),
             flush=True,
         )
-    print(f"delays and lags: said {said} of {6 * n_logs}, lag named {named} of {3 * n_logs}", flush=True)
 
 
 def uniform(task):
@@ -195,71 +187,59 @@ def balancing(task):
 
 
 def study_false_alarms(n_logs, _):
-    alarms = 0
+    """Markov targets of which hidden state should not be said."""
     cases = {
-        "Pendulum with cogging": (classic.Pendulum(), Cogging(), classic.swinging(0.3), 200),
-        "MountainCar with drag": (classic.MountainCar(), Drag(), classic.rocking(0.3), 200),
-        "CartPole, 10% random actions": (CartPole(10.0), RandomActions(CartPole(10.0), 0.1), cartpole_policy(0.3), 100),
-    }
+        "Pendulum with cogging": (classic.Pendulum(), Cogging(), classic.swinging(0.3), 10_000, 200),
+        "MountainCar with drag": (classic.MountainCar(), Drag(), classic.rocking(0.3), 10_000, 200),
+        "CartPole, 10% random actions": (
+            CartPole(10.0), RandomActions(CartPole(10.0), 0.1), cartpole_policy(0.3), 10_000, 100),
+    }  # fmt: skip
     for name, levels, steps in (("InvertedPendulum-v5", 9, 100), ("Reacher-v5", 3, 50), ("Hopper-v5", 2, 200)):
         model = gymnasium.make(name).unwrapped.model
         physics = {"body_mass": 1.3 * model.body_mass, "dof_damping": 1.5 * model.dof_damping + 0.02}
         text = ",".join(f"{key}={x.tolist()}".replace(" ", "") for key, x in physics.items())
         simulator, target = (gymnasium_simulator(spec, actions=levels).task for spec in (name, f"{name}:{text}"))
         policy = balancing(target) if name == "InvertedPendulum-v5" else uniform(target)
-        cases[name] = simulator, target, policy, steps
-    for name, (simulator, target, policy, steps) in cases.items():
-        n = 5000 if name.endswith("v5") else 10_000
-        make = target.record if name.endswith("v5") else lambda *a, target=target, **k: record(target, *a, **k)
-        said = 0
-        for seed in range(n_logs):
-            log = make(policy, n_transitions=n, max_steps=steps, seed=seed)
-            said += any(c.hidden for c in ResidualSimulator(simulator, log, seed=0).coordinates)
-        alarms += said
-        print(f"{name}: hidden state said in {said} of {n_logs}", flush=True)
-    print(f"false alarms: {alarms} of {6 * n_logs}", flush=True)
+        cases[name] = simulator, target, policy, 5000, steps
+    for name, (simulator, target, policy, n, steps) in cases.items():
+        make = target.record if name.endswith("v5") else partial(record, target)
+        logs = (make(policy, n_transitions=n, max_steps=steps, seed=seed) for seed in range(n_logs))
+        said = [any(c.hidden for c in ResidualSimulator(simulator, log, seed=0).coordinates) for log in logs]
+        print(f"{name}: hidden state said in {sum(said)} of {n_logs}", flush=True)
 
 
 def study_parameters(_, n_logs):
-    changed = {"pole": 1.3, "force": 0.8}
+    """Least squares on 300 transitions where the structure is right, and on 10 000 where it is not."""
     cartpole, pendulum = classic.ChangedCartPole(10.0), classic.Pendulum()
-    heavy = classic.Pendulum(mass=1.2, gravity=11.0, friction=0.1)
-    cases = {
-        "CartPole, right": (cartpole, classic.ChangedCartPole(12.5, **changed), ("gravity", "pole", "force"), 300),
-        "Pendulum, right": (pendulum, heavy, ("mass", "gravity", "friction"), 300),
-        "CartPole, 5% random actions": (
-            cartpole, RandomActions(classic.ChangedCartPole(12.5, **changed), 0.05), ("gravity", "pole", "force"), 10_000),
-        "Pendulum, cogging": (pendulum, Cogging(mass=1.2, gravity=11.0), ("mass", "gravity", "friction"), 10_000),
-    }  # fmt: skip
-    for name, (simulator, target, names, n) in cases.items():
-        is_cartpole = name.startswith("CartPole")
-        acting, horizon, scale = (cartpole_policy, 100, 0.01) if is_cartpole else (classic.swinging, 200, 1.0)
-        policies = [acting(delta) for delta in (0.1, 0.6)]
-        truths = [value(target, policy, 2000, horizon, scale) for policy in policies]
-        errors, taken = [], 0
+    changed = classic.ChangedCartPole(12.5, pole=1.3, force=0.8)
+    heavy, cogging = classic.Pendulum(mass=1.2, gravity=11.0, friction=0.1), Cogging(mass=1.2, gravity=11.0)
+    cart = {"deltas": (0.1, 0.6), "horizon": 100, "episodes": 2000, "scale": 0.01}
+    swing = {"deltas": (0.1, 0.6), "horizon": 200, "episodes": 2000}
+    for case, n in (
+        (Case("CartPole, right", cartpole, changed, cartpole_policy, **cart), 300),
+        (Case("Pendulum, right", pendulum, heavy, classic.swinging, **swing), 300),
+        (Case("CartPole, 5% random actions", cartpole, RandomActions(changed, 0.05), cartpole_policy, **cart), 10_000),
+        (Case("Pendulum, cogging", pendulum, cogging, classic.swinging, **swing), 10_000),
+    ):
+        names = ("gravity", "pole", "force") if case.simulator is cartpole else ("mass", "gravity", "friction")
+        errors, n_taken = [], 0
         for seed in range(n_logs):
-            log = record(target, acting(0.3), n_transitions=n, max_steps=horizon, seed=seed)
-            fit = fit_parameters(*parameters_of(simulator, names), log)
-            chosen = choose_correction(simulator, log, fit=fit, seed=0)
+            log = case.log(n, seed)
+            fit = fit_parameters(*parameters_of(case.simulator, names), log)
+            chosen = choose_correction(case.simulator, log, fit=fit, seed=0)
             both = chosen.learned if chosen.fit is not None else ResidualSimulator(fit.task, log, seed=0)
-            taken += chosen.fit is not None
-            tasks = simulator, fit.task, chosen.plain, both, chosen.learned
-            errors.append([[value(task, p, 2000, horizon, scale) - truth for p, truth in zip(policies, truths, strict=True)]
-                           for task in tasks])  # fmt: skip
-        rows = ("simulator", "parameters", "residual", "both", "in front")
-        each = np.abs(errors).mean(axis=0)
-        told = "; ".join(f"{row} {near:.4f} {far:.4f}" for row, (near, far) in zip(rows, each, strict=True))
-        print(f"{name}: parameters taken in {taken} of {n_logs}; mean |error| near, far: {told}", flush=True)
+            n_taken += chosen.fit is not None
+            tasks = case.simulator, fit.task, chosen.plain, both, chosen.learned
+            errors.append([errors_of(case, task) for task in tasks])
+        rows = zip(
+            ("simulator", "parameters", "residual", "both", "in front"), np.abs(errors).mean(axis=0), strict=True
+        )
+        text = "; ".join(f"{row} {near:.4f} {far:.4f}" for row, (near, far) in rows)
+        print(f"{case.task}: parameters taken in {n_taken} of {n_logs}; mean |error| near, far: {text}", flush=True)
 
 
 if __name__ == "__main__":
-    given = dict(enumerate(sys.argv[1:]))
-    n_logs = int(given.get(0, 10))
-    n_values = int(given.get(1, n_logs))
-    for word, study in {
-        "parameters": study_parameters,
-        "hidden": study_hidden_state,
-        "alarms": study_false_alarms,
-    }.items():
-        if given.get(2, word) == word:
-            study(n_logs, n_values)
+    n_logs, n_values, word = (*sys.argv[1:], *(None,) * 3)[:3]
+    studies = {"parameters": study_parameters, "hidden": study_hidden_state, "alarms": study_false_alarms}
+    for study in [studies[word]] if word else studies.values():
+        study(int(n_logs or 10), int(n_values or n_logs or 10))

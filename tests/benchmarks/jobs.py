@@ -1,86 +1,110 @@
-"""The main job: ``evaluate`` by states and by transitions, likelihood intervals, counts, starts, calls on a few states.
+"""What users run: intervals, a million states, counts, starts, small calls; rollouts; the ratio programs.
 
-Growth is the slope of log CPU seconds against log size from the first to the last size, printed with the last one;
-``evaluate`` is --quick's, with 10 transitions for each state-action pair. Peers: DuckDB for the same sums, ``import
-numpy, scipy.sparse`` for a start, plain numpy with row sums and ``isfinite`` for small calls.
+Peers: DuckDB for the same sums, ``import numpy, scipy.sparse`` for a start, plain numpy with row sums and ``isfinite`` for
+small calls, a numba loop for rollouts, cvxpy with Clarabel for the ratio programs.
 """
 
 import resource
 import subprocess
 import sys
 import tempfile
+import time
+from functools import partial
 from pathlib import Path
 
 import mdps
 import numpy as np
-from common import cpu, interleaved, per_call, row, rows_of
+from numba import njit
+from speed import compare, row
 
 import oee_tabular as oee
+from oee_tabular.exact.system import policy_kernel
+from oee_tabular.exact.values import policy_rewards
+from oee_tabular.ratio import dual, statements
+from oee_tabular.tasks import gridworld, gridworld_expert
 
 MAIN = "from oee_tabular.cli import main; main({!r})"
 IMPORTS = "import numpy, scipy.sparse"
+HORIZON = 200  # of rollouts
 
 
-def make_problem(simulator, n, horizon=None):
-    """Transitions of the simulator itself from any pair, and a policy that is mostly its best."""
-    share = np.full(simulator.rewards.shape, 1 / simulator.rewards.size)
-    log = oee.sample_transitions(simulator, share, n, seed=0)
-    policy = oee.mix(oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.8)
-    return oee.Problem(simulator, log, horizon=horizon), policy
+def even(mdp):
+    """All state-action pairs alike."""
+    return np.full(mdp.rewards.shape, 1 / mdp.rewards.size)
 
 
-def least(call, times):
-    """Smallest CPU seconds of several calls, after a warm one."""
-    call()
-    return min(cpu(call)[1] for _ in range(times))
-
-
-def growing(case, simulators, sizes, transitions):
-    """``evaluate(quick=True)`` of each simulator with so many transitions, the last row with the growth exponent."""
-    seconds = []
-    for simulator, size, n in zip(simulators, sizes, transitions, strict=True):
-        problem, policy = make_problem(simulator, n)
-        seconds.append(least(lambda p=problem, pi=policy: oee.evaluate(p, pi, seed=0, quick=True), 1))
-        slope = np.log(seconds[-1] / seconds[0]) / np.log(size / sizes[0]) if len(seconds) > 1 else np.nan
-        yield row("main job", f"{case} {size}", "ours", seconds[-1], note=f"grows like size^{slope:.2f}")
+def jobs(*, quick):
+    """Intervals, counts, small calls, starts, a million states."""
+    yield from intervals(quick)
+    yield from counts(10**5 if quick else 10**7)
+    yield from small_calls()
+    yield from starts(quick)
+    if not quick:
+        yield from millions()
 
 
 def intervals(quick):
-    """The likelihood interval from 100 000 transitions."""
-    cases = {"grid 30": (oee.tasks.gridworld(30, 0.1), None), "random graph 1000": (mdps.garnet(1000), None)}
+    """The likelihood interval from 100 000 transitions of the simulator itself, of a policy that is mostly its best."""
+    cases = {"grid 30": (gridworld(30, 0.1), None), "random graph 1000": (mdps.garnet(1000), None)}
     if not quick:
-        cases |= {"grid 100": (oee.tasks.gridworld(100, 0.1), None), "random graph 10000": (mdps.garnet(10_000), None)}
-        cases |= {"grid 45, horizon 500": (oee.tasks.gridworld(45, 0.1), 500)}
-    for case, (simulator, horizon) in cases.items():
-        problem, policy = make_problem(simulator, 100_000, horizon)
-        seconds = least(lambda p=problem, pi=policy: oee.interval(p, pi), 2)
-        yield row("main job", f"interval, {case}", "ours", seconds)
+        cases |= {"grid 100": (gridworld(100, 0.1), None), "random graph 10000": (mdps.garnet(10_000), None)}
+        cases |= {"grid 45, horizon 500": (gridworld(45, 0.1), 500)}
+    for name, (simulator, horizon) in cases.items():
+        log = oee.sample_transitions(simulator, even(simulator), 100_000, seed=0)
+        policy = oee.mix(oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.8)
+        call = partial(oee.interval, oee.Problem(simulator, log, horizon=horizon), policy)
+        yield from compare("main job", f"interval, {name}", {"ours": call})
 
 
 def counts(n):
     """Counts of a parquet file and of a tenth of it, ours and DuckDB's sums; 10^9 are projected from the slope."""
     simulator = mdps.garnet(1000)
-    share = np.full(simulator.rewards.shape, 1 / simulator.rewards.size)
+    sums = "state, action, next_state, terminated, count(*), sum(reward), min(reward), max(reward)"
+
+    def duckdb():
+        import duckdb
+
+        connection = duckdb.connect(config={"threads": 1})
+        return lambda: connection.sql(f"select {sums} from '{files[1]}' group by all").fetchnumpy()
+
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / f"{size}.parquet" for size in (n // 10, n)]
         for file, size in zip(files, (n // 10, n), strict=True):
-            oee.sample_transitions(simulator, share, size, seed=0).save(file)
-        calls = {
-            "ours": lambda: oee.Transitions.open(files[1]),
-            "ours, a tenth": lambda: oee.Transitions.open(files[0]),
+            oee.sample_transitions(simulator, even(simulator), size, seed=0).save(file)
+        ours = {
+            "ours, a tenth": partial(oee.Transitions.open, files[0]),
+            "ours": partial(oee.Transitions.open, files[1]),
         }
-        try:
-            import duckdb
-
-            sums = "state, action, next_state, terminated, count(*), sum(reward), min(reward), max(reward)"
-            connection = duckdb.connect(config={"threads": 1})
-            calls["DuckDB"] = lambda: connection.sql(f"select {sums} from '{files[1]}' group by all").fetchnumpy()
-        except ImportError:
-            pass
-        timed = interleaved(calls, 3.0)
-    yield from rows_of("main job", f"counts of {n} transitions", timed)
-    slope = (timed["ours"][0] - timed["ours, a tenth"][0]) / (0.9 * n)
+        rows = list(compare("main job", f"counts of {n} transitions", ours, {"DuckDB": duckdb}, seconds=3.0))
+    yield from rows[1:]
+    slope = (rows[1]["seconds"] - rows[0]["seconds"]) / (0.9 * n)
     yield row("main job", "counts of 10^9 transitions", "ours", 1e9 * slope, note="projected")
+
+
+def small_calls(n=4, actions=2, discount=0.9):
+    """FiniteMDP and policy_value of four states."""
+    rng = np.random.default_rng(0)
+    p, r = rng.dirichlet(np.ones(n), (n, actions)), rng.normal(size=(n, actions))
+    first, policy = np.full(n, 1 / n), np.full((n, actions), 1 / actions)
+    mdp = oee.FiniteMDP(p, r, first, discount)
+
+    def check():
+        if not np.isfinite(p).all() or np.abs(p.sum(axis=2) - 1.0).max() > 1e-8:
+            raise ValueError
+
+    def value():
+        check()
+        system = np.eye(n) - discount * np.einsum("sa,sat->st", policy, p)
+        return first @ np.linalg.solve(system, (policy * r).sum(axis=1))
+
+    build = partial(oee.FiniteMDP, p, r, first, discount)
+    for name, ours, peer in (
+        ("FiniteMDP", build, check),
+        ("FiniteMDP and policy_value", lambda: oee.policy_value(build(), policy), value),
+        ("policy_value", lambda: oee.policy_value(mdp, policy), value),
+    ):
+        name = f"{name}, {n} states"
+        yield from compare("small calls", name, {"ours": ours}, {"numpy": lambda peer=peer: peer}, repeat=200)
 
 
 def start(code):
@@ -93,84 +117,171 @@ def start(code):
 
 def write_files(folder, simulator, log, policy):
     """The arguments of ``oee`` for own files."""
-    files = {name: str(Path(folder) / f"{name}.npz") for name in ("simulator", "log")}
-    simulator.save(files["simulator"])
-    log.save(files["log"])
-    files["policy"] = str(Path(folder) / "policy.npy")
-    np.save(files["policy"], policy)
-    return [part for name, file in files.items() for part in (f"--{name}", file)]
+    files = {name: str(Path(folder) / name) for name in ("simulator.npz", "log.npz", "policy.npy")}
+    simulator.save(files["simulator.npz"])
+    log.save(files["log.npz"])
+    np.save(files["policy.npy"], policy)
+    return [part for name, file in files.items() for part in (f"--{name[:-4]}", file)]
 
 
 def starts(quick):
-    """A new interpreter to the end of a first command; the smallest of several, in turns."""
-    grid = oee.tasks.gridworld(10, 0.1)
-    policy = oee.mix(oee.tasks.gridworld_expert(10), oee.uniform_policy(grid), 0.7)
+    """A new interpreter to the end of a first command; the smallest of several."""
+    grid, target = gridworld(10, 0.1), gridworld(10, 0.25)
+    policy = oee.mix(gridworld_expert(10), oee.uniform_policy(grid), 0.7)
     with tempfile.TemporaryDirectory() as folder:
-        log = oee.sample_episodes(oee.tasks.gridworld(10, 0.25), policy, 20, 50, seed=1)
-        own = write_files(folder, grid, log, policy)
+        own = write_files(folder, grid, oee.sample_episodes(target, policy, 20, 50, seed=1), policy)
         programs = {
+            IMPORTS: IMPORTS,
             "import oee_tabular": "import oee_tabular",
             "oee --help": f"try:\n {MAIN.format(['--help'])}\nexcept SystemExit: 0",
+            "oee evaluate, own files": MAIN.format(["evaluate", *own]),
         }
-        programs |= {"oee evaluate, own files": MAIN.format(["evaluate", *own]), IMPORTS: IMPORTS}
         times = {name: min(start(code) for _ in range(3 if quick else 9)) for name, code in programs.items()}
-    for name, seconds in times.items():
-        yield row("start", name, "ours", seconds)
+    for name in list(times)[1:]:
+        yield row("start", name, "ours", times[name])
         yield row("start", name, IMPORTS, times[IMPORTS])
 
 
 def millions():
     """``oee evaluate --quick`` at 10^6 states with 10^5 transitions, from files; the most memory so far."""
-    grid, slippery, graph = oee.tasks.gridworld(1000, 0.1), oee.tasks.gridworld(1000, 0.3), mdps.garnet(10**6)
-    expert = oee.mix(oee.tasks.gridworld_expert(1000), oee.uniform_policy(grid), 0.8)
-    cases = {"grid": (grid, slippery, expert), "random graph": (graph, graph, oee.uniform_policy(graph))}
-    for name, (simulator, target, policy) in cases.items():
+    grid, slippery, graph = gridworld(1000, 0.1), gridworld(1000, 0.3), mdps.garnet(10**6)
+    expert = oee.mix(gridworld_expert(1000), oee.uniform_policy(grid), 0.8)
+    for name, simulator, target, policy in (
+        ("grid", grid, slippery, expert),
+        ("random graph", graph, graph, oee.uniform_policy(graph)),
+    ):
         with tempfile.TemporaryDirectory() as folder:
-            share = np.full(simulator.rewards.shape, 1 / simulator.rewards.size)
-            own = write_files(folder, simulator, oee.sample_transitions(target, share, 10**5, seed=0), policy)
+            log = oee.sample_transitions(target, even(target), 10**5, seed=0)
+            own = write_files(folder, simulator, log, policy)
             seconds = min(start(MAIN.format(["evaluate", *own, "--quick"])) for _ in range(2))
         most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9
-        yield row("main job", f"evaluate --quick, {name} of 1000000", "ours", seconds, note=f"at most {most:.2f} GB")
+        yield row("main job", f"evaluate --quick, {name} of 10^6 states", "ours", seconds, note=f"{most:.1f} GB")
 
 
-def small_calls(n=4, discount=0.9):
-    """An MDP of 4 states beside numpy."""
-    rng = np.random.default_rng(0)
-    p, r, policy, first = rng.dirichlet(np.ones(n), (n, 2)), rng.random((n, 2)), np.full((n, 2), 0.5), np.full(n, 1 / n)
-    mdp = oee.FiniteMDP(p, r, first, discount)
-
-    def check():
-        if not np.isfinite(p).all() or np.abs(p.sum(axis=2) - 1.0).max() > 1e-8:
-            raise ValueError
-
-    def value():
-        check()
-        system = np.eye(n) - discount * np.einsum("sa,sat->st", policy, p)
-        return first @ np.linalg.solve(system, (policy * r).sum(axis=1))
-
-    build = lambda: oee.FiniteMDP(p, r, first, discount)  # noqa: E731
-    for case, ours, peer in (
-        ("FiniteMDP", build, check),
-        ("FiniteMDP and policy_value", lambda: oee.policy_value(build(), policy), value),
-        ("policy_value", lambda: oee.policy_value(mdp, policy), value),
-    ):
-        calls = {name: per_call(call, 200) for name, call in {"ours": ours, "numpy": peer}.items()}
-        yield from rows_of("small calls", f"{case}, {n} states", interleaved(calls), scale=200)
+# ---- rollouts: seconds for a transition
 
 
-def rows(*, quick):
-    """The table's rows."""
-    sizes = (1000, 10_000) if quick else (1000, 10_000, 100_000)
-    graphs = (mdps.garnet(n) for n in sizes)
-    yield from growing("evaluate, random graph of", graphs, sizes, [40 * n for n in sizes])
-    sides = (32, 100) if quick else (32, 100, 316)
-    areas, grids = [side**2 for side in sides], (oee.tasks.gridworld(side, 0.1) for side in sides)
-    yield from growing("evaluate, grid of", grids, areas, [40 * n for n in areas])
-    transitions = (10_000, 100_000) if quick else (10_000, 100_000, 1_000_000, 10_000_000)
-    yield from growing("evaluate, transitions", [mdps.garnet(1000)] * len(transitions), transitions, transitions)
-    yield from intervals(quick)
-    yield from counts(10**5 if quick else 10**7)
-    yield from small_calls()
-    yield from starts(quick)
+@njit
+def plain_loop(indptr, indices, sums, rewards, discount, terminal, n, horizon, rng):
+    """The loop that anybody writes: a linear scan of the running sums of a row, numpy's Generator."""
+    returns, steps = np.zeros(n), 0
+    for i in range(n):
+        state, scale = 0, 1.0
+        for _ in range(horizon):
+            u, k = rng.random(), indptr[state]
+            while sums[k] <= u:
+                k += 1
+            returns[i] += scale * rewards[state]
+            scale *= discount
+            state = indices[k]
+            steps += 1
+            if terminal[state]:
+                break
+    return steps, returns
+
+
+def rollouts(*, quick):
+    """Episodes of 200 steps under the uniform policy; the loop draws s' from the policy's chain in place of (a, s')."""
+    for size in (10, 30, 100):
+        yield from roll_out(gridworld(size, 0.3), f"a transition, grid {size}", 2000 if quick else 20_000)
+
+
+def roll_out(grid, name, n):
+    """``error``: the mean return's distance from the exact value in standard errors, where a program sums returns."""
+    policy = oee.uniform_policy(grid)
+    chain, rewards = policy_kernel(grid, policy), policy_rewards(grid, policy)
+    sums = np.cumsum(chain.data) - np.repeat(np.arange(grid.n_states), np.diff(chain.indptr))
+    sums[chain.indptr[1:] - 1] = 1.0
+    numbers = chain.indptr, chain.indices, sums, rewards, grid.discount, grid.absorbing(), n, HORIZON
+    value = oee.policy_value(grid, policy, horizon=HORIZON)
+
+    def returns():
+        drawn = oee.sample_returns(grid, policy, n, HORIZON, seed=0)
+        return int(drawn.lengths.sum()), drawn.returns
+
+    def miss(result):
+        drawn = result[1]
+        return np.nan if drawn is None else abs(drawn.mean() - value) / drawn.std() * np.sqrt(len(drawn))
+
+    ours = {
+        "ours, sample_returns": returns,
+        "ours, sample_episodes": lambda: (len(oee.sample_episodes(grid, policy, n // 4, HORIZON, seed=0)), None),
+    }
+    loop = {"plain numba loop, s' alone": lambda: lambda: plain_loop(*numbers, np.random.default_rng(0))}
+    yield from compare("rollouts", name, ours, loop, miss=miss, units=lambda result: result[0])
+
+
+# ---- the ratio programs
+
+
+def ratio(*, quick):
+    """Random problems; the structured solver against cvxpy + Clarabel; large programs."""
+    yield solve_random_problems(200 if quick else 20_000)
+    for size in (10,) if quick else (10, 20, 40):
+        yield from compare_solvers(size)
     if not quick:
-        yield from millions()
+        yield from solve_large()
+
+
+def solve_random_problems(n):
+    """Scales 1e-6 to 1e6, zeros on both sides, boxes 1e-4 to 1e4, ridges of all sizes towards 0, 1 and 2.
+
+    ``error``: the largest gap over max(1, |objective|, |multiplier|), the terms of a problem's dual value.
+    """
+    start, rng, gaps, sums, failed = time.process_time(), np.random.default_rng(0), [], [], 0
+    for _ in range(n):
+        size = int(rng.integers(1, 60))
+        p, q = (rng.integers(0, 4, size) * 10 ** rng.uniform(-6, 6, size) for _ in range(2))
+        options = {
+            "lower": 10 ** rng.uniform(-4, 0) if rng.random() < 0.7 else None,
+            "upper": 10 ** rng.uniform(0, 4),
+            "ridge": float(rng.choice([0.0, 10 ** rng.uniform(-8, 4)])),
+            "toward": [None, 0.0, 1.0, 2.0][int(rng.integers(4))],
+            "normalized": bool(rng.random() < 0.8),
+            "loss": "kl" if rng.random() < 0.8 else "chi2",
+        }
+        if p.sum() == 0 or q.sum() == 0:
+            continue
+        try:
+            fit = oee.density_ratio(p, q, **options)
+        except ValueError:
+            failed += 1
+            continue
+        gaps.append(fit.gap / max(1.0, abs(fit.objective), abs(fit.normalizer)))
+        sums += [abs(q / q.sum() @ fit.ratio - 1.0)] if options["normalized"] else []
+    note = f"{len(gaps)} solved, {failed} failed; largest error of sum q g {max(sums):.1e}"
+    return row("ratio", f"{n} random problems", "ours", time.process_time() - start, max(gaps), note)
+
+
+def compare_solvers(size, n=100_000):
+    """Counts of the target and exact probabilities of the simulator on the gridworld's triples."""
+    simulator, target = gridworld(size, 0.3), gridworld(size, 0.1)
+    log = oee.sample_episodes(target, oee.uniform_policy(target), 20 + n // 400, 1000, seed=0)
+    probability, starts = simulator.transitions.data, simulator.transitions.indptr.astype(np.int64)
+    lengths, zero = np.diff(starts), np.zeros(len(probability))
+    rows = np.repeat(np.arange(len(lengths)), lengths)
+    observed = np.asarray(log.counts(size * size, 4)[rows, simulator.transitions.indices]).reshape(-1)
+    n_row = np.bincount(rows, observed)[rows]
+    for name, p, q, pointers in (
+        ("normalised, box", observed / observed.sum(), probability / len(lengths), starts[[0, -1]]),
+        ("rows, box", (observed + probability) / (n_row + 1.0), probability, starts),
+    ):
+        program = dual.Coordinates(p, q, zero, zero), 0.01, 10.0, pointers
+        clarabel = {"cvxpy, Clarabel": lambda program=program: partial(statements.solve_rows, *program)}
+        name = f"{size} x {size}, {len(rows)} triples, {name}"
+        yield from compare("ratio", name, {"ours": partial(dual.solve_rows, *program)}, clarabel)
+
+
+def solve_large():
+    """10^6 cells beside ``numpy.log(p / q)``; 10^7 triples, normalised by rows, in memory."""
+    rng = np.random.default_rng(0)
+    p, q = rng.integers(1, 6, 10**6).astype(float), rng.integers(1, 5, 10**6).astype(float)
+    once = {"numpy.log(p / q)": lambda: lambda: np.log(p / q)}
+    for options in ({}, {"lower": 0.1, "upper": 2.0}, {"ridge": 0.1}, {"ridge": 0.1, "toward": 1.0, "upper": 5.0}):
+        fit = partial(oee.density_ratio, p, q, **options)
+        yield from compare("ratio", f"10^6 cells, {options}", {"ours": fit}, once)
+    x, y = (rng.dirichlet(np.ones(4), 10**7 // 4).reshape(-1) for _ in range(2))
+    program = dual.Coordinates(x, y, *np.zeros((2, 10**7))), 0.01, 10.0, np.arange(0, 10**7 + 1, 4)
+    yield from compare("ratio", "10^7 triples, rows, box", {"ours": partial(dual.solve_rows, *program)})
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    yield row("ratio", "10^7 triples, rows, box", "peak memory", np.nan, note=f"{peak:.2f} GiB")

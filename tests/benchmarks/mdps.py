@@ -1,4 +1,4 @@
-"""The MDPs of the benchmarks: random graphs, grids, rings, chains, queues, layers, trees, dense rows."""
+"""The MDPs of the benchmarks: random graphs, dense rows, lattices, rings, chains, queues, layers."""
 
 import numpy as np
 from scipy import sparse
@@ -34,7 +34,7 @@ def lattice(side, discount=0.99, slip=0.2):
     return oee.FiniteMDP(matrix, np.random.default_rng(0).normal(size=(n, 6)), np.full(n, 1 / n), discount)
 
 
-def fixed(mdp, seed=3):
+def fixed_policy(mdp, seed=3):
     """A deterministic policy that is drawn."""
     return np.eye(mdp.n_actions)[np.random.default_rng(seed).integers(0, mdp.n_actions, mdp.n_states)]
 
@@ -72,28 +72,15 @@ def layers(n, rng, width=4, entries=4):
     return new[rows], new[np.minimum(ahead, n - 1)]
 
 
-def tree(n, rng):
-    """Each state hangs on a random earlier one; states in any order."""
-    child, new = np.arange(1, n), rng.permutation(n)
-    parent = rng.integers(0, child)
-    return np.concatenate([new[child], new[parent], [0]]), np.concatenate([new[parent], new[child], [0]])
-
-
 def banded(n, rng, reach=8, entries=5):
     """Some of the neighbours within reach; states in any order."""
     rows, new = np.repeat(np.arange(n), entries), rng.permutation(n)
     return new[rows], new[np.clip(rows + rng.integers(-reach, reach + 1, len(rows)), 0, n - 1)]
 
 
-def anywhere(n, rng, entries=5):
-    """A random graph: direct solvers fill their matrices."""
-    rows = np.repeat(np.arange(n), entries)
-    return rows, rng.integers(0, n, len(rows))
-
-
 GRAPHS = {
-    "ring": ring, "chain": chain, "queue": queue, "layered": layers, "tree": tree, "banded": banded,
-    "small world": lambda n, rng: ring(n, rng, far=0.01), "random graph": anywhere,
+    "ring": ring, "chain": chain, "queue": queue, "layered": layers, "banded": banded,
+    "small world": lambda n, rng: ring(n, rng, far=0.01),
 }  # fmt: skip
 
 

@@ -1,111 +1,107 @@
-"""Exact evaluation, moments and rollouts against every peer: one table, Markdown and JSON.
+"""Speed against every peer: a table in Markdown.
 
-    python tests/benchmarks/speed.py [TASK ...] [--quick] [--environment FOLDER] [--json FILE]
+    pip install quantecon pypardiso mdpsolver jax duckdb pyarrow
+    python tests/benchmarks/speed.py [TASK ...] [--quick]
 
-A task is one of values, regimes, graphs, horizon, rollouts, planning and jobs; all but graphs without one.
-
-The peers (PEERS) are installed into a virtual environment of their own, beside this package: a temporary one, or FOLDER,
-where what is there already is used; one that cannot be installed is said and left out. The benchmark then runs there, all
-competitors of a case taking turns in one process; times are CPU seconds with one BLAS thread, medians, compilation apart.
+A task is a name in TASKS; all but graphs and ratio without one. It yields rows, most of them by ``compare``: programs that
+take turns in one process. Times are CPU seconds with one BLAS thread, medians, compilation apart; ``error`` is what an
+answer misses. A peer that is not installed, or fails, is said.
 """
 
 import argparse
 import importlib
-import json
 import os
 import platform
-import subprocess
 import sys
-import tempfile
-import venv
-from pathlib import Path
+import time
 
-PEERS = ("quantecon", "pypardiso", "mdpsolver", "mdptoolbox-hiive", "pymdptoolbox", "jax", "duckdb", "pyarrow")
-TASKS = {  # module and function
-    "values": ("values", "rows"), "regimes": ("values", "regimes"), "horizon": ("horizon", "rows"),
-    "rollouts": ("rollouts", "rows"), "planning": ("planning", "rows"), "jobs": ("jobs", "rows"),
-    "graphs": ("values", "graphs"),
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+TASKS = {
+    "values": "values", "regimes": "values", "horizon": "values", "planning": "values", "rollouts": "jobs",
+    "jobs": "jobs", "graphs": "values", "ratio": "jobs",
 }  # fmt: skip
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-XLA = {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1", "JAX_ENABLE_X64": "1"}
+LEAST, MOST = 3, 200  # times that a program is timed
 
 
-def environment(folder):
-    """The Python of an environment that has this package and the peers."""
-    python = folder / "bin" / "python"
-    if not python.exists():
-        venv.create(folder, with_pip=True)
-        root = Path(__file__).parents[2]
-        subprocess.run([python, "-m", "pip", "install", "--quiet", "-e", str(root)], check=True)
-        for peer in PEERS:
-            done = subprocess.run([python, "-m", "pip", "install", "--quiet", peer], capture_output=True, text=True)
-            if done.returncode:
-                print(f"{peer} is left out: {done.stderr.strip().splitlines()[-1][:200]}", file=sys.stderr)
-    return python
+def row(task, case, program, seconds, error=np.nan, note=""):
+    """One program of a case; ``note``: why there is no time, or what is odd about it."""
+    numbers = {"seconds": float(seconds), "error": float(error)}
+    return {"task": task, "case": case, "program": program, "note": note} | numbers
 
 
-def inside(tasks, quick, output):
-    """Run by the environment's Python."""
-    rows = []
-    for task in tasks:
-        module, function = TASKS[task]
-        for row in getattr(importlib.import_module(module), function)(quick=quick):
-            rows.append(row)
-            print(f"  {row['task']} | {row['case']} | {row['program']}: {row['seconds']:.3g} s", file=sys.stderr)
-        output.write_text(json.dumps(rows))
+def compare(task, case, ours, peers=None, *, miss=None, repeat=1, seconds=1.0, units=None):
+    """Rows of a case.
+
+    ours    : name -> call
+    peers   : name -> function that gets ready and returns the call
+    miss    : result -> what the answer misses
+    repeat  : calls of one timing, for calls that a clock cannot see
+    seconds : to spend on each program; 0: once
+    units   : result -> what its seconds are divided by
+    """
+    calls, times, results = {}, {}, {}
+    ready = {name: lambda call=call: call for name, call in ours.items()}
+    for program, prepare in (ready | (peers or {})).items():
+        try:
+            calls[program] = prepare()
+            calls[program]()  # which may compile
+            times[program] = []
+        except Exception as error:
+            yield row(task, case, program, np.nan, note=f"{type(error).__name__}: {error}"[:120])
+    left = set(times)
+    while left:
+        for program in sorted(left):
+            start = time.process_time()
+            for _ in range(repeat):
+                results[program] = calls[program]()
+            taken = times[program]
+            taken.append(time.process_time() - start)
+            if seconds == 0 or (len(taken) >= LEAST and (sum(taken) >= seconds or len(taken) >= MOST)):
+                left.discard(program)
+    for program, taken in times.items():
+        result = results[program]
+        each = np.median(taken) / repeat / (1.0 if units is None else units(result))
+        yield row(task, case, program, each, np.nan if miss is None else miss(result))
 
 
 def markdown(rows):
     """A line for each case: our best time, the best peer's, the others', and errors."""
     cases = {}
-    for row in rows:
-        cases.setdefault((row["task"], row["case"]), []).append(row)
-    lines = [
-        "| task | case | ours (s) | error | best peer (s) | error | times | others: times ours |",
-        "|" + "---|" * 8,
-    ]
+    for new in rows:
+        cases.setdefault((new["task"], new["case"]), []).append(new)
+    yield "| task | case | ours (s) | error | best peer (s) | error | times | others: times ours |"
+    yield "|" + "---|" * 8
     for (task, case), found in cases.items():
-        timed = [row for row in found if row["seconds"] == row["seconds"]]
-        ours = min((r for r in timed if r["program"].startswith("ours")), key=lambda r: r["seconds"], default=None)
-        peers = sorted((r for r in timed if not r["program"].startswith("ours")), key=lambda r: r["seconds"])
+        timed = sorted((r for r in found if r["seconds"] == r["seconds"]), key=lambda r: r["seconds"])
+        ours = next((r for r in timed if r["program"].startswith("ours")), None)
+        best = next((r for r in timed if not r["program"].startswith("ours")), None)
         if ours is None:
-            lines.append(f"| {task} | {case} | failed | | | | | |")
+            yield f"| {task} | {case} | failed | | | | | |"
             continue
-        others = [f"{r['program']} {r['seconds'] / ours['seconds']:.3g}" for r in peers[1:]]
-        others += [f"{r['program']} {r['seconds'] / ours['seconds']:.3g}" for r in timed
-                   if r["program"].startswith("ours") and r is not ours]  # fmt: skip
+        times = {r["program"]: f"{r['seconds'] / ours['seconds']:.3g}" for r in timed}
+        others = [f"{r['program']} {times[r['program']]}" for r in timed if r is not ours and r is not best]
         others += [f"{r['program']}: {r['note']}" for r in found if r["note"]]
-        best = peers[0] if peers else None
-        lines.append(
-            f"| {task} | {case} | {ours['seconds']:.3g} | {ours['error']:.1g} | "
-            + (f"{best['program']} {best['seconds']:.3g} | {best['error']:.1g} | {best['seconds'] / ours['seconds']:.3g}"
-               if best else " | | ")
-            + f" | {'; '.join(others)} |"
-        )  # fmt: skip
-    return "\n".join(lines)
+        cells = [task, case, f"{ours['seconds']:.3g}", f"{ours['error']:.1g}", "", "", ""]
+        if best is not None:
+            cells[4:] = f"{best['program']} {best['seconds']:.3g}", f"{best['error']:.1g}", times[best["program"]]
+        yield f"| {' | '.join(cells)} | {'; '.join(others)} |"
 
 
 def main():
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("tasks", nargs="*", default=[*TASKS][:-1], choices=(*TASKS, []), metavar="TASK")
+    parser.add_argument("tasks", nargs="*", choices=[*TASKS, []], default=[*TASKS][:-2], metavar="TASK")
     parser.add_argument("--quick", action="store_true", help="small cases only")
-    parser.add_argument("--environment", type=Path)
-    parser.add_argument("--json", type=Path, help="where the rows are written")
-    parser.add_argument("--inside", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.inside:
-        return inside(options.tasks, options.quick, options.inside)
-    with tempfile.TemporaryDirectory() as temporary:
-        python = environment(options.environment or Path(temporary) / "peers")
-        rows = Path(temporary) / "rows.json"
-        command = [python, __file__, *options.tasks, "--inside", rows] + ["--quick"] * options.quick
-        subprocess.run(command, check=True, env={**os.environ, **ONE_THREAD, **XLA})
-        found = json.loads(rows.read_text())
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
-    print(markdown(found))
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1))
+    options, rows = parser.parse_args(), []
+    with threadpool_limits(limits=1):
+        for task in options.tasks:
+            for new in getattr(importlib.import_module(TASKS[task]), task)(quick=options.quick):
+                rows.append(new)
+                print(f"  {new['task']} | {new['case']} | {new['program']}: {new['seconds']:.3g} s", file=sys.stderr)
+    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
+    print("\n".join(markdown(rows)))
 
 
 if __name__ == "__main__":

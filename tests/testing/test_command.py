@@ -12,7 +12,7 @@ from oee_tabular.cli import main
 from oee_tabular.testing.command import own_estimator
 
 MINE = """
-import os, signal, sys, time
+import os, signal, subprocess, sys, time, traceback
 import oee_tabular as oee
 from oee_tabular.estimators import Simulator
 
@@ -22,66 +22,53 @@ class Mine:
     def __call__(self, problem, policy, *, seed=None):
         return Simulator()(problem, policy)
 
-class Needy:
-    def __init__(self, strength):
-        pass
-
 class Holder:
     inner = Mine
 
 instance, number = Mine(), 3
+factory, useless, odd = lambda fails=False: Mine(), lambda: 3, lambda problem: 1.0
 
 def function(problem, policy):
     return 1.0
-
-def odd(problem):
-    return 1.0
-
-def factory(fails=False):
-    return Mine()
-
-def useless():
-    return 3
 
 def hangs(problem, policy, seed):
     time.sleep(100)
 
 def fatal(problem, policy):
-    frames, frame = set(), sys._getframe()
-    while frame:
-        frames.add(frame.f_code.co_name)
-        frame = frame.f_back
-    if "well_formed" in frames:
+    laws = {frame.name for frame in traceback.extract_stack()}
+    if "well_formed" in laws:
         os._exit(0)
-    if "input_unchanged" in frames:
+    if "input_unchanged" in laws:
         os.kill(os.getpid(), signal.SIGKILL)
-    if "reproducible" in frames:
+    if "reproducible" in laws:
         time.sleep(100)
     return Simulator()(problem, policy).value
 
 def starts_another(problem, policy):
-    import subprocess
     other = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(100)"])
     open("started", "w").close()
     other.wait()
 """
 
 
+MODULES = {
+    "": MINE, "_broken": "import no_such_module_at_all", "_exits": "raise SystemExit(5)",
+    "_leaves": "import os; os._exit(0)", "_sleeps": "import time; time.sleep(100)",
+}  # fmt: skip
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """A folder with a module of a name that no other test has."""
     name = f"mine_{abs(hash(str(tmp_path)))}"
-    (tmp_path / f"{name}.py").write_text(MINE)
-    (tmp_path / f"{name}_broken.py").write_text("import no_such_module_at_all\n")
-    (tmp_path / f"{name}_exits.py").write_text("raise SystemExit(5)\n")
-    (tmp_path / f"{name}_leaves.py").write_text("import os\nos._exit(0)\n")
-    (tmp_path / f"{name}_sleeps.py").write_text("import time\ntime.sleep(100)\n")
+    for ending, text in MODULES.items():
+        (tmp_path / f"{name}{ending}.py").write_text(text)
     monkeypatch.chdir(tmp_path)
     before = list(sys.path)
     yield name
     assert sys.path == before
-    for module in (name, f"{name}_broken", f"{name}_exits"):
-        sys.modules.pop(module, None)
+    for ending in MODULES:
+        sys.modules.pop(f"{name}{ending}", None)
 
 
 def run(capsys, *arguments):
@@ -182,10 +169,9 @@ def test_a_time_limit_that_is_none(capsys, here, seconds):
     ("{}_nowhere:Mine", "module '{}_nowhere' cannot be found, neither in "),
     ("{}_broken:Mine", "module '{}_broken' cannot be imported: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
     ("{}_exits:Mine", "module '{}_exits' cannot be imported: SystemExit: 5"),
-    ("{}:Yours", "'{}' has no object 'Yours' (it has Holder, Mine, Needy, "),
+    ("{}:Yours", "'{}' has no object 'Yours' (it has Holder, Mine, Simulator, "),
     ("{}:number", "'{}:number' must be a function (problem, policy) or (problem, policy, seed), an estimator, or "),
     ("{}:odd", "'{}:odd' must be callable as (problem, policy) or (problem, policy, seed); it takes (problem)"),
-    ("{}:Needy", "must make an estimator without arguments; it raises TypeError"),
     ("{}:useless", "or a class or function that makes one; it makes int"),
     ("oee_tabular.estimators:Oracle", "must make an estimator without arguments; it raises TypeError"),
 ])  # fmt: skip
@@ -196,10 +182,8 @@ def test_usage_errors_say_what_is_wrong(here, spec, text):
 
 def test_usage_errors_are_one_line_and_exit_code_2(capsys, here):
     code, out, err = run(capsys, f"{here}:number")
-    assert (code, out) == (2, "")
-    assert err.startswith("oee: ")
-    assert err.count("\n") == 1
-    assert "got int" in err
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert re.match("oee: .*got int", err)
 
 
 def test_a_negative_seed_is_a_usage_error(capsys, here):

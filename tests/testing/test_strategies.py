@@ -10,9 +10,11 @@ import oee_tabular as oee
 from oee_tabular.testing import horizons, logs, mdp_pairs, mdps, policies
 
 QUICK = settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+ENDLESS = oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 1.0)
+GRID = oee.tasks.gridworld(2, 0.3)
 
 
-def smallest(strategy, condition, **options):
+def smallest(strategy, condition=lambda drawn: True, **options):
     phases = [Phase.generate, Phase.shrink]
     chosen = {"max_examples": 1000, "database": None, "derandomize": True, "phases": phases} | options
     return find(strategy, condition, settings=settings(**chosen))
@@ -24,16 +26,11 @@ def test_everything_drawn_can_be_evaluated(data):
     """Validity is the constructors' business: what is drawn passes them, and every horizon that is offered exists."""
     mdp = data.draw(mdps())
     policy = data.draw(policies(mdp))
-    horizon = data.draw(horizons(mdp))
-    assert np.isfinite(oee.policy_value(mdp, policy, horizon=horizon))
+    assert np.isfinite(oee.policy_value(mdp, policy, horizon=data.draw(horizons(mdp))))
     assert policy.shape == (mdp.n_states, mdp.n_actions)
     assert_allclose(policy.sum(axis=1), 1.0)
-    if mdp.discount == 1.0:
-        assert mdp.absorbing()[-1]
-        rows = mdp.transitions.toarray()
-        assert np.all(rows[:, -1] > 0)
-    inside = data.draw(policies(mdp, zeros=False))
-    assert np.all(inside > 0)
+    assert mdp.discount < 1.0 or (mdp.absorbing()[-1] and np.all(mdp.transitions.toarray()[:, -1] > 0))
+    assert np.all(data.draw(policies(mdp, zeros=False)) > 0)
 
 
 @QUICK
@@ -53,23 +50,19 @@ def test_pairs_have_the_support_that_was_asked_for(support):
     def check(pair):
         simulator, target = pair
         here, there = (mdp.transitions.toarray() > 0 for mdp in pair)
-        for name in ("rewards" if simulator.transition_rewards is None else "initial", "initial"):
+        for name in ("rewards" if simulator.transition_rewards is None else "initial", "initial", "discount"):
             assert_array_equal(getattr(simulator, name), getattr(target, name))
-        assert simulator.discount == target.discount
-        if support == "equal":
-            assert_array_equal(here, there)
-        elif support == "inside":
-            assert not np.any(there & ~here)
-            oee.true_ratio(target, simulator)
-        else:
+        if support == "violated":
             rows, _ = np.nonzero(there & ~here)
-            assert rows.size
             assert np.any(simulator.initial[rows // simulator.n_actions] > 0)
             with pytest.raises(ValueError, match="probability 0"):
                 oee.true_ratio(target, simulator)
+        else:
+            assert not np.any(there & ~here)
+            assert support == "inside" or np.all(there == here)
+            oee.true_ratio(target, simulator)
         for mdp in pair:
-            uniform = oee.uniform_policy(mdp)
-            assert np.isfinite(oee.policy_value(mdp, uniform))
+            assert np.isfinite(oee.policy_value(mdp, oee.uniform_policy(mdp)))
 
     check()
 
@@ -78,18 +71,15 @@ def test_pairs_have_the_support_that_was_asked_for(support):
 @given(st.data())
 def test_logs_are_of_their_mdp(data):
     mdp = data.draw(mdps(max_states=4))
-    behavior = data.draw(policies(mdp))
-    kind = data.draw(st.sampled_from(["episodes", "transitions"]))
+    behavior, kind = data.draw(policies(mdp)), data.draw(st.sampled_from(["episodes", "transitions"]))
     log = data.draw(logs(mdp, kind=kind, behavior_policy=behavior, max_episodes=3, max_steps=4))
     assert 1 <= len(log) <= 12
     assert np.all(mdp.transitions.toarray()[log.state * mdp.n_actions + log.action, log.next_state] > 0)
     assert_array_equal(log.behavior_probability, behavior[log.state, log.action])
     assert np.all(log.behavior_probability > 0)
-    problem = oee.Problem(mdp, log)
-    assert problem.reward_conflict is None
-    if kind == "transitions":
-        assert log.episode is None
-    else:
+    assert oee.Problem(mdp, log).reward_conflict is None
+    assert (log.episode is None) == (kind == "transitions")
+    if kind == "episodes":
         starts = log.episode_starts
         assert log.n_episodes <= 3
         assert np.diff(starts).max() <= 4
@@ -97,43 +87,36 @@ def test_logs_are_of_their_mdp(data):
         assert_array_equal(log.terminated, mdp.absorbing()[log.next_state])
 
 
-def test_exact_zeros_ties_and_every_form_are_there():
-    for condition in (
-        lambda m: m.transitions.nnz < m.n_states**2 * m.n_actions,
-        lambda m: m.transition_rewards is not None,
-        lambda m: m.discount == 1.0,
-        lambda m: m.n_states == 1 and m.n_actions == 3,
-        lambda m: m.absorbing().any() and not m.absorbing().all(),
-        lambda m: m.n_states == 2 and len(np.unique(m.transitions.data)) == 1 and m.transitions.nnz == 4,
-    ):
-        smallest(mdps(), condition, phases=[Phase.generate])
+@pytest.mark.parametrize("condition", [
+    lambda m: m.transitions.nnz < m.n_states**2 * m.n_actions,
+    lambda m: m.transition_rewards is not None,
+    lambda m: m.discount == 1.0,
+    lambda m: m.n_states == 1 and m.n_actions == 3,
+    lambda m: m.absorbing().any() and not m.absorbing().all(),
+    lambda m: m.n_states == 2 and len(np.unique(m.transitions.data)) == 1 and m.transitions.nnz == 4,
+])  # fmt: skip
+def test_exact_zeros_ties_and_every_form_are_there(condition):
+    smallest(mdps(), condition, phases=[Phase.generate])
 
 
 def test_examples_shrink_to_the_simplest():
-    simplest = smallest(mdps(), lambda m: True, max_examples=20)
-    assert (simplest.n_states, simplest.n_actions, simplest.discount) == (1, 1, 0.0)
-    assert simplest.rewards == 0.0
+    simplest = smallest(mdps(), max_examples=20)
+    assert (simplest.n_states, simplest.n_actions, simplest.discount, simplest.rewards) == (1, 1, 0.0, 0.0)
     branching = smallest(mdps(max_states=3, max_actions=2), lambda m: m.transitions.nnz > m.n_states * m.n_actions)
-    assert branching.n_states == 2
-    assert branching.n_actions == 1
+    assert (branching.n_states, branching.n_actions) == (2, 1)
     assert_allclose(branching.transitions.data, 0.5)
-    simulator, _ = smallest(
-        mdp_pairs(support="violated", max_states=3, max_actions=2), lambda pair: True, max_examples=20
-    )
+    simulator, _ = smallest(mdp_pairs(support="violated", max_states=3, max_actions=2), max_examples=20)
     assert (simulator.n_states, simulator.n_actions) == (2, 1)
-    log = smallest(logs(branching), lambda log: log.n_episodes == 2)
-    assert len(log) == 2
+    assert len(smallest(logs(branching), lambda log: log.n_episodes == 2)) == 2
 
 
 def test_no_rewards_either_kind_and_any_behaviour():
     unshrunk = {"phases": [Phase.generate]}
-    mdp = oee.tasks.gridworld(2, 0.3)
-    assert smallest(logs(mdp, rewards=False), lambda log: True, **unshrunk).reward is None
-    assert smallest(logs(mdp, kind=None), lambda log: log.episode is None, **unshrunk).timestep is None
-    assert np.all(smallest(logs(mdp), lambda log: True, **unshrunk).behavior_probability == 0.25)
-    endless = oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 1.0)
+    assert smallest(logs(GRID, rewards=False), **unshrunk).reward is None
+    assert smallest(logs(GRID, kind=None), lambda log: log.episode is None, **unshrunk).timestep is None
+    assert np.all(smallest(logs(GRID), **unshrunk).behavior_probability == 0.25)
     with pytest.raises(Exception, match=r"[Nn]o"):
-        smallest(horizons(endless), lambda horizon: horizon is None)
+        smallest(horizons(ENDLESS), lambda horizon: horizon is None)
 
 
 @pytest.mark.parametrize(("call", "text"), [
@@ -145,8 +128,8 @@ def test_no_rewards_either_kind_and_any_behaviour():
     (lambda: mdp_pairs(support="broken"), "support must be one of 'equal', 'inside', 'violated'; got 'broken'"),
     (lambda: mdp_pairs(support="violated", min_states=1), "min_states must be at least 2 for support 'violated'; it is 1"),
     (lambda: policies(3), "mdp must be a FiniteMDP; got int"),
-    (lambda: logs(oee.tasks.gridworld(3, 0.3), kind="bag"), "kind must be one of 'episodes', 'transitions'; got 'bag'"),
-    (lambda: horizons(oee.tasks.gridworld(3, 0.3), max_horizon=0), "max_horizon must be a positive integer; it is 0"),
+    (lambda: logs(GRID, kind="bag"), "kind must be one of 'episodes', 'transitions'; got 'bag'"),
+    (lambda: horizons(GRID, max_horizon=0), "max_horizon must be a positive integer; it is 0"),
 ])  # fmt: skip
 def test_bad_calls(call, text):
     with pytest.raises(ValueError, match=text):

@@ -58,10 +58,6 @@ def change_horizon(value, problem, policy, seed):
     return value
 
 
-def draw_from_global_state(value, problem, policy, seed):
-    return value + 1e-3 * np.random.normal()  # noqa: NPY002
-
-
 def seed_global_state(value, problem, policy, seed):
     """The same seed gives the same bits, and everybody else's random numbers too."""
     np.random.seed(seed)  # noqa: NPY002
@@ -104,8 +100,9 @@ def self_normalized(kind, **options):
     return lambda problem, policy: ImportanceSampling(kind, self_normalized=True, **options)(problem, policy)
 
 
-def add_noise(make):
-    return lambda value, problem, policy, seed: value + 1e-3 * make(seed).normal()
+def noisy(make):
+    """Right but for a draw of the generator that ``make`` makes of the seed."""
+    return sampling(then=lambda value, problem, policy, seed: value + 1e-3 * make(seed).normal())
 
 
 PADDED = f"{ALWAYS} padding"
@@ -126,10 +123,10 @@ TABLE = {
     "policy changed": (sampling(then=reverse_policy), "scale", "input_unchanged"),
     "problem changed": (sampling(then=change_horizon), "scale", "input_unchanged"),
     "nan": (sampling(then=lambda value, problem, *_: np.nan if problem.horizon == 1 else value), PADDED, "well_formed"),
-    "global random state": (sampling(then=draw_from_global_state), "random", "reproducible"),
+    "global random state": (noisy(lambda seed: np.random), "random", "reproducible"),
     "global seed set": (sampling(then=seed_global_state), "random", "reproducible"),
-    "seed ignored": (sampling(then=add_noise(lambda seed: np.random.default_rng())), "random", "reproducible"),
-    "random but silent": (sampling(then=add_noise(np.random.default_rng)), "", "seeds"),
+    "seed ignored": (noisy(lambda seed: np.random.default_rng()), "random", "reproducible"),
+    "random but silent": (noisy(np.random.default_rng), "", "seeds"),
     "state zero special": (trust_state_zero, "relabelling scale", "relabelling"),
     "rewards clipped": (sampling(then=lambda value, *_: max(value, -5.0)), "scale", "scale"),
     "unbiased": (self_normalized("trajectory"), "consistent unbiased shift", "unbiased"),
