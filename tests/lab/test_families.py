@@ -106,12 +106,6 @@ def test_a_lucky_garnet_draws_again_where_the_first_states_cannot_cancel(seed):
     assert family.truth == pytest.approx(oee.policy_value(family.simulator, family.policy), abs=0.01)
 
 
-@pytest.mark.parametrize("seed", [20, 41])
-def test_a_lucky_garnet_draws_again_where_the_first_states_cannot_cancel(seed):
-    family = oee.bench.families(seed)["lucky_garnet"]
-    assert family.truth == pytest.approx(oee.policy_value(family.simulator, family.policy), abs=0.01)
-
-
 def test_garnets_of_any_size():
     assert garnet_worse(10).simulator.n_states == 10
     assert garnet_worse(10, seed=1).truth != garnet_worse(10).truth
