@@ -33,7 +33,7 @@ _MODULES = {
     "reacher.expert": ("reacher_log", "reacher_policy"),
     "parameters": ("ParameterFit", "fit_parameters"),
     "residual": ("ResidualSimulator",),
-    "residual_value": ("corrected_value",),
+    "rows": ("corrected_value",),
     "simulator": ("ContinuousSimulator", "Settings"),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),
 }

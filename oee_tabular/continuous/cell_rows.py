@@ -1,4 +1,4 @@
-"""The rows of a report that rest on cells: the finite problem of a continuous simulator and a log, and its ratio.
+"""The rows of a report that rest on a discretised task: the finite problem of a continuous simulator and a log, and its ratio.
 
 The simulator is discretised at the log's own places, with the small defensive share of its configuration; the log becomes
 numbered transitions and soft counts on the same cells; zeta is fitted to the soft counts. Beside the raw value stands the
@@ -20,8 +20,8 @@ from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import MonteCarlo
-from oee_tabular.continuous.estimators import MonteCarloValue
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.rows import QUANTILE, refuse_impossible
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem, Simulator, calibrate
@@ -30,8 +30,7 @@ from oee_tabular.estimators.findings import Finding, missing_support
 from oee_tabular.exact import policy_value
 from oee_tabular.ratio import transition_ratio, uncovered_share
 
-LEFT_OUT = 0.01  # share of the log's transitions without support that the rows on the cells may leave out
-QUANTILE = 1.96
+MAX_LEFT_OUT = 0.01  # share of the log's transitions without support that the rows on the cells may leave out
 
 
 class NoCellsError(ValueError):
@@ -48,29 +47,6 @@ class OnCells:
     support: dict[str, float]
     facts: dict[str, Any]
 
-    def rows(
-        self, wanted: Mapping[str, Estimator], mc: MonteCarloValue, kind: str, scale: float
-    ) -> tuple[dict[str, Estimator], dict[str, Estimator]]:
-        """The calibrated row, where oee is wanted, and the others: of finite estimators, the simulator's, and oee's raw one."""
-        oee = [name for name, estimator in wanted.items() if estimator == OffEnvironment()]
-        rest: dict[str, Estimator] = {}
-        for name, estimator in wanted.items():
-            if name not in oee:
-                rest[name] = estimator
-                if isinstance(estimator, Simulator) and self.model.mdp is not self.model.plain:
-                    rest["simulator (plain)"] = self.plain
-        if not oee:
-            return {}, rest
-        rest["oee on the grid"] = self.raw
-        if kind == "none":
-            return {}, rest
-
-        @one_thread
-        def calibrated(problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
-            return calibrated_row(self.raw(problem, policy), mc(policy), self.plain(problem, policy).value, kind, scale)
-
-        return {"oee (calibrated)": calibrated}, rest
-
     def plain(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
         """The simulator on the cells without its defensive share: exact."""
         return Estimate(policy_value(self.model.plain, policy, horizon=self.problem.horizon))
@@ -80,6 +56,29 @@ class OnCells:
         found = OffEnvironment(self.zeta)(self.problem, policy, seed=seed)
         told = missing_support(*self.support.values())
         return replace(found, diagnostics=found.diagnostics | self.support, findings=(*found.findings, *told))
+
+    def calibrated(self, simulated: Any, log: ContinuousTransitions, kind: str, scale: float) -> Estimator:
+        """The raw value calibrated by ``simulated(policy)``, Monte Carlo's; not beyond what the rewards can sum to."""
+        horizon = self.problem.horizon or 0
+        bounds = reward_bounds(self.problem, log, horizon)
+
+        @one_thread
+        def row(problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
+            below = self.plain(problem, policy).value
+            found = calibrated_row(self.raw(problem, policy), simulated(policy), below, kind, scale)
+            return refuse_impossible(found, *bounds, horizon, scale)
+
+        return row
+
+    def others(self, wanted: Mapping[str, Estimator]) -> dict[str, Estimator]:
+        """Of finite estimators by name the rows without calibration; oee's is last."""
+        rows: dict[str, Estimator] = {}
+        for name, estimator in wanted.items():
+            if estimator != OffEnvironment():
+                rows[name] = estimator
+            if isinstance(estimator, Simulator) and self.model.mdp is not self.model.plain:
+                rows["simulator (plain)"] = self.plain
+        return rows | ({"oee on the grid": self.raw} if OffEnvironment() in wanted.values() else {})
 
 
 def calibrated_row(raw: Estimate, outside: MonteCarlo, below: float, kind: str, scale: float) -> Estimate:
@@ -134,7 +133,7 @@ def on_cells(
     # rewards differ within a cell: they are held against the task's own steps, not against the cells' means
     bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
     kept, share = model.supported(counts)
-    if share > LEFT_OUT and settings.outside != "drop":
+    if share > MAX_LEFT_OUT and settings.outside != "drop":
         raise NoCellsError(no_support(model, share, floor))
     if share > 0.0:
         if kept.nnz == 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,26 +103,49 @@ def monte_carlo_value(
     return MonteCarlo(float(every.mean()), float(deviation / np.sqrt(n)), deviation, n)
 
 
+def compare_returns(
+    tasks: Sequence[ContinuousTask],
+    policy: StatePolicy,
+    n: int,
+    horizon: int,
+    *,
+    discount: float,
+    seed: np.random.SeedSequence,
+) -> Array:
+    """(len(tasks), n) returns whose random numbers belong to the episode and the step: tasks that are alike go alike.
+
+    By the difference of two tasks' returns their values are compared with a small part of Monte Carlo's own error. All begin
+    where the first does.
+    """
+    start, steps = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2)
+    )
+    n_all, n_disturbances = n * len(tasks), max(task.n_disturbances for task in tasks)
+    states = np.tile(tasks[0].initial_states(n, start), (len(tasks), 1))
+    total, alive = np.zeros(n_all), np.arange(n_all)
+    for t, stream in enumerate(steps.spawn(horizon)):
+        uniform, disturbance = stream.random(n), stream.standard_normal((n_disturbances, n)).T
+        actions = _choose(check_probabilities(policy, states, tasks[0].n_actions), uniform[alive % n])
+        following, ended = np.empty_like(states), np.zeros(len(states), dtype=np.bool_)
+        ends = np.searchsorted(alive, n * np.arange(len(tasks) + 1))
+        for task, low, high in zip(tasks, ends[:-1], ends[1:], strict=True):
+            if low == high:
+                continue
+            here, xi = slice(low, high), disturbance[alive[low:high] % n, : task.n_disturbances]
+            moved = task.moves(states[here], actions[here], xi)
+            following[here], ended[here] = moved.next_state, moved.terminated
+            total[alive[here]] += discount**t * moved.reward
+        alive, states = alive[~ended], following[~ended]
+        if alive.size == 0:
+            break
+    return total.reshape(len(tasks), n)
+
+
 def paired_returns(
     task: ContinuousTask, policy: StatePolicy, n: int, horizon: int, *, discount: float, seed: np.random.SeedSequence
 ) -> Array:
-    """(n,) returns whose random numbers belong to the episode and the step: tasks that are alike go alike.
-
-    By the difference of two tasks' returns their values are compared with a small part of Monte Carlo's own error.
-    """
-    numbers = [
-        np.random.default_rng(s) for s in np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2)
-    ]
-    states, total, alive = task.initial_states(n, numbers[0]), np.zeros(n), np.arange(n)
-    for t, stream in enumerate(numbers[1].spawn(horizon)):
-        uniform, disturbance = stream.random(n), stream.standard_normal((task.n_disturbances, n)).T
-        actions = _choose(check_probabilities(policy, states, task.n_actions), uniform[alive])
-        moved = task.moves(states, actions, disturbance[alive])
-        total[alive] += discount**t * moved.reward
-        alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
-        if alive.size == 0:
-            break
-    return total
+    """(n,) returns of one task, as ``compare_returns`` gives them."""
+    return compare_returns([task], policy, n, horizon, discount=discount, seed=seed).ravel()
 
 
 def record(

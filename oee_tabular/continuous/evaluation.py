@@ -1,9 +1,10 @@
 """``evaluate`` for a continuous simulator and a log of continuous states.
 
 The rows stand in the order of what they may be trusted for: the simulator corrected by the log's residuals
-(``ResidualSimulator``), the value on cells calibrated, a linear model of the log, importance sampling, the simulator itself by
-Monte Carlo and on the cells, and last off-environment evaluation on the grid alone, which has the grid's error. What the cells
-cannot take is said, and the other rows stand (``cell_rows``).
+(``ResidualSimulator``), a linear model of the log, importance sampling where the log has probabilities, the simulator itself by
+Monte Carlo (``rows``). Where a grid is asked for, a finite problem joins them (``cell_rows``): the value on cells, calibrated,
+finite estimators, and last off-environment evaluation on the grid alone, which has the grid's error. What the cells cannot
+take is said, and the other rows stand.
 """
 
 from __future__ import annotations
@@ -16,27 +17,37 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.actions import as_probabilities
-from oee_tabular.continuous.cell_rows import NoCellsError, OnCells, on_cells, reward_bounds
+from oee_tabular.continuous.cell_rows import NoCellsError, on_cells
 from oee_tabular.continuous.correction import Correction, choose_correction
-from oee_tabular.continuous.estimators import MonteCarloValue, Possible, Refitted, Residual, Simulated
+from oee_tabular.continuous.episodes import MonteCarlo
 from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.on_rows import on_rows, report_on_rows, table_on_rows
 from oee_tabular.continuous.parameters import ParameterFit, fit_parameters, parameters_of
 from oee_tabular.continuous.residual import ResidualSimulator
+from oee_tabular.continuous.rows import (
+    LearnedRow,
+    ResidualRow,
+    Rollouts,
+    Row,
+    SimulatorRow,
+    refuse_impossible,
+    sampling_rows,
+)
 from oee_tabular.continuous.sentences import difference, lost, placed, rewards_contradict
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, require_log_of
-from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
+from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Simulator
 from oee_tabular.estimators.calibrated import KINDS
-from oee_tabular.estimators.names import default_names, named_estimators
-from oee_tabular.report.evaluation import evaluate
-from oee_tabular.report.results import Report
+from oee_tabular.estimators.names import named_estimators
+from oee_tabular.report.evaluation import evaluate, group_findings, number_notes
+from oee_tabular.report.results import Report, Result
+from oee_tabular.report.uncertainty import Uncertainty, choose_interval
 
 CALIBRATIONS = (*KINDS, "none")
+SIMULATOR = "simulator (continuous)"
 LINEAR = "linear model of the log"
 
 
@@ -54,8 +65,6 @@ def evaluate_continuous(
     estimators: Sequence[str] | None = None,
     horizon: int | None = None,
     discount: float = 0.99,
-    seed: Any = None,
-    facts: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Report:
     """Evaluate policies of a continuous task in the target that a log was recorded in.
@@ -70,11 +79,11 @@ def evaluate_continuous(
     target : the true target, where it is known: adds its own Monte Carlo value
     history : how many last actions are in the state; "auto" chooses 0 to 5 by held-out error, where the state is not Markov
     fit : names of parameters of the simulator that are fitted to the log first (or their ``ParameterFit``)
-    estimators : names, as in ``evaluate``; None: as there
+    estimators : names, as in ``evaluate``; None: oee, a linear model of the log, importance sampling where the log has
+        probabilities, and on cells the simulator and the model-based baseline
     horizon : number of rewards; None: the simulator's
     discount : in [0, 1]
-    seed, facts : as in ``evaluate``
-    options : ``confidence``, ``normalized``, ``guaranteed``, ``quick`` of ``evaluate``
+    options : ``seed``, ``facts``, ``confidence``, ``normalized``, ``guaranteed``, ``quick`` of ``evaluate``
 
     Returns
     -------
@@ -102,97 +111,111 @@ def evaluate_continuous(
     """
     given = as_simulator(simulator, horizon) if isinstance(simulator, ContinuousTask) else simulator
     _checks.instance(given, ContinuousSimulator, "simulator", "a ContinuousTask or a ContinuousSimulator")
-    _checks.instance(policies, Mapping, "policies", "a mapping from names to policies")
-    _checks.instance({} if facts is None else facts, Mapping, "facts")
+    if not _checks.instance(policies, Mapping, "policies", "a mapping from names to policies"):
+        raise ValueError("policies must hold at least one; it is empty")
+    facts, seed = options.pop("facts", None) or {}, options.get("seed")
+    _checks.instance(facts, Mapping, "facts")
     if target is not None:
-        _checks.instance(target, ContinuousTask, "target", "a ContinuousTask")
-    estimators = None if estimators is None else _names(estimators, "estimators")
+        _checks.instance(target, ContinuousTask, "target")
+    names = None if estimators is None else _names(estimators, "estimators")
     fit = fit if fit is None or isinstance(fit, ParameterFit) else _names(fit, "fit")
     chosen = _checks.instance(Settings() if settings is None else settings, Settings, "settings")
     kind = given.calibration if chosen.calibration is None else chosen.calibration
     _checks.one_of(kind, "calibration", CALIBRATIONS)
     steps = given.horizon if horizon is None else _checks.positive_integer(horizon, "horizon")
     require_log_of(given.task, log)
+    cells = None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        numbered = _numbered(given, log, chosen, behavior)
-        made = None
+        numbered = _number_actions(given.task, log, behavior, strict=chosen.strict)
         if chosen.grid is not None:
             try:
-                made = on_cells(given, numbered, chosen, steps, discount, seed)
+                cells = on_cells(given, numbered, chosen, steps, discount, seed)
             except NoCellsError as reason:
                 warnings.warn(f"The rows on the grid are left out: {reason}", stacklevel=2)
-    told = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
-    tables, functions = _policies(policies, made, given.task, numbered)
-    stream = _checks.seed_sequence(seed, (10**6,))
-    episodes = given.episodes if chosen.episodes is None else chosen.episodes
-    mc = MonteCarloValue(given.task, functions, steps, episodes, discount, stream)
-    problem = on_rows(numbered, given.task.n_actions, steps, discount) if made is None else made.problem
-    wanted, left_out = _wanted(problem, estimators, made)
-    scale = 1.0 - discount if options.get("normalized") else 1.0
-    fitted = fit if fit is None or isinstance(fit, ParameterFit) else _fit(given.task, fit, numbered)
-    learned = choose_correction(given.task, numbered, history=history, fit=fitted, seed=seed)
-    bounds = _signs(learned.plain) if made is None else reward_bounds(problem, numbered, steps)
-    rows = _rows(wanted, made, mc, learned, given.refit_paths, kind, bounds, scale)
-    if estimators is None:
-        rows = _with_linear(rows, given, numbered, learned, mc, bounds, scale)
-    if target is not None:
-        rows["target (continuous)"] = Simulated(replace(mc, task=target, found={}))
-    said = [*left_out, *told, *filter(None, [rewards_contradict(given.task, numbered)])]
-    for text in told:
+    said = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
+    for text in said:
         warnings.warn(text, stacklevel=3)
-    first = tuple(
-        filter(
-            None,
-            (learned.advice, learned.reason, difference(learned.learned if learned.fit is None else learned.plain)),
-        )
+    tables: dict[str, Array] = {}
+    functions: dict[str, StatePolicy] = {}
+    for name, policy in policies.items():
+        if callable(policy):
+            functions[name] = as_probabilities(policy, given.task.actions)
+        elif cells is None:
+            raise ValueError(f"policy {name!r} must be a function of states: there are no cells to be an array on")
+        if cells is not None:
+            tables[name] = cells.model.policy(functions.get(name, policy), f"policy {name!r}")
+            functions.setdefault(name, cells.model.policy_function(tables[name]))
+    if fit is not None and not isinstance(fit, ParameterFit):
+        fit = fit_parameters(*parameters_of(given.task, fit), numbered)
+    correction = choose_correction(given.task, numbered, history=history, fit=fit, seed=seed)
+    episodes = given.episodes if chosen.episodes is None else chosen.episodes
+    stream = _checks.seed_sequence(seed, (10**6,))
+    rollouts = Rollouts(steps, discount, episodes, stream, paths=given.refit_paths)
+    scale = 1.0 - discount if options.get("normalized") else 1.0
+    wanted, left_out = _choose_estimators(names, numbered, has_cells=cells is not None)
+    wants_oee = OffEnvironment() in wanted.values()
+    learned = _residual_rows(correction, rollouts) if wants_oee else {}
+    others: dict[str, Row] = {}
+    if names is None:
+        others[LINEAR] = LearnedRow(LinearModel(given.task, numbered), rollouts, correction.plain_status)
+    bounds = _value_bounds(correction.plain)
+    learned, others = (
+        {name: _refusing(row, bounds, steps, scale) for name, row in rows.items()} for rows in (learned, others)
     )
-    if made is None:
-        known = {"simulator": f"{given.name}, without cells", "log": repr(log), **dict(facts or {})}
-        return report_on_rows(
-            problem, tables, rows, tuple(said), first, learned.warning, seed=seed, facts=known, **options
-        )
-    report = evaluate(problem, tables, estimators=rows, seed=seed, facts=made.facts | dict(facts or {}), **options)
-    said.append(lost(made.model, mc, tables, steps))
+    sampling = {name: e for name, e in wanted.items() if isinstance(e, ImportanceSampling)}
+    others |= sampling_rows(sampling, numbered, given.task.n_actions, steps, discount)
+    simulated = SimulatorRow(given.task, rollouts, is_headline=not correction.is_trusted)
+    front = {} if correction.is_trusted else {SIMULATOR: simulated}
+    last = {} if target is None else {"target (continuous)": SimulatorRow(target, rollouts)}
+    change = difference(correction.plain if correction.fit is not None else correction.learned)
+    first = tuple(filter(None, (correction.advice, correction.reason, change)))
+    said = [*left_out, *said, *filter(None, [rewards_contradict(given.task, numbered)])]
+    if cells is None:
+        rows = front | learned | others | {SIMULATOR: simulated} | last
+        about = {"simulator": f"{given.name}, without cells", "log": repr(log), **facts}
+        uncertainty = Uncertainty(distance=first, caveat=correction.warning)
+        return _report_rows(functions, rows, said, uncertainty, steps, discount, facts=about, **options)
+    by_table = {table.tobytes(): functions[name] for name, table in tables.items()}
+
+    def function_of(table: Array) -> StatePolicy:
+        return by_table[np.asarray(table).tobytes()]
+
+    def on_tables(rows: Mapping[str, Row]) -> dict[str, Estimator]:
+        def estimator(row: Row) -> Estimator:
+            return lambda problem, table, *, seed=None: row(function_of(table))
+
+        return {name: estimator(row) for name, row in rows.items()}
+
+    def simulated_value(table: Array) -> MonteCarlo:
+        return simulated.value(function_of(table))
+
+    every = on_tables(front | learned)
+    if wants_oee and kind != "none":
+        every["oee (calibrated)"] = cells.calibrated(simulated_value, numbered, kind, scale)
+    finite = {name: estimator for name, estimator in wanted.items() if name not in sampling}
+    every |= on_tables(others | {SIMULATOR: simulated}) | cells.others(finite) | on_tables(last)
+    report = evaluate(cells.problem, tables, estimators=every, facts=cells.facts | facts, **options)
+    said.append(lost(cells.model, simulated_value, tables, steps))
     uncertainty = replace(
         report.uncertainty,
-        next=placed(report.uncertainty.next, made.model),
+        next=placed(report.uncertainty.next, cells.model),
         distance=(*first, *report.uncertainty.distance),
-        caveat=learned.warning,
+        caveat=correction.warning,
     )
-    every = [placed(text, made.model) for text in (*report.warnings, *said)]
-    return replace(report, warnings=tuple(every), uncertainty=uncertainty)
+    told = tuple(placed(text, cells.model) for text in (*report.warnings, *said))
+    return replace(report, warnings=told, uncertainty=uncertainty)
 
 
-def _numbered(
-    simulator: ContinuousSimulator, log: ContinuousTransitions, settings: Settings, behavior: StatePolicy | None
+def _number_actions(
+    task: ContinuousTask, log: ContinuousTransitions, behavior: StatePolicy | None, *, strict: bool
 ) -> ContinuousTransitions:
     """The log with action numbers, and the behaviour's probabilities where it lacks them."""
-    task = simulator.task
-    columns = log.columns() | {"action": log.action_numbers(task.actions, strict=settings.strict)}
+    columns = log.columns() | {"action": log.action_numbers(task.actions, strict=strict)}
     if behavior is not None and log.behavior_probability is None:
         probabilities = check_probabilities(behavior, log.state, task.n_actions)
         columns["behavior_probability"] = probabilities[np.arange(len(log)), columns["action"]]
     return ContinuousTransitions(**columns)
-
-
-def _policies(
-    policies: Mapping[str, StatePolicy | Array], made: OnCells | None, task: ContinuousTask, log: ContinuousTransitions
-) -> tuple[dict[str, Array], dict[bytes, StatePolicy]]:
-    """Name -> table on the cells (without cells: on the log's rows), and table -> function of states."""
-    tables: dict[str, Array] = {}
-    functions: dict[bytes, StatePolicy] = {}
-    for name, given in policies.items():
-        policy = as_probabilities(given, task.actions) if callable(given) else given
-        if made is not None:
-            table = made.model.policy(policy, f"policy {name!r}")
-            tables[name], function = table, policy if callable(policy) else made.model.policy_function(table)
-        elif callable(policy):
-            tables[name], function = table_on_rows(policy, log, task.n_actions), policy
-        else:
-            raise ValueError(f"policy {name!r} must be a function of states: there are no cells to be an array on")
-        functions[tables[name].tobytes()] = function
-    return tables, functions
 
 
 def _names(given: object, argument: str) -> list[str]:
@@ -203,83 +226,74 @@ def _names(given: object, argument: str) -> list[str]:
     return names
 
 
-def _fit(task: ContinuousTask, names: Sequence[str], log: ContinuousTransitions) -> ParameterFit:
-    return fit_parameters(*parameters_of(task, names), log)
-
-
-def _wanted(
-    problem: Problem, names: Sequence[str] | None, made: OnCells | None
+def _choose_estimators(
+    names: list[str] | None, log: ContinuousTransitions, *, has_cells: bool
 ) -> tuple[dict[str, Estimator], list[str]]:
-    """The estimators by name; those of finite problems only where there are cells."""
-    chosen, left_out = default_names(problem) if names is None else (list(names), [])
-    found = named_estimators(chosen)
-    if made is not None:
-        return found, left_out
+    """Estimators by name, those of finite problems only where there are cells, and a sentence on the others."""
+    if names is not None:
+        found = named_estimators(names)
+    else:
+        is_weighted = all(column is not None for column in (log.reward, log.episode, log.behavior_probability))
+        finite = ["simulator", "model-based"] * has_cells
+        found = named_estimators(["oee", *finite, *(["pdis", "wpdis"] * is_weighted)])
+    if has_cells:
+        return found, []
     kept: dict[str, Estimator] = {
-        name: e for name, e in found.items() if isinstance(e, OffEnvironment | ImportanceSampling | Simulator)
+        name: e for name, e in found.items() if isinstance(e, ImportanceSampling | Simulator) or e == OffEnvironment()
     }
-    if names is not None and (gone := [name for name in found if name not in kept]):
-        left_out = [*left_out, f"{', '.join(gone)} {'is' if len(gone) == 1 else 'are'} left out: they need cells."]
-    return kept, left_out
+    gone = [name for name in found if name not in kept]
+    sentence = f"{', '.join(gone)} {'is' if len(gone) == 1 else 'are'} left out: they need cells."
+    return kept, [sentence] * bool(gone)
 
 
-def _rows(
-    wanted: Mapping[str, Estimator],
-    made: OnCells | None,
-    mc: MonteCarloValue,
-    learned: Correction,
-    paths: int,
-    kind: str,
-    bounds: tuple[float, float],
-    scale: float,
-) -> dict[str, Estimator]:
-    """The estimators by the names of their rows, in the order of what they may be trusted for."""
-    rows: dict[str, Estimator] = {}
-    if not learned.is_trusted:
-        rows["simulator (continuous)"] = Simulated(mc, is_headline=True)
-    if any(estimator == OffEnvironment() for estimator in wanted.values()):
-        rows |= {
-            name: Possible(row, *_signs(learned.plain), scale)
-            for name, row in _residual_rows(learned, mc, paths).items()
-        }
-    calibrated, rest = ({}, {}) if made is None else made.rows(wanted, mc, kind, scale)
-    rows |= {name: Possible(row, *bounds, scale) for name, row in calibrated.items()}
-    rows |= {name: estimator for name, estimator in wanted.items() if isinstance(estimator, ImportanceSampling)}
-    rows.setdefault("simulator (continuous)", Simulated(mc))
-    return rows | {name: estimator for name, estimator in rest.items() if name not in rows}
-
-
-def _with_linear(
-    rows: dict[str, Estimator],
-    simulator: ContinuousSimulator,
-    log: ContinuousTransitions,
-    learned: Correction,
-    mc: MonteCarloValue,
-    bounds: tuple[float, float],
-    scale: float,
-) -> dict[str, Estimator]:
-    """With the linear model of the log, which takes the state to be Markov, before importance sampling and the simulator."""
-    model = LinearModel(simulator.task, log)
-    row = Refitted(replace(mc, task=model, found={}), model, paths=simulator.refit_paths, status=learned.plain_status)
-    ahead = [name for name in rows if name.startswith("oee (") or not learned.is_trusted]
-    first = {name: rows[name] for name in ahead}
-    return first | {LINEAR: Possible(row, *bounds, scale)} | {name: rows[name] for name in rows if name not in ahead}
-
-
-def _signs(corrected: ResidualSimulator) -> tuple[float, float]:
+def _value_bounds(corrected: ResidualSimulator) -> tuple[float, float]:
     """Bounds of a value where rewards have one sign, in the log and of the simulator's own steps from there."""
     low, high = corrected.paid
     return (0.0 if low >= 0.0 else -np.inf), (0.0 if high <= 0.0 else np.inf)
 
 
-def _residual_rows(learned: Correction, mc: MonteCarloValue, paths: int) -> dict[str, Estimator]:
+def _refusing(row: Row, bounds: tuple[float, float], horizon: int, scale: float) -> Row:
+    return lambda policy: refuse_impossible(row(policy), *bounds, horizon, scale)
+
+
+def _residual_rows(correction: Correction, rollouts: Rollouts) -> dict[str, Row]:
     """The chosen correction, and the simulator's own without history where that is another."""
-    rows: dict[str, Estimator] = {}
-    if learned.learned is not learned.plain:
-        functions = dict(mc.functions)
-        if learned.steps:
-            functions = {key: learned.whole.policy(function) for key, function in functions.items()}
-        value = replace(mc, task=learned.learned, functions=functions, found={})
-        rows[learned.name] = Residual(value, learned.learned, paths=paths, status=learned.status)
-    value = replace(mc, task=learned.plain, found={})
-    return rows | {"oee (residual)": Residual(value, learned.plain, paths=paths, status=learned.plain_status)}
+    rows: dict[str, Row] = {}
+    if correction.learned is not correction.plain:
+        row = ResidualRow(correction.learned, rollouts, correction.status)
+        rows[correction.name] = row
+        if correction.steps:
+            rows[correction.name] = lambda policy: row(correction.whole.policy(policy))
+    return rows | {"oee (residual)": ResidualRow(correction.plain, rollouts, correction.plain_status)}
+
+
+def _report_rows(
+    policies: Mapping[str, StatePolicy],
+    rows: Mapping[str, Row],
+    said: Sequence[str],
+    uncertainty: Uncertainty,
+    horizon: int,
+    discount: float,
+    *,
+    facts: Mapping[str, Any],
+    seed: Seed = None,
+    confidence: float = 0.95,
+    normalized: bool = False,
+    guaranteed: bool = False,
+    quick: bool = False,
+) -> Report:
+    """The report of rows without a finite problem, each beside its own interval."""
+    level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
+    if _checks.boolean(guaranteed, "guaranteed"):
+        raise ValueError("guaranteed must be False without cells: guaranteed intervals need a finite simulator")
+    if _checks.boolean(normalized, "normalized") and discount == 1.0:
+        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
+    _checks.boolean(quick, "quick")
+    scale = 1.0 - discount if normalized else 1.0
+    results = [
+        Result(name, label, choose_interval(row(policy), None, level, scale))
+        for name, policy in policies.items()
+        for label, row in rows.items()
+    ]
+    warned, notes = number_notes(results, [*group_findings(results), *((sentence, []) for sentence in said)])
+    return Report(tuple(results), {}, warned, notes, level, normalized, discount, horizon, seed, facts, uncertainty)

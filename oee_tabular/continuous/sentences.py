@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.continuous.discretization import Discretization
+from oee_tabular.continuous.episodes import MonteCarlo
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exact import policy_value
-
-if TYPE_CHECKING:
-    from oee_tabular.continuous.estimators import MonteCarloValue
 
 
 def difference(corrected: ResidualSimulator) -> str:
@@ -51,7 +48,7 @@ def odd_row(corrected: ResidualSimulator) -> str:
     return ""
 
 
-def lost(model: Discretization, mc: MonteCarloValue, tables: Mapping[str, Array], horizon: int) -> str:
+def lost(model: Discretization, mc: Callable[[Array], MonteCarlo], tables: Mapping[str, Array], horizon: int) -> str:
     """What the cells make of the simulator's own values, which no interval covers."""
     found = []
     for name, table in tables.items():

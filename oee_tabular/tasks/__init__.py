@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
     from oee_tabular.continuous.reacher.expert import reacher_log, reacher_policy
     from oee_tabular.continuous.residual import ResidualSimulator
-    from oee_tabular.continuous.residual_value import corrected_value
+    from oee_tabular.continuous.rows import corrected_value
     from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
     # isort: on

@@ -11,7 +11,7 @@ from scipy import stats
 
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.residual_value import corrected_value
+from oee_tabular.continuous.rows import corrected_value
 from oee_tabular.lab.findings import percent, reach
 from oee_tabular.lab.panels import panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
