@@ -20,7 +20,7 @@ from oee_tabular._checks import Array, BoolArray
 from oee_tabular.continuous.actions import action_set
 from oee_tabular.continuous.gymnasium_physics import maker, physical_parameters, vector_maker
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
-from oee_tabular.continuous.simulator import ContinuousSimulator, as_simulator
+from oee_tabular.continuous.simulator import SLOW_EPISODES, SLOW_PATHS, ContinuousSimulator, as_simulator
 
 OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")  # MODULE:EnvId-v0
 HORIZON = 1000  # where the environment has no limit
@@ -134,8 +134,8 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
         make_vector=vector_maker(identifier, physics),
     )
     task.family = PhysicsFamily(task, identifier, physics)
-    limit = getattr(env.spec, "max_episode_steps", None)
-    return replace(as_simulator(task, limit or HORIZON), name=spec)
+    simulator = as_simulator(task, getattr(env.spec, "max_episode_steps", None) or HORIZON)
+    return replace(simulator, name=spec, episodes=SLOW_EPISODES, refit_paths=SLOW_PATHS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,6 +37,7 @@ from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy, check_probabilities
 
 FEWEST_AT_ONCE, MOST_AT_ONCE = 16, 4096  # states
+NO_CHANCE = Chance(np.empty(0))  # in place of random numbers, where none may be drawn
 
 
 class GymnasiumTask(ContinuousTask):
@@ -57,12 +58,12 @@ class GymnasiumTask(ContinuousTask):
     reward_between : function of (states, action numbers, next states), optional
     parameters : what distinguishes it, written into files
     make_vector : function of n that makes n environments whose ``state`` is (d, n) and which step at once; used where it
-        repeats the steps of one
+        repeats the steps of one, and the environment's own step does not do so with arrays in place of numbers
     check_steps : how many recorded steps are stepped again from their states; 0: none
 
     Attributes
     ----------
-    steps_at_once : whether ``make_vector`` is used
+    steps_at_once : whether many states are stepped at once
     family : function of parameters, by name, that makes the task of the environment with them; None where it is not known
 
     Raises
@@ -73,10 +74,11 @@ class GymnasiumTask(ContinuousTask):
 
     Notes
     -----
-    Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 by ``make_vector``.
-    The normal, uniform and whole numbers that a step draws from ``np_random`` are the disturbance
-    (``gymnasium_steps.Chance``), as many as its checked steps drew. Where it draws others, or steps are not checked, there
-    is no disturbance: ``step`` gives the environment its own generator, ``moves`` one of seed 0.
+    Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 and more at once: by
+    the environment's own step, where it takes arrays (d, n) as its state and draws nothing, or by ``make_vector``. The normal,
+    uniform and whole numbers that a step draws from ``np_random`` are the disturbance (``gymnasium_steps.Chance``), as many as
+    its checked steps drew. Where it draws others, or steps are not checked, there is no disturbance: ``step`` gives the
+    environment its own generator, ``moves`` one of seed 0.
 
     Examples
     --------
@@ -150,12 +152,12 @@ class GymnasiumTask(ContinuousTask):
             raise ValueError(f"set_state must set what get_state reads; {state.tolist()} became {kept.tolist()}")
         self.family: Any = None
         self._vectors: dict[int, Any] = {}
-        self._make_vector: Callable[[int], Any] | None = None
+        self._make_vector = make_vector
+        self._at_once: Callable[[GymnasiumTask, Array, IntArray], Moves] | None = None
         if check_steps:
             record = check_steps_of(self, make(), _checks.positive_integer(check_steps, "check_steps"))
-            if make_vector is not None:
-                self._make_vector = make_vector
-                self._make_vector = make_vector if repeats_at_once(self, *record) else None
+            ways = [GymnasiumTask._step_arrays] + [GymnasiumTask._step_vector] * (make_vector is not None)
+            self._at_once = next((way for way in ways if repeats_at_once(self, way, *record)), None)
             self.n_disturbances = draws_of(self, *record)
 
     def with_environment(
@@ -165,13 +167,13 @@ class GymnasiumTask(ContinuousTask):
         again = copy.copy(self)
         again._make, again._env, again._vectors, again._parameters = make, make(), {}, parameters
         again._env.reset(seed=0)
-        again._make_vector = make_vector if self.steps_at_once else None
+        again._make_vector = make_vector
         return again
 
     @property
     def steps_at_once(self) -> bool:  # type: ignore[override]
         """Whether many states are stepped at once."""
-        return self._make_vector is not None
+        return self._at_once is not None
 
     def read(self, env: object) -> Array:
         """(d,) the state of an environment."""
@@ -191,11 +193,22 @@ class GymnasiumTask(ContinuousTask):
         """One step from each state; the environment's random numbers are ``rng``'s."""
         if self.n_disturbances:
             return super().step(states, actions, rng)
-        if self._make_vector is not None and len(states) >= FEWEST_AT_ONCE:
-            return self.at_once(states, actions, rng)
+        if self._at_once is not None and len(states) >= FEWEST_AT_ONCE:
+            return self._at_once(self, states, actions)
         return self.one_by_one(states, actions, rng)
 
-    def at_once(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
+    def _step_arrays(self, states: Array, actions: IntArray) -> Moves:
+        """By the environment's own step, whose formulas take arrays in place of numbers."""
+        if 0 not in self._vectors:
+            self._vectors[0] = self._make()
+            self._vectors[0].reset(seed=0)
+        env, n = self._vectors[0], len(states)
+        env.unwrapped.np_random = NO_CHANCE
+        self._set(env, states.T.copy())
+        _, reward, over, _, _ = env.unwrapped.step(self.commands[actions].T.astype(env.action_space.dtype))
+        return Moves(self.read(env).T.copy(), np.full(n, reward, dtype=np.float64), np.full(n, over, dtype=np.bool_))
+
+    def _step_vector(self, states: Array, actions: IntArray) -> Moves:
         """By environments that step together, as many as a power of two holds."""
         parts = []
         for low in range(0, len(states), MOST_AT_ONCE):
@@ -208,7 +221,7 @@ class GymnasiumTask(ContinuousTask):
             envs = self._vectors[size]
             more = np.resize(np.arange(n), size)
             envs.reset(seed=0)  # nothing of the step before is left
-            envs.np_random = rng
+            envs.np_random = NO_CHANCE
             envs.state = part[more].T.copy()
             commands = self.commands[taken[more]].astype(envs.action_space.dtype)
             _, reward, over, _, _ = envs.step(commands)

@@ -11,15 +11,16 @@ episodes, with the policy's probabilities in the log's own states: every row of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy import sparse, stats
+from scipy import sparse
+from scipy.special import stdtrit
 
 from oee_tabular import _checks
-from oee_tabular._checks import Seed
+from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.correction import describe_flaw
 from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_carlo_value
@@ -70,6 +71,11 @@ class Rollouts:
         seed = np.random.default_rng(self.stream())
         return monte_carlo_value(task, policy, self.episodes, self.horizon, discount=self.discount, seed=seed)
 
+    def compare(self, tasks: Sequence[ContinuousTask], policy: StatePolicy) -> Array:
+        """(len(tasks), paths) returns by common random numbers."""
+        paths, seed = min(self.paths, self.episodes), self.stream(1)
+        return compare_returns(tasks, policy, paths, self.horizon, discount=self.discount, seed=seed)
+
 
 @dataclass(frozen=True, eq=False)
 class SimulatorRow:
@@ -117,25 +123,19 @@ class LearnedRow:
     @one_thread
     def __call__(self, policy: StatePolicy) -> Estimate:
         """The value with the error of the log and of the rollouts."""
-        mc = self.rollouts.value(self.learned, policy)
+        mc, refits = self.rollouts.value(self.learned, policy), self.rollouts.refits
         if self.status != "ok":
             return Estimate(mc.value, None, None, _facts(mc), status=self.status)
-        refits = self.rollouts.refits
         rngs = map(np.random.default_rng, self.rollouts.stream(2).spawn(refits))
-        returns = self._returns([self.learned, *map(self.learned.resampled, rngs)], policy)
+        returns = self.rollouts.compare([self.learned, *map(self.learned.resampled, rngs)], policy)
         of_log = float((returns[1:] - returns[0]).mean(axis=1).std(ddof=1))
         error = float(np.hypot(of_log, mc.standard_error))
-        reach = error * float(stats.t.ppf(0.975, refits - 1))
+        reach = error * float(stdtrit(refits - 1, 0.975))
         facts = _facts(mc) | {
             "standard_error_of": "log and rollouts", "refits": refits, "standard_error_of_the_log": of_log,
             "interval_method": "refits",
         }  # fmt: skip
         return Estimate(mc.value, error, (mc.value - reach, mc.value + reach), facts, is_normal=True)
-
-    def _returns(self, tasks: list[ContinuousTask], policy: StatePolicy) -> Any:
-        """(len(tasks), paths) by common random numbers."""
-        how, paths = self.rollouts, min(self.rollouts.paths, self.rollouts.episodes)
-        return compare_returns(tasks, policy, paths, how.horizon, discount=how.discount, seed=how.stream(1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,15 +153,14 @@ class ResidualRow(LearnedRow):
         return replace(found, diagnostics=facts, findings=findings, is_headline=self.status == "ok")
 
     def _beyond(self, policy: StatePolicy) -> float:
-        """Share of the policy's transitions, of 200 episodes, that begin beyond what the log has seen."""
+        """Share of the policy's transitions that begin beyond what the log has seen."""
         counted = np.zeros(2)
 
-        def watched(states: Any) -> Any:
+        def watched(states: Array) -> Array:
             counted[:] += self.learned.beyond(states).sum(), len(states)
             return policy(states)
 
-        n, how = min(200, self.rollouts.paths), self.rollouts
-        compare_returns([self.learned], watched, n, how.horizon, discount=1.0, seed=how.stream(3))
+        replace(self.rollouts, paths=min(200, self.rollouts.paths)).compare([self.learned], watched)
         return float(counted[0] / counted[1])
 
 
