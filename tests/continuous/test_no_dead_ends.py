@@ -9,8 +9,8 @@ import pytest
 from oee_tabular.continuous.cell_rows import calibrated_row
 from oee_tabular.continuous.discretization.adapter import SMALLEST_REACH
 from oee_tabular.continuous.episodes import MonteCarlo
-from oee_tabular.continuous.estimators import Possible
 from oee_tabular.continuous.names import continuous_simulator
+from oee_tabular.continuous.rows import refuse_impossible
 from oee_tabular.continuous.sentences import difference
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
@@ -90,25 +90,6 @@ def test_the_reach_is_what_the_log_asks():
     assert reach_of(ContinuousTransitions(**kept, next_state=odd)) == SMALLEST_REACH
 
 
-@pytest.mark.parametrize("share", [0.001, 0.02])
-def test_moves_without_support(share):
-    """Few are left out of the rows on the cells, many leave those rows out; the report stands, and says so."""
-    log = log_of(CartPole(12.0, noise=0.0), 2000)
-    following = np.array(log.next_state)
-    odd = np.flatnonzero(~log.terminated)[: int(share * 2000)]
-    following[odd, 3] = np.where(following[odd, 3] > 0, -3.0, 3.0)
-    bag = ContinuousTransitions(log.state, log.action, following, log.reward, terminated=log.terminated)
-    report = report_of(bag, replace(FEW, floor=0.0))
-    rows = [row["estimator"] for row in report.records()]
-    assert "oee (residual)" in rows
-    assert ("oee on the grid" in rows) == (share < 0.01)
-    text = "leave them out" if share < 0.01 else "The rows on the grid are left out"
-    assert any(text in said for said in report.warnings)
-    dropped = report_of(bag, replace(FEW, floor=0.0, outside="drop"))
-    assert dropped.records()[-1]["estimator"] == "oee on the grid"
-    assert dropped.facts["moves_left_out"] == pytest.approx(share, rel=0.7)
-
-
 def test_dust_at_a_speed_limit():
     """MountainCar: soft weights of a thousandth of a move have no support, which was an error."""
     simulator, target = (gymnasium_simulator(f"MountainCar-v0:gravity={g}") for g in (0.0025, 0.0027))
@@ -140,14 +121,6 @@ def test_calibration_is_by_the_plain_simulator():
     assert abs(rows["oee (calibrated)"]["value"] - truth) < 0.05
 
 
-class _Fixed:
-    horizon = 10
-
-
-def estimator_of(value, error=None):
-    return lambda problem, policy, seed=None: Estimate(value, error, None if error is None else (value - 1, value + 1))
-
-
 @pytest.mark.parametrize(
     ("value", "error", "found"),
     [
@@ -160,19 +133,13 @@ def estimator_of(value, error=None):
     ],
 )
 def test_values_that_cannot_be_are_refused(value, error, found):
-    estimate = Possible(estimator_of(value, error), 0.0, 10.0)(_Fixed(), None)
+    given = Estimate(value, error, None if error is None else (value - 1, value + 1))
+    estimate = refuse_impossible(given, 0.0, 10.0, 10)
     assert estimate.value == pytest.approx(found, nan_ok=True)
     if np.isnan(found):
         assert estimate.status == f"{value:.4g} cannot be: what 10 rewards pay is between 0 and 10"
         assert estimate.interval is None
-
-
-def test_rewards_without_bounds_refuse_no_value():
-    assert Possible(estimator_of(1e9, 1.0), -np.inf, np.inf)(_Fixed(), None).value == 1e9
-
-
-class _Simulated:
-    value, standard_error = 9.0, 0.0
+    assert refuse_impossible(given, -np.inf, np.inf, 10) is given  # rewards without bounds refuse no value
 
 
 @pytest.mark.parametrize(("raw", "below", "said"), [(5.0, 6.0, False), (9.0, 6.0, True)])
