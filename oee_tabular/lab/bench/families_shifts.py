@@ -38,7 +38,7 @@ X, Y = np.divmod(np.arange(81), 9)
 def from_tables(about: str, tables: tuple[Array, Array], rewards: Array, discount: float) -> Family:
     """A family from the simulator's and the target's probabilities, (S, A, S)."""
     simulator = FiniteMDP(tables[0], rewards, np.full(len(rewards), 1 / len(rewards)), discount)
-    return pair(simulator, simulator.with_transitions(tables[1]), about)
+    return pair(about, simulator, tables[1])
 
 
 def miss(family: Family) -> float:

@@ -174,9 +174,9 @@ Maker = Callable[..., Family]  # of a generator, or without parameters
 
 
 def pair(
+    about: str,
     simulator: FiniteMDP,
     target: Any,
-    about: str,
     *,
     optimal: float = 0.9,
     recorded: float = 0.5,
@@ -246,7 +246,7 @@ def shift(
         return FiniteMDP(transitions, paid, normalize(initial), discount)
 
     def build(parameters: Any) -> Family:
-        return pair(model(believed), model(parameters), about, **options)
+        return pair(about, model(believed), model(parameters), **options)
 
     return (lambda rng: build(real(rng))) if callable(real) else (lambda: build(real))
 

@@ -14,7 +14,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +106,7 @@ def run(
     settings = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed)
     with tempfile.TemporaryDirectory() if output is None else nullcontext(output) as folder, alone(Path(folder)):
         sweep = run_experiment(Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress)
-    return league_from(sweep.store)
+    return league_of(sweep.store.table().drop(columns="repetition"))
 
 
 def plan(
@@ -127,7 +126,7 @@ def plan(
     experiment = Experiment(
         id="bench", title="Estimators on families of environment shift", group="bench",
         axes={"family": names, "size": tuple(numbers)}, repetitions=count,
-        run=BenchCells({name: name for name in REFERENCES} | chosen, source),
+        run=functools.partial(measure_cell, estimators={name: name for name in REFERENCES} | chosen, source=source),
         keys=("family", "size", "estimator"), measures=(), draw=lambda table, summary, figure: None,
     )  # fmt: skip
     label = "the package's" if source is None else source if isinstance(source, str) else "given"
@@ -135,36 +134,19 @@ def plan(
     return RunSettings(experiment, experiment.axes, count, first, asked, modules_of([*chosen.values(), source]))
 
 
-def league_from(store: Store) -> League:
-    """The league of finished cells."""
-    return league_of(store.table().drop(columns="repetition"))
-
-
-@dataclass(frozen=True, eq=False)
-class BenchCells:
-    """The rows of one cell: a log of a family, every estimator on it.
-
-    Attributes
-    ----------
-    estimators : name -> spec or estimator
-    source : None (the package's families), "module:function", a function of the seed or without parameters, or a mapping
-    """
-
-    estimators: Mapping[str, Any]
-    source: Any
-
-    def __call__(self, cell: Cell, stream: Stream) -> list[Row]:
-        """One seed of family x size; the seed of the family is the run's first plus the repetition."""
-        seed, name, size = stream.seed + int(cell["repetition"]), str(cell["family"]), float(cell["size"])
-        family = find_family(self.source, name, seed)
-        own = Stream(stream.experiment, seed, {"family": name, "size": size})
-        problem = family.problem(family.size(size), own.generator(use="log"))
-        kind = "held" if name in HELD or self.source is not None else "tuned"
-        facts = {"seed": seed, "families": kind, **facts_of(family, problem)}
-        return [
-            {**facts, "estimator": key, **measure(key, given, family, problem, int(own.sequence(use=key).generate_state(1)[0]))}
-            for key, given in self.estimators.items()
-        ]  # fmt: skip
+def measure_cell(cell: Cell, stream: Stream, *, estimators: Mapping[str, Any], source: Any) -> list[Row]:
+    """One seed of family x size, every estimator on its log; the seed of the family is the run's first plus the repetition."""
+    seed, name, size = stream.seed + int(cell["repetition"]), str(cell["family"]), float(cell["size"])
+    family = find_family(source, name, seed)
+    own = Stream(stream.experiment, seed, {"family": name, "size": size})
+    problem = family.problem(family.size(size), own.generator(use="log"))
+    kind = "held" if name in HELD or source is not None else "tuned"
+    facts = {"seed": seed, "families": kind, **facts_of(family, problem)}
+    seeds = {key: int(own.sequence(use=key).generate_state(1)[0]) for key in estimators}
+    return [
+        {**facts, "estimator": key, **measure(key, given, family, problem, seeds[key])}
+        for key, given in estimators.items()
+    ]
 
 
 def facts_of(family: Family, problem: Problem) -> Row:
@@ -188,7 +170,10 @@ def facts_of(family: Family, problem: Problem) -> Row:
 
 
 def measure(name: str, given: object, family: Family, problem: Problem, seed: int) -> Row:
-    """What one estimator gives on one log: value, error, interval, seconds, status; what it raises is its status."""
+    """What one estimator gives on one log: value, error, interval, seconds, status; what it raises is its status.
+
+    The interval is the reported one, else value +- 1.96 standard errors, else none.
+    """
     row: Row = dict.fromkeys(("value", "error", "standard_error", "lower", "upper", "interval", "seconds"), math.nan)
     row |= {"interval": "", "status": "ok"}
     start = time.process_time()
@@ -196,28 +181,26 @@ def measure(name: str, given: object, family: Family, problem: Problem, seed: in
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             estimate = as_estimator(estimator_of(name, given, family))(problem, family.policy, seed=seed)
-        row["seconds"] = time.process_time() - start
-        value = float(estimate.value)
+        seconds, value = time.process_time() - start, float(estimate.value)
         if not math.isfinite(value):
             is_explained = estimate.status not in ("ok", UNEXPLAINED)
-            return row | {"status": estimate.status if is_explained else f"the value is {value}"}
-        lower, upper, method = _interval_of(estimate, value)
-    except Exception as error:
-        return row | {"seconds": math.nan, "status": f"{type(error).__name__}: {error}"}
-    deviation = math.nan if estimate.standard_error is None else float(estimate.standard_error)
-    return row | {"value": value, "error": value - family.truth, "standard_error": deviation, "lower": lower,
-                  "upper": upper, "interval": method, "status": estimate.status}  # fmt: skip
+            return row | {"seconds": seconds, "status": estimate.status if is_explained else f"the value is {value}"}
+        error = math.nan if estimate.standard_error is None else float(estimate.standard_error)
+        lower, upper, method = value - NORMAL * error, value + NORMAL * error, "value +- 1.96 standard errors"
+        if estimate.interval is not None:
+            lower, upper = (float(end) for end in estimate.interval)
+            method = str(estimate.diagnostics.get("interval_method", "reported"))
+        elif not math.isfinite(error):
+            lower, upper, method = math.nan, math.nan, ""
+    except Exception as failure:
+        return row | {"status": f"{type(failure).__name__}: {failure}"}
+    return row | {"value": value, "error": value - family.truth, "standard_error": error, "lower": lower,
+                  "upper": upper, "interval": method, "seconds": seconds, "status": estimate.status}  # fmt: skip
 
 
-def _interval_of(estimate: Estimate, value: float) -> tuple[float, float, str]:
-    """The interval that is reported, else value +- 1.96 standard errors, else none."""
-    if estimate.interval is not None:
-        lower, upper = (float(end) for end in estimate.interval)
-        return lower, upper, str(estimate.diagnostics.get("interval_method", "reported"))
-    error = estimate.standard_error
-    if error is None or not np.isfinite(error):
-        return math.nan, math.nan, ""
-    return value - NORMAL * error, value + NORMAL * error, "value +- 1.96 standard errors"
+def split(text: str) -> list[str]:
+    """The words between commas."""
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 # ---- estimators
@@ -234,14 +217,14 @@ def choose_estimators(given: Any) -> dict[str, Any]:
         if not isinstance(item, str) and not callable(item):
             raise ValueError(f"estimators must be names, MODULE:OBJECT or callables; got {_checks.show(item)}")
         name = item if isinstance(item, str) else str(getattr(item, "__name__", type(item).__name__))
+        name = name if key is None else str(key)
         while key is None and name in chosen and not isinstance(item, str):
             name += "'"
-        name = name if key is None else str(key)
         if name in chosen:
             raise ValueError(f"estimators must have different names; {name!r} is there twice")
         if name in REFERENCES and item != name:
             raise ValueError(f"estimators must not be called {name!r}, which is a reference; {_checks.show(item)} is")
-        if isinstance(item, str) and item not in REFERENCES and item not in estimator_names(needs_target=True):
+        if isinstance(item, str) and item not in (*REFERENCES, *estimator_names(needs_target=True)):
             look_up_estimator(item)
         chosen[name] = item
     if not chosen:
@@ -341,20 +324,15 @@ def _named_families(spec: str | None, seed: int) -> Mapping[str, Family]:
         return families_at(own_object(spec, "families", "my_package.mine:families"), seed)
 
 
-def split(text: str) -> list[str]:
-    """The words between commas."""
-    return [word.strip() for word in text.split(",") if word.strip()]
-
-
 def modules_of(objects: Sequence[object]) -> tuple[str, ...]:
     """The modules that hold a user's own objects: their files are part of what the results depend on."""
     modules = set()
     for item in objects:
+        name = str(getattr(item, "__module__", "") or type(item).__module__)
         if isinstance(item, str):
-            name = item.partition(":")[0] if ":" in item else ""
-        else:
-            name = str(getattr(item, "__module__", "") or getattr(type(item), "__module__", ""))
-        if name.split(".")[0] not in ("", "oee_tabular", "__main__", "builtins", *PEERS):
+            module, colon, _ = item.partition(":")
+            name = module if colon and module not in PEERS else ""
+        if name.split(".")[0] not in ("", "oee_tabular", "__main__", "builtins"):
             modules.add(name)
     return tuple(sorted(modules))
 
@@ -387,7 +365,7 @@ def bench(
     words = [f" --{name} {value}" for name, (value, default) in given.items() if value != default]
 
     def write(store: Store) -> None:
-        league = league_from(store)
+        league = league_of(store.table().drop(columns="repetition"))
         about = {name: find_family(source, name, seed).about for name in map(str, settings.axes["family"])}
         league.save(output, about=about, command=f"oee bench --estimators {estimators}{''.join(words)}")
         say(f"{league}\n")
