@@ -4,8 +4,6 @@ import itertools
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-import pytest
 from numpy.testing import assert_allclose
 from saved_results import saved
 
@@ -32,9 +30,6 @@ def rmse(table, *keys):
 def span(values, form):
     """Smallest to largest, as the pages write it."""
     return f"{min(values):{form}} to {max(values):{form}}"
-
-
-# ---- figure 1a ---------------------------------------------------------------------------------------------------------
 
 
 def of_the_networks(table):
@@ -66,9 +61,6 @@ def test_figure_1a_computed():
     assert error[LIKELIHOOD, 10_000] < 0.6 * error[LIKELIHOOD, 1000]
 
 
-# ---- networks ----------------------------------------------------------------------------------------------------------
-
-
 def test_our_networks_reach_the_published_curve():
     table = saved("networks")
     trained = table[table.fit.str.startswith("network, trained")]
@@ -97,9 +89,6 @@ def test_the_parts_of_the_networks_error():
     assert (parts.excess.mean() < total).all()
 
 
-# ---- figure 1b, c, d ---------------------------------------------------------------------------------------------------
-
-
 def exact_is_best(table, share):
     error = table[table.n == 3162].groupby("estimator").error.mean()
     assert error["OEE, exact"] <= share * error["simulator"]
@@ -124,16 +113,12 @@ def test_figure_1bcd_computed():
         assert_allclose(values["simulator"], oee.policy_value(simulator, policy, horizon=200, normalized=True))
 
 
-# ---- rates -------------------------------------------------------------------------------------------------------------
-
-
 def fitted_slopes(table, value="squared_error", start=30_000):
     """Least-squares slope of log10 RMSE on log10 n, for each data policy, policy and ratio, from ``start`` on."""
-    late = table[table.n >= start]
-    points = late.groupby(["data", "delta", "ratio", "n"], sort=False)[value].mean().reset_index()
-    return points.groupby(["data", "delta", "ratio"], sort=False)[["n", value]].apply(
-        lambda g: 0.5 * np.polyfit(np.log10(g["n"]), np.log10(g[value]), 1)[0] if len(g) > 1 else np.nan
-    )
+    keys = ["data", "delta", "ratio"]
+    points = table[table.n >= start].groupby([*keys, "n"], sort=False)[value].mean().reset_index()
+    logs = points.assign(n=np.log10(points.n), rmse=0.5 * np.log10(points[value]))
+    return logs.groupby(keys, sort=False)[["n", "rmse"]].apply(lambda own: np.polyfit(own.n, own.rmse, 1)[0])
 
 
 def test_the_rate_is_a_half():
@@ -162,17 +147,6 @@ def test_the_rate_computed():
     assert error[LIKELIHOOD, 100_000] < 0.5 * error[LIKELIHOOD, 10_000]
 
 
-@pytest.mark.parametrize("slope", [-0.5, -0.25])
-def test_slopes_of_errors_that_have_them(slope):
-    n = np.array([10.0, 1e4, 1e5, 1e6])  # the first is left out
-    squared = np.where(n < 100, 7.0, n ** (2 * slope))
-    table = pd.DataFrame({"n": n, "squared_error": squared, "data": "uniform", "delta": 0.5, "ratio": "some"})
-    assert_allclose(fitted_slopes(table), slope)
-
-
-# ---- a target that one tilt cannot express -----------------------------------------------------------------------------
-
-
 def of_maximum_likelihood(table):
     error = rmse(table, "estimator", "delta", "n")
     return error["default"] / error[LIKELIHOOD]
@@ -197,9 +171,6 @@ def test_misspecified_computed():
     assert (error["default"] < error["simulator"]).all()
     large = computed("misspecified", n=316_228, repetitions=1)
     assert (large[large.estimator == "one tilt for all"].moved >= 0.4).all()  # the test sees that its centre is wrong
-
-
-# ---- horizons ----------------------------------------------------------------------------------------------------------
 
 
 def products_explode(table):
@@ -243,9 +214,6 @@ def test_horizons_computed():
         assert_allclose(size[f"oracle sd, {kind}", 2], sd_of_two_moves(*arguments, kind))
 
 
-# ---- intervals ---------------------------------------------------------------------------------------------------------
-
-
 def test_coverage():
     covered = 100 * saved("coverage").groupby(["environment", "n", "method"]).covered.mean()
     likelihood, delta = (", ".join(f"{x:.1f}" for x in covered["grid", :, name]) for name in ("likelihood", "delta"))
@@ -274,9 +242,6 @@ def test_coverage_computed():
     assert ((lake.lower < lake.upper) & (lake.width < 0.2)).all()
 
 
-# ---- variances ---------------------------------------------------------------------------------------------------------
-
-
 def test_efficiency():
     table = saved("efficiency")
     found = table.groupby("estimator").agg(ratio=("ratio", "mean"), error=("ratio", "sem"), exact=("exact", "first"))
@@ -291,9 +256,6 @@ def test_efficiency_computed():
     ratio = computed("efficiency", repetitions=24).groupby("estimator").ratio
     assert (np.abs(ratio.mean() - 1.0) <= 0.03 + 4.0 * ratio.sem()).all()  # the quotient's is 1.03 +- .01 at this n
     assert (ratio.sem() < 0.03).all()
-
-
-# ---- what to record ----------------------------------------------------------------------------------------------------
 
 
 def of_uniform_recording(table, n, threefold):
