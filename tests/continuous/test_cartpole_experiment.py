@@ -122,8 +122,8 @@ def test_frequencies_stay_where_the_log_was_never():
 
 def test_the_linear_model_s_values_are_its_own():
     log = target_log("compiled", 15.0, 5000, np.random.default_rng(0))
-    sampled = monte_carlo_value(Linear.fitted(log), cartpole_policy(0.4), 40_000, 100, seed=0, normalized=True)
-    assert abs(fine_values(Linear.fitted(log))[2] - sampled.value) < 4 * sampled.standard_error + 5e-4
+    sampled = monte_carlo_value(Linear.fit(log), cartpole_policy(0.4), 40_000, 100, seed=0, normalized=True)
+    assert abs(fine_values(Linear.fit(log))[2] - sampled.value) < 4 * sampled.standard_error + 5e-4
 
 
 def test_importance_sampling_of_the_log_s_own_policy_is_the_mean_return():

@@ -215,7 +215,7 @@ class Discretization:
         ValueError
             A log with other dimensions than the task; actions or states that the task does not know.
         """
-        kept, actions, ended = self._checked(log, outside, strict)
+        kept, actions, ended = self._select_rows(log, outside, strict)
         draws: Any = (None, None)
         same = np.zeros(0, dtype=np.int64)  # rows whose next state is the next row's state
         if kept.episode is not None:
@@ -237,7 +237,7 @@ class Discretization:
         moves the features alike everywhere, a transition is carried to the vertex i of its box, and spread as the simulator's
         rows are: w_j(vertex_i + phi(s') - phi(s)).
         """
-        kept, actions, ended = self._checked(log, outside, strict)
+        kept, actions, ended = self._select_rows(log, outside, strict)
         n_states, n_actions = self.mdp.n_states, self.task.n_actions
         if self.task.is_translation_invariant:
             before, after = self.task.features(kept.state), self.task.features(kept.next_state)
@@ -279,7 +279,7 @@ class Discretization:
     def _weights(self, states: Array, ended: BoolArray) -> sparse.csr_array:
         return weights_of(self.cells, self.task, states, ended)
 
-    def _checked(
+    def _select_rows(
         self, log: ContinuousTransitions, outside: str, strict: bool
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
         """The rows that can be encoded, their action numbers, and which end in the absorbing state."""

@@ -166,9 +166,9 @@ class Reacher(ContinuousTask):
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step, and its reward."""
-        return self._paid(states, actions, self.advance(states, self.actions[np.asarray(actions, dtype=np.int64)]))
+        return self._moves_to(states, actions, self.advance(states, self.actions[np.asarray(actions, dtype=np.int64)]))
 
-    def _paid(self, states: Array, actions: IntArray, following: Array) -> Moves:
+    def _moves_to(self, states: Array, actions: IntArray, following: Array) -> Moves:
         reward = self.reward_of(self.reward_terms(states), actions, self.reward_terms(following))
         return Moves(following, reward, np.zeros(len(states), dtype=np.bool_))
 
@@ -311,7 +311,7 @@ class LinearReacher(Reacher):
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step of the model."""
         drift = _design(states, self.actions[np.asarray(actions, dtype=np.int64)]) @ self.coefficients
-        return self._paid(states, actions, states + drift + disturbance @ self.root.T)
+        return self._moves_to(states, actions, states + drift + disturbance @ self.root.T)
 
 
 def _design(states: Array, commands: Array) -> Array:

@@ -150,7 +150,7 @@ def finding_2(table: pd.DataFrame) -> str:
     return f"Mean error at n = {n} under other gravities: {listed(means)}" if len(means) else ""
 
 
-def least(table: pd.DataFrame, column: str) -> pd.Series[float]:
+def smallest(table: pd.DataFrame, column: str) -> pd.Series[float]:
     """The mean errors by the values of a column, the least first; the simulator's own left out."""
     return table[table.estimator != "simulator"].groupby(column).error.mean().sort_values()[:3]
 
@@ -237,7 +237,7 @@ RESOLUTION = Experiment(
     keys=("states", "n", "gravity", "estimator"),
     measures=("error", "number_of_states", "entries", "uncovered"),
     draw=draw_resolution,
-    finding=lambda table: f"Least error without data: {listed(least(table[table.n == 0], 'states'))}",
+    finding=lambda table: f"Least error without data: {listed(smallest(table[table.n == 0], 'states'))}",
     repetitions=3,
     smoke_repetitions=1,
     group="continuous",
@@ -303,7 +303,7 @@ CARTPOLE_CHOICE = Experiment(
         "error", "vertices", "strength", ("n",), log=True, ylabel=ERROR, xlabel="strength of the prior (transitions a row)",
         only=partial(keep, ("OEE, calibrated",)), axes={"xscale": "log"},
     ),
-    finding=lambda table: f"Least error, by vertices: {listed(least(table, 'vertices'))}",
+    finding=lambda table: f"Least error, by vertices: {listed(smallest(table, 'vertices'))}",
     repetitions=4,
     smoke_repetitions=1,
     group="continuous",

@@ -76,7 +76,7 @@ class Linear(CartPole):
     coefficients: Any = None
 
     @classmethod
-    def fitted(cls, log: ContinuousTransitions) -> Linear:
+    def fit(cls, log: ContinuousTransitions) -> Linear:
         """Least squares of the next state; the model knows where the pole has fallen."""
         design = cls.design(log.state, cls.actions[log.action])
         return cls(noise=0.0, coefficients=np.linalg.lstsq(design, log.next_state[:, 2:])[0])
@@ -181,7 +181,7 @@ def estimates(log: ContinuousTransitions, gravity: float, *, noise: float) -> tu
         "OEE, calibrated": found.calibrated,
         "model-based": model,
         "model-based, calibrated": model_mended,
-        "linear model": fine_values(Linear.fitted(log)),
+        "linear model": fine_values(Linear.fit(log)),
         "IS, per decision": importance_sampling(log, self_normalized=False),
         "IS, self-normalised": importance_sampling(log, self_normalized=True),
         "oracle": ideal,

@@ -28,7 +28,7 @@ DISCOUNT = 0.99
 
 
 @dataclass(frozen=True)
-class Case:
+class Change:
     """One change of one task.
 
     Attributes
@@ -75,7 +75,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Arm(Case):
+class Arm(Change):
     """The Kinova stand-in: values are means over the five goals, logs are of 10 runs to each."""
 
     def log(self, n: int, seed: Seed) -> ContinuousTransitions:
@@ -107,39 +107,39 @@ class Delayed(HistoryTask):
         return moved
 
 
-def _cartpole(**changes: Any) -> Case:
+def _cartpole(**changes: Any) -> Change:
     return replace(_CARTPOLE, target=classic.ChangedCartPole(**({"gravity": 10.0} | changes)))
 
 
-def _noisy(**changes: object) -> Case:
+def _noisy(**changes: object) -> Change:
     return replace(_cartpole(**changes), episodes=10_000)  # other noise is not the truth's: more of it is left
 
 
-_CARTPOLE = Case(
+_CARTPOLE = Change(
     "CartPole", CartPole(10.0), CartPole(10.0), cartpole_policy, sizes=(3000, 80_000), deltas=CARTPOLE_DELTAS,
     horizon=100, episodes=4000, scale=1.0 - DISCOUNT, grid=(32, 32),
 )  # fmt: skip
-_PENDULUM = Case("Pendulum", classic.Pendulum(), classic.Pendulum(), classic.swinging, grid=(41, 41))
-_CAR = Case("MountainCar", classic.MountainCar(), classic.MountainCar(), classic.rocking, grid=(40, 40))
-_ACROBOT = Case("Acrobot", classic.Acrobot(), classic.Acrobot(), classic.pumping, horizon=500)
-_CHAIN = Case("Chain", classic.Chain(), classic.Chain(), classic.braking, sizes=(20_000, 150_000), horizon=100)
+_PENDULUM = Change("Pendulum", classic.Pendulum(), classic.Pendulum(), classic.swinging, grid=(41, 41))
+_CAR = Change("MountainCar", classic.MountainCar(), classic.MountainCar(), classic.rocking, grid=(40, 40))
+_ACROBOT = Change("Acrobot", classic.Acrobot(), classic.Acrobot(), classic.pumping, horizon=500)
+_CHAIN = Change("Chain", classic.Chain(), classic.Chain(), classic.braking, sizes=(20_000, 150_000), horizon=100)
 
 
-def _reacher(length: float) -> Case:
-    return Case(
+def _reacher(length: float) -> Change:
+    return Change(
         "Reacher", Even(0.1, length), Even(length), reacher_policy, sizes=(150_000,), deltas=REACHER_DELTAS,
         horizon=100, episodes=1000, behavior=0.5,
     )  # fmt: skip
 
 
-def _arm(name: str) -> Case:
+def _arm(name: str) -> Change:
     return Arm(
         "Kinova", arm_of("simulator"), arm_of(name), functools.partial(kinova.kinova_policy, 0), sizes=(1250,),
         deltas=(0.0, 0.3), horizon=kinova.HORIZON, episodes=100,
     )  # fmt: skip
 
 
-CASES: dict[str, Case] = {
+CASES: dict[str, Change] = {
     "CartPole, gravity 7.5": _cartpole(gravity=7.5),
     "CartPole, gravity 12.5": _cartpole(gravity=12.5),
     "CartPole, gravity 15": _cartpole(gravity=15.0),

@@ -15,7 +15,7 @@ from oee_tabular.continuous.rows import corrected_value
 from oee_tabular.lab.findings import percent, reach
 from oee_tabular.lab.panels import panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
-from oee_tabular.lab.robots.changes.cases import CASES, DISCOUNT, Case
+from oee_tabular.lab.robots.changes.cases import CASES, DISCOUNT, Change
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +36,7 @@ def truth(name: str) -> MonteCarlo:
 
 
 @functools.lru_cache(maxsize=8)
-def pair(name: str) -> tuple[Case, np.ndarray]:
+def pair(name: str) -> tuple[Change, np.ndarray]:
     """The case, and returns in its target whose random numbers the corrected simulator shares."""
     case = replace(CASES[name], episodes=EPISODES, scale=1.0)
     return case, case.returns(case.target, POLICIES[name])

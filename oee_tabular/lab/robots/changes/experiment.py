@@ -19,7 +19,7 @@ from oee_tabular.exact import policy_value
 from oee_tabular.lab.findings import listed, percent
 from oee_tabular.lab.panels import panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
-from oee_tabular.lab.robots.changes.cases import CASES, Case
+from oee_tabular.lab.robots.changes.cases import CASES, Change
 from oee_tabular.ratio import transition_ratio
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     rows = [_row(case, SIMULATOR, name, [known(name, d, simulator=True) for d in case.deltas])]
     rows += [_row(case, what, name, [case.returns(task, d) for d in case.deltas]) for what, task in tasks.items()]
     if case.grid and int(settings["repetition"]) < GRID_SEEDS:
-        rows += [_row(case, what, name, found) for what, found in _on_grid(case, name, log).items()]
+        rows += [_row(case, what, name, found) for what, found in _grid_returns(case, name, log).items()]
     differs = any(coordinate.differs for coordinate in corrected.coordinates)
     return [{"n": n, **row, "hidden": float(hidden), "differs": float(differs)} for row in rows]
 
@@ -68,7 +68,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
 WITHOUT_LINEAR = ("Kinova",)  # 27 coordinates and 27 commands in 1250 moves
 
 
-def _row(case: Case, estimator: str, name: str, found: list[Array]) -> Row:
+def _row(case: Change, estimator: str, name: str, found: list[Array]) -> Row:
     """Values, errors, and how much of an error may be Monte Carlo's."""
     truth = [known(name, delta) for delta in case.deltas]
     apart = [returns - right for returns, right in zip(found, truth, strict=True)]
@@ -82,7 +82,7 @@ def _row(case: Case, estimator: str, name: str, found: list[Array]) -> Row:
     return row
 
 
-def _on_grid(case: Case, name: str, log: ContinuousTransitions) -> dict[str, list[Array]]:
+def _grid_returns(case: Change, name: str, log: ContinuousTransitions) -> dict[str, list[Array]]:
     """The log's zeta on a grid of the task's features, raw and calibrated by the simulator's ratio."""
     with warnings.catch_warnings(action="ignore"):  # states outside, transitions without support: left out here
         model = discretize(case.simulator, log, cells=case.grid, floor=FLOOR, closure_episodes=0)
