@@ -35,16 +35,11 @@ by the seed, with a counter of (step, stream, episode). So
 * episodes, transitions and returns are drawn from different streams: one seed for all three gives independent samples.
 
 Work is shared by Python threads over kernels that release the interpreter (``sampler``); runs of less than a million steps stay
-on the calling thread. A step of returns takes less than half of what a plain compiled
-loop needs (`tests/benchmarks/speed.py rollouts`).
+on the calling thread. A step of returns takes less than half of what a plain compiled loop needs
+(`tests/benchmarks/speed.py rollouts`).
 """
 
 from oee_tabular.simulate.logs import sample_episodes, sample_transitions
 from oee_tabular.simulate.returns import SampledReturns, sample_returns
 
-__all__ = [
-    "SampledReturns",
-    "sample_episodes",
-    "sample_returns",
-    "sample_transitions",
-]
+__all__ = ["SampledReturns", "sample_episodes", "sample_returns", "sample_transitions"]

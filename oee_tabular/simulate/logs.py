@@ -12,7 +12,7 @@ from oee_tabular._sparse import row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
-from oee_tabular.simulate.sampler import LOG_STREAM, Drawn, draw, draw_bag, entry_rewards
+from oee_tabular.simulate.sampler import BAG_STREAM, LOG_STREAM, Drawn, draw, entry_rewards
 
 
 def sample_episodes(mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon: int, *, seed: Seed) -> Transitions:
@@ -98,13 +98,13 @@ def sample_transitions(mdp: FiniteMDP, distribution: object, n: int, *, seed: Se
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
     size = _checks.positive_integer(n, "n")
-    _checks.require_memory(4.0 * size, "n", size)
     weights = _checks.float_array(distribution, "distribution", ndim=2)
     own = len(mdp.terminal_state)
     if weights.shape == (own, mdp.n_actions):  # of the environment's own shape: twins are not drawn from
         weights = np.concatenate([weights, np.zeros((mdp.n_states - own, mdp.n_actions))])
     weights = _checks.distribution(weights, "distribution", (mdp.n_states, mdp.n_actions))
-    path = draw_bag(mdp, weights.reshape(-1), size, seed=seed)
+    pairs, every = weights.reshape(-1), np.ones((weights.size, 1))
+    path = draw(mdp, every, size, 1, seed=seed, record=True, pairs=pairs, stream=BAG_STREAM, name="n").path
     state, action = np.divmod(row_of_entry(mdp.transitions)[path], mdp.n_actions)
     return Transitions(state, action, mdp.transitions.indices[path], entry_rewards(mdp)[path])
 

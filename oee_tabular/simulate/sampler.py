@@ -77,42 +77,29 @@ class Drawn:
 
 
 def draw(
-    mdp: FiniteMDP, policy: Array, n: int, horizon: int, *,
-    seed: Seed, zeta: object = None, record: bool = False, stream: np.uint64 = RETURN_STREAM, name: str = "n_episodes",
+    mdp: FiniteMDP, policy: Array, n: int, horizon: int, *, seed: Seed, zeta: object = None, record: bool = False,
+    pairs: Array | None = None, stream: np.uint64 = RETURN_STREAM, name: str = "n_episodes",
 ) -> Drawn:  # fmt: skip
     """n episodes of a checked policy: sums along each, weighted by ``zeta`` if given, and its path if it is to be recorded.
 
-    ``name``: what n is called.
+    ``pairs`` (S*A,): the distribution of the first pair, for episodes of one step whose states are pairs; ``policy`` is then
+    (S*A, 1). ``name``: what n is called.
     """
-    from oee_tabular.exact.walks import transition_factors  # not at import: logs do without
-
-    _checks.require_memory(9.0 * n, name, n)
-    terminal = mdp.absorbing()
-    ratio = np.zeros(0) if zeta is None else transition_factors(mdp, zeta, terminal)
-    table = alias_table(mdp, policy, mdp.initial, terminal, ratio)
-    return _follow(mdp, table, ratio, n, horizon, seed, stream, record)
-
-
-def draw_bag(mdp: FiniteMDP, distribution: Array, n: int, *, seed: Seed) -> IntArray:
-    """Entries of P, their rows from ``distribution`` (S*A,): the pairs are the first states of n episodes of one step."""
-    every, terminal = np.ones((len(distribution), 1)), np.zeros(len(distribution), dtype=np.bool_)
-    table = alias_table(mdp, every, distribution, terminal, np.zeros(0))
-    return _follow(mdp, table, np.zeros(0), n, 1, seed, BAG_STREAM, True).path
-
-
-def _follow(
-    mdp: FiniteMDP, table: AliasTable, ratio: Array, n: int, horizon: int, seed: Seed, stream: np.uint64, record: bool
-) -> Drawn:
     import numba
 
+    from oee_tabular.exact.walks import transition_factors  # not at import: logs do without
     from oee_tabular.simulate._rollout import draw_episodes
 
+    _checks.require_memory(9.0 * n, name, n)
+    terminal = mdp.absorbing() if pairs is None else np.zeros(len(pairs), dtype=np.bool_)
+    ratio = np.zeros(0) if zeta is None else transition_factors(mdp, zeta, terminal)
+    table = alias_table(mdp, policy, mdp.initial if pairs is None else pairs, terminal, ratio)
     key = np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
     sums, (lengths, last) = np.empty((4, n)), np.empty((2, n), dtype=np.int64)
     options = key, stream, horizon, mdp.discount, mdp.reward_data is not None, table, sums, lengths, last
     pieces, done, room = [np.empty(0, dtype=np.int64)], 0, min(n * horizon, N_RECORDED_STEPS)
     while record and done < n:
-        _checks.require_memory(2.0 * room, "n_episodes", n)
+        _checks.require_memory(2.0 * room, name, n)
         done, used = draw_episodes(done, n, *options, path := np.empty(room, dtype=np.int64))
         pieces.append(path[:used])
         room *= 2

@@ -5,8 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.tasks.embedded import Embedded, embedded_default
-from oee_tabular.tasks.gridworld import gridworld, gridworld_expert, gridworld_policy
+from oee_tabular.tasks.gridworld import Embedded, embedded_default, gridworld, gridworld_expert, gridworld_policy
 from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_text
 

@@ -8,6 +8,7 @@ the goal. The layout has row and column.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,8 +16,10 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.mdp import FiniteMDP, mix
+from oee_tabular.data import Transitions
+from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.mdp.policies import deterministic_policy
+from oee_tabular.simulate import sample_episodes
 
 MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 STATE_BYTES = 1800.0  # that are taken for each state while an MDP is made, measured
@@ -49,11 +52,10 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
     cells = np.stack(np.divmod(np.arange(n * n), n), axis=1)
     row, column = np.clip(cells[:, None] + MOVES, 0, n - 1).transpose(2, 0, 1)  # (S, 4), walls included
     next_cells = np.repeat(row * n + column, 4, axis=0)  # for each action, the four directions
-    next_cells[-4:] = n * n - 1  # the goal
     weights = np.full((4, 4), wrong / 3.0)
     np.fill_diagonal(weights, 1.0 - wrong)
     weights = np.tile(weights, (n * n, 1))
-    weights[-4:] = [1.0, 0.0, 0.0, 0.0]  # exactly 1, which the sum of the four need not be
+    weights[-4:] = [1.0, 0.0, 0.0, 0.0]  # the goal's first direction, into a wall; a sum of four need not be exactly 1
     pointers = np.arange(0, 16 * n * n + 1, 4)
     transitions = sparse.csr_array((weights.ravel(), next_cells.ravel(), pointers), shape=(4 * n * n, n * n))
     rewards: Array | sparse.csr_array = 0.2 * (cells.sum(axis=1) - (2 * n - 2))
@@ -98,3 +100,57 @@ def gridworld_policy(size: int, delta: float) -> Array:
     """
     expert = gridworld_expert(size)
     return mix(expert, np.full_like(expert, 0.25), _checks.number_in(delta, "delta", 0.0, 1.0))
+
+
+# ---- the default problem of ``oee evaluate``: the 10 x 10 grid at n = 3162 (the paper's Figure 1 b, c, d)
+
+
+@dataclass(frozen=True, eq=False)
+class Embedded:
+    """What a problem is made of, the policies to evaluate, and the target that made the log.
+
+    Attributes
+    ----------
+    simulator, target : FiniteMDP
+    log : 3162 transitions, drawn from ``episodes`` without replacement
+    episodes : 50 whole episodes of ``behavior_policy``, for importance sampling
+    behavior_policy : (S, A), uniform
+    policies : name -> (S, A), whose values are asked: the expert's with a probability, else uniform
+    horizon : number of rewards of a value
+
+    Examples
+    --------
+    >>> embedded_default(seed=1).target.n_states
+    100
+    """
+
+    simulator: FiniteMDP
+    target: FiniteMDP
+    log: Transitions
+    episodes: Transitions
+    behavior_policy: Array
+    policies: dict[str, Array]
+    horizon: int = 200
+
+
+def embedded_default(*, seed: int, discount: float = 0.99) -> Embedded:
+    """Make the default problem: slip 0.3 simulated, 0.1 real.
+
+    Parameters
+    ----------
+    seed : of the log
+    discount : float in [0, 1]
+
+    Examples
+    --------
+    >>> default = embedded_default(seed=0)
+    >>> len(default.log), list(default.policies)
+    (3162, ['10% expert', '50% expert', '90% expert'])
+    """
+    simulator, target = (gridworld(10, slip, discount=discount) for slip in (0.3, 0.1))
+    generator = np.random.default_rng(seed)
+    behavior = uniform_policy(target)
+    episodes = sample_episodes(target, behavior, 50, 1000, seed=generator)
+    log = episodes.draw(3162, seed=generator)
+    policies = {f"{delta:.0%} expert": gridworld_policy(10, delta) for delta in (0.1, 0.5, 0.9)}
+    return Embedded(simulator, target, log, episodes, behavior, policies)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -137,7 +137,11 @@ def record_episodes(
     n_rows = len(policy) if count_dimensions(policy) == 2 else 0  # type: ignore[arg-type]
     numbered = SimpleNamespace(n_states=max(n_rows, sizes[0]), n_actions=sizes[1], terminal_state=np.arange(sizes[0]))
     pi = check_policy(policy, numbered)
-    rows = _step(env, pi, limit, episodes, longest, _checks.generator(seed))
+    rows, progress = [], progress_bar("recording", total=limit or episodes)
+    for row in itertools.islice(_step(env, pi, episodes, longest, _checks.generator(seed)), limit):
+        rows.append(row)
+        progress.update(1 if episodes is None else int(row[4] or row[5]))
+    progress.close()
     states, actions, next_states, rewards, terminated, truncated, episode = map(np.array, zip(*rows, strict=True))
     truncated[-1] = True  # unless it terminated
     return Transitions(
@@ -161,26 +165,19 @@ def _count(env: object, name: str) -> int:
 
 
 def _step(
-    env: Any, pi: Array, limit: int | None, episodes: int | None, longest: int | None, generator: np.random.Generator
-) -> list[tuple[int, int, int, float, bool, bool, int]]:
-    """Rows s, a, s', r, terminated, truncated, episode: ``limit`` of them, or those of so many ``episodes``."""
+    env: Any, pi: Array, episodes: int | None, longest: int | None, generator: np.random.Generator
+) -> Iterator[tuple[int, int, int, float, bool, bool, int]]:
+    """Rows s, a, s', r, terminated, truncated, episode: those of so many ``episodes``, or without an end."""
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
-    rows: list[tuple[int, int, int, float, bool, bool, int]] = []
     first_seed: int | None = int(generator.integers(2**31))
-    progress = progress_bar("recording", total=limit or episodes)
     for episode in itertools.count() if episodes is None else range(episodes):
         state, has_ended, steps = int(env.reset(seed=first_seed)[0]), False, 0
         first_seed = None
-        while not has_ended and len(rows) != limit:
+        while not has_ended:
             action = int(np.searchsorted(cumulative[state], generator.random(), side="right"))
             next_state, reward, terminated, truncated, _ = env.step(action)
             steps += 1
             truncated = bool(truncated) or steps == longest
-            rows.append((state, action, int(next_state), float(reward), bool(terminated), truncated, episode))
+            yield state, action, int(next_state), float(reward), bool(terminated), truncated, episode
             state, has_ended = int(next_state), bool(terminated) or truncated
-            progress.update(1 if limit is not None else int(has_ended))
-        if len(rows) == limit:
-            break
-    progress.close()
-    return rows

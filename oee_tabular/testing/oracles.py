@@ -215,10 +215,8 @@ def compare_with_oracle(
     for k in range(times):
         log = draw(seed=_checks.seed_sequence(seed, (k,)))
         estimate = own(Problem(simulator, log, horizon=horizon, behavior_policy=behavior), pi.copy(), seed=k)
-        if estimate.status == "ok":
-            values.append(float(estimate.value))
-        else:
-            statuses.append(estimate.status)
+        values += [float(estimate.value)] if estimate.status == "ok" else []
+        statuses += [estimate.status] if estimate.status != "ok" else []
     limit = getattr(own.function, "limit", None)
     return Comparison(
         estimator=name_of(own.function),

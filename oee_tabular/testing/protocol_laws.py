@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import random
 from collections.abc import Iterator
 from dataclasses import replace
@@ -122,20 +123,15 @@ def _estimate_in_state(subject: Subject, pair: Case, log: Transitions, state: in
     def watched(problem: Problem, policy: PolicyLike, seed: int) -> Estimate:
         random.seed(state)
         np.random.seed(state)  # noqa: NPY002 (what is watched over is the global one)
-        states.append(_random_state())
+        states.append(pickle.dumps((random.getstate(), np.random.get_state())))  # noqa: NPY002
         answer = estimator(problem, policy, seed=seed)
-        states.append(_random_state())
+        states.append(pickle.dumps((random.getstate(), np.random.get_state())))  # noqa: NPY002
         return answer
 
     estimate = call(watched, pair.problem_of(log), pair.policy.copy(), 7)
     if states[0] != states[1]:
         raise Broken("it changes the global random state (random, numpy.random)")
     return estimate
-
-
-def _random_state() -> object:
-    parts: Any = np.random.get_state()  # noqa: NPY002
-    return random.getstate(), [part.tobytes() if isinstance(part, np.ndarray) else part for part in parts]
 
 
 @on_cases("ragged")

@@ -209,13 +209,13 @@ def logs(
     max_steps: int = 5,
     rewards: bool = True,
 ) -> st.SearchStrategy[Transitions]:
-    """Logs of ``mdp``: any moves that it can make, whatever their probability.
+    """Logs of ``mdp``: any transitions that it can make, whatever their probability.
 
     Parameters
     ----------
     mdp : FiniteMDP
     kind : "episodes": ragged, from the initial distribution's support, terminated on arrival in an absorbing state, truncated
-        otherwise; "transitions": a bag of moves from anywhere; None: either
+        otherwise; "transitions": a bag of transitions from anywhere; None: either
     behavior_policy : (S, A) whose actions are taken and whose probabilities are recorded; None: uniform
     max_episodes, max_steps : sizes, from 1 (a bag has at most their product of rows)
     rewards : whether rewards are recorded
@@ -272,8 +272,7 @@ def _rows(size: int, certain: Iterable[int] = ()) -> st.SearchStrategy[Array]:
     def normalize(drawn: list[int]) -> Array:
         weights = np.array(drawn, dtype=np.float64)
         weights[list(certain)] += 1.0
-        if weights.sum() == 0.0:
-            weights[0] = 1.0
+        weights[0] += weights.sum() == 0.0
         return np.asarray(weights / weights.sum())
 
     return st.lists(st.sampled_from(WEIGHTS), min_size=size, max_size=size).map(normalize)

@@ -104,16 +104,16 @@ class Subject:
         with capture_errors("making the estimator"):
             return self.make(copy.deepcopy(pair.simulator), copy.deepcopy(pair.target))
 
-    def estimate(self, pair: Case, log: Transitions, seed: int, *, rollouts: int | None = None) -> Estimate:
+    def estimate(self, pair: Case, log: Transitions, seed: int, *, rollouts: int = 0) -> Estimate:
         """One well-formed estimate, or ``Broken``; ``rollouts``: at least so many, for an estimator that has such a field."""
         estimator = self.estimator(pair)
         own = getattr(estimator, "n_rollouts", None)
-        if rollouts is not None and isinstance(own, int) and dataclasses.is_dataclass(estimator):
+        if rollouts and isinstance(own, int) and dataclasses.is_dataclass(estimator):
             with capture_errors("dataclasses.replace(estimator, n_rollouts=...)"):
                 estimator = dataclasses.replace(estimator, n_rollouts=max(own, rollouts))  # type: ignore[type-var]
         return call(estimator, pair.problem_of(log), pair.policy.copy(), seed)
 
-    def value(self, pair: Case, log: Transitions, seed: int = 0, *, rollouts: int | None = None) -> float:
+    def value(self, pair: Case, log: Transitions, seed: int = 0, *, rollouts: int = 0) -> float:
         """The value of one estimate; ``Broken`` where its status is not "ok"."""
         estimate = self.estimate(pair, log, seed, rollouts=rollouts)
         if estimate.status != "ok":
@@ -163,7 +163,12 @@ def call(estimator: Any, problem: Problem, policy: Array, seed: int) -> Estimate
 
 def find_defect(estimate: Any) -> str:
     """What is wrong with an estimate, whose fields may hold anything; or nothing."""
-    value, error = estimate.value, estimate.standard_error
+    value, error, interval = estimate.value, estimate.standard_error, estimate.interval
+    try:
+        lower, upper = (0.0, 0.0) if interval is None else interval
+        is_ordered = bool(lower <= upper)
+    except (TypeError, ValueError):
+        is_ordered = False
     if not is_number(value):
         return f"value must be a float; it is {type(value).__name__}"
     if not estimate.status:
@@ -172,16 +177,10 @@ def find_defect(estimate: Any) -> str:
         return f'value must be finite where status is "ok"; it is {float(value)}'
     if error is not None and not (is_number(error) and np.isfinite(error) and error >= 0):
         return f"standard_error must be None or a nonnegative number; it is {error!r}"
-    try:
-        lower, upper = (0.0, 0.0) if estimate.interval is None else estimate.interval
-        is_ordered = bool(lower <= upper)
-    except (TypeError, ValueError):
-        is_ordered = False
     if not is_ordered:
-        return f"interval must be None or (lower, upper) with lower <= upper; it is {estimate.interval!r}"
-    if not isinstance(estimate.diagnostics, dict):
-        return f"diagnostics must be a dict; it is {type(estimate.diagnostics).__name__}"
-    return ""
+        return f"interval must be None or (lower, upper) with lower <= upper; it is {interval!r}"
+    is_fine = isinstance(estimate.diagnostics, dict)
+    return "" if is_fine else f"diagnostics must be a dict; it is {type(estimate.diagnostics).__name__}"
 
 
 @contextmanager
