@@ -30,14 +30,14 @@ def redraw(names):
     """The figures and pages of the saved tables; all of them without names."""
     from oee_tabular import _files
     from oee_tabular.lab import output
-    from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+    from oee_tabular.lab.experiments.catalogue import EXPERIMENTS, choose
 
-    for experiment in EXPERIMENTS.choose(names, everything=not names):
+    for experiment in choose(names, everything=not names):
         table = saved(experiment.id)
         summary = output.summary_of(experiment, table)
         page = output.markdown(experiment.settings(), table, summary).encode()
         _files.write_all(RESULTS / experiment.id, {"summary.md": page, **output.figures(experiment, table, summary)})
-    output.index(RESULTS, EXPERIMENTS)
+    output.index(RESULTS, EXPERIMENTS.values())
 
 
 if __name__ == "__main__":

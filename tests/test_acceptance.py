@@ -126,7 +126,7 @@ def test_off_environment_converges_at_the_root_of_n(data, monkeypatch):
         rows = []
         for repetition in range(25):
             cell = {"data": data, "n": n, "repetition": repetition}
-            rows += programs.RATE.run(cell, Stream("rate", 9, cell))
+            rows += programs.rate.run(cell, Stream("rate", 9, cell))
         for ratio, sizes in found.items():
             errors = [row["squared_error"] for row in rows if row["ratio"] == ratio]
             sizes.append(np.sqrt(np.mean(errors)))

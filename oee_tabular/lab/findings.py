@@ -3,24 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
-
-LARGEST = 12.0  # points
-SHARE = 0.98  # of the figure's width
-
-
-def entitle(figure: Figure, text: str) -> None:
-    """The title of a whole figure: one line, in letters small enough for its width."""
-    if text:
-        title = figure.suptitle(text, fontsize=LARGEST)
-        title.set_parse_math(False)
-        title.set_fontsize(LARGEST * min(1.0, SHARE * figure.bbox.width / title.get_window_extent().width))
 
 
 def number(x: float) -> str:
@@ -47,27 +33,10 @@ def reach(values: Iterable[float], write: Callable[[float], str] = number) -> st
     >>> reach([0.5, 0.1, 0.3]), reach([0.5])
     ('0.1 to 0.5', '0.5')
     """
-    ends = np.array(list(values), dtype=float)
-    return " to ".join(dict.fromkeys([write(ends.min()), write(ends.max())]))
+    ordered = sorted(values)
+    return " to ".join(dict.fromkeys([write(ordered[0]), write(ordered[-1])]))
 
 
 def listed(values: pd.Series[float], write: Callable[[float], str] = number) -> str:
     """Each value with its name, in their order: "0.01 (default), 0.2 (simulator)"."""
     return ", ".join(f"{write(x)} ({name})" for name, x in values.items())
-
-
-def rank(
-    what: str, y: str, by: str, x: str = "n", *, how: Callable[[Any], float] = np.mean, names: Iterable[str] = ()
-) -> Callable[[pd.DataFrame], str]:
-    """A finding: the statistic ``how`` of ``y`` at the largest ``x``, for the three smallest of ``by``, or for ``names``.
-
-    It reads "RMSE at n = 31623: 0.0041 (default), 0.012 (simulator)".
-    """
-
-    def find(table: pd.DataFrame) -> str:
-        last = table[x].max()
-        values = table[table[x] == last].groupby(by)[y].apply(how).sort_values()
-        chosen = values[[name for name in values.index if name in names]] if names else values
-        return f"{what} at {x} = {last:g}: {listed(chosen.head(3))}"
-
-    return find

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _files
-from oee_tabular.lab.findings import entitle
 from oee_tabular.lab.registry import Experiment, RunSettings
 from oee_tabular.lab.store import Store, refuse_links
 
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STATISTICS = ("mean", "sd", "se")  # of a measure over the seeds
+TITLE_SIZE = 12.0  # points at most
 
 
 def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
@@ -26,9 +26,8 @@ def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
     grouped = table.groupby(list(experiment.keys), sort=False, dropna=False)
     parts: list[Any] = [grouped.size().rename("seeds")]
     for measure in experiment.measures:
-        parts.append(
-            grouped[measure].agg(["mean", "std", "sem"]).set_axis([f"{measure}_{name}" for name in STATISTICS], axis=1)
-        )
+        columns = [f"{measure}_{name}" for name in STATISTICS]
+        parts.append(grouped[measure].agg(["mean", "std", "sem"]).set_axis(columns, axis=1))
     summary: pd.DataFrame = pd.concat(parts, axis=1).reset_index()
     if experiment.paper is not None:
         summary["paper"] = experiment.paper(summary)
@@ -56,7 +55,7 @@ def figures(experiment: Experiment, table: pd.DataFrame, summary: pd.DataFrame) 
     def draw(figure: Figure) -> None:
         experiment.draw(table, summary, figure)
         share_legend(figure)
-        entitle(figure, experiment.finding(table))
+        set_title(figure, experiment.finding(table))
 
     return {f"figure.{kind}": content for kind, content in draw_bytes(draw, salt=experiment.id).items()}
 
@@ -69,52 +68,55 @@ def draw_bytes(
     from matplotlib.figure import Figure
 
     metadata: dict[str, object] = {"svg": {"Date": None}, "png": {"Software": None}}
-    found = {}
+    contents = {}
     with mpl.rc_context({"svg.hashsalt": salt, "svg.fonttype": "none"}):
         figure = Figure(layout="constrained")
         draw(figure)
         for kind in kinds:
             buffer = io.BytesIO()
             figure.savefig(buffer, format=kind, dpi=110, metadata=metadata[kind])
-            found[kind] = buffer.getvalue()
-    return found
+            contents[kind] = buffer.getvalue()
+    return contents
 
 
 def share_legend(figure: Figure) -> None:
-    """One legend below the panels instead of one in each, where the panels have the same series and more than three."""
-    drawn = [ax for ax in figure.axes if ax.get_visible() and ax.get_legend() is not None]
+    """One legend below the panels instead of one in each, where one panel has the series of all and more than three."""
+    drawn = [ax for ax in figure.axes if ax.get_legend() is not None]
     entries = [dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True)) for ax in drawn]
-    every: dict[str, Any] = {}
-    for entry in entries:
-        every |= {label: handle for label, handle in entry.items() if label not in every}
-    if not drawn or len(every) <= 3 or max(len(every) - len(entry) for entry in entries) > 3:
+    most: dict[str, Any] = max(entries, key=len, default={})
+    if len(most) <= 3 or any(entry.keys() - most.keys() for entry in entries):
         return
     for ax in drawn:
-        legend = ax.get_legend()
-        assert legend is not None
-        legend.remove()
-    longest = max(map(len, every))
-    columns = max(1, min(len(every), int(figure.get_figwidth() * 11 / (longest + 8))))
-    figure.legend(list(every.values()), list(every), loc="outside lower center", ncols=columns, fontsize="small")
+        ax.legend().remove()
+    columns = int(figure.get_figwidth() * 11 / (max(map(len, most)) + 8))
+    columns = min(max(1, columns), len(most))
+    figure.legend(list(most.values()), list(most), loc="outside lower center", ncols=columns, fontsize="small")
 
 
-def heading(experiment: Experiment, table: pd.DataFrame) -> list[str]:
-    """The first lines of the page: its title, and the figure with what it shows."""
-    return [f"# {experiment.title}", "", f"![{experiment.finding(table) or experiment.title}](figure.png)"]
+def set_title(figure: Figure, text: str) -> None:
+    """The title of a whole figure: one line, in letters small enough for its width."""
+    if text:
+        title = figure.suptitle(text, fontsize=TITLE_SIZE)
+        title.set_parse_math(False)
+        width = title.get_window_extent().width
+        title.set_fontsize(TITLE_SIZE * min(1.0, 0.98 * figure.bbox.width / width))
 
 
 def markdown(settings: RunSettings, table: pd.DataFrame, summary: pd.DataFrame) -> str:
-    """The summary as a page."""
+    """The summary as a page: its title, the figure with what it shows, how it was made, the numbers."""
     experiment = settings.experiment
-    command = f"oee reproduce {experiment.id}"
-    is_small = dict(settings.axes) != {name: tuple(values) for name, values in experiment.axes.items()}
-    command += " --smoke" if is_small else ""
-    if settings.repetitions != (experiment.smoke_repetitions if is_small else experiment.repetitions):
-        command += f" --seeds {settings.repetitions}"
+    is_full = settings.as_dict()["axes"] == experiment.settings().as_dict()["axes"]
+    command = f"oee reproduce {experiment.id}{'' if is_full else ' --smoke'} --seeds {settings.repetitions}"
     command += f" --seed {settings.seed}" if settings.seed else ""
     axes = "; ".join(f"{name} {', '.join(map(str, values))}" for name, values in settings.axes.items())
-    made = f"`{command}`, {settings.repetitions} seeds a cell ({axes}); every seed is in table.csv."
-    return "\n\n".join(["\n".join(heading(experiment, table)), experiment.caption, made, pipe_table(summary)]) + "\n"
+    parts = [
+        f"# {experiment.title}",
+        f"![{experiment.finding(table) or experiment.title}](figure.png)",
+        experiment.caption,
+        f"`{command}` ({axes}); every seed is in table.csv.",
+        pipe_table(summary),
+    ]
+    return "\n\n".join(parts) + "\n"
 
 
 def pipe_table(frame: pd.DataFrame) -> str:
@@ -125,11 +127,9 @@ def pipe_table(frame: pd.DataFrame) -> str:
             return "" if np.isnan(value) else f"{value:.4g}"
         return str(value).replace("|", "\\|")
 
-    lines = ["| " + " | ".join(map(text, frame.columns)) + " |", "|" + "---|" * len(frame.columns)]
-    lines += [
-        "| " + " | ".join(text(value) for value in row) + " |" for row in frame.itertuples(index=False, name=None)
-    ]
-    return "\n".join(lines)
+    rows: list[Iterable[object]] = [frame.columns, *frame.itertuples(index=False, name=None)]
+    lines = ["| " + " | ".join(map(text, row)) + " |" for row in rows]
+    return "\n".join([lines[0], "|" + "---|" * len(frame.columns), *lines[1:]])
 
 
 def index(output: Path, experiments: Iterable[Experiment]) -> Path:
@@ -137,11 +137,8 @@ def index(output: Path, experiments: Iterable[Experiment]) -> Path:
     parts = ["# Results"]
     for experiment in experiments:
         if (output / experiment.id / "summary.md").is_file():
-            parts += [
-                f"## [{experiment.title}]({experiment.id}/summary.md)",
-                f"![{experiment.title}]({experiment.id}/figure.png)",
-                experiment.caption,
-            ]
+            title, folder = experiment.title, experiment.id
+            parts += [f"## [{title}]({folder}/summary.md)", f"![{title}]({folder}/figure.png)", experiment.caption]
     refuse_links(output, ["index.md"])
     _files.write_all(output, {"index.md": ("\n\n".join(parts) + "\n").encode()})
     return output / "index.md"

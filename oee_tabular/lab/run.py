@@ -8,11 +8,11 @@ after the other; an interrupted sweep goes on from there, or is written with as 
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from oee_tabular.lab.registry import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.store import Store, alone, code_version
 
 ATTEMPTS = 3  # of a cell whose worker died
+DEATHS = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")  # of a worker, in loky and dask
 
 
 @dataclass(frozen=True)
@@ -53,14 +54,7 @@ def run_and_write(
     say: Callable[[str], object],
     **options: Any,
 ) -> None:
-    """What both commands do in a folder that is theirs alone: compute, write the files, say what was done.
-
-    Parameters
-    ----------
-    write : makes the files of a finished store
-    say : is told the sweep and its seconds
-    options : as in ``run_experiment``
-    """
+    """What both commands do in a folder that is theirs alone: compute, write the files, say what was done."""
     start = time.perf_counter()
     with alone(folder):
         sweep = run_experiment(folder, settings, **options)
@@ -79,20 +73,8 @@ def run_experiment(
 ) -> Sweep:
     """Compute the cells that are not in the folder yet.
 
-    Parameters
-    ----------
-    jobs : processes on this machine, no more than cells are left; -1: one a core
-    dask : address of a dask scheduler; the cells go there instead
-    fresh : empty the folder first
-
-    Raises
-    ------
-    ValueError
-        Results of other settings in the folder; jobs = 0.
-    OSError
-        No scheduler at the address (within ten seconds, before anything is written).
-    RuntimeError
-        A worker with another version of the package, or with several threads; workers that died three times in a row.
+    ``jobs``: processes on this machine, no more than cells are left; -1: one a core. ``dask``: address of a scheduler, where
+    the cells go instead. ``fresh``: empty the folder first. Nothing is written before the workers are there and have this code.
     """
     if isinstance(jobs, bool) or not isinstance(jobs, int | np.integer) or jobs == 0 or jobs < -1:
         raise ValueError(f"jobs must be a positive number, or -1 for one a core; got {jobs!r}")
@@ -109,14 +91,12 @@ def run_experiment(
             settings.experiment.id, total=total, initial=total - len(todo), unit="cell", delay=0.0,
             disable=not progress, leave=True,
         ) as bar:  # fmt: skip
-            _compute(store, todo, partial(parallel, jobs=jobs, dask=dask), bar)
+            _compute(store, dict(enumerate(todo)), jobs, dask, bar)
     return Sweep(store, len(todo), total - len(todo))
 
 
 def require_modules(experiment: Experiment) -> None:
     """ImportError that names the extra where an experiment's modules are missing."""
-    import importlib.util
-
     missing = [name for name in experiment.requires if importlib.util.find_spec(name) is None]
     if missing:
         raise ImportError(
@@ -125,21 +105,25 @@ def require_modules(experiment: Experiment) -> None:
         )
 
 
-def _compute(store: Store, todo: list[Cell], start: Callable[..., Any], bar: Any) -> None:
-    settings, left, attempt = store.settings, dict(enumerate(todo)), 0
-    own = settings.experiment.run, settings.experiment.id, settings.seed, settings.modules, store.code
-    while True:
+def _compute(store: Store, left: dict[int, Cell], jobs: int, dask: str | None, bar: Any) -> None:
+    """Compute and keep the cells; those of a worker that was killed are tried again."""
+    settings, experiment, attempt = store.settings, store.settings.experiment, 0
+    while left:
         before = len(left)
-        tasks = [joblib.delayed(_run_cell)(number, cell, *own) for number, cell in left.items()]
+        tasks = [
+            joblib.delayed(_run_cell)(
+                number, experiment.run, Stream(experiment.id, settings.seed, cell), settings.modules, store.code
+            )
+            for number, cell in left.items()
+        ]
         try:
             with _without_interrupts():
-                results = start(len(left), return_as="generator_unordered")(tasks)
+                results = parallel(before, jobs, dask, return_as="generator_unordered")(tasks)
             for number, rows in results:
                 store.add(left.pop(number), rows)
                 bar.update()
-            return
         except Exception as error:
-            if not _is_death(error):
+            if type(error).__name__ not in DEATHS:
                 raise
             attempt = 1 if len(left) < before else attempt + 1
             if attempt == ATTEMPTS:
@@ -150,24 +134,17 @@ def _compute(store: Store, todo: list[Cell], start: Callable[..., Any], bar: Any
 
 
 def _run_cell(
-    number: int, cell: Cell, run: Callable[[Cell, Stream], list[Row]], name: str, seed: int, modules: Any, code: str
+    number: int, run: Callable[[Cell, Stream], list[Row]], stream: Stream, modules: tuple[str, ...], code: str
 ) -> tuple[int, list[Row]]:
     """The rows of one cell, with one thread; refused where the package is another version than the one that asks."""
     from threadpoolctl import threadpool_limits
 
     _refuse_other_code("a worker", code_version(*modules), code)
     with threadpool_limits(limits=1):
-        rows = run(cell, Stream(name, seed, cell))
+        rows = run(stream.cell, stream)
     return number, [
         {key: value.item() if isinstance(value, np.generic) else value for key, value in row.items()} for row in rows
     ]
-
-
-def _refuse_other_code(worker: str, found: object, asked: str) -> None:
-    if found != asked:
-        raise RuntimeError(
-            f"{worker} must have this version of oee_tabular, {asked}; it has {found} (install the same there)"
-        )
 
 
 def _check_workers(client: Any) -> None:
@@ -181,6 +158,13 @@ def _check_workers(client: Any) -> None:
         _refuse_other_code(f"the worker at {address}", version, code_version())
 
 
+def _refuse_other_code(worker: str, found: object, asked: str) -> None:
+    if found != asked:
+        raise RuntimeError(
+            f"{worker} must have this version of oee_tabular, {asked}; it has {found} (install the same there)"
+        )
+
+
 @contextlib.contextmanager
 def _without_interrupts() -> Iterator[None]:
     """Processes that are started here are not interrupted by Ctrl-C: this one is, and ends them."""
@@ -192,10 +176,3 @@ def _without_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _is_death(error: Exception) -> bool:
-    """Whether a worker was killed, rather than the cell's own code failing."""
-    from concurrent.futures.process import BrokenProcessPool
-
-    return isinstance(error, BrokenProcessPool) or type(error).__name__ in ("TerminatedWorkerError", "KilledWorker")

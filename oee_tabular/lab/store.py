@@ -121,13 +121,13 @@ class Store:
         if fresh and folder.exists():
             self._empty()
         if (folder / SETTINGS).is_file():
-            self._compare(_read_settings(folder / SETTINGS))
+            self._compare()
         self._done: dict[str, list[Row]] = {}
         self._others: list[str] = []
         self.damaged = 0
         if (folder / CELLS).is_file():
             for line in (folder / CELLS).read_bytes().splitlines():
-                self._take(line)
+                self._read(line)
         self.stale = len(self._others)
 
     def _empty(self) -> None:
@@ -140,8 +140,9 @@ class Store:
         for path in present:
             path.unlink()
 
-    def _compare(self, there: dict[str, Any]) -> None:
-        asked = _flatten(self.settings.as_dict())
+    def _compare(self) -> None:
+        """ValueError where the folder has other settings, with the difference."""
+        there, asked = _read_settings(self.folder / SETTINGS), _flatten(self.settings.as_dict())
         names = [name for name in {**there, **asked} if there.get(name) != asked.get(name)]
         is_written = any((self.folder / name).exists() for name in FILES[2:])
         if not names or (names == ["repetitions"] and (not is_written or there[names[0]] < asked[names[0]])):
@@ -154,14 +155,13 @@ class Store:
             "another folder)"
         )
 
-    def _take(self, line: bytes) -> None:
+    def _read(self, line: bytes) -> None:
         """One line of cells.jsonl: a finished cell, one of other code, or damaged."""
         try:
-            entry = json.loads(line)
-            content, checksum = entry["content"], entry["sha256"]
-            if checksum != _sha256(content) or content["of"] != self._of(content["of"]["cell"]):
+            content = json.loads(line)["content"]
+            cell, rows, code = content["of"]["cell"], content["rows"], content["code"]
+            if line + b"\n" != self._line(cell, rows, code).encode():
                 raise ValueError("it is not what was written here")
-            code, cell, rows = content["code"], content["of"]["cell"], content["rows"]
             self._require_columns(cell, rows)
         except (*JSON_ERRORS, AttributeError, KeyError, TypeError, OverflowError):
             self.damaged += 1
@@ -169,46 +169,38 @@ class Store:
         if code == self.code:
             self._done[_name(cell)] = rows
         else:
-            self._others.append(json.dumps(entry) + "\n")
-
-    def _of(self, cell: Cell) -> dict[str, Any]:
-        settings = self.settings
-        return {
-            "experiment": settings.experiment.id, "seed": settings.seed, "asked": dict(settings.asked), "cell": dict(cell)
-        }  # fmt: skip
+            self._others.append(line.decode() + "\n")
 
     def _require_columns(self, cell: Cell, rows: list[Row]) -> None:
         """ValueError where rows are not those that the experiment's cells have: its keys, numbers as its measures."""
-        experiment = self.settings.experiment
-        axes = self.settings.axes
+        experiment, axes = self.settings.experiment, self.settings.axes
         is_cell = {*cell} == {*axes, "repetition"} and all(cell[name] in values for name, values in axes.items())
         if not is_cell or not isinstance(cell["repetition"], int) or not rows or not isinstance(rows, list):
             raise ValueError("a cell of the axes has rows")
         for row in rows:
-            if not all(isinstance(value, Scalar | None) for value in row.values()):
-                raise ValueError("a row holds plain values")
-            if not {*experiment.keys} <= {*cell, *row}:
-                raise ValueError("a row has every key")
-            numbers = {name: row[name] for name in experiment.measures if name in row}
-            first = [numbers[name] for name in experiment.measures[:1]]  # in every row, and finite
-            if not all(isinstance(value, float | int) for value in numbers.values()) or not all(
-                map(math.isfinite, first)
+            numbers = [row[name] for name in experiment.measures if name in row]
+            first = [row[name] for name in experiment.measures[:1]]  # in every row, and finite
+            if (
+                not all(isinstance(value, Scalar | None) for value in row.values())
+                or not {*experiment.keys} <= {*cell, *row}
+                or not all(isinstance(value, float | int) for value in numbers)
+                or not all(map(math.isfinite, first))
             ):
-                raise ValueError("a measure is a number")
+                raise ValueError("a row holds plain values, every key, and numbers as measures")
 
     def open(self) -> None:
         """Make the folder and say what it will hold; what did not fit leaves cells.jsonl."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        cells = [cell for cell in self.settings.cells() if _name(cell) in self._done]
-        kept = {_name(cell): self._line(cell, self._done[_name(cell)]) for cell in cells}
-        more = [self._line(json.loads(name), rows) for name, rows in self._done.items() if name not in kept]
         settings = json.dumps(self.settings.as_dict(), indent=1) + "\n"
-        lines = "".join([*self._others, *kept.values(), *more])
-        _files.write_all(self.folder, {SETTINGS: settings.encode(), CELLS: lines.encode()})
+        lines = [*self._others, *(self._line(json.loads(name), rows, self.code) for name, rows in self._done.items())]
+        _files.write_all(self.folder, {SETTINGS: settings.encode(), CELLS: "".join(lines).encode()})
 
-    def _line(self, cell: Cell, rows: list[Row]) -> str:
-        content = {"of": self._of(cell), "code": self.code, "rows": rows}
-        return json.dumps({"content": content, "sha256": _sha256(content)}) + "\n"
+    def _line(self, cell: Cell, rows: list[Row], code: str) -> str:
+        settings = self.settings
+        own = {"experiment": settings.experiment.id, "seed": settings.seed, "asked": dict(settings.asked)}
+        content = {"of": own | {"cell": dict(cell)}, "code": code, "rows": rows}
+        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        return json.dumps({"content": content, "sha256": digest}) + "\n"
 
     def missing(self) -> list[Cell]:
         """The cells that are still to be computed, one repetition of all after the other."""
@@ -217,7 +209,7 @@ class Store:
 
     def add(self, cell: Cell, rows: list[Row]) -> None:
         """Keep a finished cell, written before this returns."""
-        line = self._line(cell, rows)
+        line = self._line(cell, rows, self.code)
         path = self.folder / CELLS
         try:
             with open(path, "a", opener=_open_plain) as handle:
@@ -242,10 +234,6 @@ def _open_plain(path: str, flags: int) -> int:
 
 def _name(cell: Cell) -> str:
     return json.dumps(dict(cell), sort_keys=True)
-
-
-def _sha256(content: object) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _read_settings(path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from oee_tabular.lab.run import run_experiment
 
 
 def noise(cell, stream):
-    """A cell that needs BLAS, and gives numbers that are hard to print."""
+    """Numbers that need BLAS, and are hard to print."""
     matrix = stream.generator().normal(size=(60, 60))
     value = float(np.linalg.inv(matrix @ matrix.T + np.eye(60)).sum())
     return [{"name": name, "value": value * factor} for name, factor in (("one", 1.0), ("third", 1 / 3))]
@@ -20,7 +20,7 @@ def experiment(run=noise, **options):
 
     plain = {
         "id": "noise", "title": "Noise | and more", "axes": {"n": (1, 2, 3)}, "keys": ("n", "name"),
-        "measures": ("value",), "caption": "Numbers.", "repetitions": 2,
+        "measures": ("value",), "repetitions": 2,
     }  # fmt: skip
     return Experiment(run=run, draw=draw, **(plain | options))
 

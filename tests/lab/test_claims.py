@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 from saved_results import saved
 
 import oee_tabular as oee
+from oee_tabular.lab import experiments
 from oee_tabular.lab.experiments import paper
-from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 from oee_tabular.lab.experiments.common import grids, zeta_error
 from oee_tabular.ratio import true_ratio
 
@@ -20,7 +20,7 @@ LIKELIHOOD = "maximum likelihood"
 
 def computed(name, seed=1, **options):
     """A few cells, of another seed than the saved ones."""
-    return EXPERIMENTS[name].table(seed=seed, **options)
+    return experiments.table(name, seed=seed, **options)
 
 
 def rmse(table, *keys):

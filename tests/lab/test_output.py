@@ -1,5 +1,7 @@
 """Tables and pages of results, and figures as data: what a panel takes from a table, and where panels stand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,12 +9,15 @@ from lab.noise import bytes_of, experiment
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.lab.output import figures, index, pipe_table, summary_of
-from oee_tabular.lab.panels import SIZE, Beside, Errors, Panels, Ranges
+from oee_tabular.lab.findings import listed, percent, reach
+from oee_tabular.lab.output import figures, index, pipe_table, set_title, share_legend, summary_of
+from oee_tabular.lab.panels import Panels
 
 
-def test_the_summary_has_mean_sd_and_standard_error(tmp_path):
-    one = experiment(paper=lambda summary: [2.0 if n == 1 else np.nan for n in summary.n])
+def test_the_files_of_an_experiment(tmp_path):
+    one = experiment(
+        paper=lambda summary: [2.0 if n == 1 else np.nan for n in summary.n], finding=lambda table: "50 < 60"
+    )
     files = bytes_of(tmp_path / "noise", one.settings())
     table = pd.read_csv(tmp_path / "noise" / "table.csv")
     summary = summary_of(one, table)
@@ -25,10 +30,16 @@ def test_the_summary_has_mean_sd_and_standard_error(tmp_path):
     assert_allclose(first["ours / paper"], first["value_mean"] / 2.0)
     assert np.isnan(row["ours / paper"])
     page = files["summary.md"].decode()
-    assert "`oee reproduce noise`, 2 seeds a cell (n 1, 2, 3)" in page
+    assert page.startswith(
+        "# Noise | and more\n\n![50 < 60](figure.png)\n\nNumbers that need BLAS, and are hard to print."
+    )
+    assert "`oee reproduce noise --seeds 2` (n 1, 2, 3)" in page
     assert "| 2 | third | 2 |" in page
-    other = bytes_of(tmp_path / "b", one.settings(repetitions=1, seed=4))["summary.md"].decode()
-    assert "`oee reproduce noise --seeds 1 --seed 4`, 1 seeds" in other
+    assert b"50 &lt; 60" in files["figure.svg"]
+    silent = replace(one, finding=lambda table: "")
+    other = bytes_of(tmp_path / "b", silent.settings(smoke=True, repetitions=1, seed=4))["summary.md"].decode()
+    assert "`oee reproduce noise --smoke --seeds 1 --seed 4` (n 1)" in other
+    assert "![Noise | and more](figure.png)" in other
     again = figures(one, table, summary)
     assert again["figure.svg"] == files["figure.svg"]
     assert again["figure.png"][:4] == b"\x89PNG"
@@ -40,6 +51,32 @@ def test_the_summary_has_mean_sd_and_standard_error(tmp_path):
 def test_a_markdown_table():
     frame = pd.DataFrame({"a|b": ["x|y"], "n": [3], "v": [0.123456], "w": [np.nan]})
     assert pipe_table(frame) == "| a\\|b | n | v | w |\n|---|---|---|---|\n| x\\|y | 3 | 0.1235 |  |"
+
+
+@pytest.mark.parametrize("text", ["", "MMMM 0.059 " * 20, "illi, " * 30, "$x^2$, " * 20])
+def test_a_title_of_any_letters_fits(text):
+    figure = Figure(figsize=(9.0, 3.0))
+    set_title(figure, text)
+    assert (figure._suptitle is None) == (text == "")
+    if text:
+        box = figure._suptitle.get_window_extent()
+        assert box.x0 >= 0.0
+        assert box.x1 <= figure.bbox.x1
+
+
+@pytest.mark.parametrize(
+    ("names", "is_shared"), [(["abcd", "abd"], True), (["abc", "ab"], False), (["abcd", "xb"], False)]
+)
+def test_one_legend_for_all_panels(names, is_shared):
+    figure = Figure()
+    for ax, letters in zip(figure.subplots(1, 2), names, strict=True):
+        for letter in letters:
+            ax.plot([1, 2], label=letter)
+        ax.legend()
+    share_legend(figure)
+    assert [ax.get_legend() is None for ax in figure.axes] == [is_shared] * 2
+    texts = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert texts == (["a", "b", "c", "d"] if is_shared else [])
 
 
 @pytest.fixture
@@ -82,16 +119,17 @@ def test_a_panel_for_each_group_and_a_point_for_the_mean_of_its_rows(table):
     assert_allclose([edges[:, 1].min(), edges[:, 1].max()], [8 / 40, 3 * 8 / 10])  # the smallest and the largest row
 
 
-def test_another_statistic_other_rows_further_curves_and_what_is_too_small(table):
+def test_another_statistic_other_rows_further_curves_and_a_slope(table):
     panel = Panels(
-        "error", "name", how=np.max, only=lambda rows: rows[rows.n > 10], extra={"spread": "spread"}, least=0.1,
-        also=lambda rows: {"flat": pd.Series({20: 5.0, 80: 6.0})}, beneath=lambda ax, rows: ax.axvline(rows.n.min(), label="n"),
+        "error", "name", how="max", only=lambda rows: rows[rows.n > 10], extra={"spread": "spread"}, slope=-1.0,
+        beneath=lambda ax, rows: ax.axvline(rows.n.min(), label="n"),
     )  # fmt: skip
     curves = lines(draw(panel, table).axes[0])
-    assert list(curves) == ["n", "first", "flat"]  # the second is negative, the spread at most 0.05
+    assert list(curves) == ["n", "slope -1", "first", "second", "spread"]
     assert_array_equal(curves["first"].get_xdata(), [20, 40])
     assert_allclose(curves["first"].get_ydata(), [1.2, 0.6])
-    assert_array_equal(curves["flat"].get_ydata(), [5.0, np.nan])
+    assert_allclose(curves["slope -1"].get_ydata(), [1.2, 0.6])
+    assert_allclose(curves["spread"].get_ydata(), [1 / 20, 1 / 40])
     assert curves["n"].get_xdata()[0] == 20
 
 
@@ -103,35 +141,20 @@ def test_a_logarithmic_axis_leaves_out_what_is_not_positive(table):
     assert np.isnan(lines(ax)["second"].get_ydata()).all()
 
 
-def test_errors_are_logarithmic_with_a_slope_and_the_title_says_which_ends_lowest(table):
-    own = table[table.name == "first"]
-    plain, sloped = (draw(Errors("error", "name", slope=slope), own).axes[0] for slope in (None, -1.0))
-    assert plain.get_xscale() == plain.get_yscale() == "log"
-    assert list(lines(plain)) == ["first"]
-    assert_allclose(lines(sloped)["slope -1"].get_ydata(), lines(sloped)["first"].get_ydata())
-    both = table.assign(error=table.error.abs())
-    for ax, case in zip(draw(Errors("error", "name", by=("case",)), both).axes, (0.5, 0.25), strict=True):
-        assert ax.get_title() == f"case = {case:g}\nfirst ends lowest: 0.4"
-    assert draw(Errors("error", "name", by=("case",), lowest=False), both).axes[0].get_title() == "case = 0.5"
-    assert draw(Errors("error", "name", by=("case",)), own).axes[0].get_title() == "case = 0.5"  # nothing to compare
-
-
-def test_ranges_are_means_with_their_standard_errors(table):
-    ax = draw(Beside([Ranges("error", "name", "case", title="all", beside="spread", mark=0.95)]), table).axes[0]
-    (points, _, (bars,)) = ax.containers[0]
-    own = table[(table.name == "first") & (table.case == 0.5)].error
-    assert_allclose(points.get_xdata()[0], own.mean())
-    ends = bars.get_segments()[0][:, 0]
-    assert_allclose(ends, own.mean() + 1.96 * own.sem() * np.array([-1, 1]))
-    assert_allclose(lines(ax)["spread"].get_xdata(), table.spread.mean())
-    assert [text.get_text() for text in ax.get_yticklabels()] == ["first", "second"]
-
-
 def test_panels_beside_each_other(table):
-    both = [Panels("error", "name", title="{case:g}: error"), Panels("spread", "name", title="spread at {case}")]
-    figure = draw(Beside(both, by=("case",), columns=2), table)
+    beside = Panels("spread", "name", title="spread at {case}")
+    both = Panels("error", "name", by=("case",), title="{case:g}: error", beside=[beside], columns=2)
+    figure = draw(both, table)
     assert [ax.get_title() for ax in figure.axes] == ["0.5: error", "spread at 0.5", "0.25: error", "spread at 0.25"]
-    assert_allclose(figure.get_size_inches(), (2 * SIZE[0], 2 * SIZE[1]))
     assert_allclose(lines(figure.axes[1])["first"].get_ydata(), [0.1, 0.05, 0.025])
-    three = draw(Beside([*both, both[0]], by=("case",), columns=4), table)
+    three = draw(replace(both, beside=[beside, beside], columns=4), table)
     assert [ax.get_visible() for ax in three.axes] == [True] * 6 + [False] * 2
+
+
+def test_findings(table):
+    assert listed(pd.Series({"one": 0.0123, "two": 45.6})) == "0.012 (one), 46 (two)"
+    assert (reach([0.5, 0.1, 0.3], percent), reach([0.5])) == ("10% to 50%", "0.5")
+    panel = Panels("error", "name", ylabel="error")
+    assert panel.find(table) == "error at n = 40: -0.8 (second), 0.4 (first)"
+    largest = replace(panel, how="max", only=lambda rows: rows[rows.n < 40])
+    assert largest.find(table) == "error at n = 20: -0.8 (second), 1.2 (first)"

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import re
 
 import pytest
@@ -207,11 +206,3 @@ def test_a_link_that_comes_while_cells_are_computed(tmp_path):
     with pytest.raises(ValueError, match="must be a plain file"):
         write(store)
     assert precious.read_text() == "mine"
-
-
-def test_a_lock_leaves_nothing_and_is_held_by_one(tmp_path):
-    with alone(tmp_path / "a" / "b"):
-        assert (tmp_path / "a" / "b" / LOCK).read_text() == f"{os.getpid()}\n"
-        with pytest.raises(ValueError, match="must be used by one command at a time"), alone(tmp_path / "a" / "b"):
-            pass
-    assert list(tmp_path.iterdir()) == []

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
+import pandas as pd
+
+from oee_tabular import _checks
 from oee_tabular.lab.experiments.paper import curve as published
-
-if TYPE_CHECKING:
-    import pandas as pd
+from oee_tabular.lab.registry import RunSettings, Stream
 
 __all__ = ["load_saved_table", "published", "table"]
 
@@ -31,8 +32,6 @@ def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
     >>> load_saved_table("networks").n.unique().tolist()
     [1000, 3162, 10000, 31623, 100000, 316228]
     """
-    import pandas as pd
-
     file = Path(__file__)
     folders = file.parent / "saved", file.parents[3] / "notebooks" / "results"  # of a wheel, of a clone
     paths = [folder / name / f"{table}.csv" for folder in folders]
@@ -62,6 +61,15 @@ def table(name: str, *, repetitions: int = 1, seed: int = 0, **axes: object) -> 
     >>> table("estimands", delta=0.5).quantity.tolist()[:2]
     ['true, r(s_t+1)', "OEE's, r(s_t)"]
     """
-    from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+    from oee_tabular.lab.experiments.catalogue import choose
 
-    return EXPERIMENTS[name].table(repetitions=repetitions, seed=seed, **axes)
+    (experiment,) = choose([name])
+    chosen = dict(experiment.axes)
+    for axis, values in axes.items():
+        if axis not in chosen:
+            raise ValueError(f"axes must be among {', '.join(chosen)}; got {axis!r}")
+        own = {value: value for value in chosen[axis]}  # 1000.0 is the same cell as 1000
+        chosen[axis] = tuple(own.get(x, x) for x in np.atleast_1d(np.asarray(values)).tolist())
+    cells = RunSettings(experiment, chosen, _checks.positive_integer(repetitions, "repetitions"), seed).cells()
+    rows = [(cell, row) for cell in cells for row in experiment.run(cell, Stream(name, seed, cell))]
+    return pd.DataFrame([{**cell, **row} for cell, row in rows])

@@ -2,73 +2,86 @@
 
 from __future__ import annotations
 
+import difflib
+import itertools
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 from oee_tabular import _files
 from oee_tabular.lab import output as out
 from oee_tabular.lab.bench.ranking import RANKING
-from oee_tabular.lab.experiments.programs import LAMBDA, MISSPECIFIED, NORMALISATION, RATE, RENYI
-from oee_tabular.lab.experiments.sureness import COLLECTION, COVERAGE, COVERAGE_LAKE, EFFICIENCY
-from oee_tabular.lab.experiments.toy_text import CLIFF_WALKING, FROZEN_LAKE, TAXI
-from oee_tabular.lab.experiments.values import DATA_POLICY, ESTIMANDS, FIGURE_1BCD, HORIZON_EXPERIMENT
-from oee_tabular.lab.experiments.zeta import FIGURE_1A, NETWORKS
-from oee_tabular.lab.registry import Experiment, Registry
-from oee_tabular.lab.robots.cartpole import CARTPOLE_CHOICE, CARTPOLE_DATA, FIGURE_2, RESOLUTION
+from oee_tabular.lab.experiments import programs, sureness, toy_text, values, zeta
+from oee_tabular.lab.registry import Experiment
+from oee_tabular.lab.robots import cartpole, kinova, reacher
 from oee_tabular.lab.robots.changes.coverage import RESIDUAL_COVERAGE
 from oee_tabular.lab.robots.changes.experiment import CHANGES
-from oee_tabular.lab.robots.kinova import TABLE_1
-from oee_tabular.lab.robots.reacher import FIGURE_3
 from oee_tabular.lab.run import require_modules, run_and_write
 from oee_tabular.lab.store import Store, refuse_links
 
-EXPERIMENTS = Registry(
-    [
-        FIGURE_1A, FIGURE_1BCD, ESTIMANDS, HORIZON_EXPERIMENT, DATA_POLICY, RATE, RENYI, MISSPECIFIED, NORMALISATION, LAMBDA,
-        FROZEN_LAKE, TAXI, CLIFF_WALKING, COVERAGE, COVERAGE_LAKE, EFFICIENCY, COLLECTION, NETWORKS, RANKING,
-        FIGURE_2, RESOLUTION, CARTPOLE_DATA, CARTPOLE_CHOICE, FIGURE_3, TABLE_1, CHANGES,
-        RESIDUAL_COVERAGE,
-    ]
-)  # fmt: skip
+EXPERIMENTS: dict[str, Experiment] = {
+    experiment.id: experiment
+    for experiment in (
+        zeta.fig1a, values.fig1bcd, values.estimands, values.horizon, values.data_policy, programs.rate, programs.renyi,
+        programs.misspecified, programs.normalisation, programs.lambda_n,
+        toy_text.frozen_lake, toy_text.taxi, toy_text.cliff_walking,
+        sureness.coverage, sureness.coverage_lake, sureness.efficiency, sureness.collection, zeta.networks, RANKING,
+        cartpole.FIGURE_2, cartpole.RESOLUTION, cartpole.CARTPOLE_DATA, cartpole.CARTPOLE_CHOICE, reacher.FIGURE_3,
+        kinova.TABLE_1, CHANGES, RESIDUAL_COVERAGE,
+    )
+}  # fmt: skip
+
+
+def choose(names: Iterable[str], *, everything: bool = False) -> list[Experiment]:
+    """The experiments of these ids, or of these groups, each once."""
+    known = ", ".join(EXPERIMENTS)
+    members = [[own.id for own in EXPERIMENTS.values() if own.group == name] or [name] for name in names]
+    wanted = list(dict.fromkeys(itertools.chain(*members)))
+    if everything and wanted:
+        raise ValueError(f"--all must be given without ids; got {', '.join(wanted)}")
+    if not everything and not wanted:
+        raise ValueError(f"one experiment or more must be given, or --all; there are {known}")
+    for name in wanted:
+        if name not in EXPERIMENTS:
+            near = difflib.get_close_matches(name, EXPERIMENTS, n=3, cutoff=0.4)
+            hint = f"; nearest: {', '.join(near)}" if near else ""
+            raise ValueError(f"experiment must be one of {known}; got {name!r}{hint}")
+    return [EXPERIMENTS[name] for name in (EXPERIMENTS if everything else wanted)]
 
 
 def listing() -> str:
     """Ids, cells of the full sweep, and titles, by group."""
-    lines, group = [], ""
-    for experiment in EXPERIMENTS:
-        if experiment.group != group:
-            group = experiment.group
-            lines.append(f"{group}:")
-        cells = len(experiment.settings().cells())
-        lines.append(f"  {experiment.id:<14} {cells:>5} cells  {experiment.title}")
+    lines = []
+    for group, members in itertools.groupby(EXPERIMENTS.values(), key=lambda experiment: experiment.group):
+        lines.append(f"{group}:")
+        for own in members:
+            lines.append(f"  {own.id:<14} {len(own.settings().cells()):>5} cells  {own.title}")
     return "\n".join(lines)
 
 
 def reproduce(
-    names: Sequence[str],
+    names: Iterable[str],
     *,
     everything: bool,
     smoke: bool,
     seeds: int | None,
     seed: int,
-    jobs: int,
-    dask: str | None,
     output: Path,
-    fresh: bool,
     say: Callable[[str], None],
+    **options: Any,
 ) -> None:
     """Run the experiments one after the other; the folder's index is written last.
 
     An experiment whose extra is not installed is left out with a sentence, and an error where nothing else was asked for.
-    Folders with other settings are refused before anything runs.
+    Folders with other settings are refused before anything runs. ``options``: jobs, dask, fresh, as in ``run_experiment``.
     """
     if seeds is not None and seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")
     _files.local(output)
     chosen: list[Experiment] = []
     missing: list[ImportError] = []
-    for experiment in EXPERIMENTS.choose(names, everything=everything):
+    for experiment in choose(names, everything=everything):
         try:
             require_modules(experiment)
             chosen.append(experiment)
@@ -79,14 +92,12 @@ def reproduce(
     folder = output / "smoke" if smoke else output
     refuse_links(output, ["smoke", *(f"smoke/{e.id}" if smoke else e.id for e in chosen)], are_folders=True)
     every = [experiment.settings(smoke=smoke, repetitions=seeds, seed=seed) for experiment in chosen]
-    if not fresh:
+    if not options["fresh"]:
         for settings in every:
             Store(folder / settings.experiment.id, settings)
     for settings in every:
-        run_and_write(
-            folder / settings.experiment.id, settings, out.write, say=say,
-            jobs=jobs, dask=dask, fresh=fresh, progress=sys.stderr.isatty(),
-        )  # fmt: skip
-    say(f"Index: {out.index(folder, EXPERIMENTS)}")
+        progress = sys.stderr.isatty()
+        run_and_write(folder / settings.experiment.id, settings, out.write, say=say, progress=progress, **options)
+    say(f"Index: {out.index(folder, EXPERIMENTS.values())}")
     for reason in missing:
         say(f"Left out: {reason}")

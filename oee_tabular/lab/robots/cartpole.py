@@ -14,7 +14,7 @@ from oee_tabular.continuous.names import continuous_simulator
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.findings import listed
-from oee_tabular.lab.panels import Beside, Panels
+from oee_tabular.lab.panels import Panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
 from oee_tabular.lab.robots import by_delta, cartpole_truth
 from oee_tabular.lab.robots.cartpole_estimates import (
@@ -110,12 +110,12 @@ def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) ->
     own = table[(table.target == "compiled") & (table.n == table.n.max())]
     shared: dict[str, Any] = {"curves": "estimator", "x": "delta", "xlabel": "delta (share of the uniform policy)"}
     errors = shared | {"title": "gravity {gravity:g} m/s²: errors", "ylabel": ERROR, "log": True}
-    values = Panels(
+    Panels(
         "value", title="gravity {gravity:g} m/s²: values", ylabel="value times (1 - discount)", beneath=mark_paper,
         extra={"true value": "truth"}, only=partial(keep, ("OEE, calibrated",)), **shared,
-    )  # fmt: skip
-    groups = [Panels("error", only=partial(keep, names), **errors) for names in (ON_CELLS, OTHERS)]
-    Beside([values, *groups], by=("gravity",), columns=3, size=(6.0, 4.4))(by_delta(own, DELTAS), summary, figure)
+        beside=[Panels("error", only=partial(keep, names), **errors) for names in (ON_CELLS, OTHERS)],
+        by=("gravity",), columns=3, size=(6.0, 4.4),
+    )(by_delta(own, DELTAS), summary, figure)  # fmt: skip
     for ax in figure.axes:
         if not ax.get_title().endswith("values"):
             label_ends(ax)
@@ -239,7 +239,6 @@ RESOLUTION = Experiment(
     draw=draw_resolution,
     finding=lambda table: f"Least error without data: {listed(smallest(table[table.n == 0], 'states'))}",
     repetitions=3,
-    smoke_repetitions=1,
     group="continuous",
 )  # fmt: skip
 
@@ -274,7 +273,6 @@ CARTPOLE_DATA = Experiment(
         + listed(table[table.estimator == "OEE, calibrated"].groupby("behavior").error.mean())
     ),
     repetitions=5,
-    smoke_repetitions=1,
     group="continuous",
 )  # fmt: skip
 
@@ -305,6 +303,5 @@ CARTPOLE_CHOICE = Experiment(
     ),
     finding=lambda table: f"Least error, by vertices: {listed(smallest(table, 'vertices'))}",
     repetitions=4,
-    smoke_repetitions=1,
     group="continuous",
 )  # fmt: skip

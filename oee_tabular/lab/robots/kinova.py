@@ -286,5 +286,4 @@ TABLE_1 = Experiment(
     paper=published,
     group="continuous",
     requires=("mujoco",),
-    smoke_repetitions=1,
 )

@@ -207,7 +207,6 @@ FIGURE_3 = Experiment(
     title="Figure 3: the value of Reacher's policies on longer and on shorter arms",
     axes={"length": (0.2, 0.05), "n": (15_000, N_PAPER)},
     smoke={"n": (15_000,)},
-    smoke_repetitions=1,
     run=cell,
     keys=("length", "n", "series"),
     measures=("error", "uncovered"),

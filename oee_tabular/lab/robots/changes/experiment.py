@@ -132,7 +132,6 @@ CHANGES = Experiment(
     measures=("error", "share", "noise", "hidden", "differs"),
     draw=draw,
     finding=finding,
-    smoke_repetitions=1,
     group="continuous",
     requires=("mujoco",),
 )
