@@ -4,7 +4,7 @@ The libraries pull in torch: without them stubs stand in, which compute what the
 """
 
 import sys
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -58,40 +58,30 @@ def scope_rl(*, step_per_trajectory, action, reward, pscore, evaluation_policy_a
     """Per-decision importance sampling on what SCOPE-RL is given: flat arrays."""
     taken = evaluation_policy_action_dist[np.arange(len(action)), action] / pscore
     weights = np.cumprod(taken.reshape(-1, step_per_trajectory), axis=1)
-    assert others["state_action_value_prediction"].shape == evaluation_policy_action_dist.shape
-    return (weights * reward.reshape(weights.shape)) @ gamma ** np.arange(step_per_trajectory)
+    q = others["state_action_value_prediction"]
+    assert q.shape == evaluation_policy_action_dist.shape
+    assert ((q == 0.0).all(axis=1) == (pscore == 1.0)).all()  # after the end
+    return ((weights * reward.reshape(weights.shape)) @ gamma ** np.arange(step_per_trajectory)).mean()
 
 
 def offline_rl_ope(*, rewards, states, actions, weights, discount, is_msk):
     """The same on what offline-rl-ope is given: a column of rewards for each episode."""
     paid = np.array([column[:, 0] for column in rewards]) * is_msk
-    return (weights * paid) @ discount ** np.arange(weights.shape[1])
-
-
-@pytest.fixture
-def stubs(monkeypatch):
-    """Both libraries, and torch, as far as the adapters call them."""
-    scope = SimpleNamespace(estimate_policy_value=lambda **given: scope_rl(**given).mean())
-    offline = SimpleNamespace(predict=lambda **given: offline_rl_ope(**given).mean())
-    parts = {
-        MISSING["scope-rl"]: {"PerDecisionImportanceSampling": lambda: scope},
-        MISSING["offline-rl-ope"]: {
-            "StandardEstimators": SimpleNamespace(IS=SimpleNamespace(VanillaISPDIS=lambda: offline))
-        },
-        "torch": {"float32": float, "tensor": lambda values, dtype: np.asarray(values).view(Tensor)},
-    }
-    for name, contents in parts.items():
-        module = ModuleType(name)
-        vars(module).update(contents)
-        for part in ("scope_rl", "scope_rl.ope", "scope_rl.ope.discrete", "offline_rl_ope"):
-            if name.startswith(f"{part}."):
-                monkeypatch.setitem(sys.modules, part, ModuleType(part))
-        monkeypatch.setitem(sys.modules, name, module)
+    return ((weights * paid) @ discount ** np.arange(weights.shape[1])).mean()
 
 
 class Tensor(np.ndarray):
     def unsqueeze(self, axis):
         return np.expand_dims(self, axis)
+
+
+@pytest.fixture
+def stubs(monkeypatch):
+    """Both libraries, and torch, as far as the adapters call them."""
+    loaded = SimpleNamespace(estimate_policy_value=scope_rl, predict=offline_rl_ope)
+    monkeypatch.setattr(Peer, "load", lambda peer: loaded)
+    torch = SimpleNamespace(float32=float, tensor=lambda values, dtype: np.asarray(values).view(Tensor))
+    monkeypatch.setitem(sys.modules, "torch", torch)
 
 
 def test_peers_by_name_beside_ours(stubs):

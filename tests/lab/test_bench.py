@@ -102,6 +102,10 @@ def test_the_printed_value_and_its_interval():
     assert table.lower["evaluate"] <= table.value["evaluate"] <= table.upper["evaluate"]
     methods = {"evaluate": "likelihood", "maximum-likelihood": "value +- 1.96 standard errors", "simulator": ""}
     assert {name: table.interval[name] for name in methods} == methods
+    likely = table.loc["maximum-likelihood"]
+    assert_allclose(
+        [likely.upper - likely.value, likely.value - likely.lower], 1.959964 * likely.standard_error, rtol=1e-6
+    )
     assert table.truth.unique().tolist() == [MACHINE.truth]
     assert_allclose(table.error["oracle"], 0.0, atol=1e-9)  # it is given the target
 

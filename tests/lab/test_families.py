@@ -70,6 +70,21 @@ def test_the_saved_run_is_of_these_families():
         assert_allclose(abs(value - family.truth), error, rtol=1e-5)
 
 
+DRAWN = """
+    garnet_dirichlet100 15.6876, garnet_dirichlet10 11.4534, garnet_replaced 16.003, garnet_worse 16.0849,
+    garnet_better 17.6687, garnet_one_action 13.4003, garnet_tempered 17.2316, garnet_identical 15.6376,
+    blackjack -0.236015, blend_with_stranger 16.4387, coupled_maintenance 80.0494, epidemic_superspreading -29.1251,
+    insurance_claims 193.154, low_rank 13.0042, lucky_garnet 16.3701, lucky_queue -40.6721, portfolio_tails 74.8231,
+    predator_prey 19.5564, pricing 17.6699, random_yield 86.6081, reservoir 47.4169, router_fault 4.21845,
+    scattered_points 6.03372, traffic_hours -18.303, two_motors -4.46187, web_pages 0.956139
+"""  # true values at seed 0
+
+
+def test_what_is_drawn_stays_what_it_was():
+    truths = {name: float(value) for name, value in (item.split() for item in DRAWN.split(","))}
+    assert [name for name in truths if EVERY[name].truth != pytest.approx(truths[name], rel=1e-5)] == []
+
+
 def test_the_names():
     assert (len(EVERY), len(HELD)) == (61 if "icu_sepsis" in EVERY else 60, 9)
     assert set(HELD) <= set(EVERY)
