@@ -1,7 +1,6 @@
 """Pictures: what they show, what they are labelled with, and how they answer bad input."""
 
 import re
-from functools import partial
 
 import numpy as np
 import pytest
@@ -301,60 +300,6 @@ def walk(following):
     if following[0] == 3:
         transitions[2, 0] = [0, 0, 0, 1.0, 0, 0]  # row 0, column 2 to row 1, column 0
     return oee.FiniteMDP(transitions, np.zeros(n), np.eye(n)[0], 0.9)
-
-
-@pytest.mark.parametrize(
-    ("call", "text"),
-    [
-        (partial(plots.plot_curves, [0, 1], {}), "curves must hold at least one"),
-        (partial(plots.plot_curves, [0, 1], {"a": [np.nan] * 2}), "curves must hold at least one finite number"),
-        (partial(plots.plot_curves, [0, 1], {"a": [1]}), "curves['a'] must have 2 values, one a point; it has 1"),
-        (partial(plots.plot_curves, [0, np.nan], {"a": [1, 2]}), "x[1] must be finite; it is nan"),
-        (partial(plots.plot_curves, [1], [1]), "curves must be a Mapping; got list"),
-        (partial(plots.plot_curves, [0], {"a": [1]}, bands={"b": ([0], [1])}), "bands must be of names in curves"),
-        (partial(plots.plot_curves, [1], {"a": [1]}, bands={"a": [[1]]}), "bands['a'] must be (lower, upper)"),
-        (partial(plots.plot_curves, [1], {"a": [1]}, truth=[1, 2]), "truth must have 1 values, one a point; it has 2"),
-        (partial(plots.plot_curves, [1], {"a": [1]}, xlabel=3), "xlabel must be a text; got int"),
-        (partial(plots.plot_errors, [0, 1], {"a": [1, 2]}), "n[0] must be positive; it is 0"),
-        (partial(plots.plot_errors, [1, 2], {"a": [1, -2]}), "errors['a'][1] must be nonnegative; it is -2"),
-        (partial(plots.plot_errors, [1, 2], {"a": [0, 0]}), "errors must hold at least one finite positive"),
-        (partial(plots.plot_variance_growth, {}), "variances must hold at least one"),
-        (partial(plots.plot_variance_growth, {"a": [-1.0]}), "variances['a'][0] must be nonnegative"),
-        (partial(plots.plot_intervals, ["a"], [1], [0, 1], [2]), "one length; they have 1, 1, 2, 1 and 1"),
-        (partial(plots.plot_intervals, ["a"], [1], [0], [2], groups=[]), "one length; they have 1, 1, 1, 1 and 0"),
-        (partial(plots.plot_intervals, ["a"], [1], [0], [2], limits=(1, 1)), "limits must be (low, high)"),
-        (partial(plots.plot_intervals, [], [], [], []), "values must have a finite number, or lower and upper"),
-        (partial(plots.plot_intervals, ["a"], [np.nan], [np.nan], [np.nan]), "there is nothing to draw"),
-        (partial(plots.plot_values, []), "records must hold at least one finite value; there is nothing to draw"),
-        (partial(plots.plot_values, [ROW | {"value": np.nan}]), "records must hold at least one finite value"),
-        (partial(plots.plot_values, [{"policy": "a"}]), "records must be mappings with estimator, lower, policy"),
-        (partial(plots.plot_grid, [1, 2, 3], (2, 2), label="x"), "values must have 4 entries, one a cell"),
-        (partial(plots.plot_grid, [np.nan], (1, 1), label="x"), "values must hold at least one finite number"),
-        (partial(plots.plot_grid, [1], 1, label="x"), "shape must be (rows, columns); got 1"),
-        (partial(plots.plot_grid, [1], (1, 0), label="x"), "shape[1] must be a positive integer; it is 0"),
-        (partial(plots.plot_grid, [1], (1, 1), label="x", crossed=[0, 1]), "crossed must have 1 entries"),
-        (partial(plots.plot_grid, [1], (1, 1), label="x", colormap="red"), "colormap must be the name of one"),
-        (partial(plots.plot_ratio, [1, -1], (1, 2)), "values[1] must be nonnegative; it is -1"),
-        (partial(plots.plot_ratio, [np.nan], (1, 1)), "values must hold at least one finite number"),
-        (partial(plots.plot_coverage, [1, -1], (1, 2)), "counts[1] must be nonnegative; it is -1"),
-        (partial(plots.plot_coverage, [1, 1], (1, 2), over=[True]), "over must have 2 entries"),
-        (partial(plots.plot_occupancy, [1, 0], (1, 2), unseen=[True]), "unseen must have 2 entries"),
-        (partial(plots.plot_occupancy, [np.nan], (1, 1)), "time must hold at least one finite number"),
-        (partial(plots.plot_states, [], []), "time must hold at least one state; it is empty"),
-        (partial(plots.plot_states, [np.nan], [1]), "time[0] must be finite; it is nan"),
-        (partial(plots.plot_states, [1.0], [1, 2]), "recorded must have the shape of time, (1,); it has (2,)"),
-        (partial(plots.plot_states, [1.0], [1], top=0), "top must be a positive integer; it is 0"),
-        (partial(plots.plot_states, [1.0], [1], names=[]), "names must have 1 entries, one a state; it has 0"),
-        (partial(plots.figure_png, print, size=(0, 1)), "size must be from 0.1 to 100 inches"),
-        (partial(plots.figure_png, 3), "draw must be a function; got int"),
-        (partial(plots.map_of, 3), "mdp must be a FiniteMDP; got int"),
-        (partial(plots.label_ends, 3), "ax must be matplotlib Axes"),
-        (partial(plots.label_ends, Figure().subplots(), fontsize=0), "fontsize must be in (0, 100); it is 0"),
-    ],
-)
-def test_bad_input_is_named(call, text):
-    with pytest.raises(ValueError, match=re.escape(text)):
-        call()
 
 
 def test_names_stand_at_the_ends_of_lines(ax):

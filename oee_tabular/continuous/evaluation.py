@@ -110,8 +110,8 @@ def evaluate_continuous(
     ['oee (residual)', 'simulator (continuous)']
     """
     given = as_simulator(simulator, horizon) if isinstance(simulator, ContinuousTask) else simulator
-    _checks.instance(given, ContinuousSimulator, "simulator", "a ContinuousTask or a ContinuousSimulator")
-    if not _checks.instance(policies, Mapping, "policies", "a mapping from names to policies"):
+    _checks.instance(given, ContinuousSimulator, "simulator", "ContinuousTask or a ContinuousSimulator")
+    if not _checks.instance(policies, Mapping, "policies", "mapping from names to policies"):
         raise ValueError("policies must hold at least one; it is empty")
     facts, seed = options.pop("facts", None) or {}, options.get("seed")
     _checks.instance(facts, Mapping, "facts")

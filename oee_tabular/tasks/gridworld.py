@@ -148,7 +148,7 @@ def embedded_default(*, seed: int, discount: float = 0.99) -> Embedded:
     (3162, ['10% expert', '50% expert', '90% expert'])
     """
     simulator, target = (gridworld(10, slip, discount=discount) for slip in (0.3, 0.1))
-    generator = np.random.default_rng(seed)
+    generator = _checks.generator(seed)
     behavior = uniform_policy(target)
     episodes = sample_episodes(target, behavior, 50, 1000, seed=generator)
     log = episodes.draw(3162, seed=generator)

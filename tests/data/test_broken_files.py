@@ -252,10 +252,3 @@ def test_a_minari_id_is_checked_before_a_folder_is_made(tmp_path, monkeypatch):
         with pytest.raises(FileNotFoundError, match="neither a file nor a Minari folder"):
             oee.Transitions.load(name)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("path", [None, 3, b"log.npz", "a\x00.npz", [3]])
-def test_what_is_no_path(path):
-    for reader in (oee.Transitions.load, oee.FiniteMDP.load, oee.ContinuousTransitions.load, LOG.save, GRID.save):
-        with pytest.raises(ValueError, match="path must be"):
-            reader(path)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-import oee_tabular as oee
 from oee_tabular import TransitionCounts, Transitions, _files
 from oee_tabular.data.counts import Recording
 
@@ -78,25 +77,3 @@ def test_a_file_that_has_changed_is_refused(tmp_path):
     LOG.save(tmp_path / "log.npz")
     with pytest.raises(ValueError, match=r"must hold a counted log .* it holds a log of numbered states"):
         TransitionCounts.load(tmp_path / "log.npz")
-
-
-BAD = {
-    "negative": (([-1], [0], [0], [1]), r"state\[0\] must be at least 0; it is -1"),
-    "fraction": (([0], [0.5], [0], [1]), r"action\[0\] must be an integer; it is 0\.5"),
-    "count": (([0], [0], [0], [0]), r"count\[0\] must be positive and at most 2\*\*53; it is 0"),
-    "nan": (([0], [0], [0], [np.nan]), r"count\[0\] must be positive"),
-    "lengths": (([0, 1], [0], [0], [1]), r"columns must have equal lengths"),
-    "empty": (([], [], [], []), r"state must have at least one row; the log is empty"),
-    "rewards": (([0], [0], [0], [1], [0], [1.0]), r"reward_sum, reward_min and reward_max must be given together"),
-    "infinite": (([0], [0], [0], [1], [0], [np.inf], [0], [0]), r"reward_sum\[0\] must be finite; it is inf"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_calls(case):
-    given, text = BAD[case]
-    with pytest.raises(ValueError, match=text):
-        TransitionCounts(*given)
-    with pytest.raises(ValueError, match="sample must be Transitions; got list"):
-        TransitionCounts([0], [0], [0], [1], sample=[1])
-    assert oee.TransitionCounts is TransitionCounts

@@ -112,41 +112,6 @@ def test_the_command_takes_files_of_names(tmp_path, capsys):
     assert "Record action " in "\n".join(told[0])
 
 
-TEXTS = r"must hold integers; it holds <U1 \(numbers written as text\? \.astype\(int\)\)$"
-
-
-@pytest.mark.parametrize(
-    ("columns", "text"),
-    [
-        ((["a", "1"], [0, 0], ["a", "b"]), r"state\[1\] must be a name, as others of the column are; it is '1'$"),
-        ((["a", None], [0, 0], ["a", "b"]), r"state\[1\] must be a name, as others of the column are; it is None$"),
-        ((["a", "nan"], [0, 0], ["a", "b"]), r"state\[1\] must be a name"),
-        ((["1", "0"], [0, 0], [1, 0]), f"state {TEXTS}"),
-        ((["a", "b"], [0, 0], [1, 0]), f"state {TEXTS}"),
-        (([1, 0], [0, 0], ["a", "b"]), f"next_state {TEXTS}"),
-        ((["a", "a "], [0, 0], ["a", "b"]), r"state_names\[1\] must not be empty, nor begin or end with a blank"),
-        (([(0, 1), (1, ())], [0, 0], ["a", "b"]), r"state\[1\] must be a name"),
-    ],
-)
-def test_bad_columns_of_names(columns, text):
-    with pytest.raises(ValueError, match=f"^{text}"):
-        Transitions(*columns)
-
-
-@pytest.mark.parametrize(
-    ("columns", "names", "text"),
-    [
-        (([0], [0], [2]), {"state_names": ["a", "b"]}, r"next_state\[0\] must have a name, of which there are 2; it is 2$"),
-        (([0], [1], [0]), {"action_names": ["a"]}, r"action\[0\] must have a name, of which there are 1; it is 1$"),
-        ((["a"], [0], ["b"]), {"state_names": ["a", "b"]}, r"state must hold numbers where state_names are given"),
-        (([0], [0], [1]), {"state_names": ["a", "a"]}, r"state_names must differ"),
-    ],
-)  # fmt: skip
-def test_bad_names_of_numbers(columns, names, text):
-    with pytest.raises(ValueError, match=f"^{text}"):
-        Transitions(*columns, **names)
-
-
 def test_numbers_of_a_log_s_own_are_no_simulator_s():
     """Counted as they stand, they would be taken for another's."""
     with pytest.raises(ValueError, match=r"^log must be in a simulator's numbers to be counted; .*log\.numbered"):
@@ -160,35 +125,6 @@ def test_numbers_of_a_log_s_own_are_no_simulator_s():
     problems = [oee.Problem(MDP, log, simulator_data=log, episodes=log) for log in (NAMED, NUMBERS)]
     for part in ("log", "episodes", "simulator_data"):
         assert_same(*(getattr(problem, part) for problem in problems))
-
-
-UNKNOWN = Transitions(["hall", "hal", "hall", "hal"], ["go"] * 4, ["hall"] * 4)
-
-
-@pytest.mark.parametrize(
-    ("call", "text"),
-    [
-        (lambda: oee.Problem(MDP, UNKNOWN), r"log\.state\[1\] must .* \(did you mean 'hall'\?\); 2 such rows, of 1 name$"),
-        (lambda: oee.transition_ratio(Transitions([0], ["jump"], [0]), MDP),
-         r"log\.action\[0\] must be one of .*; it is 'jump' \(they are 'go', 'stay'\)$"),
-        (lambda: oee.Problem(MDP.with_names(), UNKNOWN),
-         r"log\.state\[0\] must be a number in 0\.\.2, since the simulator has no names here; .*with_names"),
-        (lambda: oee.Problem(MDP, NUMBERS, episodes=UNKNOWN), r"episodes\.state\[1\] must be one of"),
-        (lambda: UNKNOWN.numbered(3), r"simulator must be a FiniteMDP; got int$"),
-        (lambda: Transitions.from_frame(frame().assign(action="goo"), simulator=MDP),
-         r"frame\.action\[0\] must be one of .* it is 'goo' \(did you mean 'go'\?\)"),
-        (lambda: oee.Problem(MDP, frame().replace({"next_state": {"hall": "hal"}})),
-         r"frame\.next_state\[\d+\] must be one of .* it is 'hal' \(did you mean 'hall'\?\)"),
-        (lambda: oee.Problem(MDP, 3), "log must be Transitions; got int$"),
-        (lambda: oee.Problem(MDP, None), "log must be Transitions; got NoneType$"),
-        (lambda: oee.Problem(MDP, np.zeros(3)), "log must be Transitions; got ndarray$"),
-        (lambda: Transitions(["a", "a"], [0, 0], ["b", "a"], episode=[0, 0]),
-         r"next_state\[0\] must be the state of the next row of its episode, which is a \(or one .* is misspelt\); it is .b."),
-    ],
-)  # fmt: skip
-def test_names_that_the_simulator_has_not_and_what_is_no_log(call, text):
-    with pytest.raises(ValueError, match=f"^{text}"):
-        call()
 
 
 def test_it_says_that_it_has_names():
@@ -247,36 +183,6 @@ def test_several_columns_make_tuples():
     assert log.state.tolist() == [0, 3]  # 0.0 is 0
 
 
-BARE = pd.DataFrame({"state": [0, 0], "action": [0, 0], "next_state": [0, 0]})
-
-
-@pytest.mark.parametrize(
-    ("table", "columns", "text"),
-    [
-        (pd.DataFrame({"s": [0], "a": [0], "t": [0]}), {}, r"frame must have .*state; it has s, a, t \(say"),
-        (BARE.rename(columns={"state": "State"}), {}, r"frame must have .*; write state for 'State' \(say .*, state="),
-        (pd.DataFrame(), {}, r"frame must have the columns .*; it has none"),
-        (BARE.rename(columns={"state": "from"}), {"state": "form"}, r"state must be .*, from, .* \(did you mean 'from'\?\)$"),
-        (frame(), {"stat": "state"}, r"column_names must be of state, .*; got 'stat' \(did you mean state\?\)$"),
-        (frame(), {"state": 3}, r"state must be a column's name, or several; got int$"),
-        (frame(), {"state": []}, r"state must be the name of one column; it is \[\]$"),
-        (frame(), {"reward": ["reward", "episode"]}, r"reward must be the name of one column"),
-        (BARE.assign(timestep=[0.0, np.nan]), {}, r"column 'timestep' of the frame must have a value .*; row 1 has none$"),
-        (BARE.assign(action=["go", None]), {}, r"column 'action' of the frame must have .*; row 1 has none$"),
-        (pd.concat([BARE, BARE], axis=1), {}, r"frame must have columns that differ; "),
-        (frame().head(0), {}, r"state must have at least one row; the log is empty$"),
-        ({"state": [0], "action": [0], "next_state": [0]}, {}, r"frame must be a data frame \(.*\); got dict$"),
-        (np.zeros((3, 3)), {}, r"frame must be a data frame \(pandas, polars, arrow\); got ndarray$"),
-        (pd.Series([1]), {}, r"frame must be a data frame \(pandas, polars, arrow\); got Series$"),
-        (frame().assign(state=0.5), {}, r"state\[0\] must be an integer; it is 0\.5$"),
-        (frame().assign(state=0.5, next_state=1), {}, r"state\[0\] must be an integer; it is 0\.5$"),
-    ],
-)  # fmt: skip
-def test_bad_frames(table, columns, text):
-    with pytest.raises(ValueError, match=f"^{text}"):
-        Transitions.from_frame(table, **columns)
-
-
 def test_a_column_that_was_perhaps_meant_is_named_and_no_other():
     table = frame().assign(rewards=1.0, note="x", Terminated=False).drop(columns=["reward", "terminated"])
     with pytest.warns(
@@ -324,31 +230,6 @@ def test_a_last_move_that_leads_nowhere_known_is_left_out_and_told():
     assert_array_equal(log.state, [0, 2])
     assert_array_equal(log.reward, [1.0, 5.0])
     assert log.truncated.all()
-
-
-@pytest.mark.parametrize(
-    ("episodes", "text"),
-    [
-        ([], r"episodes must have at least one transition whose next state is known; they have none"),
-        ([[(0, 0, 1.0)]], r"episodes must have at least one transition"),
-        ([[]], r"episodes must have at least one transition"),
-        (3, r"episodes must be a list of episodes, each a list of steps; got int$"),
-        ([3], r"episodes\[0\] must be a list of steps, each \(state, action, reward\), .*; got int$"),
-        ([[{"observation": 0, "action": 0, "reward": 1.0}]], r"episodes\[0\]\[0\] must be a step, .* of observation, action, "),
-        ([{"observations": [0], "actions": [1]}], r"episodes\[0\] must be a list .* mapping of observations, actions"),
-        ([[("a", "go", "b", 1.0)]], r"episodes\[0\]\[0\] must be a step, .*; its reward is 'b'$"),
-        ([[(("a", 1), "go", 1.0), ("b", 2)]], r"episodes\[0\]\[1\] must be \(state,\) or .* \('b', 2\) \(of a state that is"),
-        ([["hall", "go"]], r"episodes\[0\]\[0\] must be a step, \(state, action, reward\), .*; got str$"),
-        ([[(0, 0), (1, 0, 1.0), (2,)]], r"episodes\[0\]\[0\] must be a step, .*; it has 2 parts$"),
-        ([[(0, 0, 1.0, 1, False, False, 3)]], r"episodes\[0\]\[0\] must be a step, .*; it has 7 parts$"),
-        ([[(0, 0, 1.0, 2), (1, 0, 1.0, 1)]], r"next_state\[0\] must be the state of the next row"),
-        ([[(0, 0, "x"), (1,)]], r"episodes\[0\]\[0\] must be a step, .*; its reward is 'x'$"),
-        ([[(0, 0, 1.0), (1, "yes")]], r"episodes\[0\]\[1\] must be \(state,\) or .*; it is \(1, 'yes'\)$"),
-    ],
-)  # fmt: skip
-def test_bad_episodes(episodes, text):
-    with pytest.raises(ValueError, match=f"^{text}"):
-        Transitions.from_episodes(episodes)
 
 
 def test_files_of_a_pattern_warn_once_and_missing_rewards_are_described(tmp_path):

@@ -328,21 +328,6 @@ def test_files_that_are_none_are_named(tmp_path):
             Transitions.open(folder)
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"bad_rows": "keep"}, r"bad_rows must be one of 'refuse', 'drop'; got 'keep'"),
-        ({"n_states": 0}, r"n_states must be a positive integer; it is 0"),
-        ({"n_actions": 1.5}, r"n_actions must be a positive integer; got 1\.5"),
-        ({"kept_moves": 0}, r"kept_moves must be a positive integer; it is 0"),
-        ({"jobs": 0}, r"jobs must be a positive integer; it is 0"),
-    ],
-)
-def test_bad_calls(tmp_path, options, text):
-    with pytest.raises(ValueError, match=text):
-        Transitions.open(written(tmp_path / "a", number=1), **options)
-
-
 # ---- processes, clusters, kills
 
 

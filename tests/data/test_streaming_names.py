@@ -74,13 +74,6 @@ def test_names_that_the_simulator_has_not(tmp_path, row, text):
     assert (dropped.recording.dropped, len(dropped)) == (1, 1)
 
 
-def test_the_simulator_says_how_many_states_there_are():
-    with pytest.raises(ValueError, match="n_states and n_actions must be left out where simulator is given"):
-        Transitions.open("log.csv", simulator=named_simulator(), n_states=4)
-    with pytest.raises(ValueError, match=r"^simulator must be a FiniteMDP"):
-        Transitions.open("log.csv", simulator=4)
-
-
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
 def test_episodes_may_be_called_by_texts(tmp_path, ending):
     simulator = named_simulator()

@@ -26,22 +26,3 @@ def test_an_estimate_of_the_simulator_itself_becomes_its_continuous_value(kind):
     found = calibrate(Estimate(3.0), discretised=3.0, continuous=2.5, kind=kind)
     assert found.diagnostics["calibrated_value"] == 2.5
     assert found.diagnostics["calibrated_standard_error"] is None
-
-
-BAD = {
-    "kind": ({"kind": "product"}, r"kind must be one of 'ratio', 'difference'; got 'product'"),
-    "sign": (
-        {"discretised": -1.0},
-        r"kind must be 'difference' unless discretised and continuous have one sign; they are -1 and 2",
-    ),
-    "zero": ({"discretised": 0.0}, r"kind must be 'difference' unless .*; they are 0 and 2"),
-    "nan": ({"continuous": np.nan}, r"continuous must be in .*; it is nan"),
-    "infinite": ({"discretised": np.inf}, r"discretised must be finite; it is inf"),
-    "negative error": ({"continuous_error": -1.0}, r"continuous_error must be in \[0, inf\); it is -1"),
-}
-
-
-@pytest.mark.parametrize(("changes", "text"), BAD.values(), ids=BAD)
-def test_bad_calls(changes, text):
-    with pytest.raises(ValueError, match=text):
-        calibrate(Estimate(1.0), **({"discretised": 1.0, "continuous": 2.0} | changes))

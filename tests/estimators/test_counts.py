@@ -81,42 +81,6 @@ def test_a_report_leaves_out_what_needs_whole_moves():
         oee.evaluate(oee.Problem(SIMULATOR, LOG, 20, counts=SOFT), EXPERT, estimators=["oee"], guaranteed=True)
 
 
-def spoiled(value):
-    matrix = sparse.csr_array(SOFT, copy=True)
-    matrix.data[0] = value
-    return matrix
-
-
-def outside():
-    matrix = sparse.lil_array(SOFT.shape)
-    matrix[0, 8] = 0.5
-    return sparse.csr_array(matrix)
-
-
-BAD = {
-    "an array": (lambda: SOFT.toarray(), r"counts must be sparse, of shape \(36, 9\); got ndarray"),
-    "shape": (
-        lambda: SOFT[:4],
-        r"counts must have shape \(36, 9\) \(row s\*A \+ a, column s'\); they have shape \(4, 9\)",
-    ),
-    "complex": (lambda: SOFT * 1j, r"counts must be real numbers; they are complex128"),
-    "negative": (lambda: spoiled(-0.5), r"counts must be finite and nonnegative; at s=0, a=0 -> s'=0 there is -0.5"),
-    "nan": (lambda: spoiled(np.nan), r"counts must be finite and nonnegative; at s=0, a=0 -> s'=0 there is nan"),
-    "infinite": (lambda: spoiled(np.inf), r"counts must be finite and nonnegative; .* there is inf"),
-    "none": (lambda: 0 * SOFT, r"counts must have at least one transition; all are 0"),
-    "no support": (outside, r"counts must stay in the simulator's support: .* s=0, a=0 -> s'=8 \(0.5\)"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_counts_beside_a_log_and_without_one(case):
-    make, text = BAD[case]
-    with pytest.raises(ValueError, match=text):
-        oee.Problem(SIMULATOR, LOG, counts=make())
-    with pytest.raises(ValueError, match="log must be Transitions; got ndarray" if case == "an array" else text):
-        oee.Problem(SIMULATOR, make())
-
-
 # ---- whole counts, without a log
 
 

@@ -143,15 +143,6 @@ def test_what_a_problem_s_data_contradict():
     assert "differ from behavior_policy" in str(other)
 
 
-@pytest.mark.parametrize(("options", "text"), [
-    ({"findings": "look out"}, "findings must be Findings; got str"),
-    ({"findings": ("look out",)}, r"findings\[0\] must be a Finding\(kind, severity, text\); got str"),
-])  # fmt: skip
-def test_what_is_no_finding(options, text):
-    with pytest.raises(ValueError, match=text):
-        Estimate(1.0, **options)
-
-
 def test_a_user_s_own_finding_is_told():
     problem, _ = recorded_problem(n=30, horizon=4)
 

@@ -3,15 +3,12 @@
 import functools
 
 import numpy as np
-import pytest
-from estimators.four_states import BEHAVIOR, FULL, POLICY, SIMULATOR, TARGET
 from helpers import dense, random_mdp, random_policy, rngs, survival_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP
 from oee_tabular.estimators import (
     DoublyRobust,
     DualDice,
@@ -199,57 +196,5 @@ def test_a_ratio_that_diverges_is_a_status():
         assert "spectral radius" in found.status
 
 
-BAD = {
-    "a horizon for DualDICE": (
-        lambda: DualDice()(oee.Problem(GRID, LOG, horizon=3), UNIFORM),
-        "horizon must be None for DualDICE, .*; it is 3",
-    ),
-    "an unknown ratio": (lambda: Marginalized(ratio="beta"), "ratio must be one of"),
-    "an empty box": (lambda: Marginalized(lower=2.0, upper=1.0), "lower must not exceed upper; they are 2 and 1"),
-    "a bound in words": (lambda: Marginalized(upper="wide"), "upper must be"),
-    "a bag for episodes": (
-        lambda: DoublyRobust(data="episodes")(oee.Problem(GRID, oee.Transitions([0], [0], [0])), UNIFORM),
-        "importance sampling needs whole episodes",
-    ),
-    "a blend without support": (
-        lambda: Magic().limit(SIMULATOR, TARGET, POLICY, behavior_policy=np.tile([1.0, 0.0], (4, 1)), horizon=5),
-        r"behavior_policy must take every action .* in state \d it never takes action",
-    ),
-    "a limit outside the simulator": (
-        lambda: ModelBased().limit(oee.tasks.gridworld(3, 0.0), GRID, UNIFORM),
-        "target must stay in the simulator's support",
-    ),
-    "a limit of another size": (
-        lambda: ModelBased().limit(GRID, oee.tasks.gridworld(2, 0.3), UNIFORM),
-        "target and simulator must have the same states and actions",
-    ),
-}
 GRID, UNIFORM = oee.tasks.gridworld(3, 0.3), np.full((9, 4), 0.25)
 LOG = oee.sample_episodes(GRID, UNIFORM, 3, 5, seed=0)
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_calls(name):
-    call, text = BAD[name]
-    with pytest.raises(ValueError, match=text):
-        call()
-
-
-ARGUMENTS = {
-    "simulator": ({"simulator": 3}, r"^simulator must be a FiniteMDP; got int$"),
-    "target": ({"target": 3}, r"^target must be a FiniteMDP; got int$"),
-    "policy": ({"policy": POLICY * 2}, r"^policy\[0\] must sum to 1"),
-    "data": ({"data_distribution": FULL * 2}, r"^data_distribution must sum to 1"),
-    "behaviour": ({"behavior_policy": BEHAVIOR * 2}, r"^behavior_policy\[0\] must sum to 1"),
-    "horizon": ({"horizon": 0}, r"^horizon must be a positive integer; it is 0$"),
-    "size": ({"target": FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 0.9)},
-             r"^target and simulator must have the same states and actions; .* shapes \(1, 1\) and \(8, 4\)$"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ARGUMENTS)
-def test_bad_arguments_of_limits(name):
-    changed, text = ARGUMENTS[name]
-    arguments = {"simulator": SIMULATOR, "target": TARGET, "policy": POLICY} | changed
-    with pytest.raises(ValueError, match=text):
-        OffEnvironment().limit(**arguments)

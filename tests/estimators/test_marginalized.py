@@ -95,25 +95,6 @@ def test_the_saddle_point_pair_by_pair():
     assert found.findings[0].kind == "coverage"
 
 
-TWINS = np.stack([np.arange(8.0), np.ones(8), 3 - np.arange(8.0)], axis=1)
-BAD_FEATURES = {
-    "constant": (np.ones((4, 2)), "features must differ between state-action pairs; every column is constant"),
-    "zero": (np.eye(8)[:, [0, 1, 1]] * [1, 1, 0], "column 2 is$"),
-    "collinear": (TWINS, r"linearly independent; columns 0, 1, 2 are not \(column 1 is constant\)$"),
-    "rows": (np.ones(7), r"features must have shape \(4, 2\) \(\+ d\), or 8 rows, .*; they have shape \(7,\)"),
-    "a number": (3.0, r"features must have shape .* they have shape \(\)"),
-    "axes": (np.ones((8, 2, 2)), r"features must have shape .* they have shape \(8, 2, 2\)"),
-    "nan": (np.full((4, 2), np.nan), r"features\[0, 0\] must be finite; it is nan"),
-}
-
-
-@pytest.mark.parametrize("case", BAD_FEATURES)
-def test_bad_features(case):
-    features, text = BAD_FEATURES[case]
-    with pytest.raises(ValueError, match=text):
-        Marginalized(features=features)(recorded_problem()[0], POLICY)
-
-
 def test_features_that_the_log_does_not_tell_apart_and_problems_without_a_saddle_point():
     simulator, _ = environments()
     problem = Problem(simulator, oee.Transitions([0, 1], [0, 1], [1, 2]))

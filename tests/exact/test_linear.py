@@ -152,25 +152,6 @@ def test_subnormal_values_are_within_their_bound():
         assert abs(Fraction(float(result.values[0])) - truth) <= Fraction(result.error_bound)
 
 
-@pytest.mark.parametrize(
-    ("kernel", "b", "discount", "words"),
-    [
-        (np.eye(2), [1, 1], 0.5, "kernel must be a sparse matrix; got ndarray"),
-        (sparse.csr_array((2, 3)), [1, 1], 0.5, r"kernel must be square, \(S, S\); it has shape \(2, 3\)"),
-        (sparse.csr_array([[0.5, -0.5], [0, 1]]), [1, 1], 0.5, r"nonnegative; kernel\[0, 1\] is -0.5"),
-        (sparse.csr_array([[0.5, 0.5], [0, np.nan]]), [1, 1], 0.5, r"finite and nonnegative; kernel\[1, 1\] is nan"),
-        (sparse.csr_array(np.eye(2)), [1, 1, 1], 0.5, "b must have 2 entries, one a state; it has 3"),
-        (sparse.csr_array(np.eye(2)), [[1], [1]], 0.5, r"b must have 1 dimension\(s\); it has shape \(2, 1\)"),
-        (sparse.csr_array(np.eye(2)), [1, np.inf], 0.5, r"b.*1.*inf"),
-        (sparse.csr_array(np.eye(2)), [1, 1], -1, "discount must be in"),
-        (sparse.csr_array(np.eye(2)), [1, 1], np.nan, "discount must be"),
-    ],
-)
-def test_bad_systems(kernel, b, discount, words):
-    with pytest.raises(ValueError, match=words):
-        solve_policy_system(kernel, np.array(b), discount)
-
-
 def test_a_matrix_by_columns_is_read_as_what_it_is():
     kernel = sparse.csr_array([[0.5, 0.5], [0.0, 1.0]])
     for form in (kernel, kernel.tocsc(), kernel.tocoo()):

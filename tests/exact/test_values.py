@@ -183,16 +183,6 @@ def test_values_beyond_floats_are_infinite_and_their_bound_is():
     assert oee.policy_value(FiniteMDP(never.transitions, never.rewards, [0, 0, 1], 0.99), policy) == np.inf
 
 
-def test_a_gradient_of_another_mdp_s_values_is_refused():
-    """Compiled code would read beyond its arrays."""
-    small, large = (oee.tasks.gridworld(size, 0.1) for size in (2, 3))
-    for horizon in (None, 3):
-        with pytest.raises(
-            ValueError, match=r"values_of must have the model's states and actions, \(9, 4\); it has \(4, 4\)"
-        ):
-            exact.transition_gradient(large, oee.uniform_policy(large), horizon=horizon, values_of=small)
-
-
 def test_what_is_said_of_a_value():
     """The method and the error bound of each way to a value."""
     chain, ones = survival_chain(), np.ones((2, 1))

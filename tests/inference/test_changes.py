@@ -1,7 +1,6 @@
 """Certain changes of rows: bounds that hold, all at once, and say nothing where there is nothing to say."""
 
 import numpy as np
-import pytest
 
 import oee_tabular as oee
 from oee_tabular.inference import row_changes
@@ -27,16 +26,3 @@ def test_rows_without_moves_are_left_open():
     assert found.next_state[3, 3] == -1
     assert np.isnan(found.observed[3, 3])
     assert found.certain[3, 3] == found.estimated[3, 3] == found.evidence[3, 3] == 0.0
-
-
-@pytest.mark.parametrize(
-    ("call", "text"),
-    [
-        (lambda p: row_changes(p.simulator), "problem must be a Problem; got FiniteMDP"),
-        (lambda p: row_changes(p, confidence=1.0), r"confidence must be in \(0, 1\); it is 1"),
-        (lambda p: row_changes(p).largest(0), "k must be a positive integer; it is 0"),
-    ],
-)
-def test_bad_calls(call, text):
-    with pytest.raises(ValueError, match=text):
-        call(oee.Problem(SIMULATOR, oee.Transitions([0], [0], [4])))

@@ -159,22 +159,3 @@ def test_measures_of_selection():
     assert selection_measures([1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 0.0], k=2).regret == pytest.approx(1 / 3)
     assert selection_measures([1, 2], [1, 2]) == selection_measures([1, 2], [1, 2])
     assert np.isnan(selection_measures([1.0, 1.0], [0.0, 1.0]).rank_correlation)
-
-
-@pytest.mark.parametrize(
-    ("call", "text"),
-    [
-        (
-            lambda: compare_policies(problem(9, 0), {"one": 16 * SHARE}),
-            "policies must be at least two to compare",
-        ),
-        (lambda: compare_policies(problem(9, 0), POLICIES, method="no"), "method must be one of 'delta', 'bootstrap'"),
-        (lambda: compare_policies(problem(9, 0), POLICIES, confidence=0), r"confidence must be in \(0, 1\); it is 0"),
-        (lambda: selection_measures([1], [1]), "must have one length of at least 2; they have 1 and 1"),
-        (lambda: selection_measures([1, np.nan], [1, 2]), r"estimates\[1\] must be finite; it is nan"),
-        (lambda: selection_measures([1, 2], [1, 2], k=3), "k must be at most the number of policies, 2; it is 3"),
-    ],
-)
-def test_bad_calls(call, text):
-    with pytest.raises(ValueError, match=text):
-        call()

@@ -342,34 +342,6 @@ def test_05_relabelling_leaves_intervals(rng):
         assert_allclose((two.lower, two.upper), (one.lower, one.upper), rtol=1e-6, atol=1e-6)
 
 
-GRID = oee.tasks.gridworld(3, 0.3, discount=0.9)
-PROBLEM = oee.Problem(GRID, oee.Transitions([0, 1], [0, 1], [3, 0]))
-UNIFORM = oee.uniform_policy(GRID)
-BAD = {
-    "confidence 1": ({"confidence": 1.0}, r"confidence must be in \(0, 1\); it is 1"),
-    "confidence 95": ({"confidence": 95}, r"confidence must be in \(0, 1\); it is 95"),
-    "a lower ratio above 1": ({"lower_ratio": 1.2}, r"lower_ratio must be in \[0, 1\]; it is 1.2"),
-    "an upper ratio below 1": ({"upper_ratio": 0.5}, r"upper_ratio must be in \[1, inf\]; it is 0.5"),
-    "an unknown method": ({"method": "bayes"}, "method must be one of 'likelihood', 'delta', 'bootstrap', 'robust'"),
-    "an unknown radius": ({"radius": "wide"}, "radius must be one of 'auto', 'independent', 'anytime'"),
-    "no resamples": ({"method": "bootstrap", "n_bootstrap": 0}, "n_bootstrap must be a positive integer; it is 0"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_calls(name):
-    options, text = BAD[name]
-    with pytest.raises(ValueError, match=text):
-        oee.interval(PROBLEM, UNIFORM, **options)
-
-
-def test_other_bad_calls():
-    with pytest.raises(ValueError, match="problem must be a Problem; got FiniteMDP"):
-        oee.interval(GRID, UNIFORM)
-    with pytest.raises(ValueError, match="horizon must be given at discount 1"):
-        oee.interval(oee.Problem(GRID.with_discount(1.0), PROBLEM.log), UNIFORM)
-
-
 def test_two_steps_that_never_succeeded_are_both_raised():
     """J = discount p q is flat at p = q = 0: the gradient sees nothing, the interval must. n (-log(1 - p)) = c / 2 each."""
     kernel = np.zeros((4, 1, 4))

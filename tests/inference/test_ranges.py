@@ -111,24 +111,3 @@ def test_value_range_at_discount_1_where_the_policy_ends():
     assert_allclose([found.lower, found.upper], [-1 / 0.25, -1 / 0.75], rtol=1e-12)
     assert_allclose(oee.value_range(walk(0.5), [0, 0], 0.0, 1.5).lower, -4.0, rtol=1e-12)
     assert_allclose(oee.value_range(walk(0.5), [0, 0], 0.4, 3.0).lower, -5.0, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("call", "text"),
-    [
-        (lambda: oee.value_range(walk(0.5), [0, 0], 1.2, 2.0), r"lower_ratio must be in \[0, 1\]; it is 1.2"),
-        (lambda: oee.value_range(walk(0.5), [0, 0], 0.5, 0.5), r"upper_ratio must be in \[1, inf\]; it is 0.5"),
-        (lambda: oee.value_range(walk(0.5), [0, 0], "half", 2.0), "lower_ratio must be a number; got 'half'"),
-        (lambda: oee.value_range(walk(0.5), [0, 0], 0.0, 2.0), "horizon must be given: .* stay for ever .* s=0 is one"),
-        (lambda: oee.value_range(walk(1.0), [0, 0], 0.5, 2.0), "horizon must be given: .* s=0 has reward -1"),
-        (
-            lambda: oee.value_range(walk(0.5), [0, 0], 0.5, 2.0, horizon=0),
-            "horizon must be a positive integer; it is 0",
-        ),
-        (lambda: oee.value_range(walk(0.5), [0, 7], 0.5, 2.0), r"policy\[1\]"),
-        (lambda: oee.value_range(3, [0, 0], 0.5, 2.0), "simulator must be a FiniteMDP"),
-    ],
-)
-def test_bad_calls(call, text):
-    with pytest.raises(ValueError, match=text):
-        call()

@@ -1,7 +1,6 @@
 """The likelihood interval of a model whose rows share parameters, under a tie or features."""
 
 import numpy as np
-import pytest
 from helpers import random_mdp, random_policy, rngs
 from hypothesis import example, given, settings
 from numpy.testing import assert_allclose
@@ -117,25 +116,3 @@ def test_a_higher_level_is_wider_and_infinite_data_leave_a_point():
     many = oee.Problem(simulator, 1e7 * target.transitions)
     found = oee.interval(many, policy, features=phi)
     assert_allclose([found.lower, found.upper], oee.policy_value(target, policy), rtol=1e-3)
-
-
-SIMULATOR, TARGET, POLICY, PHI = pair(0)
-KEYS = np.zeros(len(PHI), dtype=int)
-BAD = {
-    "both": ({"tie": KEYS, "features": PHI}, "^tie and features must not be given together"),
-    "a box": ({"tie": KEYS, "lower_ratio": 0.5}, "^lower_ratio and upper_ratio must be None with tie"),
-    "another method": ({"features": PHI, "method": "delta"}, "^method must be 'likelihood' with features"),
-    "constant features": (
-        {"features": np.ones(len(PHI))},
-        "^features must differ between the next states of some .*; feature 0 is constant",
-    ),
-    "keys of another length": ({"tie": KEYS[:-1]}, "^tie must have shape"),
-    "keys that are not integers": ({"tie": 0.5 * KEYS}, "^tie must have integer keys"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_calls(name):
-    options, text = BAD[name]
-    with pytest.raises(ValueError, match=text):
-        oee.interval(oee.Problem(SIMULATOR, log_of(TARGET, 50, 0)), POLICY, **options)

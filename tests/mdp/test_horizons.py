@@ -67,13 +67,6 @@ def test_at_discount_1_the_cost_is_said():
         assert limit_horizon(20_000, 1.0, work=1.2e5) == 20_000
 
 
-@pytest.mark.parametrize("call", [oee.policy_value, oee.return_moments, oee.optimal_policy, oee.occupancy])
-def test_beyond_64_bits(call):
-    arguments = (TARGET,) if call is oee.optimal_policy else (TARGET, POLICY)
-    with pytest.raises(ValueError, match=rf"horizon must be at most 2\*\*63 - 1; it is {2**63}"):
-        call(*arguments, horizon=2**63)
-
-
 def test_arrays_with_an_entry_for_each_step_must_fit():
     for call in (
         lambda: oee.optimal_policy(TARGET, horizon=FAR),

@@ -2,7 +2,6 @@
 
 import pickle
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -129,22 +128,3 @@ def test_no_minus_zero_and_no_two_of_one():
     assert_array_equal(kind, np.zeros(4))
     assert not np.signbit(kinds).any()
     assert len(displacements(three(layout=[0.3, 0.3 + 2e-9, 0.3]))[0]) == 3
-
-
-@pytest.mark.parametrize(
-    ("layout", "text"),
-    [
-        (PLACES[:2], r"must have shape \(3,\) or \(3, c\), a place "),
-        (np.zeros((3, 0)), r"must .*; it has shape \(3, 0\)$"),
-        (np.zeros((3, 1, 1)), r"must have 1 or 2 dimension\(s\); it has"),
-        (3.0, r"must have 1 or 2 dimension\(s\); it has shape \(\)"),
-        ([[0, 1], [2, np.nan], [0, 0]], r"\[1, 1\] must be finite; it is nan$"),
-        ([0, 1, -np.inf], r"\[2\] must be finite; it is -inf$"),
-        (["a", "b", "c"], r"must be an array of numbers; got list"),
-        ([1j, 2, 3], r"must be an array of numbers; got list \(complex numbers\)"),
-    ],
-)
-def test_bad_layouts(layout, text):
-    for call in (three, three().with_layout, partial(displacements, three())):
-        with pytest.raises(ValueError, match=rf"^layout ?{text}"):
-            call(layout=layout)

@@ -1,7 +1,6 @@
 """The forms of a policy: an action a state, by number or name; a mapping; a function; several of them."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.testing import assert_array_equal
 
@@ -54,40 +53,6 @@ def test_actions_that_are_called_by_tuples():
     assert_array_equal(check_policy({0: (0, 1), 1: [0, 1]}, mdp)[:2], [[1, 0], [0, 1]])
     far = PLAIN.with_names(None, [("x", 1), ("y", 1)])
     assert_array_equal(check_policy([("x", 1), ("y", 1), ("y", 1)], far), [[1, 0], [0, 1], [0, 1]])
-
-
-BAD = [
-    (lambda s: 0.5, r"\('hall'\) must be an action, or a distribution over the 2 actions; it is 0\.5$"),
-    (lambda s: None, r"\('hall'\) must be an action, or .*; it is None$"),
-    (lambda s: [1.0, 0.0, 0.0], r"\('hall'\) must be an action, or a distribution over the 2 actions; it is \[1"),
-    (lambda s: [1.5, -0.5], r"\('hall'\)\[1\] must be nonnegative"),
-    (lambda s: True, r"\('hall'\) must be an action"),
-    (lambda s: "gone", r"\('hall'\) must be one of the MDP's names; it is 'gone' \(did you mean 'go'\?\)$"),
-    (lambda s: {"go": 0.5}, r"\('hall'\) must sum to 1"),
-    ({"hal": "go"}, r"'s state must be one of the MDP's names; it is 'hal' \(did you mean 'hall'\?\)$"),
-    ({"hall": "go"}, r" must have every state that is not terminal; state \('room', 1\) is not there$"),
-    ({}, r" must have every state .*; state hall is not there \(2 such states in all\)$"),
-    ({"hall": 0, 0: 1}, r"'s states must differ; state hall is given twice$"),
-    ([0, -1, 0], r"\[1\] must be in 0\.\.1; it is -1$"),
-    (["go", "stya", "go"], r"\[1\] must be one of the MDP's names; it is 'stya' \(did you mean 'stay'\?\)$"),
-    ([0, 1], r" must have shape \(3, 2\) \(states, actions\); it has shape \(2,\)$"),
-    ([0.0, 1.0, 0.0], r" must have shape \(3, 2\) \(states, actions\); it has shape \(3,\)$"),
-    ([True, False, True], r" must have shape \(3, 2\) \(states, actions\); it has shape \(3,\)$"),
-    (None, r" must "),
-    (pd.DataFrame({"go": [1.0] * 3}), r" must be an array or a mapping by state; got DataFrame \(.*to_dict\("),
-    (pd.Series([0, 1, 0]), r" must be an array or a mapping by state; got Series \(.*to_dict\("),
-]
-
-
-@pytest.mark.parametrize(("policy", "text"), BAD)
-def test_bad_policies(policy, text):
-    with pytest.raises(ValueError, match=f"^policy{text}"):
-        oee.policy_value(NAMED, policy)
-
-
-def test_names_where_there_are_none():
-    with pytest.raises(ValueError, match=r"^policy\[0\] must be a number in 0\.\.1, since the MDP has no names here"):
-        check_policy(["go"] * 3, PLAIN)
 
 
 @pytest.mark.parametrize(
@@ -186,10 +151,3 @@ def test_the_last_entry_is_looked_at(change, words, order):
     else:
         with pytest.raises(ValueError, match=rf"policy\[{PLAIN.n_states - 1}.*{words}"):
             check_policy(given, PLAIN)
-
-
-@pytest.mark.parametrize("horizon", [-3, 0, True, 1.5])
-def test_a_bad_horizon_is_refused_whatever_the_policy(horizon):
-    mdp = oee.tasks.gridworld(2, slip=0.1)
-    with pytest.raises(ValueError, match=r"^horizon must be"):
-        check_policy(oee.uniform_policy(mdp), mdp, horizon=horizon)

@@ -301,39 +301,3 @@ def test_a_fit_in_another_process_is_the_same(options):
 
 
 # ---- bad calls
-
-SIMULATOR = garnet(0, n_states=4, successors=2)
-LOG = drawn(SIMULATOR, 3.0, 0)
-POLICY = np.full((4, 2), 0.5)
-BAD = {
-    "a policy of another shape": (
-        {"values_of": np.ones((3, 2)) / 2},
-        r"^values_of must have shape \(4, 2\) \(states, actions\); it has shape \(3, 2\)$",
-    ),
-    "one of several": ({"values_of": [POLICY, POLICY[:3]]}, r"^values_of\[1\] must have shape \(4, 2\)"),
-    "rows that do not sum to one": ({"values_of": 2 * POLICY}, r"^values_of\[0\] must sum to 1"),
-    "rows of the second": ({"values_of": [POLICY, 2 * POLICY]}, r"^values_of\[1\]\[0\] must sum to 1"),
-    "a negative probability": ({"values_of": POLICY - [[1.0, -1.0]]}, r"^values_of\[0, 0\] must be nonnegative"),
-    "no policies": ({"values_of": []}, r"^values_of must "),
-    "a word": ({"values_of": "policy"}, r"^values_of must "),
-    "a horizon of 0": ({"values_of": POLICY, "horizon": 0}, r"^horizon must be a positive integer; it is 0$"),
-    "half a horizon": ({"values_of": POLICY, "horizon": 2.5}, r"^horizon must be a positive integer; got 2.5$"),
-    "a horizon alone": ({"horizon": 5}, r"^horizon must be left out without values_of"),
-    "values for the simulator": ({"values_of": POLICY, "prior": "simulator"}, r"^values_of must .* 'simulator'"),
-    "values for the tilt": ({"values_of": POLICY, "prior": "tilt"}, r"^values_of must .* 'tilt'"),
-    "values for nothing": ({"values_of": POLICY, "prior": "none"}, r"^values_of must .* 'none'"),
-    "values for another method": ({"values_of": POLICY, "method": "joint"}, r"^values_of must .* 'joint'"),
-    "a horizon for another method": ({"horizon": 5, "method": "joint"}, r"^horizon must .* 'joint'"),
-    "features of nothing": (
-        {"features": np.ones(16), "prior": "none"},
-        r"^features must be left out with prior 'none'",
-    ),
-    "an unknown prior": ({"prior": "mean"}, r"^prior must be one of 'ridge', 'tilt', 'simulator', 'none'; got 'mean'$"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_calls(name):
-    options, text = BAD[name]
-    with pytest.raises(ValueError, match=text):
-        oee.transition_ratio(LOG, SIMULATOR, **options)

@@ -127,24 +127,6 @@ def test_collinear_features_are_solved_with_a_warning():
     assert_allclose(three, single, rtol=1e-2)
 
 
-@pytest.mark.parametrize(
-    ("features", "text"),
-    [
-        (np.zeros(7), r"features must have 376 rows, one for each transition of the simulator, or shape \(25, 4, 25\)"),
-        (np.full(376, np.nan), r"features must be finite; feature 0 at s=0, a=0 -> s'=\d+ is nan"),
-        ("log", r"features must be an array of numbers"),
-        (lambda s, a, t: np.zeros(3), r"features must have 376 rows"),
-    ],
-)
-def test_bad_features(features, text):
-    simulator, target = grids()
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 3, 10, seed=0)
-    with pytest.raises(ValueError, match=text):
-        oee.transition_ratio(log, simulator, features=features)
-    with pytest.raises(ValueError, match="features must be left out with prior 'simulator'"):
-        oee.transition_ratio(log, simulator, prior="simulator", features=features)
-
-
 # ---- the strength ------------------------------------------------------------------------------------------------
 
 

@@ -281,19 +281,6 @@ def test_a_folder_without_permission_is_named(report, tmp_path, monkeypatch):
         report.to_html(tmp_path / "answer.html")
 
 
-@pytest.mark.parametrize(
-    ("grid", "text"),
-    [
-        ((3, 5), r"grid must have as many cells as the simulator has states, 16; \(3, 5\) has 15"),
-        (4, r"grid must be \(rows, columns\); got 4"),
-        ((4, 0), r"grid\[1\] must be a positive integer; it is 0"),
-    ],
-)
-def test_bad_grids_are_named(grid, text, report):
-    with pytest.raises(ValueError, match=text):
-        report.to_html(grid=grid)
-
-
 # what it was made from
 
 

@@ -214,27 +214,3 @@ def test_what_to_record_next_is_said_once_and_a_wrong_behaviour_policy_is_told()
     log = oee.sample_episodes(SMALL, oee.tasks.gridworld_policy(3, 0.4), 10, 20, seed=0)
     warnings = oee.evaluate(Problem(SMALL, log, behavior_policy=UNIFORM), UNIFORM).warnings
     assert any(f"differ from behavior_policy in {len(log)} transitions" in text for text in warnings)
-
-
-@pytest.mark.parametrize(
-    ("call", "text"),
-    [
-        (
-            lambda p, _: oee.evaluate(p.simulator, None),
-            r"problem must be a Problem\(simulator, log, ...\); got FiniteMDP",
-        ),
-        (
-            lambda p, _: oee.evaluate(p, oee.uniform_policy(p.simulator), target=SMALL),
-            r"target must have the simulator's 16 states and 4 actions; it has 9 and 4",
-        ),
-        (lambda _, r: r.legend(3), r"rows must be a Report's records\(\); got int"),
-        (
-            lambda _, r: r.legend([{"estimator": "oee"}]),
-            r"rows must be a Report's records\(\); one is \{'estimator': 'oee'\}",
-        ),
-        (lambda _, r: r.rows(all=1), "all must be True or False; got 1"),
-    ],
-)
-def test_wrong_kinds_of_arguments(problem, report, call, text):
-    with pytest.raises(ValueError, match=text):
-        call(problem, report)

@@ -93,25 +93,6 @@ def test_a_long_horizon_is_followed_where_episodes_end():
     assert np.diff(one.episode_starts).tolist() == [500_000] * 2
 
 
-@pytest.mark.parametrize(
-    ("bad", "words"),
-    [
-        (lambda m, p: oee.sample_transitions(m, p / 9, 0, seed=0), "^n must be a positive integer; it is 0"),
-        (lambda m, p: oee.sample_transitions(m, p, 5, seed=0), "^distribution must sum to 1 .*; it sums to 9"),
-        (lambda m, p: oee.sample_transitions(m, np.ones(4), 5, seed=0), "^distribution must have 2 dimension"),
-        (lambda m, p: oee.sample_transitions(m, np.ones((3, 4)) / 12, 5, seed=0), r"^distribution must have shape \(9, 4\)"),
-        (lambda m, p: oee.sample_episodes(m, p, 0, 5, seed=0), "^n_episodes must be a positive integer; it is 0"),
-        (lambda m, p: oee.sample_episodes(m, p, 5, 0, seed=0), "^horizon must be a positive integer; it is 0"),
-        (lambda m, p: oee.sample_episodes(m, p, 10**14, 5, seed=0), "^n_episodes must be small enough for"),
-        (lambda m, p: oee.sample_episodes(m, p, 5, 5, seed="x"), "^seed must be what numpy.random.default_rng takes"),
-    ],
-)  # fmt: skip
-def test_bad_calls(bad, words):
-    mdp = oee.tasks.gridworld(3, slip=0.1)
-    with pytest.raises(ValueError, match=words):
-        bad(mdp, oee.uniform_policy(mdp))
-
-
 def test_twins_of_terminal_states_are_not_drawn_from():
     """A distribution over the environment's own states is one over all, with nothing on the twins."""
     rows = np.array([[[0.5, 0.5, 0.0, 0.0]], [[0.0, 0.0, 0.6, 0.4]], [[0.0, 0.0, 1.0, 0.0]], [[0.0, 0.0, 0.0, 1.0]]])

@@ -153,28 +153,6 @@ def call(mdp=GRID, policy=UNIFORM, n_episodes=3, horizon=4, seed=0, **options):
     return oee.sample_returns(mdp, policy, n_episodes, horizon, seed=seed, **options)
 
 
-@pytest.mark.parametrize(
-    ("bad", "words"),
-    [
-        (lambda: call(mdp=3), "mdp must be a FiniteMDP; got int"),
-        (lambda: call(policy=UNIFORM[:3]), r"policy must have shape \(16, 4\)"),
-        (lambda: call(policy=UNIFORM * 2), r"policy\[0\] must sum to 1 .*; it sums to 2"),
-        (lambda: call(n_episodes=0), "n_episodes must be a positive integer; it is 0"),
-        (lambda: call(horizon=None), "horizon must be a positive integer; got None"),
-        (lambda: call(horizon=2.5), "horizon must be a positive integer; got 2.5"),
-        (lambda: call(seed="x"), "seed must be what numpy.random.default_rng takes"),
-        (lambda: call(kind="whole"), "kind must be one of 'per_decision', 'trajectory'; got 'whole'"),
-        (lambda: call(zeta=np.ones((64, 16))), r"zeta must be sparse of shape \(64, 16\)"),
-        (lambda: call(zeta=ZETA.values * 1j), "zeta must be real numbers"),
-        (lambda: call(zeta=[1, [2, 3]]), r"zeta must be sparse of shape \(64, 16\)"),
-        (lambda: call(zeta=-ZETA.values), "zeta must be finite and nonnegative; at .* it is -"),
-    ],
-)  # fmt: skip
-def test_bad_calls(bad, words):
-    with pytest.raises(ValueError, match=words):
-        bad()
-
-
 def test_it_prints_what_it_holds():
     drawn = call(n_episodes=50, horizon=20)
     assert repr(drawn).startswith(f"SampledReturns(50 episodes, {drawn.lengths.sum()} transitions: mean ")

@@ -1,0 +1,653 @@
+"""The table of bad calls: a call, and how its error begins, with the argument, the place and the rule; "..." is anything.
+
+A line that begins with blanks belongs to the one above. The names are those of tests/test_bad_calls.py and of the package.
+"""
+
+TABLE = r"""
+# MDPs
+mdp(edited(GOOD, (1, 1), [0.3, 0.67]))  ->  transitions[1, 1] must sum to 1
+mdp(GOOD * 2)  ->  transitions[0, 0] must sum to 1 ... (4 such rows in all)
+mdp(rows(edited(GOOD, (1, 1), [0.3, 0.6])))  ->  transitions[1, 1] must sum to 1
+mdp(rows(edited(GOOD, (1, 0), 0.0)))  ->  transitions[1, 0] must sum to 1
+mdp(edited(GOOD, (0, 1), [-0.5, 1.5]))  ->  transitions[0, 1, 0] must be nonnegative
+mdp(rows(edited(GOOD, (0, 1), [-0.5, 1.5])))  ->  transitions must be nonnegative; at s=0, a=1 -> s'=0
+mdp(edited(GOOD, (0, 1, 0), np.nan))  ->  transitions[0, 1, 0] must be finite
+mdp(rows(edited(GOOD, (0, 1, 0), np.nan)))  ->  transitions must be finite; at s=0, a=1 -> s'=0
+mdp(np.ones((2, 2, 3)) / 3)  ->  transitions must have shape (S, A, S), or
+mdp(np.ones((3, 2, 2)) / 2)  ->  transitions must have shape ...: the axes look like (A, S, S); use P.transpose(1, 0, 2)
+mdp(np.eye(2))  ->  transitions must have shape (S, A, S), or (S*A, S) as a scipy.sparse array,
+mdp(sparse.csr_array(np.ones((3, 2))))  ->  transitions must have shape ...(S*A, S) as a scipy.sparse array,
+mdp([["a"]])  ->  transitions must be an array of numbers
+mdp(np.zeros((0, 1, 0)))  ->  transitions must have shape ... at least one state and one action
+mdp(GOOD + 0j)  ->  transitions must be an array of numbers; ...complex numbers
+mdp(rows(GOOD + 0j))  ->  transitions must be real numbers
+mdp(rewards=np.zeros(3))  ->  rewards must have shape (2,)
+mdp(rewards=np.array([0.0, np.inf]))  ->  rewards[1] must be finite
+mdp(rewards=np.full((2, 2, 2), np.nan))  ->  rewards[0, 0, 0] must be finite where the transition has a probability
+mdp(rewards=edited(np.zeros((2, 2, 2)), (0, 1, 0), np.inf))  ->  rewards[0, 1, 0] must be finite
+mdp(rewards=rows(edited(np.zeros((2, 2, 2)), (0, 1, 1), np.nan)))  ->  rewards must be finite; at s=0, a=1 -> s'=1
+mdp(rewards=sparse.csr_array(np.ones((2, 2))))  ->  rewards must have shape (4, 2) when sparse
+mdp(initial=(0.5, 0.4))  ->  initial must sum to 1
+mdp(initial=(1.0,))  ->  initial must have shape (2,)
+mdp(discount=np.nan)  ->  discount must be in [0, 1]
+mdp(terminal_state=[0, 2])  ->  terminal_state[1] must be in 0..1
+mdp(terminal_state=[0.5])  ->  terminal_state must be 1 to 2 integers
+GRID.with_layout((2, 4))  ->  layout must be (height, width) with height * width = 9, the number of states
+mdp().with_transitions(GRID.transitions)  ->  new ...transitions must be for 2 states and 2 actions
+GRID.save("mdp.csv")  ->  path must end in .npz
+GRID.save("nowhere/mdp.npz")  ->  [Errno ...no such folder...nowhere
+uniform_policy(None)  ->  mdp must be a FiniteMDP
+HALL.with_layout(PLACES[:2])  ->  layout must have shape (3,) or (3, c), a place
+HALL.with_layout(np.zeros((3, 0)))  ->  layout must ...; it has shape (3, 0)
+HALL.with_layout(np.zeros((3, 1, 1)))  ->  layout must have 1 or 2 dimension(s)
+HALL.with_layout([[0, 1], [2, np.nan], [0, 0]])  ->  layout[1, 1] must be finite
+HALL.with_layout([0, 1, -np.inf])  ->  layout[2] must be finite
+HALL.with_layout(["a", "b", "c"])  ->  layout must be an array of numbers
+displacements(HALL, layout=[1j, 2, 3])  ->  layout must be an array of numbers
+
+# names of states and actions
+HALL.with_names(["a", "b"])  ->  state_names must have 3 names, one for each
+HALL.with_names(action_names=["a", "b", "c"])  ->  action_names must have 2 names, one for each
+HALL.with_names(["(0, 1)", "b", (0, 1)])  ->  state_names must differ; state_names[2] is (0, 1), as state_names[0] is
+HALL.with_names(["a", "b", 3])  ->  state_names[2] must be a text, or a tuple of texts and numbers
+HALL.with_names(["a", "b", ()])  ->  state_names[2] must be a text, or a tuple
+HALL.with_names(["a", "b", (float("nan"),)])  ->  state_names[2] must be a text, or a tuple
+HALL.with_names(["a", "07", "c"])  ->  state_names[1] must not read as a number, ...; it is '07' (write 's07')
+HALL.with_names(["a", "b", "nan"])  ->  state_names[2] must not read as a number
+HALL.with_names(["a", "b", ""])  ->  state_names[2] must not be empty, nor begin or end with a blank
+HALL.with_names(["a", " b", "c"])  ->  state_names[1] must not be empty, nor begin or end with a blank
+HALL.with_names("abc")  ->  state_names must be a sequence of texts or tuples
+HALL.with_initial("hal")  ->  initial must be one of the MDP's names; it is 'hal' (did you mean 'hall'?)
+HALL.with_initial(("room", 2))  ->  initial must be one of the MDP's names; ... (did you mean ('room', 1)?)
+HALL.with_initial(3)  ->  initial must be in 0..2
+HALL.with_initial(-1)  ->  initial must be in 0..2
+HALL.with_initial({"hall": 0.5})  ->  initial must sum to 1
+HALL.with_initial({"hall": 1.5})  ->  initial['hall'] must be in [0, 1]
+HALL.with_initial({"x": 1.0})  ->  initial's state must be one of the MDP's names; it is 'x' (they are 'hall'
+HALL.with_initial(True)  ->  initial must have shape (3,)
+HALL.with_initial(0.5)  ->  initial must have shape (3,)
+GRID.with_names([(k // 3, k % 3) for k in range(9)]).with_initial((7, 7))  ->  initial must be one of the MDP's names
+GRID.with_initial("hall")  ->  initial must be a number in 0..8, since the MDP has no names here
+Problem(HALL, Transitions(["hall"], ["stay"], ["dock"]))  ->  log must stay ... s=hall, a=stay -> s'=dock
+Problem(HALL, Transitions([0], [1], [2]))  ->  log must stay ... No action leads from hall to dock in the simulator
+Problem(HALL, Transitions([0], [0], [1], terminated=[1]))  ->  log.terminated[0] ... state ('room', 1) must be terminal
+reweight(HALL, -1.0 * HALL.transitions)  ->  ratio must be ... at s=hall, a=go -> s'=hall it is
+
+# policies
+policy_value(GRID, np.full((9, 3), 1 / 3))  ->  policy must have shape (9, 4) (states, actions)
+policy_value(GRID, edited(UNIFORM, (4, 0), 0.22))  ->  policy[4] must sum to 1
+policy_value(GRID, edited(UNIFORM, (4, slice(2)), [-0.1, 0.6]))  ->  policy[4, 0] must be nonnegative
+occupancy(GRID, edited(UNIFORM, (4, 1), np.nan))  ->  policy[4, 1] must be finite
+policy_value(GRID, np.stack([UNIFORM] * 3))  ->  policy must have shape (9, 4) ...it has shape (3, 9, 4)
+policy_value(GRID, np.stack([UNIFORM] * 3), horizon=4)  ->  policy must have shape (9, 4) or (4, 9, 4)
+policy_values_by_horizon(GRID, np.stack([UNIFORM] * 3), horizon=2)  ->  policy must have shape (9, 4) or (2, 9, 4)
+policy_values_by_horizon(GRID, np.stack([UNIFORM, 2 * UNIFORM]), horizon=2)  ->  policy[1, 0] must sum to 1
+policy_value(GRID, np.full((9, 4), "0.25"))  ->  policy must be an array of numbers
+policy_value(GRID.with_names(None, ["n", "east", "s", "w"]), lambda s: "eats")  ->  policy(0) must be one of the MDP's names
+policy_value(GRID, lambda state: {}[state])  ->  policy(0) must be an action or a distribution; it raises KeyError: 0
+policy_value(GRID, [4] * 9)  ->  policy[0] must be in 0..3
+policy_value(HALL, lambda s: 0.5)  ->  policy('hall') must be an action, or a distribution over the 2 actions
+policy_value(HALL, lambda s: None)  ->  policy('hall') must be an action, or
+policy_value(HALL, lambda s: [1.0, 0.0, 0.0])  ->  policy('hall') must be an action, or a distribution over the 2 actions
+policy_value(HALL, lambda s: [1.5, -0.5])  ->  policy('hall')[1] must be nonnegative
+policy_value(HALL, lambda s: True)  ->  policy('hall') must be an action
+policy_value(HALL, lambda s: "gone")  ->  policy('hall') must be one of the MDP's names; ... (did you mean 'go'?)
+policy_value(HALL, lambda s: {"go": 0.5})  ->  policy('hall') must sum to 1
+policy_value(HALL, {"hal": "go"})  ->  policy's state must be one of the MDP's names; it is 'hal' (did you mean 'hall'?)
+policy_value(HALL, {"hall": "go"})  ->  policy must have every state that is not terminal; state ('room', 1) is not there
+policy_value(HALL, {})  ->  policy must have every state ...; state hall is not there (2 such states in all)
+policy_value(HALL, {"hall": 0, 0: 1})  ->  policy's states must differ; state hall is given twice
+policy_value(HALL, [0, -1, 0])  ->  policy[1] must be in 0..1
+policy_value(HALL, ["go", "stya", "go"])  ->  policy[1] must be one of the MDP's names; ... (did you mean 'stay'?)
+policy_value(HALL, [0, 1])  ->  policy must have shape (3, 2) (states, actions)
+policy_value(HALL, [0.0, 1.0, 0.0])  ->  policy must have shape (3, 2) (states, actions)
+policy_value(HALL, [True, False, True])  ->  policy must have shape (3, 2) (states, actions)
+policy_value(HALL, None)  ->  policy must
+policy_value(HALL, pd.DataFrame({"go": [1.0] * 3}))  ->  policy must be an array or a mapping ...DataFrame (...to_dict(
+policy_value(HALL, pd.Series([0, 1, 0]))  ->  policy must be an array or a mapping by state; got Series (...to_dict(
+policy_value(mdp(), ["go"] * 2)  ->  policy[0] must be a number in 0..1, since the MDP has no names here
+mix(UNIFORM, UNIFORM[:5], 0.5)  ->  policy_a and policy_b must have one shape
+mix(UNIFORM, UNIFORM, 2)  ->  weight_of_a must be in [0, 1]
+mix(HALVES, [0, 2], 0.5)  ->  policy_b[1] must be in 0..1
+mix([0, 1], [0, 1], 0.5)  ->  policy_a must have 2 or 3 dimension
+mix(HALVES, np.ones((1, 1, 1, 1)), 0.5)  ->  policy_b must have 2 or 3 dimension
+mix(HALVES, [["x"]], 0.5)  ->  policy_b must be an array of numbers
+mix(HALVES, [[0.6, 0.6]], 0.5)  ->  policy_b[0] must sum to 1
+record_episodes(LAKE, [0, 4] + [0] * 14, n_episodes=3, seed=0)  ->  policy[1] must be in 0..3
+
+# values, moments, efficiency
+policy_value(GRID, UNIFORM, horizon=True)  ->  horizon must be a positive integer
+policy_value(GRID, UNIFORM, horizon=2**63)  ->  horizon must be at most 2**63 - 1
+policy_value(ENDLESS, UNIFORM, horizon=10**9)  ->  horizon must be ... 1000000000 steps take some ... multiply-adds (... hours)
+optimal_policy(GRID, horizon=10**9)  ->  horizon must be one that can be carried out
+policy_values_by_horizon(GRID, UNIFORM, horizon=10**9)  ->  horizon must be one that can be carried out
+policy_value(ENDLESS, UNIFORM, horizon=3, normalized=True)  ->  normalized must be False at discount 1
+occupancy(ENDLESS, UNIFORM)  ->  horizon must be given: at discount 1
+occupancy(GRID, UNIFORM, of="action")  ->  of must be one of 'state', 'state_action', 'transition'
+return_moments(ENDLESS, UNIFORM)  ->  horizon must be given: at discount 1
+efficiency_bound(ENDLESS, UNIFORM, EVEN)  ->  horizon must be given at discount 1
+leading_bias(ENDLESS, UNIFORM, EVEN)  ->  horizon must be given at discount 1
+doubly_robust_moments(GRID, ZETA, UNIFORM, horizon=None)  ->  horizon must be a positive integer
+doubly_robust_moments(GRID, ZETA, UNIFORM, horizon=2, baseline="V")  ->  baseline must be an array of numbers
+doubly_robust_moments(GRID, ZETA, UNIFORM, horizon=2, baseline=np.full((3, 9), np.inf))  ->  baseline[0, 0] must be finite
+doubly_robust_moments(GRID, ZETA, UNIFORM, horizon=2, baseline=np.ones((2, 9)))  ->  baseline must have shape (3, 9)
+policy_values_by_horizon(GRID, UNIFORM, horizon=None)  ->  horizon must be a positive integer
+weighted_return_moments(GRID, ZETA, UNIFORM, kind="trajectory")  ->  horizon must be given: ... trajectory weights
+weighted_return_moments(GRID, ZETA, UNIFORM, self_normalized=True)  ->  horizon must be given: ... self-normalised weights
+weighted_return_moments(GRID, 3.0, UNIFORM)  ->  zeta must be sparse of shape (36, 9), row s*A + a; got float
+weighted_return_moments(GRID, np.ones((36, 9)), UNIFORM)  ->  zeta must be sparse of shape (36, 9)
+weighted_return_moments(GRID, [1, [2, 3]], UNIFORM)  ->  zeta must be sparse of shape (36, 9)
+weighted_return_moments(GRID, GRID.transitions * 1j, UNIFORM)  ->  zeta must be real numbers
+weight_moments(GRID, -GRID.transitions, UNIFORM, horizon=2)  ->  zeta must be finite and nonnegative; at s=0, a=0 -> s'=0
+weight_growth(GRID, np.nan * GRID.transitions, UNIFORM)  ->  zeta must be finite and nonnegative; at s=0, a=0 -> s'=0
+reweight(GRID, sparse.csr_array(np.ones((4, 2))))  ->  ratio must be sparse of shape (36, 9), row s*A + a
+reweight(GRID, true_ratio(mdp(), mdp()))  ->  ratio must be sparse of shape (36, 9)
+ratio_of_ratios_variance(GRID, GRID, UNIFORM, EVEN, EVEN, rows="clipped")  ->  rows must be one of 'as_they_are', 'normalised'
+ratio_of_ratios_variance(GRID, GRID, UNIFORM, EVEN, EVEN / 2)  ->  simulator_distribution must sum to 1
+ratio_of_ratios_variance(STIFF, GRID, UNIFORM, EVEN, EVEN)  ->  target must stay in the simulator's support
+trajectory_efficiency_bound(GRID, UNIFORM, UNIFORM, horizon=3, model="bush")  ->  model must be one of 'mdp', 'tree', 'stati
+trajectory_efficiency_bound(GRID, UP, UNIFORM, horizon=3)  ->  behavior_policy must take every action that the policy takes;
+  in state 0 it never takes action 1 (
+transition_gradient(GRID, UNIFORM, values_of=mdp())  ->  values_of must have the model's states and actions, (9, 4)
+transition_gradient(GRID, UNIFORM, values_of=mdp(), horizon=3)  ->  values_of must have the model's states and actions
+solve_policy_system(np.eye(2), [1, 1], 0.5)  ->  kernel must be a sparse matrix
+solve_policy_system(sparse.csr_array((2, 3)), np.ones(2), 0.5)  ->  kernel must be square, (S, S)
+solve_policy_system(sparse.csr_array([[0.5, -0.5], [0, 1]]), np.ones(2), 0.5)  ->  kernel ...nonnegative; kernel[0, 1] is
+solve_policy_system(sparse.csr_array([[0.5, 0.5], [0, np.nan]]), np.ones(2), 0.5)  ->  kernel ...finite ...; kernel[1, 1] is
+solve_policy_system(sparse.csr_array(np.eye(2)), np.ones(3), 0.5)  ->  b must have 2 entries, one a state
+solve_policy_system(sparse.csr_array(np.eye(2)), np.ones((2, 1)), 0.5)  ->  b must have 1 dimension(s)
+solve_policy_system(sparse.csr_array(np.eye(2)), np.array([1, np.inf]), 0.5)  ->  b...1...inf
+solve_policy_system(sparse.csr_array(np.eye(2)), np.ones(2), np.nan)  ->  discount must be in
+
+# logs
+Transitions([], [], [])  ->  state ...the log is empty
+Transitions([0, 1], [0], [1, 2])  ->  columns must have equal lengths
+Transitions([0.5], [0], [1])  ->  state[0] must be an integer
+Transitions([0], [-1], [1])  ->  action[0] must be at least 0
+Transitions(["a"], [0], [1])  ->  state must hold integers
+Transitions([[0]], [0], [1])  ->  state must have 1 dimension
+Transitions([[0], [1, 2]], [0], [1])  ->  state must be a column of integers
+Transitions(np.array([2**63 + 5], dtype=np.uint64), [0], [1])  ->  state[0] must be below
+Transitions([0], [0], [1], [np.inf])  ->  reward[0] must be finite
+Transitions([0], [0], [1], behavior_probability=[1.2])  ->  behavior_probability[0] must be in [0, 1]
+Transitions([0], [0], [1], terminated=[2])  ->  terminated[0] must be a boolean
+Transitions([0], [0], [1], episode=[1e300])  ->  episode[0] must be an integer
+Transitions([0, 0], [0, 0], [0, 0], episode=[[], [1]])  ->  episode must be a column of integers
+Transitions(pd.DataFrame({"state": [0]}))  ->  action must be given, ...Transitions.from_frame(frame)
+log(next_state=[2, 2, 0])  ->  next_state[0] must be the state of the next row of its episode, which is 1
+log(episode=[0, 1, 0])  ->  episode must keep the rows of an episode together; 0 begins again in row 2
+log(timestep=[0, 2, 1])  ->  timestep[1] must be 1 (steps of an episode in order from 0)
+log(terminated=[1, 0, 0])  ->  terminated[0] must be False: its episode continues in the next row
+log(truncated=[0, 1, 0])  ->  truncated[1] must be False: its episode continues in the next row
+Transitions([0], [0], [1]).counts(2, 1, discount=0.9)  ->  log must have timesteps (or episodes)
+Transitions.concatenate([])  ->  logs must be one or more Transitions
+Transitions.concatenate([LOG, "log"])  ->  logs must be one or more Transitions
+LOG.draw(10**6, seed=0)  ->  n must be at most the ... rows of the log
+LOG.select([])  ->  rows must choose at least one row
+LOG.select([10**6])  ->  rows must be a mask or row numbers of the log's ... rows
+LOG.counts("3", 2)  ->  n_states must be a positive integer
+LOG.save("log.xlsx")  ->  path must end in .npz, .csv, .csv.gz, .parquet, or be a Minari folder or id
+Transitions.load("log.xlsx")  ->  path must end in .npz, .csv, .csv.gz, .parquet
+Transitions.open("log.csv", bad_rows="keep")  ->  bad_rows must be one of 'refuse', 'drop'
+Transitions.open("log.csv", kept_moves=0)  ->  kept_moves must be a positive integer
+Transitions.open("log.csv", jobs=0)  ->  jobs must be a positive integer
+Transitions.open("log.csv", simulator=HALL, n_states=4)  ->  n_states and n_actions must be left out where simulator
+Transitions.open("log.csv", simulator=4)  ->  simulator must be a FiniteMDP
+TransitionCounts([-1], [0], [0], [1])  ->  state[0] must be at least 0
+TransitionCounts([0], [0.5], [0], [1])  ->  action[0] must be an integer
+TransitionCounts([0], [0], [0], [0])  ->  count[0] must be positive and at most 2**53
+TransitionCounts([0], [0], [0], [np.nan])  ->  count[0] must be positive
+TransitionCounts([0, 1], [0], [0], [1])  ->  columns must have equal lengths
+TransitionCounts([], [], [], [])  ->  state must have at least one row
+TransitionCounts([0], [0], [0], [1], [0], [1.0])  ->  reward_sum, reward_min and reward_max must be given together
+TransitionCounts([0], [0], [0], [1], [0], [np.inf], [0], [0])  ->  reward_sum[0] must be finite
+TransitionCounts([0], [0], [0], [1], sample=[1])  ->  sample must be Transitions
+TransitionCounts.of(0 * GRID.transitions, 4)  ->  matrix must have at least one transition
+
+# logs of names, frames, episodes
+Transitions(["a", "1"], [0, 0], ["a", "b"])  ->  state[1] must be a name, as others of the column are
+Transitions(["a", None], [0, 0], ["a", "b"])  ->  state[1] must be a name, as others of the column are
+Transitions(["a", "nan"], [0, 0], ["a", "b"])  ->  state[1] must be a name
+Transitions(["1", "0"], [0, 0], [1, 0])  ->  state must hold integers; ...(numbers written as text? .astype(int))
+Transitions(["a", "b"], [0, 0], [1, 0])  ->  state must hold integers
+Transitions([1, 0], [0, 0], ["a", "b"])  ->  next_state must hold integers
+Transitions(["a", "a "], [0, 0], ["a", "b"])  ->  state_names[1] must not be empty, nor begin or end with a blank
+Transitions([(0, 1), (1, ())], [0, 0], ["a", "b"])  ->  state[1] must be a name
+Transitions([0], [0], [2], state_names=["a", "b"])  ->  next_state[0] must have a name, of which there are 2
+Transitions([0], [1], [0], action_names=["a"])  ->  action[0] must have a name, of which there are 1
+Transitions(["a"], [0], ["b"], state_names=["a", "b"])  ->  state must hold numbers where state_names are given
+Transitions([0], [0], [1], state_names=["a", "a"])  ->  state_names must differ
+Transitions(["a", "a"], [0, 0], ["b", "a"], episode=[0, 0])  ->  next_state[0] ..., which is a (or one ... is misspelt)
+HALS.counts(3, 2)  ->  log must be in a simulator's numbers to be counted; ...log.numbered
+HALS.save("set")  ->  log must be in numbers to be a Minari data set
+HALS.numbered(3)  ->  simulator must be a FiniteMDP
+Problem(HALL, HALS)  ->  log.state[1] must ... (did you mean 'hall'?); 2 such rows, of 1 name
+Problem(HALL, Transitions([0], [0], [1]), episodes=HALS)  ->  episodes.state[1] must be one of
+Problem(GRID, HALS)  ->  log.state[0] must be a number in 0..8, since the simulator has no names here; ...with_names
+transition_ratio(Transitions([0], ["jump"], [0]), HALL)  ->  log.action[0] must be one of ... (they are 'go', 'stay')
+Problem(HALL, frame(next_state="hal"))  ->  frame.next_state[0] must be one of ... (did you mean 'hall'?)
+from_frame(frame(action="goo"), simulator=HALL)  ->  frame.action[0] must be one of ... (did you mean 'go'?)
+Problem(GRID, pd.DataFrame({"place": [0], "action": [0]}))  ->  frame must have the columns state, action, next_state
+from_frame("log.csv")  ->  frame must be a data frame (...); got str (a file: Transitions.load)
+from_frame({"state": [0], "action": [0], "next_state": [0]})  ->  frame must be a data frame
+from_frame(pd.Series([1]))  ->  frame must be a data frame (pandas, polars, arrow)
+from_frame(pd.DataFrame({"s": [0], "a": [0]}))  ->  frame must have ...state; it has s, a (say
+from_frame(frame().rename(columns={"state": "State"}))  ->  frame must have ...; write state for 'State' (say
+from_frame(pd.DataFrame())  ->  frame must have the columns ...; it has none
+from_frame(frame().rename(columns={"state": "from"}), state="form")  ->  state must be ..., from, ... (did you mean 'from'?)
+from_frame(frame(), stat="state")  ->  column_names must be of state, ... (did you mean state?)
+from_frame(frame(), state=3)  ->  state must be a column's name, or several
+from_frame(frame(), state=[])  ->  state must be the name of one column
+from_frame(frame(), reward=["state", "action"])  ->  reward must be the name of one column
+from_frame(frame(timestep=np.nan))  ->  column 'timestep' of the frame must have a value ...; row 0 has none
+from_frame(frame(action=None))  ->  column 'action' of the frame must have ...; row 0 has none
+from_frame(pd.concat([frame(), frame()], axis=1))  ->  frame must have columns that differ
+from_frame(frame().head(0))  ->  state must have at least one row; the log is empty
+from_frame(frame(state=0.5))  ->  state[0] must be an integer
+from_frame(frame(state=0.5, next_state=1))  ->  state[0] must be an integer
+from_episodes([])  ->  episodes must have at least one transition whose next state is known
+from_episodes([[(0, 0, 1.0)]])  ->  episodes must have at least one transition
+from_episodes([[]])  ->  episodes must have at least one transition
+from_episodes(3)  ->  episodes must be a list of episodes, each a list of steps
+from_episodes([3])  ->  episodes[0] must be a list of steps, each (state, action, reward),
+from_episodes([[{"observation": 0, "action": 0}]])  ->  episodes[0][0] must be a step, ... of observation, action
+from_episodes([{"observations": [0], "actions": [1]}])  ->  episodes[0] must be a list ... mapping of observations, actions
+from_episodes([[("a", "go", "b", 1.0)]])  ->  episodes[0][0] must be a step, ...; its reward is 'b'
+from_episodes([[(("a", 1), "go", 1.0), ("b", 2)]])  ->  episodes[0][1] must be (state,) or ... ('b', 2) (of a state that is
+from_episodes([["hall", "go"]])  ->  episodes[0][0] must be a step, (state, action, reward), ...; got str
+from_episodes([[(0, 0), (1, 0, 1.0), (2,)]])  ->  episodes[0][0] must be a step, ...; it has 2 parts
+from_episodes([[(0, 0, 1.0, 1, False, False, 3)]])  ->  episodes[0][0] must be a step, ...; it has 7 parts
+from_episodes([[(0, 0, 1.0, 2), (1, 0, 1.0, 1)]])  ->  next_state[0] must be the state of the next row
+from_episodes([[(0, 0, 1.0), (1, "yes")]])  ->  episodes[0][1] must be (state,) or
+
+# MDPs of logs and of environments
+FiniteMDP.from_log(HALS, state_names=["a", "c"])  ->  log.state[0] must be ... (they are 'a', 'c')
+FiniteMDP.from_log(LOG, n_states=2)  ->  n_states must be at least 9, for the log has state 8
+FiniteMDP.from_log(LOG, n_actions=3)  ->  n_actions must be at least 4, for the log has action 3
+FiniteMDP.from_log(LOG, n_states=2.0)  ->  n_states must be a positive integer
+FiniteMDP.from_log(LOG, state_names=["a"])  ->  n_states must be at least 9, for the log has state 8
+FiniteMDP.from_log(LOG, state_names=["a"] * 9)  ->  state_names must differ
+FiniteMDP.from_log(LOG, initial=9)  ->  initial must be in 0..8
+FiniteMDP.from_log(LOG, initial=[0.5] * 9)  ->  initial must sum to 1
+FiniteMDP.from_log(LOG.state)  ->  log must be Transitions; got ndarray
+FiniteMDP.from_log(Transitions)  ->  log must be Transitions; got type
+FiniteMDP.from_log(Transitions([0], [0], [0]))  ->  rewards must be given where the log has none
+FiniteMDP.from_log(LOG, [1.0, 2.0])  ->  rewards must have shape (9,)
+FiniteMDP.from_log(LOG, 3.0)  ->  rewards must have 1 or 2 or 3 dimension
+from_env("FrozenLake-v1")  ->  env must be a Gymnasium environment; got str (gymnasium.make('FrozenLake-v1'))
+from_env(make_environment("CartPole-v1"))  ->  env.observation_space must be discrete
+from_env(make_environment("Pendulum-v1"))  ->  env.action_space must be Discrete
+from_env(type("E", (), {"action_space": LAKE.action_space})())  ->  env must be a Gymnasium environment; got E
+GRID.with_support_of(LOG, 2)  ->  epsilon must be in (0, 1)
+GRID.with_support_of(LOG, 0)  ->  epsilon must be in (0, 1)
+GRID.with_support_of(LOG, 1)  ->  epsilon must be in (0, 1)
+GRID.with_support_of(pd.DataFrame({"state": [0]}), 0.1)  ->  log must be Transitions
+HALL.with_support_of(LOG, 0.1)  ->  log.state[...] must be in 0..2, the simulator's
+HALL.with_support_of(Transitions([0], [2], [0]), 0.1)  ->  log.action[0] must be in 0..1, the simulator's
+HALL.with_support_of(Transitions([0], [0], [3]), 0.1)  ->  log.next_state[0] must be in 0..2, the simulator's
+HALL.with_support_of(sparse.csr_array((3, 3)), 0.1)  ->  log must be of shape (6, 3) where it is counts
+HALL.with_support_of(BROKEN, 0.1)  ->  log.indptr[6] must be at least
+mdp().with_support_of(Transitions(["x"], [0], ["x"]), 0.1)  ->  log.state[0] must be a number in 0..1, since the simulator
+
+# problems
+Problem(GRID, {"state": [0]})  ->  log must be Transitions; got dict (a mapping of columns: Transitions(**log))
+Problem(GRID, np.zeros((3, 3)))  ->  log must be Transitions; got ndarray (columns ...: Transitions(*log.T))
+Problem(GRID, None)  ->  log must be Transitions; got NoneType
+Problem(GRID, "nowhere.csv")  ->  [Errno ...nowhere.csv
+Problem(GOOD, LOG)  ->  simulator must be a FiniteMDP
+Problem(GRID, Transitions([0, 9], [0, 0], [3, 3]))  ->  log.state[1] must be in 0..8, the simulator's
+Problem(GRID, Transitions([0], [4], [3]))  ->  log.action[0] must be in 0..3, the simulator's
+Problem(GRID, TransitionCounts([9], [0], [0], [1]))  ->  log.state[0] must be in 0..8, the simulator's
+Problem(GRID, LOG, episodes=FAR)  ->  episodes.state[0] must be in 0..8, the simulator's; it is 9 (1 such transitions)
+Problem(GRID, LOG, simulator_data=FAR)  ->  simulator_data.state[0] must be in 0..8, the simulator's
+Problem(GRID, LOG, simulator_data=Transitions([0], [0], [9]))  ->  simulator_data.next_state[0] must be in 0..8
+Problem(GRID, LOG, episodes=3)  ->  episodes must be Transitions
+Problem(GRID, LOG, simulator_data="foo")  ->  simulator_data must be Transitions, 'exact' or None
+Problem(GRID, Transitions([0, 0, 0, 3], [0, 0, 0, 1], [8, 8, 3, 5]))  ->  log must stay ...probability 0 to 2 of its transitions
+  (3 of 4 with repetitions): s=0, a=0 -> s'=8 (2); s=3, a=1 -> s'=5
+Problem(GRID, Transitions([0], [0], [3], terminated=[True]))  ->  log.terminated[0] must be False, or state 3 must be terminal
+Problem(GRID, LOG, impossible="allow")  ->  impossible must be one of ... (to allow them: simulator.with_support_of(log
+Problem(GRID, Transitions([0], [0], [8]), impossible="drop")  ->  log ...impossible='drop' leaves none
+Problem(GRID, without("reward"), rewards="log")  ->  rewards must be 'simulator' where the log has no reward column
+Problem(GRID, COUNTS, rewards="log")  ->  rewards must be 'simulator' where the log has no reward column
+Problem(GRID, LOG, rewards="both")  ->  rewards must be one of 'simulator', 'log'
+Problem(GRID, LOG, behavior_policy=np.ones((9, 1)))  ->  behavior_policy must have shape (9, 4)
+Problem(GRID, LOG, counts=COUNTS.toarray())  ->  counts must be sparse, of shape (36, 9)
+Problem(GRID, LOG, counts=COUNTS[:4])  ->  counts must have shape (36, 9) (row s*A + a, column s')
+Problem(GRID, COUNTS[:4])  ->  counts must have shape (36, 9) (row s*A + a, column s')
+Problem(GRID, LOG, counts=COUNTS * 1j)  ->  counts must be real numbers
+Problem(GRID, -0.5 * COUNTS)  ->  counts must be finite and nonnegative; at s=0, a=0 -> s'=... there is -
+Problem(GRID, LOG, counts=np.nan * COUNTS)  ->  counts must be finite and nonnegative; ... there is nan
+Problem(GRID, np.inf * COUNTS)  ->  counts must be finite and nonnegative; ... there is inf
+Problem(GRID, LOG, counts=0 * COUNTS)  ->  counts must have at least one transition
+Problem(GRID, sparse.csr_array(([0.5], ([0], [8])), (36, 9)))  ->  counts must stay in the ... s=0, a=0 -> s'=8 (0.5)
+Problem(GRID, LOG, counts=GRID.transitions.sign() * 2.0**54)  ->  counts must be at most 2**53; at s=0, a=0 -> s'=0
+
+# estimators
+ImportanceSampling()(Problem(GRID, without("behavior_probability")), UNIFORM)  ->  importance sampling needs behaviour
+  probabilities: the log has none; give Problem(behavior_policy=...) (--behavior)
+ImportanceSampling()(Problem(GRID, NEVER), UNIFORM)  ->  log.behavior_probability must be positive for the actions taken
+ImportanceSampling()(Problem(GRID, without("behavior_probability"), 9, UP), UNIFORM)  ->  behavior_policy must be positive
+ImportanceSampling()(Problem(GRID, LOG.draw(5, seed=0)), UNIFORM)  ->  importance sampling needs whole episodes: give the log
+  its episode column, or Problem(episodes=...)
+ImportanceSampling()(Problem(GRID, COUNTS), UNIFORM)  ->  importance sampling needs whole episodes
+DoublyRobust(data="episodes")(Problem(GRID, COUNTS), UNIFORM)  ->  importance sampling needs whole episodes
+ImportanceSampling("weighted")  ->  kind must be one of 'trajectory', 'per_decision'
+ImportanceSampling(ragged="drop")  ->  ragged must be one of 'pad', 'zero'
+ImportanceSampling(behavior="known")  ->  behavior must be one of 'recorded', 'estimated'
+ModelBased("go")  ->  fallback must be one of 'stay', 'simulator'
+OffEnvironment("joined")  ->  ratio must be one of 'conditional', 'ratio_of_ratios', 'joint'
+OffEnvironment(3.0)  ->  ratio must be a method's name, a TransitionRatio or a function
+OffEnvironment(evaluation="mc")  ->  evaluation must be one of 'exact', 'monte_carlo'
+OffEnvironment(weighting="step")  ->  weighting must be one of 'per_decision', 'trajectory'
+OffEnvironment(n_rollouts=10**14, evaluation="monte_carlo")(P, UNIFORM, seed=0)  ->  n_rollouts must be small enough for this
+Oracle(GRID, n_rollouts=10**14, evaluation="monte_carlo")(P, UNIFORM, seed=0)  ->  n_rollouts must be small enough for this
+DoublyRobust(data="rollouts", n_rollouts=10**14)(P, UNIFORM, seed=0)  ->  n_rollouts must be small enough for this
+OffEnvironment(true_ratio(GRID, GRID))(RIGID, UNIFORM)  ->  ratio must have the support of this simulator's transitions
+OffEnvironment(true_ratio(mdp(), mdp()))(P, UNIFORM)  ->  ratio must be for (36, 9) rows and states
+Oracle(GRID)(RIGID, UNIFORM)  ->  target must stay in the simulator's support: the simulator gives probability 0 to
+Oracle(5)  ->  target must be a FiniteMDP
+Oracle(GRID, "mc")  ->  evaluation must be one of 'exact', 'monte_carlo'
+Oracle(GRID, weighting="step")  ->  weighting must be one of 'per_decision', 'trajectory'
+DoublyRobust(data="q")  ->  data must be one of 'transitions', 'rollouts', 'episodes'
+DoublyRobust(weights="q")  ->  weights must be one of 'occupancy', 'beta'
+DoublyRobust(ratio="q")  ->  ratio must be one of
+DoublyRobust(self_normalized=True)  ->  self_normalized must be False with data 'transitions': it is for episodes
+Magic(ratio="q")  ->  ratio must be one of
+Magic(n_lengths=0)  ->  n_lengths must be a positive integer
+Magic().limit(GRID, GRID, UNIFORM, behavior_policy=UP, horizon=5)  ->  behavior_policy must take every action ... it never takes
+DualDice()(Problem(GRID, LOG, horizon=3), UNIFORM)  ->  horizon must be None for DualDICE, ...; it is 3
+DualDice()(Problem(ENDLESS, LOG), UNIFORM)  ->  discount must be below 1 for DualDICE
+Marginalized(ratio="beta")  ->  ratio must be one of
+Marginalized(lower=2.0, upper=1.0)  ->  lower must not exceed upper
+Marginalized(upper="wide")  ->  upper must be
+Marginalized("joint", features=np.eye(36))  ->  ratio must be left out with features
+Marginalized(features=np.eye(36))(Problem(GRID, LOG, horizon=4), UNIFORM)  ->  horizon must be None with features
+Marginalized(features=np.eye(36))(Problem(ENDLESS, LOG), UNIFORM)  ->  discount must be below 1 with features
+Marginalized(features=np.ones((9, 4)))(P, UNIFORM)  ->  features must differ between ... pairs; every column is constant
+Marginalized(features=np.eye(36)[:, [0, 1, 1]] * [1, 1, 0])(P, UNIFORM)  ->  features must ...; column 2 is
+Marginalized(features=TWINS)(P, UNIFORM)  ->  features ...independent; columns 0, 1, 2 are not (column 1 is constant)
+Marginalized(features=np.ones(7))(P, UNIFORM)  ->  features must have shape (9, 4) (+ d), or 36 rows
+Marginalized(features=3.0)(P, UNIFORM)  ->  features must have shape ... they have shape ()
+Marginalized(features=np.ones((36, 2, 2)))(P, UNIFORM)  ->  features must have shape ... they have shape (36, 2, 2)
+Marginalized(features=np.full((9, 4), np.nan))(P, UNIFORM)  ->  features[0, 0] must be finite
+ModelBased().limit(STIFF, GRID, UNIFORM)  ->  target must stay in the simulator's support
+ModelBased().limit(GRID, mdp(), UNIFORM)  ->  target and simulator must have the same states and actions; ...(4, 2) and (36, 9)
+calibrate(3, discretised=1.0, continuous=1.0)  ->  estimate must be an Estimate
+calibrate(ONE, discretised=1.0, continuous=2.0, kind="product")  ->  kind must be one of 'ratio', 'difference'
+calibrate(ONE, discretised=-1.0, continuous=2.0)  ->  kind must be 'difference' unless ... one sign; they are -1 and 2
+calibrate(ONE, discretised=0.0, continuous=2.0)  ->  kind must be 'difference' unless
+calibrate(ONE, discretised=1.0, continuous=np.nan)  ->  continuous must be in
+calibrate(ONE, discretised=np.inf, continuous=2.0)  ->  discretised must be finite
+calibrate(ONE, discretised=1.0, continuous=2.0, continuous_error=-1.0)  ->  continuous_error must be in [0, inf)
+Estimate(1.0, findings="look out")  ->  findings must be Findings
+Estimate(1.0, findings=("look out",))  ->  findings[0] must be a Finding(kind, severity, text)
+
+# reports
+evaluate(GRID, None)  ->  problem must be a Problem(simulator, log, ...); got FiniteMDP
+evaluate(P, UNIFORM, estimators=["oe"])  ->  estimators must be among simulator, oee, ...; got 'oe' (did you mean 'oee'?)
+evaluate(P, UNIFORM, estimators=["fqee"])  ->  estimators must be among ...(did you mean 'fqe'?)
+evaluate(P, UNIFORM, estimators=["oracle-product"])  ->  estimator 'oracle-product' needs the target environment
+evaluate(P, UNIFORM, estimators=[])  ->  estimators must name at least one
+evaluate(P, UNIFORM, estimators={"mine": lambda problem, policy: (1.5, 0.1)})  ->  an estimator must return a float or an
+  Estimate; it returned tuple: Estimate(value, standard_error) holds both
+evaluate(P, UNIFORM, estimators=["oee"], seed={1})  ->  seed must be what numpy.random.SeedSequence takes
+evaluate(P, {})  ->  policies must hold at least one
+evaluate(P, [])  ->  policies must hold at least one
+evaluate(P, {"mine": UNIFORM * 0.9})  ->  policy 'mine'[0] must sum to 1
+evaluate(P, {"a": [0, 1, 7, 0, 0, 0, 0, 0, 0]})  ->  policy 'a'[2] must be in 0..3
+evaluate(P, UNIFORM, target=mdp())  ->  target must have the simulator's 9 states and 4 actions
+evaluate(Problem(GRID, LOG, counts=0.5 * COUNTS), UNIFORM, guaranteed=True)  ->  guaranteed must be False where counts are given
+evaluate(P, UNIFORM, quick=True, guaranteed=True)  ->  guaranteed must be False where quick is True
+evaluate(P, UNIFORM, quick=True, upper_ratio=2.0)  ->  quick must be False with lower_ratio or upper_ratio
+evaluate(Problem(ENDLESS, LOG), UNIFORM, guaranteed=True)  ->  guaranteed must be False here: at discount 1 they need a horizon
+evaluate(P, UNIFORM, tie=KEYS, features=1.0 * KEYS)  ->  tie and features must not be given together
+evaluate(P, UNIFORM, quick=True).legend(3)  ->  rows must be a Report's records()
+evaluate(P, UNIFORM, quick=True).legend([{"estimator": "oee"}])  ->  rows must be a Report's records(); one is {'estimator'
+evaluate(P, UNIFORM, quick=True).to_html(grid=(3, 5))  ->  grid must have as many cells as the simulator has states, 9
+evaluate(P, UNIFORM, quick=True).to_html(grid=4)  ->  grid must be (rows, columns)
+evaluate(P, UNIFORM, quick=True).to_html(grid=(4, 0))  ->  grid[1] must be a positive integer
+
+# ratios of tables
+density_ratio([1, 1, 1], [1, 0, 0])  ->  q ...the program is unbounded at the 2 entries with q = 0 < p (the first: 1, 2); give a
+density_ratio([1, 1], [1, 1], lower=2, upper=1.5, normalized=False)  ->  lower must not exceed upper
+density_ratio([1, 1], [1, 1], lower=1.5, upper=2)  ->  the box [lower, upper] must contain 1 for sum q g = 1 to be possible
+density_ratio([1, -1], [1, 1])  ->  p[1] must be nonnegative
+density_ratio([1, 1], [1, np.nan])  ->  q[1] must be finite
+density_ratio([0, 0], [1, 1])  ->  p must have a positive, finite sum
+density_ratio([1, 1], [0, 0])  ->  q must have a positive, finite sum
+density_ratio([1e308] * 2, [1, 1])  ->  p must have a positive, finite sum
+density_ratio([1], [1, 1])  ->  p and q must have one length
+density_ratio([[1]], [[1]])  ->  p must have 1 dimension(s)
+density_ratio([1j], [1])  ->  p must be an array of numbers
+density_ratio([2], [1], ridge=lambda n: np.inf)  ->  ridge(2) must be finite
+density(ridge=lambda n: -n)  ->  ridge(6) must be in [0, inf)
+density(ridge="a")  ->  ridge must be a number
+density(ridge=1, toward=np.inf)  ->  toward must be finite
+density(lower=np.inf, normalized=False)  ->  lower must be finite
+density(upper=0, normalized=False)  ->  upper must be positive:
+density(ridge=1e308, toward=1)  ->  the program must have numbers that double precision holds; ridge 1e+308
+density(ridge=1, toward=1e300, loss="chi2", normalized=False)  ->  the program must have numbers ...; ridge 1 towards 1e+300
+density(loss="l2")  ->  loss must be one of 'kl', 'chi2'
+density(solver="dial")  ->  solver must be 'dual' or one of
+density(step_size=0, **SGD)  ->  step_size must be in (0, inf)
+density(batch_size=0, **SGD)  ->  batch_size must be a positive integer
+density(n_iterations=0, **SGD)  ->  n_iterations must be a positive integer
+density(**SGD | {"upper": None})  ->  solver "sgd" must have 0 < lower and a finite upper; the box is [0.1, inf]
+density(**SGD | {"lower": None})  ->  solver "sgd" must have 0 < lower and a finite upper; the box is [0, 9]
+density(**SGD | {"normalized": True})  ->  solver "sgd" must have normalized=False and loss="kl"
+density(loss="chi2", **SGD)  ->  solver "sgd" must have normalized=False and loss="kl"
+density(features=[1, 2])  ->  features must have 3 rows, one for each entry of p
+density(features=[1, np.nan, 2])  ->  features[1] must be finite
+density(features=np.arange(3.0))  ->  features must span a function that is above 0, with sum q g = 1; none is at all points
+density(features=[1, -1, 1])  ->  features must span a function that is at least 0, with sum q g = 1; the nearest misses by
+density(features=[1, -1, 1], lower=0.5, upper=4.0, normalized=False)  ->  features must span ... at least 0.5 and at most 4
+density(features=[1, 1, 1], kernel="gaussian")  ->  kernel must not be given with features
+density(features=[1, 1, 1], toward=1.0)  ->  toward and loss must be left out with features
+density(features=[1, 1, 1], solver="sgd")  ->  solver "sgd" must be left out with features or kernel
+density(features=[1, 1, 1], lower=1.0)  ->  the box of a linear class must have lower < 1 < upper
+density(kernel="gaussian")  ->  coordinates must be given with kernel
+density(coordinates=[1, 2, 3])  ->  coordinates must be given with a kernel
+density(kernel="gaussian", coordinates=[1, 2])  ->  coordinates must have 3 rows, one for each entry of p
+density(kernel="gaussian", coordinates=[0, np.inf, 1])  ->  coordinates[1] must be finite
+density(kernel="rbf", coordinates=[1, 2, 3])  ->  kernel must be one of 'gaussian'
+density(kernel=lambda x, c: np.ones(3), coordinates=[1, 2, 3])  ->  kernel must have 2 dimension(s)
+density(kernel=lambda x, c: 1.0 - 3.0 * (x != c.T), coordinates=[1, 2, 3])  ->  kernel must be symmetric and positive
+density(kernel=lambda x, c: -np.ones((len(x), len(c))), coordinates=[1, 2, 3])  ->  kernel must be positive semidefinite
+density(kernel=lambda x, c: np.zeros((len(x), len(c))), coordinates=[1, 2, 3])  ->  kernel must not be 0 at every point
+check_assumptions([-1], [1], lower=0, upper=1)  ->  p[0] must be nonnegative
+
+# ratios of transitions
+transition_ratio(np.zeros((36, 9)), GRID)  ->  log_or_counts must be Transitions or sparse counts
+transition_ratio(sparse.csr_array((36, 9)), GRID)  ->  log_or_counts must have at least one transition
+transition_ratio(sparse.csr_array(np.ones((4, 2))), GRID)  ->  counts must have shape (36, 9)
+transition_ratio(-GRID.transitions, GRID)  ->  counts must be finite and nonnegative; at s=0, a=0 -> s'=0
+transition_ratio(GRID.transitions.sign() * 2.0**54, GRID)  ->  counts must be at most 2**53; at s=0, a=0 -> s'=0
+transition_ratio(Transitions([0], [0], [1]), GRID, discount=0.9)  ->  log must have timesteps
+true_ratio(GRID, STIFF)  ->  target must stay in the simulator's support: ... of its transitions
+true_ratio(mdp(), GRID)  ->  target and simulator must have the same states and
+true_ratio(GRID, GRID).maximum_likelihood_model(GRID)  ->  a ratio of method 'true' has no maximum-likelihood model
+zeta(method="q")  ->  method must be one of 'conditional', 'tied', 'linear', ..., 'joint'
+zeta(prior="flat")  ->  prior must be one of 'ridge', 'tilt', 'simulator', 'none'
+zeta(strength="q")  ->  strength must be one of 'evidence', 'loo'
+zeta(ridge="cv")  ->  ridge must be one of 'evidence', 'loo'
+zeta(toward=-1)  ->  toward must be in [0, inf)
+zeta(upper=0.5)  ->  the box [lower, upper] must contain 1 for sum q g = 1 to be possible
+zeta(method="joint", ratio_upper=0.5)  ->  the box [ratio_lower, ratio_upper] must contain 1 for sum q g = 1
+zeta(method="joint", ridge="loo")  ->  ridge must be a number or a function of n with method 'joint'
+zeta(method="ratio_of_ratios", ridge="loo")  ->  ridge must be a number or a function of n with method 'ratio_of_ratios'
+zeta(method="linear", features=PHI, ridge="loo")  ->  ridge must be a number or a function of n with method 'linear'
+zeta(method="joint", behavior_policy=2 * UNIFORM)  ->  behavior_policy[0] must sum to 1
+zeta(method="ratio_of_ratios", simulator_data="most")  ->  simulator_data must be Transitions, 'exact' or None
+zeta(method="ratio_of_ratios", upper=np.inf, simulator_data=LOG.draw(3, seed=0))  ->  q must be ... give a finite upper bound
+zeta(method="kernel", coordinates=PLACE, n_centers=0)  ->  n_centers must be a positive integer
+zeta(method="kernel", coordinates=PLACE, bandwidth=0)  ->  bandwidth must be in (0, inf)
+zeta(method="kernel", coordinates=np.full(9, np.nan))  ->  coordinates[0] must be finite
+zeta(method="kernel", coordinates=[1, 2])  ->  coordinates must have 9 rows, one a state
+zeta(method="kernel")  ->  coordinates must be given with method "kernel"
+zeta(method="linear")  ->  features must be given with method "linear"
+zeta(method="tied")  ->  tie must be given with method 'tied': a key for each entry
+zeta(method="linear", features=PHI, tie=KEYS)  ->  tie must not be given with method 'linear', which does not use it
+zeta(tie=KEYS, ridge=1.0)  ->  ridge must not be given with method 'tied', which does not use it
+zeta(tie=KEYS, strength="loo")  ->  strength must be a number with method 'tied'
+zeta(tie=KEYS[:3])  ->  tie must have shape (120,), a key for each entry
+zeta(tie=1.0 * KEYS)  ->  tie must have integer keys
+zeta(discount=0.9)  ->  discount must be left out where counts are given: they have no timesteps
+zeta(seed="q", method="ratio_of_ratios")  ->  seed must be what numpy.random.default_rng takes
+zeta(features=PHI, prior="simulator")  ->  features must be left out with prior 'simulator', which does not use them
+zeta(features=PHI, prior="none")  ->  features must be left out with prior 'none'
+zeta(features=np.full(120, np.inf))  ->  features must be finite; feature 0 at s=0, a=0 -> s'=0 is inf
+zeta(features=np.zeros(7))  ->  features must have 120 rows, one for each transition of the simulator, or shape (9, 4, 9)
+zeta(features="log")  ->  features must be an array of numbers
+zeta(features=lambda s, a, t: np.zeros(3))  ->  features must have 120 rows
+zeta(values_of=np.ones((3, 2)) / 2)  ->  values_of must have shape (9, 4) (states, actions); it has shape (3, 2)
+zeta(values_of=[UNIFORM, UNIFORM[:3]])  ->  values_of[1] must have shape (9, 4)
+zeta(values_of=2 * UNIFORM)  ->  values_of[0] must sum to 1
+zeta(values_of=[UNIFORM, 2 * UNIFORM])  ->  values_of[1][0] must sum to 1
+zeta(values_of=[])  ->  values_of must
+zeta(values_of="policy")  ->  values_of must
+zeta(values_of=UNIFORM, prior="simulator")  ->  values_of must ... 'simulator'
+zeta(values_of=UNIFORM, prior="none")  ->  values_of must ... 'none'
+zeta(values_of=UNIFORM, method="joint")  ->  values_of must not be given with method 'joint'
+zeta(values_of=UNIFORM, method=Conditional(prior="tilt"))  ->  values_of must be left out with prior 'tilt'
+zeta(values_of=UNIFORM, horizon=2.5)  ->  horizon must be a positive integer
+zeta(horizon=3)  ->  horizon must be left out without values_of: it is that of the values
+zeta(horizon=5, method="joint")  ->  horizon must ... 'joint'
+Tied(KEYS, strength=-1)  ->  strength must be in [0, inf)
+Tied(KEYS).fit([1], GRID)  ->  log_or_counts must be Transitions or sparse counts
+InClass()  ->  features must be given
+InClass(features=PHI, kernel="gaussian", coordinates=PLACE)  ->  features must be left out with a kernel
+InClass(features=np.ones((120, 1)), ridge=1e308).fit(LOG, GRID)  ->  ridge must leave a program that double precision holds
+Quotient(solver=3)  ->  solver must be a name or Sgd(...)
+Quotient(solver=Sgd()).fit(LOG, GRID)  ->  solver "sgd" must have normalized=False
+Conditional(ridge=1e308).fit(LOG, GRID)  ->  the options of method 'conditional' must make ...ridge 1e+308, toward 1
+Conditional(ridge=1, toward=1e308).fit(LOG, GRID)  ->  the options of method 'conditional' must make ...ridge 1, toward 1e+308
+Network((0,))  ->  layers[0] must be a positive integer
+Network(64)  ->  layers must be a collection of widths of hidden layers
+Network(activation="sinus")  ->  activation must be one of 'relu', ...'sinus'
+Network(optimizer="adagrad")  ->  optimizer must be one of 'adam', 'sgd'...'adagrad'
+Network(inputs="pixels")  ->  inputs must be one of 'one_hot'...'pixels'
+Network(step_size=0)  ->  step_size must be in (0, inf)
+Network(batch_size=0)  ->  batch_size must be a positive integer
+Network(n_iterations=1.5)  ->  n_iterations must be a positive integer
+Network(held_out=1)  ->  held_out must leave transitions to train on
+Network(held_out=-0.1)  ->  held_out must be in [0, 1]
+Network(patience=0)  ->  patience must be a positive integer
+boxed(functions="mlp")  ->  functions must be a Network(...)
+boxed(normalized=True)  ->  normalized must be False with functions
+boxed(solver="CLARABEL")  ->  solver must be left out with functions=
+boxed(upper=np.inf)  ->  lower and upper must be a box with 0 < lower
+boxed(lower=None)  ->  lower and upper must be a box
+boxed(toward=None, ridge=1.0)  ->  toward must be a number with functions
+Conditional(functions="mlp")  ->  functions must be a Network(...)
+Conditional(functions=Network(), solver="CLARABEL")  ->  solver must be left out with functions=
+Conditional(functions=Network(), prior="tilt")  ->  prior must be left out with functions=
+Conditional(functions=Network(), features=[1.0])  ->  features must be left out with prior 'none'
+Conditional(functions=Network(), upper=5.0)  ->  lower and upper must be left out with functions=
+Conditional(functions=Network(), lower=0.1)  ->  lower and upper must be left out with functions=
+
+# intervals, comparisons, plans
+interval(P, UNIFORM, method="bayes")  ->  method must be one of 'likelihood', 'delta', 'bootstrap', 'robust'
+interval(P, UNIFORM, radius="wide")  ->  radius must be one of 'auto', 'independent', 'anytime'
+interval(P, UNIFORM, method="bootstrap", n_bootstrap=0)  ->  n_bootstrap must be a positive integer
+interval(Problem(ENDLESS, LOG), UNIFORM)  ->  horizon must be given at discount 1
+interval(Problem(HUGE, LOG), UNIFORM, method="robust")  ->  the simulator's rewards must be at most 1e+140, ...larger unit
+interval(P, UNIFORM, method="bootstrap", resample="episodes")  ->  log must have at least 10 episodes to be resampled by
+interval(Problem(GRID, LOG.draw(9, seed=0)), UNIFORM, method="bootstrap", resample="episodes")  ->  log must have episodes to be
+interval(Problem(GRID, COUNTS), UNIFORM, method="bootstrap", resample="episodes")  ->  log must have episodes to be
+interval(Problem(GRID, 0.5 * COUNTS), UNIFORM, method="bootstrap")  ->  counts must be whole numbers to be resampled
+interval(P, UNIFORM, tie=KEYS, features=PHI)  ->  tie and features must not be given together
+interval(P, UNIFORM, tie=KEYS, lower_ratio=0.5)  ->  lower_ratio and upper_ratio must be None with tie
+interval(P, UNIFORM, features=PHI, method="delta")  ->  method must be 'likelihood' with features
+interval(P, UNIFORM, features=np.ones(120))  ->  features must differ between ...; feature 0 is constant
+interval(P, UNIFORM, tie=KEYS[:-1])  ->  tie must have shape
+interval(P, UNIFORM, tie=0.5 * KEYS)  ->  tie must have integer keys
+value_range(GRID, UNIFORM, 1.2, 2.0)  ->  lower_ratio must be in [0, 1]
+value_range(GRID, UNIFORM, 0.5, 0.5)  ->  upper_ratio must be in [1, inf]
+value_range(walk(0.5), [0, 0], 0.0, 2.0)  ->  horizon must be given: ... stay for ever ... s=0 is one
+value_range(walk(1.0), [0, 0], 0.5, 2.0)  ->  horizon must be given: ... s=0 has reward -1
+row_changes(P).largest(0)  ->  k must be a positive integer
+compare_policies(P, [[0] * 9])  ->  policies must be at least two to compare; there is 'policy 0'
+compare_policies(P, {"a": UNIFORM, "b": UP}, method="no")  ->  method must be one of 'delta', 'bootstrap'
+compare_policies(Problem(HUGE, LOG), {"a": UNIFORM, "b": UP})  ->  the simulator's rewards must be at most 1e+140,
+selection_measures([1], [1])  ->  estimates and truths must have one length of at least 2
+selection_measures([1, np.nan], [1, 2])  ->  estimates[1] must be finite
+selection_measures([1, 2], [1, 2], k=3)  ->  k must be at most the number of policies, 2
+plan(P, horizon=4)  ->  horizon must be left out with a Problem, which has its own
+plan(ENDLESS)  ->  horizon must be given at discount 1
+plan(GRID, UNIFORM[:3])  ->  policies must have shape (9, 4) (states, actions)
+plan(GRID, {"a": UNIFORM, "b": 0.5 * UNIFORM})  ->  policies['b'][0] must sum to 1
+plan(GRID, {})  ->  policies must have at least one policy
+plan(GRID, sampling="behaviour")  ->  sampling must be one of 'free', 'behavior'
+plan(GRID, solver="SCS")  ->  solver must be one of 'auto', 'frank_wolfe', 'CLARABEL'
+plan(GRID, model="truth")  ->  model must be one of 'estimate', 'simulator'
+plan(GRID, model=GRID.transitions)  ->  model must be 'estimate', 'simulator' or a FiniteMDP
+plan(GRID, model=mdp())  ->  model must be for 9 states and 4 actions
+plan(STIFF, model=GRID)  ->  model must stay in the simulator's support: ...s=0, a=0 -> s'=
+plan(GRID, restart=0.1)  ->  restart must be left out with sampling 'free'
+plan(GRID, sampling="behavior", restart=1.0)  ->  restart must be in (0, 1)
+plan(GRID, sampling="behavior", restart=1 - 1e-9)  ->  restart must let episodes reach ...; at 1 what
+plan(GRID, lower_ratio=1.5)  ->  the box [lower_ratio, upper_ratio] must contain 1
+plan(GRID).after(0)  ->  m must be a positive integer
+
+# sampling and tasks
+LOG.draw(3, seed=-1)  ->  seed must be what numpy.random.default_rng takes; got -1
+sample_transitions(GRID, np.ones(4), 5, seed=0)  ->  distribution must have 2 dimension
+sample_transitions(GRID, np.ones((3, 4)) / 12, 5, seed=0)  ->  distribution must have shape (9, 4)
+sample_episodes(GRID, UNIFORM, 10**14, 5, seed=0)  ->  n_episodes must be small enough for this machine's memory; 1000... GiB
+sample_returns(GRID, UNIFORM, 3, 4, seed=0, kind="whole")  ->  kind must be one of 'per_decision', 'trajectory'
+sample_returns(GRID, UNIFORM, 3, 4, seed=0, zeta=np.ones((36, 9)))  ->  zeta must be sparse of shape (36, 9)
+sample_returns(GRID, UNIFORM, 3, 4, seed=0, zeta=GRID.transitions * 1j)  ->  zeta must be real numbers
+sample_returns(GRID, UNIFORM, 3, 4, seed=0, zeta=-GRID.transitions)  ->  zeta must be finite and nonnegative; at ... it is -
+toy_text("FrozenLake-v9")  ->  environment ...'FrozenLake-v9' is neither; near: FrozenLake
+gridworld(3, 0.1, pay="both")  ->  pay must be one of 'next', 'current'
+gridworld(10**6, 0.1)  ->  size must be small enough for this machine's memory; 1000000 needs ... GiB
+named_task("FrozenLake-v1:success_rate=1/0")  ->  success_rate must be a finite number; '1/0' divides by 0
+named_task("gridworld:3,slip=.1,slip=.2")  ->  slip must be given once; '3,slip=.1,slip=.2' has it twice
+named_task("FrozenLake-v1:desc=x")  ->  environment 'FrozenLake-v1' does not take these arguments {'desc': 'x'}
+named_task("FrozenLake-v1:success_rate=7")  ->  environment 'FrozenLake-v1' with success_rate=7 is no finite MDP: transitions
+
+# pictures
+plot_curves([0, 1], {})  ->  curves must hold at least one
+plot_curves([0, 1], {"a": [np.nan] * 2})  ->  curves must hold at least one finite number
+plot_curves([0, 1], {"a": [1]})  ->  curves['a'] must have 2 values, one a point
+plot_curves([0, np.nan], {"a": [1, 2]})  ->  x[1] must be finite
+plot_curves([1], [1])  ->  curves must be a Mapping
+plot_curves([0], {"a": [1]}, bands={"b": ([0], [1])})  ->  bands must be of names in curves
+plot_curves([1], {"a": [1]}, bands={"a": [[1]]})  ->  bands['a'] must be (lower, upper)
+plot_curves([1], {"a": [1]}, truth=[1, 2])  ->  truth must have 1 values, one a point
+plot_curves([1], {"a": [1]}, xlabel=3)  ->  xlabel must be a text
+plot_errors([0, 1], {"a": [1, 2]})  ->  n[0] must be positive
+plot_errors([1, 2], {"a": [1, -2]})  ->  errors['a'][1] must be nonnegative
+plot_errors([1, 2], {"a": [0, 0]})  ->  errors must hold at least one finite positive
+plot_variance_growth({})  ->  variances must hold at least one
+plot_variance_growth({"a": [-1.0]})  ->  variances['a'][0] must be nonnegative
+plot_intervals(["a"], [1], [0, 1], [2])  ->  ...one length; they have 1, 1, 2, 1 and 1
+plot_intervals(["a"], [1], [0], [2], groups=[])  ->  ...one length; they have 1, 1, 1, 1 and 0
+plot_intervals(["a"], [1], [0], [2], limits=(1, 1))  ->  limits must be (low, high)
+plot_intervals([], [], [], [])  ->  values must have a finite number, or lower and upper
+plot_intervals(["a"], [np.nan], [np.nan], [np.nan])  ->  values must ...there is nothing to draw
+plot_values([])  ->  records must hold at least one finite value
+plot_values([{"policy": "a"}])  ->  records must be mappings with estimator, lower, policy
+plot_grid([1, 2, 3], (2, 2), label="x")  ->  values must have 4 entries, one a cell
+plot_grid([np.nan], (1, 1), label="x")  ->  values must hold at least one finite number
+plot_grid([1], 1, label="x")  ->  shape must be (rows, columns)
+plot_grid([1], (1, 0), label="x")  ->  shape[1] must be a positive integer
+plot_grid([1], (1, 1), label="x", crossed=[0, 1])  ->  crossed must have 1 entries
+plot_grid([1], (1, 1), label="x", colormap="red")  ->  colormap must be the name of one
+plot_ratio([1, -1], (1, 2))  ->  values[1] must be nonnegative
+plot_ratio([np.nan], (1, 1))  ->  values must hold at least one finite number
+plot_coverage([1, -1], (1, 2))  ->  counts[1] must be nonnegative
+plot_coverage([1, 1], (1, 2), over=[True])  ->  over must have 2 entries
+plot_occupancy([1, 0], (1, 2), unseen=[True])  ->  unseen must have 2 entries
+plot_occupancy([np.nan], (1, 1))  ->  time must hold at least one finite number
+plot_states([], [])  ->  time must hold at least one state
+plot_states([np.nan], [1])  ->  time[0] must be finite
+plot_states([1.0], [1, 2])  ->  recorded must have the shape of time, (1,)
+plot_states([1.0], [1], top=0)  ->  top must be a positive integer
+plot_states([1.0], [1], names=[])  ->  names must have 1 entries, one a state
+figure_png(print, size=(0, 1))  ->  size must be from 0.1 to 100 inches
+figure_png(3)  ->  draw must be a function
+label_ends(3)  ->  ax must be matplotlib Axes
+label_ends(AXES, fontsize=0)  ->  fontsize must be in (0, 100)
+"""
