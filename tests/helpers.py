@@ -1,6 +1,6 @@
 """What several tests need: random MDPs, dense oracles that share no code with the package, and its full enumeration."""
 
-import itertools
+import copy
 import os
 import subprocess
 import sys
@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 from scipy import sparse
 
-from oee_tabular import FiniteMDP
+from oee_tabular import FiniteMDP, sample_transitions
 from oee_tabular.mdp.rows import Rows
 
 
@@ -64,36 +64,79 @@ def dense(mdp):
     return transitions, mdp.transition_rewards.toarray().reshape(shape)
 
 
+class Dense:
+    """An MDP as arrays, with numpy alone: P and r (S, A, S'), mu (S,), the discount g."""
+
+    def __init__(self, mdp):
+        self.P, self.r = dense(mdp)
+        self.mu, self.g = np.array(mdp.initial), float(mdp.discount)
+
+    def like(self, transitions):
+        """The same but for P."""
+        other = copy.copy(self)
+        other.P = transitions
+        return other
+
+    def chain(self, pi):
+        return np.einsum("sa,sat->st", pi, self.P)
+
+    def paid(self, pi):
+        return np.einsum("sa,sat,sat->s", pi, self.P, self.r)
+
+    def values(self, pi, horizon=None):
+        """V (S,), or of a horizon V with t = horizon, ..., 0 rewards to go (T + 1, S), index t the time."""
+        if horizon is None:
+            return np.linalg.solve(np.eye(len(self.mu)) - self.g * self.chain(pi), self.paid(pi))
+        to_go = [np.zeros(len(self.mu))]
+        for _ in range(horizon):
+            to_go.append(self.paid(pi) + self.g * self.chain(pi) @ to_go[-1])
+        return np.array(to_go[::-1])
+
+    def J(self, pi, horizon=None):
+        found = self.values(pi, horizon)
+        return float(self.mu @ (found if horizon is None else found[0]))
+
+    def visits(self, pi, horizon=None):
+        """(S, A) expected discounted visits, not normalised; over a horizon a list by t, discounted."""
+        if horizon is None:
+            return np.linalg.solve(np.eye(len(self.mu)) - self.g * self.chain(pi).T, self.mu)[:, None] * pi
+        found, at = [], self.mu
+        for t in range(horizon):
+            found.append(self.g**t * at[:, None] * pi)
+            at = at @ self.chain(pi)
+        return found
+
+    def slope(self, pi, horizon=None):
+        """(S, A, S') dJ / dP(s' | s, a), P taken as free numbers."""
+        v = self.values(pi, horizon)
+        if horizon is None:
+            return self.visits(pi)[:, :, None] * (self.r + self.g * v)
+        return sum(d[:, :, None] * (self.r + self.g * v[t + 1]) for t, d in enumerate(self.visits(pi, horizon)))
+
+
 def dense_values(mdp, policy):
-    """V = (I - gamma P_pi)^-1 r_pi with numpy alone."""
-    transitions, rewards = dense(mdp)
-    kernel = np.einsum("sa,sat->st", policy, transitions)
-    paid = np.einsum("sa,sat,sat->s", policy, transitions, rewards)
-    return np.linalg.solve(np.eye(mdp.n_states) - mdp.discount * kernel, paid)
+    """V = (I - gamma P_pi)^-1 r_pi."""
+    return Dense(mdp).values(policy)
 
 
-def dense_occupancy(mdp, policy):
-    """(S, A) normalised discounted occupancy with numpy alone."""
-    transitions, _ = dense(mdp)
-    kernel = np.einsum("sa,sat->st", policy, transitions)
-    states = np.linalg.solve(np.eye(mdp.n_states) - mdp.discount * kernel.T, (1 - mdp.discount) * mdp.initial)
-    return states[:, None] * policy
+def table_of(log, shape):
+    """(S, A, S') counts of a log."""
+    found = np.zeros((*shape, shape[0]))
+    np.add.at(found, (log.state, log.action, log.next_state), 1.0)
+    return found
 
 
 def paths(mdp, policy, horizon):
-    """Every path of ``horizon`` moves with its probability: (probability, [(s, a, s', r), ...])."""
+    """Every path of ``horizon`` moves of positive probability: (probability, [(s, a, s', r), ...])."""
     transitions, rewards = dense(mdp)
-    for states in itertools.product(range(mdp.n_states), repeat=horizon + 1):
-        for actions in itertools.product(range(mdp.n_actions), repeat=horizon):
-            probability = mdp.initial[states[0]]
-            steps = []
-            for t in range(horizon):
-                s, a, following = states[t], actions[t], states[t + 1]
-                step_policy = policy if policy.ndim == 2 else policy[t]
-                probability *= step_policy[s, a] * transitions[s, a, following]
-                steps.append((s, a, following, rewards[s, a, following]))
-            if probability > 0:
-                yield probability, steps
+    found = [(float(p), s, []) for s, p in enumerate(mdp.initial) if p > 0]
+    for t in range(horizon):
+        law = (policy if policy.ndim == 2 else policy[t])[:, :, None] * transitions
+        moves = [np.argwhere(rows > 0).tolist() for rows in law]
+        found = [
+            (p * law[s, a, j], j, [*steps, (s, a, j, rewards[s, a, j])]) for p, s, steps in found for a, j in moves[s]
+        ]
+    return [(p, steps) for p, _, steps in found]
 
 
 def survival_chain(discount=0.9):
@@ -138,15 +181,18 @@ def ratio_of(rng, simulator):
 
 def histories(mdp, policy, horizon):
     """(probability, states s_0..s_T, actions, rewards) of each path, all of positive probability."""
-    transitions, rewards = dense(mdp)
-    found = [(float(p), (s,), (), ()) for s, p in enumerate(mdp.initial) if p > 0]
-    for _ in range(horizon):
-        found = [
-            (p * policy[states[-1], a] * transitions[states[-1], a, j], (*states, j), (*actions, a),
-             (*paid, rewards[states[-1], a, j]))
-            for p, states, actions, paid in found
-            for a in range(mdp.n_actions)
-            for j in range(mdp.n_states)
-            if policy[states[-1], a] * transitions[states[-1], a, j] > 0
-        ]  # fmt: skip
-    return found
+    found = [(p, *zip(*steps, strict=True)) for p, steps in paths(mdp, policy, horizon)]
+    return [(p, (*states, following[-1]), actions, paid) for p, states, actions, following, paid in found]
+
+
+def tiny(seed, moves=25, left_out=(), form="sa", n_states=3, n_actions=2, discount=0.8):
+    """A simulator, a target near nothing, a log of its moves (none of the pairs ``left_out``), and a policy."""
+    rng = np.random.default_rng(seed)
+    P = rng.dirichlet(np.full(n_states, 1.5), size=(n_states, n_actions))
+    r = rng.normal(size=(n_states, n_actions, n_states)[: len(form)])
+    simulator = FiniteMDP(P, r, rng.dirichlet(np.ones(n_states)), discount)
+    target = simulator.with_transitions(rng.dirichlet(np.full(n_states, 2.0), size=(n_states, n_actions)))
+    share = np.ones((n_states, n_actions))
+    share.reshape(-1)[list(left_out)] = 0.0
+    log = sample_transitions(target, share / share.sum(), moves, seed=seed)
+    return simulator, target, log, rng.dirichlet(np.ones(n_actions), size=n_states)

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import (
+    Dense,
     dense,
-    dense_occupancy,
     dense_values,
     environments,
     random_mdp,
@@ -38,7 +38,7 @@ def test_values_and_occupancies_agree_with_dense_linear_algebra(seed):
     q = np.einsum("sat,sat->sa", transitions, rewards + mdp.discount * values)
     assert_allclose(oee.action_values(mdp, policy), q, rtol=0, atol=1e-9 * scale)
     assert_allclose(oee.policy_value(mdp, policy), mdp.initial @ values, rtol=0, atol=1e-9 * scale)
-    pairs = dense_occupancy(mdp, policy)
+    pairs = (1 - mdp.discount) * Dense(mdp).visits(policy)
     assert_allclose(oee.occupancy(mdp, policy), pairs, rtol=0, atol=1e-9)
     assert_allclose(oee.occupancy(mdp, policy, of="state"), pairs.sum(axis=1), rtol=0, atol=1e-9)
     moves = oee.occupancy(mdp, policy, of="transition").toarray().reshape(transitions.shape)

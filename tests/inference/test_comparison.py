@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from helpers import Dense, table_of, tiny
 from numpy.testing import assert_allclose
 from scipy import stats
 
@@ -159,3 +160,31 @@ def test_measures_of_selection():
     assert selection_measures([1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 0.0], k=2).regret == pytest.approx(1 / 3)
     assert selection_measures([1, 2], [1, 2]) == selection_measures([1, 2], [1, 2])
     assert np.isnan(selection_measures([1.0, 1.0], [0.0, 1.0]).rank_correlation)
+
+
+@pytest.mark.parametrize("left_out", [[], [3]])
+@pytest.mark.parametrize("horizon", [None, 5])
+def test_compared_policies_by_the_variance_of_each_row_with_one_more_move(left_out, horizon):
+    simulator, _, log, first = tiny(6, moves=60, left_out=left_out)
+    second = np.random.default_rng(0).dirichlet([1.0, 1.0], size=3)
+    policies = {"first": first, "second": second}
+    found = compare_policies(oee.Problem(simulator, log, horizon=horizon), policies, n_draws=200_000)
+    base, n = Dense(simulator), table_of(log, first.shape)
+    total = n.sum(axis=2, keepdims=True)
+    model = base.like(np.where(total > 0, n / np.maximum(total, 1), base.P))
+    law = (n + base.P) / (total + 1)
+    values = [model.J(policies[name], horizon) for name in found.names]
+    slopes = [model.slope(policies[name], horizon) for name in found.names]
+    x, y = np.array(slopes)[:, None], np.array(slopes)[None]
+    joint = (law * x * y).sum(axis=4) - (law * x).sum(axis=4) * (law * y).sum(axis=4)
+    covariance = (joint / np.maximum(total[:, :, 0], 1)).sum(axis=(2, 3))
+    assert_allclose(found.values, values, rtol=1e-9)
+    assert values[0] >= values[1]
+    assert_allclose(found.covariance, covariance, rtol=1e-7)
+    spread = np.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1])
+    gap = values[0] - values[1]
+    assert_allclose(found.probability_best[0], stats.norm.cdf(gap / spread), atol=0.005)
+    assert_allclose([found.lower[0, 1], found.upper[0, 1]], gap + spread * stats.norm.ppf([0.025, 0.975]), rtol=1e-7)
+    time = model.visits(policies[found.names[0]], horizon)
+    time = time if horizon is None else sum(time)
+    assert_allclose(found.unseen_share[0], time[total[:, :, 0] == 0].sum() / time.sum(), rtol=1e-9)

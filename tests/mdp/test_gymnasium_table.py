@@ -1,8 +1,11 @@
 """MDPs of Gymnasium's tables: the table's own values, where termination leads, names and maps, and what is refused."""
 
+from types import SimpleNamespace
+
 import gymnasium
 import numpy as np
 import pytest
+from helpers import Dense
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
@@ -132,3 +135,30 @@ def test_refusals(make, text):
     with pytest.raises(ValueError, match=text):
         FiniteMDP.from_gymnasium(make())
     assert FiniteMDP.from_gymnasium(gymnasium.wrappers.RecordEpisodeStatistics(lake())).n_states == 16
+
+
+def test_a_toy_text_table_with_duplicates_and_ends_by_path():
+    """Outcomes of one (s, a, s') are added up, their rewards averaged by probability; what was ended pays no more."""
+    table = {
+        0: {0: [(0.3, 1, 1.0, False), (0.2, 1, 5.0, False), (0.5, 2, -1.0, True)], 1: [(1.0, 0, 0.5, False)]},
+        1: {0: [(0.6, 2, 2.0, False), (0.4, 2, 3.0, True)], 1: [(0.0, 0, 9.0, False), (1.0, 1, 0.0, False)]},
+        2: {0: [(1.0, 0, 4.0, False)], 1: [(0.5, 2, 1.0, False), (0.5, 0, 1.0, True)]},
+    }
+    env = SimpleNamespace(P=table, initial_state_distrib=np.array([1.0, 0.0, 0.0]))
+    mdp = FiniteMDP.from_gymnasium(env, discount=0.9)
+    policy = np.array([[0.7, 0.3], [0.5, 0.5], [0.4, 0.6]])
+
+    def walk(s, steps):
+        if steps == 0:
+            return 0.0
+        return sum(
+            policy[s, a] * p * (r + (0.0 if ended else 0.9 * walk(j, steps - 1)))
+            for a in range(2)
+            for p, j, r, ended in table[s][a]
+            if p > 0
+        )
+
+    assert_allclose(oee.policy_value(mdp, policy, horizon=5), walk(0, 5), rtol=1e-12)
+    assert_allclose(mdp.transitions.toarray().sum(axis=1), 1.0, rtol=1e-15)
+    assert_allclose(Dense(mdp).P[0, 0, 1], 0.5)
+    assert_allclose(Dense(mdp).r[0, 0, 1], (0.3 * 1 + 0.2 * 5) / 0.5)

@@ -389,3 +389,12 @@ def test_it_is_said_of_the_policy_that_was_made_from_the_log(names):
     assert "simulator" not in {row["estimator"] for row in rows}
     same = Problem(SIMULATOR, 1e6 * SIMULATOR.transitions)  # the log's own model is the simulator
     assert not any("made from" in text for text in oee.evaluate(same, policies, estimators=names).warnings)
+
+
+@pytest.mark.parametrize("value", [1.0 + 5e-10, -5e-10, 0.4])
+def test_a_value_at_an_end_of_the_interval_but_for_rounding_stays_and_the_end_goes_with_it(value):
+    estimate = oee.Estimate(value, model_value=value)
+    sure = oee.inference.Interval(0.0, 1.0, 0.95, "likelihood", {})
+    found = uncertainty.choose_interval(estimate, sure, 0.95)
+    assert found.value == value
+    assert found.interval == (min(0.0, value), max(1.0, value))

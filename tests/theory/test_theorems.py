@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers import dense_values, random_mdp, random_policy, rngs, survival_chain
+from helpers import Dense, dense_values, paths, random_mdp, random_policy, rngs, survival_chain, tiny
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -524,3 +524,29 @@ def test_the_lemma_s_sides_at_the_largest_floats():
     assert theory.ratio_error_sides(*same, *same, mu=1e308, nu=0.5) == Sides(0.0, 0.0)
     found = theory.ratio_error_sides([1e308], [0.5], [1.0], [1.0], mu=1e308, nu=0.5)
     assert found.left == found.right == math.inf
+
+
+@pytest.mark.parametrize("form", ["sa", "sat"])
+def test_path_bounds_by_every_path(form):
+    simulator, target, _, policy = tiny(8, form=form, n_states=2)
+    model, truth, steps = Dense(simulator), Dense(target), 4
+    own = []
+    for t in range(steps + 1):
+        found = paths(simulator, policy, t)
+        own.append(
+            sum(p * sum(np.log(model.P[s, a, j] / truth.P[s, a, j]) for s, a, j, _ in path) for p, path in found)
+        )
+    assert_allclose(theory.path_kl(target, simulator, policy, horizon=steps), own, rtol=1e-9, atol=1e-14)
+    shift = int(form == "sat")
+    size = np.abs(model.r).max()
+    error = abs(model.J(policy, steps) - truth.J(policy, steps))
+    g, eta = model.g, np.abs(model.P - truth.P).sum(axis=2).max()
+    bounds = {
+        theory.kl_path_sides: sum(g**t * min(2.0, np.sqrt(2 * own[t + shift])) for t in range(steps)),
+        theory.normalised_sides: sum(g**t * min(2.0, (t + shift) * eta) for t in range(steps)),
+        theory.unnormalised_sides: sum(g**t * ((1 + eta) ** (t + shift) - 1) for t in range(steps)),
+    }
+    for sides, bound in bounds.items():
+        found = sides(target, simulator, policy, horizon=steps)
+        assert_allclose([found.left, found.right], [error, size * bound], rtol=1e-9)
+        assert found.holds

@@ -1,10 +1,10 @@
-"""Limits of the estimators by every path, episode sums by their recursions, and calibrated values by hand."""
+"""Limits of the estimators by every path and by dense algebra."""
 
 import functools
 
 import numpy as np
 import pytest
-from audit.reference import Dense, sequences
+from helpers import Dense, paths
 from numpy.testing import assert_allclose
 from scipy import optimize, sparse
 
@@ -33,9 +33,9 @@ def world(seed=0, form="sat", lack=False):
 
 def weighted(target, policy, behavior):
     """(probability under the behaviour, weights rho_0..t, rewards) of every path of the horizon."""
-    for chance, path in sequences(target, behavior, HORIZON):
-        rho = np.cumprod([policy[s, a] / behavior[s, a] for s, a, _ in path])
-        yield chance, rho, np.array([target.r[move] for move in path])
+    for chance, path in paths(target, behavior, HORIZON):
+        rho = np.cumprod([policy[s, a] / behavior[s, a] for s, a, _, _ in path])
+        yield chance, rho, np.array([paid for *_, paid in path])
 
 
 @pytest.mark.parametrize("lack", [False, True])
@@ -47,7 +47,7 @@ def test_importance_sampling_s_limit_by_every_path(lack, kind, normal):
         simulator, target, policy, behavior_policy=behavior, horizon=HORIZON
     )
     g = 0.9 ** np.arange(HORIZON)
-    chances, rhos, rewards = (np.array(x) for x in zip(*weighted(Dense(target), policy, behavior), strict=True))
+    chances, rhos, rewards = (np.array(x) for x in zip(*weighted(target, policy, behavior), strict=True))
     weights = rhos if kind == "per_decision" else np.repeat(rhos[:, -1:], HORIZON, axis=1)
     top = chances @ (weights * rewards)
     mass = chances @ weights if normal else np.ones(HORIZON)
@@ -69,9 +69,9 @@ def test_doubly_robust_on_episodes_without_support_by_every_path(form):
     V = model.values(policy, HORIZON)
     Q = [np.einsum("sat,sat->sa", model.P, model.r + model.g * V[t + 1]) for t in range(HORIZON)]
     own = model.mu @ V[0]
-    for chance, path in sequences(truth, behavior, HORIZON):
+    for chance, path in paths(target, behavior, HORIZON):
         rho = 1.0
-        for t, (s, a, j) in enumerate(path):
+        for t, (s, a, j, _) in enumerate(path):
             rho *= policy[s, a] / behavior[s, a]
             own += chance * 0.9**t * rho * (truth.r[s, a, j] + 0.9 * V[t + 1][j] - Q[t][s, a])
     assert_allclose(found, own, rtol=1e-10)
@@ -124,43 +124,11 @@ def test_limits_on_moves_by_dense_algebra(share, horizon, form):
 
 
 def ragged_world():
-    """Four episodes of unequal length; the second and the fourth are cut, the others end in the absorbing state 2."""
+    """Two states that go on, and the absorbing state 2."""
     P = np.array([[[0.5, 0.3, 0.2], [0.2, 0.6, 0.2]], [[0.4, 0.4, 0.2], [0.3, 0.3, 0.4]], [[0, 0, 1.0]] * 2])
-    r = np.array([[1.0, -0.5], [0.3, 2.0], [0.0, 0.0]])
-    simulator = oee.FiniteMDP(P, r, [0.7, 0.3, 0.0], 0.9)
-    rows = [(0, 0, 1), (1, 1, 2), (1, 0, 0), (0, 1, 1), (1, 1, 1), (0, 1, 2), (0, 0, 0), (0, 1, 1)]
-    episode = [0, 0, 1, 1, 1, 2, 3, 3]
-    truncated = [False] * 4 + [True, False, False, True]
-    s, a, j = (list(x) for x in zip(*rows, strict=True))
-    behavior = np.array([[0.4, 0.6], [0.5, 0.5], [0.5, 0.5]])
-    timestep = [0, 1, 0, 1, 2, 0, 0, 1]
-    log = oee.Transitions(
-        s, a, j, r[s, a], episode=episode, timestep=timestep, truncated=truncated,
-        terminated=[j == 2 for _, _, j in rows], behavior_probability=behavior[s, a],
-    )  # fmt: skip
+    simulator = oee.FiniteMDP(P, np.array([[1.0, -0.5], [0.3, 2.0], [0.0, 0.0]]), [0.7, 0.3, 0.0], 0.9)
     policy = np.array([[0.8, 0.2], [0.3, 0.7], [0.5, 0.5]])
-    return simulator, log, policy, rows, episode, behavior
-
-
-@pytest.mark.parametrize("horizon", [None, 2, 5])
-def test_importance_sampling_of_cut_episodes_counts_what_is_missing(horizon):
-    simulator, log, policy, rows, episode, behavior = ragged_world()
-    found = ImportanceSampling()(oee.Problem(simulator, log, horizon=horizon), policy)
-    steps = 3 if horizon is None else min(3, horizon)
-    values, bound = [], 0.0
-    for k in range(4):
-        path = [row for row, e in zip(rows, episode, strict=True) if e == k][:steps]
-        rho, value = 1.0, 0.0
-        for t, (s, a, _) in enumerate(path):
-            rho *= policy[s, a] / behavior[s, a]
-            value += 0.9**t * rho * Dense(simulator).r[s, a, 0]
-        values.append(value)
-        if path[-1][2] != 2 and (horizon is None or len(path) < horizon):
-            end = 0.0 if horizon is None else 0.9**horizon
-            bound += rho * 2.0 * (0.9 ** len(path) - end) / 0.1 / 4
-    assert_allclose(found.value, np.mean(values), rtol=1e-12)
-    assert_allclose(found.standard_error, np.std(values, ddof=1) / 2, rtol=1e-12)
-    assert_allclose(found.diagnostics["truncation_bias_bound"], bound, rtol=1e-12, atol=1e-15)
+    return simulator, policy, np.array([[0.4, 0.6], [0.5, 0.5], [0.5, 0.5]])
 
 
 def clipped(p, q, low, high):
@@ -202,14 +170,13 @@ def test_the_limit_of_the_quotient_of_two_clipped_ratios(box):
 @pytest.mark.parametrize("ragged", ["pad", "zero"])
 def test_the_limit_of_weighted_importance_sampling_where_episodes_end(ragged):
     """Weights stand still once it is over; "zero" takes such paths out of the step's normaliser."""
-    simulator, _, policy, _, _, behavior = ragged_world()
-    base = Dense(simulator)
+    simulator, policy, behavior = ragged_world()
     top, mass = np.zeros(4), np.zeros(4)
-    for chance, path in sequences(base, behavior, 4):
+    for chance, path in paths(simulator, behavior, 4):
         rho = 1.0
-        for t, (s, a, j) in enumerate(path):
+        for t, (s, a, _, paid) in enumerate(path):
             rho *= policy[s, a] / behavior[s, a] if s != 2 else 1.0
-            top[t] += chance * rho * base.r[s, a, j]
+            top[t] += chance * rho * paid
             mass[t] += chance * rho * (s != 2 or ragged == "pad")
     found = ImportanceSampling(kind="per_decision", self_normalized=True, ragged=ragged).limit(
         simulator, simulator, policy, behavior_policy=behavior, horizon=4
@@ -231,12 +198,12 @@ def test_the_limit_of_products_of_ratios_by_every_path_of_the_simulator(form, we
     fitted = ask(sparse.csr_array(share.reshape(4, 1) * Dense(target).P.reshape(4, 2)), simulator)
     zeta = fitted.values.toarray().reshape(2, 2, 2)
     shift = int(form == "sat")
-    base, g = Dense(simulator), 0.9 ** np.arange(HORIZON)
+    g = 0.9 ** np.arange(HORIZON)
     top, mass = np.zeros(HORIZON), np.zeros(HORIZON)
-    for chance, path in sequences(base, policy, HORIZON):
-        w = np.cumprod([1.0] + [zeta[move] for move in path])
+    for chance, path in paths(simulator, policy, HORIZON):
+        w = np.cumprod([1.0] + [zeta[s, a, j] for s, a, j, _ in path])
         w = w[shift : shift + HORIZON] if weighting == "per_decision" else np.full(HORIZON, w[HORIZON - 1 + shift])
-        top += chance * w * np.array([base.r[move] for move in path])
+        top += chance * w * np.array([paid for *_, paid in path])
         mass += chance * w
     own = g @ (top / (mass if normal else 1.0))
     found = OffEnvironment(ratio=ask, evaluation="monte_carlo", weighting=weighting, self_normalized=normal).limit(

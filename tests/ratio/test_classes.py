@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from audit.reference import Dense, table_of
+from helpers import table_of
 from numpy.testing import assert_allclose
-from scipy import optimize, sparse
+from scipy import optimize
 
 import oee_tabular as oee
 
@@ -92,35 +92,6 @@ def test_the_kernel_class_is_a_gaussian_process_around_the_simulator():
     assert (1.0 + features @ w > 0.0).all()  # or zeta >= 0 would bind
     assert_allclose(fit.values.toarray().reshape(P.shape)[s, a, j], 1.0 + features @ w, atol=1e-5)
     assert fit.gap < 1e-7
-
-
-def test_the_standard_error_of_a_linear_class_is_its_sandwich():
-    """Refits with one count a little larger give the influence of a move."""
-    simulator, P, n, _ = small(moves=4000)
-    phi = np.moveaxis(np.random.default_rng(0).normal(size=(2, *P.shape)) * (P > 0), 0, 3)
-    policy, base = np.full((5, 2), 0.5), Dense(simulator)
-
-    def fitted(counts):
-        flat = sparse.csr_array(counts.reshape(10, 5))
-        return oee.transition_ratio(flat, simulator, method="linear", features=phi, ridge=1.0 / n.sum())
-
-    def value(counts):
-        return base.like(fitted(counts).values.toarray().reshape(P.shape) * P).J(policy)
-
-    fit = fitted(n)
-    model = base.like(fit.values.toarray().reshape(P.shape) * P)
-    slope = model.slope(policy)
-    influence = np.zeros_like(P)
-    for place in np.argwhere(P > 0):
-        more = n.copy()
-        more[tuple(place)] += 0.5
-        less = n.copy()
-        less[tuple(place)] -= 0.5
-        influence[tuple(place)] = value(more) - value(less)
-    share = n / n.sum(axis=2, keepdims=True)
-    mean = (share * influence).sum(axis=2, keepdims=True)
-    error = np.sqrt((n.sum(axis=2) * (share * (influence - mean) ** 2).sum(axis=2)).sum())
-    assert_allclose(fit.log_standard_error(slope[P > 0]), error, rtol=0.02)
 
 
 def test_tied_entries_by_their_own_sums():

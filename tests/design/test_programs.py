@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from audit.reference import Dense
+from helpers import Dense
 from numpy.testing import assert_allclose
 from scipy import optimize
 

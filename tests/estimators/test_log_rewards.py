@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from audit.reference import Dense, table_of
+from helpers import Dense, table_of
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
