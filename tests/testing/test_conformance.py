@@ -117,6 +117,7 @@ def of(*values, **fields):
     (of(1.0, -1.0), "fails", "standard_error must be None or a nonnegative number; it is -1.0"),
     (of("high"), "fails", "value must be a float; it is str"),
     (of(1.0, status=None), "raises", "status must be "),
+    (of(1.0, status=""), "fails", 'status must be "ok" or say what is wrong; it is empty'),
     (of(np.inf), "fails", "value must be finite where status is"),
     (of(1.0, interval=(2.0, 1.0)), "fails", "interval must be None or"),
     (of(1.0, diagnostics=None), "fails", "diagnostics must be a dict"),
