@@ -23,14 +23,11 @@ from oee_tabular.tasks import gridworld_policy, named_task
 POLICY = gridworld_policy(5, 0.5)  # that is evaluated on the small grids
 
 
-def plot_means(ax: Any, table: pd.DataFrame, y: str, curves: str, *, by: str = "", **options: Any) -> None:
+def plot_means(ax: Any, table: pd.DataFrame, y: str, curves: str, by: str, **options: Any) -> None:
     """Means over the rows, with their 95% ranges, a group for each value of ``by``."""
-    points = table.groupby([*([by] if by else []), curves], sort=False)[y].agg(["mean", "sem"]).reset_index()
-    half = 1.96 * points["sem"]
-    groups = list(points[by]) if by else None
-    plot_intervals(
-        list(points[curves]), points["mean"], points["mean"] - half, points["mean"] + half, ax, groups=groups, **options
-    )
+    points = table.groupby([by, curves], sort=False)[y].agg(["mean", "sem"]).reset_index()
+    mean, half = points["mean"], 1.96 * points["sem"]
+    plot_intervals(list(points[curves]), mean, mean - half, mean + half, ax, groups=list(points[by]), **options)
 
 
 def compare_variances(table: pd.DataFrame) -> str:
@@ -44,7 +41,7 @@ def draw_variances(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> N
     (ax,) = panels(figure, ["n times the variance"], size=(6.4, 3.6))
     exact = table.groupby("estimator").exact.mean().to_dict()
     own = table.assign(what="simulated")
-    plot_means(ax, own, "scaled_variance", "what", by="estimator", truth=exact, truth_label="exact", xlabel="n Var(J)")
+    plot_means(ax, own, "scaled_variance", "what", "estimator", truth=exact, truth_label="exact", xlabel="n Var(J)")
 
 
 @experiment(
@@ -173,8 +170,8 @@ def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> No
     left, right = panels(figure, ["coverage of nominal 95% intervals", "mean width"], size=(6.2, 7.6))
     nominal = dict.fromkeys(table.case, 0.95)
     share = "share of the intervals that cover the true value"
-    plot_means(left, table, "covered", "method", by="case", truth=nominal, truth_label="95%", xlabel=share)
-    plot_means(right, table, "width", "method", by="case", xlabel="width times (1 - discount)")
+    plot_means(left, table, "covered", "method", "case", truth=nominal, truth_label="95%", xlabel=share)
+    plot_means(right, table, "width", "method", "case", xlabel="width times (1 - discount)")
 
 
 @experiment(
