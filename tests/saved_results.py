@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pandas as pd
+from kernels.files import write_all
 
 RESULTS = Path(__file__).parents[1] / "notebooks" / "results"
 
@@ -28,7 +29,6 @@ def assert_saved(name, cell, table):
 
 def redraw(names):
     """The figures and pages of the saved tables; all of them without names."""
-    from oee_tabular import _files
     from oee_tabular.lab import output
     from oee_tabular.lab.experiments.catalogue import EXPERIMENTS, choose
 
@@ -36,7 +36,7 @@ def redraw(names):
         table = saved(experiment.id)
         summary = output.summary_of(experiment, table)
         page = output.markdown(experiment.settings(), table, summary).encode()
-        _files.write_all(RESULTS / experiment.id, {"summary.md": page, **output.figures(experiment, table, summary)})
+        write_all(RESULTS / experiment.id, {"summary.md": page, **output.figures(experiment, table, summary)})
     output.index(RESULTS, EXPERIMENTS.values())
 
 

@@ -10,11 +10,11 @@ import zipfile
 
 import numpy as np
 import pytest
+from kernels.files import DIGEST, KIND, digest, read_npz
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, _checks, _files
-from oee_tabular._sparse import check_csr
+from oee_tabular import FiniteMDP
 from oee_tabular.testing import relabelled_log
 
 GRID = oee.tasks.gridworld(3, 0.3)
@@ -35,11 +35,11 @@ def drop_member(path, name):
                 archive.writestr(member, data)
 
 
-@pytest.mark.parametrize("name", ["reward", "episode", "behavior_probability", "state", _files.KIND, _files.DIGEST])
+@pytest.mark.parametrize("name", ["reward", "episode", "behavior_probability", "state", KIND, DIGEST])
 def test_a_log_without_one_of_its_columns_is_refused(tmp_path, name):
     LOG.save(tmp_path / "log.npz")
     drop_member(tmp_path / "log.npz", f"{name}.npy")
-    for read in (oee.Transitions.load, _files.read_npz):
+    for read in (oee.Transitions.load, read_npz):
         with pytest.raises(ValueError, match=r"log\.npz' must hold"):
             read(tmp_path / "log.npz")
 
@@ -56,13 +56,13 @@ def test_a_simulator_with_another_member_is_refused(tmp_path):
 def test_no_flipped_byte_loads_other_data(tmp_path, ending):
     path, rng = tmp_path / f"log.{ending}", np.random.default_rng(0)
     LOG.save(path)
-    data, columns = path.read_bytes(), _files.digest({k: np.asarray(v) for k, v in LOG.columns().items()})
+    data, columns = path.read_bytes(), digest({k: np.asarray(v) for k, v in LOG.columns().items()})
     counts = oee.Transitions.open(path).count.tolist()
     for k in rng.integers(len(data), size=150):
         path.write_bytes(data[:k] + bytes([data[k] ^ (1 << rng.integers(8))]) + data[k + 1 :])
         with contextlib.suppress(ValueError):
             found = oee.Transitions.load(path)
-            assert _files.digest({k: np.asarray(v) for k, v in found.columns().items()}) == columns
+            assert digest({k: np.asarray(v) for k, v in found.columns().items()}) == columns
         with contextlib.suppress(ValueError):
             assert oee.Transitions.open(path).count.tolist() == counts
 
@@ -75,8 +75,8 @@ def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
         one | {"a": np.arange(4.0)},
         one | {"a": np.arange(1, 5)},
     )
-    assert _files.digest(dict(reversed(one.items()))) == _files.digest(one)
-    assert len({_files.digest(arrays) for arrays in (one, *others, one | {"a": np.arange(4).reshape(2, 2)})}) == 6
+    assert digest(dict(reversed(one.items()))) == digest(one)
+    assert len({digest(arrays) for arrays in (one, *others, one | {"a": np.arange(4).reshape(2, 2)})}) == 6
 
 
 # ---- locks, workers
@@ -157,7 +157,6 @@ DOORS = {
     "rewards": lambda c: FiniteMDP(GRID.transitions, c, 0, 0.9),
     "rewards of a log": lambda c: FiniteMDP.from_log(LOG, discount=0.9, rewards=c),
     "matrix of counts": lambda c: oee.TransitionCounts.of(c, 4),
-    "matrix": lambda c: check_csr(c, "matrix"),
     "kernel": lambda c: oee.exact.solve_policy_system(c, np.zeros(9), 0.9),
     "ratio": lambda c: oee.exact.reweight(GRID, c),
     "counts of a ratio": lambda c: oee.transition_ratio(c, GRID),
@@ -180,46 +179,7 @@ def test_native_code_sees_no_malformed_matrix(door, form):
         DOORS[door](broken_matrix(form))
 
 
-# ---- values in errors
-
-
-def nested_list(depth):
-    value = []
-    for _ in range(depth):
-        value = [value]
-    return value
-
-
-class Silent:
-    def __repr__(self):
-        raise RecursionError
-
-
-@pytest.mark.parametrize(
-    "value",
-    [
-        nested_list(10_000), np.zeros((2,) * 30, dtype=bool), np.full((400, 400), None), 10**5000, "x" * 10**7,
-        list(range(10**6)), Silent(), sparse.eye_array(5), dict.fromkeys(range(1000), "y" * 1000),
-    ],
-    ids=lambda value: type(value).__name__,
-)  # fmt: skip
-def test_any_value_is_shown_quickly_and_briefly(value):
-    began = time.process_time()
-    text = _checks.show(value)
-    assert time.process_time() - began < 1.0
-    assert 0 < len(text) <= 300
-    with pytest.raises(ValueError, match="horizon must be"):
-        oee.policy_value(GRID, UNIFORM, horizon=value if not isinstance(value, int) else -value)
-    assert time.process_time() - began < 2.0
-
-
-@pytest.mark.parametrize("text", ["\x1b[31mX", "a\nb", "\x9b31m", "\u202egnp"])
-def test_control_characters_are_visible(text):
-    assert _checks.show(text).isprintable()
-    assert _checks.escape_controls(text).isprintable()
-    with pytest.raises(ValueError, match="estimators") as refused:
-        oee.evaluate(oee.Problem(GRID, LOG), UNIFORM, estimators=[text])
-    assert str(refused.value).isprintable()
+# ---- terminals, labels
 
 
 def test_a_header_cannot_speak_to_the_terminal(tmp_path):
@@ -229,9 +189,6 @@ def test_a_header_cannot_speak_to_the_terminal(tmp_path):
             [sys.executable, "-m", "oee_tabular", *command], cwd=tmp_path, capture_output=True, text=True, check=False
         )
         assert r"\x1b[31mX" in done.stdout + done.stderr
-
-
-# ---- small
 
 
 def test_new_labels_may_have_an_index_of_their_own():

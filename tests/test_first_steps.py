@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular.cli import main
-from oee_tabular.estimators import Estimate, ModelBased
 
 
 def dock(slip=0.1):
@@ -28,15 +27,6 @@ FORWARDS = np.array([[1.0, 0.0]] * 4)
 
 def log_of(state, action, next_state, **columns):
     return oee.Transitions(state, action, next_state, **columns)
-
-
-def test_a_row_without_data_pays_what_staying_pays():
-    """Not the mean reward of a move that reaches the dock, paid again and again: V = -1 - .9 - .81 - ... = -10."""
-    problem = oee.Problem(dock(), log_of([0, 1], [0, 0], [1, 2]))
-    assert_allclose(ModelBased()(problem, FORWARDS).value, -1.0 / (1.0 - 0.9), rtol=1e-12)
-    seen = np.array([[0.5, 0.0], [0.5, 0.0], [0.0, 0.0], [0.0, 0.0]])
-    limit = ModelBased().limit(dock(), dock(0.3), FORWARDS, data_distribution=seen)
-    assert_allclose(limit, -10.0, rtol=1e-12)
 
 
 def test_a_move_that_no_action_makes_has_other_ways_out_than_noise():
@@ -83,31 +73,6 @@ def test_single_precision_is_scaled():
         oee.policy_value(single, (0.999 * policy).astype(np.float32))
     with pytest.raises(ValueError, match=r"must sum to 1"):
         oee.policy_value(single, policy + 1e-7)  # double precision is taken at its word
-
-
-def corrected(value):
-    """Stands for an estimator that corrects by the log."""
-    return lambda problem, policy, *, seed=None: Estimate(value, 0.01, model_value=value)
-
-
-@pytest.mark.parametrize("value", [-20.0, 40.0])
-def test_a_value_outside_its_likelihood_interval_is_not_the_answer(value):
-    log = oee.sample_transitions(dock(0.3), [[0.2, 0.1]] * 3 + [[0.05, 0.05]], 2000, seed=0)
-    problem = oee.Problem(dock(), log)
-    sure = oee.interval(problem, FORWARDS)
-    middle = 0.5 * (sure.lower + sure.upper)
-    end, name = (sure.lower, "lower") if value < sure.lower else (sure.upper, "upper")
-    report = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(value)})
-    assert report.warnings == (
-        f"oee (mine): The estimator's own value, {value:.3f}, lies outside the interval. The table gives the interval's "
-        f"{name} end instead.",
-    )
-    assert report.notes["mine", "oee"] == (1,)
-    assert report.records()[0]["value"] == end
-    assert f"is worth about {end:.3f} (95% interval: " in report.headline
-    calm = oee.evaluate(problem, {"mine": FORWARDS}, estimators={"oee": corrected(middle)})
-    assert calm.warnings == ()
-    assert f"is worth about {middle:.3f}" in calm.headline
 
 
 def test_a_free_plan_is_written_as_shares(tmp_path, capsys):
@@ -193,64 +158,6 @@ def test_what_a_navigation_grid_is_told_is_in_its_own_words():
         ValueError, match=r"frame must have the columns state, action, next_state; it has when, run, place, "
     ):
         oee.Problem(simulator, recorded())
-
-
-def test_impossible_moves_are_allowed_in_a_line():
-    log = log_of([0, 0, 1, 2], [0, 0, 0, 0], [1, 2, 2, 3])
-    with pytest.raises(
-        ValueError,
-        match=r"simulator\.with_support_of\(log, epsilon\) \(--impossible allow=0\.01\) gives each of them some",
-    ):
-        oee.Problem(dock(), log)
-    found = oee.interval(oee.Problem(dock().with_support_of(log, 0.01), log), [0, 0, 0, 0])
-    assert np.isfinite([found.lower, found.upper]).all()
-
-
-# ---------------------------------------------------------------- a tandem queue: 2025 states, logs that never end
-
-
-def tandem(arrival, service):
-    """Two queues one after the other, up to 44 jobs in each; an action gives the first or the second server the help.
-
-    An event a step: an arrival, a job done at the first server, one done at the second, or nothing; a job costs 1 a step.
-    """
-    size = 45
-    first, second = np.divmod(np.arange(size * size), size)
-    P = np.zeros((size * size, 2, size * size))
-    here = np.arange(size * size)
-    for a in range(2):
-        rates = (service + 0.1 * (a == 0), service + 0.1 * (a == 1))
-        moves = (
-            (arrival, np.where(first < size - 1, here + size, here)),
-            (rates[0], np.where((first > 0) & (second < size - 1), here - size + 1, here)),
-            (rates[1], np.where(second > 0, here - 1, here)),
-        )
-        for probability, to in (*moves, (1.0 - sum(p for p, _ in moves), here)):
-            P[here, a, to] += probability
-    return P, -(first + second).astype(float)
-
-
-def a_tandem_queue():
-    P, cost = tandem(0.2, 0.22)
-    target = oee.FiniteMDP(*tandem(0.25, 0.2), 0, 0.99)
-    columns = oee.sample_episodes(target, oee.uniform_policy(target), 5, horizon=8000, seed=0).columns()
-    # theirs, from here on: arrays of the simulator, columns of the log, a rule
-    simulator = oee.FiniteMDP(P, cost, 0, 0.99)
-    log = oee.Transitions(columns["state"], columns["action"], columns["next_state"], episode=columns["episode"])
-    rule = [int(s % 45 > s // 45) for s in range(2025)]
-    endless = oee.interval(oee.Problem(simulator, log), rule)
-    finite = oee.interval(oee.Problem(simulator, log, horizon=500), rule)
-    return endless, finite, rule
-
-
-def test_a_tandem_queue_of_2025_states_with_both_horizons():
-    assert len(lines_of(a_tandem_queue)) <= 8
-    endless, finite, rule = a_tandem_queue()
-    target = oee.FiniteMDP(*tandem(0.25, 0.2), 0, 0.99)
-    for found, horizon in ((endless, None), (finite, 500)):
-        truth = oee.policy_value(target, rule, horizon=horizon)
-        assert found.lower <= truth <= found.upper
-        assert found.width < abs(truth)
 
 
 # ---------------------------------------------------------------- moves that the simulator rules out, a region never recorded

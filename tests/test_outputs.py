@@ -11,9 +11,9 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from kernels.files import csv_bytes, write_all
 
 import oee_tabular as oee
-from oee_tabular import _files, _workers
 from oee_tabular.cli import main
 from oee_tabular.lab.store import LOCK, Store, alone
 
@@ -156,11 +156,11 @@ def test_write_all_names_the_file_and_keeps_all(tmp_path, monkeypatch):
     def full(descriptor):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(_files.os, "fsync", full)
+    monkeypatch.setattr("oee_tabular._files.os.fsync", full)
     with pytest.raises(OSError, match=r"cannot be written \(No space left on device\).*/a'"):
-        _files.write_all(tmp_path, {"a": b"new", "b": b"new"})
+        write_all(tmp_path, {"a": b"new", "b": b"new"})
     with pytest.raises(OSError, match=r"/new/a'"):
-        _files.write_all(tmp_path / "new", {"a": b"new"})
+        write_all(tmp_path / "new", {"a": b"new"})
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
     assert (tmp_path / "a").read_text() == "old"
 
@@ -189,7 +189,7 @@ def test_names_are_no_formulas_in_a_spreadsheet(tmp_path):
 
 def test_numbers_and_their_signs_stay():
     frame = pd.DataFrame({"=name": ["-a", None], "x": [-1.5, np.nan], "n": [-1, 2]})
-    assert _files.csv_bytes(frame) == b"'=name,x,n\n'-a,-1.5,-1\n,,2\n"
+    assert csv_bytes(frame) == b"'=name,x,n\n'-a,-1.5,-1\n,,2\n"
     assert list(frame.columns) == ["=name", "x", "n"]
 
 
@@ -264,11 +264,6 @@ def test_fresh_keeps_the_lock_that_it_holds(tmp_path):
         assert [path.name for path in tmp_path.iterdir()] == [LOCK]
 
 
-@pytest.mark.parametrize(("jobs", "cells", "most"), [(1000, 3, 3), (2, 3, 2), (2, 0, 1), (1, 5, 1)])
-def test_no_more_jobs_than_cells(jobs, cells, most):
-    assert _workers.parallel(cells, jobs, None).n_jobs == most
-
-
 # ---- Ctrl-C
 
 
@@ -299,17 +294,6 @@ def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_
     assert process.returncode == 130
     assert "Traceback" not in process.stderr
     assert "KeyboardInterrupt" not in process.stderr
-
-
-def test_workers_are_not_interrupted_themselves():
-    """Ctrl-C reaches every process of a terminal; those that still import would each print a traceback."""
-    from oee_tabular.lab.run import _without_interrupts
-
-    script = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))"
-    with _without_interrupts():
-        inside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    outside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert (inside.stdout, outside.stdout) == ("True\n", "False\n")
 
 
 def test_the_script_is_the_one_that_catches_it():

@@ -4,14 +4,12 @@ import json
 import re
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
 import typer.main
 
 import oee_tabular as oee
-from oee_tabular import _progress
 from oee_tabular.cli import app
 
 COMMANDS = typer.main.get_command(app).commands
@@ -163,33 +161,6 @@ def test_json_is_alone_on_stdout(folder):
     done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
     assert "results" in json.loads(done.stdout)
     assert re.match(r"oee: \d+ s: ", done.stderr)
-
-
-def test_slow_steps_are_told_once_on_stderr(capsys, monkeypatch):
-    monkeypatch.setattr(_progress, "SECONDS", 0.02)
-    told = ""
-
-    def wait_for(word):
-        nonlocal told
-        for _ in range(500):
-            captured = capsys.readouterr()
-            assert captured.out == ""
-            told += captured.err
-            if word in told:
-                return
-            time.sleep(0.02)
-        raise AssertionError("not told")
-
-    _progress.report_step("nobody listens")
-    with _progress.show_steps():
-        _progress.report_step("a first step")
-        with _progress.show_steps():
-            wait_for("first")
-        _progress.report_step("a second step")
-        wait_for("second")
-        time.sleep(0.1)
-    told += capsys.readouterr().err
-    assert re.sub(r"\d+ s", "N s", told).splitlines() == ["oee: N s: a first step", "oee: N s: a second step"]
 
 
 def test_what_is_done_is_told_by_policy_and_interval(folder, monkeypatch):

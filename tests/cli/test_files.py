@@ -50,16 +50,6 @@ def test_a_minari_folder_of_named_states_holds_numbers(run):
     assert oee.Transitions.load("folder").action_names is None
 
 
-def test_files_that_exist(run):
-    for words in (f"export {GRID} --output m.npz", f"policy {GRID} uniform --output p.npy"):
-        assert "(replaced)" not in run(words)
-        assert "(replaced)" in run(words)
-    words = f"sample {GRID} --episodes 1 --output l.npz"
-    run(words)
-    assert "--output must be a new file, or be given with --overwrite" in run(words, code=2)
-    run(words, "--overwrite")
-
-
 def test_info(run, tmp_path):
     oee.tasks.gridworld(3, 0.3).save("m.npz")
     said = run("info m.npz")
@@ -144,9 +134,3 @@ def test_bad_rows_are_refused_or_dropped(run, parts, tmp_path):
     assert "1 invalid rows of the log were not counted" in " ".join(evaluated.split())
     assert "--output must be a new file, or be given with --overwrite" in run(words, code=2)
     run(words, "--bad-rows drop --overwrite")
-
-
-def test_a_scheduler_that_does_not_answer(run, parts):
-    pytest.importorskip("distributed")
-    said = run("counts log --output c.npz --dask tcp://127.0.0.1:9", code=2)
-    assert "no dask scheduler answers at 'tcp://127.0.0.1:9'" in said

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from kernels.files import DIGEST, KIND, save_npz
 from numpy.testing import assert_array_equal
 
-from oee_tabular import TransitionCounts, Transitions, _files
+from oee_tabular import TransitionCounts, Transitions
 from oee_tabular.data.counts import Recording
 
 LOG = Transitions([0, 1, 0], [0, 1, 0], [1, 2, 1], [0.0, 1.0, 0.0], terminated=[0, 1, 0], episode=[0, 0, 1])
@@ -67,11 +68,11 @@ def test_a_file_that_has_changed_is_refused(tmp_path):
         np.savez(tmp_path / "c.npz", **arrays)
         with pytest.raises(ValueError, match=r"c\.npz' must hold the arrays that were saved"):
             TransitionCounts.load(tmp_path / "c.npz")
-        arrays.pop(_files.DIGEST, None)
-    arrays.pop(_files.KIND)
+        arrays.pop(DIGEST, None)
+    arrays.pop(KIND)
     for changed, text in ((arrays | {"extra": np.zeros(1)}, "the parts of counts alone; it has 'extra'"),
                           ({"state": arrays["state"]}, "must hold every part of counts")):  # fmt: skip
-        _files.save_npz(tmp_path / "c.npz", "transition_counts", changed)
+        save_npz(tmp_path / "c.npz", "transition_counts", changed)
         with pytest.raises(ValueError, match=text):
             TransitionCounts.load(tmp_path / "c.npz")
     LOG.save(tmp_path / "log.npz")

@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import random_mdp, random_policy
+from kernels.files import save_npz
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import Transitions
-from oee_tabular._files import save_npz
 
 FORMATS = ["log.npz", "log.csv", "log.parquet", "folder"]
 

@@ -1,13 +1,12 @@
 """The log's frequencies as a model: fallbacks, rewards, standard error."""
 
 import numpy as np
-import pytest
-from estimators.four_states import POLICY, environments, recorded_problem
+from estimators.four_states import environments
 from helpers import dense
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, Problem, Transitions, exact
+from oee_tabular import FiniteMDP, Problem, Transitions
 from oee_tabular.estimators import ModelBased
 
 
@@ -47,20 +46,6 @@ def test_models_keep_states_that_nothing_enters_and_where_termination_leads():
         assert_allclose(oee.state_values(model, np.ones((2, 1))), [0.0, 2.0], atol=1e-12)
     once = ModelBased()(Problem(simulator, Transitions([1, 0, 0], [0, 0, 0], [0, 0, 1])), np.ones((2, 1)))
     assert once.standard_error > 0  # of state 0 alone: a row seen once shows no spread
-
-
-@pytest.mark.parametrize("horizon", [None, 4])
-def test_the_model_s_standard_error_row_by_row(horizon):
-    problem, _ = recorded_problem(3, horizon=horizon, n=8)
-    model = ModelBased().model(problem)
-    gradient = exact.transition_gradient(model, POLICY, horizon=horizon)
-    table = np.zeros((8, 4))
-    table[model.transitions.tocoo().coords] = gradient
-    n, variance = problem.counts.toarray().sum(axis=1), 0.0
-    for x in np.flatnonzero(n):
-        p = model.transitions.toarray()[x]
-        variance += p @ (table[x] - p @ table[x]) ** 2 / n[x]
-    assert_allclose(ModelBased()(problem, POLICY).standard_error, np.sqrt(variance), rtol=1e-10)
 
 
 def test_one_record_is_enough_where_there_is_one_next_state():

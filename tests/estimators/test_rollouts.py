@@ -6,7 +6,7 @@ from helpers import random_mdp, random_policy, survival_chain
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular.estimators import DoublyRobust, OffEnvironment, Oracle
+from oee_tabular.estimators import OffEnvironment, Oracle
 from oee_tabular.estimators.base import effective_sample_size
 from oee_tabular.estimators.rollouts import rollout_horizon
 
@@ -151,15 +151,3 @@ def test_products_that_overflow_say_so_without_a_warning():
     assert_allclose(once.diagnostics["effective_sample_size"], 50)
     assert_allclose(effective_sample_size(np.array([1e200, 3e200])), 1.6)
     assert_allclose(effective_sample_size(np.array([1e-200, 3e-200])), 1.6)
-
-
-def test_too_many_rollouts_are_refused_by_name():
-    grid = oee.tasks.gridworld(3, 0.3)
-    problem, zeta = problem_of(grid), oee.true_ratio(grid, grid)
-    for estimator in (
-        OffEnvironment(zeta, "monte_carlo", n_rollouts=10**14),
-        Oracle(grid, "monte_carlo", n_rollouts=10**14),
-        DoublyRobust(data="rollouts", ratio=zeta, n_rollouts=10**14),
-    ):
-        with pytest.raises(ValueError, match=r"^n_rollouts must be small enough for this machine's memory; 1000000"):
-            estimator(problem, oee.uniform_policy(grid), seed=0)

@@ -83,15 +83,6 @@ def test_the_values_by_horizon_are_those_of_each(rng, steps, stationary):
     assert_allclose(np.diff(found), paid, rtol=0, atol=1e-11 * max(1.0, np.abs(found).max()))
 
 
-@given(rngs, horizons)
-def test_a_policy_that_does_not_change_is_the_stationary_one(rng, steps):
-    """Forward sums are those of the cone's backward sweep."""
-    model = some_model(rng)
-    policy = random_policy(rng, model)
-    both = [exact.policy_values_by_horizon(model, p, horizon=steps) for p in (policy, np.stack([policy] * steps))]
-    assert_allclose(both[1], both[0], rtol=1e-12, atol=1e-12 * max(1.0, np.abs(both[0]).max()))
-
-
 def test_only_what_is_reached_in_time_is_read():
     """From state 3 of a line, two moves: states 3, 4, 5 and their numbers; what lies beyond may be anything."""
     size, steps = 50, 3
@@ -110,12 +101,6 @@ def test_chance_that_leads_nowhere_new_ends_the_cone():
     found = exact.policy_values_by_horizon(chain, np.ones((2, 1)), horizon=2000)
     assert_allclose(found[-1], 1 / 0.3, rtol=1e-13)
     assert_allclose(found[:4], [0, 1, 1.7, 2.19], rtol=1e-15)
-
-
-def test_one_state():
-    alone = oee.FiniteMDP(np.ones((1, 1, 1)), [2.0], [1.0], 0.5)
-    assert exact.policy_values_by_horizon(alone, [[1.0]], horizon=3).tolist() == [0.0, 2.0, 3.0, 3.5]
-    assert exact.occupancy(alone, [[1.0]], horizon=3).tolist() == [[1.0]]
 
 
 def test_first_states_that_nothing_else_leads_to():

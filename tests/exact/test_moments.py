@@ -296,30 +296,6 @@ def test_no_cancellation():
     assert_allclose(oee.return_moments(mdp, np.ones((2, 1)), horizon=3).variance, exact, rtol=1e-6)
 
 
-@pytest.mark.large
-def test_against_monte_carlo_with_bounded_weights():
-    """The estimators' own rollouts: mean and variance within four standard errors."""
-    simulator, target = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
-    policy, n, horizon = oee.uniform_policy(simulator), 40_000, 8
-    zeta = oee.true_ratio(target, simulator)
-    log = oee.sample_episodes(target, policy, 2, horizon, seed=0)
-    problem = oee.Problem(simulator, log, horizon=horizon)
-    for weighting in KINDS:
-        for self_normalized in (False, True):
-            options = {"ratio": zeta, "evaluation": "monte_carlo", "weighting": weighting}
-            estimator = oee.estimators.OffEnvironment(**options, self_normalized=self_normalized, n_rollouts=n)
-            estimate = estimator(problem, policy, seed=1)
-            exact = oee.weighted_return_moments(
-                simulator, zeta, policy, kind=weighting, horizon=horizon, self_normalized=self_normalized
-            )
-            assert abs(estimate.value - exact.mean) < 4 * np.sqrt(exact.variance / n)
-            assert_allclose(estimate.standard_error, np.sqrt(exact.variance / n), rtol=0.1)
-    robust = oee.estimators.DoublyRobust(data="rollouts", ratio=zeta, n_rollouts=n)(problem, policy, seed=1)
-    exact = oee.doubly_robust_moments(simulator, zeta, policy, horizon=horizon)
-    assert abs(robust.value - exact.mean) < 4 * np.sqrt(exact.variance / n)
-    assert_allclose(robust.standard_error, np.sqrt(exact.variance / n), rtol=0.1)
-
-
 @given(rngs, st.sampled_from(KINDS))
 def test_05_06_07_relabelling_and_longer_horizons_change_nothing(rng, kind):
     """[5] states and actions in another order; [7] steps after sure absorption."""

@@ -1,7 +1,7 @@
 """Every solver of a policy's linear system against the same laws, on kernels of every structure; the choice among them."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,14 +13,13 @@ from scipy import sparse
 from structures import STRUCTURES, binary_tree, cycle, grid, layered, random_rows
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, exact
-from oee_tabular.exact import _graph, solvers
+from oee_tabular import exact
+from oee_tabular.exact import solvers
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.solvers import (
     LAPACK,
     SOLVERS,
     BiCGStab,
-    EnvelopeLU,
     PlainBiCGStab,
     SuperLU,
     ValueIteration,
@@ -205,20 +204,6 @@ def test_which_solver_answers(name):
             assert found.error_bound < 1e-11 / (1 - discount) * np.abs(found.x).max() * len(b) ** transpose
 
 
-def test_which_graphs_expand():
-    """Lattices, rings and layers do not, random graphs and small worlds do."""
-    n = 900
-    restart = sparse.csr_array((np.ones(n), (np.arange(n), np.zeros(n, dtype=int))), shape=(n, n))
-    for kernel in (grid(25), sparse.csr_array(0.9 * grid(30) + 0.1 * restart), cycle(500), layered(40, 20),
-                   sparse.csr_array(sparse.block_diag([grid(10)] * 20))):  # fmt: skip
-        assert not PlainBiCGStab().suits(system_of(kernel, 0.9))
-    for entries in (2, 3, 8):
-        assert PlainBiCGStab().suits(system_of(random_rows(n, entries), 0.9))
-    assert not EnvelopeLU().suits(system_of(random_rows(n, 3), 0.9))
-    for kernel in (random_rows(n, 3), grid(40)):
-        assert not SuperLU(8.0).suits(system_of(kernel, 0.9))
-
-
 @pytest.mark.large
 @pytest.mark.parametrize("discount", [0.99, 0.99999])
 def test_an_even_start_does_not_end_the_plain_iteration(discount):
@@ -233,62 +218,6 @@ def test_an_even_start_does_not_end_the_plain_iteration(discount):
     assert found.largest <= found.rounding
     truth = np.linalg.solve(dense_system(system), b)
     assert_allclose(found.x, truth, rtol=0, atol=1e-14 / (1 - discount) * found.x.max())
-
-
-@given(rngs)
-def test_the_count_of_fill_is_that_of_dense_elimination(rng):
-    """Of the pattern of M + M^T, in the reverse of the breadth-first order; short counts are not held to their limit."""
-    n = int(rng.integers(60, 90))
-    kernel = rng.random((n, n)) * (rng.random((n, n)) < rng.choice([0.05, 0.2]))
-    system = system_of(kernel, 0.9)
-    order = system.order[0].astype(int)[::-1]
-    pattern = ((kernel + kernel.T + np.eye(n)) > 0)[order][:, order]
-    for k in range(n):
-        pattern[k + 1 :, k + 1 :] |= np.outer(pattern[k + 1 :, k], pattern[k, k + 1 :])
-    counts = np.cumsum(np.tril(pattern, -1).sum(axis=1))
-    needed = ((counts - _graph.N_FREE) / np.arange(1, n + 1)).max()
-    for most in (needed - 1e-9, needed + 1e-9):
-        if needed > 0:
-            assert SuperLU(most).suits(system) == (most >= needed)
-
-
-@pytest.mark.large
-def test_a_layered_model_of_any_order_has_its_exact_values():
-    """A clock in the state: T rounds of a grid world are its values over T steps."""
-    small, steps = oee.tasks.gridworld(6, 0.3), 50
-    n = small.n_states
-    order = np.random.default_rng(0).permutation(n * steps)
-    clock = sparse.csr_array(sparse.kron(sparse.eye_array(steps, k=1), small.transitions))
-    last = sparse.csr_array((np.arange(clock.shape[0]) >= n * (steps - 1) * small.n_actions).astype(float)[:, None])
-    end = sparse.csr_array(([1.0], ([0], [0])), shape=(1, 1))
-    clock = sparse.csr_array(sparse.block_array([[clock, last], [None, sparse.vstack([end] * small.n_actions)]]))
-    rewards = np.append(np.tile(small.rewards, (steps, 1)), np.zeros((1, small.n_actions)), axis=0)
-    place = np.append(order, n * steps)  # the new number of a state
-    back = np.argsort(place)
-    rows = (back[:, None] * small.n_actions + np.arange(small.n_actions)).reshape(-1)
-    policy = np.append(np.tile(oee.uniform_policy(small), (steps, 1)), np.full((1, 4), 0.25), axis=0)
-    for discount in (0.99, 1.0):
-        mdp = FiniteMDP(clock[rows][:, back], rewards[back], np.eye(n * steps + 1)[place[0]], discount)
-        found = exact.evaluate_policy(mdp, policy[back])
-        known = oee.state_values(small.with_discount(discount), oee.uniform_policy(small), horizon=steps)
-        assert_allclose(found.values[place[:n]], known, rtol=1e-13)
-
-
-@given(rngs)
-def test_residuals_and_what_bounds_them(rng):
-    n, discount, n_roundings = int(rng.integers(2, 9)), float(rng.random()), 3
-    dense = rng.random((n, n)) * (rng.random((n, n)) < 0.6)
-    b, x = rng.normal(size=(2, n)) * 10.0 ** rng.integers(-3, 4, (2, n))
-    for transpose, matrix in ((False, dense), (True, dense.T)):
-        found = measure(replace(system_of(dense, discount, transpose), n_roundings=n_roundings), b, x, "")
-        sizes = discount * (matrix @ np.abs(x)) + np.abs(x) + np.abs(b)
-        here = 0.5 * np.finfo(float).eps * ((matrix > 0).sum(axis=1) + 4 + n_roundings) * sizes
-        assert (np.abs(found.missed - (b + discount * (matrix @ x) - x)) <= 2 * here).all()
-        assert found.largest == np.abs(found.missed).max()
-        assert_allclose(found.rounding, here.max(), rtol=1e-7)
-        whole = np.abs(found.missed) + here
-        whole = whole.sum() if transpose else whole.max()
-        assert whole * (1 - 1e-15) <= found.bound <= whole * (1 + 1e-7)
 
 
 @pytest.mark.parametrize(

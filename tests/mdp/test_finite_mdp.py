@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from helpers import dense, integer_distribution, random_mdp, random_policy, rngs
 from hypothesis import given
+from kernels.files import save_npz
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, _files
+from oee_tabular import FiniteMDP
 from oee_tabular.estimators import ModelBased
 from oee_tabular.exact import reweight
 from oee_tabular.lab.experiments.values import with_next_rewards_averaged
@@ -150,7 +151,7 @@ def test_a_file_without_names_and_layout_has_none(tmp_path):
 )
 def test_broken_files_are_named_with_the_part(broken, text, tmp_path):
     path = tmp_path / "mdp.npz"
-    _files.save_npz(path, "finite_mdp", make_unentered().arrays() | broken)
+    save_npz(path, "finite_mdp", make_unentered().arrays() | broken)
     with pytest.raises(ValueError, match=rf"'.*mdp\.npz': {text}"):
         FiniteMDP.load(path)
 

@@ -1,5 +1,7 @@
 """The joint program, with and without a box on the ratio: ratio_lower beta_sa <= beta_sas' <= ratio_upper beta_sa."""
 
+import importlib
+
 import numpy as np
 import pytest
 from helpers import rngs
@@ -10,7 +12,6 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import Transitions
-from oee_tabular.ratio import _joint
 
 SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
 LOG = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 800, seed=0)
@@ -84,14 +85,14 @@ def test_against_clarabel(seed):
 @pytest.mark.parametrize("bounds", [{}, {"ratio_lower": 0.4, "ratio_upper": 1.5}])
 @pytest.mark.parametrize("part", range(3), ids=["moves", "pairs", "theta"])
 def test_a_corrupted_joint_solver_is_found_out(monkeypatch, bounds, part):
-    solve = _joint.solve_all
+    solve = importlib.import_module("oee_tabular.ratio._joint").solve_all
 
     def wrong(program):
         parts = solve(program)
         parts[part][3] = 1.01 * parts[part][3] + 0.01
         return parts
 
-    monkeypatch.setattr(_joint, "solve_all", wrong)
+    monkeypatch.setattr("oee_tabular.ratio._joint.solve_all", wrong)
     assert oee.transition_ratio(LOG, SIMULATOR, **KNOWN, **bounds).gap > 1e-7
 
 

@@ -148,30 +148,6 @@ LOG = oee.sample_transitions(TARGET, np.full((25, 4), 0.01), 3000, seed=1)
 TRUTH = oee.true_ratio(TARGET, SIMULATOR).values.data
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"method": "linear", "features": np.log(SIMULATOR.transitions.data)},
-        {"method": "linear", "features": oee.ratio.action_displacement(SIMULATOR, PLACES), "lower": 0.1, "upper": 3.0},
-        {"method": "kernel", "coordinates": PLACES},
-        {"method": "kernel", "coordinates": PLACES, "bandwidth": 2.0, "n_centers": 50, "ridge": lambda n: 2 / n},
-    ],
-    ids=["log P", "displacements, box", "kernel", "kernel, few centres"],
-)
-def test_zeta_in_a_class(options):
-    zeta, likelihood = (
-        oee.transition_ratio(LOG, SIMULATOR, **options),
-        oee.transition_ratio(LOG, SIMULATOR, prior="none"),
-    )
-    assert zeta.row_sum_error < 1e-12
-    assert zeta.gap < 1e-10
-    errors = [np.abs(z.values.data - TRUTH).mean() for z in (zeta, likelihood)]
-    assert errors[0] < errors[1]
-    assert zeta.values.data.min() >= options.get("lower", 0.0)
-    assert zeta.values.data.max() <= options.get("upper", np.inf)
-    assert zeta.target_model(SIMULATOR).n_states == 25
-
-
 def test_a_class_that_holds_the_truth_finds_it():
     """With the target's own probabilities for counts and no ridge, zeta is exact."""
     zeta = oee.transition_ratio(TARGET.transitions * 1.0, SIMULATOR, method="linear", features=TRUTH, ridge=0.0)

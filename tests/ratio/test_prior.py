@@ -66,16 +66,6 @@ def more_often(simulator, theta):
     return tilted_along(simulator, np.broadcast_to(theta, 60)[rows.spread(rows.state)] * one_more)
 
 
-def errors_of(pairs, per_row):
-    """RMSE of the default and of maximum likelihood, over pairs (simulator, target, policy)."""
-    errors = []
-    for seed, (simulator, target, policy) in enumerate(pairs):
-        estimate = oee.estimators.OffEnvironment()(oee.Problem(simulator, drawn(target, per_row, seed)), policy)
-        J = oee.policy_value(target, policy)
-        errors.append((estimate.value - J, estimate.diagnostics["maximum_likelihood_value"] - J))
-    return np.sqrt(np.mean(np.square(errors), axis=0))
-
-
 # ---- limits
 
 
@@ -90,12 +80,6 @@ def test_a_log_that_tells_nothing_leaves_the_simulator():
     assert_allclose(zeta.values.data, 1.0, rtol=1e-14)
     value = oee.estimators.OffEnvironment()(oee.Problem(simulator, log), policy).value
     assert_allclose(value, oee.policy_value(simulator, policy), rtol=1e-12)
-
-
-def test_identical_environments_stay_near_the_simulator_s_value():
-    pairs = [(s, s, oee.optimal_policy(s)) for s in map(garnet, range(6))]
-    ours, likelihood = errors_of(pairs, 30.0)
-    assert ours < 0.55 * likelihood
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e9, 1e15, 8e15])
@@ -177,26 +161,6 @@ def test_places_are_the_states_numbers_where_there_are_none():
 
 
 # ---- what it finds
-
-
-def test_a_target_that_is_a_little_worse_everywhere_is_found():
-    pairs = []
-    for seed in range(8):
-        simulator = garnet(seed, n_states=40, n_actions=3)
-        policy = oee.optimal_policy(simulator)
-        pairs.append((simulator, worse(simulator, policy), policy))
-    for per_row in (3.0, 10.0):
-        ours, likelihood = errors_of(pairs, per_row)
-        assert ours < 0.75 * likelihood
-    zeta = oee.transition_ratio(drawn(pairs[0][1], 10.0, 0), pairs[0][0], values_of=pairs[0][2])
-    assert zeta.details["directions"]["V"] < 0
-
-
-@pytest.mark.parametrize("theta", [0.4, np.linspace(-0.6, 0.6, 60)], ids=["everywhere", "by place"])
-def test_a_displacement_that_is_more_frequent_is_found(theta):
-    simulator, policy = line(), np.full((60, 2), 0.5)
-    ours, likelihood = errors_of([(simulator, more_often(simulator, theta), policy)] * 8, 5.0)
-    assert ours < 0.85 * likelihood
 
 
 def test_the_user_s_features_are_directions_beside_the_others():

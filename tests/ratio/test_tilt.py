@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from scipy import optimize, sparse, special
 
 import oee_tabular as oee
-from oee_tabular.ratio import action_displacement
 
 BELIEVED = 1e13  # a strength at which zeta is the tilt
 
@@ -93,26 +92,6 @@ def test_features_in_every_form_are_the_same():
     values = [oee.transition_ratio(log, simulator, prior="tilt", features=form).values.data for form in forms]
     for other in values[1:]:
         assert_allclose(other, values[0], rtol=1e-12)
-
-
-def test_action_displacement_shares_between_states():
-    """Different slips for the two axes: one log P parameter cannot say so, displacements can."""
-    simulator, _ = grids(6)
-    kernel = simulator.transitions.toarray().reshape(36, 4, 36).copy()
-    for s in range(35):
-        for a in (0, 1):
-            kernel[s, a] = 0.6 * kernel[s, a] + 0.4 * kernel[s].mean(axis=0)
-    target = simulator.with_transitions(kernel)
-    coordinates = np.column_stack(np.divmod(np.arange(36), 6))
-    phi = action_displacement(simulator, coordinates)
-    assert phi.shape == (simulator.transitions.nnz, 4 * 4)
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 100, 200, seed=0)
-    truth = oee.true_ratio(target, simulator).values.data
-    errors = [
-        np.abs(oee.transition_ratio(log, simulator, prior="tilt", features=features).values.data - truth).mean()
-        for features in (None, phi)
-    ]
-    assert errors[1] < 0.6 * errors[0]
 
 
 def test_collinear_features_are_solved_with_a_warning():

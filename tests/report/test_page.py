@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import oee_tabular as oee
-from oee_tabular import _files
 from oee_tabular.cli import main
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
 from oee_tabular.report import Report, page
@@ -244,7 +243,7 @@ def test_it_is_written_whole_into_a_folder_that_is_made(report, html, tmp_path, 
     def fail(number):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(_files.os, "fsync", fail)
+    monkeypatch.setattr("oee_tabular._files.os.fsync", fail)
     with pytest.raises(OSError, match="No space"):
         report.to_html(path)
     assert path.read_text() == "what stood there"

@@ -9,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular import _files
 from oee_tabular.estimators import Estimate, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED
 
@@ -132,7 +131,7 @@ def test_saving_writes_all_or_nothing(problem, report, tmp_path, monkeypatch):
         if next(calls) == 1:  # the second file
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(_files.os, "fsync", fail)
+    monkeypatch.setattr("oee_tabular._files.os.fsync", fail)
     with pytest.raises(OSError, match="No space"):
         report.save(tmp_path / "new")
     assert not (tmp_path / "new").exists()

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import re
 from functools import partial
 from statistics import NormalDist
 
@@ -15,7 +16,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular import _printing
 from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
 from oee_tabular.report import contest, uncertainty
 from oee_tabular.report.text import format_interval, format_value
@@ -70,31 +70,6 @@ def test_every_value_stands_inside_its_interval(rng, n):
         assert answer.lower is None or answer.lower <= answer.value <= answer.upper
 
 
-@settings(max_examples=300)
-@given(st.floats(-1e12, 1e12), st.floats(1e-9, 1e6))
-def test_ends_have_digits_until_their_width_shows(lower, width):
-    upper = lower + width
-    form = _printing.spec(lower, upper)
-    shown = float(f"{upper:{form}}") - float(f"{lower:{form}}")
-    if width > 1e-11 * max(abs(lower), abs(upper)):
-        assert_allclose(shown, upper - lower, rtol=0.11)
-
-
-@pytest.mark.parametrize(
-    ("ends", "text"),
-    [
-        ((-11023.4, -11022.9), "[-11023.40, -11022.90]"),
-        ((-18.92, 4.857), "[-18.92, 4.86]"),
-        ((3.0, 3.0), "[3.000, 3.000]"),
-        ((0.0, 0.0), "[0, 0]"),
-        ((1.5e20, 1.5003e20), "[1.50000e+20, 1.50030e+20]"),
-        ((-math.inf, 2.0), "[-inf, 2]"),
-    ],
-)
-def test_intervals_in_text(ends, text):
-    assert _printing.interval(*ends) == text
-
-
 def test_the_same_interval_stands_everywhere(tmp_path):
     """Whatever the row is called: table, CSV, JSON, the page and the answer."""
     problem = even(2000)
@@ -111,7 +86,7 @@ def test_the_same_interval_stands_everywhere(tmp_path):
     (answer,) = report.answers
     assert (answer.lower, answer.upper, answer.method) == expected
     text, page = str(report), report.to_html()
-    assert _printing.interval(*expected[:2]) in text
+    assert str(sure).split(", 95%")[0] in text
     assert "95% interval of corrected (likelihood): " in text
     assert "95% interval of model (standard error): " in text
     assert format_interval(*expected[:2]) in page
@@ -141,9 +116,10 @@ def test_a_value_outside_gives_way_to_the_interval_s_nearer_end(end):
     numbers = [row[key] for key in ("value", "lower", "upper", "replaced_value", "standard_error")]
     assert_allclose(numbers, 0.1 * np.array([getattr(sure, end), sure.lower, sure.upper, far, 0.1]))
     assert row["replaced_by"] == f"the interval's {end} end"
-    shown = format(0.1 * far, _printing.spec(row["lower"], row["upper"]))
-    expected = f"own value, {shown}, lies outside the interval. The table gives the interval's {end} end instead"
-    assert any(expected in text for text in notes)
+    expected = (
+        rf"own value, {0.1 * far:.2f}\d*, lies outside the interval. The table gives the interval's {end} end instead"
+    )
+    assert any(re.search(expected, text) for text in notes)
     assert f"is worth about {format_value(row['value'], row['lower'], row['upper'])}" in report.to_html()
     inside = sure.lower + 0.3 * sure.width
     kept, _ = row_of(oee.evaluate(problem, {"mine": MINE}, estimators=corrected(inside)))
