@@ -22,7 +22,7 @@ import warnings
 from collections import Counter
 
 import numpy as np
-from fuzz_values import hostile, own_values, valid_values
+from fuzz_values import hostile, valid_values
 from scipy import sparse
 
 import oee_tabular as oee
@@ -30,11 +30,10 @@ import oee_tabular as oee
 LIMIT = 5.0  # seconds of CPU of a call
 START = 300.0  # seconds for a child to import and compile
 LONGEST = 1500  # characters of a message
-ROOMS = ("mdp", "exact", "data", "simulate", "plots", "report", "top")  # of these no name is left out
 OURS = (ValueError, OSError, ImportError, MemoryError)
 PACKAGE = os.path.dirname(oee.__file__) + os.sep
 CHECKED = ("ContinuousTransitions", "Problem", "Transitions")  # whose arguments have valid values of their own
-CALLED = ("DoublyRobust", "DualDice", "ImportanceSampling", "Magic", "Marginalized", "ModelBased", "OffEnvironment")
+PARTS = ("tasks", "bench", "testing")  # whose objects' methods are called by the package, not by people
 ALIASES = {  # words of the command line, which the same errors serve
     "identifier": ("environment",),
     "spec": ("environment", "simulator"),
@@ -49,35 +48,27 @@ ALIASES = {  # words of the command line, which the same errors serve
     "name": ("folder", "path"),
     "folder": ("output",),
 }
-LEFT_OUT = """
-Method SgdTrace Finding Comparison Decision corrected_value EstimationCounterexample Outlook RowChanges Selection
-Sides SimulationLemma Families League Assumptions Discretization KinovaHand
-MonteCarlo Moves NamedTask Case Verdict Verdicts Family Estimator ContinuousTask StatePolicy train_expert
-fit_hand discretize ParameterFit fit_parameters check_estimator run league_of families garnet_worse record_goals
-hand_log reacher_log visited_states logs mdp_pairs mdps policies horizons padded_log relabelled_log
-load_kinova_log make_environment GymnasiumTask gymnasium_simulator ContinuousSimulator
-LinearReacher VisitedCells GridInterpolation gaussian DEFAULT LAWS tandem
-""".split()  # noqa: SIM905 (of other rooms)
+
+
+def is_called(value):
+    """Whether people call it: a function, or a class that is not abstract."""
+    return inspect.isfunction(value) or (
+        inspect.isclass(value) and not inspect.isabstract(value) and not getattr(value, "_is_protocol", False)
+    )
 
 
 def functions(known, rooms=None):
-    """Name -> function, of the public modules, with classes' methods bound to valid objects."""
-    parts = {name: getattr(oee, name) for name in oee.__all__}
-    modules = {"top": oee} | {name: part for name, part in parts.items() if inspect.ismodule(part)}
+    """Name -> function, of the public modules, with classes' methods bound to valid objects; none is left out."""
+    modules = {"top": oee} | {name: getattr(oee, name) for name in oee.__all__ if inspect.ismodule(getattr(oee, name))}
     every = {}
     for room in rooms or modules:
-        for name in modules[room].__all__:
+        for name in filter(lambda name: is_called(getattr(modules[room], name)), modules[room].__all__):
             value = getattr(modules[room], name)
-            if callable(value) and (room in ROOMS or name not in LEFT_OUT):
-                every[name] = value
-                if inspect.isclass(value) and (room in ROOMS):
-                    every |= methods(name, value, known["holders"][name])
-    if rooms:
-        return every
-    for name in ("Conditional", "InClass", "Joint", "Quotient", "Tied"):
-        every[name] = fitted(getattr(oee.ratio, name), known)
-    every |= {f"{name}.__call__": getattr(oee.estimators, name)() for name in (*CALLED, "Simulator")}
-    return every | {f"{name}.limit": getattr(oee.estimators, name)().limit for name in (*CALLED, "Simulator")}
+            key = name if every.get(name, value) is value else f"{room}.{name}"  # two classes of one name
+            every[key] = value
+            if key in known["holders"] and room not in PARTS:
+                every |= methods(key, value, known["holders"][key])
+    return every
 
 
 def methods(name, kind, holder):
@@ -90,19 +81,9 @@ def methods(name, kind, holder):
     return {key: value for key, value in bound.items() if callable(value)}
 
 
-def fitted(method, known):
-    """A method's options, and its fit: what they are wrong for may show there alone."""
-
-    def fit(**options):
-        return method(**options).fit(known["log"], known["simulator"], seed=0)
-
-    fit.__signature__ = inspect.signature(method)
-    return fit
-
-
 def arguments_of(name, function, known):
     """The arguments of a valid call, by name."""
-    own = own_values(known).get(name, {})
+    own = known["own"].get(name, {})
     values = dict(own) if any(p.kind is p.VAR_KEYWORD for p in inspect.signature(function).parameters.values()) else {}
     container = dataclasses.is_dataclass(function) and inspect.isclass(function) and name in known["holders"]
     if container and name not in CHECKED:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from scipy import sparse
 
 import oee_tabular as oee
+from oee_tabular.ratio.method import Population
 
 SIZE, T = 3, 3
 
@@ -37,7 +38,7 @@ def valid_values():
     problem = oee.Problem(simulator, log, horizon=20)
     cartpole = oee.tasks.CartPole()
     moves = oee.tasks.record(cartpole, oee.tasks.cartpole_policy(0.5), n_transitions=60, max_steps=30, seed=0)
-    return {
+    known = {
         "mdp": target, "simulator": simulator, "target": target, "model": simulator, "models": target, "values_of": None,
         "policy": uniform, "behavior_policy": uniform, "policy_a": uniform, "policy_b": expert, "weight_of_a": 0.5,
         "policies": {"uniform": uniform, "expert": expert}, "zeta": zeta, "ratio": None, "horizon": T, "seed": 0,
@@ -60,13 +61,21 @@ def valid_values():
         "probability": 0.5, "folder": Path(tempfile.gettempdir()) / "none", "per_row": 1.0, "continuous_log": moves,
         "path": Path(tempfile.gettempdir()) / "new.npz", "matrix": target.transitions, "m": 10, "samples_per_pair": 2,
         "frame": pd.DataFrame(log.columns()),
-        "holders": holders(target, simulator, uniform, log, zeta, problem, moves),
+        "generator": np.random.default_rng(0), "population": population(target, simulator, uniform),
+        "holders": holders(target, simulator, {"uniform": uniform, "expert": expert}, log, zeta, problem, moves),
     }  # fmt: skip
+    return known | {"own": own_values(known)}
 
 
-def holders(target, simulator, uniform, log, zeta, problem, moves):
+def population(target, simulator, policy):
+    """What estimators' limits are of."""
+    return Population(simulator, target, policy, policy / 9, np.ones(36, dtype=bool), policy, 20)
+
+
+def holders(target, simulator, policies, log, zeta, problem, moves):
     """A valid object of each public class: what its methods are bound to."""
     log.save(path := Path(tempfile.mkdtemp()) / "log.npz")
+    uniform = policies["uniform"]
     values = [
         target, log, moves, oee.Transitions.open(path), oee.transition_ratio(log, simulator), problem, oee.Estimate(1.0, 0.1),
         oee.density_ratio([1, 2], [2, 1]), oee.interval(problem, uniform), oee.return_moments(target, uniform),
@@ -75,8 +84,41 @@ def holders(target, simulator, uniform, log, zeta, problem, moves):
         oee.exact.solve_policy_system(target.transitions[::4], target.initial, 0.9), oee.sample_returns(target, uniform, 9,
         5, seed=0),
     ]  # fmt: skip
-    values += [values[13].results[0], oee.report.Settings(episodes=100)]
-    return {type(value).__name__: value for value in values}
+    values += [
+        values[13].results[0],
+        oee.report.Settings(episodes=100),
+        *results(values, problem, policies, target, simulator),
+    ]
+    return {type(value).__name__: value for value in values} | {
+        "testing.Comparison": oee.testing.compare_with_oracle(
+            oee.estimators.ModelBased(), (simulator, target), uniform, n=20, data_distribution=uniform / 9, repetitions=2
+        )
+    }  # fmt: skip
+
+
+def results(values, problem, policies, target, simulator):
+    """Objects that calls return, methods of ratios, and estimators."""
+    compared = oee.inference.compare_policies(problem, policies, n_draws=20)
+    verdict, sgd = oee.testing.Verdict("limit", "held", "x"), {"normalized": False, "lower": 0.1, "upper": 9.0}
+    cartpole, league = oee.tasks.CartPole(), oee.bench.run("model-based", families=["machine"], sizes=[3], seeds=1)
+    estimators = [getattr(oee.estimators, name)() for name in ESTIMATORS]
+    return [
+        oee.density_ratio([1, 2], [2, 1], solver="sgd", n_iterations=5, **sgd).trace, compared, compared.decide(),
+        oee.check_assumptions([1, 1], [1, 1], lower=0.5, upper=2.0), oee.inference.row_changes(problem), verdict,
+        oee.inference.selection_measures([1, 2], [1, 3]), values[12].policies[0], oee.estimators.Finding("x", 1.0, "x"),
+        oee.theory.Sides(0.0, 1.0), oee.theory.simulation_lemma(target, simulator, policies["uniform"]), league,
+        oee.theory.universal_constant_counterexample(1000), oee.testing.case("ragged"), oee.bench.families()["machine"],
+        oee.testing.Verdicts("x", frozenset(), 0, {"limit": verdict}), oee.tasks.named_task("gridworld:3,slip=0.1"),
+        oee.tasks.Moves(np.zeros((2, 4)), np.zeros(2), np.zeros(2, dtype=bool)), oee.tasks.MonteCarlo(1.0, 0.1, 1.0, 100),
+        oee.tasks.discretize(cartpole, cells=(3, 3), closure_episodes=0), oee.ratio.Conditional(), oee.ratio.Sgd(),
+        oee.tasks.ParameterFit(cartpole, {"gravity": 9.8}, {"gravity": 0.1}, np.zeros(4), {"gravity": 10.0}),
+        oee.ratio.Quotient(), oee.ratio.Joint(), oee.ratio.Tied(np.arange(120) % 3), oee.ratio.Network(), *estimators,
+        oee.ratio.InClass(features=np.arange(120) % 3.0), oee.tasks.gymnasium_simulator("Pendulum-v1"),
+    ]  # fmt: skip
+
+
+ESTIMATORS = ("DoublyRobust", "DualDice", "ImportanceSampling", "Magic", "Marginalized", "ModelBased", "OffEnvironment",
+              "Simulator")  # fmt: skip
 
 
 def saved(known, name):
@@ -104,7 +146,7 @@ def own_values(known):
     counted = dict(
         zip(("simulator", "n_states", "n_actions", "bad_rows", "progress"), (None, 9, 4, "refuse", False), strict=True)
     )
-    return files | plots_values(known) | {
+    own = {
         "Report.legend": {"rows": known["holders"]["Report"].records()},
         "ContinuousTransitions.concatenate": {"logs": [moves, moves]}, "FiniteMDP.from_env": {"max_steps": 100},
         "TransitionCounts.led_to": {"next_state": known["holders"]["TransitionCounts"].next_state},
@@ -140,6 +182,51 @@ def own_values(known):
         "value_error_sides": {"target": paid[0], "model": paid[1]}, "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
         "KinovaArm": {"goal": 0}, "kinova_policy": {"delta": 0.0},
     }  # fmt: skip
+    own |= {
+        "families": {"seed": 0}, "garnet_worse": {"n_states": 5}, "tandem": {"size": 3}, "check_estimator": {"laws": ["limit"]},
+        "league_of": {"table": known["holders"]["League"].table}, "Families": {"makers": {}, "seed": 0, "left_out": {}},
+        "run": {"estimators": "model-based", "families": ["machine"], "sizes": [3], "seeds": 1, "jobs": 1},
+        "Finding.sentence": {"figure": "x"}, "DualDice.estimate": {"problem": oee.Problem(simulator, log)},
+        "Comparison.bounds": {"one": "uniform", "other": "expert"},
+    }  # fmt: skip
+    return files | plots_values(known) | task_values(known) | own
+
+
+def task_values(known):
+    """Arguments of what makes and records continuous tasks."""
+    arm, cartpole = oee.tasks.KinovaArm(0), known["task"]
+    hand = oee.tasks.fit_hand(arm, n_states=20)
+    goals = oee.tasks.record_goals(arm, n_runs=1, horizon=3, seed=0)
+    goals.save(path := Path(tempfile.mkdtemp()) / "arm.npz")
+    driver = oee.tasks.cartpole_policy(0.5)
+    ends = [2.4, 3.0, 0.21, 3.2]
+    return {
+        "train_expert": {"iterations": 1, "population": 2, "elite": 1, "episodes": 1, "horizon": 3},
+        "fit_hand": {"arm": arm, "n_states": 20},
+        "record_goals": {"arm": arm, "n_runs": 1, "horizon": 3}, "hand_log": {"log": goals}, "load_kinova_log": {"path": path},
+        "reacher_log": {"task": oee.tasks.Reacher(), "n": 20, "max_steps": 10}, "discretize": {"log": None, "cells": (3, 3),
+        "closure_episodes": 0}, "visited_states": {"tasks": [cartpole], "policies": [driver], "n": 5, "max_steps": 3},
+        "fit_parameters": {"task_of": oee.tasks.CartPole, "start": {"gravity": 10.0}, "log": known["continuous_log"]},
+        "gymnasium_simulator": {"spec": "Pendulum-v1"}, "make_environment": {"identifier": "FrozenLake-v1"},
+        "corrected_value": {"corrected": oee.tasks.ResidualSimulator(cartpole, known["continuous_log"]), "policy": driver,
+                            "n_episodes": 20, "horizon": 5, "refits": 2, "paths": 5},
+        "GymnasiumTask": {"make": make_cartpole, "state_names": ("x", "x_dot", "theta", "theta_dot"), "actions": [0, 1],
+                          "low": [-end for end in ends], "high": ends, "get_state": get_state, "set_state": set_state},
+        "KinovaHand": {name: getattr(hand, name) for name in ("coefficients", "scatter", "starts", "source")},
+        "GridInterpolation": {"shape": (3, 3)}, "VisitedCells": {"n_cells": 5}, "padded_log": {"actions": [0]},
+    }  # fmt: skip
+
+
+def make_cartpole():
+    return oee.tasks.make_environment("CartPole-v1")
+
+
+def get_state(env):
+    return env.unwrapped.state
+
+
+def set_state(env, state):
+    env.unwrapped.state, env.unwrapped.steps_beyond_terminated = np.array(state), None
 
 
 def plots_values(known):

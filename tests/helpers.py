@@ -139,6 +139,12 @@ def paths(mdp, policy, horizon):
     return [(p, steps) for p, _, steps in found]
 
 
+STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
+ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
+PLAIN = FiniteMDP(ROWS, [-1.0, -1.0, 0.0], 0, 0.9)  # hall -> room -> dock, where it is over
+NAMED = PLAIN.with_names(STATES, ACTIONS)
+
+
 def survival_chain(discount=0.9):
     """Two states: alive (pays 1, dies with probability 0.3) and over. V(alive) = 1 / (1 - 0.7 gamma)."""
     transitions = np.array([[[0.7, 0.3]], [[0.0, 1.0]]])

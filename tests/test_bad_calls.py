@@ -10,6 +10,7 @@ import pytest
 from bad_calls import TABLE
 from fuzz_calls import arguments_of, call, functions
 from fuzz_values import valid_values
+from helpers import NAMED
 from kernels.files import save_npz
 from matplotlib.figure import Figure
 from scipy import sparse
@@ -23,7 +24,6 @@ UNIFORM = oee.uniform_policy(GRID)
 LOG = oee.sample_episodes(GRID, UNIFORM, 4, 20, seed=0)
 PHI, KEYS = np.arange(120.0) % 7, np.arange(120) % 3
 HALVES = [[0.5, 0.5]] * 2
-ROOMS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
 SGD = {"solver": "sgd", "normalized": False, "lower": 0.1, "upper": 9.0}
 
 
@@ -92,7 +92,7 @@ NAMES = {}
 for room in (oee, oee.estimators, oee.exact, oee.inference, oee.mdp, oee.plots, oee.ratio, oee.simulate, oee.tasks):
     NAMES |= {name: getattr(room, name) for name in room.__all__}
 NAMES |= globals() | {
-    "HALL": FiniteMDP(ROOMS, [-1.0, -1, 0], 0, 0.9, state_names=("hall", ("room", 1), "dock"), action_names=("go", "stay")),
+    "HALL": NAMED,
     "PLACES": np.array([[0.5, -1.0], [2.0, 3.0], [7.0, 7.0]]), "PLACE": np.arange(9.0), "ONE": oee.Estimate(1.0),
     "HUGE": GRID.with_rewards(1e200 * GRID.rewards), "ENDLESS": GRID.with_discount(1.0), "P": oee.Problem(GRID, LOG),
     "RIGID": oee.Problem(STIFF, Transitions([0], [0], [3])), "EVEN": UNIFORM / 9, "UP": np.eye(4)[np.zeros(9, dtype=int)],

@@ -150,19 +150,6 @@ class Right:
     _hidden: int = 0
 
 
-@dataclasses.dataclass
-class Heir(Right):
-    """Holds more.
-
-    Examples
-    --------
-    >>> 1 + 1
-    2
-    """
-
-    z: int = 0
-
-
 def test_the_check_accepts_what_is_right():
     assert lacks(right) == lacks(Right) == {}
 
@@ -171,13 +158,10 @@ def test_the_check_accepts_what_is_right():
     ("old", "new", "kind", "words"),
     [
         ("Adds.", "Adds", "sentence", "it is 'Adds'"),
-        ("Adds.", "", "sentence", "it is ''"),
         (">>> 1 + 1", "1 + 1", "example", "must have an example"),
-        ("Examples\n--------\n", "", "example", "must have an example"),
         ("a, b :", "a :", "parameters", "not so ['b']"),
         ("a, b :", "a, b, c :", "parameters", "not so ['c']"),
         ("a, b :", "a, b, a :", "parameters", "not so ['a']"),
-        ("kwargs : not used", "", "parameters", "not so ['kwargs']"),
         ("Parameters\n----------\n", "", "parameters", "not so ['a', 'b', 'kwargs']"),
     ],
 )
@@ -189,11 +173,3 @@ def test_the_check_sees_what_is_missing(old, new, kind, words):
     assert old in text
     changed.__doc__ = text.replace(old, new)
     assert words in lacks(changed).pop(kind)
-
-
-def test_the_check_sees_fields_that_are_missing():
-    class Bare(Right):
-        pass
-
-    assert set(lacks(Bare)) == {"sentence", "example"}
-    assert "not so ['z']" in lacks(Heir)["parameters"]

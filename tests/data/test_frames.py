@@ -8,14 +8,13 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+from helpers import ACTIONS, STATES
+from helpers import NAMED as MDP
 from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, Transitions
+from oee_tabular import Transitions
 
-STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
-ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
-MDP = FiniteMDP(ROWS, [-1.0, -1, 0], "hall", 0.9, state_names=STATES, action_names=ACTIONS)
 NUMBERS = replace(oee.sample_episodes(MDP, oee.uniform_policy(MDP), 6, 8, seed=0), behavior_probability=None)
 
 

@@ -27,7 +27,7 @@ from oee_tabular.exact.solvers import (
     measure,
     refine,
 )
-from oee_tabular.exact.system import Kernel, System, rows_of, spectral_radius
+from oee_tabular.exact.system import Kernel, System, rows_of
 
 LAST = SOLVERS[-3:]  # LAPACK, SuperLU, LAPACK of more states
 ITERATIVE = (ValueIteration(), PlainBiCGStab(), BiCGStab())
@@ -218,29 +218,6 @@ def test_an_even_start_does_not_end_the_plain_iteration(discount):
     assert found.largest <= found.rounding
     truth = np.linalg.solve(dense_system(system), b)
     assert_allclose(found.x, truth, rtol=0, atol=1e-14 / (1 - discount) * found.x.max())
-
-
-@pytest.mark.parametrize(
-    ("kernel", "discount", "radius"),
-    [
-        ([[0, 1], [0, 0]], 1.0, 0.0),
-        ([[1, 0], [0, 1]], 1.0, 1.0),
-        ([[1, 0], [0, 1]], 0.25, 0.25),
-        ([[0, 2], [0.5, 0]], 1.0, 1.0),
-        ([[0, 9], [1, 0]], 0.5, 1.5),
-    ],
-)
-def test_the_spectral_radius_of_simple_kernels(kernel, discount, radius):
-    assert_allclose(spectral_radius(sparse.csr_array(kernel, dtype=float), discount), radius, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("kernel", "discount"), [([[0.5, 0.5], [0.2, 0.3]], 0.9), ([[0.5, 0.3], [0.2, 0.3]], 0.5), ([[0, 0], [0, 0]], 0.9)]
-)
-def test_rows_below_one_need_no_certificate(kernel, discount, monkeypatch):
-    """|M^-1| = 1 / (1 - gamma * largest row sum) is known from them: no second system is solved for it."""
-    monkeypatch.setattr(solvers, "answer", None)
-    assert_allclose(inverse_norm(system_of(kernel, discount)), 1 / (1 - discount * max(map(sum, kernel))), rtol=1e-12)
 
 
 def test_the_certificate_counts_its_own_residual(monkeypatch):

@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from helpers import dense, integer_distribution, random_mdp, random_policy, rngs
+from helpers import ACTIONS, ROWS, STATES, dense, integer_distribution, random_mdp, random_policy, rngs
 from hypothesis import given
 from kernels.files import save_npz
 from numpy.testing import assert_allclose, assert_array_equal
@@ -71,8 +71,6 @@ def test_matrices_are_canonical_and_made_once(rng):
         assert_array_equal(mdp.transition_rewards.toarray()[mdp.transitions.toarray() > 0], mdp.reward_data)
 
 
-STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
-ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
 PLACES = np.array([[0.5, -1.0], [2.0, 3.0], [7.0, 7.0]])
 
 

@@ -2,21 +2,17 @@
 
 import numpy as np
 import pytest
+from helpers import ACTIONS, ROWS, STATES
 from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
 from oee_tabular.mdp.naming import Names, name_text, number_of, numbers_of
 
-STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
-ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
 
-
-def three(form=2, **changes):
+def three(**changes):
     """hall -> room -> dock, where it is over."""
-    rewards = np.array([[-1.0, -1], [-1, -1], [0, 0]])
-    paid = rewards if form == 2 else np.where(ROWS > 0, rewards[:, :, None], np.nan)
-    return FiniteMDP(ROWS, paid, 0, 0.9, **{"state_names": STATES, "action_names": ACTIONS} | changes)
+    return FiniteMDP(ROWS, [-1.0, -1, 0], 0, 0.9, **{"state_names": STATES, "action_names": ACTIONS} | changes)
 
 
 def test_they_are_tuples_of_plain_python():

@@ -2,17 +2,13 @@
 
 import numpy as np
 import pytest
+from helpers import NAMED, PLAIN
 from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.policies import check_policies
 
-STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
-ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
-PLAIN = FiniteMDP(ROWS, [-1.0, -1.0, 0.0], 0, 0.9)
-NAMED = PLAIN.with_names(STATES, ACTIONS)
 SUM_TOLERANCE = 1e-8  # of a row's sum
 LOG = oee.Transitions([0, 1, 0], [0, 0, 1], [1, 2, 0], [-1.0, -1, -1], episode=[0, 0, 1])
 
