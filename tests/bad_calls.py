@@ -650,4 +650,45 @@ figure_png(print, size=(0, 1))  ->  size must be from 0.1 to 100 inches
 figure_png(3)  ->  draw must be a function
 label_ends(3)  ->  ax must be matplotlib Axes
 label_ends(AXES, fontsize=0)  ->  fontsize must be in (0, 100)
+
+# theorems
+simulation_lemma(None, CHAIN, ONLY)  ->  target must be a FiniteMDP
+kl_path_sides(CHAIN, CHAIN.transitions, ONLY)  ->  model must be a FiniteMDP or a ReweightedModel
+unnormalised_sides(CHAIN, reweight(CHAIN, ONES), ONLY, ratio=ONES)  ->  model must be a FiniteMDP (the simulator) with a ratio
+unnormalised_sides(CHAIN, CHAIN, ONLY, ratio=sparse.csr_array(np.ones((3, 2))))  ->  ratio must be sparse of shape (2, 2)
+simulation_lemma(CHAIN, HALL, ONLY)  ->  target and model must have the same states and actions
+simulation_lemma(CHAIN, CHAIN.with_discount(0.8), ONLY)  ->  model must have the target's discount 0.9
+simulation_lemma(CHAIN, CHAIN.with_initial([0.5, 0.5]), ONLY)  ->  model.initial[0] must be the target's 1
+simulation_lemma(CHAIN, CHAIN.with_rewards([1.0, 2.0]), ONLY)  ->  model.rewards[1, 0] must be the target's 0
+simulation_lemma(COIN, PAID, ONLY)  ->  model must have the target's form of rewards, r(s, a); it has r(s, a, s')
+simulation_lemma(PAID, PAID.with_rewards(np.full((2, 1, 2), 2.0)), ONLY)  ->  model's reward at s=0, a=0 -> s'=0 must be
+normalised_sides(CHAIN, CHAIN, ONLY, ratio=ONES * 1.5)  ->  model.transitions[0, 0] must sum to 1
+normalised_sides(CHAIN, CHAIN, np.ones((3, 1)))  ->  policy must have shape (2, 1) (states, actions)
+path_kl(CHAIN, CHAIN, ONLY, horizon=2, ratio=ONES * 0.5)  ->  model.transitions[0, 0] must sum to 1
+kl_path_sides(CHAIN, CHAIN, ONLY, ratio=ONES * 0.5)  ->  model.transitions[0, 0] must sum to 1
+simulation_lemma(CHAIN, CHAIN, ONLY, ratio=ONES * 1.5)  ->  the infinite sum does not exist: ... spectral radius of 1.35
+simulation_lemma(CHAIN.with_discount(1.0), CHAIN.with_discount(1.0), ONLY, ratio=ONES)  ->  horizon must be given: at discount 1
+value_error_sides(PAID, PAID, ONLY, horizon=2, error=0.1, nu=0.5)  ->  target must have rewards r(s, a): Theorem 2
+normalised_bound(-1, 1, 0.5)  ->  eta must be in [0, inf)
+unnormalised_bound(0.1, np.inf, 0.5)  ->  reward_bound must be finite
+kl_path_bound([0.0, -1.0], 1.0, 0.9)  ->  path_divergence[1] must be nonnegative
+renyi_divergence([1], [1], 0)  ->  order must be positive
+renyi_divergence([1], [1], -1)  ->  order must be in [0, inf]
+renyi_divergence([1], [1, 1], 1)  ->  p and q must have one length
+renyi_divergence([0], [1], 1)  ->  p must have a positive, finite sum
+renyi_divergence([1], [-1], 1)  ->  q[0] must be nonnegative
+excess_risk([1.0], [1, 1], [1, 1])  ->  g must have the length of p, 2
+excess_risk([-1.0], [1], [1])  ->  g[0] must be nonnegative
+squared_error_sides([1.0, 3.0], [1, 1], [1, 1], mu=2.0)  ->  mu must be at least g and p/q, ... 3
+estimation_sides([1, 9], [1, 1], [1, 1], n=5, mu=2, nu=0.5, confidence=0.9, constant=1)  ->  g[1] must be in [nu, mu] = [0.5, 2]
+ratio_error_bound(0.1, 2.0, 1.0)  ->  nu must be in (0, 1)
+ratio_error_bound(0.1, 1.0, 0.5)  ->  mu must be in (1, inf)
+ratio_error_bound(-0.1, 2.0, 0.5)  ->  error must be in [0, inf]
+ratio_error_sides([1.0], [1.0], [1.0, 1.0], [1.0], mu=2.0, nu=0.5)  ->  true_moves must have the length of moves, 1
+estimation_bound(5, 2.0, 0.5, 0.9, 0.0, 0.0)  ->  constant must be in (0, inf)
+universal_constant_counterexample(1)  ->  n must be at least 2
+sup_error_bound(5, 2.0, 0.5, 2, 2.0, 0.9)  ->  p_min must be in [0, 1]
+sup_error_bound(5, 0.5, 0.5, 2, 0.5, 0.9)  ->  mu must be in [1, inf)
+value_bound_counterexample(2, 0.9, -0.1, 0.5)  ->  epsilon must be in [0, inf)
+value_error_bound(2, 1.0, 0.9, error=0.1, nu=2.0)  ->  nu must be in (0, 1)
 """

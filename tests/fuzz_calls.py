@@ -33,7 +33,10 @@ LONGEST = 1500  # characters of a message
 OURS = (ValueError, OSError, ImportError, MemoryError)
 PACKAGE = os.path.dirname(oee.__file__) + os.sep
 CHECKED = ("ContinuousTransitions", "Problem", "Transitions")  # whose arguments have valid values of their own
-PARTS = ("tasks", "bench", "testing")  # whose objects' methods are called by the package, not by people
+INNER = {  # methods that the package calls, after its checks: of objects of these rooms
+    "tasks": "all", "bench": "all", "testing": "all", "estimators": ("estimate", "fit", "limit_of", "limit_model"),
+    "ratio": ("limit",),
+}  # fmt: skip
 ALIASES = {  # words of the command line, which the same errors serve
     "identifier": ("environment",),
     "spec": ("environment", "simulator"),
@@ -66,16 +69,17 @@ def functions(known, rooms=None):
             value = getattr(modules[room], name)
             key = name if every.get(name, value) is value else f"{room}.{name}"  # two classes of one name
             every[key] = value
-            if key in known["holders"] and room not in PARTS:
-                every |= methods(key, value, known["holders"][key])
+            if key in known["holders"] and INNER.get(room) != "all":
+                every |= methods(key, value, known["holders"][key], INNER.get(room, ()))
     return every
 
 
-def methods(name, kind, holder):
-    """Public methods, class methods and static methods, the first bound to a valid object of the class."""
+def methods(name, kind, holder, inner):
+    """Public methods, class methods and static methods, and calls, bound to a valid object of the class."""
     bound = {}
     for attribute in dir(kind):
-        if attribute[0] != "_" and callable(getattr(kind, attribute)):
+        named = attribute[0] != "_" or (attribute == "__call__" and not issubclass(kind, type))
+        if named and attribute not in inner and callable(getattr(kind, attribute)):
             static = isinstance(inspect.getattr_static(kind, attribute), classmethod | staticmethod)
             bound[f"{name}.{attribute}"] = getattr(kind if static else holder, attribute)
     return {key: value for key, value in bound.items() if callable(value)}

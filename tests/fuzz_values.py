@@ -186,8 +186,7 @@ def own_values(known):
         "families": {"seed": 0}, "garnet_worse": {"n_states": 5}, "tandem": {"size": 3}, "check_estimator": {"laws": ["limit"]},
         "league_of": {"table": known["holders"]["League"].table}, "Families": {"makers": {}, "seed": 0, "left_out": {}},
         "run": {"estimators": "model-based", "families": ["machine"], "sizes": [3], "seeds": 1, "jobs": 1},
-        "Finding.sentence": {"figure": "x"}, "DualDice.estimate": {"problem": oee.Problem(simulator, log)},
-        "Comparison.bounds": {"one": "uniform", "other": "expert"},
+        "Finding.sentence": {"figure": "x"},         "Comparison.bounds": {"one": "uniform", "other": "expert"},
     }  # fmt: skip
     return files | plots_values(known) | task_values(known) | own
 

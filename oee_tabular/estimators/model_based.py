@@ -96,7 +96,7 @@ class ModelBased(TabularEstimator):
 
     def model(self, problem: Problem) -> FiniteMDP:
         """The frequencies of the log, the fallback where it has none."""
-        counts = problem.counts
+        counts = _checks.instance(problem, Problem, "problem").counts
         data = counts.data / row_sums(counts)[row_of_entry(counts)]
         rows = sparse.csr_array((data, counts.indices, counts.indptr), shape=counts.shape)
         return self._fill_rows(problem.model, rows)

@@ -2,7 +2,18 @@
 
 import numpy as np
 import pytest
-from helpers import BEHAVIOR, POLICY, dense, environments, paths, random_mdp, random_policy, rngs
+from helpers import (
+    BEHAVIOR,
+    POLICY,
+    Dense,
+    dense,
+    environments,
+    integer_distribution,
+    paths,
+    random_mdp,
+    random_policy,
+    rngs,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -13,8 +24,6 @@ from oee_tabular.exact import leading_bias, ratio_of_ratios_variance
 
 
 def shares(rng, mdp, zeros=0.0):
-    from helpers import integer_distribution
-
     return integer_distribution(rng, mdp.n_states * mdp.n_actions, zeros).reshape(mdp.n_states, mdp.n_actions)
 
 
@@ -23,30 +32,19 @@ def test_41_the_bound_is_the_variance_of_the_numeric_gradient(rng):
     """sum_x Var_{P'}[dJ/dP'] / d_log by central differences of J; and the closed form for r(s, a)."""
     mdp = random_mdp(rng, n_states=int(rng.integers(1, 5)), discount=0.9)
     policy, share = random_policy(rng, mdp), shares(rng, mdp)
-    transitions, rewards = dense(mdp)
-    size = mdp.n_states
-    expected = 0.0
-    for s in range(size):
-        for a in range(mdp.n_actions):
-            slope = np.zeros(size)
-            for j in np.flatnonzero(transitions[s, a]):
-                values = []
-                for step in (1e-5, -1e-5):
-                    moved = transitions.copy()
-                    moved[s, a, j] += step
-                    kernel = np.einsum("sa,sat->st", policy, moved)
-                    paid = np.einsum("sa,sat,sat->s", policy, moved, rewards)
-                    if mdp.transition_rewards is None:
-                        paid = (policy * mdp.rewards).sum(axis=1)
-                    values.append(mdp.initial @ np.linalg.solve(np.eye(size) - 0.9 * kernel, paid))
-                slope[j] = (values[0] - values[1]) / 2e-5
-            row = transitions[s, a]
-            expected += row @ (slope - row @ slope) ** 2 / share[s, a]
+    base, expected = Dense(mdp), 0.0
+    for s, a in np.ndindex(*share.shape):
+        slope, row = np.zeros(mdp.n_states), base.P[s, a]
+        for j in np.flatnonzero(row):
+            step = np.zeros(base.P.shape)
+            step[s, a, j] = 1e-5
+            slope[j] = (base.like(base.P + step).J(policy) - base.like(base.P - step).J(policy)) / 2e-5
+        expected += row @ (slope - row @ slope) ** 2 / share[s, a]
     found = oee.efficiency_bound(mdp, policy, share)
     assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
     if mdp.transition_rewards is None:
         v = oee.state_values(mdp, policy)
-        spread = np.einsum("sat,sat->sa", transitions, (v[None, None] - (transitions @ v)[:, :, None]) ** 2)
+        spread = np.einsum("sat,sat->sa", base.P, (v[None, None] - (base.P @ v)[:, :, None]) ** 2)
         d = oee.occupancy(mdp, policy)
         assert_allclose(found, (0.9 / 0.1) ** 2 * (d**2 / share * spread).sum(), rtol=1e-8, atol=1e-9)
 
@@ -209,7 +207,7 @@ def test_the_four_quotients_against_a_delta_method(rng):
 
 def fisher_bound(mdp, behavior, policy, horizon):
     """g' I^-1 g: I the information of all paths in the rows' free coordinates (moves with probability, less one a row)."""
-    transitions, rewards = dense(mdp)
+    transitions, _ = dense(mdp)
     free = [(s, a, j) for s, a in np.ndindex(*behavior.shape) for j in np.flatnonzero(transitions[s, a])[:-1]]
     last = {(s, a): np.flatnonzero(transitions[s, a])[-1] for s, a in np.ndindex(*behavior.shape)}
     information = np.zeros((len(free), len(free)))
@@ -228,10 +226,7 @@ def fisher_bound(mdp, behavior, policy, horizon):
             moved = transitions.copy()
             moved[s, a, j] += step
             moved[s, a, last[s, a]] -= step
-            v = np.zeros(mdp.n_states)
-            for _ in range(horizon):
-                v = np.einsum("sa,sat,sat->s", policy, moved, rewards + mdp.discount * v[None, None])
-            ends.append(mdp.initial @ v)
+            ends.append(Dense(mdp).like(moved).J(policy, horizon))
         slope[i] = (ends[0] - ends[1]) / 2e-6
     return float(slope @ np.linalg.pinv(information, rcond=1e-10) @ slope)
 
@@ -256,22 +251,14 @@ SHARE = np.array([[0.1, 0.2], [0.15, 0.05], [0.3, 0.2]])
 def test_the_leading_bias_is_that_of_second_differences(form):
     """1/2 sum_x sum_s' P' D^2 J in the direction e_s' - P'(x), over data_distribution(x)."""
     _, target = environments(form)
-    transitions, rewards = dense(target)
-    rows, step, total = transitions.reshape(6, 3), 1e-3, 0.0
-
-    def value(moved):
-        kernel = np.einsum("sa,sat->st", POLICY, moved)
-        paid = (POLICY * target.rewards).sum(axis=1)
-        if form == 3:
-            paid = np.einsum("sa,sat,sat->s", POLICY, moved, rewards)
-        return target.initial @ np.linalg.solve(np.eye(3) - 0.7 * kernel, paid)
-
+    base = Dense(target)
+    rows, step, total = base.P.reshape(6, 3), 1e-3, 0.0
     for x in range(6):
         for j in range(3):
             direction = np.zeros((6, 3))
             direction[x] = np.eye(3)[j] - rows[x]
-            ends = [value((rows + sign * step * direction).reshape(3, 2, 3)) for sign in (1, -1)]
-            total += rows[x, j] * (sum(ends) - 2 * value(transitions)) / step**2 / 2 / SHARE.reshape(-1)[x]
+            ends = [base.like((rows + sign * step * direction).reshape(3, 2, 3)).J(POLICY) for sign in (1, -1)]
+            total += rows[x, j] * (sum(ends) - 2 * base.J(POLICY)) / step**2 / 2 / SHARE.reshape(-1)[x]
     assert abs(total) > 0.01
     assert_allclose(leading_bias(target, POLICY, SHARE), total, rtol=1e-4)
 

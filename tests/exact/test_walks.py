@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from helpers import histories
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP
+from oee_tabular import FiniteMDP, exact
 from oee_tabular.exact import weight_growth, weight_moments
 
 KINDS = ("per_decision", "trajectory")
@@ -35,6 +36,42 @@ def test_an_infinite_sum_of_states_that_are_never_entered():
     assert_allclose((endless.mean, endless.variance), (long.mean, long.variance), rtol=1e-12)
     assert_allclose(endless.by_state, long.by_state, rtol=1e-12)
     assert weight_growth(mdp, oee.true_ratio(mdp, mdp), np.ones((3, 1))) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_weights_of_actions_stand_still_where_it_is_over(kind):
+    """An absorbing state with two actions: what is done there neither pays nor weighs."""
+    rows = np.array([[[0.5, 0.5], [0.2, 0.8]], [[0.0, 1.0], [0.0, 1.0]]])
+    mdp = FiniteMDP(rows, np.array([[1.0, 3.0], [0.0, 0.0]]), [1, 0], 0.9)
+    behavior, policy = np.array([[0.5, 0.5], [0.1, 0.9]]), np.array([[0.25, 0.75], [0.9, 0.1]])
+    found = histories(mdp, behavior, 3)
+    x = []
+    for _, states, actions, paid in found:
+        ratios = [1.0 if s == 1 else policy[s, a] / behavior[s, a] for s, a in zip(states[:-1], actions, strict=True)]
+        weights = np.cumprod(ratios) if kind == "per_decision" else np.full(3, np.prod(ratios))
+        x.append(0.9 ** np.arange(3) @ (weights * paid))
+    probability, x = np.array([path[0] for path in found]), np.array(x)
+    moments = oee.policy_is_moments(mdp, behavior, policy, kind=kind, horizon=3)
+    assert_allclose(moments.mean, probability @ x, rtol=1e-12)
+    assert_allclose(moments.variance, probability @ (x - probability @ x) ** 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("self_normalized", [False, True])
+def test_ratios_of_moves_in_absorbing_states_do_not_count(kind, self_normalized):
+    simulator = oee.tasks.gridworld(3, 0.3)
+    zeta = oee.true_ratio(oee.tasks.gridworld(3, 0.2), simulator).values.copy()
+    other = zeta.copy()
+    over = np.repeat(simulator.absorbing(), simulator.n_actions)
+    other.data[over[np.repeat(np.arange(zeta.shape[0]), np.diff(zeta.indptr))]] = 1.7
+    assert (other.data == 1.7).sum() == simulator.n_actions
+    policy = oee.tasks.gridworld_expert(3)
+    one, two = (
+        exact.weighted_return_moments(simulator, z, policy, kind=kind, horizon=6, self_normalized=self_normalized)
+        for z in (zeta, other)
+    )
+    assert (one.mean, one.variance) == (two.mean, two.variance)
+    assert_array_equal(*(weight_moments(simulator, z, policy, horizon=6) for z in (zeta, other)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
