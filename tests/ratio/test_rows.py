@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from helpers import rngs
+from helpers import random_mdp, rngs
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.mdp.rows import distinct_rows
+from oee_tabular.mdp.rows import Rows, distinct_rows
 
 
 @given(rngs)
@@ -17,6 +17,19 @@ def test_distinct_rows_are_numpys(rng):
     expected, place = np.unique(table, axis=0, return_inverse=True)
     assert_array_equal(kinds, expected)
     assert_array_equal(kind, place.reshape(-1))
+
+
+@given(rngs)
+def test_rows_are_centred_by_numpy_or_by_a_sparse_product(rng):
+    simulator = random_mdp(rng)
+    rows, matrix = Rows.of(simulator), simulator.transitions
+    values = rng.normal(size=(matrix.nnz, 2))
+    means = np.add.reduceat(matrix.data[:, None] * values, matrix.indptr[:-1])
+    expected = values - np.repeat(means, np.diff(matrix.indptr), axis=0)
+    for few in (0, 10**6):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("oee_tabular.mdp.rows.SMALL", few)
+            assert_allclose(rows.center(values), expected, atol=1e-13)
 
 
 # ---- block by block ----------------------------------------------------------------------------------------------
@@ -38,8 +51,7 @@ def test_a_fit_by_blocks_is_that_of_all_rows_at_once(name, monkeypatch):
     about = {} if OPTIONS[name] else {"values_of": policy}
     gradient = np.random.default_rng(0).normal(size=simulator.transitions.nnz)
     found = []
-    for size, few in ((2**18, 10**6), (37, 0)):  # rows are centred by numpy, or by a sparse product
-        monkeypatch.setattr("oee_tabular.mdp.rows.SMALL", few)
+    for size in (2**18, 37):
         monkeypatch.setattr("oee_tabular.mdp.rows.BLOCK", size)
         monkeypatch.setattr("oee_tabular.ratio.conditional.BLOCK", size)
         fit = oee.transition_ratio(log, simulator, **about, **OPTIONS[name])
