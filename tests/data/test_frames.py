@@ -89,11 +89,6 @@ def test_files_hold_them(ending, tmp_path):
         assert_same(Transitions.load(tmp_path / "log.npz"), NAMED)
 
 
-def test_a_data_set_of_minari_s_has_numbers(tmp_path):
-    with pytest.raises(ValueError, match=r"^log must be in numbers to be a Minari data set; .*: log\.numbered"):
-        NAMED.save(tmp_path / "set")
-
-
 def test_the_command_takes_files_of_names(tmp_path, capsys):
     from oee_tabular.cli import main
 
@@ -113,8 +108,6 @@ def test_the_command_takes_files_of_names(tmp_path, capsys):
 
 def test_numbers_of_a_log_s_own_are_no_simulator_s():
     """Counted as they stand, they would be taken for another's."""
-    with pytest.raises(ValueError, match=r"^log must be in a simulator's numbers to be counted; .*log\.numbered"):
-        NAMED.counts(3, 2)
     for options in ({}, {"method": "ratio_of_ratios"}):
         data = [{"simulator_data": log} if options else {} for log in (NAMED, NUMBERS)]
         one, other = (

@@ -3,7 +3,6 @@
 import functools
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -101,10 +100,6 @@ def test_ratios_without_a_log_s_noise_are_not_moved():
     assert "moved" not in found.diagnostics
     assert found.standard_error is None
     assert found.interval is None
-    with pytest.raises(
-        ValueError, match="a ratio of method 'true' has no maximum-likelihood model: it keeps no frequencies"
-    ):
-        oee.true_ratio(target, simulator).maximum_likelihood_model(simulator)
 
 
 def test_without_noise_nothing_is_moved():

@@ -1,11 +1,8 @@
 """Problems: logs that contradict the simulator, their rewards, their checks, and where termination leads."""
 
 import numpy as np
-import pytest
-from estimators.four_states import BEHAVIOR, environments
 from numpy.testing import assert_allclose, assert_array_equal
 
-import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions
 
 
@@ -40,26 +37,6 @@ def test_log_rewards_for_rewards_of_state_and_action():
     problem = Problem(simulator, log, rewards="log")
     assert_allclose(problem.model.transition_rewards.toarray(), [[2.0, 1.0], [7.0, 3.0], [4.0, 4.0], [6.0, 6.0]])
     assert Problem(simulator, log).model is simulator
-
-
-def test_each_log_of_a_problem_is_checked_by_its_name():
-    simulator, target = environments()
-    log = oee.sample_episodes(target, BEHAVIOR, 5, 6, seed=1)
-    far = Transitions([4], [0], [0])
-    for name in ("log", "episodes", "simulator_data"):
-        arguments = {"log": log} | {name: far}
-        with pytest.raises(
-            ValueError, match=rf"^{name}\.state\[0\] must be in 0\.\.3, the simulator's; it is 4 \(1 such transitions"
-        ):
-            Problem(simulator, **arguments)
-        with pytest.raises(ValueError, match=rf"^{name}\.next_state\[0\] must be in 0\.\.3"):
-            Problem(simulator, **({"log": log} | {name: Transitions([0], [0], [4])}))
-    with pytest.raises(ValueError, match=r"^episodes must be Transitions; got int$"):
-        Problem(simulator, log, episodes=3)
-    with pytest.raises(ValueError, match=r"^log must be Transitions; got NoneType$"):
-        Problem(simulator, None)
-    with pytest.raises(ValueError, match=r"^horizon must be a positive integer; it is 0$"):
-        Problem(simulator, log, horizon=0)
 
 
 def test_each_log_of_a_problem_is_led_to_where_termination_leads():

@@ -249,12 +249,6 @@ def test_bootstrap_by_episodes():
     found = oee.interval(problem, policy, method="bootstrap", resample="episodes", seed=3)
     values = bootstrap_values(problem, evidences.gather(problem, policy), n_bootstrap=500, by="episodes", seed=3)
     assert values.min() < found.lower < values.mean() < found.upper < values.max()
-    few = oee.Problem(simulator, oee.sample_episodes(target, policy, 4, 10, seed=0))
-    with pytest.raises(ValueError, match="log must have at least 10 episodes to be resampled by episodes; it has 4"):
-        oee.interval(few, policy, method="bootstrap", resample="episodes")
-    bag = oee.Problem(simulator, log.draw(50, seed=0))
-    with pytest.raises(ValueError, match="log must have episodes to be resampled by episodes; it has none"):
-        oee.interval(bag, policy, method="bootstrap", resample="episodes")
 
 
 def test_a_box_that_the_counts_contradict_is_refused_by_name():

@@ -127,9 +127,6 @@ def test_moves_weighted_by_discount():
     rows = np.repeat(np.arange(64), np.diff(SIMULATOR.transitions.indptr))
     seen = log.counts(16, 4).toarray()[rows, SIMULATOR.transitions.indices] > 0
     assert_allclose(found.values.data[seen], quotient[rows, SIMULATOR.transitions.indices][seen], rtol=1e-9)
-    bag = oee.Transitions(log.state, log.action, log.next_state)
-    with pytest.raises(ValueError, match="log must have timesteps"):
-        oee.transition_ratio(bag, SIMULATOR, discount=0.9)
 
 
 def test_pairs_that_the_simulator_s_data_lack():
