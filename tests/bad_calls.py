@@ -398,6 +398,7 @@ evaluate(P, {"mine": UNIFORM * 0.9})  ->  policy 'mine'[0] must sum to 1
 evaluate(P, {"a": [0, 1, 7, 0, 0, 0, 0, 0, 0]})  ->  policy 'a'[2] must be in 0..3
 evaluate(P, UNIFORM, target=mdp())  ->  target must have the simulator's 9 states and 4 actions
 evaluate(Problem(GRID, LOG, counts=0.5 * COUNTS), UNIFORM, guaranteed=True)  ->  guaranteed must be False where counts are given
+evaluate(P, UNIFORM, quick=1)  ->  quick must be True or False; got 1
 evaluate(P, UNIFORM, quick=True, guaranteed=True)  ->  guaranteed must be False where quick is True
 evaluate(P, UNIFORM, quick=True, upper_ratio=2.0)  ->  quick must be False with lower_ratio or upper_ratio
 evaluate(Problem(ENDLESS, LOG), UNIFORM, guaranteed=True)  ->  guaranteed must be False here: at discount 1 they need a horizon
