@@ -23,7 +23,7 @@ from oee_tabular.continuous.parameters import fit_parameters, parameters_of
 from oee_tabular.continuous.task import DerivedTask, Moves
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.robots.changes import classic
-from oee_tabular.lab.robots.changes.cases import Case
+from oee_tabular.lab.robots.changes.cases import Change
 from oee_tabular.tasks import CartPole, ResidualSimulator, cartpole_policy, gymnasium_simulator, record
 
 NONE = -99.0  # no command yet
@@ -150,7 +150,7 @@ def study_hidden_state(n_logs, n_values):
     targets |= {f"lag {lag}": (Lag(simulator, lag), 0) for lag in (0.3, 0.5, 0.7)}
     targets["sensor noise"] = SensorNoise(simulator, 0.01), 0
     for name, (target, lag) in targets.items():
-        case = Case(name, simulator, target, cartpole_policy, **options)
+        case = Change(name, simulator, target, cartpole_policy, **options)
         n_said, n_named, errors, chosen = 0, 0, [], []
         for seed in range(n_logs):
             log = case.log(10_000, seed)
@@ -216,10 +216,13 @@ def study_parameters(_, n_logs):
     cart = {"deltas": (0.1, 0.6), "horizon": 100, "episodes": 2000, "scale": 0.01}
     swing = {"deltas": (0.1, 0.6), "horizon": 200, "episodes": 2000}
     for case, n in (
-        (Case("CartPole, right", cartpole, changed, cartpole_policy, **cart), 300),
-        (Case("Pendulum, right", pendulum, heavy, classic.swinging, **swing), 300),
-        (Case("CartPole, 5% random actions", cartpole, RandomActions(changed, 0.05), cartpole_policy, **cart), 10_000),
-        (Case("Pendulum, cogging", pendulum, cogging, classic.swinging, **swing), 10_000),
+        (Change("CartPole, right", cartpole, changed, cartpole_policy, **cart), 300),
+        (Change("Pendulum, right", pendulum, heavy, classic.swinging, **swing), 300),
+        (
+            Change("CartPole, 5% random actions", cartpole, RandomActions(changed, 0.05), cartpole_policy, **cart),
+            10_000,
+        ),
+        (Change("Pendulum, cogging", pendulum, cogging, classic.swinging, **swing), 10_000),
     ):
         names = ("gravity", "pole", "force") if case.simulator is cartpole else ("mass", "gravity", "friction")
         errors, n_taken = [], 0
