@@ -95,7 +95,8 @@ def test_a_table_by_name():
     one = experiments.table("estimands", delta=0.5)
     assert one.equals(experiments.table("estimands", delta=np.array([0.5])))
     assert not one.equals(experiments.table("estimands", delta=0.5, seed=1))
-    assert experiments.table("efficiency", n=1e5).equals(experiments.table("efficiency"))  # 1e5 names the cell of 100000
+    same = experiments.table("efficiency", n=1e5)  # names the cell of 100000
+    assert same.equals(experiments.table("efficiency"))
     table = experiments.table("estimands", delta=[0.1, 0.5], repetitions=2)
     assert len(table) == 2 * 2 * 4
     cell = {"delta": 0.5, "repetition": 1}
