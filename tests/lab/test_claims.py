@@ -100,9 +100,6 @@ def exact_is_best(table, share):
 
 def test_figure_1bcd_exact_evaluation_removes_nearly_all_of_the_simulator_s_error():
     exact_is_best(saved("fig1bcd"), 0.04)
-
-
-def test_figure_1bcd_computed():
     table = computed("fig1bcd", seed=3, n=3162, repetitions=2)
     exact_is_best(table, 0.10)
     simulator, target = grids(10)
@@ -200,12 +197,8 @@ def sd_of_two_moves(simulator, target, policy, kind):
 
 
 def test_products_explode_and_exact_evaluation_does_not():
-    table = saved("horizon")
-    assert set(table.delta) == {0.1, 0.5, 0.9}
-    products_explode(table)
-
-
-def test_horizons_computed():
+    assert set(saved("horizon").delta) == {0.1, 0.5, 0.9}
+    products_explode(saved("horizon"))
     table = computed("horizon", delta=0.5, repetitions=1)
     products_explode(table)
     size = table.groupby(["quantity", "horizon"])["size"].first()
@@ -250,9 +243,6 @@ def test_efficiency():
     assert f"the paper's quotient's {quotient.ratio:.2f} +- {quotient.error:.2f} of its formula" in PAGES
     assert f"{quotient.exact / plug_in.exact:.0f} times the bound" in PAGES
     assert (np.abs(found.ratio - 1.0) <= 3 * found.error).all()
-
-
-def test_efficiency_computed():
     ratio = computed("efficiency", repetitions=24).groupby("estimator").ratio
     assert (np.abs(ratio.mean() - 1.0) <= 0.03 + 4.0 * ratio.sem()).all()  # the quotient's is 1.03 +- .01 at this n
     assert (ratio.sem() < 0.03).all()

@@ -1,8 +1,5 @@
 """Estimators that others publish, on tables: SCOPE-RL's [1] and offline-rl-ope's [2]; ``notebooks/peers.md`` is their page.
 
-    in a clone: pip install '.[scope-rl]'         oee bench --estimators scope-rl:DoublyRobust
-    in a clone: pip install '.[offline-rl-ope]'   oee bench --estimators offline-rl-ope:PDWIS
-
 Both install beside numpy 2.4 and work (SCOPE-RL 0.2.1, offline-rl-ope 7.0.0), but they pull in torch (4 GB with its CUDA
 libraries), d3rlpy (2.8.0, as 2.8.1 pins gymnasium 1.0.0) and gym, which prints a notice. offline-rl-ope imports jaxtyping and
 typeguard below 3, which it does not ask for; the extra does.

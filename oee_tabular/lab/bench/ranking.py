@@ -9,7 +9,7 @@ from oee_tabular.exact import policy_value
 from oee_tabular.lab.bench.families import HELD, families
 from oee_tabular.lab.findings import percent
 from oee_tabular.lab.panels import Panels
-from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
+from oee_tabular.lab.registry import Cell, Row, Stream, experiment
 from oee_tabular.mdp import mix, uniform_policy
 from oee_tabular.report import contest
 
@@ -22,7 +22,24 @@ TUNED = (
 )  # fmt: skip
 
 
-def ranking_cell(settings: Cell, stream: Stream) -> list[Row]:
+def compare_rules(table: pd.DataFrame) -> str:
+    """How often each rule is right, and how often contest is wrong."""
+    share = {str(rule): rows[["right", "wrong", "cannot_say"]].mean() for rule, rows in table.groupby("rule")}
+    ours, oee = share["contest"], share["largest value of oee"]
+    return (
+        f"contest is right in {percent(ours['right'])}, cannot say in {percent(ours['cannot_say'])}, wrong in "
+        f"{percent(ours['wrong'])}; the largest value of oee is wrong in {percent(oee['wrong'])}"
+    )
+
+
+@experiment(
+    "Which policy is worth most: right, wrong, cannot say",
+    axes={"family": (*TUNED, *HELD), "size": (3.0, 10.0, 30.0)}, smoke={"family": ("machine",)}, group="sureness",
+    keys=("families", "size", "rule"), measures=("right", "wrong", "cannot_say"), finding=compare_rules,
+    draw=Panels("right", curves="rule", x="size", xlabel="transitions per stochastic pair", ylabel="share that is right",
+                by=("families",), title="{families} families", axes={"xticks": (3, 10, 30)}),
+)  # fmt: skip
+def ranking(settings: Cell, stream: Stream) -> list[Row]:
     """Three policies: the family's, four fifths of it, and the one that recorded the log (the rest of each is uniform).
     "contest" names the best policy or says that the log cannot tell; the others always name the one with the largest value.
     """
@@ -44,29 +61,3 @@ def ranking_cell(settings: Cell, stream: Stream) -> list[Row]:
          "cannot_say": float(name is None)}
         for rule, name in named.items()
     ]  # fmt: skip
-
-
-def ranking_finding(table: pd.DataFrame) -> str:
-    """How often each rule is right, and how often contest is wrong."""
-    share = {str(rule): rows[["right", "wrong", "cannot_say"]].mean() for rule, rows in table.groupby("rule")}
-    ours, oee = share["contest"], share["largest value of oee"]
-    return (
-        f"contest is right in {percent(ours['right'])}, cannot say in {percent(ours['cannot_say'])}, wrong in "
-        f"{percent(ours['wrong'])}; the largest value of oee is wrong in {percent(oee['wrong'])}"
-    )
-
-
-RANKING = Experiment(
-    id="ranking",
-    title="Which policy is worth most: right, wrong, cannot say",
-    axes={"family": (*TUNED, *HELD), "size": (3.0, 10.0, 30.0)},
-    smoke={"family": ("machine",), "size": (3.0,)},
-    repetitions=10,
-    run=ranking_cell,
-    keys=("families", "size", "rule"),
-    measures=("right", "wrong", "cannot_say"),
-    draw=Panels("right", curves="rule", x="size", xlabel="transitions per stochastic pair", ylabel="share that is right",
-                by=("families",), title="{families} families", axes={"xticks": (3, 10, 30)}),
-    finding=ranking_finding,
-    group="sureness",
-)  # fmt: skip

@@ -11,7 +11,7 @@ from typing import Any
 
 from oee_tabular import _files
 from oee_tabular.lab import output as out
-from oee_tabular.lab.bench.ranking import RANKING
+from oee_tabular.lab.bench.ranking import ranking
 from oee_tabular.lab.experiments import programs, sureness, toy_text, values, zeta
 from oee_tabular.lab.registry import Experiment
 from oee_tabular.lab.robots import cartpole, kinova, reacher
@@ -26,7 +26,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         zeta.fig1a, values.fig1bcd, values.estimands, values.horizon, values.data_policy, programs.rate, programs.renyi,
         programs.misspecified, programs.normalisation, programs.lambda_n,
         toy_text.frozen_lake, toy_text.taxi, toy_text.cliff_walking,
-        sureness.coverage, sureness.coverage_lake, sureness.efficiency, sureness.collection, zeta.networks, RANKING,
+        sureness.coverage, sureness.coverage_lake, sureness.efficiency, sureness.collection, zeta.networks, ranking,
         cartpole.FIGURE_2, cartpole.RESOLUTION, cartpole.CARTPOLE_DATA, cartpole.CARTPOLE_CHOICE, reacher.FIGURE_3,
         kinova.TABLE_1, CHANGES, RESIDUAL_COVERAGE,
     )
