@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, check_states
+from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy, check_probabilities, check_states
 from oee_tabular.mdp.horizons import limit_horizon
 
 CHUNK = 4096  # episodes of one random stream
@@ -88,15 +88,8 @@ def monte_carlo_value(
     returns = []
     for rng, size in _streams(seed, n):
         total = np.zeros(size)
-        alive = np.arange(size)
-        states = task.initial_states(size, rng)
-        for t in range(steps):
-            actions = _choose(check_probabilities(policy, states, task.n_actions), rng.random(len(states)))
-            moved = task.step(states, actions, rng)
+        for t, (alive, _, _, _, moved) in enumerate(_walk(task, policy, size, steps, rng)):
             total[alive] += gamma**t * moved.reward
-            alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
-            if alive.size == 0:
-                break
         returns.append(total)
     every = np.concatenate(returns) * ((1.0 - gamma) if normalized else 1.0)
     deviation = float(every.std(ddof=1)) if n > 1 else float("nan")
@@ -117,9 +110,8 @@ def compare_returns(
     By the difference of two tasks' returns their values are compared with a small part of Monte Carlo's own error. All begin
     where the first does.
     """
-    start, steps = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2)
-    )
+    fresh = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)  # which has spawned nothing
+    start, steps = map(np.random.default_rng, fresh.spawn(2))
     n_all, n_disturbances = n * len(tasks), max(task.n_disturbances for task in tasks)
     states = np.tile(tasks[0].initial_states(n, start), (len(tasks), 1))
     total, alive = np.zeros(n_all), np.arange(n_all)
@@ -208,25 +200,30 @@ def _streams(seed: Any, n: int) -> list[tuple[np.random.Generator, int]]:
     return list(zip(children, sizes, strict=True))
 
 
+def _walk(
+    task: ContinuousTask, policy: StatePolicy, n: int, steps: int, rng: np.random.Generator
+) -> Iterator[tuple[IntArray, Array, IntArray, Array, Moves]]:
+    """Step by step of n episodes: which go on, their states, actions, the actions' probabilities (n, A), and the step."""
+    alive, states = np.arange(n), task.initial_states(n, rng)
+    for _ in range(steps):
+        probabilities = check_probabilities(policy, states, task.n_actions)
+        actions = _choose(probabilities, rng.random(len(states)))
+        moved = task.step(states, actions, rng)
+        yield alive, states, actions, probabilities, moved
+        alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
+        if alive.size == 0:
+            return
+
+
 def _episodes(
     task: ContinuousTask, policy: StatePolicy, n: int, steps: int, rng: np.random.Generator
 ) -> ContinuousTransitions:
     """n episodes, sorted by episode and then by time."""
-    alive = np.arange(n)
-    states = task.initial_states(n, rng)
     rows: list[tuple[object, ...]] = []
-    for t in range(steps):
-        probabilities = check_probabilities(policy, states, task.n_actions)
-        actions = _choose(probabilities, rng.random(len(states)))
-        moved = task.step(states, actions, rng)
+    for t, (alive, states, actions, probabilities, moved) in enumerate(_walk(task, policy, n, steps, rng)):
+        cut = (t == steps - 1) & ~moved.terminated
         taken = probabilities[np.arange(len(alive)), actions]
-        last = np.full(len(alive), t == steps - 1)
-        rows.append(
-            (states, actions, moved.next_state, moved.reward, moved.terminated, last & ~moved.terminated, alive, taken)
-        )
-        alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
-        if alive.size == 0:
-            break
+        rows.append((states, actions, moved.next_state, moved.reward, moved.terminated, cut, alive, taken))
     columns = {name: np.concatenate(part) for name, part in zip(RECORDED, zip(*rows, strict=True), strict=True)}
     order = np.argsort(columns["episode"], kind="stable")
     return ContinuousTransitions(**{name: column[order] for name, column in columns.items()})

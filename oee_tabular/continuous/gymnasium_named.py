@@ -29,7 +29,7 @@ HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE
 
 
 @dataclass(frozen=True)
-class Way:
+class StateAccess:
     """How an environment's state is read and set, and what is known of its coordinates.
 
     Attributes
@@ -77,15 +77,20 @@ def _raised(env: object, states: Array) -> BoolArray:
 
 
 _TURN, _POLE = float(np.pi), 0.21
-_CAR = Way(_read, _write, ("position", "speed"), (), (-1.2, -0.07), (0.6, 0.07), _arrived)
-CLASSIC: Mapping[str, Way] = {  # by the name of the class, or of one that it is made from
-    "CartPoleEnv": Way(_read, _write, ("x", "x_dot", "theta", "theta_dot"), (), (-2.4, -3.0, -_POLE, -3.2),
-                       (2.4, 3.0, _POLE, 3.2), _fallen),
-    "PendulumEnv": Way(_read, _write, ("angle", "speed"), (True, False), (-_TURN, -8.0), (_TURN, 8.0), terminates=False),
+_CAR = StateAccess(_read, _write, ("position", "speed"), (), (-1.2, -0.07), (0.6, 0.07), _arrived)
+CLASSIC: Mapping[str, StateAccess] = {  # by the name of the class, or of one that it is made from
+    "CartPoleEnv": StateAccess(
+        _read, _write, ("x", "x_dot", "theta", "theta_dot"), (), (-2.4, -3.0, -_POLE, -3.2), (2.4, 3.0, _POLE, 3.2), _fallen
+    ),
+    "PendulumEnv": StateAccess(
+        _read, _write, ("angle", "speed"), (True, False), (-_TURN, -8.0), (_TURN, 8.0), terminates=False
+    ),
     "MountainCarEnv": _CAR,
     "Continuous_MountainCarEnv": _CAR,
-    "AcrobotEnv": Way(_read, _write, ("angle_1", "angle_2", "speed_1", "speed_2"), (True, True, False, False),
-                      (-_TURN, -_TURN, -4 * _TURN, -9 * _TURN), (_TURN, _TURN, 4 * _TURN, 9 * _TURN), _raised),
+    "AcrobotEnv": StateAccess(
+        _read, _write, ("angle_1", "angle_2", "speed_1", "speed_2"), (True, True, False, False),
+        (-_TURN, -_TURN, -4 * _TURN, -9 * _TURN), (_TURN, _TURN, 4 * _TURN, 9 * _TURN), _raised,
+    ),
 }  # fmt: skip
 
 
@@ -193,7 +198,7 @@ def _registered(spec: str) -> str:
     return spec[own.start(2) :]
 
 
-def _given(state: str) -> Way:
+def _given(state: str) -> StateAccess:
     """From "module:get,set"."""
     first, comma, second = state.partition(",")
     if not comma:
@@ -204,10 +209,10 @@ def _given(state: str) -> Way:
             own_object(name if ":" in name else f"{module}:{name}", "--task-option state", "my_module:get,set")
             for name in (first.strip(), second.strip())
         ]
-    return Way(*functions)
+    return StateAccess(*functions)
 
 
-def _found(env: Any, identifier: str) -> Way:
+def _found(env: Any, identifier: str) -> StateAccess:
     """What the environment itself offers."""
     inner = env.unwrapped
     for owner in type(inner).__mro__:
@@ -226,10 +231,10 @@ def _found(env: Any, identifier: str) -> Way:
             "unwrapped.set_state(qpos, qvel); it has neither. Write two functions, get(env) -> numbers and set(env, numbers), "
             "and name them: --task-option state=MODULE:GET,SET (tasks.GymnasiumTask in Python)"
         )
-    return Way(_read, _write)
+    return StateAccess(_read, _write)
 
 
-def _mujoco(inner: Any) -> Way:
+def _mujoco(inner: Any) -> StateAccess:
     """(qpos, qvel); hinges without a range are angles; over where the environment's ``is_healthy`` says so."""
     model, nq = inner.model, int(inner.model.nq)
     names = tuple(f"qpos_{i}" for i in range(nq)) + tuple(f"qvel_{i}" for i in range(int(model.nv)))
@@ -243,10 +248,10 @@ def _mujoco(inner: Any) -> Way:
         env.unwrapped.data.qacc_warmstart[:] = 0.0  # of the step before, which is another's
         env.unwrapped.set_state(np.array(state[:nq]), np.array(state[nq:]))
 
-    return Way(get, write, names, tuple(i in turns for i in range(len(names))))
+    return StateAccess(get, write, names, tuple(i in turns for i in range(len(names))))
 
 
-def _ranges(make: Callable[[], Any], way: Way, commands: Array) -> tuple[Array, Array]:
+def _ranges(make: Callable[[], Any], way: StateAccess, commands: Array) -> tuple[Array, Array]:
     """The usual range of each coordinate: what random actions reach, and a tenth more; of an angle one turn."""
     env, rng = make(), np.random.default_rng(0)
     env.reset(seed=0)

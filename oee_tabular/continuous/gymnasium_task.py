@@ -41,7 +41,7 @@ NO_CHANCE = Chance(np.empty(0))  # in place of random numbers, where none may be
 
 
 class GymnasiumTask(ContinuousTask):
-    """A Gymnasium environment with a settable state as a ContinuousTask.
+    """A Gymnasium environment with a settable state as a ContinuousTask; the module has an example.
 
     Parameters
     ----------
@@ -79,21 +79,6 @@ class GymnasiumTask(ContinuousTask):
     uniform and whole numbers that a step draws from ``np_random`` are the disturbance (``gymnasium_steps.Chance``), as many as
     its checked steps drew. Where it draws others, or steps are not checked, there is no disturbance: ``step`` gives the
     environment its own generator, ``moves`` one of seed 0.
-
-    Examples
-    --------
-    CartPole-v1 itself; its time limit is not part of the task (the module has Pendulum-v1):
-
-    >>> import gymnasium
-    >>> def write(env, state):
-    ...     env.unwrapped.state, env.unwrapped.steps_beyond_terminated = np.array(state), None
-    >>> ends = [2.4, 3.0, 0.21, 3.2]
-    >>> task = GymnasiumTask(
-    ...     lambda: gymnasium.make("CartPole-v1"), state_names=("x", "x_dot", "theta", "theta_dot"), actions=[0, 1],
-    ...     low=[-end for end in ends], high=ends, get_state=lambda env: env.unwrapped.state, set_state=write,
-    ... )
-    >>> task.moves(np.array([[0.0, 0.0, 0.2, 1.0]]), np.array([1]), np.zeros((1, 0))).terminated.tolist()
-    [True]
     """
 
     def __init__(
@@ -118,28 +103,28 @@ class GymnasiumTask(ContinuousTask):
         for name, function in (("make", make), ("get_state", get_state), ("set_state", set_state)):
             if not callable(function):
                 raise ValueError(f"{name} must be a function; got {type(function).__name__}")
-        self._env = make()
-        self._env.reset(seed=0)
         self._make, self._get, self._set, self._over = make, get_state, set_state, over
         self._reward_between, self._parameters = reward_between, dict(parameters or {})
-        d = len(state_names)
-        state = np.asarray(get_state(self._env), dtype=np.float64)
-        if state.shape != (d,):
-            raise ValueError(f"get_state must return the {d} numbers of state_names; it returns shape {state.shape}")
+        self._env = make()
+        self._env.reset(seed=0)
+        state, shape = self.read(self._env), (len(state_names),)
+        if state.shape != shape:
+            raise ValueError(
+                f"get_state must return the {len(state_names)} numbers of state_names; it returns shape {state.shape}"
+            )
         spec = getattr(self._env, "spec", None)
         self.name = "environment" if spec is None else str(spec.id)
         self.state_names = self.feature_names = tuple(state_names)
         self.commands = np.array(actions)
         self.actions = freeze(_checks.float_array(actions, "actions", ndim=(1, 2)))
         self.n_disturbances = 0
-        ends = [_checks.float_array(value, name) for value, name in ((low, "low"), (high, "high"))]
-        for end, name in zip(ends, ("low", "high"), strict=True):
-            if end.shape != (d,):
+        self.feature_low, self.feature_high = _checks.float_array(low, "low"), _checks.float_array(high, "high")
+        for end, name in ((self.feature_low, "low"), (self.feature_high, "high")):
+            if end.shape != shape:
                 raise ValueError(
-                    f"{name} must have shape ({d},), one for each of state_names; it has shape {end.shape}"
+                    f"{name} must have shape {shape}, one for each of state_names; it has shape {end.shape}"
                 )
-        self.feature_low, self.feature_high = ends
-        self.periodic = (False,) * d if periodic is None else tuple(periodic)
+        self.periodic = (False,) * len(state) if periodic is None else tuple(periodic)
         self.terminates = terminates
         for number in range(len(self.actions)):
             if not self._env.action_space.contains(self.command(number)):
@@ -147,8 +132,7 @@ class GymnasiumTask(ContinuousTask):
                     f"actions[{number}] must be in {self._env.action_space}; it is {self.actions[number].tolist()}"
                 )
         self._set(self._env, state)
-        kept = np.asarray(self._get(self._env), dtype=np.float64)
-        if not np.array_equal(kept, state):
+        if not np.array_equal(kept := self.read(self._env), state):
             raise ValueError(f"set_state must set what get_state reads; {state.tolist()} became {kept.tolist()}")
         self.family: Any = None
         self._vectors: dict[int, Any] = {}
@@ -272,15 +256,13 @@ class GymnasiumTask(ContinuousTask):
         ``policy`` is a function of states (n, d) giving probabilities (n, A). Episodes are truncated after ``max_steps``, the
         last one where the log ends.
         """
-        rows, steps = (
-            _checks.positive_integer(n_transitions, "n_transitions"),
-            _checks.positive_integer(max_steps, "max_steps"),
-        )
+        rows = _checks.positive_integer(n_transitions, "n_transitions")
+        steps = _checks.positive_integer(max_steps, "max_steps")
         rng = _checks.generator(seed)
         env = self._make()
         env.reset(seed=int(rng.integers(2**31)))
         inner = env.unwrapped
-        columns: list[list[object]] = [[] for _ in RECORDED]
+        written: list[tuple[object, ...]] = []
         episode, t = 0, 0
         inner.reset()
         for row in range(rows):
@@ -290,15 +272,13 @@ class GymnasiumTask(ContinuousTask):
             _, reward, over, cut, _ = inner.step(self.command(action))
             t += 1
             stop = not over and (cut or t == steps or row == rows - 1)
-            following = self.read(env)
-            values = (state, action, following, reward, over, stop, episode, probabilities[action])
-            for column, value in zip(columns, values, strict=True):
-                column.append(value)
+            written.append((state, action, self.read(env), reward, over, stop, episode, probabilities[action]))
             if over or stop:
                 inner.reset()
                 episode, t = episode + 1, 0
         env.close()
-        return ContinuousTransitions(**dict(zip(RECORDED, map(np.array, columns), strict=True)))
+        columns = map(np.array, zip(*written, strict=True))
+        return ContinuousTransitions(**dict(zip(RECORDED, columns, strict=True)))
 
     def command(self, number: int) -> Any:
         """What is passed to the environment's ``step``."""

@@ -195,18 +195,24 @@ class ContinuousTask(ABC):
         return self.moves(states, actions, rng.standard_normal((len(states), self.n_disturbances)))
 
 
+def _of_task(method: str) -> Any:
+    """The other task's method."""
+    return lambda self, *given: getattr(self.task, method)(*given)
+
+
+def _of_own(method: str) -> Any:
+    """The other task's method, of its own states in those that are given first."""
+    return lambda self, states, *given: getattr(self.task, method)(self.own(states), *given)
+
+
 class DerivedTask(ContinuousTask):
     """A task made of another: all that a subclass does not say is the other's, of ``own`` of a state."""
 
     def __init__(self, task: ContinuousTask, name: str) -> None:
         self.task, self.name = task, name
         self.state_names, self.actions, self.n_disturbances = task.state_names, task.actions, task.n_disturbances
-        self.feature_names, self.feature_low, self.feature_high = (
-            task.feature_names,
-            task.feature_low,
-            task.feature_high,
-        )
-        self.periodic, self.terminates = task.periodic, task.terminates
+        self.feature_names, self.periodic, self.terminates = task.feature_names, task.periodic, task.terminates
+        self.feature_low, self.feature_high = task.feature_low, task.feature_high
         self.steps_at_once, self.n_remembered = task.steps_at_once, task.n_remembered
         self.default_cells, self.is_translation_invariant = task.default_cells, task.is_translation_invariant
 
@@ -218,45 +224,14 @@ class DerivedTask(ContinuousTask):
         """The task's."""
         return self.task.initial_states(n, rng)
 
-    def initial_points(self) -> tuple[Array, Array]:
-        """The task's."""
-        return self.task.initial_points()
-
-    def terminated(self, states: Array) -> BoolArray:
-        """The task's."""
-        return self.task.terminated(self.own(states))
-
-    def end_shows(self, states: Array) -> BoolArray:
-        """The task's."""
-        return self.task.end_shows(self.own(states))
-
-    def features(self, states: Array) -> Array:
-        """The task's."""
-        return self.task.features(self.own(states))
-
-    def smooth(self, states: Array) -> Array:
-        """The task's."""
-        return self.task.smooth(self.own(states))
-
-    def embed(self, features: Array) -> Array:
-        """The task's."""
-        return self.task.embed(features)
-
-    def past_displacements(self, states: Array, actions: IntArray) -> Array:
-        """The task's."""
-        return self.task.past_displacements(self.own(states), actions)
-
     def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
         """The task's."""
         return self.task.reward_between(self.own(states), actions, self.own(next_states))
 
-    def reward_terms(self, states: Array) -> Array | None:
-        """The task's."""
-        return self.task.reward_terms(self.own(states))
-
-    def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
-        """The task's."""
-        return self.task.reward_of(before, actions, after)
+    initial_points, embed, reward_of = _of_task("initial_points"), _of_task("embed"), _of_task("reward_of")
+    terminated, end_shows = _of_own("terminated"), _of_own("end_shows")
+    features, smooth = _of_own("features"), _of_own("smooth")
+    reward_terms, past_displacements = _of_own("reward_terms"), _of_own("past_displacements")
 
 
 def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:
