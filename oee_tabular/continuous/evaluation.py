@@ -151,7 +151,7 @@ def evaluate_continuous(
     correction = choose_correction(given.task, numbered, history=history, fit=fit, seed=seed)
     episodes = given.episodes if chosen.episodes is None else chosen.episodes
     stream = _checks.seed_sequence(seed, (10**6,))
-    rollouts = Rollouts(steps, discount, episodes, stream, paths=given.refit_paths)
+    rollouts = Rollouts(steps, discount, episodes, stream, given.refits, given.refit_paths)
     scale = 1.0 - discount if options.get("normalized") else 1.0
     wanted, left_out = _choose_estimators(names, numbered, has_cells=cells is not None)
     wants_oee = OffEnvironment() in wanted.values()

@@ -20,7 +20,7 @@ from oee_tabular._checks import Array, BoolArray
 from oee_tabular.continuous.actions import action_set
 from oee_tabular.continuous.gymnasium_physics import maker, physical_parameters, vector_maker
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
-from oee_tabular.continuous.simulator import SLOW_EPISODES, SLOW_PATHS, ContinuousSimulator, as_simulator
+from oee_tabular.continuous.simulator import SLOW_EPISODES, SLOW_PATHS, SLOW_REFITS, ContinuousSimulator, as_simulator
 
 OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")  # MODULE:EnvId-v0
 HORIZON = 1000  # where the environment has no limit
@@ -140,7 +140,7 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     )
     task.family = PhysicsFamily(task, identifier, physics)
     simulator = as_simulator(task, getattr(env.spec, "max_episode_steps", None) or HORIZON)
-    return replace(simulator, name=spec, episodes=SLOW_EPISODES, refit_paths=SLOW_PATHS)
+    return replace(simulator, name=spec, episodes=SLOW_EPISODES, refit_paths=SLOW_PATHS, refits=SLOW_REFITS)
 
 
 @dataclass(frozen=True, eq=False)

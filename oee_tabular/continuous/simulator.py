@@ -17,7 +17,7 @@ from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 
-SLOW_EPISODES, SLOW_PATHS, SLOW_CLOSURE = 2000, 200, 500  # of tasks that step one state at a time
+SLOW_EPISODES, SLOW_PATHS, SLOW_REFITS, SLOW_CLOSURE = 2000, 200, 10, 500  # of tasks that step one state at a time
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ContinuousSimulator:
     calibration : "ratio" | "difference" | "none"; see ``estimators.calibrate``
     policies : those whose states the cells must serve
     episodes : of Monte Carlo, for each policy
-    refit_paths : episodes by which each refit of a corrected simulator is compared with it
+    refits, refit_paths : of a corrected simulator, and the episodes by which each is compared with it
 
     Examples
     --------
@@ -55,6 +55,7 @@ class ContinuousSimulator:
     policies: tuple[StatePolicy, ...] = ()
     episodes: int = 50_000
     refit_paths: int = 1000
+    refits: int = 20
 
     def policy(self, spec: str, name: str = "policy") -> StatePolicy:
         """``uniform``; ``expert``; ``mix:0.7``, the expert with that probability, else uniform; or ``module:function``.
@@ -115,6 +116,7 @@ def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulat
         calibration="difference",
         episodes=SLOW_EPISODES if slow else 50_000,
         refit_paths=SLOW_PATHS if slow else 1000,
+        refits=SLOW_REFITS if slow else 20,
     )
 
 

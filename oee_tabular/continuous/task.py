@@ -132,11 +132,11 @@ class ContinuousTask(ABC):
         Default: the state, and those of its features that are not coordinates of it. A task says here which angles it has.
         """
         features = self.features(states)
-        turns, ends = np.array(self.periodic), (np.asarray(self.feature_low), np.asarray(self.feature_high))
-        whole = features.shape == states.shape and bool((features == states).all())
-        if not turns.any():
+        whole = features is states or (features.shape == states.shape and bool((features == states).all()))
+        if not any(self.periodic):
             return states if whole else np.column_stack([states, features])
-        angle = 2.0 * np.pi * features[:, turns] / (ends[1] - ends[0])[turns]
+        turns, width = np.array(self.periodic), np.subtract(self.feature_high, self.feature_low)
+        angle = 2.0 * np.pi * features[:, turns] / width[turns]
         return np.column_stack([features[:, ~turns] if whole else states, np.cos(angle), np.sin(angle)])
 
     def embed(self, features: Array) -> Array:
