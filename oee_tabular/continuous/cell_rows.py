@@ -31,6 +31,7 @@ from oee_tabular.exact import policy_value
 from oee_tabular.ratio import transition_ratio, uncovered_share
 
 MAX_LEFT_OUT = 0.01  # share of the log's transitions without support that the rows on the cells may leave out
+CALIBRATED_FAR = "calibration moves the value by {}: rely on the corrected simulator rather than on either."
 
 
 class NoCellsError(ValueError):
@@ -91,20 +92,14 @@ def calibrated_row(raw: Estimate, outside: MonteCarlo, below: float, kind: str, 
     facts = {name: x for name, x in found.diagnostics.items() if name not in raw_only}
     told = list(found.findings)
     apart, own = abs(raw.value - value), abs(outside.value - below)
-    if apart > 1.01 * own + 2.0 * outside.standard_error:
-        told.append(calibrated_far(apart * scale, own * scale))
+    if apart > 1.01 * own + 2.0 * outside.standard_error:  # calibration takes out more than was put in
+        figure = f"{apart * scale:.3g}, more than the cells move the simulator's own value, {own * scale:.3g}"
+        told.append(Finding("calibrated far", apart * scale, CALIBRATED_FAR, figure))
     ends = None if found.interval is None or error is None else (value - QUANTILE * error, value + QUANTILE * error)
     return replace(
         found, value=value, standard_error=error, interval=ends, diagnostics=facts | {"interval_method": "calibrated"},
         findings=tuple(told), model_value=None, is_normal=True, is_from_log=True, is_from_episodes=False, is_headline=False,
     )  # fmt: skip
-
-
-def calibrated_far(apart: float, own: float) -> Finding:
-    """Calibration takes out more than was put in."""
-    text = "calibration moves the value by {}: rely on the corrected simulator rather than on either."
-    figure = f"{apart:.3g}, more than the cells move the simulator's own value, {own:.3g}"
-    return Finding("calibrated far", apart, text, figure)
 
 
 def on_cells(

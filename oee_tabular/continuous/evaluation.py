@@ -12,6 +12,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -26,7 +27,6 @@ from oee_tabular.continuous.episodes import MonteCarlo
 from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.parameters import ParameterFit, fit_parameters, parameters_of
-from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.rows import (
     LearnedRow,
     ResidualRow,
@@ -39,7 +39,7 @@ from oee_tabular.continuous.rows import (
 from oee_tabular.continuous.sentences import difference, lost, placed, rewards_contradict
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, require_log_of
-from oee_tabular.estimators import Estimator, ImportanceSampling, OffEnvironment, Simulator
+from oee_tabular.estimators import Estimate, Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import named_estimators
 from oee_tabular.report.evaluation import evaluate, group_findings, number_notes
@@ -159,9 +159,9 @@ def evaluate_continuous(
     others: dict[str, Row] = {}
     if names is None:
         others[LINEAR] = LearnedRow(LinearModel(given.task, numbered), rollouts, correction.plain_status)
-    bounds = _value_bounds(correction.plain)
     learned, others = (
-        {name: _refusing(row, bounds, steps, scale) for name, row in rows.items()} for rows in (learned, others)
+        {name: _refuse_other_signs(row, correction.plain.paid, steps, scale) for name, row in rows.items()}
+        for rows in (learned, others)
     )
     sampling = {name: e for name, e in wanted.items() if isinstance(e, ImportanceSampling)}
     others |= sampling_rows(sampling, numbered, given.task.n_actions, steps, discount)
@@ -178,17 +178,11 @@ def evaluate_continuous(
         return _report_rows(functions, rows, said, uncertainty, steps, discount, facts=about, **options)
     by_table = {table.tobytes(): functions[name] for name, table in tables.items()}
 
-    def function_of(table: Array) -> StatePolicy:
-        return by_table[np.asarray(table).tobytes()]
-
     def on_tables(rows: Mapping[str, Row]) -> dict[str, Estimator]:
-        def estimator(row: Row) -> Estimator:
-            return lambda problem, table, *, seed=None: row(function_of(table))
-
-        return {name: estimator(row) for name, row in rows.items()}
+        return {name: partial(_on_table, row, by_table) for name, row in rows.items()}
 
     def simulated_value(table: Array) -> MonteCarlo:
-        return simulated.value(function_of(table))
+        return simulated.value(by_table[np.asarray(table).tobytes()])
 
     every = on_tables(front | learned)
     if wants_oee and kind != "none":
@@ -246,14 +240,17 @@ def _choose_estimators(
     return kept, [sentence] * bool(gone)
 
 
-def _value_bounds(corrected: ResidualSimulator) -> tuple[float, float]:
-    """Bounds of a value where rewards have one sign, in the log and of the simulator's own steps from there."""
-    low, high = corrected.paid
-    return (0.0 if low >= 0.0 else -np.inf), (0.0 if high <= 0.0 else np.inf)
+def _refuse_other_signs(row: Row, paid: tuple[float, float], horizon: int, scale: float) -> Row:
+    """No value of another sign than the rewards ``paid``, of the log and of the simulator's own steps from there, have."""
+    low, high = (0.0 if paid[0] >= 0.0 else -np.inf), (0.0 if paid[1] <= 0.0 else np.inf)
+    return lambda policy: refuse_impossible(row(policy), low, high, horizon, scale)
 
 
-def _refusing(row: Row, bounds: tuple[float, float], horizon: int, scale: float) -> Row:
-    return lambda policy: refuse_impossible(row(policy), *bounds, horizon, scale)
+def _on_table(
+    row: Row, by_table: Mapping[bytes, StatePolicy], problem: Problem, table: Any, *, seed: Seed = None
+) -> Estimate:
+    """The row as an estimator, of a policy that is known by its table on the cells."""
+    return row(by_table[np.asarray(table).tobytes()])
 
 
 def _residual_rows(correction: Correction, rollouts: Rollouts) -> dict[str, Row]:

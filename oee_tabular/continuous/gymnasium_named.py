@@ -18,7 +18,7 @@ import numpy as np
 from oee_tabular._arguments import own_module, own_modules, own_object, parse_spec
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular.continuous.actions import action_set
-from oee_tabular.continuous.gymnasium_physics import maker, physical_parameters, vector_maker
+from oee_tabular.continuous.gymnasium_physics import Physics
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import SLOW_EPISODES, SLOW_PATHS, SLOW_REFITS, ContinuousSimulator, as_simulator
 
@@ -115,8 +115,8 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     >>> simulator.task.state_names, simulator.horizon
     (('x', 'x_dot', 'theta', 'theta_dot'), 500)
     """
-    identifier, physics = gymnasium_spec(spec)
-    make = maker(identifier, physics)
+    physics = Physics(*gymnasium_spec(spec))
+    make, identifier = physics.make, physics.identifier
     env = make()
     env.reset(seed=0)
     way = _found(env, identifier) if state is None else _given(state)
@@ -135,10 +135,10 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
         periodic=way.periodic or None,
         terminates=way.terminates,
         over=None if way.over is None else partial(way.over, env.unwrapped),
-        parameters=dict(physics),
-        make_vector=vector_maker(identifier, physics),
+        parameters=physics.given,
+        make_vector=physics.make_vector,
     )
-    task.family = PhysicsFamily(task, identifier, physics)
+    task.family = PhysicsFamily(task, physics)
     simulator = as_simulator(task, getattr(env.spec, "max_episode_steps", None) or HORIZON)
     return replace(simulator, name=spec, episodes=SLOW_EPISODES, refit_paths=SLOW_PATHS, refits=SLOW_REFITS)
 
@@ -148,18 +148,16 @@ class PhysicsFamily:
     """A Gymnasium environment with other parameters, by name: a ``task_of`` of ``fit_parameters``."""
 
     task: GymnasiumTask
-    identifier: str
-    physics: Mapping[str, Any]
+    physics: Physics
 
     def __call__(self, **parameters: float) -> GymnasiumTask:
         """The task with these."""
-        physics = dict(self.physics) | parameters
-        make, make_vector = maker(self.identifier, physics), vector_maker(self.identifier, physics)
-        return self.task.with_environment(make, make_vector, physics)
+        changed = Physics(self.physics.identifier, self.physics.given | parameters)
+        return self.task.with_environment(changed.make, changed.make_vector, changed.given)
 
     def known(self) -> dict[str, float]:
         """The parameters that can be changed, as they are."""
-        return physical_parameters(self.identifier, self.physics)
+        return self.physics.known()
 
 
 def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:

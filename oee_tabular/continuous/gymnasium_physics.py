@@ -23,75 +23,64 @@ ELEMENTS = {
 }  # fmt: skip
 
 
-def maker(identifier: str, physics: Mapping[str, object]) -> Callable[[], Any]:
-    """() -> environment ``identifier`` with this physics; a ValueError for what it does not have."""
-    plain, constants, fields = _sorted_out(identifier, physics)
+class Physics:
+    """Environment ``identifier`` with these parameters by name; a ValueError for what it does not have."""
 
-    def make() -> Any:
-        if not constants and not fields:
-            return make_environment(identifier, **plain)
-        env = _made_with(identifier, "entry_point", constants, plain)
-        _set_fields(env, fields)
+    def __init__(self, identifier: str, given: Mapping[str, Any]) -> None:
+        import gymnasium
+
+        environment_exists(identifier)
+        self.identifier, self.given, self.spec = identifier, dict(given), gymnasium.spec(identifier)
+        takes = inspect.signature(_entry(self.spec.entry_point)).parameters
+        self._plain = {key: value for key, value in given.items() if key in takes or key in self.spec.kwargs}
+        for key, value in self._plain.items():
+            usual = takes[key].default if key in takes else None
+            if isinstance(usual, int | float) and not isinstance(usual, bool):
+                _checks.number_in(value, key, -np.inf, np.inf)
+        self._constants: dict[str, Any] = {}
+        self._fields: dict[str, Any] = {}
+        rest = {key: value for key, value in given.items() if key not in self._plain}
+        if rest:
+            env = make_environment(identifier, **self._plain)
+            inner, model = env.unwrapped, getattr(env.unwrapped, "model", None)
+            is_field = {key: not hasattr(inner, key) and _holder(model, key) is not None for key in rest}
+            self._fields = {key: value for key, value in rest.items() if is_field[key]}
+            self._constants = {key: value for key, value in rest.items() if not is_field[key]}
+            for key, value in self._constants.items():
+                _check_constant(inner, key, value, identifier, [name for name in takes if name != "kwargs"])
+            env.close()
+
+    def make(self) -> Any:
+        """The environment."""
+        if not self._constants and not self._fields:
+            return make_environment(self.identifier, **self._plain)
+        env = _made_with(self.identifier, "entry_point", self._constants, self._plain)
+        _set_fields(env, self._fields)
         return env
 
-    return make
+    @property
+    def make_vector(self) -> Callable[[int], Any] | None:
+        """n -> n environments that step at once, where Gymnasium has such; None where not."""
+        if self.spec.vector_entry_point is None or self._fields:
+            return None
+        make, constants, plain = _made_with, self._constants, self._plain
+        return lambda n: make(self.identifier, "vector_entry_point", constants, plain | {"num_envs": n}).unwrapped
 
-
-def physical_parameters(identifier: str, physics: Mapping[str, object]) -> dict[str, float]:
-    """Name -> number, as the environment has it: arguments, constants, and elements of a MuJoCo model (body_mass.pole)."""
-    env = maker(identifier, physics)()
-    inner: Any = env.unwrapped
-    model: Any = getattr(inner, "model", None)
-    entry = inspect.signature(_entry(env.spec.entry_point)).parameters
-    found = {name: p.default for name, p in entry.items() if isinstance(p.default, int | float)}
-    found |= {name: getattr(inner, name) for name in sorted(dir(inner)) if _is_number(inner, name)}
-    found |= {name: value for name, value in physics.items() if isinstance(value, int | float)}
-    for field, (kind, count) in ELEMENTS.items() if model is not None else ():
-        for k in range(getattr(model, count)):
-            name = getattr(model, kind)(int(model.dof_jntid[k]) if count == "nv" else k).name or str(k)
-            found[f"{field}.{name}"] = np.ravel(getattr(model, field)[k])[0]
-    env.close()
-    return {name: float(value) for name, value in found.items() if not isinstance(value, bool)}
-
-
-def vector_maker(identifier: str, physics: Mapping[str, object]) -> Callable[[int], Any] | None:
-    """n -> n environments that step at once, where Gymnasium has such; None where not."""
-    import gymnasium
-
-    spec = gymnasium.spec(identifier)
-    if spec.vector_entry_point is None:
-        return None
-    plain, constants, fields = _sorted_out(identifier, physics)
-    if fields:
-        return None
-    return lambda n: _made_with(identifier, "vector_entry_point", constants, plain | {"num_envs": n}).unwrapped
-
-
-def _sorted_out(
-    identifier: str, physics: Mapping[str, object]
-) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """Constructor arguments, constants and fields of the model."""
-    import gymnasium
-
-    environment_exists(identifier)
-    spec = gymnasium.spec(identifier)
-    takes = inspect.signature(_entry(spec.entry_point)).parameters
-    plain = {key: value for key, value in physics.items() if key in takes or key in spec.kwargs}
-    for key, value in plain.items():
-        usual = takes[key].default if key in takes else None
-        if isinstance(usual, int | float) and not isinstance(usual, bool):
-            _checks.number_in(value, key, -np.inf, np.inf)
-    rest = {key: value for key, value in physics.items() if key not in plain}
-    if not rest:
-        return plain, {}, {}
-    env = make_environment(identifier, **plain)
-    inner, model = env.unwrapped, getattr(env.unwrapped, "model", None)
-    fields = {key: value for key, value in rest.items() if not hasattr(inner, key) and _holder(model, key) is not None}
-    constants = {key: value for key, value in rest.items() if key not in fields}
-    for key, value in constants.items():
-        _check_constant(inner, key, value, identifier, [name for name in takes if name != "kwargs"])
-    env.close()
-    return plain, constants, fields
+    def known(self) -> dict[str, float]:
+        """Name -> number, as it is: arguments, constants, and elements of a MuJoCo model (body_mass.pole)."""
+        env = self.make()
+        inner: Any = env.unwrapped
+        model: Any = getattr(inner, "model", None)
+        takes = inspect.signature(_entry(self.spec.entry_point)).parameters
+        found = {name: p.default for name, p in takes.items() if isinstance(p.default, int | float)}
+        found |= {name: getattr(inner, name) for name in sorted(dir(inner)) if _is_number(inner, name)}
+        found |= {name: value for name, value in self.given.items() if isinstance(value, int | float)}
+        for field, (kind, count) in ELEMENTS.items() if model is not None else ():
+            for k in range(getattr(model, count)):
+                name = getattr(model, kind)(int(model.dof_jntid[k]) if count == "nv" else k).name or str(k)
+                found[f"{field}.{name}"] = np.ravel(getattr(model, field)[k])[0]
+        env.close()
+        return {name: float(value) for name, value in found.items() if not isinstance(value, bool)}
 
 
 def _check_constant(inner: object, key: str, value: object, identifier: str, takes: list[str]) -> None:
