@@ -146,18 +146,23 @@ def task_of(make, low=(-9.0,), high=(9.0,), names=("place",), n_actions=2):
     )
 
 
-class Remembering(gymnasium.Env):
-    """A point whose push is that of the step before: its position does not decide the next one."""
+class Place(gymnasium.Env):
+    """States between ``low`` and ``high`` at the beginning."""
 
     observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (1,), np.float64), gymnasium.spaces.Discrete(2)
-
-    def __init__(self, draws=None):
-        self.draws = draws
+    low, high = [0.0], [0.0]
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        self.state, self.push = np.zeros(1), 0.0
+        self.state, self.push = self.np_random.uniform(self.low, self.high), 0.0
         return self.state, {}
+
+
+class Remembering(Place):
+    """A point whose push is that of the step before: its position does not decide the next one."""
+
+    def __init__(self, draws=None):
+        self.draws = draws
 
     def step(self, action):
         if self.draws is not None:
@@ -202,18 +207,14 @@ def test_noise_of_the_environment_s_own_is_no_error():
     assert np.std(moved.next_state) > 0.5
 
 
-class Tank(gymnasium.Env):
+class Tank(Place):
     """A level and an inflow that scatters by the environment's own random numbers, or jumps up now and then."""
 
     observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (2,), np.float64), gymnasium.spaces.Discrete(3)
+    low, high = [1.0, -0.1], [2.0, 0.1]
 
     def __init__(self, leak=0.1, jumps=False):
         self.leak, self.jumps = leak, jumps
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.state = self.np_random.uniform([1.0, -0.1], [2.0, 0.1])
-        return self.state, {}
 
     def step(self, action):
         level, rate = self.state
@@ -422,13 +423,11 @@ BAD = {
 }  # fmt: skip
 
 
-class Nameless(gymnasium.Env):
+class Nameless(Place):
     """Says nothing of its state."""
 
-    observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (1,), np.float64), gymnasium.spaces.Discrete(2)
-
     def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
+        gymnasium.Env.reset(self, seed=seed)
         return np.zeros(1), {}
 
 
@@ -469,18 +468,14 @@ def test_which_ids_are_continuous():
 # ---------------------------------------------------------------- more dimensions than a grid has
 
 
-class Chain(gymnasium.Env):
+class Chain(Place):
     """Three masses on springs, pushed at one end: six dimensions."""
 
     observation_space, action_space = gymnasium.spaces.Box(-9.0, 9.0, (6,), np.float64), gymnasium.spaces.Discrete(3)
+    low, high = [-0.5] * 6, [0.5] * 6
 
     def __init__(self, spring=1.0, weight=1.0):
         self.spring, self.weight = spring, weight
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.state = self.np_random.uniform(-0.5, 0.5, 6)
-        return self.state, {}
 
     def step(self, action):
         x, v = self.state[:3], self.state[3:]
