@@ -138,26 +138,9 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
         parameters=physics.given,
         make_vector=physics.make_vector,
     )
-    task.family = PhysicsFamily(task, physics)
+    task.family, physics.task = physics, task
     simulator = as_simulator(task, getattr(env.spec, "max_episode_steps", None) or HORIZON)
     return replace(simulator, name=spec, episodes=SLOW_EPISODES, refit_paths=SLOW_PATHS, refits=SLOW_REFITS)
-
-
-@dataclass(frozen=True, eq=False)
-class PhysicsFamily:
-    """A Gymnasium environment with other parameters, by name: a ``task_of`` of ``fit_parameters``."""
-
-    task: GymnasiumTask
-    physics: Physics
-
-    def __call__(self, **parameters: float) -> GymnasiumTask:
-        """The task with these."""
-        changed = Physics(self.physics.identifier, self.physics.given | parameters)
-        return self.task.with_environment(changed.make, changed.make_vector, changed.given)
-
-    def known(self) -> dict[str, float]:
-        """The parameters that can be changed, as they are."""
-        return self.physics.known()
 
 
 def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:

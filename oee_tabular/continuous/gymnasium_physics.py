@@ -24,7 +24,12 @@ ELEMENTS = {
 
 
 class Physics:
-    """Environment ``identifier`` with these parameters by name; a ValueError for what it does not have."""
+    """Environment ``identifier`` with these parameters by name; a ValueError for what it does not have.
+
+    With a ``task`` of the environment it is a ``task_of`` of ``fit_parameters``.
+    """
+
+    task: Any = None
 
     def __init__(self, identifier: str, given: Mapping[str, Any]) -> None:
         import gymnasium
@@ -65,6 +70,11 @@ class Physics:
             return None
         make, constants, plain = _made_with, self._constants, self._plain
         return lambda n: make(self.identifier, "vector_entry_point", constants, plain | {"num_envs": n}).unwrapped
+
+    def __call__(self, **parameters: float) -> Any:
+        """The task with these parameters."""
+        changed = Physics(self.identifier, self.given | parameters)
+        return self.task.with_environment(changed.make, changed.make_vector, changed.given)
 
     def known(self) -> dict[str, float]:
         """Name -> number, as it is: arguments, constants, and elements of a MuJoCo model (body_mass.pole)."""

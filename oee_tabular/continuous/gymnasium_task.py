@@ -2,24 +2,6 @@
 
 The state must be the environment's own, not its observation: CartPole's observations are float32 copies of a float64 state,
 Pendulum's leave the angle to be found from its sine and cosine. Say how it is read and set, and which actions there are.
-
-Pendulum-v1, which this package does not ship, as a finite MDP:
-
->>> import gymnasium, numpy as np
->>> def write(env, state):
-...     env.unwrapped.state = np.array(state)
->>> task = GymnasiumTask(
-...     lambda: gymnasium.make("Pendulum-v1"),
-...     state_names=("angle", "speed"),
-...     get_state=lambda env: env.unwrapped.state,
-...     set_state=write,
-...     actions=[[-2.0], [0.0], [2.0]],
-...     low=[-np.pi, -8.0], high=[np.pi, 8.0], periodic=(True, False),
-...     terminates=False,
-... )
->>> from oee_tabular.tasks import discretize
->>> discretize(task, cells=(21, 21)).mdp.n_states
-441
 """
 
 from __future__ import annotations
@@ -41,7 +23,7 @@ NO_CHANCE = Chance(np.empty(0))  # in place of random numbers, where none may be
 
 
 class GymnasiumTask(ContinuousTask):
-    """A Gymnasium environment with a settable state as a ContinuousTask; the module has an example.
+    """A Gymnasium environment with a settable state as a ContinuousTask.
 
     Parameters
     ----------
@@ -79,6 +61,26 @@ class GymnasiumTask(ContinuousTask):
     uniform and whole numbers that a step draws from ``np_random`` are the disturbance (``gymnasium_steps.Chance``), as many as
     its checked steps drew. Where it draws others, or steps are not checked, there is no disturbance: ``step`` gives the
     environment its own generator, ``moves`` one of seed 0.
+
+    Examples
+    --------
+    Pendulum-v1, which this package does not ship, as a finite MDP:
+
+    >>> import gymnasium, numpy as np
+    >>> def write(env, state):
+    ...     env.unwrapped.state = np.array(state)
+    >>> task = GymnasiumTask(
+    ...     lambda: gymnasium.make("Pendulum-v1"),
+    ...     state_names=("angle", "speed"),
+    ...     get_state=lambda env: env.unwrapped.state,
+    ...     set_state=write,
+    ...     actions=[[-2.0], [0.0], [2.0]],
+    ...     low=[-np.pi, -8.0], high=[np.pi, 8.0], periodic=(True, False),
+    ...     terminates=False,
+    ... )
+    >>> from oee_tabular.tasks import discretize
+    >>> discretize(task, cells=(21, 21)).mdp.n_states
+    441
     """
 
     def __init__(

@@ -250,11 +250,14 @@ def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
     """ValueError for a log of other states than the task's."""
     _checks.instance(log, ContinuousTransitions, "log")
     if log.n_state != task.n_state:
+        way_out = "speeds that were not recorded can be had from positions, by finite differences or by a Kalman filter"
+        if log.n_state > task.n_state:
+            way_out = (
+                "if these are observations, compute the state from them (an angle by arctan2 of its sine and cosine)"
+            )
         raise ValueError(
             f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "
-            f"it has {log.n_state}"
-            + "; speeds that were not recorded can be had from positions, by finite differences or by a Kalman filter"
-            * (log.n_state < task.n_state)
+            f"it has {log.n_state}; {way_out}"
         )
 
 

@@ -445,7 +445,7 @@ def test_bad_words(run, mine, monkeypatch, case):
 def test_a_log_of_other_commands_or_states(run, mine):
     words = "evaluate --simulator Pendulum-v1 --policy uniform --log log.csv"
     for n_state, actions, options, texts in (
-        (3, [[0.0]] * 3, "", ("log.state must have the 2 coordinates of Pendulum-v1 (angle, speed); it has 3",)),
+        (3, [[0.0]] * 3, "", ("the 2 coordinates of Pendulum-v1 (angle, speed); it has 3; if these are observations,",)),
         (1, [[0.0]] * 3, "", ("it has 1; speeds that were not recorded can be had from positions, by finite differences",)),
         (2, [[0.0], [2.0], [7.0]], "--task-option=actions=-2,0,2",
          ("log.action must lie among the task's 3 actions", "row 2, is [7.0], 5 from [2.0]")),
