@@ -4,6 +4,7 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -81,9 +82,24 @@ def test_pages_print_what_they_show(page, capsys):
 
 def test_the_benchmark_s_page_has_the_saved_runs_numbers():
     page, results = " ".join(PAGES["benchmark"].split()), NOTEBOOKS / "results"
-    cells = pd.read_csv(results / "bench" / "cells.csv").query("family == 'paper_grid' and estimator == 'oee'")
-    ratios = " | ".join(f"{ratio:.2f}" for ratio in cells["rmse"] / cells["maximum-likelihood"])
-    assert f"| the default | {ratios} |" in page
+    cells = pd.read_csv(results / "bench" / "cells.csv").query("estimator == 'oee'")
+    for kind, own in cells.groupby("families"):
+        means = np.exp(np.log(own.set_index("size")[["ratio", "floor", "over_likelihood"]]).groupby("size").mean())
+        for name, start in (("ratio", "the default over the better reference"), ("floor", "the floor")):
+            assert f"| *{kind}* families: {start} | {' | '.join(f'{x:.2f}' for x in means[name])} |" in page
+        *first, last = (f"{x:.2f}".lstrip("0") for x in means["over_likelihood"])
+        assert f"{kind} {', '.join(first)} and {last}" in page
+        counts = own.assign(sure=own["low"] > 1.1).groupby("size")["sure"].agg(["sum", "size"])
+        surely = " | ".join(f"{n} of {of}" for n, of in counts.itertuples(index=False))
+        assert f"| *{kind}* families: surely above 1.1 | {surely} |" in page
+        for few in (own["size"] < 2, own["size"] > 2):
+            worst = own[few & ~own["identical"]].nlargest(1, "ratio").iloc[0]
+            assert f"{worst.family} ({kind}) at {worst['size']:g} | {worst.ratio:.1f} |" in page
+    grid = cells[cells["family"] == "paper_grid"]
+    assert f"maximum likelihood's | {' | '.join(f'{x:.2f}' for x in grid['over_likelihood'])} |" in page
+    identical = cells[cells["identical"] & (cells["size"] > 2)]
+    assert f"it is at most {identical['over_likelihood'].max():.2f} from 3 on" in page
+    assert f"ratio there is up to {cells['ratio'].max():.1f} (floor_identical at 0.3" in page
     widths = pd.read_csv(results / "bench_intervals" / "cells.csv").pivot_table(
         index=["family", "size"], columns="estimator", values="width"
     )

@@ -82,7 +82,7 @@ def check(options: Options) -> None:
     """Check an estimator of yours against the laws.
 
     It runs in a process of its own. The exit code is 0 if the laws that it claims hold, else 1. Where it is 0, the last line is
-    "all laws hold".
+    "all laws hold", or says what it does not claim that others do.
     """
     from oee_tabular import _progress
     from oee_tabular.testing import command
@@ -92,6 +92,7 @@ def check(options: Options) -> None:
     verdicts = command.check(options.estimator, **asked)
     laws = [{"law": v.law, "outcome": v.outcome, "text": v.text, "example": v.example} for v in verdicts.values()]
     record = {"estimator": verdicts.estimator, "passed": verdicts.passed, "seed": options.seed, "laws": laws}
-    answer(f"{verdicts}\nall laws hold" if verdicts.passed else str(verdicts), record, options.json)
+    last = f"\n{verdicts.conclusion}" if verdicts.passed else ""
+    answer(f"{verdicts}{last}", record, options.json)
     if not verdicts.passed:
         raise typer.Exit(1)

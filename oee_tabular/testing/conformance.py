@@ -130,6 +130,15 @@ class Verdicts(Mapping[str, Verdict]):
         kept = ("holds", "not claimed", "not run")
         return tuple(law for law, verdict in self.verdicts.items() if verdict.outcome not in kept)
 
+    @property
+    def conclusion(self) -> str:
+        """Which laws are broken; else that all hold, and what others claim by default and this one does not."""
+        if self.broken:
+            return f"broken laws: {', '.join(self.broken)}"
+        if left := sorted(DEFAULT - self.claims):
+            return f"all laws hold that it claims; it does not claim {', '.join(left)}"
+        return "all laws hold"
+
     def __getitem__(self, law: str) -> Verdict:
         return self.verdicts[law]
 

@@ -67,9 +67,10 @@ def unbiased(subject: Subject, pair: Case) -> str:
     values: Array = np.array([subject.value(pair, log, seed=k) for k, log in enumerate(logs)])
     mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(MANY))
     distance = abs(mean - pair.truth)
-    numbers = f"mean {mean:.5g} ± {error:.2g} of {MANY} logs of {FEW} episodes, J_target {pair.truth:.5g}"
-    if distance <= N_ERRORS * error + 1e-9 * max(1.0, abs(pair.truth)):
-        return numbers
+    numbers = f"mean {mean:.5g} of {MANY} logs of {FEW} episodes, J_target {pair.truth:.5g}"
+    allowed = N_ERRORS * error + 1e-9 * max(1.0, abs(pair.truth))
+    if distance <= allowed:
+        return f"{numbers}, tolerance {allowed:.2g}"
     does_vary = error > 1e-12 * abs(mean)
     apart = f"{distance / error:.1f} standard errors" if does_vary else f"{distance:.3g}, and does not vary"
     raise Broken(f"{numbers}: off by {apart}", f"mean over seeds of the value on pair.problem({FEW}, seed=seed)")

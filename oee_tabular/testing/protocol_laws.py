@@ -24,18 +24,19 @@ FEW, EPISODES = 20, 200
 
 def well_formed(subject: Subject) -> str:
     """Odd small problems give a finite value, a status that is not "ok", or a ValueError that says why."""
-    answers, refusals = [], []
+    answers, refusals, n_refused = [], {}, 0
     for pair, log in _odd_problems(subject):
         try:
             with subject.look_at(pair, f", {len(log)} transitions"):
                 answers.append(subject.estimate(pair, log, 0))
         except Refused as refusal:
-            refusals.append(refusal)
-    reason = str(refusals[-1].__cause__) if refusals else ""
+            refusals.setdefault(str(refusal.__cause__), pair.title)
+            n_refused += 1
+    reasons = "; ".join(f"{title} {shorten(text, 160)}" for text, title in refusals.items())
     if not answers:
-        raise Raises(f"all {len(refusals)} problems are refused, the last: {reason}")
-    text = f"{len(answers)} of {len(answers) + len(refusals)} odd problems answered"
-    text += f", {len(refusals)} refused ({shorten(reason, 80)})" if refusals else ""
+        raise Raises(f"all {n_refused} problems are refused: {reasons}")
+    text = f"{len(answers)} of {len(answers) + n_refused} odd problems answered"
+    text += f", {n_refused} refused by a ValueError ({reasons})" if refusals else ""
     if any(RETURNED in estimate.diagnostics for estimate in answers):
         text += "; floats, so that standard errors, intervals and statuses are skipped"
     return text
@@ -143,7 +144,7 @@ def seeds(subject: Subject, pair: Case) -> str:
     values = [subject.value(pair, log, seed=seed) for seed in range(4)]
     if len(set(values)) > 1:
         shown = ", ".join(f"{value:.8g}" for value in values)
-        raise Broken(f"seeds 0 to 3 give {shown}, and it does not claim to be random")
+        raise Broken(f"seeds 0 to 3 give {shown}, and 'random' is not among its claims")
     return f"seeds 0 to 3 give {values[0]:.8g} each"
 
 

@@ -193,10 +193,10 @@ def capture_errors(what: str) -> Iterator[None]:
             yield
     except AnswerError as error:
         raise Broken(str(error)) from error
-    except ValueError as error:
-        raise Refused(f"{what} raises ValueError: {shorten(str(error))}") from error
     except (Exception, SystemExit) as error:
-        raise Raises(f"{what} raises {type(error).__name__}: {shorten(str(error))}") from error
+        is_refusal = isinstance(error, ValueError) and not isinstance(error, np.linalg.LinAlgError)
+        raised = "ValueError" if is_refusal else type(error).__name__
+        raise (Refused if is_refusal else Raises)(f"{what} raises {raised}: {shorten(str(error))}") from error
     finally:
         random.setstate(state)
         np.random.set_state(numpy_state)  # noqa: NPY002

@@ -91,7 +91,7 @@ def test_what_it_claims_holds(capsys, here):
     assert "seed 3" in out.splitlines()[0]
     assert "shift           holds" in out
     assert "consistent      not claimed" in out
-    assert out.splitlines()[-1] == "all laws hold"
+    assert out.splitlines()[-1] == "all laws hold that it claims; it does not claim consistent, relabelling, scale"
     assert here not in sys.modules
 
 

@@ -108,7 +108,8 @@ def of(*values, **fields):
 @pytest.mark.parametrize(("estimator", "outcome", "said"), [
     (raises(KeyError("no such key")), "raises", "raises KeyError: 'no such key'"),
     (raises(SystemExit(3)), "raises", "raises SystemExit: 3"),
-    (raises(ValueError("horizon must be 77")), "raises", "problems are refused, the last: .*horizon must be 77"),
+    (raises(ValueError("horizon must be 77")), "raises", "problems are refused: .*horizon must be 77"),
+    (raises(np.linalg.LinAlgError("Singular matrix")), "raises", "raises LinAlgError: Singular matrix"),
     (lambda problem, policy: None, "fails", "an estimator must return a float or an Estimate; it returned NoneType"),
     (lambda problem, policy: (1.0, 0.1), "fails", r"it returned tuple: Estimate\(value, standard_error\) holds both"),
     (lambda problem, policy: np.ones(1), "fails", "it returned ndarray"),
