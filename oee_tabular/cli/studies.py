@@ -48,6 +48,7 @@ Input:
 Value:
 --sizes N,...  Transitions of each stochastic state-action pair, comma-separated (none: 0.3,1,3,10,30).
 --seeds=40 N  Logs of each family and size.
+--timeout=600 SECONDS  Time that an estimate may take: one that takes longer is a row with that reason.
 --seed --jobs=-1 --dask
 Output:
 --output=results/bench FOLDER  Folder for table.csv, cells.csv, league.csv, league.md, league.tex, profile.png, ...

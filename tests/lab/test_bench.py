@@ -75,6 +75,21 @@ def fail(problem, policy, *, seed=None):
     raise RuntimeError("no luck")
 
 
+def hang(problem, policy):
+    while True:
+        pass
+
+
+def test_an_estimator_that_never_returns_is_a_row_with_that_reason():
+    asked = {"families": ["machine"], "sizes": [3], "seeds": 1}
+    oee.bench.run(["simulator"], **asked)  # compiles
+    status = oee.bench.run({"hang": hang}, **asked, timeout=1.5).table.set_index("estimator").status
+    assert status["hang"] == "TimeoutError: no answer within 1.5 s (--timeout gives it more)"
+    assert (status.drop("hang") == "ok").all()
+    with pytest.raises(ValueError, match="timeout must be"):
+        oee.bench.run({"hang": hang}, **asked, timeout=0)
+
+
 def test_failures_are_rows_with_their_reason_and_the_rest_goes_on():
     reasons = {
         "fail": (fail, "RuntimeError: no luck"),

@@ -8,12 +8,14 @@ from __future__ import annotations
 import functools
 import inspect
 import math
+import signal
 import sys
 import tempfile
+import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +45,7 @@ from oee_tabular.testing.command import own_estimator
 
 SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
 SEEDS = 40
+TIMEOUT = 600.0  # seconds of an estimate
 REFERENCES: Mapping[str, Estimator] = {LIKELIHOOD: ModelBased(fallback="simulator"), SIMULATOR: Simulator()}
 
 
@@ -53,6 +56,7 @@ def run(
     sizes: object = SIZES,
     seeds: int = SEEDS,
     seed: int = 0,
+    timeout: float = TIMEOUT,
     jobs: int = 1,
     dask: str | None = None,
     output: Any = None,
@@ -74,6 +78,7 @@ def run(
     sizes : transitions per stochastic state-action pair (one with more than one next state in the simulator)
     seeds : logs of each cell
     seed : the first one, from 0; a seed's rows are the same in any run
+    timeout : seconds that an estimate may take; one that takes longer is a row with that reason (not on Windows, nor on dask)
     jobs : processes on this machine; -1: one a core
     dask : address of a dask scheduler; the cells go there instead
     output : folder that keeps finished cells: an interrupted run goes on; None: nothing is kept
@@ -103,17 +108,24 @@ def run(
     """
     _checks.boolean(fresh, "fresh")
     _checks.boolean(progress, "progress")
-    settings = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed)
+    settings = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed, timeout=timeout)
     with tempfile.TemporaryDirectory() if output is None else nullcontext(output) as folder, alone(Path(folder)):
         sweep = run_experiment(Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress)
     return league_of(sweep.store.table().drop(columns="repetition"))
 
 
 def plan(
-    estimators: object, *, families: object = None, sizes: Any = SIZES, seeds: int = SEEDS, seed: int = 0
+    estimators: object,
+    *,
+    families: object = None,
+    sizes: Any = SIZES,
+    seeds: int = SEEDS,
+    seed: int = 0,
+    timeout: float = TIMEOUT,
 ) -> RunSettings:
     """Check the arguments of ``run`` and make every family once: settings of an experiment of the lab's kind."""
     count, first = _checks.positive_integer(seeds, "seeds"), check_seed(seed)
+    limit = _checks.number_in(timeout, "timeout", 0.0, 1e6, open_ends=True)
     chosen = choose_estimators(estimators)
     source, names = choose_families(families, first)
     values = [sizes] if np.isscalar(sizes) else list(sizes)
@@ -126,15 +138,19 @@ def plan(
     experiment = Experiment(
         id="bench", title="Estimators on families of environment shift", group="bench",
         axes={"family": names, "size": tuple(numbers)}, repetitions=count,
-        run=functools.partial(measure_cell, estimators={name: name for name in REFERENCES} | chosen, source=source),
+        run=functools.partial(
+            measure_cell, estimators={name: name for name in REFERENCES} | chosen, source=source, timeout=limit
+        ),
         keys=("family", "size", "estimator"), measures=(), draw=lambda table, summary, figure: None,
     )  # fmt: skip
     label = "the package's" if source is None else source if isinstance(source, str) else "given"
-    asked = {"estimators": list(chosen), "families": label}
+    asked = {"estimators": list(chosen), "families": label} | ({} if limit == TIMEOUT else {"timeout": limit})
     return RunSettings(experiment, experiment.axes, count, first, asked, modules_of([*chosen.values(), source]))
 
 
-def measure_cell(cell: Cell, stream: Stream, *, estimators: Mapping[str, Any], source: Any) -> list[Row]:
+def measure_cell(
+    cell: Cell, stream: Stream, *, estimators: Mapping[str, Any], source: Any, timeout: float
+) -> list[Row]:
     """One seed of family x size, every estimator on its log; the seed of the family is the run's first plus the repetition."""
     seed, name, size = stream.seed + int(cell["repetition"]), str(cell["family"]), float(cell["size"])
     family = find_family(source, name, seed)
@@ -144,7 +160,7 @@ def measure_cell(cell: Cell, stream: Stream, *, estimators: Mapping[str, Any], s
     facts = {"seed": seed, "families": kind, **facts_of(family, problem)}
     seeds = {key: int(own.sequence(use=key).generate_state(1)[0]) for key in estimators}
     return [
-        {**facts, "estimator": key, **measure(key, given, family, problem, seeds[key])}
+        {**facts, "estimator": key, **measure(key, given, family, problem, seeds[key], timeout)}
         for key, given in estimators.items()
     ]
 
@@ -169,7 +185,7 @@ def facts_of(family: Family, problem: Problem) -> Row:
     }
 
 
-def measure(name: str, given: object, family: Family, problem: Problem, seed: int) -> Row:
+def measure(name: str, given: object, family: Family, problem: Problem, seed: int, timeout: float) -> Row:
     """What one estimator gives on one log: value, error, interval, seconds, status; what it raises is its status.
 
     The interval is the reported one, else value +- 1.96 standard errors, else none.
@@ -178,7 +194,7 @@ def measure(name: str, given: object, family: Family, problem: Problem, seed: in
     row |= {"interval": "", "status": "ok"}
     start = time.process_time()
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), time_limit(timeout):
             warnings.simplefilter("ignore")
             estimate = as_estimator(estimator_of(name, given, family))(problem, family.policy, seed=seed)
         seconds, value = time.process_time() - start, float(estimate.value)
@@ -196,6 +212,25 @@ def measure(name: str, given: object, family: Family, problem: Problem, seed: in
         return row | {"status": f"{type(failure).__name__}: {failure}"}
     return row | {"value": value, "error": value - family.truth, "standard_error": error, "lower": lower,
                   "upper": upper, "interval": method, "seconds": seconds, "status": estimate.status}  # fmt: skip
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """TimeoutError after so many seconds; none outside of a process's main thread and on Windows, which have no alarm."""
+    if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"no answer within {seconds:g} s (--timeout gives it more)")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def split(text: str) -> list[str]:
@@ -347,6 +382,7 @@ def bench(
     seeds: int,
     seed: int,
     families: str | None,
+    timeout: float,
     output: Path,
     say: Callable[[str], None],
     **options: Any,
@@ -359,9 +395,10 @@ def bench(
         raise ValueError(
             f"--sizes must be numbers with commas between them, 0.3,1,3; got {_checks.show(sizes)}"
         ) from None
-    settings = plan(estimators, families=families, sizes=numbers, seeds=seeds, seed=seed)
+    settings = plan(estimators, families=families, sizes=numbers, seeds=seeds, seed=seed, timeout=timeout)
     source = families if families is not None and ":" in families else None
-    given = {"sizes": (sizes, None), "seeds": (seeds, SEEDS), "seed": (seed, 0), "families": (families, None)}
+    given = {"sizes": (sizes, None), "seeds": (seeds, SEEDS), "seed": (seed, 0), "families": (families, None),
+             "timeout": (timeout, TIMEOUT)}  # fmt: skip
     words = [f" --{name} {value}" for name, (value, default) in given.items() if value != default]
 
     def write(store: Store) -> None:
