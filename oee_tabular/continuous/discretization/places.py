@@ -311,7 +311,8 @@ class VisitedCells:
         cells = self._cells(task.features(points), rng)
         cell = cells.nearest(task.features(points))[0]
         one_each = np.unique(cell, return_index=True)[1]
-        chosen = np.concatenate([one_each, rng.permutation(len(points))[: max(0, self.n_stepped - len(one_each))]])
+        drawn = rng.permutation(len(points))[: max(0, self.n_stepped - len(one_each))]
+        chosen = np.union1d(one_each, drawn)  # each once: a state that counted twice would pull the row of its cell
         states, actions = each_action(task, points[chosen])
         start = np.repeat(cell[chosen], task.n_actions)
         if log is not None:
