@@ -33,7 +33,7 @@ from oee_tabular.estimators.names import names as estimator_names
 from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import efficiency_bound, occupancy
 from oee_tabular.lab.bench.adapters import PEERS, Peer
-from oee_tabular.lab.bench.families import HELD, check_seed
+from oee_tabular.lab.bench.families import HELD, Families, check_seed
 from oee_tabular.lab.bench.families import families as own_families
 from oee_tabular.lab.bench.family import Family
 from oee_tabular.lab.bench.league import League, league_of
@@ -317,10 +317,6 @@ def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
         names = tuple(families_at(given, seed))
     else:
         given, names = None, tuple(dict.fromkeys(given))
-        every = own_families(seed, large=True)
-        for name in names:
-            if name not in every:
-                raise ValueError(every.missing(name))
     if not names:
         raise ValueError("families must name at least one; it is empty")
     for name in names:
@@ -332,7 +328,8 @@ def find_family(source: Any, name: str, seed: int) -> Family:
     """One family; ValueError where it is missing, is no Family or cannot be made."""
     every = families_at(source, seed)
     if name not in every:
-        raise ValueError(f"families must have {name!r} at every seed; at seed {seed} it is missing")
+        missing = f"families must have {name!r} at every seed; at seed {seed} it is missing"
+        raise ValueError(every.missing(name) if isinstance(every, Families) else missing)
     family = every[name]
     if not isinstance(family, Family):
         raise ValueError(f"family {name!r} must be a Family; it is a {type(family).__name__}")
