@@ -33,6 +33,8 @@ mdp(discount=np.nan)  ->  discount must be in [0, 1]
 mdp(terminal_state=[0, 2])  ->  terminal_state[1] must be in 0..1
 mdp(terminal_state=[0.5])  ->  terminal_state must be 1 to 2 integers
 GRID.with_layout((2, 4))  ->  layout must be (height, width) with height * width = 9, the number of states
+GRID.with_layout((-3, -3))  ->  layout must be (height, width) with height * width = 9
+GRID.with_layout((0, 9))  ->  layout must be (height, width) with height * width = 9
 mdp().with_transitions(GRID.transitions)  ->  new ...transitions must be for 2 states and 2 actions
 GRID.save("mdp.csv")  ->  path must end in .npz
 GRID.save("nowhere/mdp.npz")  ->  [Errno ...no such folder...nowhere

@@ -10,6 +10,11 @@ from fuzz_values import valid_values
 import oee_tabular as oee
 
 
+@pytest.fixture(scope="module")
+def known():
+    return valid_values()
+
+
 def test_hostile_values_do_no_harm():
     counts, wrong = fuzz(seed=0, seconds=60.0, calls=600)
     assert not [outcome for outcome in wrong if outcome[0] in ("death", "hang", "slow")]
@@ -17,26 +22,19 @@ def test_hostile_values_do_no_harm():
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_no_name_is_left_out():
+def test_no_name_is_left_out(known):
     """Every public function and class has a valid call; what else is public is a module, a constant or a kind of objects."""
-    known = valid_values()
     every = functions(known)
     assert {"Transitions.open", "FiniteMDP.from_env", "TransitionCounts.of", "Report.save", "Magic.limit"} <= set(every)
     for name, function in every.items():
         call(function, arguments_of(name, function, known))
     rooms = [oee, *(getattr(oee, name) for name in oee.__all__ if inspect.ismodule(getattr(oee, name)))]
     others = {name for room in rooms for name in room.__all__ if not is_called(getattr(room, name))} - {*oee.__all__}
-    kinds = {
-        "ContinuousTask",
-        "Estimator",
-        "Model",
-        "StatePolicy",
-    }  # a union, two classes to derive from, a type of functions
+    kinds = {"ContinuousTask", "Estimator", "Model", "StatePolicy"}  # a union, two base classes, a type of functions
     assert {name for name in others if not name.isupper()} == kinds
 
 
-def test_every_yes_or_no_is_true_or_false():
-    known = valid_values()
+def test_every_yes_or_no_is_true_or_false(known):
     checked = 0
     for name, function in functions(known).items():
         for argument, parameter in inspect.signature(function).parameters.items():

@@ -86,8 +86,6 @@ def test_environments_other_than_ours_take_actions_too():
     env = make_environment("FrozenLake-v1")
     one, other = (record_episodes(env, pi, n_episodes=3, seed=0) for pi in (actions, np.eye(4)[actions]))
     assert_array_equal(one.state, other.state)
-    with pytest.raises(ValueError, match=r"^policy\[1\] must be in 0\.\.3; it is 4$"):
-        record_episodes(env, [0, 4] + [0] * 14, n_episodes=3, seed=0)
 
 
 HALVES = [[0.5, 0.5]] * 2
@@ -96,16 +94,6 @@ HALVES = [[0.5, 0.5]] * 2
 def test_mixtures():
     assert_array_equal(oee.mix([0, 1], HALVES, 0.5), [[0.75, 0.25], [0.25, 0.75]])
     assert_array_equal(oee.mix(HALVES, np.array([0, 1]), 0.5), [[0.75, 0.25], [0.25, 0.75]])
-    for a, b, text in (
-        (HALVES, [0, 2], r"policy_b\[1\] must be in 0\.\.1; it is 2$"),
-        ([0, 1], [0, 1], "policy_a must have 2 or 3 dimension"),
-        (HALVES, np.ones((1, 1, 1, 1)), "policy_b must have 2 or 3 dimension"),
-        (HALVES, [["x"]], "policy_b must be an array of numbers"),
-        (HALVES, [[0.6, 0.6]], r"policy_b\[0\] must sum to 1"),
-        (HALVES, [[1.0, 0.0]], r"policy_a and policy_b must have one shape; they have \(2, 2\) and \(1, 2\)$"),
-    ):
-        with pytest.raises(ValueError, match=f"^{text}"):
-            oee.mix(a, b, 0.5)
 
 
 def test_one_or_several():
@@ -125,10 +113,6 @@ def test_one_or_several():
         for policy in found.values():
             assert_array_equal(policy, one)
     assert check_policies([], NAMED) == check_policies({}, NAMED) == {}
-    with pytest.raises(ValueError, match=r"^policy 'a'\[2\] must be in 0\.\.1; it is 2$"):
-        oee.evaluate(oee.Problem(NAMED, LOG), {"a": [0, 1, 2]})
-    with pytest.raises(ValueError, match=r"^policies must hold at least one; it is empty$"):
-        oee.evaluate(oee.Problem(NAMED, LOG), [])
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
