@@ -24,7 +24,8 @@ FEW, EPISODES = 20, 200
 
 def well_formed(subject: Subject) -> str:
     """Odd small problems give a finite value, a status that is not "ok", or a ValueError that says why."""
-    answers, refusals, n_refused = [], {}, 0
+    answers, n_refused = [], 0
+    refusals: dict[str, str] = {}  # reason -> the first problem refused for it
     for pair, log in _odd_problems(subject):
         try:
             with subject.look_at(pair, f", {len(log)} transitions"):
