@@ -99,35 +99,34 @@ class Chance:
     def __init__(self, xi: Array) -> None:
         self._xi, self.used = xi, 0
 
-    def standard_normal(self, size: Any = None) -> Any:
-        """N(0, 1)."""
-        n = 1 if size is None else int(np.prod(size))
+    def _draw(self, size: Any, *bounds: Any) -> Any:
+        """N(0, 1) of this size, or of the bounds' own shape; a number where that is none."""
+        shape = np.broadcast_shapes(*map(np.shape, bounds)) if size is None else size
+        n = int(np.prod(shape))
         if self.used + n > len(self._xi):
             raise IndexError(
                 f"a step must draw at most {len(self._xi)} random numbers, as when it was recorded; it draws more"
             )
-        found = self._xi[self.used : self.used + n]
+        found = self._xi[self.used : self.used + n].reshape(shape)
         self.used += n
-        return float(found[0]) if size is None else found.reshape(size).copy()
+        return found.copy() if found.ndim else float(found)
 
-    def _shaped(self, size: Any, *bounds: Any) -> Any:
-        shape = np.broadcast_shapes(*(np.shape(bound) for bound in bounds))
-        return size if size is not None or shape == () else shape
+    def standard_normal(self, size: Any = None) -> Any:
+        """N(0, 1)."""
+        return self._draw(size)
 
     def normal(self, loc: object = 0.0, scale: object = 1.0, size: object = None) -> Any:
         """N(loc, scale^2)."""
-        loc, scale = _arrays(loc, scale)
-        return loc + scale * self.standard_normal(self._shaped(size, loc, scale))
+        return _double(loc) + _double(scale) * self._draw(size, loc, scale)
 
     def random(self, size: object = None) -> Any:
         """Uniform on [0, 1)."""
-        found = np.minimum(ndtr(self.standard_normal(size)), np.nextafter(1.0, 0.0))
-        return float(found) if size is None else found
+        return self.uniform(0.0, 1.0, size)
 
     def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
         """Uniform on [low, high)."""
-        low, high = _arrays(low, high)
-        return low + (high - low) * self.random(self._shaped(size, low, high))
+        share = np.minimum(ndtr(self._draw(size, low, high)), np.nextafter(1.0, 0.0))
+        return _double(low) + (_double(high) - _double(low)) * _double(share)
 
     def integers(self, low: int, high: int | None = None, size: object = None, *, endpoint: bool = False) -> Any:
         """Whole numbers from low to below high; from 0 to below low where there is no high."""
@@ -136,8 +135,8 @@ class Chance:
         return int(found) if size is None else found
 
 
-def _arrays(*values: Any) -> list[Any]:
-    return [np.asarray(value, dtype=np.float64) if np.ndim(value) else float(value) for value in values]
+def _double(value: Any) -> Any:
+    return np.asarray(value, dtype=np.float64) if np.ndim(value) else float(value)
 
 
 def draws_of(task: Any, states: Array, numbers: IntArray) -> int:
