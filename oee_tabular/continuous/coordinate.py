@@ -59,8 +59,7 @@ class Coordinate:
     @property
     def hidden(self) -> bool:
         """Whether something that is not in the state decides: history explains what is left over, and that is no trifle."""
-        part = self.history.r_squared**0.5 * self.left_over
-        return self.history.r_squared > HIDDEN and part > TRIFLE * self.displacement
+        return self.history.r_squared > HIDDEN and self.history.part > TRIFLE * self.displacement
 
 
 def describe_history(coordinates: Sequence[Coordinate]) -> str:

@@ -107,7 +107,7 @@ def describe_flaw(learned: ResidualSimulator) -> str:
 
 def hidden_part(learned: ResidualSimulator) -> float:
     """The largest part of a step, in its deviations, that history explains; 0 where the state is Markov."""
-    parts = [c.history.r_squared**0.5 * c.left_over / c.displacement for c in learned.coordinates if c.hidden]
+    parts = [c.history.part / c.displacement for c in learned.coordinates if c.hidden]
     return max(parts, default=0.0)
 
 

@@ -24,6 +24,7 @@ MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the
 MIN_ROWS, MAX_ROWS, MAX_SLOW_ROWS = 200, 20_000, 3000  # by which the test is made; slow: of tasks that step one by one
 N_NEIGHBORS = 4  # whose mean residual is what (s, a) itself explains
 CLIP = 8.0  # root mean squares: what rows at contacts count at most
+SURE = 4.0  # standard errors over rows of what is explained: fewer than 16 rows cannot make it
 
 
 class HistoryTask(DerivedTask):
@@ -178,12 +179,19 @@ class HistoryEffect:
     r_squared : share of its mean square that all of the last five explain, on episodes that the regression was not fitted to
     lag, of : the step back, and "action" or "residual", that alone explains most
     lag_r_squared : how much that is
+    size : root mean square of the residuals that were looked at, rows far from the others at most ``CLIP`` of it
     """
 
     r_squared: float = 0.0
     lag: int = 1
     of: str = "action"
     lag_r_squared: float = 0.0
+    size: float = 0.0
+
+    @property
+    def part(self) -> float:
+        """Root mean square of what is explained, among the rows that were looked at."""
+        return self.r_squared**0.5 * self.size
 
 
 def history_effects(
@@ -194,12 +202,14 @@ def history_effects(
     group: IntArray,
     is_smooth: BoolArray,
     is_free: BoolArray,
+    least: Array,
 ) -> list[HistoryEffect]:
     """What history explains of each coordinate's residual, beyond the action's own mean and the residuals near by.
 
     By linear regressions on the last five actions, the steps that the simulator makes under them, and the last five residuals,
     on smooth rows (no contacts); and on the actions alone at all free rows (no stops), because a delay of a command that rarely
-    changes is a rare large residual too. None where fewer than 200 rows follow another.
+    changes is a rare large residual too. None where fewer than 200 rows follow another, or where what is explained is below
+    ``least`` (k,) among the rows that were looked at: a few odd rows do not make it larger.
     """
     earlier = earlier_rows(log, MAX_LAG)
     earlier = np.where(earlier >= 0, earlier, len(log))
@@ -213,24 +223,28 @@ def history_effects(
         used = rows[some]
         if len(used) < MIN_ROWS:
             continue
-        size = np.sqrt((residuals[usable] ** 2).mean(axis=0))
-        y = np.clip(residuals / np.where(size > 0, size, 1.0), -CLIP, CLIP) * usable[:, None]
+        unit = np.sqrt((residuals[usable] ** 2).mean(axis=0))
+        y = np.clip(residuals / np.where(unit > 0, unit, 1.0), -CLIP, CLIP) * usable[:, None]
         blocks = {(k, "action"): block[some] for k, block in enumerate(acted, start=1)}
         if has_residuals:
             padded = np.vstack([y, np.zeros(y.shape[1])])
             blocks |= {(k, "residual"): padded[back] for k, back in enumerate(earlier[used].T, start=1)}
         base = [np.eye(task.n_actions)[actions[used]], _mean_near(task, log.state, actions, y, usable, group)[used]]
-        fold = group[used] % FOLDS
-        plain = _held_out_error(np.column_stack(base), y[used], fold)
-        plain = np.where(plain > 0, plain, np.inf)
-        whole = 1.0 - _held_out_error(np.column_stack([*base, *blocks.values()]), y[used], fold) / plain
+        x, target, fold = np.column_stack(base), y[used], group[used] % FOLDS
+        plain = _held_out_errors(x, target, fold)
+        total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
+        gained = plain - _held_out_errors(np.column_stack([x, *blocks.values()]), target, fold)
+        whole = gained.sum(axis=0) / total
         shares = {
-            key: 1.0 - _held_out_error(np.column_stack([*base, block]), y[used], fold) / plain
+            key: (plain - _held_out_errors(np.column_stack([x, block]), target, fold)).sum(axis=0) / total
             for key, block in blocks.items()
         }
-        for k in np.flatnonzero(whole > [effect.r_squared for effect in best]):
+        is_sure = gained.sum(axis=0) > SURE * len(used) ** 0.5 * gained.std(axis=0)
+        size = unit * np.sqrt((target**2).mean(axis=0))
+        is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
+        for k in np.flatnonzero(is_sure & is_large & (whole > [effect.r_squared for effect in best])):
             (lag, kind), alone = max(shares.items(), key=lambda item: item[1][k])
-            best[k] = HistoryEffect(float(whole[k]), lag, kind, float(alone[k]))
+            best[k] = HistoryEffect(float(whole[k]), lag, kind, float(alone[k]), float(size[k]))
     return best
 
 
@@ -266,12 +280,12 @@ def _mean_near(
     return found
 
 
-def _held_out_error(x: Array, y: Array, fold: IntArray) -> Array:
-    """(k,) sums of squared errors on the folds that were left out."""
-    total = np.zeros(y.shape[1])
+def _held_out_errors(x: Array, y: Array, fold: IntArray) -> Array:
+    """(n, k) squared errors of a linear regression, each row's by the fit to the other folds."""
+    errors = np.empty_like(y)
     for f in range(FOLDS):
         inside, outside = fold == f, fold != f
         gram = x[outside].T @ x[outside]
         gram[np.diag_indices_from(gram)] += 1e-6 * max(int(outside.sum()), 1)
-        total += ((y[inside] - x[inside] @ np.linalg.solve(gram, x[outside].T @ y[outside])) ** 2).sum(axis=0)
-    return total
+        errors[inside] = (y[inside] - x[inside] @ np.linalg.solve(gram, x[outside].T @ y[outside])) ** 2
+    return errors

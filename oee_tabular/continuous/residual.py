@@ -233,9 +233,10 @@ class ResidualSimulator(DerivedTask):
         reward = 0.0 if log.reward is None else float(log.reward.std())
         effects, found = [HistoryEffect()] * len(self.fits), []
         sizes = np.sqrt((self.left_over**2).mean(axis=0))
-        if (sizes * self._scatter.drawn > TRIFLE * np.append(displaced, reward)[: len(sizes)]).any():
+        least = TRIFLE * np.append(displaced, reward)[: len(sizes)]
+        if (sizes * self._scatter.drawn > least).any():
             effects = history_effects(
-                self.task, log, actions, self.left_over, self.group, self._is_smooth, ~self._ended
+                self.task, log, actions, self.left_over, self.group, self._is_smooth, ~self._ended, least
             )
         for k, (name, fit) in enumerate(zip((*self.state_names, "reward"), self.fits, strict=False)):
             explained = 1.0 - (fit.error + rough[k]) / squares[k] if squares[k] > 0 else 0.0

@@ -112,6 +112,21 @@ def test_what_is_rough_or_random_is_not_hidden(simulator, target, policy):
     assert not any(c.hidden for c in ResidualSimulator(simulator, log, seed=0).coordinates)
 
 
+@pytest.mark.parametrize(("count", "is_spike"), [(2, False), (40, False), (5, True)])
+def test_a_few_odd_rows_are_no_hidden_state(count, is_spike):
+    """Errors of the log: of the next state alone, or spikes of a sensor, which two rows show."""
+    log = log_of(CartPole(12.0, noise=0.0), 2000)
+    columns = log.columns() | dict.fromkeys(("episode", "timestep", "truncated"))
+    columns |= {name: np.array(columns[name]) for name in ("state", "next_state")}
+    first = np.flatnonzero(~(log.terminated | log.truncated))
+    odd = np.random.default_rng(count).choice(first, count, replace=False)
+    columns["next_state"][odd, 3] = np.where(log.next_state[odd, 3] > 0, -3.0, 3.0)
+    if is_spike:
+        columns["state"][odd + 1, 3] = columns["next_state"][odd, 3]
+    chosen = choose_correction(SIMULATOR, ContinuousTransitions(**columns), seed=0)
+    assert (chosen.steps, chosen.is_trusted) == (0, True)
+
+
 # ---------------------------------------------------------------- reports
 
 
