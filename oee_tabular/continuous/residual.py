@@ -15,6 +15,7 @@ stepped, not weighted. Cells, ratios and exact values can come after it, as afte
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.continuous.coordinate import TRIFLE, Coordinate
 from oee_tabular.continuous.history import HistoryEffect, history_effects
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.regression import Fit, Functions, Grams, Rows, groups_of
+from oee_tabular.continuous.regression import Fit, Functions, Grams, groups_of
 from oee_tabular.continuous.scatter import Scatter
 from oee_tabular.continuous.stops import Stops
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest
@@ -101,17 +102,27 @@ class ResidualSimulator(DerivedTask):
         features = task.features(log.state)
         self._seen = features.min(axis=0), features.max(axis=0)
         self.units = other_units(task, log.state, actions, log.next_state, self._shortest)
-        self._stops = Stops.find(log.state, log.next_state, own.next_state, self._periods > 0)
-        self._ended = self._stops.ended(log.next_state)
-        free = self._stops.freed(task, log.state, actions, own.next_state)
-        self.residuals = self._differences(log, own, np.where(self._ended[:, None], own.next_state, free))
-        self._fit(log, actions, own, free, rng)
-        self._after(log, actions, own, rng)
+        self._stops = Stops(log.state, log.next_state, own.next_state, self._periods > 0)
+        self._is_stopped = self._stops.is_stopped(log.next_state)
+        free = self._free(log.state, actions, own.next_state)
+        self.residuals = self._differences(log, own, np.where(self._is_stopped[:, None], own.next_state, free))
+        is_smooth = self._fit(log, actions, free, rng)
+        spread = self._fit_scatter(log, actions, own, rng)
+        self._remember_ends(log, own)
+        self.coordinates = self._describe(log, actions, spread, is_smooth)
 
     # ---- what the log says ---------------------------------------------------------------------------------------------
 
     def _shortest(self, differences: Array) -> Array:
-        return shortest(differences, self._periods)
+        return shortest(differences, self._periods) if self._periods.any() else differences
+
+    def _free(self, states: Array, actions: IntArray, own: Array) -> Array:
+        """The simulator's next states without its stops."""
+
+        def step(states: Array, rows: IntArray) -> Array:
+            return self.task.moves(states, actions[rows], np.zeros((len(rows), self.task.n_disturbances))).next_state
+
+        return self._stops.free(step, states, own)
 
     def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
         """(n, m) f(s, a) - s, and under each action that the state remembers."""
@@ -123,45 +134,37 @@ class ResidualSimulator(DerivedTask):
 
     def _differences(self, log: ContinuousTransitions, own: Moves, following: Array) -> Array:
         """(n, d) s' - f(s, a), and the rewards' difference where the task does not know r(s, a, s')."""
-        found = self._shortest(log.next_state - following)
+        apart = self._shortest(log.next_state - following)
         known = self.task.reward_between(log.state[:1], np.zeros(1, dtype=np.int64), log.next_state[:1]) is not None
         self._learns_reward = not known and log.reward is not None
         if self._learns_reward and log.reward is not None:
-            paid = np.where(own.terminated == log.terminated, log.reward - own.reward, 0.0)
-            found = np.column_stack([found, paid])
-        return found
+            apart = np.column_stack([apart, np.where(own.terminated == log.terminated, log.reward - own.reward, 0.0)])
+        return apart
 
-    def _fit(
-        self, log: ContinuousTransitions, actions: IntArray, own: Moves, free: Array, rng: np.random.Generator
-    ) -> None:
-        displacement = self._displacements(log.state, actions, free)
-        self._functions = Functions(self.task, log.state, actions, displacement, rng)
-        group = groups_of(log.episode, len(log), self._functions.width, self.n_actions)
-        rows = Rows(log.state, actions, displacement, self.residuals, group, ~self._ended)
-        self.low, self.high = self.residuals[~self._ended].min(axis=0), self.residuals[~self._ended].max(axis=0)
-        n_groups = int(group.max()) + 1
-        self._grams = Grams(self._functions, rows, n_groups, self.n_actions)
-        self._use(self._grams.choose())
-        used = rows.used
-        for _ in range(ROUNDS):
-            left = self.residuals - self._correction(log.state, actions, displacement)
-            smooth = ~self._differs(left) & ~self._ended
-            if np.array_equal(smooth, used):
-                break
-            used = smooth
-            self._grams = Grams(self._functions, rows._replace(used=used), n_groups, self.n_actions)
+    def _fit(self, log: ContinuousTransitions, actions: IntArray, free: Array, rng: np.random.Generator) -> BoolArray:
+        """Fit g to smooth rows, which it finds by what g leaves over; then what is lost at stops."""
+        arguments = log.state, actions, self._displacements(log.state, actions, free)
+        self._functions = Functions(self.task, *arguments, rng)
+        self._group = groups_of(log.episode, len(log), self._functions.width, self.n_actions)
+        is_free = ~self._is_stopped
+        self._ends_of_g = np.stack([self.residuals[is_free].min(axis=0), self.residuals[is_free].max(axis=0)])
+        is_smooth = is_free
+        for _ in range(1 + ROUNDS):
+            self._grams = Grams(self._functions, arguments, self.residuals, self._group, is_smooth)
             self._use(self._grams.choose())
-        added = self._correction(log.state, actions, displacement)
+            added = self._correction(*arguments)
+            last, is_smooth = is_smooth, is_free & ~self._is_apart(self.residuals - added)
+            if np.array_equal(is_smooth, last):
+                break
         self.left_over = self.residuals - added
         moved = free + added[:, : self.n_state]
-        self._pushes = self._stops.pushes(moved, moved + self._shortest(log.next_state - moved))
-        stopped = self._kept(self._stops.put(moved, self._pushes))
+        self._stops.learn(moved, moved + self._shortest(log.next_state - moved))
+        stopped = self._keep(self._stops.push(moved))
         self._stops.hold(stopped)
-        apart = self._shortest(log.next_state - stopped)[self._ended]
-        self.left_over[self._ended, : self.n_state] = apart
-        self.group, self._is_smooth = group, used
+        self.left_over[self._is_stopped, : self.n_state] = self._shortest(log.next_state - stopped)[self._is_stopped]
+        return last
 
-    def _differs(self, left: Array) -> BoolArray:
+    def _is_apart(self, left: Array) -> BoolArray:
         """(n,) rows with a residual far beyond the others', where they are few: contacts, stops."""
         size = np.median(np.abs(left), axis=0) / 0.6745
         floor = 1e-3 * np.sqrt((self.residuals**2).mean(axis=0))
@@ -169,94 +172,78 @@ class ResidualSimulator(DerivedTask):
         far &= far.mean(axis=0) <= MOST_APART
         return np.asarray(far.any(axis=1) & (far.any(axis=1).mean() <= MOST_APART))
 
-    def _use(self, fits: list[Fit]) -> None:
-        """Prepare the coefficients: those of all coordinates on the columns that any needs."""
-        self.fits = fits
-        self._columns = np.unique(np.concatenate([fit.columns for fit in fits])).astype(np.int64)
-        self._coefficients = np.zeros((self.n_actions, len(self._columns), len(fits)))
-        for k, fit in enumerate(fits):
-            self._coefficients[:, np.searchsorted(self._columns, fit.columns), k] = fit.coefficients
+    def _use(self, fits: Sequence[Fit]) -> None:
+        self.fits, self._is_zero = list(fits), not any(len(fit.columns) for fit in fits)
+        self._coefficients = self._functions.stack(fits)
 
     def _correction(self, states: Array, actions: IntArray, displacement: Array) -> Array:
         """(n, k) g(s, a), within what was logged."""
-        found = np.zeros((len(states), len(self.fits)))
-        if len(self._columns) == 0:
-            return found
-        for low in range(0, len(states), 8192):
-            at = slice(low, low + 8192)
-            phi = self._functions(states[at], actions[at], displacement[at], self._columns)
-            for a in range(self.n_actions):
-                rows = actions[at] == a
-                if rows.any():
-                    found[at][rows] = phi[rows] @ self._coefficients[a]
-        return np.asarray(np.clip(found, self.low, self.high))
+        if self._is_zero:
+            return np.zeros((len(states), len(self.fits)))
+        return self._functions.predict(states, actions, displacement, self._coefficients, self._ends_of_g)
 
-    # ---- what comes after g --------------------------------------------------------------------------------------------
-
-    def _after(self, log: ContinuousTransitions, actions: IntArray, own: Moves, rng: np.random.Generator) -> None:
-        some = np.sort(rng.permutation(len(log))[:5000])
-        scattered = self.task.step(log.state[some], actions[some], rng)
-        spread = np.zeros(self.residuals.shape[1])
+    def _fit_scatter(
+        self, log: ContinuousTransitions, actions: IntArray, own: Moves, rng: np.random.Generator
+    ) -> Array:
+        """Compare what is left over with the simulator's own scatter, whose (k,) root mean square is returned."""
+        some, d = np.sort(rng.permutation(len(log))[:5000]), self.n_state
+        scattered, is_free = self.task.step(log.state[some], actions[some], rng), ~self._is_stopped
         away = self._shortest(scattered.next_state - own.next_state[some])
-        spread[: self.n_state] = np.sqrt((away**2).mean(axis=0))
-        displaced = self._shortest(log.next_state - log.state).std(axis=0)
-        can_own = np.full(len(spread), self.task.n_disturbances > 0)
-        loose = ~self._ended
-        apart = np.abs(away.mean(axis=0) - self.left_over[loose, : self.n_state].mean(axis=0))
-        can_own[: self.n_state] &= apart <= SKEWED * spread[: self.n_state] * np.sqrt(2.0 / len(some))
-        size = np.ones(len(spread))
-        size[: self.n_state] = displaced + np.finfo(float).eps * np.abs(log.next_state).max(axis=0) / SAME
+        spread, can_own = np.zeros(len(self.fits)), np.full(len(self.fits), self.task.n_disturbances > 0)
+        spread[:d] = np.sqrt((away**2).mean(axis=0))
+        apart = np.abs(away.mean(axis=0) - self.left_over[is_free, :d].mean(axis=0))
+        can_own[:d] &= apart <= SKEWED * spread[:d] * np.sqrt(2.0 / len(some))
+        rounding = np.full(len(spread), SAME)
+        rounding[:d] = SAME * self._shortest(log.next_state - log.state).std(axis=0)
+        rounding[:d] += np.finfo(float).eps * np.abs(log.next_state).max(axis=0)
         self._scatter = Scatter(
-            self.task, log.state[loose], actions[loose], self.left_over[loose], spread, SAME * size, can_own, rng
-        )
+            self.task, log.state[is_free], actions[is_free], self.left_over[is_free], spread=spread, rounding=rounding,
+            can_own=can_own, rng=rng,
+        )  # fmt: skip
         self.n_disturbances = self.task.n_disturbances + int(self._scatter.drawn.any())
-        every = np.concatenate([log.next_state, own.next_state])
+        if self._learns_reward:  # is drawn from the log all the same
+            is_alike = scattered.terminated == own.terminated[some]
+            spread[-1] = _rms(np.where(is_alike, scattered.reward - own.reward[some], 0.0))
+        return spread
+
+    def _remember_ends(self, log: ContinuousTransitions, own: Moves) -> None:
+        """Known next states: whether they end, and what is paid."""
         self._knows_ends = bool((self.task.terminated(own.next_state) == own.terminated).all())
         self._ends = np.concatenate([log.terminated, own.terminated])
-        paid = own.reward if log.reward is None else log.reward
-        self._paid = np.concatenate([paid, own.reward])
+        self._paid = np.concatenate([own.reward if log.reward is None else log.reward, own.reward])
         self.paid = float(self._paid.min()), float(self._paid.max())
-        self._places = self.task.smooth(every)
+        self._places = self.task.smooth(np.concatenate([log.next_state, own.next_state]))
         self._unit = np.maximum(self._places.std(axis=0), 1e-300)
         self._trees: dict[bool | None, tuple[IntArray, cKDTree]] = {}
-        if self._learns_reward:  # is drawn from the log all the same
-            spread[-1] = _rms(
-                np.where(scattered.terminated == own.terminated[some], scattered.reward - own.reward[some], 0.0)
-            )
-        self.coordinates = self._describe(log, actions, spread, displaced)
 
     def _describe(
-        self, log: ContinuousTransitions, actions: IntArray, spread: Array, displaced: Array
+        self, log: ContinuousTransitions, actions: IntArray, spread: Array, is_smooth: BoolArray
     ) -> tuple[Coordinate, ...]:
         """One ``Coordinate`` each; rows that g was not fitted to count by what it leaves of them."""
-        squares, rough = (self.residuals**2).sum(axis=0), (self.left_over[~self._is_smooth] ** 2).sum(axis=0)
-        reward = 0.0 if log.reward is None else float(log.reward.std())
-        effects, found = [HistoryEffect()] * len(self.fits), []
-        sizes = np.sqrt((self.left_over**2).mean(axis=0))
-        least = TRIFLE * np.append(displaced, reward)[: len(sizes)]
-        if (sizes * self._scatter.drawn > least).any():
+        squares, rough = (self.residuals**2).sum(axis=0), (self.left_over[~is_smooth] ** 2).sum(axis=0)
+        moved = self._shortest(log.next_state - log.state).std(axis=0)
+        displaced = np.append(moved, 0.0 if log.reward is None else log.reward.std())[: len(spread)]
+        effects, is_drawn = [HistoryEffect()] * len(spread), self._scatter.drawn
+        if (np.sqrt((self.left_over**2).mean(axis=0)) * is_drawn > TRIFLE * displaced).any():
             effects = history_effects(
-                self.task, log, actions, self.left_over, self.group, self._is_smooth, ~self._ended, least
+                self.task, log, actions, self.left_over, self._group, is_smooth, ~self._is_stopped, TRIFLE * displaced
             )
-        for k, (name, fit) in enumerate(zip((*self.state_names, "reward"), self.fits, strict=False)):
-            explained = 1.0 - (fit.error + rough[k]) / squares[k] if squares[k] > 0 else 0.0
-            found.append(
-                Coordinate(
-                    name, fit.kind, fit.per_action, float(spread[k]), _rms(self.residuals[:, k]), _rms(self.left_over[:, k]),
-                    float(displaced[k]) if k < self.n_state else reward, float(explained), fit.t_statistic,
-                    self._scatter.source(k), effects[k] if self._scatter.drawn[k] else HistoryEffect(),
-                )
-            )  # fmt: skip
-        return tuple(found)
+        return tuple(
+            Coordinate(
+                name, fit.kind, fit.per_action, float(spread[k]), _rms(self.residuals[:, k]), _rms(self.left_over[:, k]),
+                float(displaced[k]), float(1.0 - (fit.error + rough[k]) / squares[k]) if squares[k] > 0 else 0.0,
+                fit.t_statistic, self._scatter.source(k), effects[k] if is_drawn[k] else HistoryEffect(),
+            )
+            for k, (name, fit) in enumerate(zip((*self.state_names, "reward"), self.fits, strict=False))
+        )  # fmt: skip
 
     def resampled(self, seed: Any = None) -> ResidualSimulator:
         """The same corrected by a bootstrap's log: groups of whole episodes drawn with replacement, g of the same classes."""
-        rng = _checks.generator(seed)
-        n_groups = len(self._grams.g)
+        rng, n_groups = _checks.generator(seed), len(self._grams.g)
         weights = np.bincount(rng.integers(n_groups, size=n_groups), minlength=n_groups).astype(np.float64)
         again = copy.copy(self)
         again._use(self._grams.refit(self.fits, weights))
-        again._scatter = self._scatter.weighted(weights[self.group[~self._ended]])
+        again._scatter = self._scatter.weighted(weights[self._group[~self._is_stopped]])
         return again
 
     def beyond(self, states: Array) -> BoolArray:
@@ -269,24 +256,23 @@ class ResidualSimulator(DerivedTask):
     @one_thread
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One corrected step; the last disturbance chooses e, where it is drawn from the log."""
-        actions = np.asarray(actions, dtype=np.int64)
+        actions, scatter = np.asarray(actions, dtype=np.int64), self._scatter
         xi = disturbance[:, : self.task.n_disturbances]
         own = self.task.moves(states, actions, np.zeros_like(xi))
-        free = own.next_state
-        if len(self._columns):
-            free = self._stops.freed(self.task, states, actions, own.next_state)
+        free = own.next_state if self._is_zero else self._free(states, actions, own.next_state)
         added = self._correction(states, actions, self._displacements(states, actions, free))
-        if self._scatter.drawn.any():
-            added += self._scatter.draw(states, actions, ndtr(disturbance[:, -1]))
-        following = self._stops.put(free + added[:, : self.n_state], self._pushes)
-        if self._scatter.own.any():
+        if scatter.drawn.any():
+            added += scatter.draw(states, actions, ndtr(disturbance[:, -1]))
+        following = self._stops.push(free + added[:, : self.n_state])
+        if scatter.own.any():
             noise = self.task.moves(states, actions, xi).next_state - own.next_state
-            following[:, self._scatter.own[: self.n_state]] += noise[:, self._scatter.own[: self.n_state]]
-        changed = following != own.next_state
-        following = np.where(changed, self._kept(following), following)
+            is_own = scatter.own[: self.n_state]
+            following += noise if is_own.all() else np.where(is_own, noise, 0.0)
+        if self._wrapped.any() or np.isfinite(self._stops.bounds).any():
+            following = np.where(following != own.next_state, self._keep(following), following)
         self._stops.hold(following)
-        over = self._over(following, own.terminated)
-        return Moves(following, self._reward(states, actions, following, over, own, added), over)
+        ends = self._is_over(following, own.terminated)
+        return Moves(following, self._reward(states, actions, following, ends, own, added), ends)
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """One random step; what chooses e is a stream of its own, so that ``rng`` gives what it gives to the task."""
@@ -295,14 +281,14 @@ class ResidualSimulator(DerivedTask):
             xi = np.column_stack([xi, rng.spawn(1)[0].standard_normal(len(states))])
         return self.moves(states, actions, xi)
 
-    def _kept(self, following: Array) -> Array:
+    def _keep(self, following: Array) -> Array:
         """Within the stops, and within one turn where the task is."""
-        found = np.asarray(np.clip(following, *self._stops.bounds))
+        kept = np.asarray(np.clip(following, *self._stops.bounds))
         for i in np.flatnonzero(self._wrapped):
-            found[:, i] = self._start[i] + (found[:, i] - self._start[i]) % self._periods[i]
-        return found
+            kept[:, i] = self._start[i] + (kept[:, i] - self._start[i]) % self._periods[i]
+        return kept
 
-    def _over(self, following: Array, own: BoolArray) -> BoolArray:
+    def _is_over(self, following: Array, own: BoolArray) -> BoolArray:
         if not self.terminates:
             return own
         if self._knows_ends:
@@ -318,17 +304,20 @@ class ResidualSimulator(DerivedTask):
         return np.asarray(among[tree.query(self.task.smooth(following) / self._unit)[1]])
 
     def _reward(
-        self, states: Array, actions: IntArray, following: Array, over: BoolArray, own: Moves, added: Array
+        self, states: Array, actions: IntArray, following: Array, ends: BoolArray, own: Moves, added: Array
     ) -> Array:
         between = self.task.reward_between(states, actions, following)
         if between is not None:
             return between
-        paid = own.reward + (added[:, -1] if self._learns_reward else 0.0)
-        for end in (False, True):  # a step that ends otherwise than the simulator's is paid as the nearest that ends so
-            rows = np.flatnonzero((over == end) & (over != own.terminated))
-            if len(rows) and (self._ends == end).any():
-                paid[rows] = self._paid[self._nearest(following[rows], end)]
-        return np.asarray(paid)
+        paid = own.reward + added[:, -1] if self._learns_reward else own.reward
+        is_other = ends != own.terminated
+        if is_other.any():  # a step that ends otherwise than the simulator's is paid as the nearest that ends so
+            paid = paid.copy()
+            for end in (False, True):
+                rows = np.flatnonzero(is_other & (ends == end))
+                if len(rows) and (self._ends == end).any():
+                    paid[rows] = self._paid[self._nearest(following[rows], end)]
+        return paid
 
     def parameters(self) -> dict[str, Any]:
         """The task's, and what the correction is made of."""

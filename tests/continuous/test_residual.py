@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import oee_tabular as oee
 from oee_tabular._checks import freeze
 from oee_tabular.continuous.episodes import paired_returns
-from oee_tabular.continuous.regression import FOLDS, Functions, Grams, Rows, groups_of
+from oee_tabular.continuous.regression import FOLDS, Functions, Grams, groups_of
 from oee_tabular.continuous.sentences import odd_row
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.robots.changes import classic
@@ -319,56 +319,52 @@ def test_the_explained_share_counts_every_row():
 # ---------------------------------------------------------------- its parts, in plain numpy
 
 
-def regression_rows(n=300, seed=0):
+def regression(n=300, seed=0):
+    """Functions, their arguments on rows, targets, groups and which rows are used."""
     rng = np.random.default_rng(seed)
-    task = Line()
     states, actions = rng.normal(size=(n, 1)), rng.integers(2, size=n)
     displacement = np.sin(states) + rng.normal(size=(n, 1)) / 10
     targets = np.column_stack([states[:, 0] * actions + rng.normal(size=n) / 10, np.cos(3 * states[:, 0])])
-    functions = Functions(task, states, actions, displacement, rng)
-    return functions, Rows(states, actions, displacement, targets, np.arange(n) % 9, np.arange(n) % 7 > 0)
-
-
-def test_gram_matrices_are_sums_over_rows(monkeypatch):
-    monkeypatch.setattr("oee_tabular.continuous.regression.BLOCK", 5)
-    functions, rows = regression_rows()
-    grams = Grams(functions, rows, 9, 2)
-    phi = functions(rows.states, rows.actions, rows.displacement, np.arange(functions.width))
-    both = np.column_stack([phi, rows.targets])
-    for group in range(9):
-        for a in range(2):
-            at = (rows.group == group) & (rows.actions == a) & rows.used
-            assert_allclose(grams.g[group, a], both[at].T @ both[at], atol=1e-10)
+    arguments = states, actions, displacement
+    return Functions(Line(), *arguments, rng), arguments, targets, np.arange(n) % 9, np.arange(n) % 7 > 0
 
 
 @pytest.mark.parametrize("per_action", [False, True])
-def test_coefficients_and_held_out_errors(per_action):
-    functions, rows = regression_rows()
-    grams = Grams(functions, rows, 9, 2)
-    columns = functions.nested["quadratic, displacement"]
-    phi = functions(rows.states, rows.actions, rows.displacement, columns)
-    fold = np.arange(9) % FOLDS
+def test_held_out_errors_are_those_of_least_squares(per_action, monkeypatch):
+    monkeypatch.setattr("oee_tabular.continuous.regression.BLOCK", 5)
+    functions, arguments, targets, group, used = regression()
+    grams = Grams(functions, arguments, targets, group, used)
+    columns, actions = functions.nested["quadratic, displacement"], arguments[1]
+    phi, fold = functions(*arguments)[:, columns], np.arange(9) % FOLDS
     others = [np.tensordot((fold != f).astype(float), grams.g, axes=1) for f in range(FOLDS)]
-    found = grams._held_out(columns, [(False, 1e-3), (per_action, 1e-9)], fold, others)[1]
+    found = grams.held_out_errors(columns, [(False, 1e-3), (per_action, 1e-9)], fold, others)[1]
     right = np.zeros((9, 2))
-    for group in range(9):
+    for g in range(9):
         for a in (0, 1):
-            train = rows.used & (fold[rows.group] != fold[group])
-            train &= (rows.actions == a) | (not per_action)
-            w = np.linalg.lstsq(phi[train], rows.targets[train])[0]
-            at = rows.used & (rows.group == group) & (rows.actions == a)
-            right[group] += ((rows.targets[at] - phi[at] @ w) ** 2).sum(axis=0)
+            train = used & (fold[group] != fold[g]) & ((actions == a) | (not per_action))
+            w = np.linalg.lstsq(phi[train], targets[train])[0]
+            at = used & (group == g) & (actions == a)
+            right[g] += ((targets[at] - phi[at] @ w) ** 2).sum(axis=0)
     assert_allclose(found, right, rtol=1e-4)
 
 
-def test_functions_of_inputs_beyond_the_log_are_those_at_its_edge():
-    functions, rows = regression_rows()
-    every = np.arange(functions.width)
-    edge = functions.high[:1][None], np.array([1]), functions.high[-1:][None]
-    assert_array_equal(functions(*edge, every), functions(edge[0] + 10, edge[1], edge[2] + 10, every))
-    part = np.array([1, 4, functions.width - 1])
-    at = rows.states, rows.actions, rows.displacement
-    assert_allclose(functions(*at, part), functions(*at, every)[:, part], atol=1e-13)
+def test_values_are_sums_of_functions_row_by_row():
+    """Whatever rows stand beside a row, and beyond the log as at its edge."""
+    functions, arguments, targets, group, used = regression(1000)
+    fits = Grams(functions, arguments, targets, group, used).choose()
+    w, phi, (states, actions, displacement) = functions.stack(fits), functions(*arguments), arguments
+    right = np.stack([phi[:, : w.shape[1]][i] @ w[a] for i, a in enumerate(actions)])
+    ends = np.array([[-np.inf, -0.5], [np.inf, 0.5]])
+    found = functions.predict(*arguments, w, ends)
+    assert_allclose(found, np.clip(right, *ends), atol=1e-12)
+    some = np.arange(7, 500, 3)
+    assert_array_equal(functions.predict(states[some], actions[some], displacement[some], w, ends), found[some])
+    k = states[:, 0].argmax(), displacement[:, 0].argmax()
+    edge = states[k[:1], :], np.array([1]), displacement[k[1:], :]
+    assert_array_equal(functions(*edge), functions(edge[0] + 10, edge[1], edge[2] + 10))
+    assert_array_equal(
+        functions.predict(*edge, w, ends), functions.predict(edge[0] + 10, edge[1], edge[2] + 10, w, ends)
+    )
 
 
 def test_groups_are_of_whole_episodes():

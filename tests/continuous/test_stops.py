@@ -61,7 +61,7 @@ def test_a_stop_is_the_corrected_step_s_not_the_simulator_s(force):
 
 def test_what_is_lost_at_a_stop_pushes_the_others_as_the_log_says():
     _, after, (there, _), corrected = one_step(Cart(0.8, loss=0.25), Cart(loss=0.5))
-    for push in corrected._pushes:
+    for push in corrected._stops.pushes.values():
         assert_allclose(push, [[0.0, 0.0, -0.25]], atol=1e-6)
     assert np.quantile(after[there, 2], 0.9) < 1e-6
 
@@ -87,7 +87,7 @@ def test_who_rests_at_a_stop_scatters_nobody_else_less():
 
     log = record(Shaken(0.8), to_the_right, n_transitions=4000, max_steps=25, seed=0)
     corrected = ResidualSimulator(Cart(), log, seed=0)
-    assert 0.2 < corrected._ended.mean() < 0.5
+    assert 0.2 < corrected._is_stopped.mean() < 0.5
     states = np.zeros((4000, 3))
     moved = corrected.step(states, np.ones(4000, dtype=np.int64), np.random.default_rng(0)).next_state
     assert_allclose(moved[:, 2].std(), 0.95 * 0.05, rtol=0.06)
@@ -103,10 +103,10 @@ def test_a_stop_of_another_place():
 # ---------------------------------------------------------------- what is a stop
 
 
-def found(following, own=None, turns=None):
-    states = np.zeros_like(following)
-    return Stops.find(states, following, following if own is None else own, np.zeros(following.shape[1], dtype=bool)
-                      if turns is None else np.array(turns))  # fmt: skip
+def found(following, own=None, is_angle=None):
+    no_angles = np.zeros(following.shape[1], dtype=bool)
+    own, angles = following if own is None else own, no_angles if is_angle is None else np.array(is_angle)
+    return Stops(np.zeros_like(following), following, own, angles)
 
 
 def moved(wall=1.0, still=True, n=2000):
@@ -119,15 +119,15 @@ def moved(wall=1.0, still=True, n=2000):
 
 
 def test_a_limit_that_holds_nothing_else_is_a_bound():
-    assert found(moved()).held == ((0, 0, 1, 0.0), (1, 0, 1, 0.0))
+    assert found(moved()).held == {(0, 0): ([1], [0.0]), (1, 0): ([1], [0.0])}
     limit = found(moved(still=False))
     assert_array_equal(limit.bounds[:, 0], [-1.0, 1.0])
     assert np.isinf(limit.target).all()
-    assert limit.held == ()
+    assert not limit.held
 
 
 def test_angles_and_numbers_have_no_stops():
-    assert np.isinf(found(moved(), turns=[True, False]).target).all()
+    assert np.isinf(found(moved(), is_angle=[True, False]).target).all()
     few = np.round(moved(), 1)
     few[np.abs(few[:, 0]) == 1.0, 1] = 0.0
     assert np.isinf(found(few).target).all()
