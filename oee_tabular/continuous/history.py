@@ -191,7 +191,7 @@ class HistoryEffect:
     @property
     def part(self) -> float:
         """Root mean square of what is explained, among the rows that were looked at."""
-        return self.r_squared**0.5 * self.size
+        return float(self.r_squared**0.5 * self.size)
 
 
 def history_effects(
