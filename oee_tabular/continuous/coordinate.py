@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from oee_tabular.continuous.history import MAX_LAG, HistoryEffect
+from oee_tabular.continuous.history import HistoryEffect
 
 SURE = 3.0  # standard errors of what g explains: the target differs
 HIDDEN = 0.1  # share of what is left over that history explains: the state is not all that decides
 TRIFLE = 0.03  # of a step's own deviation: less is no hidden state to speak of
 ALIKE = 0.05  # share by which two scatters that are the same may differ
-ORDINALS = ("", "one step", "two steps", "three steps", "four steps", "five steps")
 
 
 @dataclass(frozen=True)
@@ -60,16 +58,3 @@ class Coordinate:
     def hidden(self) -> bool:
         """Whether something that is not in the state decides: history explains what is left over, and that is no trifle."""
         return self.history.r_squared > HIDDEN and self.history.part > TRIFLE * self.displacement
-
-
-def describe_history(coordinates: Sequence[Coordinate]) -> str:
-    """Which earlier action or residual matters, and by how much; "" where the state is Markov."""
-    hidden = sorted((c for c in coordinates if c.hidden), key=lambda c: -c.history.lag_r_squared)
-    if not hidden:
-        return ""
-    effect = hidden[0].history
-    same = [c.name for c in hidden if (c.history.lag, c.history.of) == (effect.lag, effect.of)]
-    text = f"The {effect.of} of {ORDINALS[effect.lag]} ago explains {effect.lag_r_squared:.0%} of the residual in "
-    text += " and ".join([", ".join(same[:-1]), same[-1]] if len(same) > 1 else same)
-    more = f" (the last {ORDINALS[MAX_LAG].split()[0]} actions and residuals together: {effect.r_squared:.0%})"
-    return text + (more if effect.r_squared > effect.lag_r_squared + 0.05 else "") + "."

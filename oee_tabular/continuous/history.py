@@ -91,12 +91,13 @@ class HistoryTask(DerivedTask):
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """The task's, and the action taken."""
-        moved = self.task.moves(self.own(states), actions, disturbance)
-        return Moves(self._append(states, actions, moved.next_state), moved.reward, moved.terminated)
+        return self._remember(states, actions, self.task.moves(self.own(states), actions, disturbance))
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """The task's, and the action taken."""
-        moved = self.task.step(self.own(states), actions, rng)
+        return self._remember(states, actions, self.task.step(self.own(states), actions, rng))
+
+    def _remember(self, states: Array, actions: IntArray, moved: Moves) -> Moves:
         return Moves(self._append(states, actions, moved.next_state), moved.reward, moved.terminated)
 
     def own(self, states: Array) -> Array:
@@ -119,15 +120,15 @@ class HistoryTask(DerivedTask):
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """The task's, without a last action."""
-        return self._begin(super().initial_states(n, rng))
+        return self._append_nothing(super().initial_states(n, rng))
 
     def initial_points(self) -> tuple[Array, Array]:
         """The task's, without a last action."""
         points, weights = super().initial_points()
-        return self._begin(points), weights
+        return self._append_nothing(points), weights
 
-    def _begin(self, states: Array) -> Array:
-        return np.column_stack([states, np.zeros((len(states), self.steps * self.n_actions))])
+    def _append_nothing(self, states: Array) -> Array:
+        return np.pad(states, ((0, 0), (0, self.n_remembered)))
 
     def features(self, states: Array) -> Array:
         """The task's, and the last actions."""
@@ -195,15 +196,9 @@ class HistoryEffect:
 
 
 def history_effects(
-    task: ContinuousTask,
-    log: ContinuousTransitions,
-    actions: IntArray,
-    residuals: Array,
-    group: IntArray,
-    is_smooth: BoolArray,
-    is_free: BoolArray,
-    least: Array,
-) -> list[HistoryEffect]:
+    task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, residuals: Array, group: IntArray, *,
+    is_smooth: BoolArray, is_free: BoolArray, least: Array,
+) -> list[HistoryEffect]:  # fmt: skip
     """What history explains of each coordinate's residual, beyond the action's own mean and the residuals near by.
 
     By linear regressions on the last five actions, the steps that the simulator makes under them, and the last five residuals,
@@ -212,8 +207,7 @@ def history_effects(
     ``least`` (k,) among the rows that were looked at: a few odd rows do not make it larger.
     """
     earlier = earlier_rows(log, MAX_LAG)
-    earlier = np.where(earlier >= 0, earlier, len(log))
-    rows = np.flatnonzero((earlier[:, 0] < len(log)) & is_free)[: MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS]
+    rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)[: MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS]
     best = [HistoryEffect() for _ in residuals.T]
     if len(rows) < MIN_ROWS:
         return best
@@ -227,10 +221,10 @@ def history_effects(
         y = np.clip(residuals / np.where(unit > 0, unit, 1.0), -CLIP, CLIP) * usable[:, None]
         blocks = {(k, "action"): block[some] for k, block in enumerate(acted, start=1)}
         if has_residuals:
-            padded = np.vstack([y, np.zeros(y.shape[1])])
+            padded = np.vstack([y, np.zeros(y.shape[1])])  # -1 is no row
             blocks |= {(k, "residual"): padded[back] for k, back in enumerate(earlier[used].T, start=1)}
-        base = [np.eye(task.n_actions)[actions[used]], _mean_near(task, log.state, actions, y, usable, group)[used]]
-        x, target, fold = np.column_stack(base), y[used], group[used] % FOLDS
+        near = _mean_near(task, log.state, actions, y, usable, group)[used]
+        x, target, fold = np.column_stack([np.eye(task.n_actions)[actions[used]], near]), y[used], group[used] % FOLDS
         plain = _held_out_errors(x, target, fold)
         total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
         gained = plain - _held_out_errors(np.column_stack([x, *blocks.values()]), target, fold)
@@ -252,13 +246,11 @@ def _earlier_actions(
     task: ContinuousTask, states: Array, actions: IntArray, rows: IntArray, earlier: IntArray
 ) -> list[Array]:
     """For each lag which action was taken then, and where the simulator would go under it now."""
-    codes, taken = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)]), np.append(actions, 0)
+    codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])
     none = np.zeros((len(rows), task.n_disturbances))
-    own = task.moves(states, actions[rows], none).next_state
-    found = []
+    own, found = task.moves(states, actions[rows], none).next_state, []
     for back in earlier.T:
-        there = np.where(back < len(actions), taken[back], actions[rows])
-        other = task.moves(states, there, none).next_state - own
+        other = task.moves(states, np.where(back >= 0, actions[back], actions[rows]), none).next_state - own
         scale = other.std(axis=0)
         found.append(np.column_stack([codes[back], other[:, scale > 0] / scale[scale > 0]]))
     return found

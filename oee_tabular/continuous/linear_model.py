@@ -62,13 +62,12 @@ class LinearModel(DerivedTask):
         self._actions = log.action_numbers(task.actions)
         self._periods = find_periods(task, log.next_state)
         self._x, self._y = self._inputs(log.state), shortest(log.next_state - log.state, self._periods)
-        self._low, self._high = log.next_state.min(axis=0), log.next_state.max(axis=0)
         turns = self._periods > 0  # an angle may go round
-        self._low, self._high = np.where(turns, -np.inf, self._low), np.where(turns, np.inf, self._high)
-        number = np.arange(len(log)) * min(GROUPS, len(log)) // len(log)  # none of them empty
+        self._low = np.where(turns, -np.inf, log.next_state.min(axis=0))
+        self._high = np.where(turns, np.inf, log.next_state.max(axis=0))
+        self._group = np.arange(len(log)) * min(GROUPS, len(log)) // len(log)  # none of them empty
         if log.episode is not None and len(np.unique(log.episode)) >= GROUPS:
-            number = np.unique(log.episode, return_inverse=True)[1] % GROUPS
-        self._group = number
+            self._group = np.unique(log.episode, return_inverse=True)[1] % GROUPS
         self._fit(np.ones(len(log)))
 
     def _inputs(self, states: Array) -> Array:
@@ -76,19 +75,19 @@ class LinearModel(DerivedTask):
 
     def _fit(self, weights: Array) -> None:
         """Least squares with these weights of the rows, and whose residuals are drawn how often."""
-        root = np.sqrt(weights)[:, None]
-        pooled = np.linalg.lstsq(root * self._x, root * self._y)[0]
+        every = np.arange(len(weights))
+        pooled = self._solve(every, weights)
         self.coefficients = np.repeat(pooled[None], self.n_actions, axis=0)
-        self._pools = [(np.arange(len(weights)), np.cumsum(weights))] * self.n_actions
+        self._pools = [(every, np.cumsum(weights))] * self.n_actions
         for a in range(self.n_actions):
             rows = np.flatnonzero((self._actions == a) & (weights > 0))
             if len(rows) > self._x.shape[1]:
-                self.coefficients[a] = np.linalg.lstsq(root[rows] * self._x[rows], root[rows] * self._y[rows])[0]
-                self._pools[a] = rows, np.cumsum(weights[rows])
-        self.residuals = np.empty_like(self._y)
-        for a in range(self.n_actions):
-            rows = np.flatnonzero(self._actions == a)
-            self.residuals[rows] = self._y[rows] - self._x[rows] @ self.coefficients[a]
+                self.coefficients[a], self._pools[a] = self._solve(rows, weights), (rows, np.cumsum(weights[rows]))
+        self.residuals = self._y - np.einsum("np,npk->nk", self._x, self.coefficients[self._actions])
+
+    def _solve(self, rows: IntArray, weights: Array) -> Array:
+        root = np.sqrt(weights[rows])[:, None]
+        return np.asarray(np.linalg.lstsq(root * self._x[rows], root * self._y[rows])[0])
 
     def resampled(self, seed: Any = None) -> LinearModel:
         """The same of a bootstrap's log: groups of whole episodes drawn with replacement."""

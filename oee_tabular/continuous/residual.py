@@ -226,8 +226,9 @@ class ResidualSimulator(DerivedTask):
         effects, is_drawn = [HistoryEffect()] * len(spread), self._scatter.drawn
         if (np.sqrt((self.left_over**2).mean(axis=0)) * is_drawn > TRIFLE * displaced).any():
             effects = history_effects(
-                self.task, log, actions, self.left_over, self._group, is_smooth, ~self._is_stopped, TRIFLE * displaced
-            )
+                self.task, log, actions, self.left_over, self._group, is_smooth=is_smooth, is_free=~self._is_stopped,
+                least=TRIFLE * displaced,
+            )  # fmt: skip
         return tuple(
             Coordinate(
                 name, fit.kind, fit.per_action, float(spread[k]), _rms(self.residuals[:, k]), _rms(self.left_over[:, k]),
@@ -245,6 +246,16 @@ class ResidualSimulator(DerivedTask):
         again._use(self._grams.refit(self.fits, weights))
         again._scatter = self._scatter.weighted(weights[self._group[~self._is_stopped]])
         return again
+
+    @property
+    def hidden_part(self) -> float:
+        """The largest part of a step, in its deviations, that history explains; 0 where the state is Markov."""
+        return max((c.history.part / c.displacement for c in self.coordinates if c.hidden), default=0.0)
+
+    @property
+    def held_out_error(self) -> float:
+        """Mean square one-step error on held-out episodes, in the displacement's variance, summed over coordinates."""
+        return sum(c.unexplained for c in self.coordinates)
 
     def beyond(self, states: Array) -> BoolArray:
         """(n,) states with a feature outside the range of the log's: what g is there nobody has seen."""

@@ -4,16 +4,84 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oee_tabular._checks import Array
 from oee_tabular.continuous.discretization import Discretization
 from oee_tabular.continuous.episodes import MonteCarlo
+from oee_tabular.continuous.history import MAX_LAG
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exact import policy_value
+
+if TYPE_CHECKING:
+    from oee_tabular.continuous.correction import Correction
+    from oee_tabular.continuous.parameters import ParameterFit
+
+NUMBERS = ("", "one step", "two steps", "three steps", "four steps", "five steps")
+UNITS = "the log's columns seem to be in another unit than the simulator's: "
+
+
+def hidden_state(learned: ResidualSimulator) -> str:
+    """Which earlier action or residual matters, and by how much; "" where the state is Markov."""
+    hidden = sorted((c for c in learned.coordinates if c.hidden), key=lambda c: -c.history.lag_r_squared)
+    if not hidden:
+        return ""
+    effect = hidden[0].history
+    same = [c.name for c in hidden if (c.history.lag, c.history.of) == (effect.lag, effect.of)]
+    text = f"the {effect.of} of {NUMBERS[effect.lag]} ago explains {effect.lag_r_squared:.0%} of the residual in "
+    text += " and ".join([", ".join(same[:-1]), same[-1]] if len(same) > 1 else same)
+    more = f" (the last {NUMBERS[MAX_LAG].split()[0]} actions and residuals together: {effect.r_squared:.0%})"
+    return text + more * (effect.r_squared > effect.lag_r_squared + 0.05)
+
+
+def flaw(learned: ResidualSimulator) -> str:
+    """What is wrong where columns are in other units, or history explains the residuals; "ok" where all is well."""
+    if learned.units:
+        return f"{UNITS}{learned.units}"
+    told = hidden_state(learned)
+    return f"the state is not all that the next one depends on (hidden state): {told}" if told else "ok"
+
+
+def advice(chosen: Correction) -> str:
+    """What to do where history explains residuals and no correction can be trusted."""
+    if chosen.history != "auto":
+        return "Leave the number of last actions in the state open (history auto), which tries up to five."
+    share = chosen.learned.hidden_part / chosen.plain.hidden_part
+    tried = f"With the last {chosen.steps} actions in the state, {share:.0%} of that effect is left."
+    if chosen.steps == 0:
+        tried = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
+    return (
+        f"{tried} Sensor noise, a slow actuator, or a quantity that is not recorded may be the cause. Filter the states, "
+        "or record what is missing. Until then read the simulator's value, which has no interval."
+    )
+
+
+def parameters(fit: ParameterFit, fitted: ResidualSimulator, given: ResidualSimulator, is_taken: bool) -> str:
+    """What was fitted, and whether the value in front has it."""
+    both, alone = (f"{learned.held_out_error**0.5:.2g}" for learned in (fitted, given))
+    return (
+        f"{fit.describe()} The value in front corrects the residuals of the {'fitted' if is_taken else 'given'} simulator, "
+        f"because its held-out one-step error is {'no larger' if is_taken else 'smaller'} ({both} of a step's standard "
+        f"deviation with fitted parameters, {alone} without)."
+    )
+
+
+def history(plain: ResidualSimulator, learned: ResidualSimulator, steps: int, is_chosen: bool) -> str:
+    """How many last actions are in the state, and why; "" where none are."""
+    if not steps:
+        return ""
+    text = f"The value in front has the last {'action' if steps == 1 else f'{steps} actions'} in the state"
+    if not is_chosen:
+        return f"{text}."
+    before, after = (f"{each.held_out_error**0.5:.2g}" for each in (plain, learned))
+    return (
+        f"{text}, because {hidden_state(plain)}. The held-out one-step error falls from {before} to {after} of a step's "
+        "standard deviation."
+    )
 
 
 def difference(corrected: ResidualSimulator) -> str:
@@ -31,7 +99,7 @@ def difference(corrected: ResidualSimulator) -> str:
     )
     said = f"The target's steps differ from the simulator's in {told}."
     if corrected.units:
-        return f"The log's columns seem to be in another unit than the simulator's: {corrected.units}. {said}"
+        return f"{UNITS.capitalize()}{corrected.units}. {said}"
     return said + odd_row(corrected)
 
 

@@ -64,14 +64,19 @@ class ContinuousSimulator:
         ``actions.as_probabilities``.
         """
         if spec == "uniform":
-            n = self.task.n_actions
-            return lambda states: np.full((len(states), n), 1.0 / n)
-        own = "uniform, expert, mix:WEIGHT" if self.expert is not None else "uniform"
-        if self.expert is not None and spec == "expert":
-            return self.expert
-        if self.expert is not None and spec.startswith("mix:"):
-            return _mixed(self.expert, _weight(spec, name))
+            return _mix(None, 0.0, self.task.n_actions)
+        expert = self.expert
+        if expert is not None and spec == "expert":
+            return expert
+        if expert is not None and spec.startswith("mix:"):
+            try:
+                weight = float(spec.removeprefix("mix:"))
+            except ValueError:
+                raise ValueError(f"{name} must be like mix:0.5; got {_checks.show(spec)}") from None
+            weight = _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0)
+            return _mix(expert, weight, self.task.n_actions)
         if ":" not in spec or spec.startswith("mix:"):
+            own = "uniform" if expert is None else "uniform, expert, mix:WEIGHT"
             raise ValueError(
                 f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of states; got {_checks.show(spec)}"
             )
@@ -90,10 +95,9 @@ class ContinuousSimulator:
         chosen = self.task.default_cells if cells is None else cells
         if isinstance(chosen, int):
             chosen = VisitedCells(chosen, max_steps=self.horizon)
-        closure_episodes = SLOW_CLOSURE if not getattr(self.task, "steps_at_once", True) else 2000
         return discretize(
             self.task, log, cells=chosen, floor=floor, policies=self.policies, discount=discount,
-            closure_episodes=closure_episodes,
+            closure_episodes=2000 if self.task.steps_at_once else SLOW_CLOSURE,
         )  # fmt: skip
 
     def record(self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any) -> ContinuousTransitions:
@@ -105,33 +109,20 @@ def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulat
     """A task as a simulator, configured as a Gymnasium environment is; ``horizon`` of its episodes."""
     if horizon is None:
         raise ValueError(f"horizon must be given for {task.name}, which has no time limit of its own; it is None")
-    slow = not task.steps_at_once
+    slow, ratio = not task.steps_at_once, {"prior": "simulator", "strength": 0.01}
     return ContinuousSimulator(
-        task.name,
-        task,
-        None,
-        horizon,
-        floor=1e-3,
-        ratio={"prior": "simulator", "strength": 0.01},
-        calibration="difference",
-        episodes=SLOW_EPISODES if slow else 50_000,
-        refit_paths=SLOW_PATHS if slow else 1000,
+        task.name, task, None, horizon, floor=1e-3, ratio=ratio, calibration="difference",
+        episodes=SLOW_EPISODES if slow else 50_000, refit_paths=SLOW_PATHS if slow else 1000,
         refits=SLOW_REFITS if slow else 20,
-    )
+    )  # fmt: skip
 
 
-def _weight(spec: str, name: str) -> float:
-    try:
-        weight = float(spec.removeprefix("mix:"))
-    except ValueError:
-        raise ValueError(f"{name} must be like mix:0.5; got {_checks.show(spec)}") from None
-    return _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0)
+def _mix(expert: StatePolicy | None, weight: float, n_actions: int) -> StatePolicy:
+    """The expert with probability ``weight``, else uniform."""
 
-
-def _mixed(expert: StatePolicy, weight: float) -> StatePolicy:
     def policy(states: Array) -> Array:
-        found = np.asarray(expert(states), dtype=np.float64)
-        return np.asarray(weight * found + (1.0 - weight) / found.shape[1])
+        uniform = np.full((len(states), n_actions), (1.0 - weight) / n_actions)
+        return uniform if expert is None else weight * np.asarray(expert(states), dtype=np.float64) + uniform
 
     return policy
 

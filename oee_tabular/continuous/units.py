@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -19,33 +19,22 @@ MOST = 8  # coordinates: of more no test is made
 MISSED, MET = (
     0.5,
     0.1,
-)  # shares of a coordinate's displacement: a unit brings one from beyond the first to within the second
+)  # shares of a displacement: a unit brings a coordinate from beyond the first to within the second
 
 
 def other_units(
-    task: ContinuousTask,
-    states: Array,
-    actions: IntArray,
-    next_states: Array,
-    shortest: Callable[[Array], Array] = np.asarray,
+    task: ContinuousTask, states: Array, actions: IntArray, next_states: Array, shortest: Callable[[Array], Array]
 ) -> str:
     """Which columns by which factor c make the simulator's step the log's; "" where the steps are like or no factor does.
 
         miss(c)_k = min(1, |c s' - f(c s, a)|_k^2 / |c s' - c s|_k^2),   c a factor for each column
 
-    Parameters
-    ----------
-    task : ContinuousTask, the simulator f
-    states, actions, next_states : (n, d), (n,), (n, d) a log's moves; actions are numbers
-    shortest : brings differences of angles within half a turn
-
-    Notes
-    -----
-    Columns one by one, and in pairs by the same factor: the least sum of misses of those that bring a coordinate from more than
-    half to less than a tenth. One call of f with 500 rows, some 200 where a coordinate is missed; not done beyond eight.
+    ``shortest`` brings differences of angles within half a turn. Columns one by one, and in pairs by the same factor: the least
+    sum of misses of those that bring a coordinate from more than half to less than a tenth. One call of f with 500 rows, some
+    200 where a coordinate is missed; not done beyond eight.
     """
     some = np.linspace(0, len(states) - 1, min(ROWS, len(states))).astype(np.int64)
-    s, a, following = states[some], actions[some], next_states[some]
+    s, a, following, d = states[some], actions[some], next_states[some], task.n_state
 
     def miss(factors: Array) -> Array:
         before, after = factors * s, factors * following
@@ -54,21 +43,14 @@ def other_units(
             left, moved = ((shortest(x) ** 2).sum(axis=0) for x in (after - own, after - before))
         return np.asarray(np.where(moved > 0, np.minimum(1.0, left / np.where(moved > 0, moved, 1.0)), 0.0))
 
-    if task.n_state > MOST or not ((given := miss(np.ones(task.n_state))) > MISSED).any():
+    if d > MOST or not ((given := miss(np.ones(d))) > MISSED).any():
         return ""
     best, found = float(given.sum()), ""
-    for columns, what, factor in _tried(task.n_state):
-        factors = np.ones(task.n_state)
-        factors[list(columns)] = factor
-        now = miss(factors)
-        if ((given > MISSED) & (now < MET)).any() and now.sum() < best:
-            best, found = float(now.sum()), f"{' and '.join(task.state_names[k] for k in columns)} ({what})"
-    return found
-
-
-def _tried(d: int) -> Iterator[tuple[tuple[int, ...], str, float]]:
-    """Columns and the factor of them; single columns first."""
-    pairs = itertools.combinations(range(d), 2)
-    for columns in itertools.chain(((k,) for k in range(d)), pairs):
+    for columns in [*itertools.combinations(range(d), 1), *itertools.combinations(range(d), 2)]:
         for what, factor in FACTORS.items():
-            yield columns, what, factor
+            factors = np.ones(d)
+            factors[list(columns)] = factor
+            now = miss(factors)
+            if ((given > MISSED) & (now < MET)).any() and now.sum() < best:
+                best, found = float(now.sum()), f"{' and '.join(task.state_names[k] for k in columns)} ({what})"
+    return found

@@ -434,11 +434,12 @@ def test_reacher_from_the_command_line(run):
     """Cells of the log, the averaged lengths as the simulator, the plain one beside it."""
     run("sample reacher:length=0.2,tamed=True --policy mix:0.5 --transitions 5000 --output log.npz")
     words = "evaluate --simulator reacher:length=0.1,reward_length=0.2,tamed=True --log log.npz"
-    chosen = "--grid auto --estimators simulator,oee --task-option=simulations=1000 --json --policy mix:0.5"
+    # of 1000 episodes the target's value has a standard error of .31, and this ratio of errors, .66, is .47 to .83 by chance
+    chosen = "--grid auto --estimators simulator,oee --task-option=simulations=20000 --json --policy mix:0.5"
     printed = run(words, chosen, "--target reacher:length=0.2,tamed=True")
     report, value = json.loads(printed), {name: row["value"] for name, row in by_row(printed).items()}
     right = value["target (continuous)"]
-    assert abs(value["oee on the grid"] - right) < 0.9 * abs(value["simulator (continuous)"] - right)
+    assert abs(value["oee on the grid"] - right) < 0.7 * abs(value["simulator (continuous)"] - right)
     assert "oee (calibrated)" not in value
     facts = report["facts"]
     assert facts["floor"] == 0.8

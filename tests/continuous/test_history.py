@@ -6,10 +6,10 @@ from benchmarks.hidden_state import Cogging, Delay, Lag, RandomActions, SensorNo
 from continuous.test_residual import Line, line_log
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.continuous.coordinate import describe_history
 from oee_tabular.continuous.correction import choose_correction
 from oee_tabular.continuous.episodes import paired_returns
 from oee_tabular.continuous.evaluation import evaluate_continuous
+from oee_tabular.continuous.sentences import hidden_state
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.robots.changes import classic
 from oee_tabular.tasks import CartPole, HistoryTask, ResidualSimulator, Settings, cartpole_policy, record
@@ -77,7 +77,7 @@ def test_a_delay_is_named_and_its_history_kept(steps):
     assert (effect.lag, effect.of) == (steps, "action")
     assert effect.lag_r_squared > 0.7
     words = ("one step", "two steps", "three steps")[steps - 1]
-    assert describe_history(chosen.plain.coordinates).startswith(f"The action of {words} ago explains 8")
+    assert hidden_state(chosen.plain).startswith(f"the action of {words} ago explains 8")
     assert (chosen.steps, chosen.is_trusted, chosen.warning) == (steps, True, "")
     assert abs(value(chosen.learned) - value(target)) < 0.05 * abs(value(SIMULATOR) - value(target))
 
