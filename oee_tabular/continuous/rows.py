@@ -22,11 +22,11 @@ from scipy.special import stdtrit
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.correction import describe_flaw
 from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_carlo_value
 from oee_tabular.continuous.history import consecutive
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
+from oee_tabular.continuous.sentences import flaw
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Estimator, Problem
@@ -217,7 +217,7 @@ def corrected_value(
         raise ValueError(f"refits must be at least 2, for a variance; got {refits}")
     each, gamma = _checks.positive_integer(paths, "paths"), _checks.number_in(discount, "discount", 0.0, 1.0)
     rollouts = Rollouts(steps, gamma, episodes, _checks.seed_sequence(seed, ()), n_refits, each)
-    return ResidualRow(corrected, rollouts, describe_flaw(corrected))(policy)
+    return ResidualRow(corrected, rollouts, flaw(corrected))(policy)
 
 
 def refuse_impossible(estimate: Estimate, lowest: float, highest: float, horizon: int, scale: float = 1.0) -> Estimate:
