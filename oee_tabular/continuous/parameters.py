@@ -12,6 +12,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import difflib
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -126,15 +127,15 @@ def fit_parameters(
     moved = shortest(log.next_state - log.state, periods).std(axis=0)
     scale = np.where(moved > 0, moved, 1.0)
 
-    def make(x: Array) -> ContinuousTask:
-        return task_of(**dict(zip(names, np.asarray(x).tolist(), strict=True)))
+    def name_all(x: Array) -> dict[str, float]:
+        return dict(zip(names, np.asarray(x).tolist(), strict=True))
 
     def errors(task: ContinuousTask, some: Any) -> Array:
         none = np.zeros((len(log.state[some]), task.n_disturbances))
         return shortest(log.next_state[some] - task.moves(log.state[some], actions[some], none).next_state, periods)
 
     def scaled(x: Array) -> Array:
-        return (errors(make(x), rows) / scale).ravel()
+        return (errors(task_of(**name_all(x)), rows) / scale).ravel()
 
     x, size = x0, np.where(x0 != 0, np.abs(x0), 1.0)
     for _ in range(3):  # the scale of the errors falls as the fit improves
@@ -144,18 +145,12 @@ def fit_parameters(
             scaled, x, bounds=(low, high), loss="soft_l1", f_scale=c, x_scale=size, diff_step=DIFFERENCE, max_nfev=50
         )
         x = found.x
-    steps = DIFFERENCE * size
-    residual = scaled(x)
-    jacobian = np.stack([(scaled(x + h) - scaled(x - h)) / (2.0 * h.sum()) for h in np.diag(steps)], axis=1)
-    error, fitted = _sandwich(jacobian, residual, c, len(rows)), make(x)
-    return ParameterFit(
-        fitted,
-        dict(zip(names, x.tolist(), strict=True)),
-        dict(zip(names, np.maximum(error, ROUNDING * size).tolist(), strict=True)),
-        errors(fitted, slice(None)),
-        dict(zip(names, x0.tolist(), strict=True)),
-        tuple(name for name, mask in zip(names, found.active_mask, strict=True) if mask),
-    )
+    steps = np.diag(DIFFERENCE * size)
+    jacobian = np.stack([(scaled(x + h) - scaled(x - h)) / (2.0 * h.sum()) for h in steps], axis=1)
+    error = np.maximum(_sandwich(jacobian, scaled(x), c, len(rows)), ROUNDING * size)
+    task = task_of(**name_all(x))
+    at_bounds = tuple(name for name, mask in zip(names, found.active_mask, strict=True) if mask)
+    return ParameterFit(task, name_all(x), name_all(error), errors(task, slice(None)), name_all(x0), at_bounds)
 
 
 def _limits(names: list[str], x0: Array, bounds: Mapping[str, tuple[float, float]]) -> tuple[Array, Array]:
@@ -192,8 +187,7 @@ def parameters_of(task: ContinuousTask, names: Sequence[str]) -> tuple[Callable[
         A name that is no number of the task's; the nearest is named.
     """
     family: Any = getattr(task, "family", None)
-    known = family.known() if family is not None else _numbers(task)
-    start = {}
+    known = family.known() if family is not None else _numbers_of(task)
     for name in names:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
@@ -201,23 +195,19 @@ def parameters_of(task: ContinuousTask, names: Sequence[str]) -> tuple[Callable[
             raise ValueError(
                 f"fit must name parameters of {task.name} ({', '.join(known) or 'none'}); got {name!r}{hint}"
             )
-        start[name] = known[name]
-    return (family if family is not None else lambda **values: _changed(task, values)), start
+    return (functools.partial(_change, task) if family is None else family), {name: known[name] for name in names}
 
 
-def _numbers(task: ContinuousTask) -> dict[str, float]:
+def _numbers_of(task: Any) -> dict[str, float]:
     """The attributes of a task that are numbers which a copy of it can have otherwise."""
-    anything: Any = task
-    if dataclasses.is_dataclass(anything):
-        found = {field.name: getattr(task, field.name) for field in dataclasses.fields(anything) if field.init}
-    else:
-        found = {name: value for name, value in vars(task).items() if not name.startswith("_")}
-    return {name: float(x) for name, x in found.items() if isinstance(x, int | float) and not isinstance(x, bool)}
+    names = [f.name for f in dataclasses.fields(task) if f.init] if dataclasses.is_dataclass(task) else vars(task)
+    values = {name: getattr(task, name) for name in names if not name.startswith("_")}
+    return {name: float(x) for name, x in values.items() if isinstance(x, int | float) and not isinstance(x, bool)}
 
 
-def _changed(task: Any, values: Mapping[str, float]) -> ContinuousTask:
-    if dataclasses.is_dataclass(task) and not isinstance(task, type):
-        again: Any = dataclasses.replace(task, **values)
+def _change(task: Any, **values: float) -> ContinuousTask:
+    if dataclasses.is_dataclass(task):
+        again: Any = dataclasses.replace(task, **values)  # type: ignore[type-var]
     else:
         again = copy.copy(task)
         vars(again).update(values)

@@ -20,6 +20,7 @@ from oee_tabular.tasks import (
     Reacher,
     ResidualSimulator,
     cartpole_policy,
+    corrected_value,
     discretize,
     monte_carlo_value,
     reacher_policy,
@@ -314,6 +315,20 @@ def test_the_explained_share_counts_every_row():
     assert learned.kind == "linear"
     assert_allclose(learned.explained, 1.0 - (learned.left_over / learned.residual_scatter) ** 2, atol=0.001)
     assert learned.explained < 0.5
+
+
+def test_a_value_s_standard_error_has_the_rollouts_noise_in_it():
+    """sqrt(log^2 + rollouts^2), which the rows of a report say."""
+    target = Line(lambda s, a: 0.1 * s, noise=0.2)
+    corrected = ResidualSimulator(Line(noise=0.2), line_log(target, 500), seed=0)
+    found = {n: corrected_value(corrected, half, n, 10, refits=5, paths=50, seed=0) for n in (50, 800)}
+    for n, estimate in found.items():
+        facts, rollouts = estimate.diagnostics, monte_carlo_value(corrected, half, n, 10, seed=0)
+        assert facts["standard_error_of"] == "log and rollouts"
+        assert facts["n_rollouts"] == n
+        both = np.hypot(facts["standard_error_of_the_log"], rollouts.standard_error)
+        assert_allclose(estimate.standard_error, both, rtol=0.15)  # other rollouts
+    assert found[50].standard_error > found[800].standard_error
 
 
 # ---------------------------------------------------------------- its parts, in plain numpy
