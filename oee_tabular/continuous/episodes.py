@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,8 +19,11 @@ CHUNK = 4096  # episodes of one random stream
 
 
 def _choose(probabilities: Array, uniform: Array) -> IntArray:
-    running = np.cumsum(probabilities, axis=1)
-    return np.asarray((running[:, :-1] <= (uniform * running[:, -1])[:, None]).sum(axis=1), dtype=np.int64)
+    running = list(itertools.accumulate(probabilities.T))  # columns: sums along short rows take thrice the time
+    chosen, level = np.zeros(len(uniform), dtype=np.int64), uniform * running[-1]
+    for bound in running[:-1]:
+        chosen += bound <= level
+    return chosen
 
 
 @dataclass(frozen=True)

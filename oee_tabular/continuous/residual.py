@@ -201,10 +201,23 @@ class ResidualSimulator(DerivedTask):
             can_own=can_own, rng=rng,
         )  # fmt: skip
         self.n_disturbances = self.task.n_disturbances + int(self._scatter.drawn.any())
+        self._gain = self._find_gain(log.state[some], actions[some]) if self._scatter.own.any() else None
         if self._learns_reward:  # is drawn from the log all the same
             is_alike = scattered.terminated == own.terminated[some]
             spread[-1] = _rms(np.where(is_alike, scattered.reward - own.reward[some], 0.0))
         return spread
+
+    def _find_gain(self, states: Array, actions: IntArray) -> Array | None:
+        """(q, d) B where the simulator's noise is xi B at all of these rows, up to rounding; else None.
+
+        Then a second step for the noise is spared: a sixth of Monte Carlo's time in CartPole.
+        """
+        rows = np.resize(np.arange(len(states)), max(len(states), 1000))
+        xi = np.random.default_rng(0).standard_normal((len(rows), self.task.n_disturbances))
+        ends = [self.task.moves(states[rows], actions[rows], x).next_state for x in (np.zeros_like(xi), xi)]
+        gain = np.linalg.lstsq(xi, ends[1] - ends[0])[0]
+        is_additive = np.abs(ends[1] - ends[0] - xi @ gain).max() <= 8 * np.finfo(float).eps * np.abs(ends).max()
+        return gain * self._scatter.own[: self.n_state] if is_additive else None
 
     def _remember_ends(self, log: ContinuousTransitions, own: Moves) -> None:
         """Known next states: whether they end, and what is paid."""
@@ -275,10 +288,11 @@ class ResidualSimulator(DerivedTask):
         if scatter.drawn.any():
             added += scatter.draw(states, actions, ndtr(disturbance[:, -1]))
         following = self._stops.push(free + added[:, : self.n_state])
-        if scatter.own.any():
+        if self._gain is not None:
+            following = following + xi @ self._gain
+        elif scatter.own.any():
             noise = self.task.moves(states, actions, xi).next_state - own.next_state
-            is_own = scatter.own[: self.n_state]
-            following += noise if is_own.all() else np.where(is_own, noise, 0.0)
+            following = following + np.where(scatter.own[: self.n_state], noise, 0.0)
         if self._wrapped.any() or np.isfinite(self._stops.bounds).any():
             following = np.where(following != own.next_state, self._keep(following), following)
         self._stops.hold(following)
