@@ -243,12 +243,25 @@ def test_noise_is_drawn_from_the_log_where_it_is_another():
     assert_allclose([spread.mean(), spread.std()], [0.0, 0.05], atol=0.0015)
 
 
-def test_noise_that_depends_on_the_place_is_drawn_near_by():
-    class Gusty(Line):
-        def moves(self, states, actions, disturbance):
-            found = super().moves(states, actions, disturbance * np.where(states > 0, 5.0, 0.5))
-            return found
+class Gusty(Line):
+    def moves(self, states, actions, disturbance):
+        return super().moves(states, actions, disturbance * np.where(states > 0, 5.0, 0.5))
 
+
+@pytest.mark.parametrize("kind", [Line, Gusty])
+def test_noise_is_the_simulator_s_own_where_it_is_alike(kind):
+    """Whether a step is linear in it or not."""
+    task = kind(noise=0.02)
+    corrected = ResidualSimulator(task, line_log(task, 3000), seed=0)
+    assert corrected.coordinates[0].scatter == "simulator"
+    rng = np.random.default_rng(0)
+    states, actions, xi = rng.uniform(-1, 1, (500, 1)), rng.integers(2, size=500), rng.standard_normal((500, 1))
+    found, still = (corrected.moves(states, actions, x).next_state for x in (xi, 0.0 * xi))
+    right, rest = (task.moves(states, actions, x).next_state for x in (xi, 0.0 * xi))
+    assert_allclose(found - still, right - rest, rtol=0, atol=1e-14)
+
+
+def test_noise_that_depends_on_the_place_is_drawn_near_by():
     corrected = ResidualSimulator(Line(noise=0.01), line_log(Gusty(noise=0.02), 6000), seed=0)
     assert corrected._scatter.local
     for place, right in ((-0.7, 0.01), (0.7, 0.1)):
