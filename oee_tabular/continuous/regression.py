@@ -42,7 +42,7 @@ class Functions:
         self, task: ContinuousTask, states: Array, actions: IntArray, displacement: Array, rng: np.random.Generator
     ) -> None:
         self._task, self.n_actions = task, task.n_actions
-        self._commands = np.asarray(task.actions, dtype=np.float64).reshape(task.n_actions, -1)
+        self._commands = np.array(task.actions, dtype=np.float64).reshape(task.n_actions, -1)
         smooth, n_commands = task.smooth(states), self._commands.shape[1]
         raw = np.column_stack([smooth, self._commands[actions], displacement])
         centre, scale = raw.mean(axis=0), raw.std(axis=0)
@@ -105,10 +105,12 @@ class Functions:
     def predict(self, states: Array, actions: IntArray, displacement: Array, w: Array, ends: Array) -> Array:
         """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends`` (2, k): compiled, O(n p k)."""
         q = min(w.shape[1], len(self._first))
-        x = states if self._is_own else self._task.smooth(states)
-        inputs = x, self._commands, displacement, np.asarray(actions, dtype=np.int64)
+        x, numbers = states if self._is_own else self._task.smooth(states), np.asarray(actions, dtype=np.int64)
+        x, d, a = (np.require(each, requirements="CW") for each in (x, displacement, numbers))  # is compiled once
         products, waves = (self._first[:q], self._second[:q]), (self._frequencies, self._phases)
-        return np.asarray(_regression.predict(*inputs, self._places, self._limits, *products, *waves, w, ends))
+        return np.asarray(
+            _regression.predict(x, self._commands, d, a, self._places, self._limits, *products, *waves, w, ends)
+        )
 
 
 @dataclass(frozen=True)
