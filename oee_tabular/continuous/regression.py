@@ -105,8 +105,9 @@ class Functions:
     def predict(self, states: Array, actions: IntArray, displacement: Array, w: Array, ends: Array) -> Array:
         """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends`` (2, k): compiled, O(n p k)."""
         q = min(w.shape[1], len(self._first))
-        x, numbers = states if self._is_own else self._task.smooth(states), np.asarray(actions, dtype=np.int64)
-        x, d, a = (np.require(each, requirements="CW") for each in (x, displacement, numbers))  # is compiled once
+        x = states if self._is_own else self._task.smooth(states)
+        x, d = (np.require(each, requirements=["C", "W"]) for each in (x, displacement))  # so that one kernel takes all
+        a = np.require(actions, np.int64, ["C", "W"])
         products, waves = (self._first[:q], self._second[:q]), (self._frequencies, self._phases)
         return np.asarray(
             _regression.predict(x, self._commands, d, a, self._places, self._limits, *products, *waves, w, ends)
