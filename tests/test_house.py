@@ -1,5 +1,6 @@
 """The house: who imports whom: no circle of files or packages, at most thirteen floors."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import grimp
 import oee_tabular
 
 ROOT = Path(oee_tabular.__file__).parents[1]
+TESTS = Path(__file__).parent
 FLOORS = 13  # of packages and of files beside them, the command line's first line on top
 BY_NAME = re.compile(r'import_module\("(oee_tabular[\w.]*)"\)')
 
@@ -70,3 +72,19 @@ def test_the_core_does_not_import_the_wing():
         "assert ContinuousTransitions is oee.ContinuousTransitions\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def imported(path):
+    """What a file of tests imports of the package, with its modules."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def test_tests_import_public_names():
+    """But those of tests/kernels, and one of how the command line finds the user's modules."""
+    hidden = re.compile(r"oee_tabular\b.*\._[a-z]")
+    found = {path.relative_to(TESTS) for path in TESTS.rglob("*.py") if any(map(hidden.match, imported(path)))}
+    assert {path.as_posix() for path in found if path.parent.name != "kernels"} == {"testing/test_command.py"}

@@ -12,8 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular._checks import freeze
-from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.discretization import (
     Grid,
     GridInterpolation,
@@ -45,7 +43,7 @@ class Drift(ContinuousTask):
 
     def __init__(self, circle=False, push=0.25, noise=0.0):
         self.name, self.state_names, self.feature_names = "Drift", ("s",), ("s",)
-        self.actions = freeze(np.array([-push, push]))
+        self.actions = np.array([-push, push])
         self.n_disturbances, self.noise = 1, noise
         self.feature_low, self.feature_high = np.array([-1.0]), np.array([1.0])
         self.periodic, self.terminates = (circle,), not circle
@@ -86,7 +84,7 @@ def grids(draw):
 def test_weights_are_a_distribution_that_keeps_the_point(grid, seed):
     points = np.random.default_rng(seed).uniform(grid.low, grid.high, (20, len(grid.shape)))
     weights = grid.weights(points)
-    assert_allclose(row_sums(weights), 1.0, rtol=1e-14)
+    assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-14)
     assert weights.data.min() > 0
     assert np.diff(weights.indptr).max() <= 2 ** len(grid.shape)
     assert_allclose(weights @ grid.vertices(), points, atol=1e-12)
@@ -175,7 +173,7 @@ def test_at_a_log_the_simulator_is_what_its_own_log_says():
     log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=3000, max_steps=100, seed=0)
     model = discretize(task, log, cells=GridInterpolation((24, 24), vertex_weight=0.0), **QUICK)
     counts = model.counts(resimulate(task, log))
-    total = row_sums(counts)
+    total = counts.sum(axis=1)
     seen = total > 0
     rows = model.mdp.transitions.toarray()
     assert_allclose(rows[seen], counts.toarray()[seen] / total[seen, None], atol=1e-12)

@@ -6,7 +6,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular._checks import freeze
 from oee_tabular.continuous.episodes import paired_returns
 from oee_tabular.continuous.regression import FOLDS, Functions, Grams, groups_of
 from oee_tabular.continuous.sentences import odd_row
@@ -162,7 +161,7 @@ class Line(ContinuousTask):
 
     def __init__(self, drift=lambda s, a: 0.0, noise=0.0, *, knows_reward=True, wall=np.inf, end=np.inf):
         self.name, self.state_names, self.feature_names = "Line", ("s",), ("s",)
-        self.actions, self.n_disturbances = freeze(np.array([-0.25, 0.25])), 1
+        self.actions, self.n_disturbances = np.array([-0.25, 0.25]), 1
         self.feature_low, self.feature_high, self.periodic = np.array([-2.0]), np.array([2.0]), (False,)
         self.terminates, self.drift, self.noise = np.isfinite(end), drift, noise
         self.knows_reward, self.wall, self.end = knows_reward, wall, end
