@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pandas as pd
-from kernels.files import write_all
+from kernels.files import csv_bytes, write_all
 
 RESULTS = Path(__file__).parents[1] / "notebooks" / "results"
 
@@ -36,7 +36,8 @@ def redraw(names):
         table = saved(experiment.id)
         summary = output.summary_of(experiment, table)
         page = output.markdown(experiment.settings(), table, summary).encode()
-        write_all(RESULTS / experiment.id, {"summary.md": page, **output.figures(experiment, table, summary)})
+        numbers = {"summary.csv": csv_bytes(summary, float_format="%.6g"), "summary.md": page}
+        write_all(RESULTS / experiment.id, numbers | output.figures(experiment, table, summary))
     output.index(RESULTS, EXPERIMENTS.values())
 
 
