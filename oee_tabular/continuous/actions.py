@@ -11,7 +11,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import BadPolicy, StatePolicy, asked
+from oee_tabular.continuous.task import BadPolicy, StatePolicy, ask_policy
 
 LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
 MOST = 1000  # commands
@@ -95,7 +95,7 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> StatePol
     n_actions = len(actions)
 
     def probabilities(states: Array) -> Array:
-        found = np.asarray(asked(policy, states))
+        found = np.asarray(ask_policy(policy, states))
         if found.shape == (len(states), n_actions):
             return found
         if actions.ndim == 1 and found.shape == (len(states),) and found.dtype.kind in "iu":
@@ -109,12 +109,12 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> StatePol
         odd = np.flatnonzero(~np.isfinite(commands).all(axis=1))
         if odd.size:
             raise BadPolicy(f"policy(states)[{odd[0]}] must be finite; it is {found[odd[0]]}")
-        return _shared(commands.astype(np.float64), actions)
+        return _interpolate_weights(commands.astype(np.float64), actions)
 
     return probabilities
 
 
-def _shared(commands: Array, actions: Array) -> Array:
+def _interpolate_weights(commands: Array, actions: Array) -> Array:
     """(n, A) multilinear weights on a product grid, the nearest where the actions are none."""
     levels = [np.unique(column) for column in actions.T]
     shape = tuple(len(each) for each in levels)

@@ -98,7 +98,7 @@ def evaluate_files(
         recorded,
         _policies(policy, simulator, grid is not None),
         settings=Settings(grid=grid, **settings, episodes=options.get("simulations")),
-        behavior=None if behavior is None else _named(behavior, simulator, "--behavior"),
+        behavior=None if behavior is None else _find_policy(behavior, simulator, "--behavior"),
         target=None if target is None else continuous_simulator(target, state=state, actions=actions).task,
         facts={"simulator_name": spec, "log_name": ", ".join(log)},
         **common,
@@ -111,7 +111,7 @@ def record_log(spec: str, policy: str, options: dict[str, Any], **limits: Any) -
     from oee_tabular.continuous.names import continuous_simulator
 
     simulator = continuous_simulator(spec, **options)
-    log = simulator.record(_named(policy, simulator, "policy"), **limits)
+    log = simulator.record(_find_policy(policy, simulator, "policy"), **limits)
     if simulator.task.actions.ndim == 1:
         return log
     return ContinuousTransitions(**(log.columns() | {"action": simulator.task.actions[log.action]}))
@@ -128,11 +128,13 @@ def _policies(specs: list[str] | None, simulator: ContinuousSimulator, has_grid:
     found: dict[str, Any] = {}
     for label, source in named_specs(specs or ["expert"]).items():
         is_array = has_grid and Path(source).suffix.lower() in (".npy", ".npz")
-        found[label] = read_policy_array(source, "--policy") if is_array else _named(source, simulator, "--policy")
+        found[label] = (
+            read_policy_array(source, "--policy") if is_array else _find_policy(source, simulator, "--policy")
+        )
     return found
 
 
-def _named(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
+def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
     """A policy of states; an array's cells are those of the default grid."""
     if Path(spec).suffix.lower() not in (".npy", ".npz"):
         return simulator.policy(spec, name)

@@ -36,7 +36,7 @@ from oee_tabular.continuous.rows import (
     refuse_impossible,
     sampling_rows,
 )
-from oee_tabular.continuous.sentences import difference, lost, placed, rewards_contradict
+from oee_tabular.continuous.sentences import add_features, difference, name_loss, rewards_contradict
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, require_log_of
 from oee_tabular.estimators import Estimate, Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
@@ -178,26 +178,26 @@ def evaluate_continuous(
         return _report_rows(functions, rows, said, uncertainty, steps, discount, facts=about, **options)
     by_table = {table.tobytes(): functions[name] for name, table in tables.items()}
 
-    def on_tables(rows: Mapping[str, Row]) -> dict[str, Estimator]:
-        return {name: partial(_on_table, row, by_table) for name, row in rows.items()}
+    def make_table_rows(rows: Mapping[str, Row]) -> dict[str, Estimator]:
+        return {name: partial(_evaluate_table, row, by_table) for name, row in rows.items()}
 
-    def simulated_value(table: Array) -> MonteCarlo:
+    def simulate_value(table: Array) -> MonteCarlo:
         return simulated.value(by_table[np.asarray(table).tobytes()])
 
-    every = on_tables(front | learned)
+    every = make_table_rows(front | learned)
     if wants_oee and kind != "none":
-        every["oee (calibrated)"] = cells.calibrated(simulated_value, numbered, kind, scale)
+        every["oee (calibrated)"] = cells.calibrated(simulate_value, numbered, kind, scale)
     finite = {name: estimator for name, estimator in wanted.items() if name not in sampling}
-    every |= on_tables(others | {SIMULATOR: simulated}) | cells.others(finite) | on_tables(last)
+    every |= make_table_rows(others | {SIMULATOR: simulated}) | cells.others(finite) | make_table_rows(last)
     report = evaluate(cells.problem, tables, estimators=every, facts=cells.facts | facts, **options)
-    said.append(lost(cells.model, simulated_value, tables, steps))
+    said.append(name_loss(cells.model, simulate_value, tables, steps))
     uncertainty = replace(
         report.uncertainty,
-        next=placed(report.uncertainty.next, cells.model),
+        next=add_features(report.uncertainty.next, cells.model),
         distance=(*first, *report.uncertainty.distance),
         caveat=correction.warning,
     )
-    told = tuple(placed(text, cells.model) for text in (*report.warnings, *said))
+    told = tuple(add_features(text, cells.model) for text in (*report.warnings, *said))
     return replace(report, warnings=told, uncertainty=uncertainty)
 
 
@@ -246,7 +246,7 @@ def _refuse_other_signs(row: Row, paid: tuple[float, float], horizon: int, scale
     return lambda policy: refuse_impossible(row(policy), low, high, horizon, scale)
 
 
-def _on_table(
+def _evaluate_table(
     row: Row, by_table: Mapping[bytes, StatePolicy], problem: Problem, table: Any, *, seed: Seed = None
 ) -> Estimate:
     """The row as an estimator, of a policy that is known by its table on the cells."""

@@ -68,16 +68,16 @@ def _fallen(env: Any, states: Array) -> BoolArray:
     return np.asarray(far | turned)
 
 
-def _arrived(env: Any, states: Array) -> BoolArray:
+def _has_arrived(env: Any, states: Array) -> BoolArray:
     return np.asarray((states[:, 0] >= env.goal_position) & (states[:, 1] >= env.goal_velocity))
 
 
-def _raised(env: object, states: Array) -> BoolArray:
+def _is_raised(env: object, states: Array) -> BoolArray:
     return np.asarray(-np.cos(states[:, 0]) - np.cos(states[:, 1] + states[:, 0]) > 1.0)
 
 
 _TURN, _POLE = float(np.pi), 0.21
-_CAR = StateAccess(_read, _write, ("position", "speed"), (), (-1.2, -0.07), (0.6, 0.07), _arrived)
+_CAR = StateAccess(_read, _write, ("position", "speed"), (), (-1.2, -0.07), (0.6, 0.07), _has_arrived)
 CLASSIC: Mapping[str, StateAccess] = {  # by the name of the class, or of one that it is made from
     "CartPoleEnv": StateAccess(
         _read, _write, ("x", "x_dot", "theta", "theta_dot"), (), (-2.4, -3.0, -_POLE, -3.2), (2.4, 3.0, _POLE, 3.2), _fallen
@@ -89,7 +89,7 @@ CLASSIC: Mapping[str, StateAccess] = {  # by the name of the class, or of one th
     "Continuous_MountainCarEnv": _CAR,
     "AcrobotEnv": StateAccess(
         _read, _write, ("angle_1", "angle_2", "speed_1", "speed_2"), (True, True, False, False),
-        (-_TURN, -_TURN, -4 * _TURN, -9 * _TURN), (_TURN, _TURN, 4 * _TURN, 9 * _TURN), _raised,
+        (-_TURN, -_TURN, -4 * _TURN, -9 * _TURN), (_TURN, _TURN, 4 * _TURN, 9 * _TURN), _is_raised,
     ),
 }  # fmt: skip
 
@@ -119,7 +119,7 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     make, identifier = physics.make, physics.identifier
     env = make()
     env.reset(seed=0)
-    way = _found(env, identifier) if state is None else _given(state)
+    way = _find_access(env, identifier) if state is None else _parse_access(state)
     start = np.array(way.get(env), dtype=np.float64)
     names = way.names or tuple(f"state_{i}" for i in range(start.size))
     commands = action_set(env.unwrapped.action_space, actions)
@@ -149,7 +149,7 @@ def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
     >>> gymnasium_spec("Pendulum-v1,g=9.0")
     ('Pendulum-v1', {'g': 9.0})
     """
-    named = _registered(spec)
+    named = _register(spec)
     return parse_spec(named if re.match("[^,]*:", named) else named.replace(",", ":", 1))
 
 
@@ -157,7 +157,7 @@ def is_continuous_id(spec: str) -> bool:
     """Whether ``spec`` begins with the id of a Gymnasium environment whose observations are no numbers of states."""
     import gymnasium
 
-    identifier = re.split("[:,]", _registered(spec), maxsplit=1)[0]
+    identifier = re.split("[:,]", _register(spec), maxsplit=1)[0]
     if identifier not in gymnasium.registry:
         return False
     try:
@@ -169,7 +169,7 @@ def is_continuous_id(spec: str) -> bool:
     return not hasattr(space, "n")
 
 
-def _registered(spec: str) -> str:
+def _register(spec: str) -> str:
     """``spec`` from its id on; the module that stands before it is imported, which registers the environment."""
     own = OWN_ID.match(spec)
     if own is None:
@@ -179,7 +179,7 @@ def _registered(spec: str) -> str:
     return spec[own.start(2) :]
 
 
-def _given(state: str) -> StateAccess:
+def _parse_access(state: str) -> StateAccess:
     """From "module:get,set"."""
     first, comma, second = state.partition(",")
     if not comma:
@@ -193,7 +193,7 @@ def _given(state: str) -> StateAccess:
     return StateAccess(*functions)
 
 
-def _found(env: Any, identifier: str) -> StateAccess:
+def _find_access(env: Any, identifier: str) -> StateAccess:
     """What the environment itself offers."""
     inner = env.unwrapped
     for owner in type(inner).__mro__:

@@ -72,13 +72,13 @@ def repeats_at_once(task: Any, way: Callable[[Any, Array, IntArray], Moves], sta
     except Exception:  # another interface than the one that is used here, numbers alone, or random numbers
         return False
     return many.next_state.shape == states.shape and (
-        _near(one.next_state, many.next_state)
-        and _near(one.reward, many.reward)
+        _are_near(one.next_state, many.next_state)
+        and _are_near(one.reward, many.reward)
         and np.array_equal(one.terminated, many.terminated)
     )
 
 
-def _near(one: Array, other: Array) -> bool:
+def _are_near(one: Array, other: Array) -> bool:
     return bool((np.abs(one - other) <= 1e-9 * (1.0 + np.abs(one))).all())
 
 

@@ -225,12 +225,12 @@ def history_effects(
             blocks |= {(k, "residual"): padded[back] for k, back in enumerate(earlier[used].T, start=1)}
         near = _mean_near(task, log.state, actions, y, usable, group)[used]
         x, target, fold = np.column_stack([np.eye(task.n_actions)[actions[used]], near]), y[used], group[used] % FOLDS
-        plain = _held_out_errors(x, target, fold)
+        plain = _errors_held_out(x, target, fold)
         total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
-        gained = plain - _held_out_errors(np.column_stack([x, *blocks.values()]), target, fold)
+        gained = plain - _errors_held_out(np.column_stack([x, *blocks.values()]), target, fold)
         whole = gained.sum(axis=0) / total
         shares = {
-            key: (plain - _held_out_errors(np.column_stack([x, block]), target, fold)).sum(axis=0) / total
+            key: (plain - _errors_held_out(np.column_stack([x, block]), target, fold)).sum(axis=0) / total
             for key, block in blocks.items()
         }
         is_sure = gained.sum(axis=0) > SURE * len(used) ** 0.5 * gained.std(axis=0)
@@ -272,7 +272,7 @@ def _mean_near(
     return found
 
 
-def _held_out_errors(x: Array, y: Array, fold: IntArray) -> Array:
+def _errors_held_out(x: Array, y: Array, fold: IntArray) -> Array:
     """(n, k) squared errors of a linear regression, each row's by the fit to the other folds."""
     errors = np.empty_like(y)
     for f in range(FOLDS):

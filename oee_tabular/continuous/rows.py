@@ -146,21 +146,21 @@ class ResidualRow(LearnedRow):
 
     def __call__(self, policy: StatePolicy) -> Estimate:
         """The value, in front of all others where the correction can be trusted."""
-        found, share = super().__call__(policy), self._beyond(policy)
+        found, share = super().__call__(policy), self._share_beyond(policy)
         told = ", ".join(f"{c.name} {c.explained:.3g}" for c in self.learned.coordinates if c.kind != "zero")
         findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),) if share > MAX_BEYOND else ()
         facts = found.diagnostics | {"explained": told, "beyond_log": share}
         return replace(found, diagnostics=facts, findings=findings, is_headline=self.status == "ok")
 
-    def _beyond(self, policy: StatePolicy) -> float:
+    def _share_beyond(self, policy: StatePolicy) -> float:
         """Share of the policy's transitions that begin beyond what the log has seen."""
         counted = np.zeros(2)
 
-        def watched(states: Array) -> Array:
+        def watch(states: Array) -> Array:
             counted[:] += self.learned.beyond(states).sum(), len(states)
             return policy(states)
 
-        replace(self.rollouts, paths=min(200, self.rollouts.paths)).compare([self.learned], watched)
+        replace(self.rollouts, paths=min(200, self.rollouts.paths)).compare([self.learned], watch)
         return float(counted[0] / counted[1])
 
 

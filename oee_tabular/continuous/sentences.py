@@ -116,7 +116,9 @@ def odd_row(corrected: ResidualSimulator) -> str:
     return ""
 
 
-def lost(model: Discretization, mc: Callable[[Array], MonteCarlo], tables: Mapping[str, Array], horizon: int) -> str:
+def name_loss(
+    model: Discretization, mc: Callable[[Array], MonteCarlo], tables: Mapping[str, Array], horizon: int
+) -> str:
     """What the cells make of the simulator's own values, which no interval covers."""
     found = []
     for name, table in tables.items():
@@ -130,7 +132,7 @@ def lost(model: Discretization, mc: Callable[[Array], MonteCarlo], tables: Mappi
     )
 
 
-def placed(text: str, model: Discretization) -> str:
+def add_features(text: str, model: Discretization) -> str:
     """A warning with the features of the states that it numbers."""
     n, names = model.cells.n_cells, model.task.feature_names
 

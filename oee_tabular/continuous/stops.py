@@ -41,7 +41,7 @@ class Stops:
             bounds[side, alike] = target[side, alike] = ours[side, alike]
         self.bounds, self.target, self.own = bounds, target, ours
         self._reach = np.maximum(np.abs(following - states).max(axis=0), np.abs(own - states).max(axis=0))
-        self.held = _held(target, np.concatenate([following, own]))
+        self.held = _group_stops(target, np.concatenate([following, own]))
         self.pushes = {at: np.zeros((len(j), self._reach.size)) for at, (j, _) in self.held.items()}
 
     def is_stopped(self, following: Array) -> BoolArray:
@@ -116,14 +116,14 @@ def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
         between = values[_side(extremes[:, [i]], values[:, [i]])[:, 0] == 0, i]
         if is_angle[i] or len(np.unique(between)) ** 2 <= len(values):
             stops[:, i] = none[:, i]
-    holding = _held(stops, values)
+    holding = _group_stops(stops, values)
     for side, i in zip(*np.nonzero(np.isfinite(stops)), strict=True):
         if (side, i) not in holding:
             stops[side, i] = none[side, i]
     return stops if _side(stops, values).any(axis=1).mean() <= MOST else none
 
 
-def _held(stops: Array, values: Array) -> dict[tuple[int, int], tuple[IntArray, Array]]:
+def _group_stops(stops: Array, values: Array) -> dict[tuple[int, int], tuple[IntArray, Array]]:
     """What is exactly alike in all rows at a stop, by side and coordinate."""
     held = {}
     for side, i in zip(*np.nonzero(np.isfinite(stops)), strict=True):

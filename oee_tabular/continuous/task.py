@@ -195,12 +195,12 @@ class ContinuousTask(ABC):
         return self.moves(states, actions, rng.standard_normal((len(states), self.n_disturbances)))
 
 
-def _of_task(method: str) -> Any:
+def _pass_to_task(method: str) -> Any:
     """The other task's method."""
     return lambda self, *given: getattr(self.task, method)(*given)
 
 
-def _of_own(method: str) -> Any:
+def _pass_own_to_task(method: str) -> Any:
     """The other task's method, of its own states in those that are given first."""
     return lambda self, states, *given: getattr(self.task, method)(self.own(states), *given)
 
@@ -228,10 +228,14 @@ class DerivedTask(ContinuousTask):
         """The task's."""
         return self.task.reward_between(self.own(states), actions, self.own(next_states))
 
-    initial_points, embed, reward_of = _of_task("initial_points"), _of_task("embed"), _of_task("reward_of")
-    terminated, end_shows = _of_own("terminated"), _of_own("end_shows")
-    features, smooth = _of_own("features"), _of_own("smooth")
-    reward_terms, past_displacements = _of_own("reward_terms"), _of_own("past_displacements")
+    initial_points, embed, reward_of = (
+        _pass_to_task("initial_points"),
+        _pass_to_task("embed"),
+        _pass_to_task("reward_of"),
+    )
+    terminated, end_shows = _pass_own_to_task("terminated"), _pass_own_to_task("end_shows")
+    features, smooth = _pass_own_to_task("features"), _pass_own_to_task("smooth")
+    reward_terms, past_displacements = _pass_own_to_task("reward_terms"), _pass_own_to_task("past_displacements")
 
 
 def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:
@@ -265,7 +269,7 @@ class BadPolicy(ValueError):
     """A policy function's own error, told as what it must do."""
 
 
-def asked(policy: Callable[[Array], Any], states: Array) -> Any:
+def ask_policy(policy: Callable[[Array], Any], states: Array) -> Any:
     """What a policy function says for all ``states`` at once; a ValueError that says so where it raises."""
     try:
         return policy(states)
@@ -282,7 +286,7 @@ def asked(policy: Callable[[Array], Any], states: Array) -> Any:
 def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> Array:
     """What a policy function says for ``states``: (n, A), rows that sum to 1."""
     _checks.function(policy, "policy")
-    table = _checks.float_array(asked(policy, states), "policy(states)")
+    table = _checks.float_array(ask_policy(policy, states), "policy(states)")
     if table.shape != (len(states), n_actions):
         raise ValueError(
             f"policy(states) must have shape {(len(states), n_actions)} for {len(states)} states; it has shape {table.shape}"

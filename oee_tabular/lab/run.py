@@ -117,7 +117,7 @@ def _compute(store: Store, left: dict[int, Cell], jobs: int, dask: str | None, b
             for number, cell in left.items()
         ]
         try:
-            with _without_interrupts():
+            with _hold_interrupts():
                 results = parallel(before, jobs, dask, return_as="generator_unordered")(tasks)
             for number, rows in results:
                 store.add(left.pop(number), rows)
@@ -166,7 +166,7 @@ def _refuse_other_code(worker: str, found: object, asked: str) -> None:
 
 
 @contextlib.contextmanager
-def _without_interrupts() -> Iterator[None]:
+def _hold_interrupts() -> Iterator[None]:
     """Processes that are started here are not interrupted by Ctrl-C: this one is, and ends them."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield

@@ -111,7 +111,7 @@ class Batch(NamedTuple):
     known: Any = None
 
 
-class Program(eqx.Module):  # type: ignore[misc]
+class NetworkProgram(eqx.Module):  # type: ignore[misc]
     """From f to the ratio, and what a batch is: cell by cell in a box, or row by row (``row``, ``known``, ``indptr``).
 
     In a box log g = log nu + (log mu - log nu) sigmoid(f + c), and a batch is draws of p and draws of q; by rows
@@ -127,7 +127,7 @@ class Program(eqx.Module):  # type: ignore[misc]
     span: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
 
     @classmethod
-    def of(cls, training: Training) -> Program:
+    def of(cls, training: Training) -> NetworkProgram:
         p, q, rows = jnp.asarray(training.p), jnp.asarray(training.q), training.rows
         if rows is None:
             return cls(p, q, span=(math.log(training.lower), math.log(training.upper)))
@@ -224,7 +224,7 @@ def _train(network: Network, training: Training, generator: np.random.Generator)
     state = optimizer.init(eqx.filter(model, eqx.is_array))
     places = None if training.places is None else jnp.asarray(training.places)
     cells = tuple(jnp.asarray(column) for column in training.cells)
-    program, ridge = Program.of(training), jnp.asarray(training.ridge)
+    program, ridge = NetworkProgram.of(training), jnp.asarray(training.ridge)
     start = training.risk(np.ones(len(training.p)), training.p, training.q)
     iterations, ratios = [0], [_ratio_everywhere(model, places, cells, program, training)]
     held: list[float] = []
@@ -247,7 +247,7 @@ def _train(network: Network, training: Training, generator: np.random.Generator)
     return Trained(ratios[kept], iterations[kept], np.array(iterations), ratios, np.array(held))
 
 
-def _ratio_everywhere(model: Any, places: Any, cells: Any, program: Program, training: Training) -> Array:
+def _ratio_everywhere(model: Any, places: Any, cells: Any, program: NetworkProgram, training: Training) -> Array:
     """g on all cells."""
     n = len(cells[0])
     parts = [slice(low, low + N_CELLS_AT_ONCE) for low in range(0, n, N_CELLS_AT_ONCE)]
@@ -256,7 +256,7 @@ def _ratio_everywhere(model: Any, places: Any, cells: Any, program: Program, tra
     return np.asarray(np.clip(np.asarray(g), training.lower, training.upper))
 
 
-def _draw(size: int | None, program: Program, generator: np.random.Generator, count: int) -> Any:
+def _draw(size: int | None, program: NetworkProgram, generator: np.random.Generator, count: int) -> Any:
     """(count, draws): the cells of N draws from each side; None where every iteration has them all."""
     if size is None:
         return None

@@ -10,7 +10,7 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import _checks, _workers
-from oee_tabular.lab.run import _without_interrupts
+from oee_tabular.lab.run import _hold_interrupts
 
 GRID = oee.tasks.gridworld(3, 0.3)
 UNIFORM = oee.uniform_policy(GRID)
@@ -64,7 +64,7 @@ def test_no_more_jobs_than_cells(jobs, cells, most):
 def test_workers_are_not_interrupted_themselves():
     """Ctrl-C reaches every process of a terminal; those that still import would each print a traceback."""
     script = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))"
-    with _without_interrupts():
+    with _hold_interrupts():
         inside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     outside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert (inside.stdout, outside.stdout) == ("True\n", "False\n")

@@ -8,14 +8,12 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-import signal
 import sys
 import tempfile
-import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ from oee_tabular import _checks, _files
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._sparse import row_sums
+from oee_tabular._workers import time_limit
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
 from oee_tabular.estimators.base import UNEXPLAINED
 from oee_tabular.estimators.functions import as_estimator
@@ -212,25 +211,6 @@ def measure(name: str, given: object, family: Family, problem: Problem, seed: in
         return row | {"status": f"{type(failure).__name__}: {failure}"}
     return row | {"value": value, "error": value - family.truth, "standard_error": error, "lower": lower,
                   "upper": upper, "interval": method, "seconds": seconds, "status": estimate.status}  # fmt: skip
-
-
-@contextmanager
-def time_limit(seconds: float) -> Iterator[None]:
-    """TimeoutError after so many seconds; none outside of a process's main thread and on Windows, which have no alarm."""
-    if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(*_: object) -> None:
-        raise TimeoutError(f"no answer within {seconds:g} s (--timeout gives it more)")
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def split(text: str) -> list[str]:

@@ -89,7 +89,7 @@ def _ratios(squares: Array, eff: Array) -> dict[str, float]:
     least = LEAST * mean_eff if math.isfinite(mean_eff) else 0.0
     samples = np.vstack([np.full(n, 1.0 / n), resamples(n)])
     rmse, likelihood, simulator = (np.sqrt(samples @ own) for own in squares)
-    ratio = _over(rmse, np.maximum(np.minimum(likelihood, simulator), least))
+    ratio = _divide(rmse, np.maximum(np.minimum(likelihood, simulator), least))
     unit = mean_eff if 0 < mean_eff < math.inf else math.nan
     return {
         "rmse": float(rmse[0]),
@@ -99,12 +99,12 @@ def _ratios(squares: Array, eff: Array) -> dict[str, float]:
         "low": float(np.quantile(ratio[1:], LOW, method="lower")),
         "b": float(simulator[0] / unit),
         "floor": float(floor(simulator[0] / unit)),
-        "over_likelihood": float(_over(rmse[:1], likelihood[:1])[0]),
+        "over_likelihood": float(_divide(rmse[:1], likelihood[:1])[0]),
         "over_eff": float(rmse[0] / unit),
     }
 
 
-def _over(own: Array, reference: Array) -> Array:
+def _divide(own: Array, reference: Array) -> Array:
     """own / reference; 1 where both are 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.where((own == 0) & (reference == 0), 1.0, own / reference))

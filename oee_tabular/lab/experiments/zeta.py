@@ -30,7 +30,7 @@ FITS: dict[str, dict[str, Any]] = {  # options of ``transition_ratio``
 }
 
 
-def published_errors(summary: pd.DataFrame) -> list[float]:
+def errors_of_paper(summary: pd.DataFrame) -> list[float]:
     """The error of the paper's networks for each row of a summary; their data are the uniform policy's."""
     rows = summary if "grid" in summary else summary.assign(data="uniform", grid=10)
     return [
@@ -42,7 +42,7 @@ def published_errors(summary: pd.DataFrame) -> list[float]:
 def draw_published(ax: Any, rows: pd.DataFrame) -> None:
     """The paper's networks, where they were published."""
     points = rows.drop_duplicates("n").sort_values("n")
-    errors = published_errors(points)
+    errors = errors_of_paper(points)
     if np.isfinite(errors).any():
         ax.plot(points.n, errors, color=INK, marker="x", lw=1.2, label="paper's networks")
 
@@ -55,7 +55,7 @@ ZetaPanels = functools.partial(
 @experiment(
     "Figure 1a: error of the ratio of transition probabilities against sample size",
     axes={"data": tuple(DATA), "grid": (10, 20, 40), "n": HALF_DECADES},
-    keys=("data", "grid", "n", "estimator"), measures=("error",), paper=published_errors,
+    keys=("data", "grid", "n", "estimator"), measures=("error",), paper=errors_of_paper,
     draw=ZetaPanels("estimator", by=("data", "grid"), columns=3),
 )  # fmt: skip
 def fig1a(settings: Cell, stream: Stream) -> list[Row]:
@@ -136,7 +136,7 @@ EXCESS = ErrorPanels(  # approximation is 0 but for rounding
 @experiment(
     "Figure 1a with our own networks, and what their error is made of",
     axes={"simulator": ("sampled afresh", RECORDED), "n": HALF_DECADES}, repetitions=3,
-    keys=("simulator", "n", "fit"), measures=("error", "excess", *PARTS), paper=published_errors,
+    keys=("simulator", "n", "fit"), measures=("error", "excess", *PARTS), paper=errors_of_paper,
     draw=ZetaPanels(
         "fit", by=("simulator",), only=lambda rows: rows[rows.fit != NAMES["best"]], beside=[EXCESS], columns=2
     ),

@@ -22,7 +22,7 @@ def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
     return sparse.csr_array(sparse.diags_array(1.0 / np.where(total > 0, total, 1.0)) @ counts + staying)
 
 
-def by_delta(table: pd.DataFrame, deltas: Iterable[float]) -> pd.DataFrame:
+def select_deltas(table: pd.DataFrame, deltas: Iterable[float]) -> pd.DataFrame:
     """A row for each policy, with delta, value, truth and error, of columns value_0.1, truth_0.1, ...; for figures."""
     import pandas as pd
 

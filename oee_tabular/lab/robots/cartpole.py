@@ -16,7 +16,7 @@ from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.findings import listed
 from oee_tabular.lab.panels import Panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
-from oee_tabular.lab.robots import by_delta, cartpole_truth
+from oee_tabular.lab.robots import cartpole_truth, select_deltas
 from oee_tabular.lab.robots.cartpole_estimates import (
     BEHAVIOR,
     FLOOR,
@@ -115,7 +115,7 @@ def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) ->
         extra={"true value": "truth"}, only=partial(keep, ("OEE, calibrated",)), **shared,
         beside=[Panels("error", only=partial(keep, names), **errors) for names in (ON_CELLS, OTHERS)],
         by=("gravity",), columns=3, size=(6.0, 4.4),
-    )(by_delta(own, DELTAS), summary, figure)  # fmt: skip
+    )(select_deltas(own, DELTAS), summary, figure)  # fmt: skip
     for ax in figure.axes:
         if not ax.get_title().endswith("values"):
             label_ends(ax)

@@ -82,12 +82,12 @@ def grid_values(target: str) -> dict[str, dict[float, Array]]:
 
 
 @functools.cache
-def converged(target: str, delta: float) -> Array:
+def iterate_values(target: str, delta: float) -> Array:
     """(5,) Monte Carlo values of the goals in the arm itself, 50 runs each."""
-    return simulated_values(arm_of(target), delta)
+    return simulate_values(arm_of(target), delta)
 
 
-def simulated_values(task: Any, delta: float) -> Array:
+def simulate_values(task: Any, delta: float) -> Array:
     """(5,) Monte Carlo values of the goals, 50 runs each: in an arm or in a corrected one."""
     goals, horizon = range(len(kinova.GOALS)), kinova.HORIZON
     policies = [kinova.kinova_policy(g, delta) for g in goals]
@@ -194,7 +194,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
     exact = {name: goal_values(model) for name, (model, _) in models.items()} | grid_values(target)
     rows: list[Row] = []
     for delta in POLICIES:
-        truth, simulated = converged(target, delta), converged("simulator", delta)
+        truth, simulated = iterate_values(target, delta), iterate_values("simulator", delta)
         values = {name: found[delta] for name, found in exact.items()}
         again = kinova.record_goals(arm_of("simulator"), n_runs=N_RUNS, delta=delta, seed=rng)
         product, normalized = product_values(defensive, zeta, delta, rng)
@@ -206,7 +206,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
             "OEE, tied, exact, calibrated": values[OEE] + simulated - values["defensive simulator on the grid"],
             "OEE, tied, 50 simulated runs": product,
             "OEE, tied, 50 simulated runs, self-normalised": normalized,
-            RESIDUAL: simulated_values(corrected, delta),
+            RESIDUAL: simulate_values(corrected, delta),
             "PDIS": importance_sampling(recorded[data], delta),
         }
         apart = abs(simulated.mean() - truth.mean())

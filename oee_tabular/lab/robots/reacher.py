@@ -23,7 +23,7 @@ from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.findings import reach
 from oee_tabular.lab.panels import Panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
-from oee_tabular.lab.robots import by_delta, frequencies
+from oee_tabular.lab.robots import frequencies, select_deltas
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
 
@@ -181,7 +181,7 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     Panels(
         "value", "series", "delta", ("length",), "links of {length:g} m", "delta: share of random actions",
         "value (discounted sum of 100 rewards)", extra={"true value": "truth"}, bands=True, beneath=mark_paper, size=(6.4, 4.4),
-    )(by_delta(own, DELTAS), summary, figure)  # fmt: skip
+    )(select_deltas(own, DELTAS), summary, figure)  # fmt: skip
 
 
 def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:
