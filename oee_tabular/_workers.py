@@ -64,11 +64,14 @@ def end_with_parent(parent: int, *, with_group: bool = False) -> None:
 
 
 def parallel(number: int, jobs: int, dask: str | None, **options: Any) -> Any:
-    """A ``joblib.Parallel`` for so many calls, in no more processes; ``jobs`` -1: one a core."""
+    """A ``joblib.Parallel`` for so many calls, in no more processes; ``jobs`` -1: one a core.
+
+    A single call is made in a process of its own too, unless ``jobs`` is 1: it may be one that ends its process.
+    """
     import joblib
 
     most = joblib.cpu_count() if jobs == -1 else jobs
-    return joblib.Parallel(n_jobs=-1 if dask else max(1, min(most, number)), batch_size=1, **options)
+    return joblib.Parallel(n_jobs=-1 if dask else min(most, max(number, 2)), batch_size=1, **options)
 
 
 def each(

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
 from oee_tabular.continuous.kinova.hand import ideal_hand
+from oee_tabular.lab import experiments
 from oee_tabular.lab.output import summary_of
 from oee_tabular.lab.registry import Stream
 from oee_tabular.lab.robots.changes import classic, coverage, experiment
@@ -207,7 +208,7 @@ def test_a_small_coverage(monkeypatch):
     name = "CartPole, gravity 12.5"
     coverage.truth.cache_clear()
     coverage.pair.cache_clear()
-    table = coverage.RESIDUAL_COVERAGE.table(case=name, repetitions=6)
+    table = experiments.table("residual_coverage", case=name, repetitions=6)
     coverage.truth.cache_clear()
     coverage.pair.cache_clear()
     assert min(table.covered.sum(), table.covered_paired.sum()) >= 5
