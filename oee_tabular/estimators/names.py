@@ -59,7 +59,7 @@ NAMED: Mapping[str, Named] = {
     ),
     "ratio-of-ratios": Named(
         "OffEnvironment",
-        "The paper's quotient of two fitted ratios; its rows need not be probabilities.",
+        "The paper's quotient of two fitted ratios, each normalised; its rows need not be probabilities.",
         {"ratio": "ratio_of_ratios"},
     ),
     "model-based": Named(
@@ -76,7 +76,9 @@ NAMED: Mapping[str, Named] = {
         "Importance sampling with weights that are divided by their sum.",
         {"kind": "trajectory", "self_normalized": True},
     ),
-    "pdis": Named("ImportanceSampling", "Importance sampling, reward by reward (per decision); needs no simulator."),
+    "pdis": Named(
+        "ImportanceSampling", "Importance sampling, reward by reward (per decision); uses no transition probabilities."
+    ),
     "wpdis": Named(
         "ImportanceSampling",
         "Importance sampling reward by reward, with weights that are divided by their sum.",

@@ -256,7 +256,7 @@ def web_pages(rng: np.random.Generator) -> Family:
     return from_tables(about, (0.85 * links + 0.15 / 120, real), rewards, 0.9)
 
 
-FAMILIES: dict[str, Maker] = {  # in the order of the alphabet
+FAMILIES: dict[str, Maker] = {
     "blackjack": shift(
         "High cards are rarer and middle ones more frequent than simulated.", (203, 2), OUTCOME, 0.99, (DECK,),
         lambda rng: (normalize(DECK * np.repeat([1, rng.uniform(1.4, 1.9), 1, rng.uniform(0.4, 0.7)], [4, 2, 3, 1])),),

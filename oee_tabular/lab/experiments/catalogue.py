@@ -24,9 +24,9 @@ EXPERIMENTS: dict[str, Experiment] = {
     experiment.id: experiment
     for experiment in (
         zeta.fig1a, values.fig1bcd, values.estimands, values.horizon, values.data_policy, programs.rate, programs.renyi,
-        programs.misspecified, programs.normalisation, programs.lambda_n,
+        programs.misspecified, programs.normalisation, programs.lambda_n, zeta.networks,
         toy_text.frozen_lake, toy_text.taxi, toy_text.cliff_walking,
-        sureness.coverage, sureness.coverage_lake, sureness.efficiency, sureness.collection, zeta.networks, ranking,
+        sureness.coverage, sureness.coverage_lake, sureness.efficiency, sureness.collection, ranking,
         cartpole.FIGURE_2, cartpole.RESOLUTION, cartpole.CARTPOLE_DATA, cartpole.CARTPOLE_CHOICE, reacher.FIGURE_3,
         kinova.TABLE_1, CHANGES, RESIDUAL_COVERAGE,
     )
@@ -56,7 +56,7 @@ def listing() -> str:
     for group, members in itertools.groupby(EXPERIMENTS.values(), key=lambda experiment: experiment.group):
         lines.append(f"{group}:")
         for own in members:
-            lines.append(f"  {own.id:<14} {len(own.settings().cells()):>5} cells  {own.title}")
+            lines.append(f"  {own.id:<19} {len(own.settings().cells()):>5} cells  {own.title}")
     return "\n".join(lines)
 
 
