@@ -26,10 +26,13 @@ DoublyRobust(weights="beta") (an error of second order), clipped ratios, and fea
 d_P* / d_P. Pairs never recorded are the prior's (OffEnvironment), the fallback's (ModelBased), the simulator's
 (DoublyRobust, DualDice), or count nothing (Marginalized).
 
-Standard errors are those of the log by the delta method, sum over recorded pairs of Var_f(G) / n with
-G = dJ / dP(s' | s, a) (``exact.transition_gradient``), or of independent episodes or rollouts. ``base`` has the
-common parts, ``problem`` checks the inputs (``rewards``: the log's), ``findings`` has the warnings, ``names``
-the short names, ``calibrated`` removes the error of a discretised task.
+Standard errors are those of the log by the delta method, sqrt(sum over recorded pairs of Var_f(G) / n) with
+G = dJ / dP(s' | s, a) (``exact.transition_gradient``), or of independent episodes or rollouts. OffEnvironment takes
+the variances under zeta P, and adds Var(G) of each unrecorded pair inside the root.
+
+``base`` has the common parts, ``problem`` checks the inputs (``rewards``: the log's), ``functions`` makes estimators
+of functions (``as_estimator``), ``findings`` has the warnings, ``names`` the short names, ``calibrated`` removes the
+error of a discretised task.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from oee_tabular._threads import one_thread
 from oee_tabular.estimators.findings import WEIGHTLESS, Finding, from_diagnostics
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.exact import ReweightedModel, reweight
-from oee_tabular.exact.linear import DivergentKernelError, exponent
+from oee_tabular.exact.system import DivergentKernelError, exponent
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import Method, TransitionRatio
@@ -49,15 +49,17 @@ class Estimate:
         None also if the data do not vary: one transition, or equal returns.
         ``diagnostics["standard_error_of"]`` says what it covers: the log or the rollouts.
     interval : (lower, upper) or None
-        The estimator's own, at 95%; ``oee.evaluate`` replaces it by the one to quote, and puts its name in
-        ``diagnostics["interval_method"]``.
+        The estimator's own, at 95%. If ``model_value`` is set, ``oee.evaluate`` quotes the likelihood interval
+        instead, where there is one. ``diagnostics["interval_method"]`` names the interval.
     diagnostics : plain numbers and words
         If they apply: ``effective_sample_size``, ``largest_weight``, ``coverage`` (share of the
         policy's discounted time in recorded pairs), ``fallback_share`` (the rest), ``row_sum_error``,
         ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs).
     status : "ok", or the problem and a remedy
     findings : warnings, which a report prints
-    model_value : the exact value of zeta * P if the log moves the value from it; else None
+    model_value : the exact value of zeta * P, or None
+        Set if the value is that of a corrected simulator whose rows sum to 1. A report quotes such values first,
+        with the likelihood interval.
     measured : share of the policy's time in pairs whose variance the standard error includes
     is_normal : whether the interval is the value ± a quantile times the standard error
     is_from_log : False if the value uses the simulator alone
@@ -277,7 +279,7 @@ class TabularEstimator:
 
 RatioOption = str | Method | TransitionRatio | Callable[..., TransitionRatio]
 _SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})  # as many simulated moves as the log has
-NAMED: Mapping[str, frozenset[str]] = {  # methods that need no options, and what they claim
+CLAIMS_OF_METHODS: Mapping[str, frozenset[str]] = {  # methods that need no options, and what they claim
     "conditional": OF_COUNTS | {"consistent", "shift"},
     "ratio_of_ratios": _SAMPLED,  # its rows have any sum
     "joint": _SAMPLED | {"shift"},
@@ -291,7 +293,7 @@ class RatioEstimator(TabularEstimator):
 
     def __post_init__(self) -> None:
         if isinstance(self.ratio, str):
-            _checks.one_of(self.ratio, "ratio", tuple(NAMED))
+            _checks.one_of(self.ratio, "ratio", tuple(CLAIMS_OF_METHODS))
         elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(self.ratio):
             raise ValueError(
                 f"ratio must be a method's name, a TransitionRatio or a function; got {_checks.show(self.ratio)}"
@@ -339,4 +341,4 @@ class RatioEstimator(TabularEstimator):
         """What the exact value of zeta * P claims; a zeta that is given is right for one pair only."""
         if isinstance(self.ratio, TransitionRatio):
             return OF_COUNTS | {"shift"} if self.ratio.row_sum_error <= _checks.SUM_TOLERANCE else OF_COUNTS
-        return NAMED[self.ratio] if isinstance(self.ratio, str) else frozenset({"scale"})
+        return CLAIMS_OF_METHODS[self.ratio] if isinstance(self.ratio, str) else frozenset({"scale"})

@@ -1,4 +1,8 @@
-"""Policy importance sampling on the log's episodes: the field's estimators, which never look at the simulator."""
+"""Policy importance sampling on the log's episodes, which never uses the simulator's transition probabilities.
+
+Of the simulator it reads the discount, the absorbing states, the support of the start, and the rewards (its own where
+the log has none, and to bound what is missing).
+"""
 
 from __future__ import annotations
 

@@ -31,9 +31,9 @@ from oee_tabular.estimators.rollouts import (
     weight_status,
 )
 from oee_tabular.exact import evaluate_policy, policy_value, reweight, transition_gradient, weighted_return_moments
-from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.exact.reweighted import with_rows
+from oee_tabular.exact.system import DivergentKernelError
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
@@ -52,7 +52,10 @@ OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 @dataclass(frozen=True)
 class OffEnvironment(RatioEstimator):
-    """The paper's estimator: zeta from the log, the policy's value in zeta * P (eq. 4.2).
+    """The default: the value of the corrected simulator zeta * P (eq. 4.2), moved towards the log.
+
+    zeta is shrunk to a prior. The paper's own estimator is
+    ``OffEnvironment(Quotient(normalized=False), evaluation="monte_carlo")``.
 
     Parameters
     ----------
@@ -114,7 +117,7 @@ class OffEnvironment(RatioEstimator):
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
 
     def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
-        """J in zeta * P, or the mean of weighted rollouts."""
+        """J in zeta * P, moved towards the log; or the mean of weighted rollouts."""
         zeta = self.fit(problem, policy, generator)
         if self.evaluation == "monte_carlo":
             return self._average_rollouts(problem, zeta, policy, generator)

@@ -186,7 +186,7 @@ def check_estimator(
         one without arguments
     seed : int of at least 0; the logs of the statistical laws come from it
     claims : words of ``CLAIMS``: which laws it should satisfy. None: ``estimator.claims``, a collection of words or a method
-        that returns one; for the package's own estimators a table; otherwise ``DEFAULT`` (consistent, relabelling, scale)
+        that returns one; without it ``DEFAULT`` (consistent, relabelling, scale)
     laws : names in ``LAWS``; None: all
     repetitions : logs of each statistical comparison, at least 3
     from_pair : for oracles: ``estimator`` is a function (simulator, target) -> estimator
@@ -204,12 +204,12 @@ def check_estimator(
 
     Notes
     -----
-    Every estimator owes well_formed, input_unchanged, reproducible and support, and limit where it has one. A right
-    estimator fails a statistical law with a chance of about 1e-5 a comparison (unbiased: 1e-4); so a bias of less than some
-    11 standard errors of the mean of 8 logs (3% of the value in these pairs) may pass; with 30 logs (``repetitions``) a
-    quarter of that. An estimator that is a dataclass with a field ``n_rollouts`` is given more rollouts with more episodes
-    where its limit is looked at. Cost: some 100 estimates (900 where it claims to be unbiased), of logs of up to 4800
-    episodes.
+    Every estimator owes well_formed, input_unchanged, reproducible and support, limit where it has one, and seeds
+    unless it claims random. A right estimator fails a statistical law with a chance of about 1e-5 a comparison
+    (unbiased: 1e-4); so a bias of less than some 11 standard errors of the mean of 8 logs (3% of the value in these
+    pairs) may pass; with 30 logs (``repetitions``) a quarter of that. An estimator that is a dataclass with a field
+    ``n_rollouts`` is given more rollouts with more episodes where its limit is looked at. Cost: some 100 estimates (900
+    where it claims to be unbiased), of logs of up to 4800 episodes.
 
     Examples
     --------
