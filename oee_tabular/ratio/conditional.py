@@ -24,8 +24,7 @@ from oee_tabular.ratio.features import count_rank, feature_array
 from oee_tabular.ratio.method import Method, Population, RatioInput
 from oee_tabular.ratio.network import Network, check_network
 from oee_tabular.ratio.prior.directions import add_values, make_directions, own_directions, values_in
-from oee_tabular.ratio.prior.ridge import Ridge as Tilt
-from oee_tabular.ratio.prior.ridge import fit_ridge
+from oee_tabular.ratio.prior.ridge import Tilt, fit_ridge
 from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, kinds_of_rows, meaning
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.trained import fit_rows

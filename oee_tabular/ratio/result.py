@@ -14,10 +14,10 @@ from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular._sparse import align, canonical, check_csr, csr_on_pattern, row_of_entry, row_sums
 from oee_tabular._threads import one_thread
-from oee_tabular.exact.linear import exponent
+from oee_tabular.exact.system import exponent
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
-from oee_tabular.ratio.prior.ridge import Ridge
+from oee_tabular.ratio.prior.ridge import Tilt
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ class Influence:
     ratio: Array
     curvature: Array
     share: Array
-    tilt: Ridge | None = None
+    tilt: Tilt | None = None
     scores: Array | None = None
     information: Array | None = None
 

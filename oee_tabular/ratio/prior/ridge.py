@@ -56,7 +56,7 @@ ROUNDS = 6, 3  # of MacKay's rule, for kappa around the first rows, then for kap
 
 
 @dataclass(frozen=True, eq=False)
-class Ridge:
+class Tilt:
     """A fitted tilt.
 
     Attributes
@@ -113,9 +113,9 @@ def fit_ridge(
     choose_kappa: Callable[[Array], Array] | None,
     *,
     by_evidence: bool = True,
-    start: Ridge | None = None,
+    start: Tilt | None = None,
     solver: str = "dual",
-) -> Ridge:
+) -> Tilt:
     """Fit theta and the strengths to counts.
 
     Parameters
@@ -157,7 +157,7 @@ def fit_ridge(
         theta = _solve_by_cvxpy(columns, weighted, penalty, solver, rows)
         gradient, covariances = differentiate(columns, tilt_rows(columns, theta)[0], risk, theta, penalty)
         gap = 0.5 * float(np.sum(gradient**2 / penalty))
-    return Ridge(directions, theta, covariances, penalty, strengths, float(gap) / max(float(n.sum()), 1.0))
+    return Tilt(directions, theta, covariances, penalty, strengths, float(gap) / max(float(n.sum()), 1.0))
 
 
 def _root_mean_squares(columns: Columns, rows: Rows) -> Array:
