@@ -18,8 +18,8 @@ sum_a pi w^2 P (moments, recursions); from them follow efficiency bounds and the
 whose transitions are a ratio times the simulator's, zeta P, is a ``ReweightedModel`` (reweighted).
 
 With a horizon sums are carried out as they stand. Without one, values and occupancies solve M x = b and M^T x = b with
-M = I - gamma P_pi (system, linear), by the first of ``solvers`` that suits the graph of P_pi: LAPACK, value iteration, LU in a
-narrow band, SuperLU, BiCGSTAB.
+M = I - gamma P_pi (system, linear), by LAPACK, value iteration, LU in a band, SuperLU or BiCGSTAB: those that suit the
+graph of P_pi are tried one after the other until one is within rounding (``solvers`` has the order).
 
 Guarantees. ``error_bound`` bounds |V - V*|_inf, for transposed systems the sum |x - x*|_1, for the numbers as they are stored:
 

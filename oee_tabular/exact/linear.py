@@ -16,9 +16,9 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import check_csr
 from oee_tabular.exact import solvers
-from oee_tabular.exact.system import DivergentKernelError, Kernel, System, exponent, rows_of
+from oee_tabular.exact.system import Kernel, System, exponent, rows_of
 
-__all__ = ["DivergentKernelError", "LinearSolution", "exponent", "solve_policy_system"]
+__all__ = ["LinearSolution", "solve_policy_system"]
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def solve_policy_system(
 
     Notes
     -----
-    Cost: O(S^3) up to 100 states; one pass where no more than some states can reach each other (layered models); else a few
+    Cost: O(S^3) up to 100 states; one pass where few states can reach each other (layered models); else a few
     dozen sparse sweeps.
 
     Examples

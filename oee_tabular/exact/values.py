@@ -69,7 +69,8 @@ def evaluate_policy(model: Model, policy: PolicyLike, *, horizon: int | None = N
 
     Notes
     -----
-    Cost: O(T * nnz), or one sparse solve. Values beyond the largest float are infinite, and the error bound then is.
+    With a horizon the recursion goes backward over all states. Cost: O(T * nnz), or one sparse solve. Values beyond the
+    largest float are infinite, and the error bound then is.
 
     Examples
     --------
@@ -136,8 +137,8 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     Parameters
     ----------
     mdp : FiniteMDP (or a ReweightedModel)
-    policy, horizon : as in ``evaluate_policy``, whose errors are these, and its cost; with a horizon only the states that
-        are reached within it cost anything
+    policy, horizon : as in ``evaluate_policy``, whose errors are these, and its cost; with a horizon it sums over the
+        light cone: only the states that are reached within it cost anything
     normalized : whether J is multiplied by (1 - discount); an error at discount 1
 
     Examples

@@ -25,8 +25,8 @@ from oee_tabular._checks import Array, BoolArray, positive_integer, show
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.names import NAMED
-from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.occupancy import time_in_pairs
+from oee_tabular.exact.system import DivergentKernelError
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.mdp.naming import Names
 from oee_tabular.ratio import transition_ratio

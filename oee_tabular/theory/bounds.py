@@ -14,8 +14,8 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.exact import policy_value
-from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.reweighted import Model
+from oee_tabular.exact.system import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
 from oee_tabular.theory.simulation_lemma import Sides, check_pair, forward_distributions

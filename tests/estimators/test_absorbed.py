@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.estimators import ModelBased, OffEnvironment
 from oee_tabular.exact import transition_gradient
-from oee_tabular.exact.linear import DivergentKernelError
 from oee_tabular.exact.occupancy import infinite_visits, time_in_pairs
+from oee_tabular.exact.system import DivergentKernelError
 
 
 def ending(seed, n=8):

@@ -12,8 +12,8 @@ from structures import STRUCTURES, grid, layered, random_rows
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
-from oee_tabular.exact.linear import DivergentKernelError, solve_policy_system
-from oee_tabular.exact.system import policy_kernel
+from oee_tabular.exact.linear import solve_policy_system
+from oee_tabular.exact.system import DivergentKernelError, policy_kernel
 from oee_tabular.exact.values import policy_rewards
 
 

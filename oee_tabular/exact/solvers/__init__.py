@@ -1,14 +1,16 @@
-"""Solvers of M x = b, M = I - gamma K, one a file, and the choice among them: the first that suits and does not give up.
+"""Solvers of M x = b, M = I - gamma K, one a file, tried in this order until the residual is within rounding.
 
 ===================  ===================================================================================================
 ``LAPACK(100)``      up to 100 states: dense
-``ValueIteration``   rows of one sum that mix: the common change summed, while four sweeps halve the spread
+``ValueIteration``   rows of one sum that mix, while four sweeps leave at most .45 of the change's spread
 ``EnvelopeLU(..)``   narrow graphs, whatever the order of their states: rings, chains, queues, layers
 ``SuperLU(8)``       other graphs in which elimination fills little: trees
 ``PlainBiCGStab``    graphs that expand: constants taken out, no preconditioner
 ``BiCGStab``         all others: an independent set eliminated, a modified DILU in breadth-first order
 ``EnvelopeLU``       where that takes more than 45 steps and the graph is not too wide
-``LAPACK``           with pivoting, as ``SuperLU``: where an iteration falls short, unless the graph would never let them finish
+``LAPACK(400)``      up to 400 states, where those before fall short: dense
+``SuperLU()``        the same for any number of states, unless the graph expands: sparse
+``LAPACK(3000)``     the last resort, up to 3000 states: dense
 ===================  ===================================================================================================
 
 A new solver is a file with such a class and a place in ``SOLVERS``; tests/exact/test_solvers.py holds every one to the same

@@ -24,9 +24,9 @@ Envelope = namedtuple("Envelope", "order first starts lower upper diagonal")
 class EnvelopeLU:
     """O(S w^2) for an envelope of w entries a state: rings, chains, queues, layers, whatever the order of their states.
 
-    Up to ``WIDEST`` this is .8 to 6 times as fast as SuperLU (benchmarks/values.py). ``is_narrow``: only up to 10 entries a
-    state, or twice those of K, where it is 2 to 6 times as fast; between that and ``WIDEST`` lie grids of up to 60 x 60, which
-    BiCGSTAB solves in few steps, and random bands.
+    Up to ``WIDEST`` this is .8 to 6 times as fast as SuperLU (tests/benchmarks/values.py). ``is_narrow``: only up to 10
+    entries a state, or twice those of K, where it is 2 to 6 times as fast; between that and ``WIDEST`` lie grids of up
+    to 60 x 60, which BiCGSTAB solves in few steps, and random bands.
     """
 
     is_narrow: bool = False

@@ -26,7 +26,7 @@ import numpy as np
 
 from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact import state_values
-from oee_tabular.exact.linear import DivergentKernelError
+from oee_tabular.exact.system import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import BLOCK, DIGITS, Rows, distinct_rows, round_displacements
 from oee_tabular.ratio.prior._ridge import Columns, find_codes
