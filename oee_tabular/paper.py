@@ -119,16 +119,16 @@ def algorithm_1(D_te, D_tr, shape, nu, mu, lam=0.0, eta=0.1, N=64, iterations=10
 
 
 def theorem_1(n, nu, mu, delta, D_inf, K):
-    """Eq. 5.1 (Theorem V.1): |g_n - g*|_inf^2 is at most this, with probability 1 - delta.   -> inference.estimation_bound
+    """Eq. 5.1 (Theorem V.1): |g_n - g*|_inf^2 is at most this, with probability 1 - delta.   -> theory.estimation_bound
 
-    Wrong: no K fits all P and Q (it must grow as 1 / min q): inference.universal_constant_counterexample.
+    Wrong: no K fits all P and Q (it must grow as 1 / min q): theory.universal_constant_counterexample.
     """
     spread = mu + max(np.log(mu), -np.log(nu)) + np.sqrt(2 * np.log(1 / delta))
     return K * np.exp(D_inf) * spread / np.sqrt(n)
 
 
 def lemma(error, nu, mu):
-    """Eq. 5.2 (Lemma V.1): |zeta_n - zeta*| where both ratios are within ``error``.   -> inference.ratio_error_bound
+    """Eq. 5.2 (Lemma V.1): |zeta_n - zeta*| where both ratios are within ``error``.   -> theory.ratio_error_bound
 
     True with probability 1 - 2 delta, and loose: (mu + nu) / nu^2 is the tight factor. ``error`` = M(G, delta) / n^(1/4).
     """
@@ -136,9 +136,9 @@ def lemma(error, nu, mu):
 
 
 def theorem_2(T, R, gamma, error, nu):
-    """Eq. 5.3 (Theorem V.2): |J_te - J^zeta_n|^2 over t = 0..T, |r| <= R.   -> inference.value_error_bound
+    """Eq. 5.3 (Theorem V.2): |J_te - J^zeta_n|^2 over t = 0..T, |r| <= R.   -> theory.value_error_bound
 
-    False: t for t^2, no factor of the lemma, and 1 / nu bounds no zeta: inference.value_bound_counterexample. The bracket is
-    printed in closed form; gamma / nu times it is the sum below.
+    False: t for t^2, no factor of the lemma, and 1 / nu bounds no zeta: theory.value_bound_counterexample. The bracket
+    is printed in closed form; gamma / nu times it is the sum below.
     """
     return T * error**2 * R**2 * sum(t * (gamma / nu) ** t for t in range(1, T + 1))

@@ -6,9 +6,8 @@ and ``report`` show. A task is a ``ContinuousTask`` (task); a log of it is ``Con
 tasks; ``discretize`` (discretization) makes a FiniteMDP with the way from states to its numbers, on a grid or on cells of
 visited states; a ``ContinuousSimulator`` (simulator) is a task with the configuration by which
 logs are evaluated (evaluation, row by row: rows; on cells: cell_rows), and has a name on the command line (names; Gymnasium's
-environments: gymnasium_named). Each of
-``cartpole``, ``reacher`` and ``kinova`` has its dynamics and its expert; the paper's experiments with them are in
-``lab.robots``.
+environments: gymnasium_named). Each of ``cartpole``, ``reacher`` and ``kinova`` has its dynamics and its expert
+(kinova's controller is in ``kinova.logs``); the paper's experiments with them are in ``lab.robots``.
 """
 
 from __future__ import annotations

@@ -54,10 +54,11 @@ class Interval:
         ``unvisited_rows``, the number of such pairs that the policy reaches, and those of the method; if impossible transitions
         were dropped, their number (``dropped_moves``) and estimated share of the policy's time (``dropped_share``)
     status : "ok", or the contradiction between the log and the assumed box
-    sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone. If the policy reaches recorded
-        pairs only, the interval itself; else the value of ``OffEnvironment()`` ± a normal quantile times its standard error,
-        in which unrecorded pairs are as estimated, with the uncertainty that one transition would leave (it covers 96% at 3 to
-        10 transitions a pair and 90% of the time recorded). None without a standard error, and for the other methods
+    sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone. If the policy reaches
+        recorded pairs only and no transition was dropped, the interval itself, before a sampled simulator widens it;
+        else the value of ``OffEnvironment()`` ± a normal quantile times its standard error, in which unrecorded pairs
+        are as estimated, with the uncertainty that one transition would leave (it covers 96% at 3 to 10 transitions a
+        pair and 90% of the time recorded). None without a standard error, and for the other methods
 
     Examples
     --------

@@ -65,7 +65,7 @@ class Experiment:
     draw : (table, summary, figure) -> None
     finding : table -> what its rows show, in their own numbers, a line: the figure's title
     paper : summary -> the paper's number for each of its rows (nan: none published)
-    group : "gridworld" | "gymnasium" | "sureness" | "continuous"
+    group : "gridworld" | "gymnasium" | "sureness" | "continuous" | "bench"
     requires : modules that the cells import and that an installation may lack; extra : what installs them, where it is not
         called as the module is
     """

@@ -39,7 +39,7 @@ class Quotient(Method):
     lower, upper : the paper's nu and mu, on each beta (0.01 and 10; ``numpy.inf`` for none), so that zeta lies in
         [lower/upper, upper/lower]
     ridge, toward : lambda_n and its centre, as in ``density_ratio``; toward None is the paper's I(g)^2 = sum g^2
-    normalized : whether sum beta q = 1 is imposed on each; the paper does not: False
+    normalized : whether sum beta q = 1 is imposed on each: True (default), or False as in the paper
     solver : "dual", a cvxpy solver, or ``Sgd(...)``: Algorithm 1, both tables in turn; needs normalized=False
     data : a log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
         the seed of ``fit``; "exact": the simulator's exact occupancy under that policy

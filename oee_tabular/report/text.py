@@ -1,6 +1,7 @@
-"""Every sentence of a report: the answer, how sure it is, what the columns mean; each a function of numbers.
+"""The report's own sentences and templates: the answer, how certain it is, what the columns mean.
 
-What estimators themselves warn of is in ``estimators.findings``, and the advice on recording in ``design.advice``.
+The others are in ``report.uncertainty`` (what the user assumes, which intervals are left out), ``estimators.findings``
+(what estimators warn of), ``design.advice`` (what to record next) and ``continuous.sentences`` (continuous tasks).
 """
 
 from __future__ import annotations

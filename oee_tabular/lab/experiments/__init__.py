@@ -1,4 +1,4 @@
-"""The paper's experiments and more as data: ids with settings, a runner, tables and figures (``oee reproduce``)."""
+"""The experiments on numbered states, and the catalogue of all that ``oee reproduce`` runs."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
 
     Parameters
     ----------
-    name : the experiment's id: fig2, fig3, networks or table1; in a clone, any in ``notebooks/results``
+    name : the experiment's id; in a clone, any in ``notebooks/results``
     table : "table", every seed, or "summary", their means
+        Without a clone there are "table" of fig2, fig3 and networks, and "summary" of fig3 and table1.
 
     Raises
     ------
