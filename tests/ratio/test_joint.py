@@ -84,16 +84,22 @@ def test_against_clarabel(seed):
 
 @pytest.mark.parametrize("bounds", [{}, {"ratio_lower": 0.4, "ratio_upper": 1.5}])
 @pytest.mark.parametrize("part", range(3), ids=["moves", "pairs", "theta"])
-def test_a_corrupted_joint_solver_is_found_out(monkeypatch, bounds, part):
+def test_a_corrupted_joint_solver_is_found_out_in_every_row(monkeypatch, bounds, part):
     solve = importlib.import_module("oee_tabular.ratio._joint").solve_all
 
-    def wrong(program):
-        parts = solve(program)
-        parts[part][3] = 1.01 * parts[part][3] + 0.01
-        return parts
+    def gap_of(*places):
+        def wrong(program):
+            parts = solve(program)
+            for place in places:
+                parts[part][place] = 1.01 * parts[part][place] + 0.01
+            return parts
 
-    monkeypatch.setattr("oee_tabular.ratio._joint.solve_all", wrong)
-    assert oee.transition_ratio(LOG, SIMULATOR, **KNOWN, **bounds).gap > 1e-7
+        monkeypatch.setattr("oee_tabular.ratio._joint.solve_all", wrong)
+        return oee.transition_ratio(LOG, SIMULATOR, **KNOWN, **bounds).gap
+
+    assert gap_of(3) > 1e-7
+    assert_allclose(gap_of(3, 40), gap_of(3) + gap_of(40), rtol=1e-6)
+    assert gap_of(40) > 1e-9
 
 
 def test_zeta_stays_in_its_box():
@@ -140,6 +146,9 @@ def test_pairs_that_the_simulator_s_data_lack():
     found = fit(counts, method="joint", simulator_data=some)
     assert found.details["pairs_without_simulator_data"] == 1
     assert_array_equal(found.values.toarray()[[3, 4]], np.ones((2, 3)))
+    counts[4] = [1.0, 3.0, 0.0]
+    inside = fit(counts, method="joint", simulator_data=some, ridge=0.5)  # no ratio is at its bounds
+    assert_array_equal(inside.values.toarray()[4], np.ones(3))
     text = r"^simulator_data must cover the log's \(s, a\), or upper be finite: the program is unbounded at 1 of them$"
     with pytest.raises(ValueError, match=text):
         fit(counts, method="joint", simulator_data=some, upper=np.inf)
