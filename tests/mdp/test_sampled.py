@@ -68,6 +68,15 @@ def test_a_state_that_ends_and_goes_on_gets_a_twin(rewards):
     oee.Problem(mdp, log)  # its own log is possible in it
 
 
+def test_a_twin_s_mean_reward_has_its_own_error():
+    """s^2 / 3 where three rewards were recorded, and the pooled s^2 where one was."""
+    rewards, ended = [1.0, 3.0, 8.0, 5.0, 0.0, 0.0], [1, 1, 1, 0, 0, 0]
+    log = Transitions([0, 0, 0, 0, 1, 1], [0] * 6, [1, 1, 1, 1, 0, 0], rewards, terminated=ended)
+    sampling = FiniteMDP.from_log(log).sampling
+    assert_allclose(sampling.reward_error.toarray(), [[0, 26 / 3, 13 / 3], [0, 0, 0], [0, 0, 0]])
+    assert sampling.pairs.tolist() == [4.0, 2.0, np.inf]
+
+
 def test_pairs_never_recorded_do_as_the_others_do_and_are_named():
     log = Transitions([0, 0, 0], [0, 0, 2], [0, 1, 1], [3.0, 6.0, 9.0])
     with pytest.warns(UserWarning, match=rf"^4 .* pairs were {FILLED} .*: s=0, a=1; s=1, a=0; s=1, a=1; \.\.\."):
