@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions
 from oee_tabular.estimators import DoublyRobust, ImportanceSampling, Magic
+from oee_tabular.testing import case, padded_log
 
 
 def sampled_value(episodes, ratios, multiplicity, gamma, horizon, *, pad, kind):
@@ -125,3 +126,18 @@ def test_frequencies_stand_in_for_the_behaviour_policy():
     log = Transitions([0, 0, 0, 0], [0, 1, 0, 0], [0] * 4, [2.0, 5.0, 2.0, 2.0], episode=[0, 1, 2, 3])
     found = ImportanceSampling(behavior="estimated")(Problem(mdp, log, horizon=1), np.array([[0.5, 0.5]]))
     assert_allclose(found.value, (3 * 2.0 * 0.5 / 0.75 + 5.0 * 0.5 / 0.25) / 4)
+
+
+@pytest.mark.parametrize("kind", ["trajectory", "per_decision"])
+@pytest.mark.parametrize("self_normalized", [False, True])
+def test_rows_after_an_episode_s_end_weigh_nothing(kind, self_normalized):
+    """Whatever policy and behaviour do in the absorbing state, the weight stays what it was at the end."""
+    pair = case("ragged")
+    policy, log = pair.policy.copy(), pair.log(60, seed=0)
+    policy[-1] = [0.9, 0.1]
+    estimator = ImportanceSampling(kind=kind, self_normalized=self_normalized)
+    one, other = (
+        estimator(Problem(pair.simulator, each, horizon=pair.horizon), policy)
+        for each in (log, padded_log(log, (0, 1, 0), 0.5))
+    )
+    assert_allclose([other.value, other.standard_error], [one.value, one.standard_error], rtol=1e-12)
