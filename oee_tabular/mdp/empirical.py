@@ -204,7 +204,6 @@ def _count_samples(
     to = np.where(samples.terminated, terminal[samples.next_state], samples.next_state)
     pairs = np.bincount(row, minlength=n_rows).astype(np.float64)
     is_terminal = np.bincount(to[samples.terminated], minlength=n_states) > 0
-    is_terminal[samples.state] = False
     pairs[np.repeat(is_terminal, n_rows // n_states)] = np.inf
     if not has_rewards:
         return Sampling(pairs, starts, None)

@@ -93,6 +93,9 @@ def test_optimism_fades_with_observations():
         assert plan.costs["policy"][0, 0] < previous
         previous = plan.costs["policy"][0, 0]
     assert plan.distribution[0, 0] == 0.0
+    # at least R / 2 = 0.0375 on state 0, however often it was not seen
+    boxed = plan_data_collection(Problem(chain, log_of(chain, counts)), ahead, n=50, lower_ratio=0.5, upper_ratio=2.0)
+    assert_allclose(boxed.costs["policy"][0, 0], 0.81 * 0.8**2 * 0.0375 * 0.9625, rtol=1e-9)
 
 
 def test_rewards_of_moves_that_the_simulator_does_not_make():
