@@ -114,7 +114,7 @@ def choose_correction(
         return chosen
     unremembered, fitted, n = _with_history(fit.task, log, history, seed)
     is_taken = fitted.held_out_error <= PREFERENCE * learned.held_out_error
-    told = sentences.parameters(fit, fitted, learned, is_taken)
+    told = sentences.parameters(fit, unremembered, fitted, learned, is_taken)
     if is_taken:
         reason = sentences.history(unremembered, fitted, n, history == "auto")
         chosen = Correction(fitted, n, fit, plain, reason, history)

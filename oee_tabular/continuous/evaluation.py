@@ -168,7 +168,7 @@ def evaluate_continuous(
     simulated = SimulatorRow(given.task, rollouts, is_headline=not correction.is_trusted)
     front = {} if correction.is_trusted else {SIMULATOR: simulated}
     last = {} if target is None else {"target (continuous)": SimulatorRow(target, rollouts)}
-    change = difference(correction.plain if correction.fit is not None else correction.learned)
+    change = difference(correction.plain if correction.fit is not None and not correction.steps else correction.learned)
     first = tuple(filter(None, (correction.advice, correction.reason, change)))
     said = [*left_out, *said, *filter(None, [rewards_contradict(given.task, numbered)])]
     if cells is None:

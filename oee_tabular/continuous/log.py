@@ -223,8 +223,8 @@ class ContinuousTransitions(LogColumns):
         if off.size:
             worst = int(away.argmax())
             found = (
-                f"{off.size} of {len(self)} rows do not; the farthest, row {worst}, is {self.action[worst].tolist()}, "
-                f"{away[worst]:.3g} from {table[nearest[worst]].tolist()}"
+                f"{off.size} of {len(self)} rows are none of them; the farthest, row {worst}, is "
+                f"{self.action[worst].tolist()}, {away[worst]:.3g} from {table[nearest[worst]].tolist()}"
             )
             if strict:
                 raise ValueError(f"log.action must be one of the task's {len(table)} actions; {found}")
@@ -233,7 +233,11 @@ class ContinuousTransitions(LogColumns):
                     f"log.action must lie among the task's {len(table)} actions, no farther off than half of what they are "
                     f"apart; {found}. Name actions that reach as far (tasks.GymnasiumTask(actions=), --task-option actions=)"
                 )
-            warnings.warn(f"log.action is moved to the nearest of the task's actions: {found}", stacklevel=3)
+            warnings.warn(
+                f"log.action is moved to the nearest of the task's {len(table)} actions: {found}. More actions "
+                "(tasks.GymnasiumTask(actions=), --task-option actions=) move it less",
+                stacklevel=3,
+            )
         return np.asarray(nearest, dtype=np.int64)
 
 

@@ -60,13 +60,16 @@ def advice(chosen: Correction) -> str:
     )
 
 
-def parameters(fit: ParameterFit, fitted: ResidualSimulator, given: ResidualSimulator, is_taken: bool) -> str:
-    """What was fitted, and whether the value in front has it."""
+def parameters(
+    fit: ParameterFit, plain: ResidualSimulator, fitted: ResidualSimulator, given: ResidualSimulator, is_taken: bool
+) -> str:
+    """What was fitted, whether the value in front has it, and where a fit without history (``plain``) is no physics."""
+    caution = " The fit took the state alone, and history matters: do not read its numbers as physics."
     both, alone = (f"{learned.held_out_error**0.5:.2g}" for learned in (fitted, given))
     return (
         f"{fit.describe()} The value in front corrects the residuals of the {'fitted' if is_taken else 'given'} simulator, "
         f"because its held-out one-step error is {'no larger' if is_taken else 'smaller'} ({both} of a step's standard "
-        f"deviation with fitted parameters, {alone} without)."
+        f"deviation with fitted parameters, {alone} without).{caution if hidden_state(plain) else ''}"
     )
 
 
@@ -76,11 +79,12 @@ def history(plain: ResidualSimulator, learned: ResidualSimulator, steps: int, is
         return ""
     text = f"The value in front has the last {'action' if steps == 1 else f'{steps} actions'} in the state"
     if not is_chosen:
-        return f"{text}."
+        return f"{text}." if flaw(learned) == "ok" else ""
     before, after = (f"{each.held_out_error**0.5:.2g}" for each in (plain, learned))
     return (
         f"{text}, because {hidden_state(plain)}. The held-out one-step error falls from {before} to {after} of a step's "
         "standard deviation."
+        + (f" {MAX_LAG} is the most that is tried; history {MAX_LAG + 3} keeps more." if steps == MAX_LAG else "")
     )
 
 

@@ -26,6 +26,7 @@ HELD = {"integer": "integers", "number": "numbers", "flag": "booleans"}
 FLAG_TEXTS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
 NAMES_HINT = " (names take a simulator that has them: simulator=, --simulator)"
 COMMA_HINT = " (write a decimal point, not a comma)"
+COMMAND_HINT = " (call the column of a continuous task's commands action_0)"
 
 
 class Fault(NamedTuple):
@@ -74,7 +75,9 @@ def find_fault(label: str, raw: Column, bad: BoolArray, rule: Callable[[int], st
     value = raw[rows[0]]
     value = value.item() if isinstance(value, np.generic) else value
     is_comma = isinstance(value, str) and re.fullmatch(r"\s*-?\d+,\d+\s*", value)
-    return Fault(label, rows, rule(int(rows[0])), value, COMMA_HINT if is_comma else "")
+    is_command = label.endswith("action") and _parse_number(value) % 1 > 0  # nan where it is no number
+    hint = COMMA_HINT if is_comma else COMMAND_HINT if is_command else ""
+    return Fault(label, rows, rule(int(rows[0])), value, hint)
 
 
 def to_numbers(raw: Column) -> Column:

@@ -150,7 +150,7 @@ BAD = {
     "outside": (FAST, "", "x [-3.2, 3.2]: 2 of 1500 rows are not; the first, row 3, is at theta="),
     "the way out": (FAST, "", "outside='nearest' or 'drop' (--task-option outside=), takes them"),
     "strict": (
-        PUSHED, "--task-option=strict=true", "log.action must be one of the task's 2 actions; 1 of 1500 rows do not;",
+        PUSHED, "--task-option=strict=true", "log.action must be one of the task's 2 actions; 1 of 1500 rows are none of them;",
     ),
     "no such action": (changed(action=lambda a: a + 1), "", "must be in 0..1, the numbers of the task's actions; it is 2"),
     "outside how": (LOG, "--task-option=outside=clip", "--task-option outside must be one of 'error', "),
@@ -256,7 +256,7 @@ def evaluated(log, policy=SIMULATOR.expert, *, estimators=("oee",), **settings):
     [
         (FAST, {"outside": "drop"}, r"log\.state must be .*: 2 of 1500 rows are not; .* They are left out"),
         (FAST, {"outside": "nearest"}, r"log\.state must be .*: 2 of .* They are moved to the nearest place inside"),
-        (PUSHED, {}, r"moved to the nearest of the task's actions: 1 of 1500 .* row 5, is \[8.5\], 1.5 from \[10.0\]"),
+        (PUSHED, {}, r"moved to the nearest of the task's 2 actions: 1 of 1500 .* row 5, is \[8.5\], 1.5 from \[10.0\]"),
         (LOG, {"grid": (6, 6)}, "too coarse for the steps of CartPole: .* a closure error of"),
     ],
 )

@@ -89,7 +89,9 @@ def test_commands_are_matched_to_the_nearest_action():
     exact = log(action=[[-2.0], [2.0], [0.0], [0.0]])
     assert_array_equal(exact.action_numbers(table, strict=True), [0, 2, 1, 1])
     near = log(action=[[-1.9], [2.0], [0.7], [0.0]])
-    with pytest.warns(UserWarning, match=r"2 of 4 rows do not; the farthest, row 2, is \[0.7\], 0.7 from \[0.0\]"):
+    with pytest.warns(
+        UserWarning, match=r"2 of 4 rows are none of them; the farthest, row 2, is \[0.7\], 0.7 from \[0.0\]"
+    ):
         assert_array_equal(near.action_numbers(table), [0, 2, 1, 1])
     assert_array_equal(log().action_numbers([-10.0, 10.0]), [0, 1, 0, 1])
 
@@ -113,7 +115,10 @@ BAD = {
     ),
     "lengths": ({"action": [0, 1, 0]}, r"columns must have equal lengths; .*'action': 3"),
     "a negative action": ({"action": [0, -1, 0, 0]}, r"action\[1\] must be at least 0; it is -1"),
-    "half an action": ({"action": [0, 0.5, 0, 0]}, r"action\[1\] must be an integer; it is 0.5"),
+    "half an action": (
+        {"action": [0, 0.5, 0, 0]},
+        r"action\[1\] must be an integer; it is 0.5 \(call the column of a continuous task's commands action_0\)",
+    ),
     "a broken chain": (
         {"next_state": [[0.25, 0.3], *FOLLOWING[1:]]},
         r"next_state\[0\] must be the state of the next row of its episode, which is \[0.2, 0.3\]; it is \[0.25, 0.3\]",
@@ -143,7 +148,7 @@ CALLS = {
     ),
     "strict": (
         lambda: log(action=np.full((4, 1), 0.5)).action_numbers([-1.0, 1.0], strict=True),
-        r"log.action must be one of the task's 2 actions; 4 of 4 rows do not; the farthest, row 0, is \[0.5\]",
+        r"log.action must be one of the task's 2 actions; 4 of 4 rows are none of them; the farthest, row 0, is \[0.5\]",
     ),
     "no rows": (lambda: log().select([]), r"rows must choose at least one row"),
     "too many rows": (lambda: log().first(5), r"n must be at most the 4 rows of the log; it is 5"),
