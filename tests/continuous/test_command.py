@@ -256,7 +256,11 @@ def evaluated(log, policy=SIMULATOR.expert, *, estimators=("oee",), **settings):
     [
         (FAST, {"outside": "drop"}, r"log\.state must be .*: 2 of 1500 rows are not; .* They are left out"),
         (FAST, {"outside": "nearest"}, r"log\.state must be .*: 2 of .* They are moved to the nearest place inside"),
-        (PUSHED, {}, r"moved to the nearest of the task's 2 actions: 1 of 1500 .* row 5, is \[8.5\], 1.5 from \[10.0\]"),
+        (
+            PUSHED,
+            {},
+            r"moved to the nearest of the task's 2 actions: 1 of 1500 .* row 5, is \[8.5\], 1.5 from \[10.0\]",
+        ),
         (LOG, {"grid": (6, 6)}, "too coarse for the steps of CartPole: .* a closure error of"),
     ],
 )
