@@ -56,8 +56,8 @@ def test_control_characters_are_visible(text):
     assert str(refused.value).isprintable()
 
 
-@pytest.mark.parametrize(("jobs", "cells", "most"), [(1000, 3, 3), (2, 3, 2), (2, 0, 1), (1, 5, 1)])
-def test_no_more_jobs_than_cells(jobs, cells, most):
+@pytest.mark.parametrize(("jobs", "cells", "most"), [(1000, 3, 3), (2, 3, 2), (2, 1, 2), (1, 5, 1)])
+def test_no_more_jobs_than_cells_but_one_cell_has_a_process_of_its_own(jobs, cells, most):
     assert _workers.parallel(cells, jobs, None).n_jobs == most
 
 
