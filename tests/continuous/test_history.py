@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from oee_tabular.continuous.correction import choose_correction
 from oee_tabular.continuous.episodes import paired_returns
 from oee_tabular.continuous.evaluation import evaluate_continuous
+from oee_tabular.continuous.parameters import fit_parameters, parameters_of
 from oee_tabular.continuous.sentences import hidden_state
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.robots.changes import classic
@@ -80,6 +81,19 @@ def test_a_delay_is_named_and_its_history_kept(steps):
     assert hidden_state(chosen.plain).startswith(f"the action of {words} ago explains 8")
     assert (chosen.steps, chosen.is_trusted, chosen.warning) == (steps, True, "")
     assert abs(value(chosen.learned) - value(target)) < 0.05 * abs(value(SIMULATOR) - value(target))
+
+
+def test_sentences_speak_of_the_row_in_front():
+    """Too short a history is not in front; a fit that took the state alone is no physics where history matters."""
+    log = log_of(Delay(SIMULATOR, 2))
+    assert choose_correction(SIMULATOR, log, history=1, seed=0).reason == ""
+    given = choose_correction(SIMULATOR, log, history=3, seed=0).reason
+    assert given == "The value in front has the last 3 actions in the state."
+    for target, is_hidden in ((Delay(SIMULATOR, 2), True), (CartPole(12.0), False)):
+        seen = log_of(target)
+        fit = fit_parameters(*parameters_of(SIMULATOR, ["gravity"]), seen)
+        reason = choose_correction(SIMULATOR, seen, fit=fit, seed=0).reason
+        assert ("do not read its numbers as physics" in reason) == is_hidden
 
 
 def test_a_delay_of_a_command_that_rarely_changes():
