@@ -467,6 +467,9 @@ transition_ratio(sparse.csr_array(np.ones((4, 2))), GRID)  ->  counts must have 
 transition_ratio(-GRID.transitions, GRID)  ->  counts must be finite and nonnegative; at s=0, a=0 -> s'=0
 transition_ratio(GRID.transitions.sign() * 2.0**54, GRID)  ->  counts must be at most 2**53; at s=0, a=0 -> s'=0
 transition_ratio(Transitions([0], [0], [1]), GRID, discount=0.9)  ->  log must have timesteps
+transition_ratio(sparse.csr_array([[9, 1, 2, 3, 4, 5], [6] + [0] * 5] + [[0] * 6] * 4), LOOP)  ->  log must stay in ...0 to 5 of
+  its transitions (15 of 30 with repetitions): s=0, a=0 -> s'=5 (5); ...(4); ...(3); s=0, a=0 -> s'=2 (2), ...
+  No action leads from 0 to 5 in the simulator, ... P[0, 0] *= 0.99; P[0, 0, 5] += 0.01; (2) if the log is wrong, remove
 true_ratio(GRID, STIFF)  ->  target must stay in the simulator's support: ... of its transitions
 true_ratio(mdp(), GRID)  ->  target and simulator must have the same states and
 true_ratio(GRID, GRID).maximum_likelihood_model(GRID)  ->  a ratio of method 'true' has no maximum-likelihood model

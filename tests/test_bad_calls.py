@@ -104,6 +104,7 @@ for room in (
     NAMES |= {name: getattr(room, name) for name in room.__all__}
 NAMES |= globals() | {
     "HALL": NAMED, "CHAIN": survival_chain(), "ONES": survival_chain().transitions.sign(), "ONLY": np.ones((2, 1)),
+    "LOOP": FiniteMDP(np.eye(6)[[[0]] * 6], np.zeros(6), 0, 0.9),
     "COIN": FiniteMDP(COIN, [1.0, 0.0], 0, 0.9), "PAID": FiniteMDP(COIN, np.ones((2, 1, 2)), 0, 0.9),
     "PLACES": np.array([[0.5, -1.0], [2.0, 3.0], [7.0, 7.0]]), "PLACE": np.arange(9.0), "ONE": oee.Estimate(1.0),
     "HUGE": GRID.with_rewards(1e200 * GRID.rewards), "ENDLESS": GRID.with_discount(1.0), "P": oee.Problem(GRID, LOG),

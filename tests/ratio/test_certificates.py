@@ -107,22 +107,6 @@ def test_clarabel_has_the_same_minimum(seed):
     assert fit.objective - fit.gap <= best + 1e-9
 
 
-@pytest.mark.parametrize("options", [{}, {"ridge": 0.2, "toward": 1.0}, {"ridge": 0.2}, {"ridge": 0.2, "toward": 3.0}])
-@pytest.mark.parametrize("solver", ["dual", "CLARABEL"])
-def test_least_squares_where_q_is_0_and_p_is_not(options, solver):
-    """The linear term -p g of such an entry stands: it goes to the upper bound, or to where a ridge towards 0 stops it."""
-    fit = oee.density_ratio(
-        [1, 1], [0, 1], lower=0.3, upper=2.5, loss="chi2", normalized=False, solver=solver, **options
-    )
-    first = 2.5  # without curvature, or 0.5 / 0.2
-    second = {None: 0.5 / 1.2, 1.0: 0.7 / 1.2, 3.0: 1.1 / 1.2}[options.get("toward")] if options else 0.5
-    assert_allclose(fit.ratio, [first, second], rtol=1e-5)
-    assert fit.gap < 1e-8
-    tied = oee.density_ratio([1, 1], [0, 1], lower=0.3, upper=2.5, loss="chi2", solver=solver, **options)
-    assert_allclose(tied.ratio, [first, 1.0], rtol=1e-5)
-    assert tied.gap < 1e-8
-
-
 # ---- the certificates themselves ---------------------------------------------------------------------------------
 
 

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from helpers import table_of
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import optimize
 
 import oee_tabular as oee
+from oee_tabular.ratio.features import kernel_features
 
 
 def small(seed=4, moves=150):
@@ -110,3 +111,32 @@ def test_tied_entries_by_their_own_sums():
             zeta[:, a][mine] = (seen + 4.0 * foreseen) / ((total + 4.0) * foreseen)
     zeta /= (P * zeta).sum(axis=2, keepdims=True)
     assert_allclose(fit.values.toarray().reshape(P.shape)[P > 0], zeta[P > 0], rtol=1e-9)
+
+
+def test_displacements_of_a_walk():
+    """Steps of -1, 0 and 1 on a line: of each action the commonest is the reference, the others have columns."""
+    rows = np.zeros((3, 2, 3))
+    rows[0], rows[1, 0], rows[2] = [[0.2, 0.8, 0], [0.9, 0.1, 0]], [0.1, 0.2, 0.7], [[0, 0.3, 0.7], [0, 0.6, 0.4]]
+    rows[1, 1] = [0.6, 0.3, 0.1]
+    mdp = oee.FiniteMDP(rows, np.zeros(3), [1, 0, 0], 0.9)
+    found = oee.ratio.action_displacement(mdp, np.array([0.0, 1.0, 2.0]))
+    matrix = mdp.transitions
+    state, action = np.divmod(np.repeat(np.arange(6), np.diff(matrix.indptr)), 2)
+    move = matrix.indices - state
+    kept = [(0, -1), (0, 0), (1, -1), (1, 1)]  # references: 1 of action 0 (mass 1.5), 0 of action 1 (mass 1.6)
+    assert_array_equal(found, np.stack([(action == a) & (move == m) for a, m in kept], axis=1))
+
+
+def test_kernels_and_their_features():
+    x = np.array([[0.0, 0.0], [3.0, 4.0], [1.0, 0.0]])
+    gram = oee.ratio.gaussian(1.0)(x, x)
+    assert_allclose(oee.ratio.gaussian(2.0)(x, x[:2])[:, 1], np.exp(-np.array([25.0, 0.0, 20.0]) / 8))
+    made, few = (kernel_features(x, oee.ratio.gaussian(1.0), n) for n in (3, 2))
+    assert_allclose(made.matrix @ made.matrix.T, gram, atol=1e-12)
+    assert made.residual < 1e-12
+    assert sorted(made.pivots.tolist()) == [0, 1, 2]
+    assert_allclose(few.residual, (np.diag(gram) - (few.matrix**2).sum(axis=1)).max(), rtol=1e-9)
+    many = np.linspace(0, 5, 150)[:, None]  # more than two blocks of the diagonal
+    whole = kernel_features(many, lambda a, c: (1 + a @ c.T) ** 2, 150)
+    assert whole.matrix.shape == (150, 3)
+    assert_allclose(whole.matrix @ whole.matrix.T, (1 + many @ many.T) ** 2, rtol=1e-6)

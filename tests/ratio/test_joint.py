@@ -7,7 +7,7 @@ import pytest
 from helpers import rngs
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
-from ratio.problem import COUNTS, fit
+from ratio.problem import COUNTS, POLICY, fit
 from scipy import sparse
 
 import oee_tabular as oee
@@ -149,6 +149,10 @@ def test_pairs_that_the_simulator_s_data_lack():
     counts[4] = [1.0, 3.0, 0.0]
     inside = fit(counts, method="joint", simulator_data=some, ridge=0.5)  # no ratio is at its bounds
     assert_array_equal(inside.values.toarray()[4], np.ones(3))
+    one = np.eye(6, 3) * [3, 0, 0]  # rows without transitions, and no upper bound
+    alone = fit(one, method="joint", simulator_data="exact", lower=0.1, upper=np.inf, behavior_policy=POLICY)
+    assert np.isfinite(alone.values.data).all()
+    assert (alone.gap, alone.row_sum_error) == pytest.approx((0.0, 0.0), abs=1e-12)
     text = r"^simulator_data must cover the log's \(s, a\), or upper be finite: the program is unbounded at 1 of them$"
     with pytest.raises(ValueError, match=text):
         fit(counts, method="joint", simulator_data=some, upper=np.inf)

@@ -262,6 +262,3 @@ def test_a_fit_in_another_process_is_the_same(options):
     other = pickle.loads(pickle.dumps(zeta))
     assert other.log_standard_error(gradient) == zeta.log_standard_error(gradient)
     assert other.one_step(gradient) == zeta.one_step(gradient)
-
-
-# ---- bad calls

@@ -1,7 +1,5 @@
 """The tilt along given features, the strength of the prior, and the ridge that is chosen on the data."""
 
-import warnings
-
 import numpy as np
 import pytest
 from helpers import random_mdp, rngs
@@ -94,51 +92,7 @@ def test_features_in_every_form_are_the_same():
         assert_allclose(other, values[0], rtol=1e-12)
 
 
-def test_collinear_features_are_solved_with_a_warning():
-    simulator, target = grids()
-    observed = observed_from(np.random.default_rng(0), target, 300)
-    one = np.log(simulator.transitions.data)[:, None]
-    with pytest.warns(UserWarning, match=r"they have rank 1 of 3"):
-        _, three, _ = fit_tilt(observed, simulator, np.hstack([one, 2 * one, np.ones_like(one)]))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        _, single, _ = fit_tilt(observed, simulator, one)
-    assert_allclose(three, single, rtol=1e-2)
-
-
 # ---- the strength ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("criterion", ["evidence", "loo"])
-def test_the_strength_maximises_its_criterion_and_says_what_it_means(criterion):
-    simulator, target = grids(10)
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 100, 1000, seed=0)
-    zeta = oee.transition_ratio(log, simulator, prior="simulator", strength=criterion)
-    grid, curve = zeta.details["strength_curve"]
-    assert zeta.details["strength_score"] >= curve.max()
-    kinds = zeta.details["strength_kinds"]
-    assert sum(moves for _, moves, _ in kinds) == len(log)
-    assert 1 < zeta.details["strength"] < 100
-    assert "does not fit" in zeta.details["meaning"]
-    for name, options in {"tilt": {"prior": "tilt"}, "default": {}}.items():
-        fitted = oee.transition_ratio(log, simulator, strength=criterion, **options)
-        assert fitted.details["strength"] > 300
-        assert fitted.details["meaning"].startswith("the tilt fits"), name
-    assert len(grid) == len(curve)
-
-
-def test_the_ridge_may_be_chosen_on_the_data():
-    """kappa / n_sa: near the Dirichlet prior of the same kappa (to second order)."""
-    simulator, target = grids(5)
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 60, 300, seed=0)
-    ridged = oee.transition_ratio(log, simulator, prior="none", ridge="evidence")
-    dirichlet = oee.transition_ratio(log, simulator, prior="simulator")
-    plain = oee.transition_ratio(log, simulator, prior="none")
-    assert_allclose(ridged.details["ridge_times_count"], dirichlet.details["strength"])
-    distance = [np.abs(z.values.data - dirichlet.values.data).mean() for z in (ridged, plain)]
-    assert distance[0] < 0.7 * distance[1]
-    loo = oee.transition_ratio(log, simulator, prior="none", ridge="loo")
-    assert loo.details["ridge_by"] == "loo"
 
 
 @pytest.mark.parametrize(("p", "n"), [(1e-6, 1e6), (1e-8, 1e4), (1e-9, 1e3), (1e-10, 100)])

@@ -30,15 +30,6 @@ def counts_of(rng, mdp, n):
 
 
 @given(rngs)
-def test_the_true_ratio_turns_the_simulator_into_the_target(rng):
-    simulator, target = pair(rng)
-    zeta = oee.true_ratio(target, simulator)
-    assert zeta.row_sum_error < 1e-12
-    model = zeta.target_model(simulator)
-    assert_allclose(model.transitions.toarray(), target.transitions.toarray(), rtol=0, atol=1e-15)
-
-
-@given(rngs)
 def test_the_group_law(rng):
     """Statements 10, 13: zeta is 1 for equal MDPs; zeta_AC = zeta_AB zeta_BC where supports are equal."""
     a = random_mdp(rng, zeros=0.0)
@@ -117,20 +108,8 @@ def test_ratio_of_ratios_stays_in_its_box_and_reports_its_rows():
     assert zeta.values.data.min() >= 0.05 - 1e-12
     assert zeta.values.data.max() <= 20 + 1e-12
     assert zeta.row_sum_error > 0.01
-    with pytest.raises(ValueError, match=r"rows of zeta \* P must sum to 1; they sum to .*normalize=True"):
-        zeta.target_model(simulator)
-    assert zeta.target_model(simulator, normalize=True).n_states == 25
     again = [oee.transition_ratio(log, simulator, method="ratio_of_ratios", seed=4).values.data for _ in range(2)]
     assert_array_equal(*again)
-
-
-def test_counts_may_come_in_any_sparse_format():
-    simulator = oee.tasks.gridworld(3, 0.3)
-    log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 5, 20, seed=0)
-    counts = log.counts(9, 4)
-    for form in (sparse.coo_array, sparse.csc_matrix):
-        other = oee.transition_ratio(form(counts), simulator)
-        assert_array_equal(other.values.data, oee.transition_ratio(log, simulator).values.data)
 
 
 @pytest.mark.parametrize("options", [{"prior": "simulator", "strength": 1e-170}, {"prior": "none", "ridge": 1e-200}])
@@ -176,6 +155,8 @@ def test_matrices_in_any_order_are_read_right_and_left_alone():
     assert_allclose(zeta.values.toarray()[0], [1, 0, 2])
     assert_array_equal(counts.toarray(), before)
     assert counts.nnz == 7
+    for form in (sparse.coo_array, sparse.csc_matrix):
+        assert_array_equal(oee.transition_ratio(form(before), simulator, prior="none").values.data, zeta.values.data)
 
 
 def test_the_joint_program_without_box_and_ridge_is_maximum_likelihood():
@@ -185,18 +166,3 @@ def test_the_joint_program_without_box_and_ridge_is_maximum_likelihood():
     joint = oee.transition_ratio(log, simulator, method="joint", simulator_data=data, lower=0.0, upper=np.inf)
     likelihood = oee.transition_ratio(log, simulator, prior="none")
     assert_allclose(joint.values.data, likelihood.values.data, atol=1e-9)
-
-
-def test_the_joint_program_with_rows_without_moves_and_no_upper_bound():
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        simulator = oee.FiniteMDP(rng.dirichlet(np.ones(3), size=(3, 2)), np.zeros(3), np.full(3, 1 / 3), 0.9)
-        counts = np.zeros((6, 3))
-        counts[0] = [3, 2, 1]
-        zeta = oee.transition_ratio(
-            sparse.csr_array(counts), simulator, method="joint", lower=0.1, upper=np.inf, simulator_data="exact",
-            behavior_policy=oee.uniform_policy(simulator),
-        )  # fmt: skip
-        assert np.isfinite(zeta.values.data).all()
-        assert zeta.gap < 1e-12
-        assert zeta.row_sum_error < 1e-12
