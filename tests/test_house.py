@@ -1,4 +1,9 @@
-"""The house: who imports whom: no circle of files or packages, at most thirteen floors."""
+"""The house: who imports whom, floors, the size of each room, and the page that shows them.
+
+    python tests/test_house.py      write the sizes as they are into tests/rooms.txt
+
+A room may shrink. What makes one grow has to make room elsewhere in it, or to say in its commit why the table changes.
+"""
 
 import ast
 import re
@@ -9,12 +14,16 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import grimp
+import numpy as np
+import pytest
 
 import oee_tabular
 
 ROOT = Path(oee_tabular.__file__).parents[1]
 TESTS = Path(__file__).parent
-FLOORS = 13  # of packages and of files beside them, the command line's first line on top
+SIZES = TESTS / "rooms.txt"
+LONGEST_FILE = 400  # lines
+FLOORS = 13  # of packages and of files beside them, the command line's first line on top; at most 14 are allowed
 BY_NAME = re.compile(r'import_module\("(oee_tabular[\w.]*)"\)')
 
 
@@ -41,14 +50,14 @@ def rooms_of(graph):
     return rooms
 
 
-def height(graph):
-    """Floors: 1 for what imports nothing, else one above the highest that is imported."""
+def floors(graph):
+    """Name -> floor: 1 for what imports nothing, else one above the highest that is imported."""
 
     @cache
     def floor(name):
         return 1 + max(map(floor, graph[name]), default=0)
 
-    return max(map(floor, graph))
+    return {name: floor(name) for name in graph}
 
 
 def test_no_circle_of_files():
@@ -60,7 +69,20 @@ def test_no_circle_of_files():
 
 def test_at_most_thirteen_floors():
     """Of packages, which have no circle either; what the core has of the wing it asks for by name, on use."""
-    assert height(rooms_of(graph_of(by_name=False))) <= FLOORS
+    assert max(floors(rooms_of(graph_of(by_name=False))).values()) <= FLOORS
+
+
+def test_layout_has_the_rooms_and_their_floors():
+    """``notebooks/layout.md``: each room on its floor, highest first, in a sentence; and every file that it names."""
+    page = (ROOT / "notebooks" / "layout.md").read_text()
+    rows = re.findall(r"^\| (\d+) \| `(\w+)` \| [A-Z`][^|.]*(?:\.\w[^|.]*)*\. \|$", page, re.M)
+    expected = {name.partition(".")[2]: at for name, at in floors(rooms_of(graph_of(by_name=False))).items()}
+    assert {name: int(at) for at, name in rows} == {
+        name: at for name, at in expected.items() if name[:1] not in ("", "_")
+    }
+    assert [int(at) for at, _ in rows] == sorted((int(at) for at, _ in rows), reverse=True)
+    for file in re.findall(r"`(?:oee_tabular/)?(\w+/(?:\w+/)*\w+\.py)`", page):
+        assert (ROOT / "oee_tabular" / file).exists() or (ROOT / file).exists(), file
 
 
 def test_the_core_does_not_import_the_wing():
@@ -72,6 +94,56 @@ def test_the_core_does_not_import_the_wing():
         "assert ContinuousTransitions is oee.ContinuousTransitions\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("room", ["lab", "continuous"])
+def test_what_measures_and_the_wing_are_imported_from_above_alone(room):
+    """Others ask for their names on use: the core loads without them."""
+    above = {"lab": {"cli"}, "continuous": {"lab", "cli"}}[room]
+    rooms = rooms_of(graph_of(by_name=False))
+    assert {name for name in rooms if f"oee_tabular.{room}" in rooms[name]} == {f"oee_tabular.{name}" for name in above}
+
+
+def measure_rooms():
+    """Room -> (lines, modules)."""
+    sizes = {}
+    for path in sorted((ROOT / "oee_tabular").rglob("*.py")):
+        first, *rest = path.relative_to(ROOT / "oee_tabular").parts
+        room = first.removesuffix(".py") if rest or first == "paper.py" else "(top)"
+        lines, modules = sizes.get(room, (0, 0))
+        sizes[room] = lines + path.read_text().count("\n"), modules + 1
+    return sizes
+
+
+def read_sizes():
+    """Room -> (lines, modules, budget) of ``tests/rooms.txt``."""
+    rows = (line.split() for line in SIZES.read_text().splitlines()[1:])
+    return {room: tuple(map(int, numbers)) for room, *numbers in rows}
+
+
+def write_sizes():
+    """Write the sizes as they are, the largest room first."""
+    budgets, sizes = read_sizes(), measure_rooms()
+    rows = [f"{'room':<12}{'lines':>8}{'modules':>10}{'budget':>8}"]
+    for room, (lines, modules) in sorted(sizes.items(), key=lambda item: -item[1][0]):
+        rows.append(f"{room:<12}{lines:>8}{modules:>10}{budgets.get(room, (0, 0, 0))[2]:>8}")
+    SIZES.write_text("\n".join(rows) + "\n")
+
+
+def test_rooms_do_not_grow():
+    sizes, allowed = measure_rooms(), read_sizes()
+    assert set(sizes) == set(allowed)
+    for room, size in sizes.items():
+        has_grown = np.any(np.array(size) > allowed[room][:2])
+        assert not has_grown, (
+            f"{room} has {size} lines and modules, for {allowed[room][:2]}: make room there, or say why and run "
+            "python tests/test_house.py"
+        )
+
+
+def test_no_file_is_long():
+    long = [path.name for path in (ROOT / "oee_tabular").rglob("*.py") if path.read_text().count("\n") > LONGEST_FILE]
+    assert not long
 
 
 def imported(path):
@@ -88,3 +160,7 @@ def test_tests_import_public_names():
     hidden = re.compile(r"oee_tabular\b.*\._[a-z]")
     found = {path.relative_to(TESTS) for path in TESTS.rglob("*.py") if any(map(hidden.match, imported(path)))}
     assert {path.as_posix() for path in found if path.parent.name != "kernels"} == {"testing/test_command.py"}
+
+
+if __name__ == "__main__":
+    write_sizes()
