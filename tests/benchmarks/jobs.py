@@ -16,11 +16,9 @@ import mdps
 import numpy as np
 from numba import njit
 from speed import compare, row
+from values import form
 
 import oee_tabular as oee
-from oee_tabular.exact.system import policy_kernel
-from oee_tabular.exact.values import policy_rewards
-from oee_tabular.ratio import dual, statements
 from oee_tabular.tasks import gridworld, gridworld_expert
 
 MAIN = "from oee_tabular.cli import main; main({!r})"
@@ -28,37 +26,22 @@ IMPORTS = "import numpy, scipy.sparse"
 HORIZON = 200  # of rollouts
 
 
-def even(mdp):
-    """All state-action pairs alike."""
-    return np.full(mdp.rewards.shape, 1 / mdp.rewards.size)
-
-
-def jobs(*, quick):
-    """Intervals, counts, small calls, starts, a million states."""
-    yield from intervals(quick)
-    yield from counts(10**5 if quick else 10**7)
-    yield from small_calls()
-    yield from starts(quick)
-    if not quick:
-        yield from millions()
-
-
-def intervals(quick):
+def intervals(*, quick):
     """The likelihood interval from 100 000 transitions of the simulator itself, of a policy that is mostly its best."""
     cases = {"grid 30": (gridworld(30, 0.1), None), "random graph 1000": (mdps.garnet(1000), None)}
     if not quick:
         cases |= {"grid 100": (gridworld(100, 0.1), None), "random graph 10000": (mdps.garnet(10_000), None)}
         cases |= {"grid 45, horizon 500": (gridworld(45, 0.1), 500)}
     for name, (simulator, horizon) in cases.items():
-        log = oee.sample_transitions(simulator, even(simulator), 100_000, seed=0)
+        log = mdps.draw_log(simulator, 100_000)
         policy = oee.mix(oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.8)
         call = partial(oee.interval, oee.Problem(simulator, log, horizon=horizon), policy)
         yield from compare("main job", f"interval, {name}", {"ours": call})
 
 
-def counts(n):
+def counts(*, quick):
     """Counts of a parquet file and of a tenth of it, ours and DuckDB's sums; 10^9 are projected from the slope."""
-    simulator = mdps.garnet(1000)
+    n, simulator = 10**5 if quick else 10**7, mdps.garnet(1000)
     sums = "state, action, next_state, terminated, count(*), sum(reward), min(reward), max(reward)"
 
     def duckdb():
@@ -70,18 +53,19 @@ def counts(n):
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / f"{size}.parquet" for size in (n // 10, n)]
         for file, size in zip(files, (n // 10, n), strict=True):
-            oee.sample_transitions(simulator, even(simulator), size, seed=0).save(file)
+            mdps.draw_log(simulator, size).save(file)
         ours = {
             "ours, a tenth": partial(oee.Transitions.open, files[0]),
             "ours": partial(oee.Transitions.open, files[1]),
         }
         rows = list(compare("main job", f"counts of {n} transitions", ours, {"DuckDB": duckdb}, seconds=3.0))
-    yield from rows[1:]
-    slope = (rows[1]["seconds"] - rows[0]["seconds"]) / (0.9 * n)
-    yield row("main job", "counts of 10^9 transitions", "ours", 1e9 * slope, note="projected")
+    yield from rows
+    if rows:
+        slope = (rows[1]["seconds"] - rows[0]["seconds"]) / (0.9 * n)
+        yield row("main job", "counts of 10^9 transitions", "ours", 1e9 * slope, note="projected")
 
 
-def small_calls(n=4, actions=2, discount=0.9):
+def small_calls(*, quick, n=4, actions=2, discount=0.9):
     """FiniteMDP and policy_value of four states."""
     rng = np.random.default_rng(0)
     p, r = rng.dirichlet(np.ones(n), (n, actions)), rng.normal(size=(n, actions))
@@ -102,17 +86,15 @@ def small_calls(n=4, actions=2, discount=0.9):
         ("FiniteMDP", build, check),
         ("FiniteMDP and policy_value", lambda: oee.policy_value(build(), policy), value),
         ("policy_value", lambda: oee.policy_value(mdp, policy), value),
+        ("occupancy", lambda: oee.occupancy(mdp, policy), value),
     ):
         name = f"{name}, {n} states"
         yield from compare("small calls", name, {"ours": ours}, {"numpy": lambda peer=peer: peer}, repeat=200)
 
 
 def start(code):
-    """User and system seconds of a child that runs ``code``."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    """Run ``code`` in a new interpreter, which imports what this one imports."""
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def write_files(folder, simulator, log, policy):
@@ -124,38 +106,39 @@ def write_files(folder, simulator, log, policy):
     return [part for name, file in files.items() for part in (f"--{name[:-4]}", file)]
 
 
-def starts(quick):
-    """A new interpreter to the end of a first command; the smallest of several."""
+def starts(*, quick):
+    """A new interpreter to the end of a first command."""
     grid, target = gridworld(10, 0.1), gridworld(10, 0.25)
     policy = oee.mix(gridworld_expert(10), oee.uniform_policy(grid), 0.7)
     with tempfile.TemporaryDirectory() as folder:
-        own = write_files(folder, grid, oee.sample_episodes(target, policy, 20, 50, seed=1), policy)
+        own = write_files(folder, grid, mdps.draw_log(target, 1000), policy)
         programs = {
-            IMPORTS: IMPORTS,
             "import oee_tabular": "import oee_tabular",
             "oee --help": f"try:\n {MAIN.format(['--help'])}\nexcept SystemExit: 0",
             "oee evaluate, own files": MAIN.format(["evaluate", *own]),
         }
-        times = {name: min(start(code) for _ in range(3 if quick else 9)) for name, code in programs.items()}
-    for name in list(times)[1:]:
-        yield row("start", name, "ours", times[name])
-        yield row("start", name, IMPORTS, times[IMPORTS])
+        imports = {IMPORTS: lambda: partial(start, IMPORTS)}
+        for name, code in programs.items():
+            yield from compare("start", name, {"ours": partial(start, code)}, imports, seconds=1.0 if quick else 6.0)
 
 
-def millions():
-    """``oee evaluate --quick`` at 10^6 states with 10^5 transitions, from files; the most memory so far."""
-    grid, slippery, graph = gridworld(1000, 0.1), gridworld(1000, 0.3), mdps.garnet(10**6)
-    expert = oee.mix(gridworld_expert(1000), oee.uniform_policy(grid), 0.8)
+def millions(*, quick):
+    """``oee evaluate --quick`` at 10^6 states with 10^5 transitions, from files."""
+    side = 100 if quick else 1_000
+    grid, graph = gridworld(side, 0.1), mdps.garnet(side**2)
+    expert = oee.mix(gridworld_expert(side), oee.uniform_policy(grid), 0.8)
     for name, simulator, target, policy in (
-        ("grid", grid, slippery, expert),
+        ("grid", grid, gridworld(side, 0.3), expert),
         ("random graph", graph, graph, oee.uniform_policy(graph)),
     ):
         with tempfile.TemporaryDirectory() as folder:
-            log = oee.sample_transitions(target, even(target), 10**5, seed=0)
-            own = write_files(folder, simulator, log, policy)
-            seconds = min(start(MAIN.format(["evaluate", *own, "--quick"])) for _ in range(2))
+            own = write_files(folder, simulator, mdps.draw_log(target, 10**5), policy)
+            ours = {"ours": partial(start, MAIN.format(["evaluate", *own, "--quick"]))}
+            yield from compare("main job", f"evaluate --quick, {name} of {side**2} states", ours, seconds=0.0)
         most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9
-        yield row("main job", f"evaluate --quick, {name} of 10^6 states", "ours", seconds, note=f"{most:.1f} GB")
+        yield row(
+            "main job", f"most memory up to the {name} of {side**2} states", "ours", np.nan, note=f"{most:.1f} GB"
+        )
 
 
 # ---- rollouts: seconds for a transition
@@ -182,14 +165,14 @@ def plain_loop(indptr, indices, sums, rewards, discount, terminal, n, horizon, r
 
 def rollouts(*, quick):
     """Episodes of 200 steps under the uniform policy; the loop draws s' from the policy's chain in place of (a, s')."""
-    for size in (10, 30, 100):
+    for size in (30,) if quick else (10, 30, 100):
         yield from roll_out(gridworld(size, 0.3), f"a transition, grid {size}", 2000 if quick else 20_000)
 
 
 def roll_out(grid, name, n):
     """``error``: the mean return's distance from the exact value in standard errors, where a program sums returns."""
     policy = oee.uniform_policy(grid)
-    chain, rewards = policy_kernel(grid, policy), policy_rewards(grid, policy)
+    chain, rewards = form(grid, policy)
     sums = np.cumsum(chain.data) - np.repeat(np.arange(grid.n_states), np.diff(chain.indptr))
     sums[chain.indptr[1:] - 1] = 1.0
     numbers = chain.indptr, chain.indices, sums, rewards, grid.discount, grid.absorbing(), n, HORIZON
@@ -255,6 +238,8 @@ def solve_random_problems(n):
 
 def compare_solvers(size, n=100_000):
     """Counts of the target and exact probabilities of the simulator on the gridworld's triples."""
+    from oee_tabular.ratio import dual, statements
+
     simulator, target = gridworld(size, 0.3), gridworld(size, 0.1)
     log = oee.sample_episodes(target, oee.uniform_policy(target), 20 + n // 400, 1000, seed=0)
     probability, starts = simulator.transitions.data, simulator.transitions.indptr.astype(np.int64)
@@ -272,14 +257,21 @@ def compare_solvers(size, n=100_000):
         yield from compare("ratio", name, {"ours": partial(dual.solve_rows, *program)}, clarabel)
 
 
-def solve_large():
-    """10^6 cells beside ``numpy.log(p / q)``; 10^7 triples, normalised by rows, in memory."""
-    rng = np.random.default_rng(0)
-    p, q = rng.integers(1, 6, 10**6).astype(float), rng.integers(1, 5, 10**6).astype(float)
+def fit_cells(*, quick):
+    """Large programs beside ``numpy.log(p / q)``."""
+    rng, n = np.random.default_rng(0), 10**4 if quick else 10**6
+    p, q = rng.integers(1, 6, n).astype(float), rng.integers(1, 5, n).astype(float)
     once = {"numpy.log(p / q)": lambda: lambda: np.log(p / q)}
     for options in ({}, {"lower": 0.1, "upper": 2.0}, {"ridge": 0.1}, {"ridge": 0.1, "toward": 1.0, "upper": 5.0}):
         fit = partial(oee.density_ratio, p, q, **options)
-        yield from compare("ratio", f"10^6 cells, {options}", {"ours": fit}, once)
+        yield from compare("density_ratio", f"{n} cells, {options}", {"ours": fit}, once)
+
+
+def solve_large():
+    """10^7 triples, normalised by rows, in memory."""
+    from oee_tabular.ratio import dual
+
+    rng = np.random.default_rng(0)
     x, y = (rng.dirichlet(np.ones(4), 10**7 // 4).reshape(-1) for _ in range(2))
     program = dual.Coordinates(x, y, *np.zeros((2, 10**7))), 0.01, 10.0, np.arange(0, 10**7 + 1, 4)
     yield from compare("ratio", "10^7 triples, rows, box", {"ours": partial(dual.solve_rows, *program)})

@@ -79,15 +79,33 @@ def banded(n, rng, reach=8, entries=5):
 
 
 GRAPHS = {
+    "ring, 10 a side": lambda n, rng: ring(n, rng, reach=10),
     "ring": ring, "chain": chain, "queue": queue, "layered": layers, "banded": banded,
     "small world": lambda n, rng: ring(n, rng, far=0.01),
 }  # fmt: skip
 
 
-def graph(name, n, discount):
-    """The MDP of a graph, one action, with random chances."""
+def graph(name, n, discount, actions=1):
+    """The MDP of a graph; each action has random chances and rewards of its own."""
     rng = np.random.default_rng(0)
     rows, columns = GRAPHS[name](n, rng)
-    kernel = sparse.coo_array((rng.random(len(rows)) + 0.1, (rows, columns)), shape=(n, n)).tocsr()
+    every = np.arange(actions)[:, None]
+    chances = rng.random((actions, len(rows))).reshape(-1) + 0.1
+    pairs, columns = (actions * rows + every).reshape(-1), np.tile(columns, actions)
+    kernel = sparse.coo_array((chances, (pairs, columns)), shape=(actions * n, n)).tocsr()
     kernel = sparse.csr_array(sparse.diags_array(1.0 / kernel.sum(axis=1)) @ kernel)
-    return oee.FiniteMDP(kernel, rng.normal(size=n), np.full(n, 1 / n), discount)
+    return oee.FiniteMDP(kernel, rng.normal(size=(n, actions)), np.full(n, 1 / n), discount)
+
+
+# ---- logs
+
+
+def draw_log(mdp, n, seed=0):
+    """Transitions from pairs that are drawn alike, the same in every state of the package."""
+    rng, kernel = np.random.default_rng(seed), mdp.transitions
+    pairs, sums = rng.integers(0, kernel.shape[0], n), np.concatenate([[0.0], np.cumsum(kernel.data)])
+    low, high = sums[kernel.indptr[pairs]], sums[kernel.indptr[pairs + 1]]
+    entries = np.searchsorted(sums, low + (high - low) * rng.random(n), side="right") - 1
+    entries = np.clip(entries, kernel.indptr[pairs], kernel.indptr[pairs + 1] - 1)
+    states, actions = np.divmod(pairs, mdp.n_actions)
+    return oee.Transitions(states, actions, kernel.indices[entries], mdp.rewards[states, actions])

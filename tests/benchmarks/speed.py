@@ -1,28 +1,89 @@
-"""Speed against every peer: a table in Markdown.
+"""Speed against every peer and against an earlier state of the package: a table in Markdown.
 
     pip install quantecon pypardiso mdpsolver jax duckdb pyarrow
-    python tests/benchmarks/speed.py [TASK ...] [--quick]
+    git worktree add ../before c81a0ed
+    PYTHONPATH=. python tests/benchmarks/speed.py [TASK ...] [--before ../before] [--quick]
 
-A task is a name in TASKS; all but graphs and ratio without one. It yields rows, most of them by ``compare``: programs that
-take turns in one process. Times are CPU seconds with one BLAS thread, medians, compilation apart; ``error`` is what an
-answer misses. A peer that is not installed, or fails, is said.
+A task is a name in TASKS; those of SUMMARY without one. It yields rows, most of them by ``compare``: programs that take turns.
+``--before`` runs our own programs of the same cases in another checkout, too, in a process of its own that takes its turns.
+Times are user and system seconds, those of child processes included, with one BLAS thread: medians, the first run apart.
+``error`` is what an answer misses. A peer that is not installed, or fails, is said.
 """
 
 import argparse
+import contextlib
+import datetime
 import importlib
+import json
 import os
 import platform
+import resource
+import subprocess
 import sys
 import time
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-TASKS = {
-    "values": "values", "regimes": "values", "horizon": "values", "planning": "values", "rollouts": "jobs",
-    "jobs": "jobs", "graphs": "values", "ratio": "jobs",
+SUMMARY = {
+    "small_calls": "jobs", "small_estimates": "summary", "solve": "summary", "plan_graphs": "values", "occupy": "summary",
+    "rollouts": "jobs", "fit_cells": "jobs", "intervals": "jobs", "reports": "summary", "starts": "jobs", "counts": "jobs",
+    "millions": "jobs",
+}  # fmt: skip
+TASKS = SUMMARY | {
+    "calls": "summary", "values": "values", "regimes": "values", "horizon": "values", "planning": "values",
+    "graphs": "values", "ratio": "jobs",
 }  # fmt: skip
 LEAST, MOST = 3, 200  # times that a program is timed
+BEFORE = "before: "  # a program of ours in the other checkout
+
+
+class Other:
+    """The other checkout's process: a line asks for one timing of a program of the case where it stands."""
+
+    process = None  # where it runs
+    is_self = False  # this process is it
+
+    @classmethod
+    def begin(cls, folder, words):
+        command = [sys.executable, __file__, *words, "--answer"]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        cls.process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": str(folder.resolve())}, **pipes)
+
+    @classmethod
+    def ask(cls, program):
+        """The other's seconds; a text where it failed; None asks for the next case."""
+        with contextlib.suppress(BrokenPipeError):
+            cls.process.stdin.write(json.dumps(program) + "\n")
+            cls.process.stdin.flush()
+        return None if program is None else json.loads(cls.process.stdout.readline() or '"it ended"')
+
+    @staticmethod
+    def answer(calls, repeat):
+        """Serve one case."""
+        while (program := json.loads(input())) is not None:
+            try:
+                with contextlib.redirect_stdout(sys.stderr):
+                    reply = measure(calls[program], repeat)[0]
+            except Exception as error:
+                reply = f"{type(error).__name__}: {error}"[:120]
+            print(json.dumps(reply), flush=True)
+
+
+def cpu():
+    """User and system seconds of this process and of its children that ended."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def measure(call, repeat):
+    """Seconds of ``repeat`` calls, and the last result."""
+    start = cpu()
+    for _ in range(repeat):
+        result = call()
+    return cpu() - start, result
 
 
 def row(task, case, program, seconds, error=np.nan, note=""):
@@ -31,7 +92,7 @@ def row(task, case, program, seconds, error=np.nan, note=""):
     return {"task": task, "case": case, "program": program, "note": note} | numbers
 
 
-def compare(task, case, ours, peers=None, *, miss=None, repeat=1, seconds=1.0, units=None):
+def compare(task, case, ours, peers=None, *, miss=None, repeat=1, seconds=0.5, units=None):
     """Rows of a case.
 
     ours    : name -> call
@@ -41,68 +102,93 @@ def compare(task, case, ours, peers=None, *, miss=None, repeat=1, seconds=1.0, u
     seconds : to spend on each program; 0: once
     units   : result -> what its seconds are divided by
     """
-    calls, times, results = {}, {}, {}
-    ready = {name: lambda call=call: call for name, call in ours.items()}
-    for program, prepare in (ready | (peers or {})).items():
+    if Other.is_self:
+        return Other.answer(ours, repeat)
+    run = {name: partial(measure, call, repeat) for name, call in ours.items()}
+    if Other.process:
+        run |= {BEFORE + name: lambda name=name: (Other.ask(name), None) for name in ours}
+    times, results = {}, {}
+    for program in [*run, *(peers or {})]:
         try:
-            calls[program] = prepare()
-            calls[program]()  # which may compile
+            if program not in run:
+                run[program] = partial(measure, peers[program](), repeat)
+            if isinstance(answer := run[program]()[0], str):  # the first run may compile
+                raise RuntimeError(answer)
             times[program] = []
         except Exception as error:
             yield row(task, case, program, np.nan, note=f"{type(error).__name__}: {error}"[:120])
     left = set(times)
     while left:
         for program in sorted(left):
-            start = time.process_time()
-            for _ in range(repeat):
-                results[program] = calls[program]()
             taken = times[program]
-            taken.append(time.process_time() - start)
+            last, results[program] = run[program]()
+            taken.append(last)
             if seconds == 0 or (len(taken) >= LEAST and (sum(taken) >= seconds or len(taken) >= MOST)):
                 left.discard(program)
+    if Other.process:
+        Other.ask(None)
     for program, taken in times.items():
         result = results[program]
-        each = np.median(taken) / repeat / (1.0 if units is None else units(result))
-        yield row(task, case, program, each, np.nan if miss is None else miss(result))
+        unit = 1.0 if units is None else units(results[program.removeprefix(BEFORE)])
+        error = np.nan if miss is None or result is None else miss(result)
+        yield row(task, case, program, np.median(taken) / repeat / unit, error)
 
 
 def markdown(rows):
-    """A line for each case: our best time, the best peer's, the others', and errors."""
+    """A line for each case and program of ours: our time, the state before, the best peer's time, the others', and errors."""
     cases = {}
     for new in rows:
         cases.setdefault((new["task"], new["case"]), []).append(new)
-    yield "| task | case | ours (s) | error | best peer (s) | error | times | others: times ours |"
-    yield "|" + "---|" * 8
+    yield "| task | case | ours (s) | ours / before | error | best peer (s) | error | peer / ours | others / ours |"
+    yield "|" + "---|" * 9
     for (task, case), found in cases.items():
-        timed = sorted((r for r in found if r["seconds"] == r["seconds"]), key=lambda r: r["seconds"])
-        ours = next((r for r in timed if r["program"].startswith("ours")), None)
-        best = next((r for r in timed if not r["program"].startswith("ours")), None)
-        if ours is None:
-            yield f"| {task} | {case} | failed | | | | | |"
-            continue
-        times = {r["program"]: f"{r['seconds'] / ours['seconds']:.3g}" for r in timed}
-        others = [f"{r['program']} {times[r['program']]}" for r in timed if r is not ours and r is not best]
-        others += [f"{r['program']}: {r['note']}" for r in found if r["note"]]
-        cells = [task, case, f"{ours['seconds']:.3g}", f"{ours['error']:.1g}", "", "", ""]
-        if best is not None:
-            cells[4:] = f"{best['program']} {best['seconds']:.3g}", f"{best['error']:.1g}", times[best["program"]]
-        yield f"| {' | '.join(cells)} | {'; '.join(others)} |"
+        times = {r["program"]: r["seconds"] for r in found if r["seconds"] == r["seconds"]}
+        own = [r for r in found if r["program"].startswith("ours")]
+        peers = sorted((r for r in found if not r["program"].startswith(("ours", BEFORE))), key=lambda r: r["seconds"])
+        for ours in own:
+            ratios = {name: f"{seconds / ours['seconds']:.3g}" for name, seconds in times.items()}
+            before = times.get(BEFORE + ours["program"])
+            name = f"{case} {ours['program'].removeprefix('ours').strip(', ')}".strip()
+            cells = [
+                name,
+                f"{ours['seconds']:.3g}",
+                before and f"{ours['seconds'] / before:.2f}",
+                f"{ours['error']:.1g}",
+            ]
+            best = next((r for r in peers if r["program"] in times), None)
+            cells += ["", "", ""] if best is None else [
+                f"{best['program']} {best['seconds']:.3g}", f"{best['error']:.1g}", ratios[best["program"]]
+            ]  # fmt: skip
+            others = [
+                f"{r['program']} {ratios[r['program']]}" for r in peers if r["program"] in times and r is not best
+            ]
+            others += [f"{r['program']}: {r['note']}" for r in found if r["note"]]
+            cells = ["" if cell in (None, "nan") else cell for cell in cells]
+            yield f"| {task} | {' | '.join(cells)} | {'; '.join(others)} |"
 
 
 def main():
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("tasks", nargs="*", choices=[*TASKS, []], default=[*TASKS][:-2], metavar="TASK")
+    parser.add_argument("tasks", nargs="*", choices=[*TASKS, []], default=[], metavar="TASK")
+    parser.add_argument("--before", type=Path, help="another checkout of the package")
     parser.add_argument("--quick", action="store_true", help="small cases only")
+    parser.add_argument("--answer", action="store_true", help=argparse.SUPPRESS)
     options, rows = parser.parse_args(), []
+    tasks = options.tasks or list(SUMMARY)
+    Other.is_self = options.answer
+    if options.before:
+        Other.begin(options.before, [*tasks, *["--quick"] * options.quick])
     with threadpool_limits(limits=1):
-        for task in options.tasks:
+        for task in tasks:
             for new in getattr(importlib.import_module(TASKS[task]), task)(quick=options.quick):
                 rows.append(new)
                 print(f"  {new['task']} | {new['case']} | {new['program']}: {new['seconds']:.3g} s", file=sys.stderr)
-    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
-    print("\n".join(markdown(rows)))
+    if not Other.is_self:
+        print(f"`python {' '.join(sys.argv)}`, {datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores,")
+        print(f"Python {platform.python_version()}\n")
+        print("\n".join(markdown(rows)))
 
 
 if __name__ == "__main__":
-    main()
+    importlib.import_module("speed").main()  # the module that the tasks import

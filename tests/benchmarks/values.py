@@ -26,9 +26,6 @@ from speed import compare, row
 
 import oee_tabular as oee
 from oee_tabular import exact
-from oee_tabular.exact import finite
-from oee_tabular.exact.system import policy_kernel, policy_system
-from oee_tabular.exact.values import policy_rewards
 from oee_tabular.tasks import gridworld, gridworld_policy
 
 STEPS, EPSILON = 200, 1e-6
@@ -106,7 +103,7 @@ def form(mdp, policy):
 
 def evaluate(name, mdp, policy, peers=SPARSE, *, ready=True, **options):
     """Rows of one V; ``ready``: whether the peers' clock leaves out P_pi and r_pi."""
-    kernel, rewards = policy_kernel(mdp, policy), policy_rewards(mdp, policy)
+    kernel, rewards = form(mdp, policy)
 
     def prepare(peer):
         if ready:
@@ -129,19 +126,16 @@ def measure_memory(n, program):
     mdp, policy = gridworld(n, 0.3), gridworld_policy(n, 0.5)
     call = partial(exact.evaluate_policy, mdp, policy)
     if program != "ours":
-        call = SOLVERS[program](policy_kernel(mdp, policy), policy_rewards(mdp, policy), mdp.discount)
+        call = SOLVERS[program](*form(mdp, policy), mdp.discount)
     before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     call()
     return time.process_time() - start, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 2**20
 
 
 def values(*, quick):
-    """Grids and a random MDP; the peers get ready matrices."""
-    for n, discount in ((40, 0.99),) if quick else ((40, 0.99), (100, 0.99), (300, 0.99), (300, 0.9999)):
-        grid = gridworld(n, 0.3, discount=discount)
-        for delta in (0.1, 0.5, 0.9):
-            yield from evaluate(f"grid {n}, delta {delta:g}, discount {discount:g}", grid, gridworld_policy(n, delta))
-    random = mdps.garnet(1_000 if quick else 10_000, entries=10)
+    """Large problems, and their memory; the peers get ready matrices."""
+    grid, random = gridworld(300, 0.3, discount=0.9999), mdps.garnet(1_000 if quick else 10_000, entries=10)
+    yield from evaluate("grid 300, discount .9999", grid, gridworld_policy(300, 0.5))
     yield from evaluate(f"random MDP of {random.n_states} states", random, oee.uniform_policy(random), ITERATIVE)
     if not quick:
         yield from evaluate("random MDP once", random, oee.uniform_policy(random), (SPSOLVE,), seconds=0.0)  # a minute
@@ -237,13 +231,6 @@ def jax_sweeps(kernel, rewards, discount):
 SWEEPS = {"scipy": scipy_sweeps, "quantecon": quantecon_sweeps, "jax": jax_sweeps}
 
 
-def sweep(rows, rewards):
-    """Ours, on what was made before."""
-    out = np.zeros((2, len(rewards)))
-    finite.sweep(rows, rewards, STEPS, out)
-    return out[0]
-
-
 def horizon(*, quick):
     """V and J, then moments, smallest grid first."""
     for size in (10, 40) if quick else (10, 40, 100, 300, 1000):
@@ -255,21 +242,14 @@ def horizon(*, quick):
 def evaluate_horizon(size, seconds):
     """Rows of V and of J on a grid."""
     grid, policy = gridworld(size, 0.3), gridworld_policy(size, 0.0)
-    kernel, rewards, discount = policy_kernel(grid, policy), policy_rewards(grid, policy), grid.discount
-    rows, name = policy_system(grid, policy).kernel, f"grid {size}"
+    (kernel, rewards), discount, name = form(grid, policy), grid.discount, f"grid {size}"
     truth = scipy_sweeps(kernel.astype(np.longdouble), rewards, np.longdouble(discount))().astype(float)
     peers = {name: partial(make, kernel, rewards, discount) for name, make in SWEEPS.items()}
-    ours = {
-        "ours": lambda: exact.state_values(grid, policy, horizon=STEPS),
-        "ours, sweeps alone": lambda: sweep(rows, rewards),
-    }
+    ours = {"ours": lambda: exact.state_values(grid, policy, horizon=STEPS)}
     formed = {"scipy, with its matrices": lambda: lambda: scipy_sweeps(*form(grid, policy), discount)()}
     miss = lambda v: np.abs(v - truth).max() / np.abs(truth).max()  # noqa: E731
     yield from compare("V, T = 200", name, ours, peers | formed, miss=miss, seconds=seconds)
-    ours = {
-        "ours": lambda: oee.policy_value(grid, policy, horizon=STEPS),
-        "ours, without the check": lambda: finite.values_by_horizon(grid, policy, STEPS, is_each=False)[-1],
-    }
+    ours = {"ours": lambda: oee.policy_value(grid, policy, horizon=STEPS)}
     miss = lambda j: np.abs(j - truth)[..., 0].max() / abs(truth[0])  # noqa: E731
     yield from compare("J, T = 200", name, ours, peers, miss=miss, seconds=seconds)
 
@@ -278,7 +258,7 @@ def moments(size):
     """Mean and variance of products of ratios, P' of slip .1.
 
     scipy's recursion: m = E[w r] + gamma K1 m and q = E[w^2 r^2] + 2 gamma E[w^2 r m] + gamma^2 K2 q, three sparse products a
-    step, and q - m^2 at the end. On the smallest grid the moments are also measured in sweeps of V.
+    step, and q - m^2 at the end. On the smallest grid V of as many rewards stands beside the moments.
     """
     grid, policy = gridworld(size, 0.3), gridworld_policy(size, 0.0)
     zeta = oee.true_ratio(gridworld(size, 0.1), grid)
@@ -316,10 +296,10 @@ def moments(size):
     miss = lambda v: abs(v / known - 1.0)  # noqa: E731
     yield from compare("moments, T = 200", f"grid {size}", {"ours": moments_of()}, peers, miss=miss, seconds=0.5)
     if size == 10:
-        value = partial(sweep, policy_system(grid, policy).kernel, policy_rewards(grid, policy))
+        value = partial(oee.state_values, grid, policy, horizon=STEPS)
         kinds = {"per decision": {}, "self-normalised": {"self_normalized": True}, "trajectory": {"kind": "trajectory"}}
         peers = {kind: lambda options=options: moments_of(**options) for kind, options in kinds.items()}
-        yield from compare("moments, T = 200", "grid 10, in sweeps of V", {"ours": value}, peers)
+        yield from compare("moments, T = 200", "grid 10, beside V", {"ours": value}, peers)
 
 
 # ---- plans
@@ -348,6 +328,7 @@ def plan_quantecon(mdp, method):
 
 JACOBI = {"mdpsolver": (plan_mdpsolver, "standard"), "quantecon": (plan_quantecon, "modified_policy_iteration")}
 MODIFIED = JACOBI | {f"mdpsolver {update}": (plan_mdpsolver, update) for update in ("gs", "sor")}
+QUANTECON = "quantecon policy_iteration"
 PLANNERS = MODIFIED | {f"quantecon {name}": (plan_quantecon, name) for name in ("policy_iteration", "value_iteration")}
 
 
@@ -378,5 +359,17 @@ def planning(*, quick):
         grid = gridworld(n, 0.3, discount=discount)
         yield from plan(f"grid {n}, slip .3, {discount}", grid, MODIFIED if n <= 40 else JACOBI)
     yield from plan("lattice 3375", mdps.lattice(15), MODIFIED)
-    for name, n in (("queue", 2_000), ("ring", 5_000), ("layered", 20_000)):
-        yield from plan(f"{name} {n}", mdps.graph(name, n, 0.99), PLANNERS)
+
+
+def plan_graphs(*, quick):
+    """Graphs of two actions on which policy iteration is ahead, or solvers that sweep."""
+    for name, n, discount in (
+        (("queue", 200, 0.999),)
+        if quick
+        else (("queue", 2_000, 0.999), ("ring", 5_000, 0.999), ("layered", 20_000, 0.99))
+    ):
+        yield from plan(
+            f"{name} {n}, {discount}",
+            mdps.graph(name, n, discount, actions=2),
+            JACOBI | {QUANTECON: PLANNERS[QUANTECON]},
+        )
