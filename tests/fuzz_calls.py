@@ -3,14 +3,13 @@
 Functions, classes and their public methods are found by inspection; from a call that works one argument (sometimes two) is
 replaced. What is wrong: an exception that is not raised by the package itself or does not name an argument, a message that is
 long or holds control characters, a call of more than five seconds of CPU, the death of the process, a result with nan and
-without a warning. The calls are made in a child process, which says what it is about to do; where it dies or hangs another
-takes its place. ``--only K`` makes the K-th call here, with its traceback. Exit code 1 where something is wrong.
+without a warning. The calls are made in a child process; where it dies or hangs another takes its place. ``--only K`` makes
+the K-th call here, with its traceback. Exit code 1 where something is wrong.
 """
 
 import argparse
 import dataclasses
 import inspect
-import multiprocessing
 import os
 import re
 import reprlib
@@ -22,13 +21,13 @@ import warnings
 from collections import Counter
 
 import numpy as np
+from fuzz_child import Child
 from fuzz_values import hostile, valid_values
 from scipy import sparse
 
 import oee_tabular as oee
 
 LIMIT = 5.0  # seconds of CPU of a call
-START = 300.0  # seconds for a child to import and compile
 LONGEST = 1500  # characters of a message
 OURS = (ValueError, OSError, ImportError, MemoryError)
 PACKAGE = os.path.dirname(oee.__file__) + os.sep
@@ -38,19 +37,11 @@ INNER = {  # methods that the package calls, after its checks: of objects of the
     "ratio": ("limit",),
 }  # fmt: skip
 ALIASES = {  # words of the command line, which the same errors serve
-    "identifier": ("environment",),
-    "spec": ("environment", "simulator"),
-    "policies": ("policy",),
-    "log_or_counts": ("counts",),
-    "policy_a": ("policy_a and policy_b",),
-    "logs": ("log",),
-    "log": ("frame",),
-    "episodes": ("frame",),
-    "matrix": ("count",),
-    "tie": ("frame",),
-    "name": ("folder", "path"),
-    "folder": ("output",),
-}
+    "identifier": ("environment",), "spec": ("environment", "simulator"), "policies": ("policy",), "logs": ("log",),
+    "log_or_counts": ("counts",), "policy_a": ("policy_a and policy_b",), "log": ("frame",), "episodes": ("frame",),
+    "matrix": ("count",), "tie": ("frame",), "name": ("folder", "path"), "folder": ("output",),
+}  # fmt: skip
+BLANK = ("row_changes", "monte_carlo_value", "spread")  # nan where a row was never recorded, or from one episode
 
 
 def is_called(value):
@@ -159,13 +150,6 @@ def judged(function, values, replaced):
     return "accepted", ""
 
 
-BLANK = (
-    "row_changes",
-    "monte_carlo_value",
-    "spread",
-)  # nan where a row was never recorded, or from one episode, as they say
-
-
 def refusal(error, values, replaced):
     """The kind of an exception: "refused" where the package raised it, named an argument and was short."""
     text = f"{type(error).__name__}: {error}"
@@ -197,16 +181,14 @@ def make_call(seed, k, every, calls):
     return name, values, replaced
 
 
-def attack(pipe, seed, start, rooms):
-    """Calls, one after the other, told before and after."""
+def attack(pipe, seed, rooms):
+    """Make the calls whose numbers are asked for; say what each was, its kind and its text."""
     os.chdir(tempfile.mkdtemp())
     known = valid_values()
     every = functions(known, rooms)
     calls = {name: arguments_of(name, function, known) for name, function in every.items()}
-    k = start
     while True:
-        name, values, replaced = make_call(seed, k, every, calls)
-        pipe.send(("begun", k, f"[{k}] {name}({', '.join(f'{a}={shown(values[a])}' for a in replaced)})"))
+        name, values, replaced = make_call(seed, k := pipe.recv(), every, calls)
         begun = time.process_time()
         kind, text = judged(every[name], values, replaced)
         if time.process_time() - begun > LIMIT:  # the first time it may have been compiled
@@ -215,8 +197,7 @@ def attack(pipe, seed, start, rooms):
             kind = "slow" if time.process_time() - begun > LIMIT else kind
         if not replaced and kind != "accepted":
             kind = "invalid"
-        pipe.send(("done", kind, text))
-        k += 1
+        pipe.send((f"[{k}] {name}({', '.join(f'{a}={shown(values[a])}' for a in replaced)})", kind, text))
 
 
 def shown(value):
@@ -230,42 +211,17 @@ def shown(value):
 
 
 def fuzz(seed, seconds, calls=None, rooms=None):
-    """Counts by kind, and what was wrong: (kind, call, text)."""
-    context = multiprocessing.get_context("spawn")
-    counts, wrong, k, end = Counter(), [], 0, float("inf")
-    child = pipe = None
-    lost = 0  # children that died before a call
+    """Counts by kind, and what was wrong: (kind, call, text). The time of the first call, which compiles, is not counted."""
+    child, counts, wrong, k, end = Child(90.0, attack, seed, rooms), Counter(), [], 0, float("inf")
     while time.monotonic() < end and (calls is None or k < calls):
-        if child is None:
-            pipe, other = context.Pipe()
-            child = context.Process(target=attack, args=(other, seed, k, rooms), daemon=True)
-            child.start()
-            other.close()
-        said, kind, text = "", "death", ""
-        try:
-            if not pipe.poll(START):
-                kind = "hang"
-                raise EOFError
-            _, k, said = pipe.recv()
-            lost = 0
-            end = min(end, time.monotonic() + seconds)  # imports are not counted
-            if not pipe.poll(90):
-                kind = "hang"
-                raise EOFError
-            _, kind, text = pipe.recv()
-        except (EOFError, ConnectionError):
-            child.kill()
-            child.join()
-            child, lost = None, lost + (not said)
-            if lost == 3:
-                raise RuntimeError("three processes died before their first call") from None
+        answer = child.ask(k)
+        said, kind, text = (f"[{k}]", answer, "") if isinstance(answer, str) else answer
+        end = min(end, time.monotonic() + seconds)
         counts[kind] += 1
         if kind in WRONG:
             wrong.append((kind, said, text))
         k += 1
-    if child is not None:
-        child.kill()
-        child.join()
+    child.end()
     return counts, wrong
 
 

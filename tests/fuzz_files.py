@@ -13,20 +13,17 @@ import collections
 import contextlib
 import hashlib
 import io
-import json
-import select
 import struct
-import subprocess
 import sys
 import tempfile
 import time
+import traceback
+import warnings
 import zipfile
 from pathlib import Path
 
 import numpy as np
-
-HANG = 10.0  # seconds for a file
-START = 300.0  # seconds for a child to import and compile
+from fuzz_child import Child
 
 HOSTILE = [
     0, 1, -1, 2, 3, 5, 7, 100, 0.25, 0.5, -0.5, 1e-320, 1e160, 1e300, -1e300, np.nan, np.inf, -np.inf, 2**31, 2**53 + 1,
@@ -46,6 +43,10 @@ SHAPES = [
 
 
 # ---- whole files to begin with
+
+
+def pick(rng, things):
+    return things[rng.integers(len(things))]
 
 
 def originals(folder):
@@ -99,81 +100,64 @@ def spliced(data, rng):
 
 
 def noise(data, rng):
-    head = data[: rng.integers(0, 9)]
-    return head + rng.bytes(int(rng.integers(0, 200)))
+    return data[: rng.integers(0, 9)] + rng.bytes(int(rng.integers(0, 200)))
 
 
 def packed(arrays, rng):
     """An npz of arrays, or of bytes that stand for one, with the habits of other programs."""
-    method = rng.choice([zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA])
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", int(method)) as archive:
+    method = pick(rng, [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA])
+    with zipfile.ZipFile(buffer, "w", method) as archive:
         for name, array in arrays.items():
-            data = array if isinstance(array, bytes) else _written(lambda h, a: np.save(h, a, allow_pickle=True), array)
-            archive.writestr(f"{name}.npy", data)
+            archive.writestr(f"{name}.npy", array if isinstance(array, bytes) else _written(np.save, array))
     return buffer.getvalue()
 
 
 def forged(array, rng):
     """The npy of an array with another header."""
-    buffer = io.BytesIO()
-    shape = SHAPES[rng.integers(len(SHAPES))] if rng.random() < 0.7 else array.shape
-    descr = rng.choice(DTYPES) if rng.random() < 0.5 else array.dtype.str
-    words = [repr({"descr": descr, "fortran_order": bool(rng.random() < 0.3), "shape": shape})]
-    words += ["(" * 3000, "-" * 9000 + "1", "{'a': 1}", "{", "[]", "\x00", "'\\d'", "{'shape': (1L,)}", "9" * 5000, ""]
-    header = words[0 if rng.random() < 0.8 else rng.integers(len(words))].encode()
-    version = bytes([[1, 1, 1, 2, 3, 0, 9][rng.integers(7)], 0])
-    size = struct.pack("<H", len(header) + 1) if version[0] == 1 else struct.pack("<I", len(header) + 1)
-    buffer.write(b"\x93NUMPY" + version + size + header + b"\n" + array.tobytes())
-    return buffer.getvalue()
+    shape = pick(rng, SHAPES) if rng.random() < 0.7 else array.shape
+    descr = pick(rng, DTYPES) if rng.random() < 0.5 else array.dtype.str
+    words = [repr({"descr": descr, "fortran_order": bool(rng.random() < 0.3), "shape": shape})] * 4
+    words += [
+        pick(rng, ["(" * 3000, "-" * 9000 + "1", "{'a': 1}", "{", "\x00", "'\\d'", "{'shape': (1L,)}", "9" * 5000, ""])
+    ]
+    header, version = pick(rng, words).encode(), bytes([pick(rng, [1, 1, 1, 2, 3, 0, 9]), 0])
+    size = struct.pack("<H" if version[0] == 1 else "<I", len(header) + 1)
+    return b"\x93NUMPY" + version + size + header + b"\n" + array.tobytes()
 
 
 def edited_array(array, rng):
     """The same array with one thing changed."""
-    kind = rng.integers(6)
-    if kind == 0 and array.size:
-        changed = array.copy() if rng.random() < 0.5 or array.dtype.kind not in "biuf" else array.astype(np.float64)
-        value = HOSTILE[rng.integers(len(HOSTILE))]
-        try:
-            with np.errstate(all="ignore"):
-                changed.reshape(-1)[rng.integers(changed.size)] = value
-        except (OverflowError, TypeError, ValueError):
-            return np.array(value)
-        return changed
-    if kind == 1:
-        try:
-            with np.errstate(all="ignore"):
-                return array.astype(rng.choice([name for name in DTYPES if "," not in name]))
-        except (RuntimeError, TypeError, ValueError):
-            return array.astype("O")
-    if kind == 2:
-        return array.reshape(-1)[: rng.integers(array.size + 1)]
-    if kind == 3:
-        return np.concatenate([array.reshape(-1), array.reshape(-1)])
-    if kind == 4:
-        return rng.permutation(array.reshape(-1)).reshape(array.shape)
-    return [array[None], np.array(None), np.array(["0.25"] * 3), np.zeros((0, 3)), np.array(np.nan)][rng.integers(5)]
+    kind, flat = rng.integers(6), array.reshape(-1)
+    with np.errstate(all="ignore"), contextlib.suppress(OverflowError, RuntimeError, TypeError, ValueError):
+        if kind == 0 and array.size:
+            changed = array.astype(float) if rng.random() < 0.5 and array.dtype.kind in "biuf" else array.copy()
+            changed.flat[rng.integers(changed.size)] = pick(rng, HOSTILE)
+            return changed
+        if kind == 1:
+            return array.astype(pick(rng, [name for name in DTYPES if "," not in name]))
+    return pick(rng, [
+        flat[: rng.integers(array.size + 1)], np.concatenate([flat, flat]), rng.permutation(flat).reshape(array.shape),
+        array[None], np.array(None), np.array(["0.25"] * 3), np.zeros((0, 3)), np.array(np.nan), array.astype("O"),
+    ])  # fmt: skip
 
 
 def edited_npz(data, rng):
     with np.load(io.BytesIO(data)) as stored:
         arrays = dict(stored)
     for _ in range(rng.integers(1, 3)):
-        name = rng.choice(list(arrays))
-        other, kind = rng.choice(list(arrays)), rng.integers(8)
+        name, other = (str(name) for name in rng.choice(list(arrays), 2))
+        kind, is_array = rng.integers(8), isinstance(arrays[name], np.ndarray)
         if kind == 0 and len(arrays) > 1:
             del arrays[name]
-        elif kind == 6:
-            arrays[name], arrays[other] = arrays[other], arrays[name]
-        elif kind == 7:
-            arrays[f"{name}{rng.choice(['_', '2', 'x'])}"] = arrays.pop(name)
         elif kind == 1:
-            more = ["more", "policy", "layout", "../x", "behavior_probability", "reward"]
-            arrays[more[rng.integers(6)]] = arrays[name]
-        elif kind == 2 and isinstance(arrays[name], np.ndarray):
-            arrays[name] = forged(arrays[name], rng)
-        elif isinstance(arrays[name], np.ndarray):
-            arrays[name] = edited_array(arrays[name], rng)
+            arrays[pick(rng, ["more", "policy", "layout", "../x", "behavior_probability", "reward"])] = arrays[name]
+        elif kind == 2:
+            arrays[name], arrays[other] = arrays[other], arrays[name]
+        elif kind == 3:
+            arrays[name + pick(rng, ["_", "2", "x"])] = arrays.pop(name)
+        elif is_array:
+            arrays[name] = (forged if kind == 4 else edited_array)(arrays[name], rng)
     return packed(arrays, rng)
 
 
@@ -181,39 +165,34 @@ def edited_zip(data, rng):
     """Fields of the zip's own directory: sizes, methods, flags."""
     changed = bytearray(data)
     at = data.rfind(b"PK\x01\x02") if rng.random() < 0.5 else data.find(b"PK\x01\x02")
-    offset, width = [(8, 2), (10, 2), (16, 4), (20, 4), (24, 4), (28, 2), (42, 4)][rng.integers(7)]
-    value = [0, 1, 8, 9, 12, 14, 93, 99, 0xFFFF, 2**31, 2**32 - 1][rng.integers(11)] & (256**width - 1)
+    offset, width = pick(rng, [(8, 2), (10, 2), (16, 4), (20, 4), (24, 4), (28, 2), (42, 4)])
+    value = pick(rng, [0, 1, 8, 9, 12, 14, 93, 99, 0xFFFF, 2**31, 2**32 - 1]) & (256**width - 1)
     changed[at + offset : at + offset + width] = value.to_bytes(width, "little")
     return bytes(changed)
 
 
 def bomb(data, rng):
-    """A megabyte or so that says that it is many gigabytes, in a header, a directory, or truly."""
-    header = _written(lambda h: np.lib.format.write_array_header_1_0(h, {
-        "descr": "<f8", "fortran_order": False, "shape": ([2_000_000_000, 10**17][rng.integers(2)],)}))  # fmt: skip
-    arrays = {
-        "oee_tabular_kind": np.array(["transitions", "finite_mdp"][rng.integers(2)]),
-        "state": header + bytes(10**6),
-    }
-    return packed(arrays, rng)
+    """A megabyte or so that says that it is many gigabytes."""
+    form = {"descr": "<f8", "fortran_order": False, "shape": (pick(rng, [2_000_000_000, 10**17]),)}
+    header = _written(np.lib.format.write_array_header_1_0, form)
+    kind = np.array(pick(rng, ["transitions", "finite_mdp"]))
+    return packed({"oee_tabular_kind": kind, "state": header + bytes(10**6)}, rng)
 
 
 def edited_npy(data, rng):
     array = np.load(io.BytesIO(data))
-    if rng.random() < 0.5:
-        return forged(array, rng)
-    return _written(lambda h, a: np.save(h, a, allow_pickle=True), edited_array(array, rng))
+    return forged(array, rng) if rng.random() < 0.5 else _written(np.save, edited_array(array, rng))
 
 
 def edited_csv(data, rng):
     lines = [line.split(",") for line in data.decode().splitlines()]
     for _ in range(rng.integers(1, 4)):
-        row = lines[rng.integers(len(lines))]
+        row = pick(rng, lines)
         kind = rng.integers(7) if row and lines[0] else 1
         if kind == 0:
-            row[rng.integers(len(row))] = FIELDS[rng.integers(len(FIELDS))]
+            row[rng.integers(len(row))] = pick(rng, FIELDS)
         elif kind == 1:
-            row.append(FIELDS[rng.integers(len(FIELDS))])
+            row.append(pick(rng, FIELDS))
         elif kind == 2 and len(row) > 1:
             del row[rng.integers(len(row))]
         elif kind == 3:
@@ -222,14 +201,12 @@ def edited_csv(data, rng):
             lines.insert(rng.integers(len(lines) + 1), [])
         elif kind == 5:
             k = rng.integers(len(lines[0]))
-            for each in lines[1:]:
-                if k < len(each):
-                    each[k] = FIELDS[rng.integers(12)]
+            lines[1:] = [[*line[:k], pick(rng, FIELDS[:12]), *line[k + 1 :]] for line in lines[1:]]
         else:
             lines = [line + [f"x{k}" for k in range(2000)] for line in lines]
-    comma, end = rng.choice([",", ",", ",", ",", ";", "\t", "|", " "]), rng.choice(["\n", "\n", "\r\n", "\r"])
-    text = str(end).join(str(comma).join(line) for line in lines)
-    return text.encode(str(rng.choice(["utf-8", "utf-8", "utf-8", "utf-8-sig", "utf-16"])), errors="replace")
+    comma, end = pick(rng, [",", ",", ",", ",", ";", "\t", "|", " "]), pick(rng, ["\n", "\n", "\r\n", "\r"])
+    text = end.join(comma.join(line) for line in lines)
+    return text.encode(pick(rng, ["utf-8", "utf-8", "utf-8", "utf-8-sig", "utf-16"]), errors="replace")
 
 
 def edited_parquet(data, rng):
@@ -239,23 +216,16 @@ def edited_parquet(data, rng):
     saved = parquet.read_table(io.BytesIO(data))
     table = saved.to_pydict()
     name, other = (str(name) for name in rng.choice(list(table), 2))
-    column = table[name]
-    values = [
-        HOSTILE[rng.integers(len(HOSTILE))], None, "0.25", b"x", [1, 2], {"a": 1}, True, np.datetime64("2020-01-01", "s"),
-        10**30, "a" * 1000,
-    ]  # fmt: skip
-    value = values[rng.integers(len(values))]
-    kind = rng.integers(5)
+    date, number = np.datetime64("2020-01-01", "s"), pick(rng, HOSTILE)
+    value = pick(rng, [number, None, "0.25", b"x", [1, 2], {"a": 1}, True, date, 10**30, "a" * 1000])
+    kind, column = rng.integers(5), table[name]
     if kind == 4:
         table[name], table[other] = table[other], table[name]
-    elif kind == 0:
-        table[name] = [value] * len(column)
-    elif kind == 1:
-        table[name] = [*column[:-1], value]
-    elif kind == 2:
-        del table[name]
+    elif kind < 2:
+        table[name] = [value] * len(column) if kind == 0 else [*column[:-1], value]
     else:
-        table[str(value)[:50]] = table.pop(name)
+        column = table.pop(name)
+        table |= {str(value)[:50]: column} if kind == 3 else {}
     arrays = {}
     for label, values in table.items():
         try:
@@ -263,17 +233,14 @@ def edited_parquet(data, rng):
         except (pa.ArrowException, OverflowError, TypeError, ValueError):
             arrays[label] = pa.array([str(item) for item in values])
     if rng.random() < 0.2:
-        arrays = {
-            label: array.dictionary_encode()
-            for label, array in arrays.items()
-            if not (pa.types.is_nested(array.type) or pa.types.is_null(array.type))
-        }
+        plain = {k: v for k, v in arrays.items() if not (pa.types.is_nested(v.type) or pa.types.is_null(v.type))}
+        arrays = {label: array.dictionary_encode() for label, array in plain.items()}
     made = pa.table(arrays)
     if rng.random() < 0.1:
         made = pa.Table.from_arrays(made.columns, names=["state"] * made.num_columns)
     if rng.random() < 0.5:  # the digest stays
         made = made.replace_schema_metadata(saved.schema.metadata)
-    codec = str(rng.choice(["none", "snappy", "gzip", "zstd"]))
+    codec = pick(rng, ["none", "snappy", "gzip", "zstd"])
     return _written(lambda handle: parquet.write_table(made, handle, compression=codec))
 
 
@@ -289,37 +256,28 @@ EDITS = {
 # ---- the child: reads what it is told to
 
 
-def child():
-    """Read the files that are named on standard input, a line each; say a line of JSON about each."""
-    import warnings
-
+def read_all(pipe):
+    """Read the files that are asked for: {reader: (outcome, content)}."""
     warnings.simplefilter("ignore")
-    said = sys.stdout
-    sys.stdout = sys.stderr  # lines of others are no answers
     readers = _readers()
-    for line in sys.stdin:
-        name, kind = json.loads(line)
-        answers = {}
-        for reader, read in readers[kind].items():
-            answers[reader] = _outcome(read, name)
-        print(json.dumps(answers), file=said, flush=True)
+    while True:
+        name, kind = pipe.recv()
+        pipe.send({read.__name__: _outcome(read, name) for read in readers[kind]})
 
 
 def _outcome(read, name):
-    import traceback
-
     try:
         content = read(name)
-        return ["finite" if content is not None else f"not finite: {read.__name__}", content]
+        return ("finite" if content is not None else f"not finite: {read.__name__}"), content
     except (ValueError, FileNotFoundError) as error:
         text = str(error)
         if any(ord(c) < 32 and c not in "\n\t" for c in text) or len(text) > 1500:
-            return [f"not printable: {text!a:.300}", ""]
-        return ["refused" if Path(name).name in text or name in text else f"nameless: {error}", ""]
+            return f"not printable: {text!a:.300}", ""
+        return ("refused" if Path(name).name in text or name in text else f"nameless: {error}"), ""
     except MemoryError as error:
-        return ["too large" if "needs" in str(error) else f"no size: {error}", ""]
+        return ("too large" if "needs" in str(error) else f"no size: {error}"), ""
     except Exception:
-        return ["raised: " + traceback.format_exc()[-1500:], ""]
+        return "raised: " + traceback.format_exc()[-1500:], ""
 
 
 def _content(columns):
@@ -368,71 +326,39 @@ def _readers():
 
     readers = {"log": (log, counted), "counts": (counts, counted), "states": (states,), "policy": (policy,)}
     readers |= {"simulator": (simulator,), "simulator2": (simulator,)}
-    return {kind: {read.__name__: read for read in (*reads, info)} for kind, reads in readers.items()}
+    return {kind: (*reads, info) for kind, reads in readers.items()}
 
 
 # ---- the parent
 
 
-class Reader:
-    """A child process that is started again when it dies or hangs."""
-
-    def __init__(self):
-        self.start()
-
-    def start(self):
-        self.process = subprocess.Popen(
-            [sys.executable, __file__, "--child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-            stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        self.wait = START
-
-    def read(self, path, kind):
-        """Reader -> outcome, or the one thing that happened to the process."""
-        self.process.stdin.write(json.dumps([str(path), kind]) + "\n")
-        self.process.stdin.flush()
-        if not select.select([self.process.stdout], [], [], self.wait)[0]:
-            hung = f"hung: more than {self.wait:g} s"
-            self.end()
-            self.start()
-            return {"process": [hung, ""]}
-        line = self.process.stdout.readline()
-        if not line:
-            code = self.process.wait()
-            self.start()
-            return {"process": [f"died: exit code {code}", ""]}
-        self.wait = HANG
-        return json.loads(line)
-
-    def end(self):
-        self.process.kill()
-        self.process.communicate()
-
-
 def fuzz(seed, seconds, folder, most=10**9):
     """(outcomes, failures) of as many files as the time allows, the child's start not counted."""
     folder = Path(folder)
-    sound = originals(folder)
-    rng, reader = np.random.default_rng(seed), Reader()
-    outcomes, failures, intact = collections.Counter(), [], {}
+    sound, rng, child = originals(folder), np.random.default_rng(seed), Child(10.0, read_all)
+    outcomes, failures, intact, number = collections.Counter(), [], {}, 0
+
+    def read(path, kind):
+        answer = child.ask((str(path), kind))
+        return {"process": (answer, "")} if isinstance(answer, str) else answer
+
     try:
         for (ending, kind), data in sound.items():  # what is sound is read
             path = folder / f"sound{ending}"
             path.write_bytes(data)
-            intact[ending, kind] = reader.read(path, kind)
+            intact[ending, kind] = read(path, kind)
             if any(outcome != "finite" for outcome, _ in intact[ending, kind].values()):
                 failures.append((str(path), "sound", intact[ending, kind]))
-        number, end = 0, time.monotonic() + seconds
+        end = time.monotonic() + seconds
         while time.monotonic() < end and number < most:
             ending, kind = list(sound)[number % len(sound)]
-            edit = EDITS[ending][rng.integers(len(EDITS[ending]))]
+            edit = pick(rng, EDITS[ending])
             path = folder / f"broken{number}{ending}"
             path.write_bytes(data := edit(sound[ending, kind], rng))
-            found = reader.read(path, kind)
+            found = read(path, kind)
             if is_ours(ending, kind, edit, data):
                 found = {name: _compared(one, intact[ending, kind].get(name)) for name, one in found.items()}
-            for outcome, _ in found.values():
-                outcomes[outcome.partition(":")[0]] += 1
+            outcomes.update(outcome.partition(":")[0] for outcome, _ in found.values())
             bad = {name: one for name, (one, _) in found.items() if one not in ("finite", "refused", "too large")}
             if bad:
                 failures.append((str(path), f"{kind} {edit.__name__}", bad))
@@ -440,7 +366,7 @@ def fuzz(seed, seconds, folder, most=10**9):
                 path.unlink()
             number += 1
     finally:
-        reader.end()
+        child.end()
     return number, outcomes, failures
 
 
@@ -455,7 +381,7 @@ def is_ours(ending, kind, edit, data):
 def _compared(one, intact):
     """An outcome of a file of ours: other content than was saved is a failure."""
     changed = intact is not None and one[0] == "finite" and one[1] != intact[1]
-    return ["other content than was saved", one[1]] if changed else one
+    return ("other content than was saved", one[1]) if changed else one
 
 
 def main():
@@ -465,11 +391,7 @@ def main():
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--files", type=int, default=20_000)
     parser.add_argument("--keep", type=Path, help="an existing folder for the files that broke something")
-    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.child:
-        child()
-        return
     with tempfile.TemporaryDirectory() as folder:
         number, outcomes, failures = fuzz(given.seed, given.seconds, given.keep or folder, given.files)
     counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from scipy import sparse
 
@@ -149,6 +150,15 @@ def survival_chain(discount=0.9):
     """Two states: alive (pays 1, dies with probability 0.3) and over. V(alive) = 1 / (1 - 0.7 gamma)."""
     transitions = np.array([[[0.7, 0.3]], [[0.0, 1.0]]])
     return FiniteMDP(transitions, np.array([1.0, 0.0]), np.array([1.0, 0.0]), discount)
+
+
+def run_command(*words):
+    """The exit code of ``oee`` with these words."""
+    from oee_tabular.cli import main
+
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    return ended.value.code or 0
 
 
 def printed_with_threads(script, threads):

@@ -19,6 +19,7 @@ import oee_tabular as oee
 from oee_tabular import FiniteMDP, Transitions
 
 GOOD = np.array([[[0.5, 0.5], [0.0, 1.0]], [[1.0, 0.0], [0.3, 0.7]]])
+PAIR = oee.bench.families()["corridor30"]
 GRID, STIFF = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.0)
 UNIFORM = oee.uniform_policy(GRID)
 LOG = oee.sample_episodes(GRID, UNIFORM, 4, 20, seed=0)
@@ -88,19 +89,18 @@ def plan(problem, policies=UNIFORM, **options):
     return oee.plan_data_collection(problem, policies, **{"n": 1} | options)
 
 
+def family(**changes):
+    given = {name: getattr(PAIR, name) for name in ("simulator", "target", "policy", "data_policy", "about")}
+    return oee.bench.Family(**(given | changes))
+
+
+def compared(estimator=lambda problem, policy: 1.0, pair=(GRID, GRID), **options):
+    return oee.testing.compare_with_oracle(estimator, pair, UNIFORM, **{"n": 9, "behavior_policy": UNIFORM} | options)
+
+
 NAMES = {}
-for room in (
-    oee,
-    oee.estimators,
-    oee.exact,
-    oee.inference,
-    oee.mdp,
-    oee.plots,
-    oee.ratio,
-    oee.simulate,
-    oee.tasks,
-    oee.theory,
-):
+for room in (oee, oee.bench, oee.estimators, oee.exact, oee.inference, oee.mdp, oee.plots, oee.ratio, oee.simulate, oee.tasks,
+             oee.testing, oee.theory):  # fmt: skip
     NAMES |= {name: getattr(room, name) for name in room.__all__}
 NAMES |= globals() | {
     "HALL": NAMED, "CHAIN": survival_chain(), "ONES": survival_chain().transitions.sign(), "ONLY": np.ones((2, 1)),
@@ -143,6 +143,9 @@ RULES = {  # of an argument's name: what is given, and the rule, whichever publi
 }  # fmt: skip
 for number in ("horizon", "n", "n_actions", "n_episodes", "n_rollouts", "max_steps", "n_draws", "n_lengths"):
     RULES[number] = POSITIVE
+for word in ("impossible", "bad_rows", "loss", "radius", "resample", "of", "sampling", "fallback", "weights", "ragged", "pay",
+             "behavior", "evaluation", "weighting", "activation", "optimizer", "support", "kind", "method"):  # fmt: skip
+    RULES[word] = [("words", "must be one of '")]
 OTHERWISE = {  # functions in which the name means something else, or is not used or checked in the call that is tried
     "seed": ["transition_ratio", "interval", "density_ratio", "Conditional.fit", "InClass.fit", "Tied.fit", "discretize",
              "Families", "families", "garnet_worse", "run", "check_estimator"],
@@ -152,7 +155,8 @@ OTHERWISE = {  # functions in which the name means something else, or is not use
     "simulator": ["Transitions.from_episodes", "Transitions.from_frame", "Transitions.numbered", "evaluate_continuous"],
     "target": ["Reacher", "LinearReacher", "reacher_policy", "evaluate_continuous"], "path": ["Report.to_html"],
     "discount": ["TransitionCounts.counts"], "n": ["plot_errors"], "lower": ["plot_intervals"], "upper": ["plot_intervals"],
-    "ridge": ["Conditional", "InClass", "Joint", "Quotient"],
+    "ridge": ["Conditional", "InClass", "Joint", "Quotient"], "weights": ["RatioFit", "cartpole_policy"],
+    "method": ["TransitionRatio"], "kind": ["Finding"], "behavior": ["evaluate_continuous"],
 }  # fmt: skip
 
 

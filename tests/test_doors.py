@@ -1,11 +1,8 @@
 """What came through the doors in November 2026 (wrong data, a foreign file, orphans, dead processes), each as a test."""
 
 import contextlib
-import os
-import signal
 import subprocess
 import sys
-import time
 import zipfile
 
 import numpy as np
@@ -15,7 +12,6 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
-from oee_tabular.testing import relabelled_log
 
 GRID = oee.tasks.gridworld(3, 0.3)
 UNIFORM = oee.uniform_policy(GRID)
@@ -67,18 +63,6 @@ def test_no_flipped_byte_loads_other_data(tmp_path, ending):
             assert oee.Transitions.open(path).count.tolist() == counts
 
 
-def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
-    one = {"a": np.arange(4), "b": np.array(["x", "y"])}
-    others = (
-        {"a": np.arange(4)},
-        {"c": one["a"], "b": one["b"]},
-        one | {"a": np.arange(4.0)},
-        one | {"a": np.arange(1, 5)},
-    )
-    assert digest(dict(reversed(one.items()))) == digest(one)
-    assert len({digest(arrays) for arrays in (one, *others, one | {"a": np.arange(4).reshape(2, 2)})}) == 6
-
-
 # ---- locks, workers
 
 
@@ -94,43 +78,6 @@ def test_a_lock_is_never_taken_through_a_link(tmp_path, kind):
         pass
     assert precious.read_text() == "mine"
     assert not (tmp_path / "nowhere").exists()
-
-
-WORK = r"""
-import os, sys, time, joblib
-from oee_tabular import _workers
-
-def work(k):
-    os.write(1, f"{os.getpid()}\n".encode())  # whole, whoever else writes
-    time.sleep(60)
-
-list(_workers.each(work, [(k,) for k in range(4)], 4, jobs=2, dask=None))
-"""
-
-
-def is_alive(number):
-    try:
-        with open(f"/proc/{number}/stat") as file:
-            return file.read().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
-@pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="looks at /proc")
-@pytest.mark.parametrize("blow", [signal.SIGTERM, signal.SIGKILL])
-def test_workers_end_with_their_parent(tmp_path, blow):
-    (tmp_path / "work.py").write_text(WORK)
-    parent = subprocess.Popen([sys.executable, tmp_path / "work.py"], stdout=subprocess.PIPE, text=True)
-    workers = [int(parent.stdout.readline()) for _ in range(2)]
-    assert all(map(is_alive, workers))
-    parent.send_signal(blow)
-    parent.wait()
-    for _ in range(100):
-        if not any(map(is_alive, workers)):
-            break
-        time.sleep(0.1)
-    assert not any(map(is_alive, workers))
-    parent.stdout.close()
 
 
 # ---- sparse matrices that are none
@@ -189,12 +136,3 @@ def test_a_header_cannot_speak_to_the_terminal(tmp_path):
             [sys.executable, "-m", "oee_tabular", *command], cwd=tmp_path, capture_output=True, text=True, check=False
         )
         assert r"\x1b[31mX" in done.stdout + done.stderr
-
-
-def test_new_labels_may_have_an_index_of_their_own():
-    import pandas as pd
-
-    order = np.array([2, 0, 1, *range(3, 9)])
-    shuffled = pd.Series(order, index=np.roll(np.arange(9), 4))
-    expected = relabelled_log(LOG, order, np.arange(4))
-    np.testing.assert_array_equal(relabelled_log(LOG, shuffled, pd.Series(np.arange(4))).state, expected.state)

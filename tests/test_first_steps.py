@@ -9,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular.cli import main
 
 
 def dock(slip=0.1):
@@ -22,42 +21,24 @@ def dock(slip=0.1):
     return oee.FiniteMDP(P, r, [1.0, 0, 0, 0], 0.9)
 
 
-FORWARDS = np.array([[1.0, 0.0]] * 4)
+SWAP = oee.FiniteMDP([[[0, 1, 0]], [[1, 0, 0]], [[0, 0, 1]]], [0.0, 1.0, 2.0], [1, 0, 0], 0.9)
+DOCK, ENDED = dock(), {"terminated": [False, True]}
 
 
-def log_of(state, action, next_state, **columns):
-    return oee.Transitions(state, action, next_state, **columns)
-
-
-def test_a_move_that_no_action_makes_has_other_ways_out_than_noise():
-    with pytest.raises(ValueError, match=r"to 1 of its transitions \(1 of 2 with repetitions\)") as told:
-        oee.Problem(dock(), log_of([0, 0], [0, 0], [1, 2]))
-    text = str(told.value)
-    assert "No action leads from 0 to 2 in the simulator, so action noise does not help." in text
-    assert "P[0, 0] *= 0.99; P[0, 0, 2] += 0.01; (2) if the log is wrong, remove" in text
-    with pytest.raises(ValueError, match=r"it does for 1 of the 2"):
-        oee.Problem(dock(), log_of([0, 0], [0, 1], [2, 1]))
-    with pytest.raises(ValueError, match=r"Fix one of these: \(1\) simulator\.with_action_noise"):
-        oee.Problem(dock(), log_of([0], [1], [1]))
-
-
-def test_states_numbered_from_one():
-    with pytest.raises(
-        ValueError, match=r"it is 4 \(1 such transitions\); are they numbered from 1\? Then subtract 1$"
-    ):
-        oee.Problem(dock(), log_of([1, 2, 3], [0, 0, 0], [2, 3, 4]))
-    swap = oee.FiniteMDP([[[0, 1, 0]], [[1, 0, 0]], [[0, 0, 1]]], [0.0, 1.0, 2.0], [1, 0, 0], 0.9)
-    with pytest.raises(ValueError, match=r"With 1 subtracted from every state all transitions are possible"):
-        oee.Problem(swap, log_of([1, 2], [0, 0], [2, 1]))
-    with pytest.raises(ValueError, match=r"it is 7 \(1 such transitions\)$"):
-        oee.Problem(dock(), log_of([1], [0], [7]))
-
-
-def test_time_limits_that_are_called_ends():
-    with pytest.raises(
-        ValueError, match=r"mark them truncated instead; if the task ends there, make the state terminal, P\[2\] = 0"
-    ):
-        oee.Problem(dock(), log_of([0, 1], [0, 0], [1, 2], terminated=[False, True]))
+@pytest.mark.parametrize(("simulator", "rows", "columns", "text"), [
+    (DOCK, ([0, 0], [0, 0], [1, 2]), {}, r"to 1 of its transitions \(1 of 2 with repetitions\).* No action leads from 0 to 2 "
+     r"in the simulator, so action noise does not help\..*P\[0, 0\] \*= 0\.99; P\[0, 0, 2\] \+= 0\.01; \(2\) if the log"),
+    (DOCK, ([0, 0], [0, 1], [2, 1]), {}, "it does for 1 of the 2"),
+    (DOCK, ([0], [1], [1]), {}, r"Fix one of these: \(1\) simulator\.with_action_noise"),
+    (DOCK, ([1, 2, 3], [0] * 3, [2, 3, 4]), {}, r"it is 4 \(1 such transitions\); are they numbered from 1\? Then subtract"),
+    (SWAP, ([1, 2], [0, 0], [2, 1]), {}, "With 1 subtracted from every state all transitions are possible"),
+    (DOCK, ([1], [0], [7]), {}, r"it is 7 \(1 such transitions\)$"),
+    (DOCK, ([0, 1], [0, 0], [1, 2]), ENDED, r"mark them truncated instead; if the task ends there, make the state terminal, P"),
+])  # fmt: skip
+def test_what_contradicts_the_simulator_has_its_own_ways_out(simulator, rows, columns, text):
+    """Transitions that no action makes, states numbered from one, time limits that are called ends."""
+    with pytest.raises(ValueError, match=text):
+        oee.Problem(simulator, oee.Transitions(*rows, **columns))
 
 
 def test_single_precision_is_scaled():
@@ -73,21 +54,6 @@ def test_single_precision_is_scaled():
         oee.policy_value(single, (0.999 * policy).astype(np.float32))
     with pytest.raises(ValueError, match=r"must sum to 1"):
         oee.policy_value(single, policy + 1e-7)  # double precision is taken at its word
-
-
-def test_a_free_plan_is_written_as_shares(tmp_path, capsys):
-    dock().save(tmp_path / "dock.npz")
-    log_of([0, 1, 2], [0, 0, 0], [1, 2, 3]).save(tmp_path / "log.csv")
-    np.save(tmp_path / "pi.npy", FORWARDS)
-    words = ["plan", "--simulator", "dock.npz", "--log", "log.csv", "--policy", "pi.npy", "--transitions", "100"]
-    words = [str(tmp_path / word) if (tmp_path / word).is_file() else word for word in words]
-    for free in (True, False):
-        with pytest.raises(SystemExit) as ended:
-            main([*words, *["--free"] * free, "--output", str(tmp_path / "next.npy"), "--overwrite"])
-        assert not ended.value.code
-        found = np.load(tmp_path / "next.npy")
-        assert_allclose(found.sum() if free else found.sum(axis=1), 1.0)
-        assert ("shares of the pairs" in capsys.readouterr().out) == free
 
 
 # ---------------------------------------------------------------- a new user's own problem, as they would type it

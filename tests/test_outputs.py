@@ -1,7 +1,6 @@
 """What the commands write: nothing recorded is lost, links stay, no formulas; one command a folder; Ctrl-C."""
 
 import csv
-import errno
 import json
 import resource
 import signal
@@ -11,10 +10,10 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from kernels.files import csv_bytes, write_all
+from helpers import run_command
+from kernels.files import csv_bytes
 
 import oee_tabular as oee
-from oee_tabular.cli import main
 from oee_tabular.lab.store import LOCK, Store, alone
 
 GRID = "gridworld:3,slip=.3"
@@ -23,10 +22,8 @@ SAMPLE = f"sample {GRID} --episodes 2 --output"
 
 def command(capsys, line):
     """(exit code, what was printed, what was said on stderr)."""
-    with pytest.raises(SystemExit) as ended:
-        main(line.split())
-    captured = capsys.readouterr()
-    return ended.value.code or 0, captured.out, captured.err
+    code, captured = run_command(*line.split()), capsys.readouterr()
+    return code, captured.out, captured.err
 
 
 def started(line, **options):
@@ -86,19 +83,6 @@ def test_nor_are_a_log_of_states_and_a_plan_s_policy(tmp_path, capsys):
     assert np.load(tmp_path / "plan.npy").shape == (9, 4)
 
 
-def test_reports_and_what_can_be_made_again_are_replaced_and_say_so(tmp_path, capsys):
-    log, out, page = tmp_path / "log.npz", tmp_path / "out", tmp_path / "page.html"
-    command(capsys, f"{SAMPLE} {log}")
-    evaluate = f"evaluate --simulator {GRID} --log {log} --estimators simulator --output {out} --report {page}"
-    assert "(replaced)" not in command(capsys, evaluate)[1]
-    written = command(capsys, evaluate)[1].splitlines()[-1]
-    for path in (out / "report.json", out / "table.csv", out / "values.png", page):
-        assert f"{path} (replaced)" in written
-    for line, path in ((f"policy {GRID} uniform", tmp_path / "p.npy"), (f"export {GRID}", tmp_path / "s.npz")):
-        assert "(replaced)" not in command(capsys, f"{line} --output {path}")[1]
-        assert f"{path} (replaced): " in command(capsys, f"{line} --output {path}")[1]
-
-
 def test_a_link_stays_a_link(tmp_path, capsys):
     kept = tmp_path / "kept"
     kept.mkdir()
@@ -148,21 +132,6 @@ def test_a_full_disk_names_the_file(tmp_path):
         assert "Traceback" not in said
         assert (tmp_path / name).read_text() == "old"
     assert {path.name for path in tmp_path.iterdir()} == {"log.npz", "log.csv", "log.parquet"}
-
-
-def test_write_all_names_the_file_and_keeps_all(tmp_path, monkeypatch):
-    (tmp_path / "a").write_text("old")
-
-    def full(descriptor):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("oee_tabular._files.os.fsync", full)
-    with pytest.raises(OSError, match=r"cannot be written \(No space left on device\).*/a'"):
-        write_all(tmp_path, {"a": b"new", "b": b"new"})
-    with pytest.raises(OSError, match=r"/new/a'"):
-        write_all(tmp_path / "new", {"a": b"new"})
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
-    assert (tmp_path / "a").read_text() == "old"
 
 
 # ---- spreadsheets

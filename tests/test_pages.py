@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import run_command
 
 import oee_tabular as oee
-from oee_tabular.cli import main
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 PAGES = {path.stem: path.read_text() for path in NOTEBOOKS.glob("*.md")}
@@ -20,9 +20,7 @@ def command(line):
     """What a line of a shell block prints; it must end well."""
     words = shlex.split(line, comments=True)
     assert words[0] == "oee", line
-    with pytest.raises(SystemExit) as ended:
-        main(words[1:])
-    assert not ended.value.code, line
+    assert run_command(*words[1:]) == 0, line
 
 
 def run(text, capsys, **names):

@@ -123,16 +123,6 @@ def test_the_axis_is_that_of_the_intervals(value, low, high, ends, ax):
     assert right - left <= max(1.2 * (ends[1] - ends[0]), 0.01 * abs(ends[0])) or ends == (0.0, 0.0)
 
 
-def test_more_than_eight_series_are_told_apart():
-    styles = [tuple(sorted((k, str(v)) for k, v in series(k).items())) for k in range(16)]
-    assert len(set(styles)) == 16
-    names = [str(k) for k in range(10)]
-    far = plots.plot_intervals(names, np.arange(10.0), np.full(10, np.nan), np.full(10, np.nan), Figure().subplots(),
-                               limits=(2.0, 5.0))  # fmt: skip
-    assert len(words(far)) == 6
-    drawn(plots.plot_curves([1.0, 2.0], {name: [k, k] for k, name in enumerate(names)}, Figure().subplots()))
-
-
 def test_a_grid_is_drawn_as_it_is_numbered(ax):
     plots.plot_grid(np.arange(6.0), (2, 3), ax, label="J (reward)", text=list("abcdef"), crossed=[0, 0, 0, 0, 1, 0])
     mesh = ax.collections[0]

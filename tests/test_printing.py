@@ -97,12 +97,6 @@ def test_estimates_and_intervals_in_one_line():
     assert "KL(p || q) about" in str(oee.density_ratio([1.0, 2.0], [2.0, 1.0]))
 
 
-def test_names_are_escaped_in_tables():
-    text = oee.evaluate(PROBLEM, POLICIES, estimators="oee")._repr_html_()
-    assert "&lt;b&gt;bold&lt;/b&gt;" in text
-    assert "mild &amp; slow" in text
-
-
 def test_verdicts_print_in_a_notebook():
     def zero(problem, policy, *, seed=None):
         return Estimate(0.0)

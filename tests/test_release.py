@@ -3,7 +3,6 @@
 import re
 import sys
 import tomllib
-from email.message import Message
 from pathlib import Path
 
 import pytest
@@ -68,20 +67,6 @@ def test_dependencies_have_licences(dependencies):
     assert "llvmlite" in rows  # what is needed in turn
     assert "hypothesis" not in rows  # an extra's
     assert "not named" not in page
-
-
-@pytest.mark.parametrize(("fields", "expected"), [
-    ({"License-Expression": "MIT", "License": "something else"}, "MIT"),
-    ({"License": "BSD 3-Clause", "Classifier": "License :: OSI Approved :: BSD License"}, "BSD 3-Clause"),
-    ({"License": "Copyright (c)\nall of it", "Classifier": "License :: OSI Approved :: BSD License"}, "BSD License"),
-    ({"License": "\nThe MIT License\n\nall of it"}, "The MIT License"),
-    ({}, "not named"),
-])  # fmt: skip
-def test_the_licence_that_metadata_name(dependencies, fields, expected):
-    metadata = Message()
-    for name, value in fields.items():
-        metadata[name] = value
-    assert dependencies.licence(metadata) == expected
 
 
 def test_the_wheel_has_the_tables_that_notebooks_load():

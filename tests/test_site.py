@@ -60,15 +60,6 @@ def test_every_attribute_has_an_entry_of_its_own(site):
     assert checked > 150
 
 
-def test_names_that_share_a_line_share_what_is_said(site):
-    lines = "Attributes\n----------\na, b (S, c) : type of x*y\n    *Its* text\nd (or None), e_f\n".splitlines()
-    assert site["docstrings"].plain(lines)[2:] == [
-        "a", "    type of x\\*y", "", "    *Its* text", "b", "    (S, c) type of x\\*y", "", "    *Its* text",
-        "d", "    (or None)", "e_f",
-    ]  # fmt: skip
-    assert site["docstrings"].entries("two words : text") == []
-
-
 def test_the_reference_of_commands_has_every_option(monkeypatch):
     pytest.importorskip("sphinx")
     monkeypatch.syspath_prepend(str(ROOT / "notebooks"))

@@ -43,13 +43,6 @@ def test_what_is_sampled_has_names_and_is_read_again(run, folder, ending):
     assert values[0] == values[1]
 
 
-def test_a_minari_folder_of_named_states_holds_numbers(run):
-    pytest.importorskip("minari")
-    oee.tasks.gridworld(3, slip=0.2).with_names(action_names=["n", "e", "s", "w"]).save("named.npz")
-    run("sample named.npz --episodes 2 --output folder")
-    assert oee.Transitions.load("folder").action_names is None
-
-
 def test_info(run, tmp_path):
     oee.tasks.gridworld(3, 0.3).save("m.npz")
     said = run("info m.npz")
@@ -103,10 +96,6 @@ def test_a_log_may_be_several_files(run, parts, command, way):
         records[-1].pop("facts", None)
     assert records[0] == records[1]
     assert "in 30 episodes" in run("info", *WAYS[way])
-
-
-def test_a_pattern_without_files_is_refused(run):
-    assert "nothing*.csv" in run(f"evaluate --simulator {GRID} --log 'nothing*.csv'", code=2)
 
 
 def test_counts_stand_for_the_log(run, parts):

@@ -79,15 +79,6 @@ def test_more_is_printed_where_it_is_asked_for(run, folder, flag, text):
     assert text not in plain
 
 
-def test_quick_leaves_likelihood_intervals_out(run, folder):
-    words = f"evaluate {DATA} --policy uniform --estimators oee --json"
-    full, quick = (
-        [row["interval_method"] for row in json.loads(run(words, more))["results"]] for more in ("", "--quick")
-    )
-    assert "likelihood" in full
-    assert "likelihood" not in quick
-
-
 @pytest.mark.parametrize("command", ["evaluate --policy uniform", "compare --policy uniform --policy optimal"])
 def test_a_box_narrows_the_interval(run, folder, command):
     plain, boxed = (json.loads(run(command, DATA, more, "--json")) for more in ("", "--box 0.2,3"))

@@ -218,26 +218,6 @@ def test_known_figures():
     assert 0 <= oracle.free_inefficiency - conic.free_inefficiency <= oracle.gap * oracle.free_inefficiency + 1e-6
 
 
-@pytest.mark.parametrize("costly", [False, True])
-def test_three_policies(costly):
-    """The worst inefficiency: minimax 1.46, uniform 8.67, the design for one of them 2.6 to 2.95 (1.46, 8.62, 2.66 sampled).
-
-    The design for delta = 0.5 gives rows that only delta = 0.1 needs little, and how little depends on its own last 0.1%.
-    """
-    options = {"n": 1000, "sampling": "behavior", "restart_costs_a_move": costly, "model": TARGET}
-    plan = plan_data_collection(SIMULATOR, THREE, **options)
-    world = collection_mdp(TARGET, 0.05, restart_costs_a_move=costly)
-    single = plan_data_collection(SIMULATOR, THREE["delta 0.5"], **options).distribution
-    found = [inefficiency(plan, q) for q in (oee.occupancy(world, oee.uniform_policy(TARGET)), single)]
-    if costly:
-        assert_allclose([plan.inefficiency, found[0]], [1.461, 8.67], rtol=3e-3)
-        assert 2.6 < found[1] < 2.95
-    assert plan.inefficiency < min(1.6, found[1]) < found[0]
-    free = plan_data_collection(SIMULATOR, THREE, n=1000, model=TARGET)
-    assert_allclose(free.inefficiency, 1.519, rtol=2e-3)
-    assert free.inefficiency == free.free_inefficiency
-
-
 def test_the_plan_of_a_sure_policy_among_uncertain_ones():
     """A policy whose value no transition probability moves takes no part."""
     mdp = survival_chain()
@@ -286,9 +266,7 @@ def test_how_a_plan_reads():
         "Plan for 1000 transitions, by a behaviour policy",
         "90% width",
         "delta 0.9",
-        "Record action ",
         "then one transition each: ",
-        "%",
     ):
         assert part in text
     assert "worst variance assumed" in str(plan_data_collection(deterministic_chain(), np.full((3, 2), 0.5), n=3))
@@ -314,15 +292,3 @@ def test_a_state_that_only_the_model_never_leaves():
     assert plan.costs["policy"][6].min() > 0
     assert plan.distribution[6].min() > 0
     assert plan.gap < 0.01
-
-
-def test_policies_of_the_environments_own_shape():
-    import gymnasium
-
-    mdp = FiniteMDP.from_gymnasium(gymnasium.make("CliffWalking-v1"), 0.95)
-    plan = plan_data_collection(mdp, np.full((48, 4), 0.25), n=100, sampling="behavior")
-    assert plan.distribution.shape == (mdp.n_states, 4)
-    assert plan.gap < 0.01
-
-
-# bad calls

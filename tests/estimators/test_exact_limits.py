@@ -11,10 +11,7 @@ from scipy import optimize, sparse
 import oee_tabular as oee
 from oee_tabular.estimators import (
     DoublyRobust,
-    DualDice,
     ImportanceSampling,
-    Marginalized,
-    ModelBased,
     OffEnvironment,
 )
 
@@ -76,51 +73,6 @@ def test_doubly_robust_on_episodes_without_support_by_every_path(form):
             own += chance * 0.9**t * rho * (truth.r[s, a, j] + 0.9 * V[t + 1][j] - Q[t][s, a])
     assert_allclose(found, own, rtol=1e-10)
     assert abs(own - truth.J(policy, HORIZON)) > 1e-5  # the model fills in, with its own error
-
-
-@pytest.mark.parametrize("share", [[[0.5, 0.2], [0.3, 0.0]], [[0.25, 0.25], [0.25, 0.25]]])
-@pytest.mark.parametrize("horizon", [None, HORIZON])
-@pytest.mark.parametrize("form", ["sa", "sat"])
-def test_limits_on_moves_by_dense_algebra(share, horizon, form):
-    """Of maximum likelihood, its twin DualDICE, doubly robust on moves (both weights) and marginalised IS with a box."""
-    simulator, target, policy, _ = world(3, form)
-    share = np.array(share)
-    options = {"data_distribution": share, "horizon": horizon}
-    here, there = Dense(simulator), Dense(target)
-    seen = share > 0
-    mixed = here.like(np.where(seen[:, :, None], there.P, here.P))
-    likeliest = mixed.J(policy, horizon)
-    ask = functools.partial(oee.transition_ratio, prior="none")
-    assert_allclose(ModelBased(fallback="simulator").limit(simulator, target, policy, **options), likeliest, rtol=1e-10)
-    assert_allclose(OffEnvironment(ratio=ask).limit(simulator, target, policy, **options), likeliest, rtol=1e-8)
-    stay = here.like(np.where(seen[:, :, None], there.P, np.eye(2)[:, None, :] + np.zeros((2, 2, 2))))
-    if form == "sat":  # a row that stays pays r(s, a, s)
-        assert_allclose(ModelBased().limit(simulator, target, policy, **options), stay.J(policy, horizon), rtol=1e-10)
-    if horizon is None:
-        assert_allclose(DualDice().limit(simulator, target, policy, **options), likeliest, rtol=1e-10)
-
-    def total(model):
-        time = model.visits(policy, horizon)
-        return time if horizon is None else sum(time)
-
-    for weights, where in (("occupancy", mixed), ("beta", here)):
-        change = 0.0
-        times = [where.visits(policy)] if horizon is None else where.visits(policy, horizon)
-        values = here.values(policy, horizon)
-        for t, time in enumerate(times):
-            V = values if horizon is None else values[t + 1]
-            change += (time[:, :, None] * (there.P - here.P) * (here.r + 0.9 * V))[seen].sum()
-        found = DoublyRobust(weights=weights, ratio=ask).limit(simulator, target, policy, **options)
-        assert_allclose(found, here.J(policy, horizon) + change, rtol=1e-8)
-    scale = 10.0 if horizon is None else (1 - 0.9**HORIZON) / 0.1
-    d_here, d_there = total(here) / scale, total(mixed) / scale
-    for box in ((None, None), (0.8, 1.3)):
-        beta = d_here[seen] / share[seen]
-        beta = beta if box[0] is None else np.clip(beta, *box)
-        pay = (there.P * there.r).sum(axis=2)
-        own = scale * (share[seen] * beta * (d_there / d_here)[seen] * pay[seen]).sum()
-        found = Marginalized(ratio=ask, lower=box[0], upper=box[1]).limit(simulator, target, policy, **options)
-        assert_allclose(found, own, rtol=1e-7)
 
 
 def ragged_world():

@@ -59,23 +59,6 @@ def test_from_which_size_on_something_is_said(name):
     assert worse.severity > finding.severity or name == "behaviour"
 
 
-def test_what_is_said_of_a_value_without_an_interval():
-    (single,) = of(single_share=0.05)
-    assert single.text == ""
-    assert single.alone.endswith("one recorded transition. Their variance is not known, so there is no interval.")
-    assert of(single_share=0.02) == of(error=None) == of(standard_error_of="log") == ()
-    assert of(error=None, standard_error_of="log") == (findings.NEVER_VARIED,)
-    (unseen,) = of(fallback_share=0.5, standard_error_of="log")
-    assert unseen.text.endswith(" The standard error ignores them. Above 10% there is no interval.")
-    assert unseen.alone is None
-    (covered,) = of(fallback_share=0.5, standard_error_of="log", unseen_standard_error=0.1)
-    assert covered.text.endswith(" spends {} of its discounted time in unrecorded state-action pairs.")
-    assert covered.alone == f"{covered.text[:-1]}, so there is no interval."
-    (tied,) = of(error=None, fallback_share=0.5, n_keys=3)
-    assert tied.text.endswith(" Transitions of the same key elsewhere stand for them.")
-    assert tied.alone is None
-
-
 def test_values_that_are_none():
     assert str(findings.no_value("it diverges", math.nan)) == "no value: it diverges."
     assert str(findings.no_value("it diverges", -math.inf)) == "no value: it diverges."

@@ -19,7 +19,7 @@ from oee_tabular.estimators import (
     OffEnvironment,
     Oracle,
     Simulator,
-)
+)  # fmt: skip
 
 LIKELIHOOD = functools.partial(oee.transition_ratio, prior="none")
 
@@ -63,15 +63,10 @@ def test_21_with_exact_frequencies_every_deterministic_estimator_is_at_its_limit
     options = {"data_distribution": share / share.sum(), "horizon": horizon}
     likelihood = OffEnvironment(ratio=LIKELIHOOD)
     estimators = [
-        Simulator(),
-        Oracle(target),
-        likelihood,
-        ModelBased(),
-        ModelBased(fallback="simulator"),
-        DoublyRobust(ratio=LIKELIHOOD),
-        DoublyRobust(weights="beta"),
-        Marginalized(ratio=LIKELIHOOD),
-    ]
+        Simulator(), Oracle(target), likelihood, ModelBased(), ModelBased(fallback="simulator"),
+        DoublyRobust(ratio=LIKELIHOOD), DoublyRobust(weights="beta"), Marginalized(ratio=LIKELIHOOD),
+        Marginalized(ratio=LIKELIHOOD, lower=0.8, upper=1.3),
+    ]  # fmt: skip
     if horizon is None:
         estimators.append(DualDice())
     values = {}
@@ -93,22 +88,12 @@ def test_with_full_support_the_limit_is_the_truth(rng, horizon):
     truth = oee.policy_value(target, policy, horizon=horizon)
     behavior = random_policy(rng, simulator, zeros=0)
     for estimator in (
-        OffEnvironment(),
-        OffEnvironment(ratio=oee.true_ratio(target, simulator)),
-        OffEnvironment(ratio=LIKELIHOOD, evaluation="monte_carlo"),
-        Oracle(target),
-        Oracle(target, evaluation="monte_carlo"),
-        ModelBased(),
-        DoublyRobust(),
-        DoublyRobust(data="rollouts"),
-        DoublyRobust(data="episodes"),
-        DoublyRobust(data="episodes", self_normalized=True),
-        Magic(),
-        Marginalized(),
-        ImportanceSampling(),
-        ImportanceSampling(kind="trajectory"),
+        OffEnvironment(), OffEnvironment(ratio=oee.true_ratio(target, simulator)), Magic(), Marginalized(), ModelBased(),
+        OffEnvironment(ratio=LIKELIHOOD, evaluation="monte_carlo"), Oracle(target), Oracle(target, evaluation="monte_carlo"),
+        DoublyRobust(), DoublyRobust(data="rollouts"), DoublyRobust(data="episodes"),
+        DoublyRobust(data="episodes", self_normalized=True), ImportanceSampling(), ImportanceSampling(kind="trajectory"),
         ImportanceSampling(self_normalized=True),
-    ):
+    ):  # fmt: skip
         limit = estimator.limit(simulator, target, policy, behavior_policy=behavior, horizon=horizon)
         assert_allclose(limit, truth, rtol=1e-6, atol=1e-6, err_msg=repr(estimator))
 
@@ -194,7 +179,3 @@ def test_a_ratio_that_diverges_is_a_status():
         found = estimator(problem, policy, seed=0)
         assert np.isnan(found.value)
         assert "spectral radius" in found.status
-
-
-GRID, UNIFORM = oee.tasks.gridworld(3, 0.3), np.full((9, 4), 0.25)
-LOG = oee.sample_episodes(GRID, UNIFORM, 3, 5, seed=0)

@@ -57,21 +57,6 @@ def test_products_are_the_mean_of_sample_returns(kind, form, horizon):
     assert_allclose(oracle.value, drawn.returns.mean(), rtol=1e-14)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("normal", [False, True])
-@pytest.mark.parametrize("k", range(9))
-def test_products_have_the_exact_mean_and_variance(k, kind, normal):
-    """Self-normalised to first order."""
-    rng = np.random.default_rng(k)
-    simulator, policy, zeta = close_pair(rng, 1 + k % 3)
-    n, horizon = 40_000, int(rng.integers(1, 11))
-    found = product(simulator, zeta, policy, horizon=horizon, n=n, seed=k, kind=kind, self_normalized=normal)
-    known = oee.weighted_return_moments(simulator, zeta, policy, kind=kind, horizon=horizon, self_normalized=normal)
-    error = known.standard_deviation / np.sqrt(n)
-    assert abs(found.value - known.mean) <= 4 * error + 1e-12
-    assert_allclose(found.standard_error or 0.0, error, rtol=0.05, atol=1e-12)
-
-
 @pytest.mark.parametrize("form", [1, 2, 3])
 @pytest.mark.parametrize("horizon", [1, 4, 7])
 def test_self_normalised_products_step_by_step(form, horizon):

@@ -1,7 +1,7 @@
 """Finite horizons: light cone, forward sums and plain sweeps give one answer, that of the definition."""
 
 import numpy as np
-from helpers import random_mdp, random_policy, rngs, survival_chain
+from helpers import random_mdp, random_policy, rngs
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -93,22 +93,6 @@ def test_only_what_is_reached_in_time_is_read():
     policy = np.ones((size, 1))
     assert np.flatnonzero(exact.occupancy(line, policy, horizon=steps)).tolist() == [3, 4, 5]
     assert exact.policy_values_by_horizon(line, policy, horizon=steps).tolist() == [0.0, 3.0, 5.0, 6.25]
-
-
-def test_chance_that_leads_nowhere_new_ends_the_cone():
-    """A horizon longer than anything: the chain's two states, and the sum of its geometric series."""
-    chain = survival_chain(1.0)
-    found = exact.policy_values_by_horizon(chain, np.ones((2, 1)), horizon=2000)
-    assert_allclose(found[-1], 1 / 0.3, rtol=1e-13)
-    assert_allclose(found[:4], [0, 1, 1.7, 2.19], rtol=1e-15)
-
-
-def test_first_states_that_nothing_else_leads_to():
-    """Each of them, with its probability; a state of probability 0 does not count."""
-    transitions = np.zeros((4, 1, 4))
-    transitions[:, 0, 3] = 1.0
-    mdp = oee.FiniteMDP(transitions, [1.0, 10.0, 100.0, 1000.0], [0.25, 0.75, 0.0, 0.0], 0.5)
-    assert exact.policy_values_by_horizon(mdp, np.ones((4, 1)), horizon=2).tolist() == [0.0, 7.75, 507.75]
 
 
 GOOD = np.array([[0.5, 0.5], [0.25, 0.75]])

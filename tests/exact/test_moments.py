@@ -22,7 +22,6 @@ from numpy.testing import assert_allclose
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import exact
 from oee_tabular.exact import weight_growth, weight_moments
 
 KINDS = ("per_decision", "trajectory")
@@ -336,14 +335,6 @@ def test_policy_importance_sampling_with_both_policies_in_time():
     same = oee.policy_is_moments(mdp, moving, moving, horizon=3)
     plain = oee.return_moments(mdp, moving, horizon=3)
     assert_allclose((same.mean, same.variance), (plain.mean, plain.variance), rtol=1e-12)
-
-
-def test_moments_print_their_numbers():
-    found = exact.return_moments(oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld_expert(3), horizon=5)
-    assert found.by_step is None
-    page = found._repr_html_()
-    for text in ("Moments of one episode", "standard deviation", f"{found.standard_deviation:.6g}", "mean"):
-        assert text in page
 
 
 @pytest.mark.parametrize("how", [{}, {"kind": "trajectory"}, {"self_normalized": True}])

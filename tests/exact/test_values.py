@@ -77,24 +77,15 @@ def test_the_survival_chain_in_closed_form():
         chain = survival_chain(discount)
         assert_allclose(oee.policy_value(chain, np.ones((2, 1))), 1 / (1 - 0.7 * discount), rtol=1e-14)
     assert_allclose(oee.policy_value(survival_chain(1.0), np.ones((2, 1)), horizon=3), 1 + 0.7 + 0.49, rtol=1e-14)
-
-
-def test_normalized_values():
-    chain = survival_chain(0.9)
-    policy = np.ones((2, 1))
     for horizon in (None, 5):
-        raw = oee.policy_value(chain, policy, horizon=horizon)
-        assert_allclose(oee.policy_value(chain, policy, horizon=horizon, normalized=True), 0.1 * raw, rtol=1e-14)
+        raw, normal = (
+            oee.policy_value(survival_chain(), [[1]] * 2, horizon=horizon, normalized=n) for n in (False, True)
+        )
+        assert_allclose(normal, 0.1 * raw, rtol=1e-14)
 
 
-def test_discount_one_without_absorption_says_so():
-    ring = FiniteMDP(np.array([[[0.0, 1.0]], [[1.0, 0.0]]]), [0.0, 1.0], [1, 0], 1.0)
-    with pytest.raises(
-        ValueError, match=r"horizon must be given: .* of which s=1 has reward 1 \(1 such states in all\)"
-    ):
-        oee.policy_value(ring, np.ones((2, 1)))
-    assert oee.policy_value(ring, np.ones((2, 1)), horizon=4) == 2.0
-    # a policy that is absorbed in the same MDP is fine
+def test_discount_one_with_a_policy_that_is_absorbed():
+    """In an MDP in which another is not."""
     transitions = np.array([[[0.0, 1.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 1.0]]])
     mdp = FiniteMDP(transitions, np.array([[2.0, 0.0], [0.0, 0.0]]), [1, 0], 1.0)
     assert oee.policy_value(mdp, np.array([[0.5, 0.5], [1.0, 0.0]])) == pytest.approx(2.0, rel=1e-14)
@@ -204,9 +195,12 @@ def test_discount_one_names_the_states_that_pay_for_ever():
     rows[[1, 2], 0, [2, 1]] = 1.0
     rows[[3, 4], 0, [4, 3]] = 1.0
     mdp = FiniteMDP(rows, [7.0, 0.0, 0.0, 2.0, -3.0], [1, 0, 0, 0, 0], 1.0)
-    text = r"it stays for ever among states of which s=3 has reward 2 \(2 such states in all\)"
+    text = (
+        r"^horizon must be given: .*it stays for ever among states of which s=3 has reward 2 \(2 such states in all\)"
+    )
     with pytest.raises(ValueError, match=text):
         oee.policy_value(mdp, np.ones((5, 1)))
+    assert_allclose(oee.policy_value(mdp, np.ones((5, 1)), horizon=3), 7.0 + 0.5 * (2.0 - 3.0))
     free = mdp.with_rewards(np.array([7.0, 0.0, 0.0, 0.0, 0.0]))
     assert_allclose(oee.state_values(free, np.ones((5, 1))), [7, 0, 0, 0, 0])
 

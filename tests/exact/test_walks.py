@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from helpers import histories
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
@@ -36,24 +35,6 @@ def test_an_infinite_sum_of_states_that_are_never_entered():
     assert_allclose((endless.mean, endless.variance), (long.mean, long.variance), rtol=1e-12)
     assert_allclose(endless.by_state, long.by_state, rtol=1e-12)
     assert weight_growth(mdp, oee.true_ratio(mdp, mdp), np.ones((3, 1))) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_weights_of_actions_stand_still_where_it_is_over(kind):
-    """An absorbing state with two actions: what is done there neither pays nor weighs."""
-    rows = np.array([[[0.5, 0.5], [0.2, 0.8]], [[0.0, 1.0], [0.0, 1.0]]])
-    mdp = FiniteMDP(rows, np.array([[1.0, 3.0], [0.0, 0.0]]), [1, 0], 0.9)
-    behavior, policy = np.array([[0.5, 0.5], [0.1, 0.9]]), np.array([[0.25, 0.75], [0.9, 0.1]])
-    found = histories(mdp, behavior, 3)
-    x = []
-    for _, states, actions, paid in found:
-        ratios = [1.0 if s == 1 else policy[s, a] / behavior[s, a] for s, a in zip(states[:-1], actions, strict=True)]
-        weights = np.cumprod(ratios) if kind == "per_decision" else np.full(3, np.prod(ratios))
-        x.append(0.9 ** np.arange(3) @ (weights * paid))
-    probability, x = np.array([path[0] for path in found]), np.array(x)
-    moments = oee.policy_is_moments(mdp, behavior, policy, kind=kind, horizon=3)
-    assert_allclose(moments.mean, probability @ x, rtol=1e-12)
-    assert_allclose(moments.variance, probability @ (x - probability @ x) ** 2, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -50,25 +50,6 @@ def test_policies_that_do_the_same_share_the_probability(twins):
         assert_allclose(shares, shares[0], rtol=1e-12)
 
 
-def test_where_nothing_is_paid_all_are_the_best():
-    nothing = SIMULATOR.with_rewards(np.zeros(16))
-    found = compare_policies(
-        oee.Problem(nothing, problem(50, 0).log), {"one": [0] * 16, "other": POLICIES["delta=0.4"]}
-    )
-    assert found.probability_best.tolist() == [0.5, 0.5]
-
-
-def test_the_intervals_of_differences_cover():
-    truth = oee.policy_value(TARGET, POLICIES["delta=0.5"]) - oee.policy_value(TARGET, POLICIES["delta=0.4"])
-    inside = 0
-    for seed in range(120):
-        found = compare_policies(problem(3000, seed), POLICIES, n_draws=10)
-        i, j = found.names.index("delta=0.5"), found.names.index("delta=0.4")
-        inside += found.lower[i, j] <= truth <= found.upper[i, j]
-    assert stats.binom.cdf(inside, 120, 0.95) > 0.001
-    assert inside < 120
-
-
 def half_recorded(seed):
     """A near-tie in the target of two policies whose log leaves half of the states out: problem, policies, difference."""
     generator = np.random.default_rng(seed)
@@ -103,13 +84,6 @@ def test_a_near_tie_stays_open_where_half_of_the_time_is_unrecorded():
         assert 0.2 < found.unseen_share.min() <= found.unseen_share.max() < 0.8
     assert inside >= 18
     assert sure <= 2  # with the simulator taken for known there: 20, 11 of them wrong, and no interval holds
-
-
-def test_both_methods_widen_for_what_was_never_recorded():
-    case, policies, _ = half_recorded(0)
-    delta, resampled = (compare_policies(case, policies, method=method) for method in ("delta", "bootstrap"))
-    assert_allclose(resampled.standard_errors, delta.standard_errors, rtol=0.2)
-    assert_allclose(resampled.probability_best, delta.probability_best, atol=0.15)
 
 
 def test_a_row_seen_once_is_not_certain():

@@ -48,15 +48,6 @@ def test_an_end_is_a_member_and_its_value(rng, horizon):
         assert sign * (end.value - frequencies) >= -1e-9 * max(1.0, abs(frequencies))
 
 
-def test_ends_are_stationary():
-    """What the set still promises to first order is nothing beside the width."""
-    for seed in range(8):
-        problem, policy = problem_of(np.random.default_rng(seed), n=400)
-        found = oee.interval(problem, policy)
-        assert -1e-8 * found.width <= found.diagnostics["promised"] + 4e-12 <= 1e-5 * found.width + 8e-12
-        assert found.width == 0 or abs(found.diagnostics["divergence"] - LIMIT) < 1e-7
-
-
 def best_of_slsqp(evidence, sign, n_starts, rng):
     """The end by SLSQP over all free probabilities."""
     spread, policy, horizon = evidence.rows.spread, evidence.policy, evidence.horizon

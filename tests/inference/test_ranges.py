@@ -79,18 +79,6 @@ def test_value_range_is_cvar_in_closed_form():
     assert str(found) == "[1.875, 4.625], range over all models in the box; discounted sum of rewards, not normalised"
 
 
-def test_value_range_is_the_interval_s_where_nothing_is_recorded():
-    mdp = oee.tasks.gridworld(3, 0.3, discount=0.9)
-    policy = oee.tasks.gridworld_expert(3)
-    elsewhere = int(np.flatnonzero(policy[0] == 0)[0])  # an action that the policy never takes
-    problem = oee.Problem(mdp, oee.Transitions([0], [elsewhere], [int(mdp.transitions[[elsewhere]].indices[0])]))
-    found, interval = (
-        oee.value_range(mdp, policy, 0.5, 2.0),
-        oee.interval(problem, policy, lower_ratio=0.5, upper_ratio=2.0),
-    )
-    assert_allclose([found.lower, found.upper], [interval.lower, interval.upper], rtol=1e-9)
-
-
 def test_value_range_follows_a_policy_of_each_step():
     mdp = oee.tasks.gridworld(3, 0.3, discount=0.9)
     policy = np.stack([oee.tasks.gridworld_policy(3, d) for d in (0.2, 0.9, 0.5)])

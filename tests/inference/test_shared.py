@@ -81,22 +81,6 @@ def test_the_ends_are_the_extremes_over_the_set(rng):
         assert sign * end <= farthest + 1e-4 * found.width
 
 
-def test_it_covers_and_is_narrow_where_the_assumption_is_true():
-    """50 logs that miss a third of the pairs: at least 44 intervals of 95% hold the truth (P of fewer: 2%)."""
-    simulator, target, policy, phi = pair(3)
-    truth, share = oee.policy_value(target, policy), np.full((5, 2), 1.0)
-    share[3:] = 0.0
-    held, widths = 0, []
-    for seed in range(50):
-        problem = oee.Problem(simulator, oee.sample_transitions(target, share / share.sum(), 200, seed=seed))
-        found = oee.interval(problem, policy, features=phi)
-        held += truth in found
-        widths.append(found.width / oee.interval(problem, policy).width if seed < 10 else 0.0)
-    assert held >= 44
-    assert max(widths) < 0.5
-    assert found.method == "likelihood under the features"
-
-
 def test_a_tie_is_features_that_are_indicators_of_its_keys():
     simulator, target, policy, _ = pair(1)
     keys = np.arange(simulator.transitions.nnz) % 4

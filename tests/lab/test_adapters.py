@@ -125,16 +125,6 @@ def test_names_from_the_literature_solve_the_published_equations(name):
     assert rows.status.tolist() == ["ok"] * 5
 
 
-def test_episodes_for_someone_elses_script():
-    """The three lines of peers.md, and what they make."""
-    family = oee.bench.families()["inventory20"]
-    log = family.log(1000, seed=0)
-    episodes = np.split(np.column_stack([log.state, log.action, log.reward, log.next_state]), log.episode_starts[1:-1])
-    assert sum(map(len, episodes)) == 1000
-    assert all((episode[1:, 0] == episode[:-1, 3]).all() for episode in episodes)
-    assert len(episodes) == len(np.unique(log.episode))
-
-
 BAG = oee.Transitions([0], [0], [1], [1.0])
 BARE = oee.Transitions([0], [0], [1], [1.0], episode=[0])
 

@@ -1,4 +1,4 @@
-"""The pages' numbers: first as the saved results have them, to the digit, then computed again on a few seeds of their own."""
+"""The pages' numbers: as the saved results have them, to the digit, which hold today's smoke cells (test_experiments)."""
 
 import itertools
 from pathlib import Path
@@ -10,8 +10,7 @@ from saved_results import saved
 import oee_tabular as oee
 from oee_tabular.lab import experiments
 from oee_tabular.lab.experiments import paper
-from oee_tabular.lab.experiments.common import grids, zeta_error
-from oee_tabular.ratio import true_ratio
+from oee_tabular.lab.experiments.common import grids
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 PAGES = " ".join(" ".join((NOTEBOOKS / f"{page}.md").read_text().split()) for page in ("promises", "paper", "guide"))
@@ -48,17 +47,6 @@ def test_figure_1a_is_a_twentieth_of_the_networks():
         f"about 5% of the paper's networks' on the grid of 10 ({span(small['mean'], '.1f')}%, each point with a standard "
         f"error of up to {small['sem'].max():.1f}%), {span(large['mean'], '.1f')}% on that of 40" in PAGES
     )
-
-
-def test_figure_1a_computed():
-    table = computed("fig1a", data="uniform", grid=10, n=(1000, 10_000), repetitions=4)
-    assert (of_the_networks(table)["mean"] < 0.10).all()
-    simulator, target = grids(10)
-    nothing = zeta_error(true_ratio(simulator, simulator), target, simulator)  # zeta = 1
-    assert_allclose(nothing, 0.570, atol=5e-4)
-    error = table.groupby(["estimator", "n"]).error.mean()
-    assert error[LIKELIHOOD, 1000] < nothing < error["paper's quotient, tabular", 1000]
-    assert error[LIKELIHOOD, 10_000] < 0.6 * error[LIKELIHOOD, 1000]
 
 
 def test_our_networks_reach_the_published_curve():
@@ -99,15 +87,14 @@ def exact_is_best(table, share):
 
 
 def test_figure_1bcd_exact_evaluation_removes_nearly_all_of_the_simulator_s_error():
-    exact_is_best(saved("fig1bcd"), 0.04)
-    table = computed("fig1bcd", seed=3, n=3162, repetitions=2)
-    exact_is_best(table, 0.10)
+    table = saved("fig1bcd")
+    exact_is_best(table, 0.04)
     simulator, target = grids(10)
     for delta, part in table.groupby("delta"):
         policy = oee.tasks.gridworld_policy(10, delta)
         assert_allclose(part.truth, oee.policy_value(target, policy, horizon=200, normalized=True))
-        values = part.set_index("estimator").value
-        assert_allclose(values["simulator"], oee.policy_value(simulator, policy, horizon=200, normalized=True))
+        values = part[part.estimator == "simulator"].value
+        assert_allclose(values, oee.policy_value(simulator, policy, horizon=200, normalized=True))
 
 
 def fitted_slopes(table, value="squared_error", start=30_000):
@@ -161,15 +148,6 @@ def test_misspecified():
     assert moved["one tilt for all", 316_228] >= 0.6
 
 
-def test_misspecified_computed():
-    table = computed("misspecified", n=3162, repetitions=3)
-    assert (of_maximum_likelihood(table) <= 0.52).all()
-    error = rmse(table, "estimator", "delta")
-    assert (error["default"] < error["simulator"]).all()
-    large = computed("misspecified", n=316_228, repetitions=1)
-    assert (large[large.estimator == "one tilt for all"].moved >= 0.4).all()  # the test sees that its centre is wrong
-
-
 def products_explode(table):
     size = table.groupby(["delta", "quantity", "horizon"])["size"].mean()
     for delta, growth in {0.1: 4e5, 0.5: 30.0, 0.9: 1.0}.items():
@@ -219,22 +197,6 @@ def test_coverage():
     assert f"400 logs: {100 * saved('coverage_lake').covered.mean():.1f}%" in PAGES
 
 
-def test_coverage_computed():
-    table = computed("coverage", case=("grid 10000", "rare 20000"), repetitions=6)
-    held = table.groupby(["environment", "method"]).covered.sum()
-    assert held["grid", "likelihood"] >= 5
-    assert held["rare", "delta"] <= 3
-    assert held["rare", "likelihood"] == 6
-    assert (held[[name.startswith("robust") for name in held.index.get_level_values("method")]] == 6).all()
-    width, before = (frame.groupby(["environment", "method"]).width.mean()
-                     for frame in (table, saved("coverage").query("case in ['grid 10000', 'rare 20000']")))  # fmt: skip
-    assert_allclose(width, before[width.index], rtol=0.12)
-    assert_allclose(width["grid", "delta"], width["grid", "likelihood"], rtol=0.05)
-    lake = computed("coverage_lake", repetitions=8)
-    assert lake.covered.sum() >= 6
-    assert ((lake.lower < lake.upper) & (lake.width < 0.2)).all()
-
-
 def test_efficiency():
     table = saved("efficiency")
     found = table.groupby("estimator").agg(ratio=("ratio", "mean"), error=("ratio", "sem"), exact=("exact", "first"))
@@ -243,9 +205,6 @@ def test_efficiency():
     assert f"the paper's quotient's {quotient.ratio:.2f} +- {quotient.error:.2f} of its formula" in PAGES
     assert f"{quotient.exact / plug_in.exact:.0f} times the bound" in PAGES
     assert (np.abs(found.ratio - 1.0) <= 3 * found.error).all()
-    ratio = computed("efficiency", repetitions=24).groupby("estimator").ratio
-    assert (np.abs(ratio.mean() - 1.0) <= 0.03 + 4.0 * ratio.sem()).all()  # the quotient's is 1.03 +- .01 at this n
-    assert (ratio.sem() < 0.03).all()
 
 
 def of_uniform_recording(table, n, threefold):
@@ -257,17 +216,6 @@ def test_a_third_of_the_moves():
     one, two = (of_uniform_recording(saved("collection"), *n) for n in ((667, 2000), (6667, 20_000)))
     assert f"has {one['planned']:.2f} (667 against 2000) and {two['planned']:.2f} (6667 against 20 000) of" in PAGES
     assert f"the evaluated policy itself records, {one['on-policy']:.2f} and {two['on-policy']:.2f}" in PAGES
-
-
-def test_a_third_of_the_moves_computed():
-    table = computed("collection", design=("uniform", "on-policy", "planned"), n=2000, repetitions=15)
-    own = table[table.estimator == LIKELIHOOD]
-    error, foretold = rmse(own, "design"), own.groupby("design").foretold.first()
-    assert (error[["planned", "on-policy"]] < 0.8 * error["uniform"]).all()
-    assert_allclose(error / foretold, 1.0, atol=0.4)
-    third = computed("collection", design=("on-policy", "planned"), n=667, repetitions=1)
-    planned, recorded = third.groupby("design").foretold.first()[["planned", "on-policy"]]
-    assert planned < recorded < 0.9 * foretold["uniform"]
 
 
 # ---- figure 2 ----------------------------------------------------------------------------------------------------------
@@ -285,13 +233,3 @@ def test_figure_2():
         if gravity in (7.5, 12.5):  # raw, the grid's own error hides the gain
             assert of["simulator"] < of["OEE"]
             assert of[MENDED].max() <= 0.1 * of["simulator"]
-
-
-def test_figure_2_computed():
-    table = computed("fig2", target="compiled", gravity=15.0, n=80_000, repetitions=1)
-    error = table.set_index("estimator").error
-    assert (error[MENDED] <= 0.06 * error["simulator"]).all()
-    assert_allclose(error["OEE"], error["oracle"], rtol=0.05)  # the grid's own
-    assert error["oracle, calibrated"] < 0.1 * error["oracle"]
-    assert error["linear model"] < 0.5 * error["OEE, calibrated"]
-    assert error[["IS, per decision", "IS, self-normalised"]].min() > error["OEE, calibrated"]

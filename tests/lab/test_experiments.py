@@ -9,13 +9,12 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+from helpers import run_command
 from matplotlib.figure import Figure
 from saved_results import RESULTS, assert_saved, saved
 
-import oee_tabular as oee
-from oee_tabular.cli import main
 from oee_tabular.lab import experiments
-from oee_tabular.lab.experiments import catalogue, common
+from oee_tabular.lab.experiments import catalogue
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 from oee_tabular.lab.output import figures, set_title, share_legend, summary_of
 from oee_tabular.lab.registry import Stream
@@ -110,32 +109,11 @@ def test_a_table_by_name():
         experiments.table("estimands", repetitions=0)
 
 
-def test_too_few_episodes_are_doubled(monkeypatch):
-    """A pilot that promised too much: twice as many episodes are drawn afresh, as when the tables were made."""
-    sizes, real = [], oee.sample_episodes
-
-    def short(mdp, policy, count, horizon, *, seed):
-        sizes.append(count)
-        log = real(mdp, policy, count, horizon, seed=seed)
-        return log if len(sizes) != 2 else log.first(10)
-
-    monkeypatch.setattr(oee, "sample_episodes", short)
-    grid = oee.tasks.gridworld(5, 0.3)
-    assert len(common.sample_pool(grid, oee.uniform_policy(grid), 1000, np.random.default_rng(0))) >= 1000
-    assert sizes == [20, sizes[1], 2 * sizes[1]]
-
-
 # ---- the command
 
 
-def oee_command(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code or 0
-
-
 def test_the_list(capsys):
-    assert oee_command("reproduce", "--list") == 0
+    assert run_command("reproduce", "--list") == 0
     printed = capsys.readouterr().out
     assert re.search(r"^gridworld:\n  fig1a +360 cells  Figure 1a", printed, re.M)
     assert all(name in printed for name in EXPERIMENTS)
@@ -143,19 +121,19 @@ def test_the_list(capsys):
 
 def test_a_smoke_run_writes_everything_and_goes_on(tmp_path, capsys):
     arguments = ("reproduce", "estimands", "--smoke", "--seeds", 1, "--jobs", 1, "--output", tmp_path)
-    assert oee_command(*arguments) == 0
+    assert run_command(*arguments) == 0
     assert "estimands: 1 cells computed" in capsys.readouterr().out
     names = {path.name for path in (tmp_path / "smoke" / "estimands").iterdir()}
     assert names == {
         "settings.json", "cells.jsonl", "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png",
     }  # fmt: skip
     assert "The published recipe" in (tmp_path / "smoke" / "index.md").read_text()
-    assert oee_command(*arguments) == 0
+    assert run_command(*arguments) == 0
     assert "0 cells computed, 1 from the cache" in capsys.readouterr().out
-    assert oee_command("reproduce", "horizon", *arguments[1:], "--seed", 1) == 2  # before anything runs
+    assert run_command("reproduce", "horizon", *arguments[1:], "--seed", 1) == 2  # before anything runs
     assert re.search(r"holds results of other settings: seed 0 there, 1 asked", capsys.readouterr().err)
     assert not (tmp_path / "smoke" / "horizon").exists()
-    assert oee_command(*arguments, "--seed", 1, "--fresh") == 0
+    assert run_command(*arguments, "--seed", 1, "--fresh") == 0
     assert "1 cells computed" in capsys.readouterr().out
 
 
@@ -171,7 +149,7 @@ def test_a_smoke_run_writes_everything_and_goes_on(tmp_path, capsys):
     ],
 )
 def test_bad_calls(arguments, text, tmp_path, capsys):
-    assert oee_command("reproduce", *arguments, "--output", tmp_path / "new") == 2
+    assert run_command("reproduce", *arguments, "--output", tmp_path / "new") == 2
     assert re.search(text, capsys.readouterr().err)
     assert not (tmp_path / "new").exists()
 
@@ -183,7 +161,7 @@ def test_a_results_folder_with_a_link_is_refused(tmp_path, capsys, name):
     link.parent.mkdir(parents=True)
     link.symlink_to(outside / "precious" if name.endswith(".md") else outside)
     arguments = ("reproduce", "estimands", "--smoke", "--seeds", 1, "--jobs", 1, "--output", tmp_path / "results")
-    assert oee_command(*arguments) == 2
+    assert run_command(*arguments) == 2
     assert "it is a link or something else" in capsys.readouterr().err
     assert list(outside.iterdir()) == []
 

@@ -4,7 +4,6 @@ The risk is p / mu^2 strongly convex in each cell, so sum p (g - g*)^2 <= 2 mu^2
 """
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
@@ -17,8 +16,7 @@ SGD = Sgd(step_size=0.02, batch_size=128, n_iterations=20_000)
 START_EXCESS = 0.05  # nats: what g = 1 lacks at least
 
 
-@pytest.fixture(scope="module")
-def logs():
+def draw_logs():
     """3 states, 2 actions, every move possible; 3000 moves of the target and of the simulator, uniform (s, a)."""
     rng = np.random.default_rng(0)
     simulator, target = (
@@ -29,12 +27,6 @@ def logs():
         oee.sample_transitions(mdp, of, 3000, seed=k)
         for k, (mdp, of) in enumerate([(target, shares), (simulator, np.full((3, 2), 1 / 6))])
     )
-
-
-@pytest.fixture(scope="module")
-def fitted(logs):
-    simulator, te, tr = logs
-    return Quotient(**BOX, solver=SGD, data=tr).fit(te, simulator, seed=1)
 
 
 def shares(log):
@@ -49,7 +41,9 @@ def tables(logs):
     return [(p, q, oee.density_ratio(p, q, **BOX).ratio) for p, q in pairs]
 
 
-def test_both_tables_are_within_the_traces_bound(logs, fitted):
+def test_both_tables_and_their_quotient_are_within_the_traces_bound():
+    simulator, te, tr = logs = draw_logs()
+    fitted = Quotient(**BOX, solver=SGD, data=tr).fit(te, simulator, seed=1)
     for beta, (p, q, best) in zip(fitted.details["beta"], tables(logs), strict=True):
         excess = beta.trace.excess[-1]
         assert_allclose(excess, paper.risk(beta.ratio, p, q) - paper.risk(best, p, q), rtol=1e-6, atol=1e-12)
@@ -59,10 +53,7 @@ def test_both_tables_are_within_the_traces_bound(logs, fitted):
         assert beta.trace.iteration[-1] == SGD.n_iterations
         assert beta.trace.excess[0] > START_EXCESS
         assert excess < 0.05 * beta.trace.excess[0]
-
-
-def test_the_quotient_is_within_what_the_tables_bounds_make_of_it(logs, fitted):
-    """|a/b - a*/b*| <= (|a - a*| + zeta* |b - b*|) / b, each error at most mu sqrt(2 excess / p)."""
+    # |a/b - a*/b*| <= (|a - a*| + zeta* |b - b*|) / b, each error at most mu sqrt(2 excess / p)
     (p, _, a), (p_row, _, b) = tables(logs)
     moves, pairs = fitted.details["beta"]
     of_move, of_row = (MU * np.sqrt(2 * fit.trace.excess[-1] / share) for fit, share in ((moves, p), (pairs, p_row)))

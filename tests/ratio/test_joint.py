@@ -102,39 +102,6 @@ def test_a_corrupted_joint_solver_is_found_out_in_every_row(monkeypatch, bounds,
     assert gap_of(40) > 1e-9
 
 
-def test_zeta_stays_in_its_box():
-    free = oee.transition_ratio(LOG, SIMULATOR, **KNOWN)
-    assert free.values.data.min() < 0.4
-    for bounds in ((0.4, 1.5), (0.4, None), (None, 1.5)):
-        boxed, theirs = (
-            oee.transition_ratio(LOG, SIMULATOR, ratio_lower=bounds[0], ratio_upper=bounds[1], solver=solver, **KNOWN)
-            for solver in ("dual", "CLARABEL")
-        )
-        zeta = boxed.values.data
-        assert zeta.min() >= (bounds[0] or 0.0) - 1e-12
-        assert zeta.max() <= (bounds[1] or np.inf) + 1e-12
-        assert boxed.row_sum_error < 1e-12
-        assert boxed.gap < 1e-12
-        assert theirs.gap < 1e-8
-        visited = boxed.visited.reshape(-1)[np.repeat(np.arange(64), np.diff(SIMULATOR.transitions.indptr))]
-        assert_allclose(zeta[visited], theirs.values.data[visited], atol=2e-4)
-
-
-def test_moves_weighted_by_discount():
-    """The paper's discounted d on both sides: each move counts discount^t."""
-    log = oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 200, 30, seed=0)
-    data = oee.sample_episodes(SIMULATOR, oee.uniform_policy(SIMULATOR), 200, 30, seed=1)
-    found = oee.transition_ratio(log, SIMULATOR, method="ratio_of_ratios", simulator_data=data, discount=0.9)
-    weighted = (each.counts(16, 4, discount=0.9).toarray() for each in (log, data))
-    by_hand = oee.density_ratio(*(w.reshape(-1) for w in weighted), lower=0.01, upper=10.0, toward=1.0)
-    pairs = (each.counts(16, 4, discount=0.9).toarray().sum(axis=1) for each in (log, data))
-    below = oee.density_ratio(*pairs, lower=0.01, upper=10.0, toward=1.0)
-    quotient = by_hand.ratio.reshape(64, 16) / below.ratio[:, None]
-    rows = np.repeat(np.arange(64), np.diff(SIMULATOR.transitions.indptr))
-    seen = log.counts(16, 4).toarray()[rows, SIMULATOR.transitions.indices] > 0
-    assert_allclose(found.values.data[seen], quotient[rows, SIMULATOR.transitions.indices][seen], rtol=1e-9)
-
-
 def test_pairs_that_the_simulator_s_data_lack():
     """Counted where the log has them; zeta is 1 there; without an upper bound there is no program."""
     some = Transitions([0, 0, 1, 2], [0, 1, 0, 1], [0, 1, 2, 0])

@@ -46,9 +46,13 @@ def exact(logs, options=BOX):
 
 
 @trained
-@pytest.mark.parametrize("activation", ["relu", "tanh", "silu"])
-def test_a_full_batch_finds_the_optimum_of_a_class_that_holds_it(logs, activation):
-    found, best = fit(logs, batch_size=None, held_out=0, activation=activation), exact(logs)
+@pytest.mark.parametrize(
+    ("activation", "ridge"), [("relu", {}), ("tanh", {}), ("silu", {}), ("silu", {"ridge": 0.5, "toward": 1.0})]
+)
+def test_a_full_batch_finds_the_optimum_of_a_class_that_holds_it(logs, activation, ridge):
+    options = BOX | ridge
+    found = fit(logs, batch_size=None, held_out=0, activation=activation, options=options)
+    best = exact(logs, options)
     for beta, table in zip(found.details["beta"], best.details["beta"], strict=True):
         assert_allclose(beta.ratio, table.ratio, rtol=0.01)
         assert 0 <= beta.gap < 2e-4
@@ -59,14 +63,6 @@ def test_a_full_batch_finds_the_optimum_of_a_class_that_holds_it(logs, activatio
 
 
 @trained
-def test_the_ridge_is_in_the_risk(logs):
-    options = BOX | {"ridge": 0.5, "toward": 1.0}
-    found, best = fit(logs, batch_size=None, held_out=0, options=options), exact(logs, options)
-    assert_allclose(found.details["beta"][0].ratio, best.details["beta"][0].ratio, rtol=0.01)
-    assert np.abs(best.values.data - exact(logs).values.data).max() > 0.05
-
-
-@trained
 def test_training_stops_where_the_held_out_risk_has_no_new_least(logs):
     found = fit(logs, patience=3, n_iterations=20_000, batch_size=64)
     for beta in found.details["beta"]:
@@ -74,18 +70,6 @@ def test_training_stops_where_the_held_out_risk_has_no_new_least(logs):
         assert len(held) == len(beta.trace.iteration) < 201
         assert np.argmin(held) == len(held) - 4
         assert beta.status == f"trained for {beta.trace.iteration[-1]} iterations"
-
-
-@trained
-def test_the_limit_is_the_exact_quotients(logs):
-    simulator = logs[0]
-    target = simulator.with_transitions(np.full((3, 2, 3), 1 / 3))
-    pi = oee.uniform_policy(simulator)
-    values = [
-        oee.estimators.OffEnvironment(ratio=Quotient(**BOX, functions=functions)).limit(simulator, target, pi)
-        for functions in (Network(), None)
-    ]
-    assert values[0] == values[1]
 
 
 # ---- row by row, the simulator known ------------------------------------------------------------------------------------
@@ -185,13 +169,6 @@ def test_one_seed_gives_the_same_bits_in_any_process_with_any_number_of_threads(
 
     first = bits()
     assert first == bits(("taskset", "-c", "0") if sys.platform == "linux" else ())
-
-
-@trained
-def test_another_seed_gives_another_network(logs):
-    one, again, other = (fit(logs, n_iterations=100, seed=seed).values.data for seed in (0, 0, 1))
-    assert_array_equal(one, again)
-    assert (one != other).all()
 
 
 @trained

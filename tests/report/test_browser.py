@@ -115,14 +115,3 @@ def test_everything_is_reached_by_keyboard(browser, pages):  # noqa: F811
         page.wait_for_timeout(30)
     assert moved > 0
     page.context.close()
-
-
-def test_a_link_to_a_note_leads_there(browser, pages):  # noqa: F811
-    page, _, _ = opened(browser, pages["default"], 400, "dark")
-    link = page.locator("a.note").first
-    link.focus()
-    page.keyboard.press("Enter")
-    target = page.locator(link.get_attribute("href"))
-    box = target.bounding_box()
-    assert 0 <= box["y"] < 900
-    page.context.close()

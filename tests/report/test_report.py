@@ -90,12 +90,6 @@ def test_warnings_say_what_the_numbers_do_not():
     assert "the effective sample size is" in text
     assert report.notes["policy", "oee"]
     assert not report.notes["policy", "simulator"]
-    columns = {name: column for name, column in log.columns().items() if name != "behavior_probability"}
-    reasons = {"the log has no episodes": log.draw(10, seed=0),
-               "the behaviour policy is not known": oee.Transitions(**columns)}  # fmt: skip
-    for reason, other in reasons.items():
-        warnings = oee.evaluate(Problem(simulator, other), oee.uniform_policy(simulator)).warnings
-        assert f"Importance sampling is left out: {reason}." in warnings
 
 
 def test_reward_conflicts_are_noted_with_the_remedy_on_every_value_that_a_model_gives():
@@ -176,16 +170,6 @@ def test_the_value_that_the_log_corrects_is_said_first_and_the_simulator_s_last(
     assert first(*every) == "corrected"
     assert first("alone", "other", "lost") == "other"
     assert first("alone", "lost") == "alone"
-
-
-def test_the_picture_holds_what_is_credible_and_marks_the_rest(problem):
-    wild = returning(-1e30, diagnostics={"row_sum_error": 3.0})
-    estimators = {"oee": OffEnvironment(), "wild": wild}
-    ax = oee.evaluate(problem, POLICIES, estimators=estimators, target=TARGET, seed=0).plot()
-    low, high = ax.get_xlim()
-    assert -100 < low < high < 10
-    assert any("1e+30" in text.get_text() for text in ax.texts)
-    assert {label.get_text() for label in ax.get_yticklabels()} == {"cautious", "bold", "oee", "wild"}
 
 
 def test_one_divergent_value_does_not_end_the_report():

@@ -45,8 +45,6 @@ def test_what_a_policy_is_worth(changes, sentence):
     [
         (text.silent_log([answer(), answer(policy="b", coverage=0.2)]), "The log covers only 20.0% of what “b” does."),
         (text.silent_log([answer()]), ""),
-        (text.best_policy("a", "b", 3, (0.25, 0.125, 0.5), 0.95, overlap=False),
-         "Of 3 policies, “a” is worth most in the target. It is better than “b” by 0.2500 (95%: 0.1250 to 0.5000)."),
         (text.best_policy("a", "b", 2, (0.25, 0.125, 0.5), 0.999, overlap=True),
          "Of 2 policies, “a” is worth most in the target. It is better than “b” by 0.2500 (99.9%: 0.1250 to 0.5000). The "
          "difference is known more precisely than either value because both rest on the same transitions."),
@@ -56,20 +54,12 @@ def test_what_a_policy_is_worth(changes, sentence):
          "The log cannot say which of “a” and “b” is worth most in the target; the other 2 are worth less."),
         (text.no_best_policy(["a", "b", "c"], 4, are_equal=True),
          "“a”, “b” and “c” are worth the same in the target; the other 1 is worth less."),
-        (text.no_best_policy(["a", "b"], 2, are_equal=False),
-         "The log cannot say which of “a” and “b” is worth most in the target."),
         (text.pair_rejections(3, 40),
          "The data reject the simulator in 3 of the 40 recorded state-action pairs. In the others the log shows no significant "
          "difference."),
         (text.joint_rejection(24.51),
          "The data as a whole reject the simulator (z = 24.5), although no single state-action pair does. Transitions that the "
          "simulator calls likely are more frequent in the target."),
-        (text.joint_rejection(-4.0),
-         "The data as a whole reject the simulator (z = -4.0), although no single state-action pair does. Transitions that the "
-         "simulator calls likely are less frequent in the target."),
-        (text.agreement(60),
-         "The data show no significant difference from the simulator in the 60 recorded state-action pairs. A short log cannot "
-         "show a small one."),
         (text.agreement(1),
          "The data show no significant difference from the simulator in the one recorded state-action pair. A short log cannot "
          "show a small one."),
@@ -78,7 +68,6 @@ def test_what_a_policy_is_worth(changes, sentence):
         (text.worst_case(4, 0.25, dropped=True),
          "The interval allows any outcome in 4 unrecorded pairs (25.0% of the policy's time). "
          "It lets dropped transitions lead anywhere."),
-        (text.worst_case(0, 0.0, dropped=True), "It lets dropped transitions lead anywhere."),
         (text.worst_case(0, 0.0, dropped=False), ""),
         (text.sampling_interval(-2.0, 1.0, unrecorded=3),
          "If such pairs behave as estimated, the interval is −2.000 to 1.000."),

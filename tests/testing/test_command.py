@@ -6,9 +6,9 @@ import sys
 import time
 
 import pytest
+from helpers import run_command
 
 from oee_tabular._arguments import own_modules
-from oee_tabular.cli import main
 from oee_tabular.testing.command import own_estimator
 
 MINE = """
@@ -72,10 +72,8 @@ def here(tmp_path, monkeypatch):
 
 
 def run(capsys, *arguments):
-    with pytest.raises(SystemExit) as ended:
-        main(["check", *arguments])
-    captured = capsys.readouterr()
-    return ended.value.code or 0, captured.out, captured.err
+    code, captured = run_command("check", *arguments), capsys.readouterr()
+    return code, captured.out, captured.err
 
 
 @pytest.mark.parametrize("what", ["instance", "Mine", "factory", "Holder.inner"])

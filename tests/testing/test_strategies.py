@@ -117,20 +117,3 @@ def test_no_rewards_either_kind_and_any_behaviour():
     assert np.all(smallest(logs(GRID), **unshrunk).behavior_probability == 0.25)
     with pytest.raises(Exception, match=r"[Nn]o"):
         smallest(horizons(ENDLESS), lambda horizon: horizon is None)
-
-
-@pytest.mark.parametrize(("call", "text"), [
-    (lambda: mdps(max_states=0), "max_states must be a positive integer; it is 0"),
-    (lambda: mdps(min_states=3, max_states=2), "min_states must be at most max_states; they are 3 and 2"),
-    (lambda: mdps(discounts=[1.5]), r"discounts must be in \[0, 1\]; it is 1.5"),
-    (lambda: mdps(discounts=[]), "discounts must hold at least one; it is empty"),
-    (lambda: mdps(rewards=["ss"]), "rewards must be one of 's', 'sa', 'sas'; got 'ss'"),
-    (lambda: mdp_pairs(support="broken"), "support must be one of 'equal', 'inside', 'violated'; got 'broken'"),
-    (lambda: mdp_pairs(support="violated", min_states=1), "min_states must be at least 2 for support 'violated'; it is 1"),
-    (lambda: policies(3), "mdp must be a FiniteMDP; got int"),
-    (lambda: logs(GRID, kind="bag"), "kind must be one of 'episodes', 'transitions'; got 'bag'"),
-    (lambda: horizons(GRID, max_horizon=0), "max_horizon must be a positive integer; it is 0"),
-])  # fmt: skip
-def test_bad_calls(call, text):
-    with pytest.raises(ValueError, match=text):
-        call()

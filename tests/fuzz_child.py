@@ -1,0 +1,43 @@
+"""A process that answers questions for the fuzzers; where it dies or hangs another takes its place."""
+
+import multiprocessing
+
+START = 300.0  # seconds for a child to import and compile
+
+
+class Child:
+    """``target(pipe, *arguments)`` in a process of its own, which receives questions and sends answers.
+
+    limit : seconds for an answer but the first
+    """
+
+    def __init__(self, limit, target, *arguments):
+        self.limit, self.target, self.arguments = limit, target, arguments
+        self.start()
+
+    def start(self):
+        context = multiprocessing.get_context("spawn")
+        self.pipe, other = context.Pipe()
+        self.process = context.Process(target=self.target, args=(other, *self.arguments), daemon=True)
+        self.process.start()
+        other.close()
+        self.wait = START
+
+    def ask(self, question):
+        """The answer, or "death" or "hang"."""
+        lost = "death"
+        try:
+            self.pipe.send(question)
+            if self.pipe.poll(self.wait):
+                answer, self.wait = self.pipe.recv(), self.limit
+                return answer
+            lost = "hang"
+        except (EOFError, ConnectionError):
+            pass
+        self.end()
+        self.start()
+        return lost
+
+    def end(self):
+        self.process.kill()
+        self.process.join()
