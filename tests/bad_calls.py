@@ -131,8 +131,7 @@ ratio_of_ratios_variance(GRID, GRID, UNIFORM, EVEN, EVEN, rows="clipped")  ->  r
 ratio_of_ratios_variance(GRID, GRID, UNIFORM, EVEN, EVEN / 2)  ->  simulator_distribution must sum to 1
 ratio_of_ratios_variance(STIFF, GRID, UNIFORM, EVEN, EVEN)  ->  target must stay in the simulator's support
 trajectory_efficiency_bound(GRID, UNIFORM, UNIFORM, horizon=3, model="bush")  ->  model must be one of 'mdp', 'tree', 'stati
-trajectory_efficiency_bound(GRID, UP, UNIFORM, horizon=3)  ->  behavior_policy must take every action that the policy takes;
-  in state 0 it never takes action 1 (
+trajectory_efficiency_bound(GRID, UP, UNIFORM, horizon=3)  ->  behavior_policy must take every ... in state 0 it never takes action 1 (
 transition_gradient(GRID, UNIFORM, values_of=mdp())  ->  values_of must have the model's states and actions, (9, 4)
 transition_gradient(GRID, UNIFORM, values_of=mdp(), horizon=3)  ->  values_of must have the model's states and actions
 solve_policy_system(np.eye(2), [1, 1], 0.5)  ->  kernel must be a sparse matrix
@@ -290,12 +289,10 @@ Problem(GRID, sparse.csr_array(([0.5], ([0], [8])), (36, 9)))  ->  counts must s
 Problem(GRID, LOG, counts=GRID.transitions.sign() * 2.0**54)  ->  counts must be at most 2**53; at s=0, a=0 -> s'=0
 
 # estimators
-ImportanceSampling()(Problem(GRID, without("behavior_probability")), UNIFORM)  ->  importance sampling needs behaviour
-  probabilities: the log has none; give Problem(behavior_policy=...) (--behavior)
+ImportanceSampling()(Problem(GRID, without("behavior_probability")), UNIFORM)  ->  importance sampling ...none; give Problem(behavior_policy
 ImportanceSampling()(Problem(GRID, NEVER), UNIFORM)  ->  log.behavior_probability must be positive for the actions taken
 ImportanceSampling()(Problem(GRID, without("behavior_probability"), 9, UP), UNIFORM)  ->  behavior_policy must be positive
-ImportanceSampling()(Problem(GRID, LOG.draw(5, seed=0)), UNIFORM)  ->  importance sampling needs whole episodes: give the log
-  its episode column, or Problem(episodes=...)
+ImportanceSampling()(Problem(GRID, LOG.draw(5, seed=0)), UNIFORM)  ->  importance sampling needs whole ...Problem(episodes=
 DoublyRobust(data="episodes")(Problem(GRID, COUNTS), UNIFORM)  ->  importance sampling needs whole episodes
 OffEnvironment("joined")  ->  ratio must be one of 'conditional', 'ratio_of_ratios', 'joint'
 OffEnvironment(3.0)  ->  ratio must be a method's name, a TransitionRatio or a function
@@ -336,8 +333,7 @@ evaluate(P, UNIFORM, estimators=["oe"])  ->  estimators must be among simulator,
 evaluate(P, UNIFORM, estimators=["fqee"])  ->  estimators must be among ...(did you mean 'fqe'?)
 evaluate(P, UNIFORM, estimators=["oracle-product"])  ->  estimator 'oracle-product' needs the target environment
 evaluate(P, UNIFORM, estimators=[])  ->  estimators must name at least one
-evaluate(P, UNIFORM, estimators={"mine": lambda problem, policy: (1.5, 0.1)})  ->  an estimator must return a float or an
-  Estimate; it returned tuple: Estimate(value, standard_error) holds both
+evaluate(P, UNIFORM, estimators={"mine": lambda problem, policy: (1.5, 0.1)})  ->  an estimator must return ...it returned tuple
 evaluate(P, UNIFORM, estimators=["oee"], seed={1})  ->  seed must be what numpy.random.SeedSequence takes
 evaluate(P, {})  ->  policies must hold at least one
 evaluate(P, {"mine": UNIFORM * 0.9})  ->  policy 'mine'[0] must sum to 1
@@ -621,10 +617,8 @@ family(simulator=STIFF, target=GRID, policy=UNIFORM, data_policy=UNIFORM)  ->  t
 family(policy=np.ones((30, 2)))  ->  policy[0] must sum to 1 ...it sums to 2
 family(data_policy=np.ones((2, 2)) / 2)  ->  data_policy must have shape (30, 2)
 family(target=PAIR.target.with_discount(0.9))  ->  target must have the simulator's discount, 0.98; it has 0.9
-family(target=PAIR.target.with_rewards(2 * PAIR.target.rewards))  ->  target must pay the simulator's rewards ...; at s=0, a=0
-  it pays -2 on average, with the simulator's rewards -1
-family(target=PAIR.target.with_initial(np.eye(30)[0]))  ->  target must have the simulator's initial distribution; initial[0]
-  is 1 there, 0.0344828 in the simulator
+family(target=PAIR.target.with_rewards(2 * PAIR.target.rewards))  ->  target must pay the ...; at s=0, a=0 it pays -2 on average
+family(target=PAIR.target.with_initial(np.eye(30)[0]))  ->  target must have the ...initial distribution; initial[0] is 1
 family(about=" ")  ->  about must be a sentence that says what the simulator has wrong; got ' '
 family(length=2.5)  ->  length must be a positive integer; got 2.5
 PAIR.size(-1)  ->  per_row must be in [0, inf); it is -1

@@ -210,11 +210,7 @@ def test_files_that_hold_something_else(tmp_path):
         (Transitions.load, "gap.csv", r"action\[1\] must have a value; it has none"),
         (Transitions.load, "words.csv", r"words.csv': state must hold integers"),
         (Transitions.load, "surplus.csv", r"must have 3 fields, as the header has"),
-        (
-            FiniteMDP.load,
-            "parts.npz",
-            r"must hold every part of a FiniteMDP; 'rewards_data' is missing",
-        ),
+        (FiniteMDP.load, "parts.npz", r"must hold every part of a FiniteMDP; 'rewards_data' is missing"),
         (Transitions.load, "empty.csv", r"must have the columns state, action, next_state; it has none"),
     ]
     for load, name, text in table:

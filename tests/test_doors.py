@@ -63,6 +63,18 @@ def test_no_flipped_byte_loads_other_data(tmp_path, ending):
             assert oee.Transitions.open(path).count.tolist() == counts
 
 
+def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
+    one = {"a": np.arange(4), "b": np.array(["x", "y"])}
+    others = (
+        {"a": np.arange(4)},
+        {"c": one["a"], "b": one["b"]},
+        one | {"a": np.arange(4.0)},
+        one | {"a": np.arange(1, 5)},
+    )
+    assert digest(dict(reversed(one.items()))) == digest(one)
+    assert len({digest(arrays) for arrays in (one, *others, one | {"a": np.arange(4).reshape(2, 2)})}) == 6
+
+
 # ---- locks, workers
 
 

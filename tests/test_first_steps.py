@@ -112,20 +112,6 @@ def test_a_navigation_grid_with_places_in_a_data_frame():
     assert found.lower <= oee.policy_value(truth, expert, horizon=40) <= found.upper
 
 
-def test_what_a_navigation_grid_is_told_is_in_its_own_words():
-    places, words, grid = navigation(0.3)
-    simulator = grid.with_names(places, words)
-    table = recorded().rename(columns={"place": "state", "arrived": "next_state", "run": "episode"})
-    report = oee.evaluate(oee.Problem(simulator, table), {"north": lambda place: "north"}, estimators=["oee"], seed=0)
-    assert "Record action north in state r" in report.uncertainty.sentences[-1]
-    with pytest.raises(ValueError, match=r"it is 'r0c9' \(did you mean 'r0c"):
-        oee.Problem(simulator, table.drop(columns="episode").assign(state="r0c9"))
-    with pytest.raises(
-        ValueError, match=r"frame must have the columns state, action, next_state; it has when, run, place, "
-    ):
-        oee.Problem(simulator, recorded())
-
-
 # ---------------------------------------------------------------- moves that the simulator rules out, a region never recorded
 
 

@@ -9,8 +9,7 @@ from matplotlib.figure import Figure
 
 import oee_tabular as oee
 from oee_tabular import plots
-from oee_tabular.estimators.names import NAMED
-from oee_tabular.plots.style import COLORS, ESTIMATORS, places, series
+from oee_tabular.plots.style import series
 
 
 @pytest.fixture
@@ -49,14 +48,6 @@ def test_errors_are_logarithmic_with_a_slope(ax):
     np.testing.assert_allclose(slope.get_ydata(), 3 / np.sqrt(n))
     assert ax.get_ylabel() == "mean L1 error"
     assert len(plots.plot_errors([10.0], {"a": [1.0]}, Figure().subplots(), slope=None).get_lines()) == 1
-
-
-def test_variance_growth_is_against_the_horizon(ax):
-    plots.plot_variance_growth({"product": 2.0 ** np.arange(30), "exact": np.ones(30)}, ax)
-    np.testing.assert_array_equal(ax.get_lines()[0].get_xdata(), np.arange(1, 31))
-    assert ax.get_yscale() == "log"
-    assert "horizon" in ax.get_xlabel()
-    assert "squared" in ax.get_ylabel()
 
 
 def labels(ax):
@@ -225,12 +216,6 @@ def test_results_draw_themselves(ax):
     assert labels(values)[:2] == ["new", "simulator"]
     assert " ".join(values.get_title().split()) == report.headline
     assert len(labels(report.plot(Figure().subplots(), all=True))) == 2 + len(report.results)
-
-
-def test_an_estimator_that_reports_show_has_a_colour_of_its_own():
-    assert [series(k)["color"] for k in places(ESTIMATORS)] == list(COLORS)
-    assert places(["simulator", "mine", "oee", "yours", "mine"]) == [0, 2, 1, 3, 2]
-    assert set(ESTIMATORS) <= set(NAMED)
 
 
 @pytest.mark.parametrize("name", ["$x$ and $y", "\\frac{", "a\x00b", "<b>&", "x" * 200])

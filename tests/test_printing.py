@@ -78,13 +78,6 @@ def test_in_a_notebook(name):
     assert unit in "".join(parsed.words)
 
 
-@pytest.mark.parametrize("name", ["report", "estimate", "interval", "plan", "comparison", "problem"])
-def test_in_a_terminal(name):
-    text = str(RESULTS[name][0]())
-    assert "sum of" in text
-    assert "<td" not in text
-
-
 def test_estimates_and_intervals_in_one_line():
     assert str(Estimate(2.0, 0.25, (1.5, 2.5))) == (
         "2 ± 0.25 (standard error), interval [1.500, 2.500]; discounted sum of rewards, not normalised"

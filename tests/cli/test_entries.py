@@ -144,24 +144,6 @@ def test_python_takes_the_same_tables():
     assert_array_equal(tied, oee.transition_ratio(LOG, NAMED, tie=KEYS).values.data)
 
 
-@pytest.mark.parametrize(
-    ("column", "value", "text"),
-    [
-        ("state", "cel 3", r", row 5, must be one of the simulator's names; it is 'cel 3' \(did you "),
-        ("action", "left", r", row 5, must be one of the simulator's names; it is 'left' \(they are "),
-        ("next_state", None, r" must have a name in every row; row 5 has none or nan$"),
-        ("kind", "a", r" must have a finite number in every row; row 5 has a$"),
-    ],
-)
-def test_bad_tables_in_python(column, value, text):
-    frame = by_name(kind=KEYS).astype(object)
-    frame.loc[5, column] = value
-    with pytest.raises(ValueError, match=f"^column '{column}' of tie{text}"):
-        oee.transition_ratio(LOG, NAMED, tie=frame)
-    with pytest.raises(ValueError, match=r"^column 'state' of features must have a finite number .*; row 0 has cell 0"):
-        oee.transition_ratio(LOG, GRID, features=by_name(ahead=1.0))
-
-
 def changed(row, column, value):
     frame = table(kind=KEYS).astype(object)
     frame.loc[row, column] = value
@@ -169,29 +151,22 @@ def changed(row, column, value):
 
 
 NUMBER = "of {name} must have a finite number in every row; row"
-TWICE = (
-    f"row {NNZ} of {{name}} must be another transition; s={STATE[2]}, a={ACTION[2]} -> s'={NEXT[2]} is row 2 already"
-)
+TWICE = f"row {NNZ} of {{name}} must be another transition; s={STATE[2]}, a={ACTION[2]} -> s'={NEXT[2]} is row 2"
 BOTH = [
     ("f.npy", None, "no such file: f.npy"),
-    ("f.csv", None, "no such file: f.csv"),
     ("f.txt", "1", "must be a .npy or .csv file; got 'f.txt'"),
     ("f.npy", "1,2,3", "'f.npy' must be an npz or npy file of plain arrays; "),
     ("f.npy", np.array([{}, None] * (NNZ // 2)), "'f.npy' must be an npz or npy file of plain arrays; "),
     ("f.csv", "", "'f.csv' must be a CSV table with a header; "),
-    ("f.csv", "state,action,next_state,x\n0,0,3,1,1\n", "'f.csv' must be a CSV table with a header"),
-    ("f.npy", np.array(["a"] * NNZ), "must"),
     ("f.npy", np.zeros(NNZ) * 1j, "{name} must"),
     ("f.npy", KEYS[1:], f" shape ({NNZ - 1},)"),
     ("f.npy", np.zeros((9, 4, 9, 1, 1), dtype=int), " shape (9, 4, 9, 1, 1)"),
-    ("f.npy", np.zeros((NNZ, 0), dtype=int), f" shape ({NNZ}, 0)"),
     ("f.npy", np.array(1), " shape ()"),
     ("f.csv", table(x=1).drop(columns="action"), "{name} must have the columns state, action, next_state; it has state,"),
     ("f.csv", table(), "{name} must have a column of numbers beside its transitions; it has none"),
     ("f.csv", table(x=KEYS).reset_index(names=""), "must have a name for every column; it has Unnamed: 0, state, action,"),
     ("f.csv", table(x=1).iloc[:0], "{name} must have at least one row; it has none"),
     ("f.csv", changed(3, "kind", ""), f"column 'kind' {NUMBER} 3 has none or nan"),
-    ("f.csv", changed(7, "kind", "left"), f"column 'kind' {NUMBER} 7 has left"),
     ("f.csv", changed(2, "state", "s1"), f"column 'state' {NUMBER} 2 has s1"),
     ("f.csv", changed(2, "state", 0.5), "column 'state' of {name} must have an integer in every row; row 2 has 0.5"),
     ("f.csv", changed(4, "next_state", 9), "column 'next_state' of {name} must be in 0..8; row 4 has 9"),
@@ -208,9 +183,7 @@ FEATURES = [
 TIES = [
     ("f.npy", KEYS.astype(float), "tie must have integer keys; they are float64"),
     ("f.npy", np.column_stack([KEYS, KEYS]), f" shape ({NNZ}, 2)"),
-    ("f.npy", np.zeros((9, 4, 9, 2), dtype=int), " shape (9, 4, 9, 2)"),
     ("f.csv", changed(6, "kind", 1.5), "column 'kind' of {name} must have an integer in every row; row 6 has 1.5"),
-    ("f.csv", changed(6, "kind", "1e16"), "must have an integer in every row; row 6 has 1e+16"),
     ("f.csv", table(x=KEYS, y=KEYS), "tie must have one column of keys beside state, action, next_state; it has x, y"),
     ("f.csv", table(x=KEYS).iloc[2:], f"a key for every transition of the simulator; 2 of {NNZ} have none, the first: s=0,"),
 ]  # fmt: skip

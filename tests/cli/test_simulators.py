@@ -131,13 +131,10 @@ def test_policies_from_files(run, folder):
         ("state,n,e,s,w\nr0c0,1,0,0,0\nr0c0,1,0,0,0", "must have one row for each state; state r0c0 has two"),
         ("state,action\nr0c0,n", "must have every state that is not terminal; state r0c1 is not there (7 such"),
         ("state,action,probability\nr0c0,n,0.4", "it sums to 0.4"),
-        (
-            "state,action,probability\nr0c0,n,much",
-            "must have numbers as probabilities; could not convert string",
-        ),
+        ("state,action,probability\nr0c0,n,much", "must have numbers as probabilities; could not convert string"),
         (
             "state,action,probability\nr0c0,n,.5\nr0c0,n,.5",
-            "one row for each state and action; state r0c0, action n has two",
+            "one row for each state and action; state r0c0, action n has",
         ),
     ],
 )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import random_mdp, random_policy, rngs, survival_chain
+from helpers import random_mdp, random_policy, rngs
 from hypothesis import given, settings
 from numpy.testing import assert_allclose
 
@@ -45,14 +45,6 @@ def inefficiency(plan, q):
     """The largest of the policies', as the plan counts it."""
     least = np.array([o.variance_after / o.inefficiency for o in plan.policies])
     return np.max(variances(plan, q)[least > 0] / least[least > 0], initial=0.0)
-
-
-# costs
-
-
-def test_an_undiscounted_horizon_restarts_once_in_it():
-    plan = plan_data_collection(small_grid(0.3).with_discount(1.0), POLICY, n=10, horizon=20, sampling="behavior")
-    assert_allclose(plan.restart, 1 / 20)
 
 
 def deterministic_chain():
@@ -111,9 +103,6 @@ def test_rewards_of_moves_that_the_simulator_does_not_make():
     assert_allclose(plan.costs["policy"][0], [(5.0 - 1.0) ** 2 / 4, 0.0])
 
 
-# free sampling
-
-
 @given(rngs)
 def test_a_free_plan_levels_what_one_transition_more_gains(rng):
     """c / (n_x + n q_x)^2 is one level where q > 0, and no larger elsewhere."""
@@ -159,9 +148,6 @@ def test_a_report_and_a_plan_give_one_piece_of_advice(rng):
         assert said in str(plan)
 
 
-# certificates
-
-
 @given(rngs)
 @few
 def test_every_plan_keeps_its_certificate(rng):
@@ -189,9 +175,6 @@ def test_every_plan_keeps_its_certificate(rng):
                 assert plan.inefficiency * (1 - plan.gap) <= inefficiency(plan, q) * (1 + 1e-9)
 
 
-# known figures
-
-
 def bound(q):
     return oee.efficiency_bound(TARGET, POLICY, q) * SCALE
 
@@ -216,19 +199,6 @@ def test_known_figures():
     assert conic.solver == "CLARABEL"
     assert conic.gap < 1e-6
     assert 0 <= oracle.free_inefficiency - conic.free_inefficiency <= oracle.gap * oracle.free_inefficiency + 1e-6
-
-
-def test_the_plan_of_a_sure_policy_among_uncertain_ones():
-    """A policy whose value no transition probability moves takes no part."""
-    mdp = survival_chain()
-    both = FiniteMDP(np.tile(mdp.transitions.toarray()[:, None], (1, 2, 1)), [[1.0, 0.0], [0.0, 0.0]], [1.0, 0.0], 0.9)
-    plan = plan_data_collection(both, {"pays": [[1, 0], [1, 0]], "never pays": [[0, 1], [0, 1]]}, n=10)
-    assert plan.policies[1].standard_error == (0.0, 0.0)
-    assert plan.policies[1].inefficiency == 1.0
-    assert_allclose(plan.distribution, [[1, 0], [0, 0]])
-
-
-# sequential use
 
 
 def test_sequential_use():

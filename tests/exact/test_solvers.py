@@ -269,3 +269,17 @@ def test_an_answer_from_near_by_leaves_its_share(name, transpose, monkeypatch):
     assert_array_equal(asked[0][0], measure(system, b, near, "").missed)
     assert asked[0][1] == 1e-3
     assert_array_equal(solvers.answer(system, b, whole.x).x, whole.x)
+
+
+def test_the_certificate_counts_its_own_residual(monkeypatch):
+    """|M^-1| <= max h / (1 - residual); half of it or more, or an h that is not positive, certifies nothing."""
+    system = system_of([[0.0, 2.0], [0.1, 0.0]], 0.9)
+    for residual, h in (([0.2, -0.4], [3.0, 1.0]), ([0.2, -0.6], [3.0, 1.0]), ([0.0, 0.0], [3.0, 0.0])):
+        largest = np.abs(residual).max()
+        answer = solvers.Iterate(np.array(h), np.array(residual), largest, largest, 0.0, "dense LU")
+        monkeypatch.setattr(solvers, "answer", lambda system, b, answer=answer: answer)
+        if min(residual) == -0.4:
+            assert_allclose(inverse_norm(system), 3.0 / 0.6)
+        else:
+            with pytest.raises(ValueError, match=r"spectral radius of 0\.402492"):
+                inverse_norm(system)

@@ -162,3 +162,10 @@ def test_compared_policies_by_the_variance_of_each_row_with_one_more_move(left_o
     time = model.visits(policies[found.names[0]], horizon)
     time = time if horizon is None else sum(time)
     assert_allclose(found.unseen_share[0], time[total[:, :, 0] == 0].sum() / time.sum(), rtol=1e-9)
+
+
+def test_both_methods_widen_for_what_was_never_recorded():
+    case, policies, _ = half_recorded(0)
+    delta, resampled = (compare_policies(case, policies, method=method) for method in ("delta", "bootstrap"))
+    assert_allclose(resampled.standard_errors, delta.standard_errors, rtol=0.2)
+    assert_allclose(resampled.probability_best, delta.probability_best, atol=0.15)

@@ -102,3 +102,12 @@ def test_it_covers_where_most_of_the_time_is_recorded(recorded):
         lower, upper = oee.interval(oee.Problem(simulator, log), policy).sampling
         held += lower <= oee.policy_value(target, policy) <= upper
     assert held >= 48
+
+
+def test_it_stays_in_the_box():
+    rows = np.array([[[0, 0.5, 0.5]]] * 2 + [[[0, 0, 1.0]]])
+    simulator = oee.FiniteMDP(rows, np.array([0.0, 1.0, 0.0]), 0, 0.9)
+    log = oee.Transitions([1] * 400, [0] * 400, [1] * 396 + [2] * 4)
+    problem, policy = oee.Problem(simulator, log), np.ones((3, 1))
+    narrow = oee.interval(problem, policy, lower_ratio=0.01, upper_ratio=2.0)
+    assert narrow.lower <= narrow.sampling[0] <= narrow.sampling[1] <= narrow.upper

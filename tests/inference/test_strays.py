@@ -63,10 +63,8 @@ def test_the_band_is_first_order_over_all_places(form, horizon):
             for places in itertools.product(range(S), repeat=len(STRAYS)):
                 values = []
                 for e in (0.0, 1e-6):
-                    moved, pay = (
-                        rows.copy(),
-                        (paid if r.ndim == 2 else (rows.reshape(P.shape) * paid).sum(axis=2)).copy(),
-                    )
+                    moved = rows.copy()
+                    pay = (paid if r.ndim == 2 else (rows.reshape(P.shape) * paid).sum(axis=2)).copy()
                     for x, to in zip(STRAYS, places, strict=True):
                         moved[x] = (1 - e * share[x]) * rows[x] + e * share[x] * np.eye(S)[to]
                         if extreme is not None:

@@ -197,9 +197,6 @@ def test_bad_calls(name, here):
         run_machine(**({"estimators": "simulator", "seeds": 1} | options))
 
 
-# the command
-
-
 def test_the_command(tmp_path, capsys, here):
     arguments = ("bench", "--estimators", "oee, own:guess", "--families", "machine,forest12", "--sizes", "3", "--seeds", 2,
                  "--jobs", 1, "--output", tmp_path / "out")  # fmt: skip
@@ -214,11 +211,8 @@ def test_the_command(tmp_path, capsys, here):
     assert "`oee bench --estimators oee, own:guess --sizes 3 --seeds 2 --families machine,forest12`" in page
     assert "| forest12 | Fires are twice as frequent as simulated. |" in page
     assert len(pd.read_csv(tmp_path / "out" / "cells.csv")) == 8
-    assert run_command(*arguments) == 0
-    assert "0 cells computed, 4 from the cache" in capsys.readouterr().out
     assert run_command(*arguments, "--seed", 3) == 2
     assert "holds results of other settings: seed 0 there, 3 asked" in capsys.readouterr().err
-    assert run_command(*arguments, "--seed", 3, "--fresh") == 0
 
 
 @pytest.mark.parametrize(

@@ -109,9 +109,6 @@ def test_a_table_by_name():
         experiments.table("estimands", repetitions=0)
 
 
-# ---- the command
-
-
 def test_the_list(capsys):
     assert run_command("reproduce", "--list") == 0
     printed = capsys.readouterr().out

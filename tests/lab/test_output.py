@@ -133,24 +133,6 @@ def test_another_statistic_other_rows_further_curves_and_a_slope(table):
     assert curves["n"].get_xdata()[0] == 20
 
 
-def test_a_logarithmic_axis_leaves_out_what_is_not_positive(table):
-    mixed = table.assign(error=table.error.where(table.n != 20, 0.0))
-    ax = draw(Panels("error", "name", log=True, axes={"ylim": (0.01, 10.0)}), mixed).axes[0]
-    assert (ax.get_yscale(), ax.get_xscale(), ax.get_ylim()) == ("log", "linear", (0.01, 10.0))
-    assert_array_equal(np.isnan(lines(ax)["first"].get_ydata()), [False, True, False])
-    assert np.isnan(lines(ax)["second"].get_ydata()).all()
-
-
-def test_panels_beside_each_other(table):
-    beside = Panels("spread", "name", title="spread at {case}")
-    both = Panels("error", "name", by=("case",), title="{case:g}: error", beside=[beside], columns=2)
-    figure = draw(both, table)
-    assert [ax.get_title() for ax in figure.axes] == ["0.5: error", "spread at 0.5", "0.25: error", "spread at 0.25"]
-    assert_allclose(lines(figure.axes[1])["first"].get_ydata(), [0.1, 0.05, 0.025])
-    three = draw(replace(both, beside=[beside, beside], columns=4), table)
-    assert [ax.get_visible() for ax in three.axes] == [True] * 6 + [False] * 2
-
-
 def test_findings(table):
     assert listed(pd.Series({"one": 0.0123, "two": 45.6})) == "0.012 (one), 46 (two)"
     assert (reach([0.5, 0.1, 0.3], percent), reach([0.5])) == ("10% to 50%", "0.5")

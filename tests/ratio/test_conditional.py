@@ -8,6 +8,7 @@ from scipy import sparse
 from scipy.special import gammaln
 
 import oee_tabular as oee
+from oee_tabular.ratio.prior.strength import StrengthChoice, meaning
 
 
 def test_the_tilt_s_prior_row_and_strength():
@@ -97,17 +98,22 @@ def test_kinds_of_rows_share_a_strength():
 
 
 def test_what_the_strength_means():
-    """From 50 transitions a row on the prior fits roughly, from 300 on it fits."""
-    few, many = np.array([[2, 1, 1]] * 9), np.array([[50, 30, 20]] * 9)
-    apart = np.array([[90, 5, 5], [5, 90, 5], [30, 10, 60]] * 3)
-    rows = np.tile([0.5, 0.3, 0.2], (9, 1))
-    assert of_rows(rows, many)["meaning"] == (
-        "the simulator fits: a row of it is worth any number of transitions, and the log has 100 in the median row"
-    )
-    assert of_rows(rows, apart)["meaning"].startswith("the simulator does not fit: a row of it is worth ")
-    assert of_rows(rows, few[:, :3] * 0 + [1, 0, 0])["meaning"] == (
-        "too few transitions to decide whether the simulator fits (1 in the median recorded row)"
-    )
+    """From 50 transitions a row on the prior fits roughly, from 300 on it fits; that of kinds, and too few to decide."""
+    n_row, flat, curve = np.array([0.0, 10.0, 20.0, 30.0]), np.zeros(3), np.array([0.0, 5.0, 0.0])
+
+    def words(strength, *kinds, curve=curve):
+        kinds = [(3, 60, 500.0), *kinds]
+        return meaning(StrengthChoice(n_row, strength, 0.0, "loo", flat, curve, kinds, flat), n_row, "tilt")
+
+    compared = "a row of it is worth {} transitions, and the log has 20 in the median row"
+    verdicts = {300.0: "fits", 299.0: "fits roughly", 50.0: "fits roughly", 49.0: "does not fit"}
+    for strength, verdict in verdicts.items():
+        assert words(strength) == f"the tilt {verdict}: {compared.format(int(strength))}"
+    assert words(300.0, (2, 40, 49.0)) == f"the tilt fits: {compared.format(300)}; but not in 2 of 5 rows"
+    assert "is worth any number of transitions" in words(1e8)
+    assert words(9.9e5) == "the tilt fits: " + compared.format("9.9e+05")
+    few = "too few transitions to decide whether the tilt fits (20 in the median recorded row)"
+    assert words(300.0, curve=flat + 0.5) == few
 
 
 # ---- block by block

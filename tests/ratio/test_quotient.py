@@ -64,6 +64,11 @@ def test_data_of_the_simulator():
         p = LOG.counts(3, 2, discount=discount).toarray().reshape(-1)
         moves, pairs = (oee.density_ratio(p.reshape(-1, k).sum(axis=1), q.reshape(-1, k).sum(axis=1)) for k in (1, 3))
         assert_allclose(exact.values.data, moves.ratio / np.repeat(pairs.ratio, 3), rtol=1e-9)
+    data = oee.sample_episodes(SIMULATOR, POLICY, 200, 8, seed=1)
+    given = oee.transition_ratio(LOG, SIMULATOR, simulator_data=data, discount=0.5, **options)
+    p, q = (each.counts(3, 2, discount=0.5).toarray().reshape(-1) for each in (LOG, data))
+    moves, pairs = (oee.density_ratio(p.reshape(-1, k).sum(axis=1), q.reshape(-1, k).sum(axis=1)) for k in (1, 3))
+    assert_allclose(given.values.data, moves.ratio / np.repeat(pairs.ratio, 3), rtol=1e-9)
     drawn, again, other = (oee.transition_ratio(LOG, SIMULATOR, seed=k, **options) for k in (3, 3, 4))
     assert_array_equal(drawn.values.data, again.values.data)
     assert np.abs(drawn.values.data - other.values.data).max() > 1e-3

@@ -262,9 +262,6 @@ def test_paths_that_cannot_be_written_are_refused_before_the_work(path, text, re
     assert re.search(text, capsys.readouterr().err)
 
 
-# what it was made from
-
-
 def problem(slip=0.3, seed=0, **options):
     log = oee.sample_transitions(oee.tasks.gridworld(3, 0.1), np.full((9, 4), 1 / 36), 60, seed=seed)
     return oee.Problem(oee.tasks.gridworld(3, slip), log, **options)
