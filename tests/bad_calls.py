@@ -289,7 +289,7 @@ Problem(GRID, sparse.csr_array(([0.5], ([0], [8])), (36, 9)))  ->  counts must s
 Problem(GRID, LOG, counts=GRID.transitions.sign() * 2.0**54)  ->  counts must be at most 2**53; at s=0, a=0 -> s'=0
 
 # estimators
-ImportanceSampling()(Problem(GRID, without("behavior_probability")), UNIFORM)  ->  importance sampling ...none; give Problem(behavior_policy
+ImportanceSampling()(Problem(GRID, without("behavior_probability")), UNIFORM)  ->  importance sampling needs ...Problem(behavior_pol
 ImportanceSampling()(Problem(GRID, NEVER), UNIFORM)  ->  log.behavior_probability must be positive for the actions taken
 ImportanceSampling()(Problem(GRID, without("behavior_probability"), 9, UP), UNIFORM)  ->  behavior_policy must be positive
 ImportanceSampling()(Problem(GRID, LOG.draw(5, seed=0)), UNIFORM)  ->  importance sampling needs whole ...Problem(episodes=
