@@ -131,7 +131,7 @@ ratio_of_ratios_variance(GRID, GRID, UNIFORM, EVEN, EVEN, rows="clipped")  ->  r
 ratio_of_ratios_variance(GRID, GRID, UNIFORM, EVEN, EVEN / 2)  ->  simulator_distribution must sum to 1
 ratio_of_ratios_variance(STIFF, GRID, UNIFORM, EVEN, EVEN)  ->  target must stay in the simulator's support
 trajectory_efficiency_bound(GRID, UNIFORM, UNIFORM, horizon=3, model="bush")  ->  model must be one of 'mdp', 'tree', 'stati
-trajectory_efficiency_bound(GRID, UP, UNIFORM, horizon=3)  ->  behavior_policy must take every ... in state 0 it never takes action 1 (
+trajectory_efficiency_bound(GRID, UP, UNIFORM, horizon=3)  ->  behavior_policy must ...in state 0 it never takes action 1
 transition_gradient(GRID, UNIFORM, values_of=mdp())  ->  values_of must have the model's states and actions, (9, 4)
 transition_gradient(GRID, UNIFORM, values_of=mdp(), horizon=3)  ->  values_of must have the model's states and actions
 solve_policy_system(np.eye(2), [1, 1], 0.5)  ->  kernel must be a sparse matrix
@@ -289,7 +289,7 @@ Problem(GRID, sparse.csr_array(([0.5], ([0], [8])), (36, 9)))  ->  counts must s
 Problem(GRID, LOG, counts=GRID.transitions.sign() * 2.0**54)  ->  counts must be at most 2**53; at s=0, a=0 -> s'=0
 
 # estimators
-ImportanceSampling()(Problem(GRID, without("behavior_probability")), UNIFORM)  ->  importance sampling needs ...Problem(behavior_pol
+ImportanceSampling()(Problem(GRID, without("behavior_probability")), UNIFORM)  ->  importance sampling needs ...give Problem
 ImportanceSampling()(Problem(GRID, NEVER), UNIFORM)  ->  log.behavior_probability must be positive for the actions taken
 ImportanceSampling()(Problem(GRID, without("behavior_probability"), 9, UP), UNIFORM)  ->  behavior_policy must be positive
 ImportanceSampling()(Problem(GRID, LOG.draw(5, seed=0)), UNIFORM)  ->  importance sampling needs whole ...Problem(episodes=

@@ -75,23 +75,6 @@ def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
     assert len({digest(arrays) for arrays in (one, *others, one | {"a": np.arange(4).reshape(2, 2)})}) == 6
 
 
-# ---- locks, workers
-
-
-@pytest.mark.parametrize("kind", ["link", "dangling link", "folder"])
-def test_a_lock_is_never_taken_through_a_link(tmp_path, kind):
-    from oee_tabular.lab.store import alone
-
-    precious, lock = tmp_path / "precious", tmp_path / "r" / ".lock"
-    lock.parent.mkdir()
-    precious.write_text("mine")
-    lock.mkdir() if kind == "folder" else lock.symlink_to(precious if kind == "link" else tmp_path / "nowhere")
-    with pytest.raises(ValueError, match=r"\.lock' must be a plain file"), alone(lock.parent):
-        pass
-    assert precious.read_text() == "mine"
-    assert not (tmp_path / "nowhere").exists()
-
-
 # ---- sparse matrices that are none
 
 

@@ -56,63 +56,9 @@ def test_single_precision_is_scaled():
         oee.policy_value(single, policy + 1e-7)  # double precision is taken at its word
 
 
-# ---------------------------------------------------------------- a new user's own problem, as they would type it
-
-
-def navigation(slip):
-    """A grid of 4 x 4 with a goal, its states called by their row and column, its actions by where they lead."""
-    grid, words = oee.tasks.gridworld(4, slip=slip), ["north", "east", "south", "west"]
-    return [f"r{s // 4}c{s % 4}" for s in range(16)], words, grid
-
-
-def recorded():
-    """What a robot wrote down: one move a row, places and actions by name, and columns that nobody needs."""
-    places, words, target = navigation(0.1)
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 60, horizon=40, seed=0)
-    return pd.DataFrame(
-        {
-            "when": pd.date_range("2026-01-01", periods=len(log), freq="s"),
-            "run": [f"run {k}" for k in log.episode],
-            "place": [places[s] for s in log.state],
-            "action": [words[a] for a in log.action],
-            "arrived": [places[s] for s in log.next_state],
-            "reward": log.reward,
-        }
-    )
-
-
-def a_navigation_grid():
-    places, words, grid = navigation(0.3)
-    moves, rewards, policy = grid.transitions, grid.transition_rewards, oee.tasks.gridworld_expert(4).argmax(axis=1)
-    table = recorded()
-    # theirs, from here on: arrays of the simulator, names, a DataFrame, a policy
-    simulator = oee.FiniteMDP(moves, rewards, places[0], 0.95, state_names=places, action_names=words)
-    log = oee.Transitions.from_frame(table, state="place", next_state="arrived", episode="run")
-    problem = oee.Problem(simulator, log, horizon=40)
-    return oee.interval(problem, {place: words[a] for place, a in zip(places, policy, strict=True)})
-
-
 def lines_of(function):
     text = inspect.getsource(function).split("# theirs")[1]
     return [line for line in text.splitlines()[1:] if line.strip()]
-
-
-def test_a_navigation_grid_with_places_in_a_data_frame():
-    """The interval is that of the same problem in numbers, holds the truth, and takes at most 8 lines."""
-    assert len(lines_of(a_navigation_grid)) <= 8
-    found = a_navigation_grid()
-    grid = navigation(0.3)[2]
-    target = navigation(0.1)[2]
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 60, horizon=40, seed=0)
-    expert = oee.tasks.gridworld_expert(4)
-    start = oee.FiniteMDP(grid.transitions, grid.transition_rewards, 0, 0.95)
-    same = oee.interval(oee.Problem(start, log, horizon=40), expert)
-    assert (found.lower, found.upper) == (same.lower, same.upper)
-    truth = oee.FiniteMDP(target.transitions, target.transition_rewards, 0, 0.95)
-    assert found.lower <= oee.policy_value(truth, expert, horizon=40) <= found.upper
-
-
-# ---------------------------------------------------------------- moves that the simulator rules out, a region never recorded
 
 
 def open_field(stall=0.0):

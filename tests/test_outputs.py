@@ -69,20 +69,6 @@ def test_a_hyphen_is_no_file(tmp_path, monkeypatch, capsys, line):
     assert [file.name for file in tmp_path.iterdir()] == ["log.csv"]
 
 
-def test_nor_are_a_log_of_states_and_a_plan_s_policy(tmp_path, capsys):
-    for name in ("log.csv", "plan.npy"):
-        (tmp_path / name).write_text("hours of work")
-    assert command(capsys, f"sample cartpole --episodes 1 --output {tmp_path}/log.csv")[0] == 2
-    assert command(capsys, f"{SAMPLE} {tmp_path}/log.npz")[0] == 0
-    plan = f"plan --simulator {GRID} --log {tmp_path}/log.npz --transitions 9 --output {tmp_path}/plan.npy"
-    code, _, said = command(capsys, plan)
-    assert code == 2
-    assert "plan.npy' exists already" in said
-    assert [(tmp_path / name).read_text() for name in ("log.csv", "plan.npy")] == ["hours of work"] * 2
-    assert command(capsys, f"{plan} --overwrite")[0] == 0
-    assert np.load(tmp_path / "plan.npy").shape == (9, 4)
-
-
 def test_a_link_stays_a_link(tmp_path, capsys):
     kept = tmp_path / "kept"
     kept.mkdir()

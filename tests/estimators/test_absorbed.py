@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.estimators import ModelBased, OffEnvironment
 from oee_tabular.exact import transition_gradient
-from oee_tabular.exact.occupancy import infinite_visits, time_in_pairs
 from oee_tabular.exact.system import DivergentKernelError
 
 
@@ -22,24 +21,6 @@ def ending(seed, n=8):
     level = oee.state_values(simulator, policy)
     bent = rows * np.exp(-0.5 * (level - level.mean()) / level.std())
     return simulator, simulator.with_transitions(bent / bent.sum(axis=2, keepdims=True)), policy
-
-
-def test_visits_by_hand_and_as_the_limit_of_a_horizon():
-    """0 to 1 or the end; 1 back to 0 or the end: v0 = 1 + v1 / 2, v1 = v0 / 2."""
-    rows = [[[0.0, 0.5, 0.5]], [[0.5, 0.0, 0.5]], [[0.0, 0.0, 1.0]]]
-    loop = oee.FiniteMDP(rows, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
-    assert_allclose(infinite_visits(loop, np.ones((3, 1))), [4 / 3, 2 / 3, 0.0], rtol=1e-12)
-    simulator, _, policy = ending(0)
-    long = oee.occupancy(simulator, policy, horizon=500)
-    assert_allclose(infinite_visits(simulator, policy)[:-1], 500 * long[:-1].sum(axis=1), rtol=1e-9)
-    time = time_in_pairs(simulator, policy, None)
-    assert_allclose(time[:-1], long[:-1] / long[:-1].sum(), rtol=1e-9)
-    assert time[-1].tolist() == [0, 0]
-    assert time_in_pairs(simulator.with_discount(0.9), policy, None).sum() == pytest.approx(1.0)
-    assert infinite_visits(simulator, policy)[-1] == 0
-    over = oee.FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 1.0)
-    assert infinite_visits(over, np.ones((1, 1))).tolist() == [0.0]
-    assert time_in_pairs(over, np.ones((1, 1)), None).tolist() == [[0.0]]
 
 
 def test_the_gradient_is_the_derivative_of_j():

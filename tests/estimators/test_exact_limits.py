@@ -9,11 +9,7 @@ from numpy.testing import assert_allclose
 from scipy import optimize, sparse
 
 import oee_tabular as oee
-from oee_tabular.estimators import (
-    DoublyRobust,
-    ImportanceSampling,
-    OffEnvironment,
-)
+from oee_tabular.estimators import DoublyRobust, ImportanceSampling, OffEnvironment
 
 HORIZON = 3
 

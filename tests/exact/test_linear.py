@@ -4,8 +4,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from helpers import random_mdp, random_policy, rngs
-from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import linalg, sparse
 from structures import STRUCTURES, grid, layered, random_rows
@@ -13,8 +11,7 @@ from structures import STRUCTURES, grid, layered, random_rows
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
 from oee_tabular.exact.linear import solve_policy_system
-from oee_tabular.exact.system import DivergentKernelError, policy_kernel
-from oee_tabular.exact.values import policy_rewards
+from oee_tabular.exact.system import DivergentKernelError
 
 
 def rational(matrix, b, gamma):
@@ -123,23 +120,6 @@ def test_a_matrix_by_columns_is_read_as_what_it_is():
     kernel = sparse.csr_array([[0.5, 0.5], [0.0, 1.0]])
     for form in (kernel, kernel.tocsc(), kernel.tocoo()):
         assert_allclose(solve_policy_system(form, np.array([1.0, 0.0]), 0.5).x, [4 / 3, 0.0], rtol=1e-15)
-
-
-@given(rngs)
-def test_the_policy_kernel_is_the_product(rng):
-    """Merged, sorted, without zeros: bit for bit what the sparse product gives."""
-    mdp = random_mdp(rng, n_states=int(rng.integers(1, 50)), zeros=float(rng.choice([0.0, 0.3, 0.9])))
-    policy = random_policy(rng, mdp)
-    n, m = mdp.n_states, mdp.n_actions
-    averaging = sparse.csr_array((policy.reshape(-1), np.arange(n * m), np.arange(n + 1) * m), shape=(n, n * m))
-    product = sparse.csr_array(averaging @ mdp.transitions)
-    product.sort_indices()
-    product.eliminate_zeros()
-    kernel = policy_kernel(mdp, policy)
-    assert kernel.has_canonical_format
-    for part in ("data", "indices", "indptr"):
-        assert_array_equal(getattr(kernel, part), getattr(product, part))
-    assert_allclose(policy_rewards(mdp, policy), np.einsum("sa,sa->s", policy, mdp.rewards), rtol=1e-14, atol=1e-14)
 
 
 def test_wide_index_arrays_and_unsorted_rows_are_taken():

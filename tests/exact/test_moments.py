@@ -140,10 +140,12 @@ def test_22_42_doubly_robust_moments_equal_enumeration(rng, action_baseline, own
     policy, zeta, horizon = random_policy(rng, simulator), ratio_of(rng, simulator), int(rng.integers(1, 4))
     baseline = rng.normal(size=(horizon + 1, simulator.n_states)) if own else None
     found = oee.doubly_robust_moments(
-        simulator, zeta, policy, baseline=baseline, horizon=horizon, action_baseline=action_baseline
+        simulator, zeta, policy, baseline=baseline, horizon=horizon, action_baseline=action_baseline, sources=True
     )
+    assert_allclose(found.by_step.sum(), found.variance, rtol=1e-9, atol=1e-12)
+    assert_allclose(found.by_step[0] + found.by_state.sum(), found.variance, rtol=1e-9, atol=1e-12)
     u = values_to_go(simulator, policy, horizon) if baseline is None else baseline.copy()
-    u[horizon] = 0
+    u[horizon] = 0  # row T is not used
     transitions, rewards = dense(simulator)
     over = simulator.absorbing()
     w = zeta.toarray().reshape(transitions.shape)

@@ -80,13 +80,6 @@ def test_peers_agree(name):
     chain = DiscreteDP((policy * mdp.rewards).sum(axis=1, keepdims=True), kernel[:, None, :], mdp.discount)
     peer = chain.evaluate_policy(np.zeros(mdp.n_states, dtype=int))
     assert_allclose(oee.state_values(mdp, policy), peer, rtol=0, atol=1e-9)
-    # occupancy of state s by the peer: mu_0 times the values of the reward 1{s}, for every s at once
-    share = oee.occupancy(mdp, policy, of="state")
-    for s in range(0, mdp.n_states, max(1, mdp.n_states // 8)):
-        unit = np.zeros((mdp.n_states, 1))
-        unit[s] = 1.0
-        visits = DiscreteDP(unit, kernel[:, None, :], mdp.discount).evaluate_policy(np.zeros(mdp.n_states, dtype=int))
-        assert_allclose(share[s], (1 - mdp.discount) * (mdp.initial @ visits), rtol=0, atol=1e-9)
 
 
 def test_at_discount_one_the_plan_starts_from_a_policy_that_is_absorbed():

@@ -138,20 +138,3 @@ def test_an_infinite_sum_has_the_shares_of_a_long_one(form, weights):
     assert endless.by_step is None
     assert endless.bias == 0.0
     assert_allclose(endless.variance - endless.by_state.sum(), long.by_step[0], rtol=1e-9)
-
-
-@pytest.mark.parametrize("form", [2, 3])
-@pytest.mark.parametrize("action_baseline", [False, True])
-def test_the_shares_of_doubly_robust_add_up(form, action_baseline):
-    simulator, target = environments(form)
-    zeta = oee.true_ratio(target, simulator)
-    found = oee.doubly_robust_moments(simulator, zeta, POLICY, horizon=3, action_baseline=action_baseline, sources=True)
-    assert_allclose(found.by_step.sum(), found.variance, rtol=1e-12)
-    assert_allclose(found.by_step[0] + found.by_state.sum(), found.variance, rtol=1e-12)
-    given_baseline = np.stack([oee.state_values(simulator, POLICY, horizon=3 - t) for t in range(3)] + [np.zeros(3)])
-    given_baseline[3] = 9.0  # row T is not used
-    again = oee.doubly_robust_moments(
-        simulator, zeta, POLICY, baseline=given_baseline, horizon=3, action_baseline=action_baseline
-    )
-    assert_allclose((again.mean, again.variance), (found.mean, found.variance), rtol=1e-12)
-    assert given_baseline[3, 0] == 9.0  # and the caller's array is the caller's

@@ -5,16 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import (
-    Dense,
-    dense,
-    dense_values,
-    environments,
-    random_mdp,
-    random_policy,
-    rngs,
-    survival_chain,
-)
+from helpers import Dense, dense, dense_values, environments, random_mdp, random_policy, rngs, survival_chain
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from helpers import dense, random_mdp, random_policy, rngs
+from helpers import random_mdp, random_policy, rngs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -264,21 +264,6 @@ def test_a_box_that_the_counts_contradict_is_refused_by_name():
             in found.status
         )
     assert oee.interval(oee.Problem(simulator, log), np.ones((2, 1)), lower_ratio=0.01, upper_ratio=2.0).status == "ok"
-
-
-@settings(max_examples=15)
-@given(rngs)
-def test_05_relabelling_leaves_intervals(rng):
-    simulator, _, problem, policy = case(rng, form=2)
-    states = rng.permutation(3)
-    rows = dense(simulator)[0][np.ix_(states, range(2), states)]
-    other = oee.FiniteMDP(rows, simulator.rewards[states], simulator.initial[states], 0.8)
-    names = np.argsort(states)
-    log = problem.log
-    moved = oee.Problem(other, oee.Transitions(names[log.state], log.action, names[log.next_state]))
-    for method in ("likelihood", "robust"):
-        one, two = oee.interval(problem, policy, method=method), oee.interval(moved, policy[states], method=method)
-        assert_allclose((two.lower, two.upper), (one.lower, one.upper), rtol=1e-6, atol=1e-6)
 
 
 def test_two_steps_that_never_succeeded_are_both_raised():

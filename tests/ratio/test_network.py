@@ -62,16 +62,6 @@ def test_a_full_batch_finds_the_optimum_of_a_class_that_holds_it(logs, activatio
     assert_allclose(found.values.data, best.values.data, rtol=0.02)
 
 
-@trained
-def test_training_stops_where_the_held_out_risk_has_no_new_least(logs):
-    found = fit(logs, patience=3, n_iterations=20_000, batch_size=64)
-    for beta in found.details["beta"]:
-        held = beta.details["held_out_risk"]
-        assert len(held) == len(beta.trace.iteration) < 201
-        assert np.argmin(held) == len(held) - 4
-        assert beta.status == f"trained for {beta.trace.iteration[-1]} iterations"
-
-
 # ---- row by row, the simulator known ------------------------------------------------------------------------------------
 
 

@@ -64,14 +64,7 @@ def test_no_mass_left_in_a_row():
         fit_tied(counts, simulator, np.array([0, 1, 1]), strength=0.0)
 
 
-def test_transition_ratio_takes_a_tie():
-    """As an array or a function, with or without the method's name; a discount weights the log's moves."""
-    counts = 100 * TARGET.transitions
-    expected = fit_tied(counts, SIMULATOR, displacement, strength=3.0)
-    for options in ({"tie": displacement}, {"tie": displacement, "method": "tied", "strength": 3.0}):
-        found = transition_ratio(counts, SIMULATOR, **options)
-        assert found.method == "tied"
-        assert_allclose(found.values.data, expected.values.data, rtol=0, atol=0)
+def test_a_discount_weights_the_log_s_transitions():
     log = oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 50, 20, seed=0)
     fit = transition_ratio(log, SIMULATOR, tie=displacement, discount=0.5)
     by_hand = fit_tied(

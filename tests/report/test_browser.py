@@ -73,20 +73,6 @@ def test_axe_would_find_a_picture_without_a_name(browser, axe):  # noqa: F811
     page.close()
 
 
-def test_ink_and_ground_follow_the_scheme(browser, pages):  # noqa: F811
-    colors = {}
-    for scheme in SCHEMES:
-        page, _, _ = opened(browser, pages["lake"], 400, scheme)
-        colors[scheme] = page.evaluate(
-            """() => [getComputedStyle(document.body).backgroundColor, getComputedStyle(document.body).color,
-                getComputedStyle([...document.querySelectorAll('svg.plot text')].find(e => e.textContent === 'oee')).fill]"""
-        )
-        page.context.close()
-    assert colors["light"][0] != colors["dark"][0]
-    for scheme in SCHEMES:
-        assert colors[scheme][1] == colors[scheme][2]  # letters in pictures are the page's
-
-
 def test_everything_is_reached_by_keyboard(browser, pages):  # noqa: F811
     page, _, _ = opened(browser, pages["lake"], 400, "light")
     wanted = page.evaluate("document.querySelectorAll('a[href], summary, [tabindex=\"0\"]').length")
