@@ -93,13 +93,3 @@ def test_a_state_that_is_over_lies_beneath_the_one_at_its_place():
     assert found.place(4) is None
     drawn = plots.plot_occupancy([0.3, 0.3, 0.4, 0, 0], found, Figure().subplots(), over=[0, 0, 0, 0, 1])
     assert words(drawn) == {(0, 0): "30", (0, 1): "30", (1, 1): "40"}
-
-
-def test_the_page_draws_them():
-    simulator = corridor()
-    log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 20, 20, seed=0)
-    page = oee.evaluate(oee.Problem(simulator, log), oee.optimal_policy(simulator), seed=0).to_html()
-    assert (
-        "A grid of 3 rows and 2 columns. The log has transitions from 4 of the 4 states that are not terminal" in page
-    )
-    assert "state (0, 1) (row 0, column 1)" in page

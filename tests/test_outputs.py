@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers import run_command
-from kernels.files import csv_bytes
 
 import oee_tabular as oee
 from oee_tabular.lab.store import LOCK, Store, alone
@@ -140,12 +139,6 @@ def test_names_are_no_formulas_in_a_spreadsheet(tmp_path):
         cells = [cell for row in csv.reader(handle) for cell in row]
     assert len(cells) == table.shape[1] * (len(table) + 1)
     assert not [cell for cell in cells if cell.startswith(("=", "@", "+"))]
-
-
-def test_numbers_and_their_signs_stay():
-    frame = pd.DataFrame({"=name": ["-a", None], "x": [-1.5, np.nan], "n": [-1, 2]})
-    assert csv_bytes(frame) == b"'=name,x,n\n'-a,-1.5,-1\n,,2\n"
-    assert list(frame.columns) == ["=name", "x", "n"]
 
 
 # ---- two commands in one folder

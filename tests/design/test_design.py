@@ -175,32 +175,6 @@ def test_every_plan_keeps_its_certificate(rng):
                 assert plan.inefficiency * (1 - plan.gap) <= inefficiency(plan, q) * (1 + 1e-9)
 
 
-def bound(q):
-    return oee.efficiency_bound(TARGET, POLICY, q) * SCALE
-
-
-def test_known_figures():
-    """n Var (1 - g)^2: uniform .1732, on-policy .0445, planned in the simulator .0436, oracle flow .0432, free .0405."""
-    world = collection_mdp(TARGET, 0.05, restart_costs_a_move=True)
-    options = {"n": 1000, "sampling": "behavior", "restart_costs_a_move": True}
-    planned = plan_data_collection(SIMULATOR, POLICY, **options)
-    oracle = plan_data_collection(SIMULATOR, POLICY, model=TARGET, **options)
-    found = [
-        bound(oee.occupancy(world, oee.uniform_policy(TARGET))),
-        bound(oee.occupancy(world, POLICY)),
-        bound(oee.occupancy(world, planned.behavior_policy)),
-        bound(oracle.distribution),
-        bound(plan_data_collection(SIMULATOR, POLICY, n=1000, model=TARGET).distribution),
-    ]
-    assert_allclose(found, [0.1732, 0.0445, 0.0436, 0.0432, 0.0405], atol=6e-5)
-    assert_allclose(oracle.free_inefficiency, found[3] / found[4], rtol=1e-9)
-    assert_allclose(oracle.policies[0].variance_after * 1000 * SCALE, found[3], rtol=1e-9)
-    conic = plan_data_collection(SIMULATOR, POLICY, model=TARGET, solver="CLARABEL", **options)
-    assert conic.solver == "CLARABEL"
-    assert conic.gap < 1e-6
-    assert 0 <= oracle.free_inefficiency - conic.free_inefficiency <= oracle.gap * oracle.free_inefficiency + 1e-6
-
-
 def test_sequential_use():
     """Recording what a plan says leads to the error that it foretold, and a plan in two halves is the plan of the whole."""
     first = plan_data_collection(SIMULATOR, POLICY, n=4000)

@@ -1,8 +1,6 @@
 """``Problem(counts=...)``: counts of the target's moves that stand in for the log's."""
 
 import functools
-import pickle
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,14 +52,6 @@ def test_a_file_of_counts_is_a_log_like_any_other(tmp_path):
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(ValueError, match=r"counts\.npz"):
         oee.Problem(SIMULATOR, str(path))
-
-
-def test_copies_keep_what_was_given_and_no_more():
-    given, plain = oee.Problem(SIMULATOR, LOG, counts=SOFT), oee.Problem(SIMULATOR, LOG)
-    assert_allclose(replace(given, horizon=5).counts.sum(), SOFT.sum())
-    assert_allclose(replace(given, counts=COUNTS).counts.sum(), len(LOG))
-    assert replace(plain, log=MORE).counts.sum() == len(MORE)
-    assert_allclose(pickle.loads(pickle.dumps(given)).counts.toarray(), SOFT.toarray())
 
 
 def test_they_are_copied_and_read_only():

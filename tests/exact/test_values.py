@@ -1,7 +1,4 @@
-import inspect
-import sys
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +10,6 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
-
-CHECKS = ("_checks.py", "policies.py")
 
 
 @pytest.mark.parametrize("seed", range(200))
@@ -226,27 +221,3 @@ def test_the_error_bound_counts_the_rounding_of_the_policys_rows(which):
         pay = sum(a * Fraction(r) for a, r in zip(act, rewards[state].tolist(), strict=True))
         missed.append(abs(Fraction(float(found.values[state])) - pay / (1 - gamma * sum(act))))
     assert Fraction(found.error_bound) / 10**5 < max(missed) <= Fraction(found.error_bound)
-
-
-@pytest.mark.large
-def test_the_way_of_a_value_is_short():
-    """Functions of the package that one call passes, checks and kernels apart: 20 in 9 files, so that a reader can follow."""
-    mdp = oee.tasks.gridworld(40, 0.3)
-    policy = oee.uniform_policy(mdp)
-    value, passed = oee.policy_value(mdp, policy), set()
-
-    def look(frame, event, argument):
-        path, owner = Path(frame.f_code.co_filename), type(frame.f_locals.get("self"))
-        is_method = inspect.isfunction(getattr(owner, frame.f_code.co_name, len)) and frame.f_code.co_name != "suits"
-        is_function = "self" not in frame.f_locals and frame.f_locals  # kernels show no arguments
-        if event == "call" and "oee_tabular" in path.parts and path.name not in CHECKS and (is_method or is_function):
-            passed.add((path, frame.f_code.co_qualname))
-
-    sys.setprofile(look)
-    try:
-        again = oee.policy_value(mdp, policy)
-    finally:
-        sys.setprofile(None)
-    assert again == value
-    assert 5 < len(passed) <= 20
-    assert len({path for path, _ in passed}) <= 9

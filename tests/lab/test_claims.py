@@ -7,18 +7,12 @@ from numpy.testing import assert_allclose
 from saved_results import saved
 
 import oee_tabular as oee
-from oee_tabular.lab import experiments
 from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.experiments.common import grids
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 PAGES = " ".join(" ".join((NOTEBOOKS / f"{page}.md").read_text().split()) for page in ("promises", "paper", "guide"))
 LIKELIHOOD = "maximum likelihood"
-
-
-def computed(name, seed=1, **options):
-    """A few cells, of another seed than the saved ones."""
-    return experiments.table(name, seed=seed, **options)
 
 
 def rmse(table, *keys):
@@ -119,15 +113,6 @@ def test_the_rate_is_a_half():
         f"The default's error is {span(share, '.2f')} of maximum likelihood's at every n, its slopes "
         f"{span(slopes[:, :, 'default'], '.2f')}" in PAGES
     )
-
-
-def test_the_rate_computed():
-    table = computed("rate", seed=2, data="uniform", n=(10_000, 100_000), repetitions=3)
-    slopes = fitted_slopes(table.assign(square=table.zeta_error**2), "square", start=0)
-    assert_allclose(slopes["uniform", :, LIKELIHOOD], -0.5, atol=0.04)
-    error = rmse(table, "ratio", "n")
-    assert (error["default"] <= 0.9 * error[LIKELIHOOD]).all()
-    assert error[LIKELIHOOD, 100_000] < 0.5 * error[LIKELIHOOD, 10_000]
 
 
 def of_maximum_likelihood(table):

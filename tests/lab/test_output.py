@@ -119,20 +119,6 @@ def test_a_panel_for_each_group_and_a_point_for_the_mean_of_its_rows(table):
     assert_allclose([edges[:, 1].min(), edges[:, 1].max()], [8 / 40, 3 * 8 / 10])  # the smallest and the largest row
 
 
-def test_another_statistic_other_rows_further_curves_and_a_slope(table):
-    panel = Panels(
-        "error", "name", how="max", only=lambda rows: rows[rows.n > 10], extra={"spread": "spread"}, slope=-1.0,
-        beneath=lambda ax, rows: ax.axvline(rows.n.min(), label="n"),
-    )  # fmt: skip
-    curves = lines(draw(panel, table).axes[0])
-    assert list(curves) == ["n", "slope -1", "first", "second", "spread"]
-    assert_array_equal(curves["first"].get_xdata(), [20, 40])
-    assert_allclose(curves["first"].get_ydata(), [1.2, 0.6])
-    assert_allclose(curves["slope -1"].get_ydata(), [1.2, 0.6])
-    assert_allclose(curves["spread"].get_ydata(), [1 / 20, 1 / 40])
-    assert curves["n"].get_xdata()[0] == 20
-
-
 def test_findings(table):
     assert listed(pd.Series({"one": 0.0123, "two": 45.6})) == "0.012 (one), 46 (two)"
     assert (reach([0.5, 0.1, 0.3], percent), reach([0.5])) == ("10% to 50%", "0.5")

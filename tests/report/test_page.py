@@ -329,13 +329,6 @@ def test_the_page_s_command_runs_and_gives_the_page_s_advice(tmp_path, monkeypat
     assert advice.replace("'", "&#39;") in text
 
 
-def test_from_python_the_page_names_the_call():
-    report = oee.evaluate(problem(), EXPERT, estimators=["oee"])
-    assert page.plan_command(report) == "oee.plan_data_collection(problem, {'expert': ...}, n=60)"
-    told = oee.evaluate(problem(), EXPERT, estimators=["oee"], facts={"simulator_name": "cartpole"})
-    assert page.plan_command(told) == ""
-
-
 def test_the_answer_is_one_sentence_with_the_one_interval_beside_the_simulator():
     report = oee.evaluate(problem(), EXPERT, estimators=["simulator", "oee"])
     sure = report.uncertainty.intervals["expert"]["likelihood"]

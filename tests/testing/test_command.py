@@ -182,9 +182,3 @@ def test_usage_errors_are_one_line_and_exit_code_2(capsys, here):
     code, out, err = run(capsys, f"{here}:number")
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert re.match("oee: .*got int", err)
-
-
-def test_a_negative_seed_is_a_usage_error(capsys, here):
-    code, _, err = run(capsys, f"{here}:Mine", "--seed", "-1")
-    assert code == 2
-    assert re.search("'--seed': .*(greater than or equal to 0|x>=0)", err)
