@@ -13,7 +13,6 @@ from oee_tabular.design.programs import collection_mdp
 from oee_tabular.tasks.gridworld import gridworld_policy
 
 few = settings(max_examples=25, deadline=None)
-SCALE = 0.05**2  # (1 - discount)^2 of the grid
 
 
 def small_grid(slip):
