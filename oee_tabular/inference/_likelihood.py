@@ -223,10 +223,13 @@ def tilt(tau, moving, rows, v, best, curvature, p):
     total, growth, phat = 0.0, 0.0, rows.phat
     for r in moving:
         start, stop, slope, top = rows.indptr[r], rows.indptr[r + 1], tau / rows.n[r], best[r]
+        excess = slope * v[top] - 1.0
+        if curvature[r] == 0.0 and excess <= 0.0:  # v is 0 at all that was observed, as where that is one next state
+            p[start:stop] = phat[start:stop]
+            continue
         e = find_root(start, stop, phat, v, slope, tau * tau * curvature[r])
         if e > 0.0:
             curvature[r] = e / (tau * tau)
-        excess = slope * v[top] - 1.0
         is_new = phat[top] == 0.0 and excess > e
         if is_new:
             e = excess
