@@ -33,7 +33,7 @@ SUMMARY = {
     "millions": "jobs",
 }  # fmt: skip
 TASKS = SUMMARY | {
-    "calls": "summary", "values": "values", "regimes": "values", "horizon": "values", "planning": "values",
+    "values": "values", "regimes": "values", "horizon": "values", "planning": "values",
     "graphs": "values", "ratio": "jobs",
 }  # fmt: skip
 LEAST, MOST = 3, 200  # times that a program is timed

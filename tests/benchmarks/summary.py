@@ -1,4 +1,4 @@
-"""Values, occupancies, estimates and reports where users wait or a peer is ahead; calls of ``exact`` on small MDPs."""
+"""Values, occupancies, estimates and reports where users wait or a peer is ahead."""
 
 from functools import partial
 
@@ -10,7 +10,6 @@ from speed import compare
 from values import ITERATIVE, SPSOLVE, evaluate, form
 
 import oee_tabular as oee
-from oee_tabular import exact
 from oee_tabular.estimators import OffEnvironment
 from oee_tabular.tasks import gridworld, gridworld_policy
 
@@ -92,29 +91,3 @@ def reports(*, quick):
     }
     for name, call in calls.items():
         yield from compare("reports", f"{name}, {n} states", {"ours": call})
-
-
-# ---- calls of exact
-
-
-def calls(*, quick):
-    """Calls of ``exact`` at 4 and 1000 states."""
-    for n in (4,) if quick else (4, 1_000):
-        mdp = mdps.garnet(n, entries=min(n, 5), discount=0.95)
-        policy, zeta = oee.uniform_policy(mdp), oee.true_ratio(mdp, mdp)
-        share = np.full(mdp.rewards.shape, 1 / mdp.rewards.size)
-        for name, call in {
-            "FiniteMDP": partial(oee.FiniteMDP, mdp.transitions, mdp.rewards, mdp.initial, mdp.discount),
-            "policy_value": partial(oee.policy_value, mdp, policy),
-            "policy_value, horizon 20": partial(oee.policy_value, mdp, policy, horizon=20),
-            "state_values": partial(oee.state_values, mdp, policy),
-            "action_values": partial(oee.action_values, mdp, policy),
-            "occupancy": partial(oee.occupancy, mdp, policy),
-            "optimal_policy": partial(oee.optimal_policy, mdp),
-            "return_moments": partial(oee.return_moments, mdp, policy, horizon=20),
-            "weighted_return_moments": partial(oee.weighted_return_moments, mdp, zeta, policy, horizon=20),
-            "policy_is_moments": partial(oee.policy_is_moments, mdp, policy, policy, horizon=20),
-            "efficiency_bound": partial(oee.efficiency_bound, mdp, policy, share),
-            "transition_gradient": partial(exact.transition_gradient, mdp, policy),
-        }.items():
-            yield from compare("exact", f"{name}, {n} states", {"ours": call}, repeat=1 + 400 // n, seconds=0.3)

@@ -179,7 +179,6 @@ CHOICES = {  # kernel, discounts, methods
     "long rows, whose rounding is large": (dense_rows, (0.99, 0.99999), {"value iteration"}),
     "blocks": (blocks, (0.99, 0.99999), {"BiCGSTAB"}),
     "two next states": (lambda: random_rows(3000, 2), (0.9, 0.9999), {"BiCGSTAB", "value iteration"}),
-    "three next states": (lambda: random_rows(3000, 3), (0.9, 0.9999), {"BiCGSTAB", "value iteration"}),
     "dense halves": (dense_halves, (1 - 1e-9,), {"BiCGSTAB", "dense LU", "sparse LU"}),
     "ring": (lambda: cycle(500), (0.99,), {"LU in a band"}),
     "layers": (lambda: layered(40, 4), (0.99,), {"LU in a band"}),

@@ -329,23 +329,6 @@ def test_the_page_s_command_runs_and_gives_the_page_s_advice(tmp_path, monkeypat
     assert advice.replace("'", "&#39;") in text
 
 
-def test_the_answer_is_one_sentence_with_the_one_interval_beside_the_simulator():
-    report = oee.evaluate(problem(), EXPERT, estimators=["simulator", "oee"])
-    sure = report.uncertainty.intervals["expert"]["likelihood"]
-    assert report.answer == report.headline
-    assert re.fullmatch(
-        r"In the target, the policy “expert” is worth about −[\d.]+ \(95% interval: −[\d.]+ to −[\d.]+\); the simulator says "
-        r"−[\d.]+\.",
-        report.answer,
-    )
-    assert f"{sure.lower:.2f}"[1:5] in report.answer
-    text = report.to_html()
-    above = text[text.index('id="answer"') : text.index('id="values"')]
-    assert "^" not in above
-    assert "* reward" not in above
-    assert text.index('id="changes"') < text.index('id="coverage"')
-
-
 def test_importance_sampling_without_weight_is_left_out_of_the_default_table():
     target = oee.tasks.gridworld(3, 0.1)
     log = oee.sample_episodes(target, oee.uniform_policy(target), 3, 40, seed=0)
