@@ -1,9 +1,10 @@
-"""What several tests need: random MDPs, dense oracles that share no code with the package, and its full enumeration."""
+"""What several tests need: random MDPs, dense oracles that share no code with the package, full enumeration, pages."""
 
 import copy
 import os
 import subprocess
 import sys
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -212,3 +213,37 @@ def tiny(seed, moves=25, left_out=(), form="sa", n_states=3, n_actions=2, discou
     share.reshape(-1)[list(left_out)] = 0.0
     log = sample_transitions(target, share / share.sum(), moves, seed=seed)
     return simulator, target, log, rng.dirichlet(np.ones(n_actions), size=n_states)
+
+
+VOID = {"meta", "link", "br", "hr", "img", "input"}
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, texts, and whether every tag is closed in its place."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.open, self.words = [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]

@@ -1,9 +1,8 @@
 """How results print: units and normalisation are named, in a terminal and in a notebook, and everything is escaped."""
 
-from html.parser import HTMLParser
-
 import numpy as np
 import pytest
+from helpers import Page
 
 import oee_tabular as oee
 from oee_tabular.estimators import Estimate
@@ -51,30 +50,13 @@ RESULTS = {
 }  # fmt: skip
 
 
-class Tags(HTMLParser):
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.seen, self.words = [], set(), []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.open.append(tag)
-        self.seen.add(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
-
-
 @pytest.mark.parametrize("name", RESULTS)
 def test_in_a_notebook(name):
     make, unit = RESULTS[name]
-    parsed = Tags(make()._repr_html_())
+    parsed = Page(make()._repr_html_())
     assert parsed.open == []
-    assert parsed.seen <= {"div", "table", "caption", "thead", "tbody", "tr", "th", "td", "p", "pre"}
+    seen = {tag for tag, _ in parsed.tags}
+    assert seen <= {"div", "table", "caption", "thead", "tbody", "tr", "th", "td", "p", "pre"}
     assert unit in "".join(parsed.words)
 
 
