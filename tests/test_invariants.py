@@ -49,7 +49,7 @@ def test_04_shaping(rng):
 
 @given(rngs)
 def test_05_relabelling(rng):
-    """States and actions in another order: J, the bound, and the tilt's estimate (the default's: ratio/test_centre.py)."""
+    """States and actions in another order: J, the bound, and the tilt's estimate (the default's: ratio/test_prior.py)."""
     simulator, target = pair(rng, n_states=4, n_actions=2, form=2)
     policy = random_policy(rng, simulator)
     states, actions = rng.permutation(4), rng.permutation(2)

@@ -96,20 +96,6 @@ def test_the_gradient_is_the_derivative(rng):
     assert_allclose(gradient @ direction.reshape(-1), numeric, rtol=1e-5, atol=1e-5)
 
 
-@given(rngs)
-def test_the_simulation_lemma_in_both_forms(rng):
-    """Statement 27: J' - J = g/(1-g) <d', (P' - P) V> = g/(1-g) <d, (P' - P) V'> for r(s, a)."""
-    simulator = random_mdp(rng, form=2)
-    target = random_mdp(rng, like=simulator)
-    policy = random_policy(rng, simulator)
-    difference = oee.policy_value(target, policy) - oee.policy_value(simulator, policy)
-    change = target.transitions - simulator.transitions
-    factor = simulator.discount / (1 - simulator.discount)
-    for measured, valued in ((target, simulator), (simulator, target)):
-        move = oee.occupancy(measured, policy).reshape(-1) @ (change @ oee.state_values(valued, policy))
-        assert_allclose(factor * move, difference, rtol=0, atol=1e-8)
-
-
 def test_unnormalised_kernels_diverge_with_their_radius():
     """1.15 P at discount 0.9 has a radius of 1.035."""
     mdp = random_mdp(np.random.default_rng(3), n_states=4, n_actions=2, discount=0.9, form=2)
