@@ -342,7 +342,7 @@ def test_a_dask_cluster_gives_the_same_bits(tmp_path):
     distributed = pytest.importorskip("distributed")
     folder = written(tmp_path / "a")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
     ) as cluster:
         found = Transitions.open(folder, dask=cluster.scheduler_address)
     same(found, Transitions.open(folder))

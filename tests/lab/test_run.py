@@ -37,7 +37,7 @@ def test_a_dask_cluster_gives_the_same_files(tmp_path, serial):
     distributed = pytest.importorskip("distributed")
     settings, expected = serial
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
     ) as cluster:
         assert bytes_of(tmp_path / "dask", settings, dask=cluster.scheduler_address) == expected
 
