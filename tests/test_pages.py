@@ -24,7 +24,10 @@ def command(line):
 
 
 def run(text, capsys, **names):
-    """Every block in turn, in one name space; each text must be what the last line before it printed."""
+    """Every block in turn, in one name space; each text must be what the last line before it printed.
+
+    A block of Python whose first line names a file is that file.
+    """
     printed = ""
     for kind, block in BLOCK.findall(text):
         if kind == "text":
@@ -33,7 +36,9 @@ def run(text, capsys, **names):
             capsys.readouterr()
             command(line)
             printed = capsys.readouterr().out
-        if kind == "python":
+        if named := re.match(r"# (\w+\.py)\n", block):
+            Path(named[1]).write_text(block)
+        elif kind == "python":
             capsys.readouterr()
             exec(compile(block, "page", "exec"), names)
             printed = capsys.readouterr().out
@@ -59,6 +64,7 @@ def test_the_guide_prints_what_it_shows(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("heading", sections("how_to"))
 def test_every_how_to_runs(heading, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
     text = sections("how_to")[heading]
     assert BLOCK.search(text)
     run(text, capsys)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import BadPolicy, StatePolicy, ask_policy
+from oee_tabular.continuous.task import BadPolicy, ask_policy
 
 LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
 MOST = 1000  # commands
@@ -79,7 +80,7 @@ def commands_of(log: ContinuousTransitions) -> Any:
     return found.tolist() if len(found) <= FEW else None
 
 
-def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> StatePolicy:
+def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
     """A policy that may say, for states (n, d), probabilities (n, A), action numbers (n,) or commands (n, k).
 
     A command between those of a product grid is shared out among its neighbours so that its mean is kept; elsewhere the nearest
@@ -90,28 +91,58 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> StatePol
     >>> brake = as_probabilities(lambda states: -states, np.array([[-1.0], [0.0], [1.0]]))
     >>> brake(np.array([[0.25], [4.0]])).tolist()
     [[0.25, 0.75, 0.0], [1.0, 0.0, 0.0]]
+    >>> brake.rounding(np.array([[0.25], [4.0]]))  # 0.25 becomes 0 or 1, and 4 is cut
+    (0.4330127018922193, 0.5)
     """
     _checks.function(policy, "policy")
-    n_actions = len(actions)
+    return policy if isinstance(policy, CommandPolicy) else CommandPolicy(policy, actions)
 
-    def probabilities(states: Array) -> Array:
-        found = np.asarray(ask_policy(policy, states))
-        if found.shape == (len(states), n_actions):
-            return found
-        if actions.ndim == 1 and found.shape == (len(states),) and found.dtype.kind in "iu":
-            bad = np.flatnonzero((found < 0) | (found >= n_actions))
+
+@dataclass(frozen=True, eq=False)
+class CommandPolicy:
+    """``policy`` of states as probabilities of ``actions``; made by ``as_probabilities``."""
+
+    policy: Callable[[Array], Any]
+    actions: Array
+
+    def __call__(self, states: Array) -> Array:
+        """(n, A) probabilities, where the policy gives anything else that is none what it gives."""
+        found, actions = np.asarray(ask_policy(self.policy, states)), self.actions
+        if found.shape != (len(states), len(actions)) and actions.ndim == 1:
+            if found.shape != (len(states),) or found.dtype.kind not in "iu":
+                return found
+            bad = np.flatnonzero((found < 0) | (found >= len(actions)))
             if bad.size:
-                raise BadPolicy(f"policy(states)[{bad[0]}] must be in 0..{n_actions - 1}; it is {found[bad[0]]}")
-            return np.asarray(np.eye(n_actions)[found])
+                raise BadPolicy(f"policy(states)[{bad[0]}] must be in 0..{len(actions) - 1}; it is {found[bad[0]]}")
+            return np.asarray(np.eye(len(actions))[found])
+        commands = self._commands(found, len(states))
+        return found if commands is None else _interpolate_weights(commands, actions)
+
+    def rounding(self, states: Array) -> tuple[float, float]:
+        """How far the actions are from the policy's commands (root mean square), and the share beyond their range.
+
+        Commands beyond the range are cut to it first; (0, 0) where the policy gives no commands.
+        """
+        commands = self._commands(np.asarray(ask_policy(self.policy, states)), len(states))
+        if commands is None:
+            return 0.0, 0.0
+        inside = np.clip(commands, self.actions.min(axis=0), self.actions.max(axis=0))
+        weights = _interpolate_weights(inside, self.actions)
+        squares = weights @ (self.actions**2).sum(axis=1) + (inside * (inside - 2.0 * weights @ self.actions)).sum(
+            axis=1
+        )
+        return float(np.sqrt(max(0.0, squares.mean()))), float((commands != inside).any(axis=1).mean())
+
+    def _commands(self, found: Array, n: int) -> Array | None:
+        """(n, k) the commands that a policy gave; None where it gave something else."""
         commands = found[:, None] if found.ndim == 1 else found
-        if actions.ndim == 1 or commands.shape != (len(states), actions.shape[1]):
-            return found
+        is_other = self.actions.ndim == 1 or found.shape == (n, len(self.actions))
+        if is_other or commands.shape != (n, self.actions.shape[1]):
+            return None
         odd = np.flatnonzero(~np.isfinite(commands).all(axis=1))
         if odd.size:
             raise BadPolicy(f"policy(states)[{odd[0]}] must be finite; it is {found[odd[0]]}")
-        return _interpolate_weights(commands.astype(np.float64), actions)
-
-    return probabilities
+        return commands.astype(np.float64)
 
 
 def _interpolate_weights(commands: Array, actions: Array) -> Array:

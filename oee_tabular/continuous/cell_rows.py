@@ -31,7 +31,7 @@ from oee_tabular.exact import policy_value
 from oee_tabular.ratio import transition_ratio, uncovered_share
 
 MAX_LEFT_OUT = 0.01  # share of the log's transitions without support that the rows on the cells may leave out
-CALIBRATED_FAR = "calibration moves the value by {}: rely on the corrected simulator rather than on either."
+CALIBRATED_FAR = "calibration changes the value by {}. Rely on the corrected simulator instead."
 
 
 class NoCellsError(ValueError):
@@ -93,7 +93,7 @@ def calibrated_row(raw: Estimate, outside: MonteCarlo, below: float, kind: str, 
     told = list(found.findings)
     apart, own = abs(raw.value - value), abs(outside.value - below)
     if apart > 1.01 * own + 2.0 * outside.standard_error:  # calibration takes out more than was put in
-        figure = f"{apart * scale:.3g}, more than the cells move the simulator's own value, {own * scale:.3g}"
+        figure = f"{apart * scale:.3g}, and the cells change the simulator's own value by {own * scale:.3g} alone"
         told.append(Finding("calibrated far", apart * scale, CALIBRATED_FAR, figure))
     ends = None if found.interval is None or error is None else (value - QUANTILE * error, value + QUANTILE * error)
     return replace(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _progress
 from oee_tabular._checks import Seed
 from oee_tabular.continuous import sentences
 from oee_tabular.continuous.history import MAX_LAG, HistoryTask
@@ -127,9 +127,11 @@ def _with_history(
     """The correction without history, that with the best (or given) one, and how many actions that has."""
 
     def learn(steps: int) -> ResidualSimulator:
+        _progress.report_step(f"correction with {steps} earlier action{'s' * (steps > 1)} in the state")
         whole = HistoryTask(task, steps)
         return ResidualSimulator(whole, whole.log(log), seed=seed)
 
+    _progress.report_step("correction of the simulator by the log")
     plain = ResidualSimulator(task, log, seed=seed)
     if isinstance(history, int):
         return plain, learn(history) if history else plain, history

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from oee_tabular import _checks
+from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.actions import as_probabilities
@@ -36,7 +36,7 @@ from oee_tabular.continuous.rows import (
     refuse_impossible,
     sampling_rows,
 )
-from oee_tabular.continuous.sentences import add_features, difference, name_loss, rewards_contradict
+from oee_tabular.continuous.sentences import add_features, difference, name_loss, rewards_contradict, rounding
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, require_log_of
 from oee_tabular.estimators import Estimate, Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
@@ -49,9 +49,11 @@ from oee_tabular.report.uncertainty import Uncertainty, choose_interval
 CALIBRATIONS = (*KINDS, "none")
 SIMULATOR = "simulator (continuous)"
 LINEAR = "linear model of the log"
+MAX_ASKED = 1000  # states of the log in which a policy's commands are compared with those that are played
 
 
 @one_thread
+@_progress.show_steps(only_terminal=True)
 def evaluate_continuous(
     simulator: ContinuousSimulator | ContinuousTask,
     log: ContinuousTransitions,
@@ -140,7 +142,8 @@ def evaluate_continuous(
     functions: dict[str, StatePolicy] = {}
     for name, policy in policies.items():
         if callable(policy):
-            functions[name] = as_probabilities(policy, given.task.actions)
+            functions[name] = rounded = as_probabilities(policy, given.task.actions)
+            said += filter(None, [rounding(name, len(rounded.actions), *rounded.rounding(log.state[:MAX_ASKED]))])
         elif cells is None:
             raise ValueError(f"policy {name!r} must be a function of states: there are no cells to be an array on")
         if cells is not None:
@@ -287,10 +290,10 @@ def _report_rows(
         raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
     _checks.boolean(quick, "quick")
     scale = 1.0 - discount if normalized else 1.0
-    results = [
-        Result(name, label, choose_interval(row(policy), None, level, scale))
-        for name, policy in policies.items()
-        for label, row in rows.items()
-    ]
+    results = []
+    for name, policy in policies.items():
+        for label, row in rows.items():
+            _progress.report_step(f"{label} of “{name}”")
+            results.append(Result(name, label, choose_interval(row(policy), None, level, scale)))
     warned, notes = number_notes(results, [*group_findings(results), *((sentence, []) for sentence in said)])
     return Report(tuple(results), {}, warned, notes, level, normalized, discount, horizon, seed, facts, uncertainty)

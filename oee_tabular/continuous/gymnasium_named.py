@@ -121,12 +121,12 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     env.reset(seed=0)
     way = _find_access(env, identifier) if state is None else _parse_access(state)
     start = np.array(way.get(env), dtype=np.float64)
-    names = way.names or tuple(f"state_{i}" for i in range(start.size))
+    names = way.names or getattr(env.unwrapped, "state_names", None) or [f"state_{i}" for i in range(start.size)]
     commands = action_set(env.unwrapped.action_space, actions)
     low, high = (way.low, way.high) if way.low else _ranges(make, way, commands)
     task = GymnasiumTask(
         make,
-        state_names=names,
+        state_names=tuple(names),
         get_state=way.get,
         set_state=way.write,
         actions=commands,

@@ -68,7 +68,7 @@ class ParameterFit:
         )
         text = f"Least squares gives {told}."
         if self.at_bounds:
-            text += f" At a bound: {', '.join(self.at_bounds)}."
+            text += f" The fit stopped at a bound of {', '.join(self.at_bounds)}."
         if unknown := [name for name, error in self.standard_error.items() if not np.isfinite(error)]:
             text += f" The log does not determine {', '.join(unknown)}."
         return text

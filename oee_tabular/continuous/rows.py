@@ -36,8 +36,8 @@ from oee_tabular.mdp import FiniteMDP
 MAX_BEYOND = 0.02  # share of a policy's transitions beyond the log's range: more is said
 QUANTILE = 1.96  # of the intervals that estimators set themselves
 BEYOND = (
-    "{} of the policy's moves begin beyond what the log has seen (a feature of the state outside its range): what the "
-    "correction adds there is a guess, and no interval covers it."
+    "{} of the policy's transitions start outside the range of the recorded states. The correction is a guess there, and no "
+    "interval counts its error."
 )
 
 Row: TypeAlias = Callable[[StatePolicy], Estimate]
@@ -233,7 +233,7 @@ def refuse_impossible(estimate: Estimate, lowest: float, highest: float, horizon
     if abs(nearest - value) <= QUANTILE * (estimate.standard_error or 0.0):
         return replace(estimate, value=nearest)
     shown, low, high = (x * scale for x in (value, lowest, highest))
-    text = f"{shown:.4g} cannot be: what {horizon} rewards pay is between {low:.4g} and {high:.4g}"
+    text = f"{shown:.4g} is impossible: a sum of {horizon} rewards is between {low:.4g} and {high:.4g}"
     facts = estimate.diagnostics | {"refused_value": value}
     return replace(
         estimate, value=float("nan"), standard_error=None, interval=None, status=text, findings=(), diagnostics=facts

@@ -1,4 +1,4 @@
-"""What the report of a continuous task says in words."""
+"""The sentences of a continuous task's report."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def flaw(learned: ResidualSimulator) -> str:
     """What is wrong where columns are in other units, or history explains the residuals; "ok" where all is well."""
     if learned.units:
         return f"{UNITS}{learned.units}"
-    told = hidden_state(learned)
-    return f"the state is not all that the next one depends on (hidden state): {told}" if told else "ok"
+    effect = hidden_state(learned)
+    return f"the next state depends on more than the state and the action (hidden state): {effect}" if effect else "ok"
 
 
 def advice(chosen: Correction) -> str:
     """What to do where history explains residuals and no correction can be trusted."""
     if chosen.history != "auto":
-        return "Leave the number of last actions in the state open (history auto), which tries up to five."
+        return "Use history auto, which tries up to five last actions in the state."
     share = chosen.learned.hidden_part / chosen.plain.hidden_part
     tried = f"With the last {chosen.steps} actions in the state, {share:.0%} of that effect is left."
     if chosen.steps == 0:
@@ -64,7 +64,7 @@ def parameters(
     fit: ParameterFit, plain: ResidualSimulator, fitted: ResidualSimulator, given: ResidualSimulator, is_taken: bool
 ) -> str:
     """What was fitted, whether the value in front has it, and where a fit without history (``plain``) is no physics."""
-    caution = " The fit took the state alone, and history matters: do not read its numbers as physics."
+    caution = " The fit ignores history, which matters here. Do not read its numbers as physics."
     both, alone = (f"{learned.held_out_error**0.5:.2g}" for learned in (fitted, given))
     return (
         f"{fit.describe()} The value in front corrects the residuals of the {'fitted' if is_taken else 'given'} simulator, "
@@ -84,38 +84,38 @@ def history(plain: ResidualSimulator, learned: ResidualSimulator, steps: int, is
     return (
         f"{text}, because {hidden_state(plain)}. The held-out one-step error falls from {before} to {after} of a step's "
         "standard deviation."
-        + (f" {MAX_LAG} is the most that is tried; history {MAX_LAG + 3} keeps more." if steps == MAX_LAG else "")
+        + (f" At most {MAX_LAG} are tried; history {MAX_LAG + 3} keeps more." if steps == MAX_LAG else "")
     )
 
 
 def difference(corrected: ResidualSimulator) -> str:
-    """Does the target differ, and in which coordinate: the log's residuals against the simulator."""
+    """In which coordinates the log's residuals show that the target differs from the simulator."""
     changed = [c for c in corrected.coordinates if c.differs]
     if not changed:
         return (
-            "The target's steps do not differ from the simulator's, as far as the log tells: its residuals s' - f(s, a) are "
-            "those of the simulator's own scatter."
+            "The log shows no difference between the target's steps and the simulator's. Its residuals s' - f(s, a) are as "
+            "large as the simulator's own scatter."
         )
-    told = "; ".join(
-        f"{c.name} (residuals {c.residual_scatter:.2g}, the simulator's own scatter {c.simulator_scatter:.2g}; the correction "
-        f"explains {max(c.explained, 0.0):.1%} of their mean square)"
+    each = ", ".join(
+        f"{c.name} (residuals {c.residual_scatter:.2g}, simulator's scatter {c.simulator_scatter:.2g}, "
+        f"{max(c.explained, 0.0):.1%} explained)"
         for c in changed
     )
-    said = f"The target's steps differ from the simulator's in {told}."
+    sentence = f"The target's steps differ from the simulator's in {each}."
     if corrected.units:
-        return f"{UNITS.capitalize()}{corrected.units}. {said}"
-    return said + odd_row(corrected)
+        return f"{UNITS.capitalize()}{corrected.units}. {sentence}"
+    return f"{sentence} Explained is the share of the residuals' mean square that the correction removes.{odd_row(corrected)}"
 
 
 def odd_row(corrected: ResidualSimulator) -> str:
-    """The row that alone makes most of what is left over in a coordinate, an error of the log perhaps; "" where none does."""
+    """The row that alone makes most of the unexplained residual of a coordinate, perhaps by an error; "" where none does."""
     for k, c in enumerate(corrected.coordinates):
         squares = corrected.left_over[:, k] ** 2
         row, total = int(squares.argmax()), float(squares.sum())
         if squares[row] > 0.5 * total and c.left_over**2 > 0.01 * c.residual_scatter**2:
             return (
-                f" Row {row} of the log alone makes {squares[row] / total:.0%} of what is left over in {c.name}, by "
-                f"{corrected.left_over[row, k]:.3g}: leave it out if it is an error, every value rests on it otherwise."
+                f" Row {row} of the log alone makes {squares[row] / total:.0%} of the unexplained residual in {c.name} (by "
+                f"{corrected.left_over[row, k]:.3g}). If it is an error, leave it out, because every value depends on it."
             )
     return ""
 
@@ -123,16 +123,16 @@ def odd_row(corrected: ResidualSimulator) -> str:
 def name_loss(
     model: Discretization, mc: Callable[[Array], MonteCarlo], tables: Mapping[str, Array], horizon: int
 ) -> str:
-    """What the cells make of the simulator's own values, which no interval covers."""
-    found = []
+    """By how much the cells change the simulator's own values, which no interval counts."""
+    changes = []
     for name, table in tables.items():
         there = mc(table)
-        found.append(
+        changes.append(
             f"{policy_value(model.plain, table, horizon=horizon) - there.value:+.3g} of {there.value:.3g} ({name})"
         )
     return (
-        "standard errors and intervals are of the log alone; what the cells lose is not in them. Of the simulator's own value "
-        f"they make {', '.join(found)}, and another environment's may suffer more"
+        "standard errors and intervals count the log's noise and not the error of the cells. The cells change the simulator's "
+        f"own value by {', '.join(changes)}, and may change another environment's by more"
     )
 
 
@@ -151,8 +151,19 @@ def add_features(text: str, model: Discretization) -> str:
     return re.sub(r"\bstate (\d+)", place, text)
 
 
+def rounding(policy: str, n_commands: int, distance: float, beyond: float) -> str:
+    """How far the task's commands are from those of a policy; "" where they are the same."""
+    if distance == beyond == 0.0:
+        return ""
+    cut = f" {beyond:.0%} of them lie beyond the range of these and are cut to it." * (beyond > 0.0)
+    return (
+        f"The commands of “{policy}” are rounded to the task's {n_commands} commands, by {distance:.2g} (root mean square in "
+        f"the log's states).{cut}"
+    )
+
+
 def rewards_contradict(task: ContinuousTask, log: ContinuousTransitions) -> str:
-    """Where the log does not pay what the task's r(s, a, s') says; "" where it does, or where neither is known."""
+    """Where the log's rewards are not the task's r(s, a, s'); "" where they are, or where either is unknown."""
     if log.reward is None:
         return ""
     known = task.reward_between(log.state, log.action, log.next_state)
@@ -164,6 +175,6 @@ def rewards_contradict(task: ContinuousTask, log: ContinuousTransitions) -> str:
         return ""
     k = int(away.argmax())
     return (
-        f"The log's rewards contradict the simulator's r(s, a, s') in {bad.size} of {len(log)} moves; row {k} pays "
-        f"{log.reward[k]:g} in the log, {known[k]:g} in the simulator, whose rewards are used"
+        f"The log's rewards contradict the simulator's r(s, a, s') in {bad.size} of {len(log)} transitions. The reward of row "
+        f"{k} is {log.reward[k]:g} in the log and {known[k]:g} in the simulator. The simulator's rewards are used"
     )

@@ -361,7 +361,7 @@ def test_hidden_state_is_said_and_not_put_in_front():
     assert [row["estimator"] for row in report.records()][:2] == ["oee (residual, last action)", "oee (residual)"]
     assert report.answers[0].estimator == "oee (residual, last action)"
     hidden = report.results[1].estimate
-    assert "the state is not all that the next one depends on" in hidden.status
+    assert "the next state depends on more than the state and the action" in hidden.status
     assert (hidden.standard_error, hidden.interval) == (None, None)
     assert "because the action of one step ago explains" in report.uncertainty.sentences[0]
     truth = monte_carlo_value(target, target.policy(policy), 5000, 100, seed=0).value
@@ -448,7 +448,7 @@ def test_reacher_from_the_command_line(run):
     facts = report["facts"]
     assert facts["floor"] == 0.8
     assert "a step is one of length=0.05; length=0.07; length=0.14; length=0.2 (plain: without)" in facts["simulator"]
-    assert any(text.startswith("standard errors and intervals are of the log alone") for text in report["warnings"])
+    assert any(text.startswith("standard errors and intervals count the log's noise") for text in report["warnings"])
     plain = json.loads(run(words, chosen, "--task-option=floor=0.2"))
     assert plain["facts"]["uncovered_mass"] == facts["uncovered_mass"] > 0.1  # of the plain simulator
     text = run(words, "--policy file=pi.npy", code=2)

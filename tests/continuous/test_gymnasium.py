@@ -283,6 +283,22 @@ def test_commands_keep_their_mean(seed):
     assert_allclose(found @ actions, wanted)
 
 
+@pytest.mark.parametrize("n_commands", [3, 9])
+def test_rounding_is_that_of_drawn_commands(n_commands):
+    """Root mean square of drawn minus wanted commands; a quarter of the wanted ones lie beyond the range."""
+    rng = np.random.default_rng(0)
+    actions = np.linspace(-1.0, 1.0, n_commands)[:, None]
+    wanted = np.r_[rng.uniform(-1, 1, (3000, 1)), np.full((1000, 1), 1.5)]
+    policy = as_probabilities(lambda states: states, actions)
+    probabilities = policy(wanted)
+    drawn = actions[[rng.choice(n_commands, p=p) for p in probabilities]]
+    distance, beyond = policy.rounding(wanted)
+    assert distance == pytest.approx(np.sqrt(np.mean((drawn - np.minimum(wanted, 1.0)) ** 2)), rel=0.1)
+    assert beyond == 0.25
+    assert as_probabilities(lambda states: probabilities, actions).rounding(wanted) == (0.0, 0.0)
+    assert as_probabilities(policy, actions) is policy
+
+
 def test_other_forms_of_a_policy():
     states = np.zeros((2, 1))
     assert_array_equal(as_probabilities(lambda s: np.array([1, 0]), np.arange(2.0))(states), [[0, 1], [1, 0]])

@@ -93,7 +93,7 @@ def test_sentences_speak_of_the_row_in_front():
         seen = log_of(target)
         fit = fit_parameters(*parameters_of(SIMULATOR, ["gravity"]), seen)
         reason = choose_correction(SIMULATOR, seen, fit=fit, seed=0).reason
-        assert ("do not read its numbers as physics" in reason) == is_hidden
+        assert ("Do not read its numbers as physics" in reason) == is_hidden
 
 
 def test_a_delay_of_a_command_that_rarely_changes():
@@ -154,7 +154,7 @@ def test_sensor_noise_puts_the_simulator_in_front():
     assert [answer.estimator for answer in answers.values()] == ["simulator (continuous)"] * 2
     assert all(answer.lower is None for answer in answers.values())
     assert report.headline.startswith(
-        "No correction can be trusted, because the state is not all that the next one depends"
+        "No correction can be trusted, because the next state depends on more than the state"
     )
     assert "In the simulator, the policy “near” is worth about" in report.headline
     assert "Keeping the last actions in the state, up to 5, does not help." in report.uncertainty.sentences[0]
@@ -163,19 +163,24 @@ def test_sensor_noise_puts_the_simulator_in_front():
     assert all(row["lower"] is None and "hidden state" in row["status"] for row in learned)
 
 
-def test_history_may_be_given():
+def test_history_may_be_given(monkeypatch):
+    steps = []
+    monkeypatch.setattr("oee_tabular._progress.report_step", steps.append)
     log = log_of(Delay(SIMULATOR, 2), 2000)
     settings = Settings(episodes=100)
     names = {}
-    for history in ("auto", 0, 1, 3):
+    for history in (0, 1, 3, "auto"):
+        steps.clear()
         report = evaluate_continuous(
             SIMULATOR, log, {"p": cartpole_policy(0.3)}, settings=settings, horizon=30, history=history, seed=0,
             estimators=["oee"],
         )  # fmt: skip
         names[history] = [row["estimator"] for row in report.records()]
         is_short = history in (0, 1)
-        assert report.uncertainty.sentences[0].startswith("Leave the number of last actions") == is_short
+        assert report.uncertainty.sentences[0].startswith("Use history auto") == is_short
     assert names["auto"] == ["oee (residual, last 2 actions)", "oee (residual)", "simulator (continuous)"]
+    assert "correction with 2 earlier actions in the state" in steps
+    assert "oee (residual, last 2 actions) of “p”" in steps
     assert names[0] == ["simulator (continuous)", "oee (residual)"]
     assert names[1] == ["simulator (continuous)", "oee (residual, last action)", "oee (residual)"]  # too short
     assert names[3][0] == "oee (residual, last 3 actions)"

@@ -137,7 +137,7 @@ def test_values_that_cannot_be_are_refused(value, error, found):
     estimate = refuse_impossible(given, 0.0, 10.0, 10)
     assert estimate.value == pytest.approx(found, nan_ok=True)
     if np.isnan(found):
-        assert estimate.status == f"{value:.4g} cannot be: what 10 rewards pay is between 0 and 10"
+        assert estimate.status == f"{value:.4g} is impossible: a sum of 10 rewards is between 0 and 10"
         assert estimate.interval is None
     assert refuse_impossible(given, -np.inf, np.inf, 10) is given  # rewards without bounds refuse no value
 
@@ -151,7 +151,7 @@ def test_calibration_that_moves_more_than_the_simulator_is_said(raw, below, said
     assert estimate.interval == pytest.approx(
         (estimate.value - 1.96 * estimate.standard_error, estimate.value + 1.96 * estimate.standard_error)
     )
-    assert any("more than the cells move" in str(finding) for finding in estimate.findings) == said
+    assert any("Rely on the corrected simulator instead" in str(finding) for finding in estimate.findings) == said
 
 
 # ---------------------------------------------------------------- the linear model, rewards
@@ -194,7 +194,8 @@ def test_rewards_that_are_not_the_task_s_are_told():
     columns = log.columns() | {"reward": np.where(np.arange(400) < 3, 2.0, 1.0)}
     said = report_of(ContinuousTransitions(**columns), simulator=simulator).warnings
     assert any(
-        "rewards contradict the simulator's r(s, a, s') in 3 of 400 moves; row 0 pays 2" in text for text in said
+        "rewards contradict the simulator's r(s, a, s') in 3 of 400 transitions. The reward of row 0 is 2" in text
+        for text in said
     )
 
 
@@ -252,7 +253,7 @@ def test_a_policy_beyond_the_log_is_told():
     assert near.diagnostics["beyond_log"] < 0.01
     assert [finding.kind for finding in far.findings] == ["beyond"]
     assert not near.findings
-    assert "begin beyond what the log has seen" in str(far.findings[0])
+    assert "start outside the range of the recorded states" in str(far.findings[0])
 
 
 def test_without_cells_a_value_of_the_wrong_sign_is_refused(monkeypatch):
@@ -268,4 +269,4 @@ def test_without_cells_a_value_of_the_wrong_sign_is_refused(monkeypatch):
     residual = report.results[0]
     assert residual.estimator == "oee (residual)"
     assert np.isnan(residual.estimate.value)
-    assert "cannot be: what 20 rewards pay is between -inf and 0" in residual.estimate.status
+    assert "is impossible: a sum of 20 rewards is between -inf and 0" in residual.estimate.status

@@ -70,7 +70,7 @@ def test_a_fit_at_its_bound_is_said():
     fit = fit_parameters(CartPole, {"gravity": 10.0}, cartpole_log(CartPole(15.0)), {"gravity": (5.0, 12.0)})
     assert_allclose(fit.parameters["gravity"], 12.0, rtol=1e-3)
     assert fit.at_bounds == ("gravity",)
-    assert "At a bound: gravity." in fit.describe()
+    assert "The fit stopped at a bound of gravity." in fit.describe()
 
 
 @pytest.mark.parametrize(

@@ -442,4 +442,4 @@ def test_a_row_on_which_every_value_rests_is_named():
     said = odd_row(
         ResidualSimulator(CartPole(10.0), ContinuousTransitions(**(columns | {"next_state": following})), seed=0)
     )
-    assert said.startswith(" Row 799 of the log alone makes 100% of what is left over in theta_dot, by 50")
+    assert said.startswith(" Row 799 of the log alone makes 100% of the unexplained residual in theta_dot (by 50")
