@@ -167,7 +167,7 @@ Output:
 --json  Print JSON instead, with version, file, kind, text.
 """)
 def info(options: Options) -> None:
-    """Say what a file holds."""
+    """Describe the contents of a file."""
     kind, text = describe_files(options.file)
     answer(text, {"file": ", ".join(options.file), "kind": kind, "text": text.split("\n")}, options.json)
 

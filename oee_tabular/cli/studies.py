@@ -83,7 +83,7 @@ def check(options: Options) -> None:
     """Check an estimator of yours against the laws.
 
     It runs in a process of its own. The exit code is 0 if the laws that it claims hold, else 1. Where it is 0, the last line is
-    "all laws hold", or says what it does not claim that others do.
+    "all laws hold", or names the default laws that the estimator does not claim.
     """
     from oee_tabular import _progress
     from oee_tabular.testing import command

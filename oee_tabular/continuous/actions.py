@@ -106,43 +106,38 @@ class CommandPolicy:
     actions: Array
 
     def __call__(self, states: Array) -> Array:
-        """(n, A) probabilities, where the policy gives anything else that is none what it gives."""
-        found, actions = np.asarray(ask_policy(self.policy, states)), self.actions
-        if found.shape != (len(states), len(actions)) and actions.ndim == 1:
-            if found.shape != (len(states),) or found.dtype.kind not in "iu":
-                return found
-            bad = np.flatnonzero((found < 0) | (found >= len(actions)))
-            if bad.size:
-                raise BadPolicy(f"policy(states)[{bad[0]}] must be in 0..{len(actions) - 1}; it is {found[bad[0]]}")
-            return np.asarray(np.eye(len(actions))[found])
-        commands = self._commands(found, len(states))
-        return found if commands is None else _interpolate_weights(commands, actions)
+        """(n, A) probabilities; what is neither these, numbers nor commands as it is."""
+        return self._play(states)[0]
 
     def rounding(self, states: Array) -> tuple[float, float]:
-        """How far the actions are from the policy's commands (root mean square), and the share beyond their range.
-
-        Commands beyond the range are cut to it first; (0, 0) where the policy gives no commands.
-        """
-        commands = self._commands(np.asarray(ask_policy(self.policy, states)), len(states))
+        """How far the actions are from the commands (root mean square), and the share of these that is cut to their range."""
+        weights, commands = self._play(states)
         if commands is None:
             return 0.0, 0.0
         inside = np.clip(commands, self.actions.min(axis=0), self.actions.max(axis=0))
-        weights = _interpolate_weights(inside, self.actions)
         squares = weights @ (self.actions**2).sum(axis=1) + (inside * (inside - 2.0 * weights @ self.actions)).sum(
             axis=1
         )
         return float(np.sqrt(max(0.0, squares.mean()))), float((commands != inside).any(axis=1).mean())
 
-    def _commands(self, found: Array, n: int) -> Array | None:
-        """(n, k) the commands that a policy gave; None where it gave something else."""
+    def _play(self, states: Array) -> tuple[Array, Array | None]:
+        """Probabilities, and the commands (n, k) that they are of, where the policy gave such."""
+        found, n, actions = np.asarray(ask_policy(self.policy, states)), len(states), self.actions
+        if found.shape == (n, len(actions)):
+            return found, None
+        if actions.ndim == 1 and found.shape == (n,) and found.dtype.kind in "iu":
+            bad = np.flatnonzero((found < 0) | (found >= len(actions)))
+            if bad.size:
+                raise BadPolicy(f"policy(states)[{bad[0]}] must be in 0..{len(actions) - 1}; it is {found[bad[0]]}")
+            return np.eye(len(actions))[found], None
         commands = found[:, None] if found.ndim == 1 else found
-        is_other = self.actions.ndim == 1 or found.shape == (n, len(self.actions))
-        if is_other or commands.shape != (n, self.actions.shape[1]):
-            return None
+        if actions.ndim == 1 or commands.shape != (n, actions.shape[1]):
+            return found, None
         odd = np.flatnonzero(~np.isfinite(commands).all(axis=1))
         if odd.size:
             raise BadPolicy(f"policy(states)[{odd[0]}] must be finite; it is {found[odd[0]]}")
-        return commands.astype(np.float64)
+        commands = commands.astype(np.float64)
+        return _interpolate_weights(commands, actions), commands
 
 
 def _interpolate_weights(commands: Array, actions: Array) -> Array:

@@ -28,7 +28,7 @@ def _choose(probabilities: Array, uniform: Array) -> IntArray:
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """The mean of sampled returns, and how sure it is.
+    """The mean of sampled returns and its standard error.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ def record(
     max_steps: int,
     seed: Any = None,
 ) -> ContinuousTransitions:
-    """Run episodes of the task under a policy and write them down, with the moves that end them.
+    """Record episodes of the task under a policy, with the transitions that end them.
 
     Parameters
     ----------
@@ -234,9 +234,9 @@ def _episodes(
 
 
 def resimulate(task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = None) -> ContinuousTransitions:
-    """The log's own (s, a) stepped once in ``task``: what the simulator would have done in the same places.
+    """The log's own (s, a) stepped once in ``task``, the simulator.
 
-    A bag of moves, row by row those of ``log``: the other half of a pair.
+    Independent transitions, row by row those of ``log``.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     Raises
     ------
     ValueError
-        An unknown id, physics that it has not, a state that cannot be set or does not decide the next one.
+        An unknown id, physics that it lacks, a state that cannot be set or does not decide the next one.
 
     Examples
     --------

@@ -28,7 +28,7 @@ SURE = 4.0  # standard errors over rows of what is explained: fewer than 16 rows
 
 
 class HistoryTask(DerivedTask):
-    """A task whose state has its last actions in it: A more coordinates for each, 1 at its number, all 0 before an episode.
+    """A task whose state includes its last actions, each as A coordinates: 1 at its number, all 0 before an episode.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """A linear model of the log alone, as a ``ContinuousTask``: what a corrected simulator must beat.
 
-    s' = s + B_a (1, x(s)) + e,    B_a by least squares on the log's moves of action a,
+    s' = s + B_a (1, x(s)) + e,    B_a by least squares on the log's transitions of action a,
 
-x the task's ``smooth`` coordinates (cosine and sine of angles), e a whole row's residual drawn from the log's moves of the same
-action. The simulator says only where episodes begin, where they end and what is paid.
+x the task's ``smooth`` coordinates (cosine and sine of angles), e a whole row's residual drawn from the log's transitions of
+the same action. The simulator says only where episodes begin, where they end and what the rewards are.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class LinearModel(DerivedTask):
 
     Attributes
     ----------
-    coefficients : (A, p, d) B_a; an action that was never logged has those of all moves
+    coefficients : (A, p, d) B_a; an action that was never recorded has those of all transitions
     residuals : (n, d) what they leave over
 
     Raises
@@ -115,5 +115,5 @@ class LinearModel(DerivedTask):
         return Moves(following, paid, over)
 
     def parameters(self) -> dict[str, Any]:
-        """The task's, and how many moves the model is fitted to."""
+        """The task's, and how many transitions the model is fitted to."""
         return self.task.parameters() | {"linear_model_of_moves": len(self.residuals)}

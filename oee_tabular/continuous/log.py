@@ -1,4 +1,4 @@
-"""A log of moves between states in R^d, before a task has encoded it into numbered states.
+"""A log of transitions between states in R^d, before a task has encoded it into numbered states.
 
 The fields are those of ``Transitions``; in files a state is spread over the columns state_0, state_1, ..., next_state_0, ...
 An action is a number from the task's finite set (column ``action``), or what was commanded (columns action_0, action_1, ...),
@@ -128,7 +128,7 @@ CHAIN_TOLERANCE = 1e-6  # relative: float32 copies of one state are the same sta
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class ContinuousTransitions(LogColumns):
-    """Logged moves with continuous states, one a row; checked when made and immutable.
+    """Logged transitions with continuous states, one per row; checked when made and immutable.
 
     Parameters
     ----------

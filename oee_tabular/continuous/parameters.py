@@ -35,7 +35,7 @@ FLOOR = 1e-7  # of the errors' scale, in displacements: rounding
 
 @dataclass(frozen=True, eq=False)
 class ParameterFit:
-    """What a log says of a simulator's parameters.
+    """A simulator's parameters, fitted to a log.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ def fit_parameters(
     Returns
     -------
     ParameterFit
-        Standard errors are sandwich estimates: they hold where the structure is wrong too, of p*, not of the truth.
+        Standard errors are sandwich estimates: of the best parameters p*, valid where the structure is wrong, too.
 
     Raises
     ------

@@ -8,8 +8,8 @@ ratio of transitions with one tie: with q the law of the simulator's scatter s' 
 
     zeta(s, a, s') = p(s' - f(s, a) | s, a) / q(s' - f(s, a)),
 
-so that moves of one displacement from f share what the log says of it. No cells, and no support: the corrected simulator is
-stepped, not weighted. Cells, ratios and exact values can come after it, as after any simulator.
+so that transitions of one displacement from f share what the log says of it. No cells, and no support: the corrected simulator
+is stepped, not weighted. Cells, ratios and exact values can come after it, as after any simulator.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class ResidualSimulator(DerivedTask):
     residuals of neighbours tell of each other. A coordinate that ended at one extreme five times in the log goes no further.
     The reward is ``reward_between``; where the task has none, its own step's plus a residual learned alike. Steps end where
     ``terminated`` says so; where that does not repeat the task's own steps, where the nearest known next state does.
-    O(n p^2) for p functions (some 200), accumulated in blocks: a log of 150 000 moves needs some 200 MB. A step costs the
+    O(n p^2) for p functions (some 200), accumulated in blocks: a log of 150 000 transitions needs some 200 MB. A step costs the
     task's own and O(p).
 
     Examples
@@ -271,7 +271,7 @@ class ResidualSimulator(DerivedTask):
         return sum(c.unexplained for c in self.coordinates)
 
     def beyond(self, states: Array) -> BoolArray:
-        """(n,) states with a feature outside the range of the log's: what g is there nobody has seen."""
+        """(n,) states with a feature outside the range of the log's, where no data support g."""
         features = self.task.features(states)
         return np.asarray(((features < self._seen[0]) | (features > self._seen[1])).any(axis=1))
 

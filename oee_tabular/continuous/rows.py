@@ -198,7 +198,7 @@ def corrected_value(
     Notes
     -----
     (n_episodes + (refits + 1) paths) horizon steps of the corrected simulator. The interval is that of Student's t. It covers
-    what another log would have said; not a change that a smooth correction cannot follow.
+    the variation between logs, not a change that no smooth correction fits.
 
     Examples
     --------

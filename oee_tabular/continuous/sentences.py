@@ -124,15 +124,14 @@ def name_loss(
     model: Discretization, mc: Callable[[Array], MonteCarlo], tables: Mapping[str, Array], horizon: int
 ) -> str:
     """By how much the cells change the simulator's own values, which no interval counts."""
-    changes = []
-    for name, table in tables.items():
-        there = mc(table)
-        changes.append(
-            f"{policy_value(model.plain, table, horizon=horizon) - there.value:+.3g} of {there.value:.3g} ({name})"
-        )
+    values = {name: mc(table).value for name, table in tables.items()}
+    changes = ", ".join(
+        f"{policy_value(model.plain, tables[name], horizon=horizon) - value:+.3g} of {value:.3g} ({name})"
+        for name, value in values.items()
+    )
     return (
         "standard errors and intervals count the log's noise and not the error of the cells. The cells change the simulator's "
-        f"own value by {', '.join(changes)}, and may change another environment's by more"
+        f"own value by {changes}, and may change another environment's by more"
     )
 
 
@@ -164,10 +163,8 @@ def rounding(policy: str, n_commands: int, distance: float, beyond: float) -> st
 
 def rewards_contradict(task: ContinuousTask, log: ContinuousTransitions) -> str:
     """Where the log's rewards are not the task's r(s, a, s'); "" where they are, or where either is unknown."""
-    if log.reward is None:
-        return ""
-    known = task.reward_between(log.state, log.action, log.next_state)
-    if known is None:
+    known = None if log.reward is None else task.reward_between(log.state, log.action, log.next_state)
+    if log.reward is None or known is None:
         return ""
     away = np.abs(log.reward - known)
     bad = np.flatnonzero(away > 1e-6 * max(1.0, float(np.abs(known).max())))

@@ -22,7 +22,7 @@ SLOW_EPISODES, SLOW_PATHS, SLOW_REFITS, SLOW_CLOSURE = 2000, 200, 10, 500  # of 
 
 @dataclass(frozen=True)
 class ContinuousSimulator:
-    """A continuous simulator that was named, and how it is evaluated.
+    """A continuous task with the settings by which logs are evaluated in it.
 
     Attributes
     ----------
@@ -134,8 +134,8 @@ class Settings:
     Attributes
     ----------
     grid : None: no rows on cells; "auto": on the task's own; vertices along each feature; or a number of visited cells
-    outside : "error" | "nearest" | "drop", for states outside the grid; "drop" leaves out moves without support as well,
-        however many (otherwise more than a hundredth leave out the rows on the grid)
+    outside : "error" | "nearest" | "drop", for states outside the grid; "drop" leaves out transitions without support as
+        well, however many (otherwise more than a hundredth leave out the rows on the grid)
     strict : an error, not a warning, for actions that are not in the task's set
     calibration : "ratio" | "difference" | "none"
     floor : defensive share, in [0, 1]

@@ -72,7 +72,7 @@ class ContinuousTask(ABC):
 
     Examples
     --------
-    A point on the line that is pushed to either side and paid for being near 0:
+    A point on the line that is pushed to either side; its reward is larger near 0:
 
     >>> from oee_tabular.tasks import discretize
     >>> class Point(ContinuousTask):
@@ -112,11 +112,11 @@ class ContinuousTask(ABC):
         """N states (n, d) at which episodes begin."""
 
     def terminated(self, states: Array) -> BoolArray:
-        """(n,) which states are over themselves; default: none."""
+        """(n,) which states are terminal; default: none."""
         return np.zeros(len(states), dtype=np.bool_)
 
     def end_shows(self, states: Array) -> BoolArray:
-        """(n,) of states that are over, whether their features tell so; default: all do.
+        """(n,) of terminal states, whether their features show it; default: all do.
 
         Where features leave out what ended an episode, the discretised process goes on: such an end is a truncation to it.
         """
@@ -144,7 +144,7 @@ class ContinuousTask(ABC):
         return features
 
     def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
-        """(n,) r(s, a, s') of given moves, where the reward depends on where a step leads; None where it is not known."""
+        """(n,) r(s, a, s') of given transitions; None where it is not known."""
         before, after = self.reward_terms(states), self.reward_terms(next_states)
         return None if before is None or after is None else self.reward_of(before, actions, after)
 

@@ -37,7 +37,7 @@ least. Then q is what the policy q / sum_a q records.
 
 ``Plan.gap`` is the distance of the two sides over the value, however q was found; gap = 0 is the equivalence theorem [3].
 
-**Advice** (``advice``). The next pairs, one transition after another, that take most off the widths of the intervals.
+**Advice** (``advice``). The next pairs, one transition after another, that most reduce the widths of the intervals.
 
 References: [1] J. Neyman, J. Royal Statistical Society 97, 1934. [2] S. Wright, Primal-Dual Interior-Point Methods, 1997.
 [3] F. Pukelsheim, Optimal Design of Experiments, 1993, chapter 7.

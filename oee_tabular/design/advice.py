@@ -22,7 +22,7 @@ NOTHING = "More transitions would not narrow it."
 def next_pairs(
     table: Array, counts: Array, n_actions: int, number: int, confidence: float
 ) -> tuple[tuple[int, int], ...]:
-    """Choose the ``number`` pairs (s, a) that take most off the widths of the policies' intervals, one after another.
+    """Choose the ``number`` pairs (s, a) that most reduce the widths of the policies' intervals, one after another.
 
     ``table`` (K, S*A) costs c of each policy, ``counts`` (S*A,) n. Off a width 2 z se, se^2 = sum c / n, a transition of a
     recorded row takes z c / (n (n + 1)) / se; of a row never recorded 2 z sqrt(c), all that one transition of it leaves.

@@ -68,7 +68,7 @@ def _bounds(
 def _add_reference_entries(simulator: FiniteMDP, model: Model, certain: BoolArray) -> tuple[ReweightedModel, Array]:
     """Give the model the entries of R in the rows ``certain``, most of them 0, and return R there (0 in the other rows).
 
-    A transition that the simulator does not make in this row pays what it pays under another action, or else the row's
+    A transition that the simulator lacks in this row has its reward under another action, or else the row's
     mean.
     """
     n_states, n_actions = simulator.rewards.shape

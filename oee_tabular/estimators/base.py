@@ -51,7 +51,7 @@ class Estimate:
     interval : (lower, upper) or None
         The estimator's own, at 95%. If ``model_value`` is set, ``oee.evaluate`` quotes the likelihood interval
         instead, where there is one. ``diagnostics["interval_method"]`` names the interval.
-    diagnostics : plain numbers and words
+    diagnostics : numbers and strings
         If they apply: ``effective_sample_size``, ``largest_weight``, ``coverage`` (share of the
         policy's discounted time in recorded pairs), ``fallback_share`` (the rest), ``row_sum_error``,
         ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs).

@@ -1,4 +1,4 @@
-"""What a reader must know before using an estimate: each finding in its words; () where there is nothing to say."""
+"""Findings: the warnings about an estimate. Functions return () where there is nothing to warn of."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Finding:
 
     Attributes
     ----------
-    kind : a word for it
+    kind : a name for it
     severity : the larger the worse, among findings of one kind
         Of a problem's data 0 where no model's value depends on it.
-    text : a sentence that may hold ``{}``, where the figure stands
-        "": nothing is said of a value that has an interval.
+    text : a sentence, in which ``{}`` stands for the figure
+        "": no warning about a value that has an interval.
     figure : what differs from policy to policy
     alone : the sentence where the value has no interval, if that is another
 
@@ -169,8 +169,8 @@ def outside(value: str, severity: float, end: str) -> Finding:
 def missing_support(share: float, largest: float, nats: float) -> Findings:
     """Transitions that only the defensive share of a continuous simulator makes possible."""
     text = (
-        "{} of the log's transitions have probability 0 in the plain simulator, so they have no ratio. What is said of them "
-        f"rests on the defensive share (largest zeta {largest:.3g}, D_inf {nats:.2g} nats). "
+        "{} of the log's transitions have probability 0 in the plain simulator, so they have no ratio. Their estimates "
+        f"rest on the defensive share (largest zeta {largest:.3g}, D_inf {nats:.2g} nats). "
         "A simulator under parameters that bracket the target (tasks.discretize(others=...)), process noise or wider cells "
         "would cover them."
     )
@@ -214,6 +214,6 @@ def episodes_sampled(kept: int, of: int) -> Findings:
 
 
 def behavior_contradicts(transitions: int) -> Findings:
-    """The policy that is said to have recorded the log did not."""
+    """The behaviour policy that was given is not the log's."""
     text = "The log's behaviour probabilities are used. They differ from behavior_policy in {} transitions."
     return (Finding("behavior", 0.0, text, str(transitions)),) if transitions else ()

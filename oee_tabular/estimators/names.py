@@ -103,7 +103,7 @@ NAMED: Mapping[str, Named] = {
     ),
     "oracle-product": Named(
         "Oracle",
-        "Products of the true ratio along simulated episodes: what the noise alone does.",
+        "Products of the true ratio along simulated episodes. Sampling noise is the only error.",
         {"evaluation": "monte_carlo"},
         needs_target=True,
     ),

@@ -269,7 +269,7 @@ def threshold(apart: float, within: float) -> float:
 
 
 def _maximum_likelihood_value(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:
-    """None without one, or where at discount 1 states that pay keep the policy for ever."""
+    """None without one, or where at discount 1 states with rewards keep the policy for ever."""
     rows = zeta.likeliest
     if rows is None:
         return None

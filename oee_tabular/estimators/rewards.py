@@ -41,7 +41,7 @@ def simulator_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts)
 
 
 def with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> FiniteMDP:
-    """The simulator, paying the log's mean reward for the transitions that the log has."""
+    """The simulator with the log's mean reward for the transitions that the log has."""
     moves, matrix = log.moves(), simulator.transitions
     assert moves.reward_sum is not None
     assert moves.reward_count is not None

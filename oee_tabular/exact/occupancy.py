@@ -122,10 +122,9 @@ def transition_gradient(
     model : FiniteMDP (or a ReweightedModel)
     policy : (S, A), stationary
     horizon : positive int or None
-    values_of : V is that model's (its rewards too), which may have entries of its own: the result is then aligned with
-        ``values_of.transitions.data``; None: ``model``
-    values : (S,) that V, where it is known; it is not looked at with a horizon
-    time : (S, A) ``occupancy(model, policy)``, where it is known; it is looked at below discount 1 without a horizon
+    values_of : the model whose V and rewards are used; the result is aligned with its ``transitions.data``. None: ``model``
+    values : (S,) that V, where it is known; not used with a horizon
+    time : (S, A) ``occupancy(model, policy)``, where it is known; used below discount 1 without a horizon
 
     Notes
     -----

@@ -168,8 +168,8 @@ def _check_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
 def _fill_pairs(samples: Outcomes, initial: Array, n_actions: int, names: Names) -> Outcomes:
     """Return the samples, and others for pairs (s, a) that have none.
 
-    An action never taken in a state does what the other actions did there; a state never left stays and pays 0, but for
-    those that are entered by termination alone. A warning names such pairs.
+    An action never taken in a state does what the other actions did there; a state never left is absorbing with reward 0,
+    but for those that are entered by termination alone. A warning names such pairs.
     """
     state, action, following, _, _, terminated = samples
     n_states = len(initial)

@@ -1,4 +1,4 @@
-"""Where the states of an MDP lie on a map: the cells of a grid, from the layout or from the moves."""
+"""Where the states of an MDP lie on a map: the cells of a grid, from the layout or from the transitions."""
 
 from __future__ import annotations
 
@@ -138,8 +138,8 @@ def as_map(shape: tuple[int, int] | Map) -> Map:
 def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
     """(rows, columns) of a gridworld whose states are numbered row * columns + column, or None where it is none.
 
-    A gridworld's moves stay, go to the neighbour on the left or right (never around an edge), or to the one above or below;
-    a jump back to a first state (as from CliffWalking's cliff) is allowed. O(nnz).
+    A gridworld's transitions stay, go to the neighbour on the left or right (never around an edge), or to the one above or
+    below; a jump back to a first state (as from CliffWalking's cliff) is allowed. O(nnz).
 
     Parameters
     ----------

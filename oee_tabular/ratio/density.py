@@ -18,7 +18,7 @@ from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge, check_weights
-from oee_tabular.ratio.features import Kernel, class_features
+from oee_tabular.ratio.features import KernelFunction, class_features
 from oee_tabular.ratio.linear import N_CENTERS, fit_cells
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend
 
@@ -96,7 +96,7 @@ def density_ratio(
     loss: str = "kl",
     solver: str | Sgd = "dual",
     features: object = None,
-    kernel: str | Kernel | None = None,
+    kernel: str | KernelFunction | None = None,
     coordinates: ArrayLike | None = None,
     n_centers: int = N_CENTERS,
     step_size: float = 0.1,
@@ -120,8 +120,9 @@ def density_ratio(
     toward : None, or the number that the ridge pulls g to
     normalized : whether sum q g = 1 is imposed
     loss : "kl" (the paper's), or "chi2": least squares (LSIF [2]), sum q g^2 / 2 - sum p g in place of the first two terms
-    solver : "dual" (structured, exact), a cvxpy solver ("CLARABEL", "SCS"), or "sgd" or ``Sgd(...)``: the paper's Algorithm
-        1, for what training adds to the error (normalized=False, a box with 0 < lower and finite upper)
+    solver : "dual" (structured, exact; Clarabel for features and kernels), a cvxpy solver ("CLARABEL", "SCS"), or "sgd" or
+        ``Sgd(...)``: the paper's Algorithm 1, for what training adds to the error (normalized=False, a box with 0 < lower
+        and finite upper)
     features : None (a table: one parameter an entry), or (n,) or (n, d) numbers: the class g = Phi w, for which the ridge is
         ridge/2 * |w|^2; within lower <= g <= upper
     kernel, coordinates, n_centers : "gaussian" (in standard deviations of the coordinates) or a function of (m, c) and (k, c)

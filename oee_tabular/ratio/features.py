@@ -25,7 +25,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.rows import Rows, distinct_rows
 
-Kernel = Callable[[Array, Array], Any]
+KernelFunction = Callable[[Array, Array], Any]
 N_DIAGONAL = 64  # points whose k(x, x) is taken from one square of the Gram matrix
 
 
@@ -58,7 +58,7 @@ class KernelFeatures(NamedTuple):
     residual: float
 
 
-def kernel_features(points: Array, kernel: Kernel, n_centers: int) -> KernelFeatures:
+def kernel_features(points: Array, kernel: KernelFunction, n_centers: int) -> KernelFeatures:
     """Pivoted Cholesky of the kernel's Gram matrix on ``points`` (n, d); O(n r^2), with r kernel columns evaluated.
 
     Raises ValueError where the kernel is not positive semidefinite on these points.
@@ -90,7 +90,7 @@ def kernel_features(points: Array, kernel: Kernel, n_centers: int) -> KernelFeat
     return KernelFeatures(factor[:, : len(pivots)], np.array(pivots), float(np.maximum(left, 0.0).max()))
 
 
-def _gram(kernel: Kernel, x: Array, centers: Array) -> Array:
+def _gram(kernel: KernelFunction, x: Array, centers: Array) -> Array:
     """kernel(x, centers), checked: finite, of shape (n, m)."""
     array = _checks.float_array(kernel(x, centers), "kernel", ndim=2)
     if array.shape != (len(x), len(centers)):
@@ -99,7 +99,7 @@ def _gram(kernel: Kernel, x: Array, centers: Array) -> Array:
     return array
 
 
-def standard_gaussian(points: Array, bandwidth: float = 1.0) -> Kernel:
+def standard_gaussian(points: Array, bandwidth: float = 1.0) -> KernelFunction:
     """Gaussian in units of each coordinate's standard deviation over the points."""
     size, base = points.std(axis=0), gaussian(bandwidth)
     size = np.where(size > 0, size, 1.0)
@@ -113,7 +113,7 @@ def check_kernel(kernel: object) -> None:
 
 
 def class_features(
-    features: object, kernel: str | Kernel | None, coordinates: ArrayLike | None, n_centers: int, n: int
+    features: object, kernel: str | KernelFunction | None, coordinates: ArrayLike | None, n_centers: int, n: int
 ) -> tuple[Array, dict[str, Any]]:
     """(n, d) features of n cells from the user's, or from a kernel on the cells' coordinates; and what is said of them."""
     if features is not None:

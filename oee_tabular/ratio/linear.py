@@ -30,7 +30,7 @@ from oee_tabular._checks import Array
 from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.arguments import Box, check_box, check_ridge
 from oee_tabular.ratio.features import (
-    Kernel,
+    KernelFunction,
     check_kernel,
     count_rank,
     feature_array,
@@ -175,7 +175,7 @@ class InClass(Method):
     """
 
     features: Any = field(default=None, repr=False)
-    kernel: str | Kernel | None = None
+    kernel: str | KernelFunction | None = None
     coordinates: Any = field(default=None, repr=False)
     bandwidth: float = 1.0
     n_centers: int = N_CENTERS
@@ -205,7 +205,7 @@ class InClass(Method):
     def _name(self) -> str:
         return "linear" if self.kernel is None else "kernel"
 
-    def _kernel_of_moves(self, points: Array) -> Kernel:
+    def _kernel_of_moves(self, points: Array) -> KernelFunction:
         """The user's, or 1[same action] times a Gaussian in the standardised coordinates and displacements."""
         if callable(self.kernel):
             return self.kernel

@@ -102,7 +102,7 @@ class Population:
         return csr_on_pattern(matrix, weight * matrix.data)
 
     def model(self, fallback: sparse.csr_array) -> FiniteMDP:
-        """The target's rows where the data have them, ``fallback``'s elsewhere; paying what the simulator pays."""
+        """The target's rows where the data have them, ``fallback``'s elsewhere, with the simulator's rewards."""
         keep, rest = (
             sparse.diags_array(mask.astype(np.float64), format="csr") for mask in (self.support, ~self.support)
         )

@@ -195,7 +195,7 @@ class Portrait:
         return int((self.changes.counts[~self.over] == 0).sum())
 
     def unseen(self, policy: str) -> Array:
-        """(S,) the part of each state's time that is in actions never recorded."""
+        """(S,) the part of each state's time in unrecorded pairs."""
         unseen: Array = np.where(self.changes.counts > 0, 0.0, self.time[policy]).sum(axis=1)
         return unseen
 
@@ -219,7 +219,7 @@ class Portrait:
         return [f"{self.where(s)} {time[s]:.1%}" for s in np.argsort(-time, kind="stable")[:5] if time[s] > 0]
 
     def plot_recorded(self, ax: Axes) -> Axes:
-        """What the log has seen."""
+        """How many transitions the log has from each state."""
         assert self.map is not None
         return plots.plot_coverage(self.changes.counts, self.map, ax, over=self.over)
 

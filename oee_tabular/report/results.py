@@ -69,7 +69,7 @@ class Report:
     ----------
     results : one entry per policy and estimator; estimates are raw discounted sums
     truth : exact value of each policy in the target, where the target is known
-    warnings : what the numbers do not tell, in plain language
+    warnings : about the values, in plain language
     notes : for each (policy, estimator), the numbers (from 1) of the warnings that concern it
     confidence : of the intervals
     normalized : whether table, picture and JSON multiply values by (1 - discount)
@@ -145,7 +145,7 @@ class Report:
     def headline(self) -> str:
         """The answer in a sentence or two: the policy's value, or which of several policies is worth most.
 
-        A log that contradicts the simulator's rewards, or covers less than half of what a policy does, is said first.
+        It first names a log that contradicts the simulator's rewards or covers less than half of what a policy does.
         """
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if not answers:
@@ -264,7 +264,7 @@ class Report:
         return [row for row in self.records() if shows_all or (row["policy"], row["estimator"]) not in self.hidden]
 
     def legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-        """What the column of intervals holds, for each method; ``rows`` are some of ``records()``."""
+        """What the intervals of the table are, for each method; ``rows`` are some of ``records()``."""
         members: dict[str, dict[str, None]] = {}
         for row in _checks.collection(rows, "rows", "a Report's records()"):
             if not isinstance(row, Mapping) or not row.keys() >= {"interval_method", "estimator"}:

@@ -20,14 +20,14 @@ METHODS: Mapping[str, str] = {  # kinds of intervals
     "one-step": "value ± normal quantile × standard error. An unrecorded pair has the variance of one transition.",
     "refits": "value ± t quantile × standard error from resampled episodes. It includes the rollouts' noise.",
     "calibrated": "value ± normal quantile × standard error. It includes the gap between two calibrations.",
-    "simulator's samples": "value ± normal quantile × standard error. It counts the simulator's sampling noise alone.",
+    "simulator's samples": "value ± normal quantile × standard error. It includes only the simulator's sampling noise.",
     "the estimator's own": "as the estimator gives it.",
     "standard error": "value ± quantile × standard error (sampling noise).",
     "guaranteed": "it covers with at least this confidence for any number of transitions. It is the widest.",
     "sampling": "value ± normal quantile × standard error. Unrecorded state-action pairs behave as estimated.",
 }
 COLUMNS: Mapping[str, str] = {  # of the page's tables
-    "P(best)": "The probability that this policy is worth most. It counts the sampling noise alone.",
+    "P(best)": "The probability that this policy is worth most, given the sampling noise alone.",
     "std. error": "Standard error, in the unit of the value.",
     "eff. n": "Effective sample size: how many equally informative transitions (or episodes) the value rests on.",
     "coverage": "Share of the policy's discounted time, in the estimator's model, in recorded state-action pairs.",
@@ -43,7 +43,9 @@ SOFT = (
     "transitions, so they are left out."
 )
 MISSING_INTERVALS = "There are no likelihood intervals: {}."
-NO_P_BEST = "There is no P(best): it counts sampling noise alone, and here that is not what leaves the ranking open."
+NO_P_BEST = (
+    "There is no P(best), because it includes sampling noise alone, and here other uncertainty decides the ranking."
+)
 INTERVAL_AT_ANY_SIZE = "The interval that is guaranteed at any sample size is {}."
 NEEDS_HORIZON = "At discount 1 policies are ranked only with a horizon (horizon=, --horizon)."
 
@@ -59,7 +61,7 @@ class Answer:
     lower, upper, method : the interval and its kind; None without one
     simulator, simulator_error : the simulator's value; its standard error where the simulator was sampled
     truth : the exact value in the target, where it is known
-    coverage : share of the policy's discounted time in state-action pairs that the log has; None where nobody measured it
+    coverage : share of the policy's discounted time in state-action pairs that the log has; None where it was not measured
     unrecorded : how many reachable state-action pairs were never recorded
     is_from_log : False of what the simulator alone says
     """

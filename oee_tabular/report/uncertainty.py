@@ -97,7 +97,7 @@ class Uncertainty:
     decision : which policy is best, as far as the log can say
     ranking : the sentence about it; "" of a single policy
     next : the sentence on what to record next
-    caveat : what is said before any value; "" where there is nothing
+    caveat : a warning before any value; "" where there is nothing
     """
 
     intervals: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
@@ -193,7 +193,7 @@ def descending(value: float) -> float:
 
 
 def choose_interval(estimate: Estimate, likelihood: Interval | None, level: float, scale: float = 1.0) -> Estimate:
-    """The estimate with the interval to quote, a value inside it, and the findings that are to be told.
+    """The estimate with the interval to quote, a value inside it, and the findings to print.
 
     A value that the log corrects has the likelihood interval, where there is one; outside of it stands no value: its nearer end
     takes its place (``replaced_value``, ``replaced_by``). Others have the estimator's own interval, at ``level``, or value plus

@@ -2,7 +2,7 @@
 
 N x N cells (row, column), numbered row * N + column; start (0, 0), goal (N-1, N-1), absorbing, with no reward from then
 on. Actions: 0 row + 1, 1 row - 1, 2 column + 1, 3 column - 1. The intended direction is taken with probability 1 - slip,
-each of the other three with slip / 3; a move into a wall stays in place. Reward: -0.2 times the Manhattan distance to
+each of the other three with slip / 3; a step into a wall stays in place. Reward: -0.2 times the Manhattan distance to
 the goal. The layout has row and column.
 """
 
@@ -34,7 +34,7 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
     slip : float in [0, 1]
         Probability of not moving in the intended direction (the paper's epsilon: 0.3 simulated, 0.1 real).
     pay : "next" | "current"
-        Whether a step pays for the cell that it enters, r(s, a, s') = -0.2 distance(s'), or for the one it leaves,
+        Whether the reward is that of the cell which a step enters, r(s, a, s') = -0.2 distance(s'), or leaves,
         r(s) = -0.2 distance(s). The two differ by one step of discounting and the first reward.
     discount : float in [0, 1]
 

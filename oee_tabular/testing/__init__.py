@@ -10,7 +10,7 @@ and c numbers, sigma a permutation of states and actions; E is the mean over ind
     well_formed         v finite, or a status, or a ValueError, on problems with one state, one action, one episode, ...
     input_unchanged     D, pi, simulator and horizon after a call are what they were, to the bit
     reproducible, seeds v for one seed, and for any seed of an estimator that is not random, has the same bits
-    support             no v, and no L but J, where the target moves to what the simulator gives probability 0
+    support             no v, and no L but J, where the target has transitions with simulator probability 0
     limit               E v -> L, also where pairs are never recorded that pi takes
     consistent          E v -> J and L = J; ragged, identical: on episodes that end, where the target is the simulator
     unbiased            E v = J from 3 episodes

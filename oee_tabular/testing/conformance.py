@@ -71,7 +71,7 @@ DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of one law.
+    """The outcome of one law.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ def identical(subject: Subject, pair: Case) -> str:
 
 @on_cases("survival")
 def ragged(subject: Subject, pair: Case) -> str:
-    """A chain that pays 1 while it lives: episodes that ended count as paying nothing, they are not left out."""
+    """A chain with reward 1 until it ends: ended episodes count with reward 0, they are not left out."""
     return _tends_to_truth(subject, pair)
 
 
@@ -107,7 +107,7 @@ def scale(subject: Subject, pair: Case) -> str:
 def shift(subject: Subject, pair: Case) -> str:
     """Rewards r + b give J + b sum_t gamma^t, also where some (s, a) were never recorded.
 
-    Nothing ends in these cases: an absorbing state would pay too.
+    Nothing ends in these cases, because an absorbing state would have reward b, too.
     """
     behavior = pair.behavior.copy()
     behavior[-1] = [1.0, 0.0]

@@ -153,7 +153,7 @@ def compare_with_oracle(
     policy : (S, A)
     n : size of each log, in episodes or transitions
     behavior_policy : (S, A): logs are ``n`` episodes of it, to the horizon (None: until discount^t < 1e-12)
-    data_distribution : (S, A): logs are ``n`` independent moves from it; one of the two must be given
+    data_distribution : (S, A): logs are ``n`` independent transitions from it; one of the two must be given
     repetitions : at least 2
     seed : int; repetition k has the log of SeedSequence(seed, spawn_key=(k,)) and the estimator seed k
     horizon : of the value; None: the infinite sum

@@ -151,7 +151,7 @@ def seeds(subject: Subject, pair: Case) -> str:
 
 @on_cases("violated")
 def support(subject: Subject, pair: Case) -> str:
-    """Where the target moves to what the simulator gives probability 0: a ValueError or a status, no silent number.
+    """Where the target has transitions with simulator probability 0: a ValueError or a status, no silent number.
 
     ``Problem`` refuses a log with such a transition. Looked at are the estimator's limit for such a target (J_target itself is
     right), and an oracle of such a target.

@@ -2,7 +2,7 @@
 
 Everything is made of small integers: probabilities are small weights over their sum, with exact zeros and many ties; rewards
 are integers from -5 to 5. Examples shrink towards one state, one action, discount 0 and even chances. Nothing is
-filtered. At discount 1 every state has a chance to end whatever is done (the last state is absorbing and pays nothing), so that
+filtered. At discount 1 every state has a chance to end whatever is done (the last state is absorbing with reward 0), so that
 the infinite sum exists for every policy.
 
 Needs hypothesis: ``pip install '.[testing]'``.
@@ -49,8 +49,8 @@ def mdps(
     min_states, max_states, max_actions : sizes, from 1
     discounts : to draw from
     rewards : forms to draw from: "s", "sa", "sas" for r(s), r(s, a), r(s, a, s') (defined for every s')
-    absorbing : whether the last state is absorbing and pays nothing; None: either. At discount 1 it always is, and every
-        row has a chance of moving there
+    absorbing : whether the last state is absorbing with reward 0; None: either. At discount 1 it always is, and every
+        row reaches it with positive probability
 
     Raises
     ------
@@ -126,7 +126,7 @@ def mdp_pairs(
 
     Parameters
     ----------
-    support : "equal": the target moves where the simulator does; "inside": nowhere else, perhaps not everywhere (a ratio
+    support : "equal": target and simulator have one support; "inside": the target's lies in the simulator's (a ratio
         exists); "violated": from some state that an episode may begin in, some action takes the target to where the
         simulator has probability 0
     options : as in ``mdps``; for "violated" at least 2 states

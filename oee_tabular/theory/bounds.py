@@ -277,7 +277,7 @@ def _constants(target: Model, kernel: Model) -> tuple[float, float, float]:
 
 
 def _value_error(target: FiniteMDP, kernel: Model, policy: PolicyLike, horizon: int | None) -> float:
-    """|J(K) - J'|; inf where J(K) does not exist (where nothing is paid: 0)."""
+    """|J(K) - J'|; inf where J(K) does not exist (0 if all rewards are 0)."""
     truth = policy_value(target, policy, horizon=horizon)
     pi = check_policy(policy, target, horizon=horizon)
     try:

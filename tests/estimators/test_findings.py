@@ -37,7 +37,7 @@ SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, 
     "few weights": (lambda n: of(effective_sample_size=-n, n_episodes=12), -10.0, -9.5, "is 9.5 of 12 episodes"),
     "support": (lambda x: findings.missing_support(x, 2.0, 0.69), 0.01, 0.011,
                 "1.1% of the log's transitions have probability 0 in the "
-                "plain simulator, so they have no ratio. What is said of them rests on the defensive share (largest zeta 2, "
+                "plain simulator, so they have no ratio. Their estimates rest on the defensive share (largest zeta 2, "
                 "D_inf 0.69 nats)."),
     "linear algebra": (lambda x: of(error_bound=x), 9e-6, 2e-5, "the linear solve is accurate only to 2.0e-05."),
     "small values": (lambda x: of(0.1, error_bound=x), 1e-6, 2e-6, "is accurate only to 2.0e-06."),

@@ -156,7 +156,7 @@ def test_logs_are_exact_and_reproducible():
 
 
 def test_a_family_prints_as_one_line():
-    about = "Steps slip more often than simulated. 30 states, 2 actions, 58 open rows; discount 0.98, "
+    about = "Steps slip more often than simulated. 30 states, 2 actions, 58 stochastic pairs; discount 0.98, "
     pair = EVERY["corridor30"]
     assert repr(pair) == str(pair) == f"Family({about}infinite horizon)"
     finite = Family(pair.simulator, pair.target, pair.policy, pair.data_policy, pair.about, horizon=7)

@@ -46,8 +46,8 @@ def discretize(
     Parameters
     ----------
     task : ContinuousTask, the simulator
-    log : ContinuousTransitions of the target, in whose own places the task is looked at (its next states are not used, except
-        to find how far a ``floor`` must reach)
+    log : ContinuousTransitions of the target, at whose states and actions the task is stepped (its next states are not used,
+        except to find how far a ``floor`` must reach)
     cells : where the states lie: (n_1, ..., n_k) vertices along each feature or ``GridInterpolation``; a number of cells or
         ``VisitedCells``; another Discretization, whose states and places are taken; None: the task's own, or a grid up to three
         features and 1000 visited cells above

@@ -113,7 +113,7 @@ def record_goals(
 
 
 def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> ContinuousTransitions:
-    """The same moves with the hand's position (n, 3) in m as the state, and commands in {-1, 0, 1}^3.
+    """The same transitions with the hand's position (n, 3) in m as the state, and commands in {-1, 0, 1}^3.
 
     Parameters
     ----------

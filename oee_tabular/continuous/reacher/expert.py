@@ -88,13 +88,13 @@ reacher_policy = ReacherPolicy
 
 
 def reacher_log(task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None) -> ContinuousTransitions:
-    """The paper's data: n moves by pi_delta, delta = 0, .1, ..., 1 in equal parts, episodes of ``max_steps``.
+    """The paper's data: n transitions by pi_delta, delta = 0, .1, ..., 1 in equal parts, episodes of ``max_steps``.
 
     Parameters
     ----------
     task : Reacher, the target's arm
-    n : moves in all
-    max_steps : moves of an episode
+    n : transitions in all
+    max_steps : transitions of an episode
     seed : the same seed gives the same bits
 
     Raises

@@ -36,13 +36,13 @@ PEERS: Mapping[str, tuple[str, ...]] = {
 def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
     """Episodes of one length, at most ``problem.horizon`` steps: state, action, reward, behavior and alive (episodes, T).
 
-    After its end an episode repeats its last state, takes action 0 with probability 1 under both policies and is paid 0.
+    After its end an episode repeats its last state, takes action 0 with probability 1 under both policies and gets reward 0.
     ``policy`` (episodes, T, A) is that of the policy at each step.
     """
     log = problem.recorded
     starts, probability = log.episode_starts, log.behavior_probability
     if starts is None or log.timestep is None:
-        raise ValueError("log must have episodes for importance sampling; it is a bag of moves")
+        raise ValueError("log must have episodes for importance sampling; its transitions have none")
     if probability is None:
         raise ValueError("log must have behaviour probabilities for importance sampling; it has none")
     lengths = np.diff(starts)

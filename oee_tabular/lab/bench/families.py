@@ -7,7 +7,6 @@ import functools
 import hashlib
 import inspect
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from oee_tabular import _checks
 from oee_tabular.lab.bench import families_chains as chains
 from oee_tabular.lab.bench import families_grids as grids
 from oee_tabular.lab.bench.families_shifts import FAMILIES as SHIFTS
-from oee_tabular.lab.bench.family import Family, Maker
+from oee_tabular.lab.bench.family import Family, Maker, check_seed
 
 TABLES = (
     chains.FIRST,
@@ -103,19 +102,12 @@ def _make_fixed(maker: Maker) -> Family:
     return maker()
 
 
-def check_seed(seed: Any) -> int:
-    """An integer from 0, or ValueError."""
-    if not _checks.is_integer(seed) or seed < 0:
-        raise ValueError(f"seed must be an integer from 0; got {_checks.show(seed)}")
-    return int(seed)
-
-
 def families(seed: int = 0, *, large: bool = False) -> Families:
     """The families of environment shift of the benchmark.
 
     Parameters
     ----------
-    seed : int from 0; what is random in a family (the Garnets) is another for each seed
+    seed : int from 0; the random parts of a family (the Garnets) differ between seeds
     large : whether those are there that a run must name: ``tandem45``, which takes seconds a log, and ``garnet_worse`` with
         10, 20, 80 and 160 states
 

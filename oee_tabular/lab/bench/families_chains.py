@@ -193,7 +193,7 @@ def wins(s: IntArray, a: IntArray, to: IntArray) -> BoolArray:
 
 
 def gambler(capital: IntArray, action: IntArray, win: float) -> Moves:
-    """Capital 0 to 20, stakes of 1, 2 or 4; at 20 the game is won and pays 1, at 0 it is lost."""
+    """Capital 0 to 20, stakes of 1, 2 or 4; at 20 the game is won with reward 1, at 0 it is lost."""
     put = np.minimum(2**action, np.minimum(capital, 20 - capital))
     return (win, capital + put), (1 - win, capital - put)
 

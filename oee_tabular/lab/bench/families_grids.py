@@ -16,7 +16,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact import optimal_policy, state_values
-from oee_tabular.lab.bench.family import Family, Maker, normalize, pair, scale_rows
+from oee_tabular.lab.bench.family import Family, Maker, check_seed, normalize, pair, scale_rows
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.tasks import gridworld, gridworld_policy, toy_text
 
@@ -44,7 +44,7 @@ def floor_wind() -> Family:
 
 
 def one_way_grid() -> Family:
-    """The paper's grid from its corner with a log of its expert alone: much of what the policy does is never seen."""
+    """The paper's grid from its corner with a log of its expert alone: much of what the policy does is never recorded."""
     simulator, target = (gridworld(6, slip, discount=0.97) for slip in (0.3, 0.15))
     family = pair("Moves slip less than simulated, and the log shows one way only.", simulator, target, optimal=0.6)
     narrow = pair(family.about, simulator, target, optimal=0.97).policy
@@ -120,7 +120,7 @@ def garnet(about: str, change: Callable[..., Any] | None = None, n_states: int =
 
 def make_worse(n_states: int = 40) -> Maker:
     """What makes a Garnet of that size, a little worse everywhere along V."""
-    about = "Every move is a little worse than simulated, along V."
+    about = "Each transition is a little worse than simulated, along V."
     return garnet(about, lambda p, row, z, rng: p * np.exp(-0.25 * z), n_states)
 
 
@@ -130,7 +130,7 @@ def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
     Parameters
     ----------
     n_states : int of at least 5
-    seed : int from 0; the Garnet is another one for each
+    seed : int from 0; it chooses the Garnet
 
     Examples
     --------
@@ -140,15 +140,15 @@ def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
     """
     if _checks.positive_integer(n_states, "n_states") < 5:
         raise ValueError(f"n_states must be at least 5; it is {n_states}")
-    return make_worse(n_states)(np.random.default_rng([seed, n_states]))
+    return make_worse(n_states)(np.random.default_rng([check_seed(seed), n_states]))
 
 
 FLOORS: dict[str, Maker] = {
     "paper_grid": lambda: pair(
-        "The paper's: moves slip less than simulated.", gridworld(10, 0.3), gridworld(10, 0.1), **PAPER
+        "The paper's: steps slip less than simulated.", gridworld(10, 0.3), gridworld(10, 0.1), **PAPER
     ),
     "paper_grid_reversed": lambda: pair(
-        "Moves slip more than simulated.", gridworld(10, 0.1), gridworld(10, 0.3), **PAPER
+        "Steps slip more than simulated.", gridworld(10, 0.1), gridworld(10, 0.3), **PAPER
     ),
     "floor_slippery": lambda: pair(
         "Nine cells in the middle of the floor are slippery, which the simulator does not know.", floor(),
@@ -177,10 +177,10 @@ GARNETS: dict[str, Maker] = {
     ),
     "garnet_worse": make_worse(),
     "garnet_better": garnet(
-        "Every move is a little better than simulated, along V.", lambda p, row, z, rng: p * np.exp(0.25 * z), recorded=0.0
+        "Each transition is a little better than simulated, along V.", lambda p, row, z, rng: p * np.exp(0.25 * z), recorded=0.0
     ),
     "garnet_one_action": garnet(
-        "The moves of one action are worse.", lambda p, row, z, rng: p * np.exp(-0.5 * z * (row % 3 == 0))
+        "The transitions of one action are worse.", lambda p, row, z, rng: p * np.exp(-0.5 * z * (row % 3 == 0))
     ),
     "garnet_tempered": garnet("Moves are noisier than simulated.", lambda p, row, z, rng: p**0.7, recorded=0.9),
     "garnet_identical": garnet("The simulator of the random MDP is right."),

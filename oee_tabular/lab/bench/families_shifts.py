@@ -191,7 +191,7 @@ def reservoir(rng: np.random.Generator) -> Family:
 
 
 def router_fault(rng: np.random.Generator) -> Family:
-    """40 nodes with three links each; node 0 pays and sends the packet anywhere."""
+    """40 nodes with three links each; node 0 gives a reward and sends the packet anywhere."""
     links = np.array([rng.permutation(40)[:3] for _ in range(40)])
     busiest = 1 + int(np.bincount(links.ravel(), minlength=40)[1:].argmax())
     about, real = "The busiest node loses most packets; the others are as simulated.", (rng.uniform(0.1, 0.25),)

@@ -45,14 +45,14 @@ class Family:
     ------
     ValueError
         Another shape; another discount, initial distribution or reward; a target that leaves the simulator's support (the
-        moves are named).
+        transitions are named).
 
     Examples
     --------
     >>> import oee_tabular as oee
     >>> family = oee.bench.families()["corridor30"]
     >>> family
-    Family(Steps slip more often than simulated. 30 states, 2 actions, 58 open rows; discount 0.98, infinite horizon)
+    Family(Steps slip more often than simulated. 30 states, 2 actions, 58 stochastic pairs; discount 0.98, infinite horizon)
     >>> round(family.truth, 2), family.open_rows, family.identical
     (-28.68, 58, False)
     >>> log = family.log(100, seed=0)
@@ -85,8 +85,8 @@ class Family:
         where = self.simulator
         horizon = "infinite horizon" if self.horizon is None else f"{self.horizon} rewards"
         return (
-            f"Family({self.about.strip()} {where.n_states} states, {where.n_actions} actions, {self.open_rows} open rows; "
-            f"discount {where.discount:g}, {horizon})"
+            f"Family({self.about.strip()} {where.n_states} states, {where.n_actions} actions, {self.open_rows} stochastic "
+            f"pairs; discount {where.discount:g}, {horizon})"
         )
 
     @cached_property
@@ -107,7 +107,7 @@ class Family:
 
     @cached_property
     def moves_per_state_action(self) -> Array:
-        """(S, A): how many moves from (s, a) an episode records on average, exactly."""
+        """(S, A): how many transitions from (s, a) an episode records on average, exactly."""
         running = self.target.with_discount(1.0)
         visits = self.length * occupancy(running, self.data_policy, horizon=self.length)
         over = self.target.absorbing()  # an episode ends on arrival; one that starts there has one step
@@ -116,15 +116,15 @@ class Family:
 
     @cached_property
     def data_distribution(self) -> Array:
-        """(S, A): the share of each (s, a) among the moves that the episodes record, exactly."""
+        """(S, A): the share of each (s, a) among the transitions that the episodes record, exactly."""
         return np.asarray(self.moves_per_state_action / self.moves_per_state_action.sum())
 
     def size(self, per_row: float) -> int:
-        """The number of moves of a log with ``per_row`` moves per open row, at least 1."""
+        """The number of transitions of a log with ``per_row`` per stochastic pair, at least 1."""
         return max(1, round(_checks.number_in(per_row, "per_row", 0.0, np.inf) * self.open_rows))
 
     def log(self, n: int, seed: Seed) -> Transitions:
-        """Exactly ``n`` moves of the data policy in the target: episodes, each cut at ``length``, the last where n is full.
+        """Exactly ``n`` transitions of the data policy in the target: episodes, each cut at ``length``, the last at n.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class Family:
 
 
 def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
-    """Nothing but the dynamics differs: the rest is known to whoever estimates."""
+    """Check that only the dynamics differ; estimators know the rest."""
     if target.discount != simulator.discount:
         raise ValueError(
             f"target must have the simulator's discount, {simulator.discount:g}; it has {target.discount:g}"
@@ -277,3 +277,10 @@ def cross(one: Array, other: Array) -> Array:
     """The joint distribution of two independent parts, the second varying faster, along the last axis."""
     joint = one[..., :, None] * other[..., None, :]
     return joint.reshape(*joint.shape[:-2], -1)
+
+
+def check_seed(seed: Any) -> int:
+    """An integer from 0, or ValueError."""
+    if not _checks.is_integer(seed) or seed < 0:
+        raise ValueError(f"seed must be an integer from 0; got {_checks.show(seed)}")
+    return int(seed)

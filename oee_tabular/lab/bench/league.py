@@ -39,7 +39,7 @@ EXPLAINED = (
 
 @dataclass(frozen=True, eq=False)
 class League:
-    """What a run found.
+    """The results of a run.
 
     Attributes
     ----------

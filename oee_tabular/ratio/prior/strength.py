@@ -8,8 +8,8 @@ leave-one-out  sum_x n_x log[(n_x - 1 + kappa m_x) / (n_k - 1 + kappa)]
 
 Rows in which the simulator has the same probabilities (in any order) are alike to it, and share one kappa: where a
 prior fits most rows and misses a few (a grid's corners), one kappa for all would trust it in those few as well. Kinds with
-fewer than five recorded rows or a hundred moves are pooled. kappa is its own diagnosis: the number of transitions that the
-prior's row is worth.
+fewer than five recorded rows or a hundred transitions are pooled. kappa is its own diagnosis: the number of transitions that
+the prior's row is worth.
 
 Reference: [1] T. P. Minka, Estimating a Dirichlet distribution, 2000.
 """
@@ -38,7 +38,7 @@ class StrengthChoice:
     ----------
     by_row, by_kind : (rows,) kappa, and that of each kind of rows
     strength : the kappa of the median transition
-    score : the criterion at ``by_row`` (nats, all moves together)
+    score : the criterion at ``by_row`` (nats, all transitions together)
     criterion : "evidence" or "loo"
     grid, curve : the criterion if all rows shared one kappa
     kinds : for each kind of rows its number of recorded rows, of transitions, and its kappa
@@ -130,7 +130,7 @@ def _weighted_median(values: Array, weights: Array) -> float:
 
 
 def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
-    """What kappa says about the prior, in words."""
+    """The sentence about the prior that kappa supports."""
     typical = float(np.median(n_row[n_row > 0]))
     strength = choice.strength
     if np.ptp(choice.curve) < 1.0:
