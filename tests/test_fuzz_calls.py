@@ -60,5 +60,5 @@ def test_every_yes_or_no_is_true_or_false(known):
         (lambda mdp: np.ones(2), "accepted"),
     ],
 )
-def test_a_bad_function_is_seen(function, kind):
+def test_a_bad_function_is_detected(function, kind):
     assert judged(function, {"mdp": "raw"}, ["mdp"])[0] == kind

@@ -80,7 +80,7 @@ def test_places_that_make_no_map(layout):
     assert plots.map_of(corridor(layout=layout)) is None
 
 
-def test_a_rectangle_by_its_shape_and_a_grid_by_its_moves():
+def test_a_rectangle_by_its_shape_and_a_grid_by_its_transitions():
     assert plots.map_of(oee.tasks.gridworld(3, 0.1).with_layout((1, 9))).shape == (1, 9)
     assert plots.map_of(oee.tasks.gridworld(3, 0.1).with_layout(None)).shape == (3, 3)
     assert plots.map_of(oee.tasks.toy_text("FrozenLake-v1")).shape == (4, 4)

@@ -47,6 +47,6 @@ def test_a_face_lists_what_comes_on_use(module):
 
 
 @pytest.mark.parametrize("module", ["oee_tabular", *(f"oee_tabular.{m}" for m in FACES)])
-def test_what_is_not_there_is_said(module):
+def test_missing_names_are_reported(module):
     with pytest.raises(AttributeError, match=rf"module '{module}' has no attribute 'nothing'"):
         importlib.import_module(module).nothing  # noqa: B018

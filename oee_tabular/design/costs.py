@@ -82,9 +82,9 @@ def _add_reference_entries(simulator: FiniteMDP, model: Model, certain: BoolArra
     rewards = None
     if simulator.reward_data is not None:
         rewards = np.repeat(simulator.rewards.reshape(-1), np.diff(pattern.indptr))
-        paid = any_action @ csr_on_pattern(matrix, matrix.data * simulator.reward_data, own=True)
+        reward_sums = any_action @ csr_on_pattern(matrix, matrix.data * simulator.reward_data, own=True)
         chance = align(mean, pattern)[0]
-        np.divide(align(canonical(paid, drop_zeros=False), pattern)[0], chance, out=rewards, where=chance > 0.0)
+        np.divide(align(canonical(reward_sums, drop_zeros=False), pattern)[0], chance, out=rewards, where=chance > 0.0)
         own, is_defined = align(simulator.transition_rewards, pattern)
         np.copyto(rewards, own, where=is_defined)
     transitions = csr_on_pattern(pattern, align(model.transitions, pattern)[0], own=True)

@@ -224,13 +224,13 @@ class TabularEstimator:
         """
         pi = require_policy(problem, policy)
         try:
-            found = self.estimate(problem, pi, _checks.generator(seed))
+            estimate = self.estimate(problem, pi, _checks.generator(seed))
         except DivergentKernelError as divergence:
             return Estimate(float("nan"), status=str(divergence))
-        if WEIGHTLESS in found.findings:
-            return found
-        told = from_diagnostics(found.diagnostics, found.value, found.standard_error)
-        return replace(found, findings=(*told, *found.findings))
+        if WEIGHTLESS in estimate.findings:
+            return estimate
+        warnings = from_diagnostics(estimate.diagnostics, estimate.value, estimate.standard_error)
+        return replace(estimate, findings=(*warnings, *estimate.findings))
 
     def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
         """The estimate of a checked policy, without the findings that its diagnostics make."""

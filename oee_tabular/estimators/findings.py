@@ -81,7 +81,7 @@ def no_value(status: str, value: float) -> Finding:
 
 def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None) -> Findings:
     """What the diagnostics of any estimate have to say, ``error`` its standard error."""
-    told: list[Finding] = []
+    findings: list[Finding] = []
     has_source = facts.get("standard_error_of") is not None
     unseen, single = facts.get("fallback_share", 0.0), facts.get("single_share", 0.0)
     if unseen > MIN_SHARE:
@@ -93,21 +93,21 @@ def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None
         elif is_bare:
             text += " The standard error ignores them. Above 10% there is no interval."
         alone = f"{text[:-1]}, so there is no interval." if has_source and not is_tied and not is_bare else None
-        told.append(Finding("coverage", unseen, text, f"{unseen:.0%}", alone))
+        findings.append(Finding("coverage", unseen, text, f"{unseen:.0%}", alone))
     if single > MIN_SHARE:
         alone = (
             "the policy spends {} of its discounted time in state-action pairs with one recorded transition. Their variance "
             "is not known, so there is no interval."
         )
-        told.append(Finding("single", single, "", f"{single:.0%}", alone))
+        findings.append(Finding("single", single, "", f"{single:.0%}", alone))
     elif has_source and error is None:
-        told.append(NEVER_VARIED)
+        findings.append(NEVER_VARIED)
     if (miss := facts.get("row_sum_error", 0.0)) > MAX_ROW_SUM_ERROR:
         text = (
             "the rows of zeta * P miss 1 by up to {}; over a horizon such errors multiply. The row-normalised ratio (oee) "
             "does not have them."
         )
-        told.append(Finding("row sums", miss, text, f"{miss:.2g}"))
+        findings.append(Finding("row sums", miss, text, f"{miss:.2g}"))
     for noun in ("episodes", "rollouts"):
         n, effective = facts.get(f"n_{noun}", 0), facts.get("effective_sample_size", math.inf)
         if effective < max(MIN_WEIGHTED, MIN_WEIGHTED_SHARE * n) and n:
@@ -115,12 +115,12 @@ def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None
                 f"the effective sample size is {{}} of {n} {noun}. The value is mostly chance and its standard error is too "
                 "small."
             )
-            told.append(Finding("weights", -effective, text, f"{effective:.1f}"))
+            findings.append(Finding("weights", -effective, text, f"{effective:.1f}"))
     if (gap := facts.get("gap", 0.0)) > MAX_GAP:
-        told.append(Finding("gap", gap, "the ratio's program is solved only to a gap of {} nats.", f"{gap:.1e}"))
+        findings.append(Finding("gap", gap, "the ratio's program is solved only to a gap of {} nats.", f"{gap:.1e}"))
     if (bound := facts.get("error_bound", 0.0)) > MAX_ERROR_BOUND * max(1.0, abs(value)):
-        told.append(Finding("linear algebra", bound, "the linear solve is accurate only to {}.", f"{bound:.1e}"))
-    return tuple(told)
+        findings.append(Finding("linear algebra", bound, "the linear solve is accurate only to {}.", f"{bound:.1e}"))
+    return tuple(findings)
 
 
 def truncation(number: int, episodes: int, bound: float, value: float, error: float | None) -> Findings:

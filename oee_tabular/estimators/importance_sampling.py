@@ -190,7 +190,7 @@ class ImportanceSampling(TabularEstimator):
         foreign = float((problem.simulator.initial[first_state] == 0).mean())
         if not last.any() or (self.self_normalized and effective < 2.0):
             error = None  # one episode decides: its value has no spread to show
-        told = (*findings.truncation(n_cut, n, bound, value, error), *findings.foreign_starts(foreign))
+        warnings = (*findings.truncation(n_cut, n, bound, value, error), *findings.foreign_starts(foreign))
         return Estimate(
             value,
             error,
@@ -203,7 +203,7 @@ class ImportanceSampling(TabularEstimator):
                 "truncation_bias_bound": bound,
             },
             status=weight_status(value) if last.any() else str(findings.WEIGHTLESS),
-            findings=told if last.any() else (findings.WEIGHTLESS,),
+            findings=warnings if last.any() else (findings.WEIGHTLESS,),
             is_from_episodes=True,
         )
 
@@ -243,11 +243,11 @@ class ImportanceSampling(TabularEstimator):
         reached = walk.weights_by_state(steps, power=1)[:steps, 0]
         going = ~target.absorbing()
         taken = walk.act[0].reshape(going.size, -1) * walk.u[0].reshape(going.size, -1)
-        paid = reached @ (taken * target.rewards).sum(axis=1)
+        rewards = reached @ (taken * target.rewards).sum(axis=1)
         alive = reached[:, going] @ taken.sum(axis=1)[going]
         kept = alive > 1e-300
-        paid *= target.discount ** np.arange(steps, dtype=np.float64)
-        return float(np.sum(paid[kept] / alive[kept]))
+        rewards *= target.discount ** np.arange(steps, dtype=np.float64)
+        return float(np.sum(rewards[kept] / alive[kept]))
 
 
 def _truncation_bound(problem: Problem, episodes: Episodes, last: Array, *, self_normalized: bool) -> tuple[int, float]:
@@ -262,8 +262,8 @@ def _truncation_bound(problem: Problem, episodes: Episodes, last: Array, *, self
     if not missing.any():
         return 0, 0.0
     tail = end - lengths if gamma == 1.0 else (gamma**lengths - gamma**end) / (1.0 - gamma)
-    paid = problem.simulator.rewards if problem.simulator.reward_data is None else problem.simulator.reward_data
-    largest = max(float(np.abs(problem.rewards_of(episodes.log)).max()), float(np.abs(paid).max()))
+    rewards = problem.simulator.rewards if problem.simulator.reward_data is None else problem.simulator.reward_data
+    largest = max(float(np.abs(problem.rewards_of(episodes.log)).max()), float(np.abs(rewards).max()))
     counted = missing & (last > 0)
     mass = float(last.sum()) if self_normalized else float(len(last))
     with np.errstate(over="ignore"):

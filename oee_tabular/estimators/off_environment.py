@@ -242,11 +242,11 @@ def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, grad
         "one_step_distance": abs(change) / s if s > 0 else 0.0,
         "moved": moved,
     }
-    told: findings.Findings = ()
+    warnings: findings.Findings = ()
     if likelihood is not None:
         diagnostics["maximum_likelihood_value"] = likelihood
         if abs(value - likelihood) > CONTRADICTION * s > 0.0:
-            told = findings.conflict_with_centre(likelihood, abs(value - likelihood) / s)
+            warnings = findings.conflict_with_centre(likelihood, abs(value - likelihood) / s)
     certain = error_or_none(error, gradient, zeta.values.indptr)
     has_interval = certain is not None and np.isfinite(error)
     return replace(
@@ -255,17 +255,17 @@ def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, grad
         standard_error=certain,
         interval=(value - NORMAL * error, value + NORMAL * error) if has_interval else None,
         diagnostics=exact.diagnostics | diagnostics,
-        findings=told,
+        findings=warnings,
         is_normal=True,
     )
 
 
-def threshold(apart: float, within: float) -> float:
-    """lambda of the soft threshold, where the two values' difference has the standard error ``apart``."""
+def threshold(difference_error: float, within: float) -> float:
+    """lambda of the soft threshold, where the two values' difference has the standard error ``difference_error``."""
     if not within > 0.0:
         return THRESHOLDS[-1]
     logs = np.log(VARIANCE_RATIOS)
-    return float(np.interp(2.0 * np.log(max(apart, 1e-300) / within), logs, THRESHOLDS))
+    return float(np.interp(2.0 * np.log(max(difference_error, 1e-300) / within), logs, THRESHOLDS))
 
 
 def _maximum_likelihood_value(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:
@@ -279,13 +279,13 @@ def _maximum_likelihood_value(problem: Problem, zeta: TransitionRatio, policy: A
         return None
 
 
-def change_to_log(one_step: float, likelihood: float, apart: float) -> float:
+def change_to_log(one_step: float, likelihood: float, difference_error: float) -> float:
     """The change towards the log: to the nearer of two values, 0 if they lie on two sides.
 
-    If the nearer is 2 to 4 times ``apart`` away, partly to maximum likelihood's.
+    If the nearer is 2 to 4 times ``difference_error`` away, partly to maximum likelihood's.
     """
     if one_step * likelihood <= 0:
         return 0.0
     nearer = min(one_step, likelihood, key=abs)
-    distance = abs(nearer) / apart if apart > 0 else np.inf
+    distance = abs(nearer) / difference_error if difference_error > 0 else np.inf
     return nearer + float(np.clip((distance - 2.0) / 2.0, 0.0, 1.0)) * (likelihood - nearer)

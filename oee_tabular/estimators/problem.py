@@ -210,16 +210,16 @@ class Problem:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Warnings about the data, for any policy."""
-        log, told = self.log, list[Finding]()
+        log, result = self.log, list[Finding]()
         if self.reward_conflict is not None:
-            told.append(findings.rewards_contradict(self.reward_conflict, log_pays=self.rewards == "log"))
-        told += findings.behavior_contradicts(self.behavior_conflict)
+            result.append(findings.rewards_contradict(self.reward_conflict, log_pays=self.rewards == "log"))
+        result += findings.behavior_contradicts(self.behavior_conflict)
         if isinstance(log, TransitionCounts):
-            told += findings.rows_dropped(*log.recording[-2:])
+            result += findings.rows_dropped(*log.recording[-2:])
             kept = 0 if log.sample is None else log.sample.n_episodes or 0
-            told += findings.episodes_sampled(kept, log.recording.episodes)
-        told += findings.moves_dropped(self.dropped, float(self.counts.sum()))
-        return (*told, *(() if self.simulator.sampling is None else (findings.SAMPLED,)))
+            result += findings.episodes_sampled(kept, log.recording.episodes)
+        result += findings.moves_dropped(self.dropped, float(self.counts.sum()))
+        return (*result, *(() if self.simulator.sampling is None else (findings.SAMPLED,)))
 
     def rewards_of(self, log: Transitions) -> Array:
         """The log's rewards, or the simulator's for transitions without one."""

@@ -68,12 +68,12 @@ def normalize_by_step(
     step, lengths = step_numbers(starts), np.diff(starts)
     n, horizon = len(lengths), int(lengths.max())
     with np.errstate(over="ignore", invalid="ignore"):
-        mass, paid = np.bincount(step, weight), np.bincount(step, weight * reward)
+        mass, rewards = np.bincount(step, weight), np.bincount(step, weight * reward)
     if keep_last:
         mass += np.cumsum(np.bincount(lengths, weights=last, minlength=horizon + 1)[:horizon])
     if not np.all((mass > 0.0) & (mass < np.inf)):
         return float("nan"), None
-    value, scale = paid / mass, n / mass
+    value, scale = rewards / mass, n / mass
     # each episode's sum_t (w_it r_it - value_t w_it) n / mass_t
     influence = np.add.reduceat((reward - value[step]) * weight * scale[step], starts[:-1])
     if keep_last:

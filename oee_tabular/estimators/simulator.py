@@ -67,18 +67,18 @@ class Simulator(TabularEstimator):
         share = occupancy(simulator, policy, horizon=problem.horizon).reshape(-1)
         unknown = float(share[sampling.pairs < 2.0].sum())
         has_interval = unknown <= MAX_UNKNOWN_SHARE
-        told = _few_samples(sampling.pairs, share, has_interval=has_interval)
+        warnings = _few_samples(sampling.pairs, share, has_interval=has_interval)
         error = _sampling_error(simulator, policy, problem.horizon, result.values, share)
         reach = NORMAL * error
         if not reach > ROUNDING * abs(result.value):  # the samples never varied
-            return replace(exact, findings=told)
+            return replace(exact, findings=warnings)
         source = "simulator's samples"
         return replace(
             exact,
             standard_error=error,
             interval=(result.value - reach, result.value + reach) if has_interval else None,
             diagnostics=exact.diagnostics | {"standard_error_of": source, "interval_method": source},
-            findings=told,
+            findings=warnings,
             measured=1.0 - unknown,
             is_normal=True,
         )

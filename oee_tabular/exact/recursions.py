@@ -155,11 +155,11 @@ def trajectory_moments(walk: Walk, discounts: Array, self_normalized: bool, sour
 def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Moments:
     """sum_t gamma^t (sum_i W_it r_it) / (sum_i W_it): to first order the mean of sum_t gamma^t W_t (r_t - j_t) / E W_t."""
     horizon = len(discounts)
-    (mass, paid), (square, square_paid) = (_step_weights(walk, horizon, power) for power in (1, 2))
+    (mass, rewards), (square, square_rewards) = (_step_weights(walk, horizon, power) for power in (1, 2))
     if np.any(mass == 0.0):
         return Moments(float("nan"), float("nan"), float("nan"))
-    level, factor = paid / mass, walk.discount ** np.arange(horizon, dtype=np.float64)
-    bias = -dot(factor, (square_paid - level * square) / mass**2)
+    level, factor = rewards / mass, walk.discount ** np.arange(horizon, dtype=np.float64)
+    bias = -dot(factor, (square_rewards - level * square) / mass**2)
     # of X_t E W_t, so that a step multiplies by gamma E W_t / E W_{t+1}
     discounts = discounts * np.append(mass[:-1] / mass[1:], 1.0)
     offsets = level[:, None]  # w (r - j) where the reward carries the weight of its own step,
@@ -172,11 +172,11 @@ def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Mome
 def _step_weights(walk: Walk, horizon: int, power: int) -> tuple[Array, Array]:
     """E[W^power] and E[W^power r_t] of the weight that each step's reward carries."""
     before = walk.weights_by_state(horizon, power=power)[:horizon, 0]
-    chance, mass, paid = walk.act * walk.u**power, np.ones(walk.act.shape[1]), walk.rewards[0]
+    chance, mass, rewards = walk.act * walk.u**power, np.ones(walk.act.shape[1]), walk.rewards[0]
     if walk.by_transition:
         weighted = walk.row_matrix(walk.prob * walk.w**power)
-        mass, paid = row_sums(weighted), row_sums(weighted, weighted.data * paid)
-    weight, total = (np.asarray((before * walk.sum_actions(chance * x)).sum(axis=1)) for x in (mass, paid))
+        mass, rewards = row_sums(weighted), row_sums(weighted, weighted.data * rewards)
+    weight, total = (np.asarray((before * walk.sum_actions(chance * x)).sum(axis=1)) for x in (mass, rewards))
     return weight, total
 
 
@@ -215,9 +215,9 @@ def infinite_moments(walk: Walk, sources: bool) -> Moments:
         raise ValueError("horizon must be given: at discount 1 the infinite sum's variance is not worked out")
     chance, f = walk.act[0][rows] * walk.prob, walk.u[0][rows]
     state = rows // (walk.act.shape[1] // n)
-    paid = walk.w * walk.rewards[0] if walk.by_transition else walk.rewards[0][rows]
-    mean = solve_policy_system(first, np.bincount(state, chance * f * paid, n).astype(np.float64), gamma).x
-    value = f * (paid + gamma * walk.w * mean[walk.indices])
+    rewards = walk.w * walk.rewards[0] if walk.by_transition else walk.rewards[0][rows]
+    mean = solve_policy_system(first, np.bincount(state, chance * f * rewards, n).astype(np.float64), gamma).x
+    value = f * (rewards + gamma * walk.w * mean[walk.indices])
     own: Array = np.bincount(state, chance * (value - mean[state]) ** 2, n).astype(np.float64)
     try:
         variance = solve_policy_system(second, own, gamma**2).x

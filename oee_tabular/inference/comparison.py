@@ -153,16 +153,16 @@ class Comparison:
         """
         i, j = self.names.index(one), self.names.index(other)
         ours, theirs = ((intervals or {}).get(name) for name in (one, other))
-        apart = (
+        separate = (
             (np.nan, np.nan)
             if ours is None or theirs is None
             else (ours.lower - theirs.upper, ours.upper - theirs.lower)
         )
         if max(self.unseen_share[[i, j]]) > 1.0 - ENOUGH:
-            return apart
+            return separate
         paired = float(self.lower[i, j]), float(self.upper[i, j])
         return min(
-            paired, apart, key=lambda ends: (not ends[0] > 0, not ends[1] - ends[0] < math.inf, ends[1] - ends[0])
+            paired, separate, key=lambda ends: (not ends[0] > 0, not ends[1] - ends[0] < math.inf, ends[1] - ends[0])
         )
 
     def __str__(self) -> str:

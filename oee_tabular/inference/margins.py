@@ -104,7 +104,7 @@ def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
 def _reach(evidence: Evidence, values: Array) -> Array:
     """(S*A, 2) by how much the worst and the best r + gamma V of any transition differ from the row's own mean."""
     rewards, gamma = evidence.model.reward_data, evidence.model.discount
-    paid = np.zeros(1) if rewards is None else rewards  # r(s, a) is the row's own wherever the transition leads
-    mean = evidence.rows.mean(evidence.phat, gamma * values[evidence.rows.arrival] + paid)
-    worst, best = gamma * values.min() + paid.min(), gamma * values.max() + paid.max()
+    rewards_or_0 = np.zeros(1) if rewards is None else rewards  # r(s, a) is the row's own wherever the transition leads
+    mean = evidence.rows.mean(evidence.phat, gamma * values[evidence.rows.arrival] + rewards_or_0)
+    worst, best = gamma * values.min() + rewards_or_0.min(), gamma * values.max() + rewards_or_0.max()
     return np.asarray(np.maximum(np.column_stack([mean - worst, best - mean]), 0.0))

@@ -91,9 +91,9 @@ def map_of(mdp: FiniteMDP) -> Map | None:
     """
     layout = _checks.instance(mdp, FiniteMDP, "mdp").layout
     if layout is not None and layout.shape[1] == 2:
-        found = _from_places(layout, mdp.closed())
-        if found is not None:
-            return found
+        result = _from_places(layout, mdp.closed())
+        if result is not None:
+            return result
     shape = detect_grid(mdp)
     return None if shape is None else Map.of_shape(*shape)
 
@@ -102,17 +102,17 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
     """The map of places on a grid with even steps, from the least coordinate to the largest; None where there is none."""
     coordinates, numbers = [], []
     for place in layout.T:
-        found = np.unique(place)
-        gaps = np.diff(found)
-        gaps = gaps[gaps > CLOSE * np.abs(found).max()]
+        distinct = np.unique(place)
+        gaps = np.diff(distinct)
+        gaps = gaps[gaps > CLOSE * np.abs(distinct).max()]
         step = float(gaps.min()) if len(gaps) else 1.0
         with np.errstate(over="ignore", invalid="ignore"):
-            at = (place - found[0]) / step
+            at = (place - distinct[0]) / step
             number = np.rint(at)
             is_even = (number < len(layout) / SPARSEST) & (np.abs(at - number) <= CLOSE)
         if not is_even.all():
             return None
-        coordinates.append(tuple((found[0] + step * np.arange(int(number.max()) + 1)).tolist()))
+        coordinates.append(tuple((distinct[0] + step * np.arange(int(number.max()) + 1)).tolist()))
         numbers.append(number.astype(np.int64))
     (rows, columns), (row, column) = coordinates, numbers
     if len(layout) < SPARSEST * len(rows) * len(columns):

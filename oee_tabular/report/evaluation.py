@@ -121,22 +121,22 @@ def evaluate(
             left_out += reasons
             uncertain = (r for r in results if any(f.kind == "weights" for f in r.estimate.findings))
             hidden = frozenset((r.policy, r.estimator) for r in uncertain)
-        found = find_intervals(problem, named, level, known, guaranteed=guaranteed, quick=quick)
+        uncertainty = find_intervals(problem, named, level, known, guaranteed=guaranteed, quick=quick)
         for k, result in enumerate(results):
             key = SHARED if result.estimator in known.estimators else LIKELIHOOD
-            likelihood = found.intervals.get(result.policy, {}).get(key)
+            likelihood = uncertainty.intervals.get(result.policy, {}).get(key)
             results[k] = replace(result, estimate=choose_interval(result.estimate, likelihood, level, scale))
         front = {name: result.estimate for name, result in first_results(results).items()}
-        found = add_sentences(found, problem, named, level, known, front, scale)
+        uncertainty = add_sentences(uncertainty, problem, named, level, known, front, scale)
     models = [(r.policy, r.estimator) for r in results if not r.estimate.is_from_episodes]
-    told: list[tuple[str, list[Pair]]] = [(sentence, []) for sentence in left_out]
-    told += [(str(finding), models if finding.severity > 0 else []) for finding in problem.findings]
-    warnings, notes = number_notes(results, [*told, *group_findings(results)])
+    warnings_and_rows: list[tuple[str, list[Pair]]] = [(sentence, []) for sentence in left_out]
+    warnings_and_rows += [(str(finding), models if finding.severity > 0 else []) for finding in problem.findings]
+    warnings, notes = number_notes(results, [*warnings_and_rows, *group_findings(results)])
     about = {"simulator": repr(simulator), "log": problem.log.describe(), "rewards": problem.rewards}
     about |= {"target": str(known)} if str(known) else {}
     return Report(
         tuple(results), truth, warnings, notes, level, normalized, simulator.discount, problem.horizon, seed,
-        about | dict(facts or {}), found, problem, named, hidden,
+        about | dict(facts or {}), uncertainty, problem, named, hidden,
     )  # fmt: skip
 
 
@@ -273,16 +273,16 @@ def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
         worst = sorted(members, key=lambda member: -member[0].severity)
         for finding, policy, label in worst:
             figures.setdefault(policy if several else label, finding.figure)
-        told = ", ".join(f"{figure} ({name})" for name, figure in list(figures.items())[:N_FIGURES])
-        figure = worst[0][0].figure if len(set(figures.values())) == 1 else told
+        listed = ", ".join(f"{figure} ({name})" for name, figure in list(figures.items())[:N_FIGURES])
+        figure = worst[0][0].figure if len(set(figures.values())) == 1 else listed
         sentences.append((f"{about}: {worst[0][0].sentence(figure)}", [member[1:] for member in members]))
     return sentences
 
 
 def number_notes(
-    results: Iterable[Result], told: Sequence[tuple[str, Collection[Pair]]]
+    results: Iterable[Result], warnings: Sequence[tuple[str, Collection[Pair]]]
 ) -> tuple[tuple[str, ...], dict[Pair, tuple[int, ...]]]:
     """The sentences, numbered from 1, and the numbers of those that are about each (policy, estimator)."""
     every = [(result.policy, result.estimator) for result in results]
-    notes = {pair: tuple(k for k, (_, pairs) in enumerate(told, start=1) if pair in pairs) for pair in every}
-    return tuple(sentence for sentence, _ in told), notes
+    notes = {pair: tuple(k for k, (_, pairs) in enumerate(warnings, start=1) if pair in pairs) for pair in every}
+    return tuple(sentence for sentence, _ in warnings), notes

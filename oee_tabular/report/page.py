@@ -289,7 +289,7 @@ def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
     """The rows of a policy, and below them its intervals that stand beside no value."""
     rows = [row for row in report.records() if row["policy"] == policy]
     beside, intervals = {row["interval_method"] for row in rows}, report.uncertainty.intervals.get(policy, {})
-    alone = {found.method: (found.lower, found.upper) for found in intervals.values() if found.method not in beside}
+    alone = {each.method: (each.lower, each.upper) for each in intervals.values() if each.method not in beside}
     quoted = intervals.get(LIKELIHOOD)
     if quoted is not None and quoted.sampling not in (None, (quoted.lower, quoted.upper)):
         alone["sampling"] = quoted.sampling
@@ -316,7 +316,7 @@ def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) ->
     values, lower, upper = np.array([[row[key] for row in rows] for key in ("value", "lower", "upper")], dtype=float)
     limits = None if np.isfinite([values, lower]).any() else (0.0, 1.0)  # lines that say "no value"
     valued = (row for row in rows if row["status"])
-    told = "; ".join(
+    values_by_estimator = "; ".join(
         f"{row['estimator']} {text.format_value(row['value'], row['lower'], row['upper'])}" for row in valued
     )
     exact = "" if truth is None else f" The dashed line is the exact value, {text.format_number(truth)}."
@@ -327,5 +327,5 @@ def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) ->
             xlabel=f"value: {factor}discounted sum of rewards",
         ),
         name=name, size=(WIDTH, 0.85 + 0.31 * len(rows)), title=f"Values of {policy} in the target, with intervals",
-        description=f"One line for each estimator. {told}.{exact}",
+        description=f"One line for each estimator. {values_by_estimator}.{exact}",
     )  # fmt: skip

@@ -150,15 +150,15 @@ class Report:
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if not answers:
             return text.NO_VALUE
-        told = [text.policy_worth(answer, self.confidence) for answer in answers]
+        sentences = [text.policy_worth(answer, self.confidence) for answer in answers]
         if len(self.answers) > 1 and self.uncertainty.ranking:
-            told = [text.silent_log(answers), self.uncertainty.ranking]
-        told.insert(0, self.uncertainty.caveat)
+            sentences = [text.silent_log(answers), self.uncertainty.ranking]
+        sentences.insert(0, self.uncertainty.caveat)
         conflict = None if self.problem is None or self.problem.rewards == "log" else self.problem.reward_conflict
         if conflict is not None:
             where = str(conflict)
-            told.insert(0, text.REWARD_CONFLICT.format(f"{where[0].upper()}{where[1:]}"))
-        return " ".join(filter(None, told))
+            sentences.insert(0, text.REWARD_CONFLICT.format(f"{where[0].upper()}{where[1:]}"))
+        return " ".join(filter(None, sentences))
 
     @property
     def answer(self) -> str:
@@ -375,13 +375,13 @@ class Report:
         return tables.render_html(self)
 
 
-def interval_columns(found: Interval) -> dict[str, Any]:
+def interval_columns(interval: Interval) -> dict[str, Any]:
     """An interval as columns of a table."""
-    about = {"confidence": found.confidence, "status": found.status}
-    return {"lower": found.lower, "upper": found.upper} | sampling_columns(found) | about
+    about = {"confidence": interval.confidence, "status": interval.status}
+    return {"lower": interval.lower, "upper": interval.upper} | sampling_columns(interval) | about
 
 
-def sampling_columns(found: Interval | None) -> dict[str, float | None]:
+def sampling_columns(interval: Interval | None) -> dict[str, float | None]:
     """The interval from the recorded transitions alone, as columns of a table; None where there is none."""
-    lower, upper = (None, None) if found is None or found.sampling is None else found.sampling
+    lower, upper = (None, None) if interval is None or interval.sampling is None else interval.sampling
     return {"sampling_lower": lower, "sampling_upper": upper}

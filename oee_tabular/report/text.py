@@ -128,20 +128,20 @@ def policy_worth(answer: Answer, confidence: float) -> str:
     """Say what one policy is worth, beside what the simulator says."""
     ends, level = (answer.lower, answer.upper), format_level(confidence)
     if answer.is_nearly_silent and answer.coverage is not None:
-        told = f"The log covers {_printing.share(answer.coverage)} of what the policy “{answer.policy}” does: "
+        sentence = f"The log covers {_printing.share(answer.coverage)} of what the policy “{answer.policy}” does: "
         known = f"between {format_interval(*ends, ' and ')} ({level} interval)"
-        told += known if answer.lower is not None else f"about {format_number(answer.value)}, without an interval"
+        sentence += known if answer.lower is not None else f"about {format_number(answer.value)}, without an interval"
     else:
         where = "target" if answer.is_from_log or answer.truth is not None else "simulator"
-        told = f"In the {where}, the policy “{answer.policy}” is worth about {format_value(answer.value, *ends)}"
-        told += f" ({level} interval: {format_interval(*ends)})" if answer.lower is not None else ""
+        sentence = f"In the {where}, the policy “{answer.policy}” is worth about {format_value(answer.value, *ends)}"
+        sentence += f" ({level} interval: {format_interval(*ends)})" if answer.lower is not None else ""
     if answer.simulator is not None and answer.is_from_log:
-        told += f"; the simulator says {format_value(answer.simulator, *ends)}"
+        sentence += f"; the simulator says {format_value(answer.simulator, *ends)}"
         if answer.simulator_error is not None:
-            told += f" (standard error {format_number(answer.simulator_error, 2)}, because it was sampled)"
+            sentence += f" (standard error {format_number(answer.simulator_error, 2)}, because it was sampled)"
     if answer.truth is not None:
-        told += f". The exact value, known here, is {format_number(answer.truth)}"
-    return f"{told}."
+        sentence += f". The exact value, known here, is {format_number(answer.truth)}"
+    return f"{sentence}."
 
 
 def silent_log(answers: Sequence[Answer]) -> str:
@@ -158,15 +158,15 @@ def best_policy(
     best: str, following: str, n_policies: int, margin: tuple[float, float, float], confidence: float, *, overlap: bool
 ) -> str:
     """Say which policy is worth most, and by how much: ``margin`` (difference, lower, upper)."""
-    told = f"Of {n_policies} policies, “{best}” is worth most in the target."
+    sentence = f"Of {n_policies} policies, “{best}” is worth most in the target."
     if math.isfinite(margin[0]):
-        told += f" It is better than “{following}” by {format_value(*margin)}"
-        told += f" ({format_level(confidence)}: {format_interval(*margin[1:])})."
+        sentence += f" It is better than “{following}” by {format_value(*margin)}"
+        sentence += f" ({format_level(confidence)}: {format_interval(*margin[1:])})."
         if overlap:
-            told += (
+            sentence += (
                 " The difference is known more precisely than either value because both rest on the same transitions."
             )
-    return told
+    return sentence
 
 
 def no_best_policy(candidates: Sequence[str], n_policies: int, *, are_equal: bool) -> str:
@@ -207,12 +207,12 @@ def agreement(tested: int) -> str:
 
 def worst_case(unrecorded: int, share: float | None, *, dropped: bool) -> str:
     """Say what the quoted interval allows in unrecorded pairs; "" where there are none."""
-    told = []
+    sentences = []
     if unrecorded:
         pairs = f"{unrecorded} unrecorded pair{'s' * (unrecorded > 1)}"
         of_time = "" if share is None else f" ({_printing.share(share)} of the policy's time)"
-        told.append(f"The interval allows any outcome in {pairs}{of_time}.")
-    return " ".join([*told, *["It lets dropped transitions lead anywhere."] * dropped])
+        sentences.append(f"The interval allows any outcome in {pairs}{of_time}.")
+    return " ".join([*sentences, *["It lets dropped transitions lead anywhere."] * dropped])
 
 
 def sampling_interval(lower: float, upper: float, *, unrecorded: int) -> str:
@@ -231,7 +231,7 @@ def legend(method: str, estimators: Sequence[str], confidence: float) -> str:
 
 def omissions(notes: int, rows: int) -> str:
     """Say what a short report leaves out; "" where that is nothing."""
-    told = [f"{count(notes, 'more note')} with --verbose"] * bool(notes)
-    told += [f"{count(rows, 'more row')} with --all"] * bool(rows)
+    parts = [f"{count(notes, 'more note')} with --verbose"] * bool(notes)
+    parts += [f"{count(rows, 'more row')} with --all"] * bool(rows)
     options = ", ".join(["verbose=True"] * bool(notes) + ["all=True"] * bool(rows))
-    return f"{' and '.join(told)} (in Python: to_text({options}))." if told else ""
+    return f"{' and '.join(parts)} (in Python: to_text({options}))." if parts else ""

@@ -74,14 +74,14 @@ class Premises:
 
     def intervals(self, problem: Problem, policy: Array, level: float, *, guaranteed: bool) -> dict[str, Interval]:
         """The intervals of a policy by method; a ValueError where the log contradicts the box, with the pairs."""
-        found = {LIKELIHOOD: interval(problem, policy, confidence=level, **self.box)}
-        if str(self) and found[LIKELIHOOD].status != "ok":
-            raise ValueError(f"lower_ratio and upper_ratio must fit the log: {found[LIKELIHOOD].status}")
+        result = {LIKELIHOOD: interval(problem, policy, confidence=level, **self.box)}
+        if str(self) and result[LIKELIHOOD].status != "ok":
+            raise ValueError(f"lower_ratio and upper_ratio must fit the log: {result[LIKELIHOOD].status}")
         if guaranteed:
-            found[GUARANTEED] = interval(problem, policy, method=GUARANTEED, confidence=level, **self.box)
+            result[GUARANTEED] = interval(problem, policy, method=GUARANTEED, confidence=level, **self.box)
         if self.estimators:
-            found[SHARED] = interval(problem, policy, tie=self.tie, features=self.features, confidence=level)
-        return found
+            result[SHARED] = interval(problem, policy, tie=self.tie, features=self.features, confidence=level)
+        return result
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ class Uncertainty:
     @property
     def likelihood(self) -> dict[str, Interval]:
         """The likelihood interval of each policy that has one."""
-        found = {name: methods[LIKELIHOOD] for name, methods in self.intervals.items() if LIKELIHOOD in methods}
-        return {name: one for name, one in found.items() if one.status == "ok"}
+        intervals = {name: methods[LIKELIHOOD] for name, methods in self.intervals.items() if LIKELIHOOD in methods}
+        return {name: one for name, one in intervals.items() if one.status == "ok"}
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -298,18 +298,18 @@ def _rank(
     return text.best_policy(best, following, len(values), (difference, lower, upper), level, overlap=overlap)
 
 
-def _describe(found: Mapping[str, Interval], coverage: float | None, scale: float) -> str:
+def _describe(intervals: Mapping[str, Interval], coverage: float | None, scale: float) -> str:
     """What the intervals of a policy assume; ``coverage`` is the share of the policy's time that the log covers."""
-    quoted = found[LIKELIHOOD]
+    quoted = intervals[LIKELIHOOD]
     if quoted.status != "ok":
         return f"{quoted.status}."
     dropped = bool(quoted.diagnostics.get("dropped_moves", 0.0))
     unrecorded = int(quoted.diagnostics["unvisited_rows"])
-    told = [text.worst_case(unrecorded, None if coverage is None else 1.0 - coverage, dropped=dropped)]
+    sentences = [text.worst_case(unrecorded, None if coverage is None else 1.0 - coverage, dropped=dropped)]
     if quoted.sampling is not None and quoted.width > MUCH_WIDER * (quoted.sampling[1] - quoted.sampling[0]):
         lower, upper = (end * scale for end in quoted.sampling)
-        told.append(text.sampling_interval(lower, upper, unrecorded=unrecorded))
-    if GUARANTEED in found:
-        ends = text.format_interval(scale * found[GUARANTEED].lower, scale * found[GUARANTEED].upper)
-        told.append(text.INTERVAL_AT_ANY_SIZE.format(ends))
-    return " ".join(filter(None, told))
+        sentences.append(text.sampling_interval(lower, upper, unrecorded=unrecorded))
+    if GUARANTEED in intervals:
+        ends = text.format_interval(scale * intervals[GUARANTEED].lower, scale * intervals[GUARANTEED].upper)
+        sentences.append(text.INTERVAL_AT_ANY_SIZE.format(ends))
+    return " ".join(filter(None, sentences))

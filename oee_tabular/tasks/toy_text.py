@@ -83,8 +83,8 @@ def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: object) -> Fi
     try:
         return FiniteMDP.from_gymnasium(env, discount=gamma)
     except ValueError as error:
-        said = f" with {', '.join(f'{name}={value!r}' for name, value in kwargs.items())}" if kwargs else ""
-        raise ValueError(f"environment {identifier!r}{said} is no finite MDP: {error}") from None
+        options = f" with {', '.join(f'{name}={value!r}' for name, value in kwargs.items())}" if kwargs else ""
+        raise ValueError(f"environment {identifier!r}{options} is no finite MDP: {error}") from None
     finally:
         env.close()
 

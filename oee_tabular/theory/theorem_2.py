@@ -66,8 +66,8 @@ def ratio_error_sides(
     error = float(max(np.abs(top - best_top).max(initial=0.0), np.abs(bottom - best_bottom).max(initial=0.0)))
     with np.errstate(over="ignore"):  # a quotient beyond the largest float is infinite: nothing from another such one
         quotient, best = top / bottom, best_top / best_bottom
-    apart = quotient != best
-    left = float(np.abs(quotient[apart] - best[apart]).max(initial=0.0))
+    differs = quotient != best
+    left = float(np.abs(quotient[differs] - best[differs]).max(initial=0.0))
     return Sides(left, ratio_error_bound(error, mu, nu, tight=tight))
 
 

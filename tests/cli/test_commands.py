@@ -163,7 +163,7 @@ def test_json_is_alone_on_stdout(folder):
     assert re.match(r"oee: \d+ s: ", done.stderr)
 
 
-def test_what_is_done_is_told_by_policy_and_interval(folder, monkeypatch):
+def test_progress_names_policies_and_intervals(folder, monkeypatch):
     steps = []
     monkeypatch.setattr("oee_tabular._progress.report_step", steps.append)
     problem = oee.Problem(oee.FiniteMDP.load("sim.npz"), oee.Transitions.load("log.csv"))

@@ -68,7 +68,7 @@ def test_laws_of_a_step(gravity, seed):
     assert_allclose(none + twice, 2 * still, rtol=0, atol=1e-12)
 
 
-def test_the_reward_pays_for_the_failing_step_too():
+def test_the_failing_step_has_a_reward_too():
     """A pole that never falls is worth 1 - 0.99^100 = 0.633967658726771 (the paper's ceiling)."""
     falling = np.array([[0.0, 0.0, ANGLE_LIMIT - 1e-3, 1.0], [0.0, 0.0, 0.0, 0.0]])
     moved = CartPole().moves(falling, np.array([1, 1]), np.zeros((2, 4)))

@@ -173,7 +173,7 @@ def test_the_residual_row_is_within_a_quarter(tables):
     assert 0.2 < row["truth_0.4"] < row["truth_0.2"] < 0.634
 
 
-def test_a_delay_is_said_and_the_last_action_mends_it(tables):
+def test_a_delay_is_reported_and_the_last_action_mends_it(tables):
     rows = errors(tables, "CartPole, delay")
     assert rows.hidden.all()
     assert rows.share["residual, last action"] < 1 / 3

@@ -226,7 +226,7 @@ def test_bad_words(run, tmp_path, words, text):
     assert list(tmp_path.iterdir()) == before
 
 
-def test_logs_are_told_apart(run):
+def test_kinds_of_logs_are_recognised(run):
     oee.Transitions([0], [0], [3]).save("numbers.csv")
     LOG.save("log.csv")
     for simulator, log, text in (
@@ -264,7 +264,7 @@ def evaluated(log, policy=SIMULATOR.expert, *, estimators=("oee",), **settings):
         (LOG, {"grid": (6, 6)}, "too coarse for the steps of CartPole: .* a closure error of"),
     ],
 )
-def test_warnings_are_told_once_and_stand_in_the_report(log, settings, text):
+def test_warnings_are_printed_once_and_stand_in_the_report(log, settings, text):
     texts, report = evaluated(log, **settings)
     assert sum(bool(re.search(text, each)) for each in texts) == 1
     assert sum(bool(re.search(text, each)) for each in report.warnings) == 1
@@ -351,7 +351,7 @@ class Remembers(HistoryTask):
         return moved
 
 
-def test_hidden_state_is_said_and_not_put_in_front():
+def test_hidden_state_is_reported_and_not_put_in_front():
     """Where the action before decides, the row says so, and a row with that action in the state stands before all."""
     target = Remembers(CartPole(10.0))
     columns = record(target, target.policy(cartpole_policy(0.5)), n_transitions=3000, max_steps=100, seed=0).columns()
@@ -369,7 +369,7 @@ def test_hidden_state_is_said_and_not_put_in_front():
     assert abs(values["oee (residual, last action)"] - truth) < abs(values["simulator (continuous)"] - truth) / 3
 
 
-def test_moves_without_support_are_told_with_the_ways_out():
+def test_transitions_without_support_are_reported_with_the_ways_out():
     """A few are left out of the rows on the cells, many leave those rows out; a way out that is in force is not advised."""
     texts, report = evaluated(LOG, grid=(60, 60), floor=0.0)
     pattern = r"0.0032 of the log's transitions have no probability .* begin at state \d+"

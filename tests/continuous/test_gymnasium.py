@@ -311,7 +311,7 @@ def test_other_forms_of_a_policy():
 
 
 @pytest.mark.parametrize("one", [lambda s: 1 if s[1] > 0 else 0, lambda s: [0.5, 0.5] if sum(s) > 0 else [1.0, 0.0]])
-def test_a_policy_of_one_state_is_told_so(one):
+def test_a_policy_of_one_state_has_its_own_error(one):
     states = np.ones((3, 4))
     text = r"^policy must take all states at once, an array of shape \(n, 4\), .* raises ValueError: The truth value "
     for ask in (lambda: as_probabilities(one, np.arange(2))(states), lambda: check_probabilities(one, states, 2),

@@ -143,7 +143,7 @@ def test_values_that_cannot_be_are_refused(value, error, found):
 
 
 @pytest.mark.parametrize(("raw", "below", "said"), [(5.0, 6.0, False), (9.0, 6.0, True)])
-def test_calibration_that_moves_more_than_the_simulator_is_said(raw, below, said):
+def test_calibration_that_changes_more_than_the_simulator_has_a_warning(raw, below, said):
     """By the ratio 9/6 a raw 9 moves by 4.5, the simulator's own value by 3."""
     raw = Estimate(raw, 0.1, (raw - 0.2, raw + 0.2), {"interval_method": "one-step", "one_step_value": 9.9})
     estimate = calibrated_row(raw, MonteCarlo(9.0, 0.01, 1.0, 100), below, "ratio", 1.0)
@@ -183,7 +183,7 @@ def test_a_resample_of_a_short_log_has_rows():
         assert np.abs(model.resampled(seed).coefficients).max() > 0
 
 
-def test_rewards_that_are_not_the_task_s_are_told():
+def test_rewards_that_are_not_the_task_s_are_reported():
     class Paid(CartPole):
         def reward_between(self, states, actions, next_states):
             return np.ones(len(states))
@@ -240,7 +240,7 @@ def test_another_unit_is_no_hidden_state():
     assert "hidden state" not in found.status
 
 
-def test_a_policy_beyond_the_log_is_told():
+def test_a_policy_beyond_the_log_is_reported():
     """The log's cart is pushed at random from the middle; a policy that always pushes right is soon where it never was."""
     log = record(CartPole(15.0), cartpole_policy(1.0), n_transitions=2000, max_steps=8, seed=0)
     corrected = ResidualSimulator(CartPole(10.0), log, seed=0)

@@ -58,7 +58,7 @@ def test_rows_that_no_structure_explains_pull_little():
     assert_allclose([fit.parameters["gravity"], fit.parameters["force"]], [12.5, 1.0], rtol=0.01)
 
 
-def test_what_a_log_does_not_determine_is_said():
+def test_what_a_log_does_not_determine_is_reported():
     """Steps depend on gravity / length and 1 / (mass length^2) alone."""
     log = pendulum_log(classic.Pendulum(mass=1.2, gravity=11.0))
     fit = fit_parameters(*parameters_of(classic.Pendulum(), ["mass", "length", "gravity"]), log)
@@ -66,7 +66,7 @@ def test_what_a_log_does_not_determine_is_said():
     assert "The log does not determine mass, length, gravity." in fit.describe()
 
 
-def test_a_fit_at_its_bound_is_said():
+def test_a_fit_at_its_bound_is_reported():
     fit = fit_parameters(CartPole, {"gravity": 10.0}, cartpole_log(CartPole(15.0)), {"gravity": (5.0, 12.0)})
     assert_allclose(fit.parameters["gravity"], 12.0, rtol=1e-3)
     assert fit.at_bounds == ("gravity",)

@@ -286,7 +286,7 @@ def test_an_action_that_was_never_logged_has_the_others_correction():
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 30])
-def test_a_handful_of_moves(n):
+def test_a_handful_of_transitions(n):
     corrected = ResidualSimulator(CartPole(10.0), cartpole_log(CartPole(15.0), n), seed=0)
     value = monte_carlo_value(corrected, cartpole_policy(0.3), 200, 100, seed=0, normalized=True).value
     assert 0.0 < value < 0.64

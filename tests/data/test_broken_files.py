@@ -70,7 +70,7 @@ def refuse_command(capsys, words):
     return capsys.readouterr().err
 
 
-def test_memory_that_is_not_there_is_said_with_its_size(tmp_path, monkeypatch, capsys):
+def test_missing_memory_is_reported_with_its_size(tmp_path, monkeypatch, capsys):
     path = archive(tmp_path / "a.npz", {"state": npy(np.zeros(2**18))})
     monkeypatch.setattr("oee_tabular._checks.free_memory", lambda: 2.0**20)
     with pytest.raises(MemoryError, match=r"a\.npz' needs 0\.00195 GiB of memory; 0\.000977 GiB are free"):

@@ -148,7 +148,7 @@ def test_frames_of_any_library(kind):
     assert_same(oee.Problem(MDP, kind(texts)).log, NUMBERS)
 
 
-def test_an_index_is_not_looked_at():
+def test_an_index_is_ignored():
     shuffled = frame().set_index(pd.Index(np.arange(len(NUMBERS))[::-1]))
     assert_same(Transitions.from_frame(shuffled, simulator=MDP), NUMBERS)
     assert_same(Transitions.from_frame(shuffled), NAMED)
@@ -216,7 +216,7 @@ def test_forms_of_a_step():
             assert_same(Transitions.from_episodes([first, second]), expected)
 
 
-def test_a_last_move_that_leads_nowhere_known_is_left_out_and_told():
+def test_a_last_transition_without_a_next_state_is_left_out_with_a_warning():
     with pytest.warns(UserWarning, match=r"^the last transitions of 2 episodes are left out"):
         log = Transitions.from_episodes([[(0, 0, 1.0), (1, 0, 2.0)], [(3, 0, 1.0)], [], [(2, 0, 5.0), (1,)]])
     assert_array_equal(log.state, [0, 2])

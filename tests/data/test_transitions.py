@@ -95,7 +95,7 @@ def test_it_prints_as_a_summary():
 
 @pytest.mark.parametrize("largest", [5, 10**4, 2**62, 2**63 - 1])
 @given(rngs)
-def test_what_was_seen_is_counted_whatever_the_numbers(largest, rng):
+def test_distinct_transitions_are_counted_whatever_the_numbers(largest, rng):
     n = int(rng.integers(1, 40))
     state, action, following = (rng.choice([0, 1, 3, largest], n) for _ in range(3))
     facts = Transitions(state, action, following).summary()

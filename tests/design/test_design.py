@@ -90,7 +90,7 @@ def test_optimism_fades_with_observations():
     assert_allclose(boxed.costs["policy"][0, 0], 0.81 * 0.8**2 * 0.0375 * 0.9625, rtol=1e-9)
 
 
-def test_rewards_of_moves_that_the_simulator_does_not_make():
+def test_rewards_of_transitions_that_the_simulator_lacks():
     """r(s, a, s') of another action's move is that action's; that of staying, the row's own mean."""
     transitions = np.zeros((3, 2, 3))
     transitions[0, 0, 1] = transitions[0, 1, 2] = 1.0
@@ -122,7 +122,7 @@ def test_a_free_plan_levels_what_one_transition_more_gains(rng):
 
 
 @pytest.mark.parametrize("pay", [-1.0, 0.3, 1e9])
-def test_a_value_that_no_move_changes_needs_none(pay):
+def test_a_value_that_no_transition_changes_needs_none(pay):
     """Every move of the first step pays the same: what is left of its variance is rounding."""
     rows = np.full((3, 2, 3), 1 / 3)
     simulator = oee.FiniteMDP(rows, np.full((3, 2, 3), pay), [1, 0, 0], 1.0)

@@ -50,7 +50,7 @@ def test_doubly_robust_on_transitions_row_by_row(form, horizon, weights):
 
 @pytest.mark.parametrize("form", [2, 3])
 @pytest.mark.parametrize("horizon", [None, 4])
-def test_doubly_robust_on_rollouts_move_by_move(form, horizon):
+def test_doubly_robust_on_rollouts_step_by_step(form, horizon):
     """D_t = m_t + zeta (r + gamma D_t+1 - (r + gamma V)) of each rollout, backwards."""
     problem, target = recorded_problem(form, horizon=horizon)
     simulator = problem.simulator

@@ -90,7 +90,7 @@ def test_importance_sampling_uses_the_whole_episodes_behind_a_draw():
     assert ImportanceSampling()(drawn, policy) == ImportanceSampling()(Problem(simulator, episodes, horizon=30), policy)
 
 
-def test_the_truncation_bound_counts_the_largest_reward_of_a_move_not_the_mean():
+def test_the_truncation_bound_uses_the_largest_reward_of_a_transition():
     transitions = np.array([[[0.0, 0.5, 0.5]], [[1.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]]])
     rewards = np.zeros((3, 1, 3))
     rewards[0, 0, 1:] = [100.0, -100.0]
@@ -102,7 +102,7 @@ def test_the_truncation_bound_counts_the_largest_reward_of_a_move_not_the_mean()
     assert endless["truncation_bias_bound"] == np.inf
 
 
-def test_what_is_said_of_a_ratio_that_is_given():
+def test_a_given_ratio_has_its_own_warnings():
     """An unnormalised zeta has a value and nothing more; the truth is not moved."""
     problem, target = recorded_problem(3)
     loose = OffEnvironment(reweighted_zeta(problem.simulator, target, 1.01))(problem, POLICY)

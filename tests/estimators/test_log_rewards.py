@@ -27,7 +27,7 @@ def paid_case(form):
 
 @pytest.mark.parametrize("horizon", [None, 4])
 @pytest.mark.parametrize("form", ["sa", "sat"])
-def test_values_pay_what_the_log_paid(form, horizon):
+def test_values_use_the_log_s_rewards(form, horizon):
     simulator, log, policy, own, n = paid_case(form)
     problem = oee.Problem(simulator, log, horizon=horizon, rewards="log")
     assert_allclose(Simulator()(problem, policy).value, Dense(simulator).J(policy, horizon), rtol=1e-9)  # its own

@@ -92,7 +92,7 @@ def test_the_saddle_point_pair_by_pair():
     assert found.findings[0].kind == "coverage"
 
 
-def test_features_that_the_log_does_not_tell_apart_and_problems_without_a_saddle_point():
+def test_indistinguishable_features_and_problems_without_a_saddle_point():
     simulator, _ = environments()
     problem = Problem(simulator, oee.Transitions([0, 1], [0, 1], [1, 2]))
     apart = np.stack([np.arange(8) % 3 == 0, np.ones(8), np.arange(8) == 5], axis=1)

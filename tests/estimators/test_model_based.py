@@ -10,7 +10,7 @@ from oee_tabular import FiniteMDP, Problem, Transitions
 from oee_tabular.estimators import ModelBased
 
 
-def test_models_of_the_log_pay_what_the_simulator_pays():
+def test_models_of_the_log_use_the_simulator_s_rewards():
     """r(s, a, s') on the moves seen and on staying, which "stay" makes up; the row's mean where staying has no reward."""
     simulator, _ = environments(3)
     problem = Problem(simulator, Transitions([0, 0, 1], [0, 0, 1], [1, 2, 1]))

@@ -340,7 +340,7 @@ def test_policy_importance_sampling_with_both_policies_in_time():
 
 
 @pytest.mark.parametrize("how", [{}, {"kind": "trajectory"}, {"self_normalized": True}])
-def test_weights_beyond_floats_are_said(how):
+def test_weights_beyond_floats_are_reported(how):
     """A variance that is not a number comes with a word, whatever the mean."""
     simulator = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0, 1.0], [0.5, 0.5], 0.5)
     zeta = simulator.transitions.copy()

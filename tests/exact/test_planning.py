@@ -40,7 +40,7 @@ def test_of_equal_actions_the_first_is_taken():
 
 
 @pytest.mark.parametrize(("left", "less"), [(1e-4, 1e-6), (1e-6, 1e-5), (1e-8, 1e-5), (1e-9, 1e-4)])
-def test_near_discount_one_an_action_that_pays_less_is_no_equal(left, less):
+def test_near_discount_one_an_action_of_less_value_is_no_tie(left, less):
     """Its loss in every step adds up to less / left."""
     rows = np.full((2, 3, 2), 0.5)
     mdp = oee.FiniteMDP(rows, [[1.0 - less, 1.0, 1.0], [5.0, 5.0, 5.0 - less]], [0.5, 0.5], 1.0 - left)

@@ -146,7 +146,7 @@ def test_values_beyond_floats_are_infinite_and_their_bound_is():
     assert oee.policy_value(FiniteMDP(never.transitions, never.rewards, [0, 0, 1], 0.99), policy) == np.inf
 
 
-def test_what_is_said_of_a_value():
+def test_warnings_about_a_value():
     """The method and the error bound of each way to a value."""
     chain, ones = survival_chain(), np.ones((2, 1))
     found = exact.evaluate_policy(chain, ones, horizon=3)

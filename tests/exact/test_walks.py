@@ -39,7 +39,7 @@ def test_an_infinite_sum_of_states_that_are_never_entered():
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("self_normalized", [False, True])
-def test_ratios_of_moves_in_absorbing_states_do_not_count(kind, self_normalized):
+def test_ratios_of_transitions_in_absorbing_states_do_not_count(kind, self_normalized):
     simulator = oee.tasks.gridworld(3, 0.3)
     zeta = oee.true_ratio(oee.tasks.gridworld(3, 0.2), simulator).values.copy()
     other = zeta.copy()

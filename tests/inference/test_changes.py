@@ -24,7 +24,7 @@ def test_the_simulator_s_own_log_changes_nothing():
     assert found.counts.sum() == 4_000
 
 
-def test_rows_without_moves_are_left_open():
+def test_rows_without_transitions_are_left_open():
     found = row_changes(oee.Problem(SIMULATOR, oee.Transitions([0], [0], [4])))
     assert found.tested == 1
     assert found.next_state[3, 3] == -1

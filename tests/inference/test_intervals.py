@@ -106,7 +106,7 @@ def test_34_35_44_nested_mirrored_and_every_member_inside(rng, horizon):
 
 @settings(max_examples=25)
 @given(rngs)
-def test_33_four_times_the_same_moves_give_an_interval_inside(rng):
+def test_33_four_times_the_same_transitions_give_an_interval_inside(rng):
     _, _, problem, policy = case(rng)
     log = problem.log
     more = oee.Problem(
@@ -184,7 +184,7 @@ def test_rows_never_recorded_are_counted_where_they_bear_on_the_value(horizon, d
     assert oee.interval(problem, np.ones((5, 1))).diagnostics["unvisited_rows"] == bearing
 
 
-def test_38_rows_never_seen_are_not_trusted():
+def test_38_unrecorded_rows_are_not_trusted():
     """The log has no move of the only row that matters: the interval holds all that the box allows, delta none."""
     rows = np.array([[[0.5, 0.5], [0.5, 0.5]], [[0.0, 1.0], [0.0, 1.0]]])
     simulator = oee.FiniteMDP(rows, np.array([1.0, 0.0]), [1, 0], 0.9)
@@ -204,7 +204,7 @@ def test_38_rows_never_seen_are_not_trusted():
 
 
 @pytest.mark.parametrize("horizon", [None, 4])
-def test_rows_that_only_an_unseen_move_reaches_are_set_to_their_extreme(horizon):
+def test_rows_that_only_an_unrecorded_transition_reaches_are_set_to_their_extreme(horizon):
     """20 moves from 0, all to 1; mass q = 1 - exp(-c / 20) may go to 2, whose unseen row leads to +10 or to -10."""
     rows = np.zeros((6, 1, 6))
     for s, to in ((0, (1, 2)), (1, (5,)), (2, (3, 4)), (3, (5,)), (4, (5,)), (5, (5,))):

@@ -98,7 +98,7 @@ def test_the_variance_is_that_of_starts_and_mean_rewards(horizon):
     assert_allclose(np.var(values), found.variance, rtol=0.15)
 
 
-def test_moves_met_once_may_lead_anywhere():
+def test_transitions_met_once_may_lead_anywhere():
     """Row (0, 0): one of its 5 samples is of a move that no other made: a fifth of its moves was never met."""
     log = oee.Transitions([0, 0, 0, 0, 0, 1], [0] * 6, [0, 0, 0, 0, 1, 0], [0.0] * 6)
     simulator = oee.FiniteMDP.from_log(log, [0.0, 10.0], discount=0.5, initial=0)
@@ -136,7 +136,7 @@ def swayed(simulator, problem, horizon, sign, share):
 
 
 @pytest.mark.parametrize("horizon", [1, 2, 7])
-def test_with_a_horizon_unmet_moves_lead_to_the_extreme_of_the_steps_that_are_left(horizon):
+def test_with_a_horizon_unmet_transitions_lead_to_the_extreme_value_to_go(horizon):
     log = oee.sample_episodes(SIMULATOR, PI, 4, 5, seed=3)
     with pytest.warns(UserWarning, match="filled in"):
         simulator = oee.FiniteMDP.from_log(oee.Transitions(**log.columns()), discount=0.8, n_states=4)

@@ -6,7 +6,7 @@ import time
 from oee_tabular import _progress
 
 
-def test_slow_steps_are_told_once_on_stderr(capsys, monkeypatch):
+def test_slow_steps_are_reported_once_on_stderr(capsys, monkeypatch):
     monkeypatch.setattr(_progress, "SECONDS", 0.02)
     told = ""
 

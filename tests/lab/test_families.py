@@ -138,7 +138,7 @@ def test_the_data_distribution_is_that_of_long_logs(name):
     assert np.diff(log.episode_starts).max() <= family.length
 
 
-def test_episodes_that_start_where_they_are_over_have_one_move():
+def test_episodes_that_start_where_they_are_over_have_one_transition():
     rows = np.array([[[0.5, 0.5]], [[0.0, 1.0]]])
     mdp = oee.FiniteMDP(rows, [1.0, 0.0], [0.5, 0.5], 0.9)
     family = Family(mdp, mdp, [[1.0], [1.0]], [[1.0], [1.0]], "Nothing.", length=3)

@@ -140,7 +140,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_line_that_does_not_fit_is_computed_again_and_said(folder, name):
+def test_a_line_that_does_not_fit_is_reported_and_computed_again(folder, name):
     expected, cells = (folder / "table.csv").read_bytes(), folder / "cells.jsonl"
     first, *rest = cells.read_text().splitlines()
     cells.write_text("\n".join([DAMAGED[name](first), *rest]) + "\n")

@@ -59,7 +59,7 @@ def test_weights_that_outgrow_the_discount_are_not_cut():
     assert far.variance == pytest.approx(oee.weighted_return_moments(SIMULATOR, ZETA, expert).variance, rel=1e-9)
 
 
-def test_at_discount_1_the_cost_is_said():
+def test_at_discount_1_the_cost_is_reported():
     for call in (oee.policy_value, oee.return_moments, oee.occupancy):
         with pytest.raises(ValueError, match=r"1000000000 steps take some \de\+1\d multiply-adds \(.* hours\)"):
             call(TARGET.with_discount(1.0), POLICY, horizon=FAR)

@@ -122,7 +122,7 @@ def test_one_or_several():
      (-1.1 * SUM_TOLERANCE, "must sum to 1"), (-1.5, "must be nonnegative; it is -1"), (np.nan, "must be finite; it is nan"),
      (np.inf, "must be finite; it is inf")],
 )  # fmt: skip
-def test_the_last_entry_is_looked_at(change, words, order):
+def test_the_last_entry_is_checked(change, words, order):
     """Within the tolerance as it is, else refused by its place."""
     given = np.full((PLAIN.n_states, PLAIN.n_actions), 1.0 / PLAIN.n_actions, order=order)
     given[-1, -1] += change

@@ -48,7 +48,7 @@ def test_rewards_are_the_log_s_means_or_those_given():
 
 
 @pytest.mark.parametrize("rewards", [None, [1.0, 2.0, 5.0]])
-def test_where_transitions_terminated_is_terminal_and_pays_nothing(rewards):
+def test_where_transitions_terminated_is_terminal_with_reward_0(rewards):
     log = Transitions(["a", "b"], ["x", "x"], ["b", "c"], [1.0, 2.0], episode=[0, 0], terminated=[0, 1])
     mdp = FiniteMDP.from_log(log, rewards, discount=0.5)
     assert (mdp.state_names, mdp.action_names) == (("a", "b", "c"), ("x",))
@@ -265,7 +265,7 @@ def test_only_rows_with_impossible_transitions_change(form):
         assert_array_equal(allowing.rewards, simulator.rewards)
 
 
-def test_without_rewards_in_the_log_new_transitions_pay_what_the_pair_pays():
+def test_without_rewards_in_the_log_new_transitions_have_the_pair_s_reward():
     counts = sparse.csr_array(([2.0], ([0], [1])), shape=(6, 3))
     named = still(3).with_names(["x", "y", "z"], ["a", "b"])
     for log in (Transitions([0], [0], [1]), counts, Transitions(["x"], ["a"], ["y"])):

@@ -35,7 +35,7 @@ def test_wrong_answers_are_rejected_with_a_hint(name, capsys):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_no_answer_yet_is_said(name, capsys):
+def test_a_missing_answer_is_reported(name, capsys):
     check(name, None)
     assert "Not answered yet" in capsys.readouterr().out
 

@@ -117,7 +117,7 @@ def test_one_feature_an_entry_is_the_table(rng):
     assert_allclose(bounded.ratio, [2.0, 2.0, 5.0], rtol=1e-6)
 
 
-def test_a_kernel_that_tells_all_points_apart_is_the_table():
+def test_a_kernel_that_separates_all_points_is_the_table():
     identity = oee.density_ratio(COUNTS, Q, kernel=lambda x, c: 1.0 * (x == c.T), coordinates=LINE, ridge=0.2)
     assert_allclose(identity.ratio, oee.density_ratio(COUNTS, Q, features=np.eye(40), ridge=0.2).ratio, atol=1e-8)
 
@@ -154,7 +154,7 @@ def test_a_class_that_holds_the_truth_finds_it():
     assert_allclose(zeta.values.data, TRUTH, atol=1e-6)
 
 
-def test_the_points_that_a_kernel_of_moves_gets():
+def test_the_points_that_a_kernel_of_transitions_gets():
     """Action, place and displacement of each of the simulator's moves."""
     asked = []
 

@@ -106,7 +106,7 @@ def test_rows_sum_to_one_whatever_their_width_and_the_logs_share(ragged, size):
 
 
 @trained
-def test_batches_of_rows_come_near_and_stop_on_held_out_moves(logs):
+def test_batches_of_rows_come_near_and_stop_on_held_out_transitions(logs):
     simulator, te, _ = logs
     found, best = by_rows(logs, patience=4, n_iterations=20_000), Conditional(prior="none").fit(te, simulator)
     held, trace = found.details["held_out_risk"], found.details["trace"]
@@ -200,7 +200,7 @@ def test_bad_data(logs, options, text):
 
 
 @trained
-def test_weighted_moves_can_not_be_held_out(logs):
+def test_weighted_transitions_can_not_be_held_out(logs):
     simulator = logs[0]
     log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 50, 20, seed=0)
     network = Network((4,), n_iterations=100)

@@ -40,7 +40,7 @@ def test_a_function_of_the_key_is_found_exactly():
     assert_allclose(zeta.details["pooled_row_sums"], 1.0)
 
 
-def test_an_action_never_seen_keeps_the_simulator():
+def test_an_unrecorded_action_keeps_the_simulator():
     only = 50 * TARGET.transitions.toarray()
     only[1::2] = 0.0
     zeta = fit_tied(sparse.csr_array(only), SIMULATOR, displacement)

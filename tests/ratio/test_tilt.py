@@ -96,7 +96,7 @@ def test_features_in_every_form_are_the_same():
 
 
 @pytest.mark.parametrize(("p", "n"), [(1e-6, 1e6), (1e-8, 1e4), (1e-9, 1e3), (1e-10, 100)])
-def test_a_feature_of_one_rare_move_is_fitted_with_a_true_certificate(p, n):
+def test_a_feature_of_one_rare_transition_is_fitted_with_a_true_certificate(p, n):
     simulator = oee.FiniteMDP([[[1 - p, p]], [[0.5, 0.5]]], [0.0, 0.0], [1.0, 0.0], 0.9)
     observed = np.array([0.0, n, 5.0, 5.0])
     (theta,), _, gap = fit_tilt(observed, simulator, np.array([0.0, 1.0, 0.0, 0.0]))
@@ -120,7 +120,7 @@ def test_enormous_counts_of_collinear_features():
     assert_allclose(zeta, [1.5, 0.5, 1.5, 0.5], rtol=1e-6)
 
 
-def test_one_move_tells_nothing_about_the_prior():
+def test_one_transition_says_nothing_about_the_prior():
     simulator = oee.FiniteMDP(np.full((6, 1, 6), 1 / 6), np.zeros(6), np.full(6, 1 / 6), 0.9)
     zeta = oee.transition_ratio(oee.Transitions([0], [0], [1]), simulator)
     assert zeta.details["meaning"].startswith("too few transitions to decide")

@@ -155,7 +155,7 @@ def test_a_user_s_own_estimators_their_names_and_intervals(problem):
     assert found.warnings == ()
 
 
-def test_the_value_that_the_log_corrects_is_said_first_and_the_simulator_s_last(problem):
+def test_the_corrected_value_stands_first_and_the_simulator_s_last(problem):
     every = {
         "alone": returning(1.0, is_from_log=False),
         "other": returning(2.0),
@@ -190,7 +190,7 @@ def test_one_divergent_value_does_not_end_the_report():
     assert report.results[1].estimate.interval is not None
 
 
-def test_what_to_record_next_is_said_once_and_a_wrong_behaviour_policy_is_told():
+def test_advice_stands_once_and_a_wrong_behaviour_policy_has_a_warning():
     policies = {"a": UNIFORM, "b": oee.tasks.gridworld_policy(3, 0.5)}
     text = str(oee.evaluate(Problem(SMALL, oee.Transitions([0], [0], [3])), policies, estimators="oee"))
     assert text.count("Record action ") == 1

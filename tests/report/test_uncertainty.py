@@ -93,7 +93,7 @@ def test_the_same_interval_stands_everywhere(tmp_path):
     assert format_value(row["value"], *expected[:2]) in page
 
 
-def test_where_there_is_no_likelihood_interval_the_estimators_own_stands_at_the_level_asked_for(monkeypatch):
+def test_without_a_likelihood_interval_the_estimator_s_own_has_the_level_asked_for(monkeypatch):
     monkeypatch.setattr(uncertainty, "MAX_TRANSITIONS", 10)
     report = oee.evaluate(even(400), {"mine": MINE}, estimators=corrected(2.0))
     row, _ = row_of(report)
@@ -148,7 +148,7 @@ def test_ratios_of_every_kind_have_the_interval_to_quote():
     assert row_of(report, "quotient")[0]["lower"] is None
 
 
-def test_no_interval_of_a_model_that_the_log_covers_too_little_or_whose_variance_is_not_known():
+def test_no_interval_with_little_coverage_or_unknown_variance():
     report = oee.evaluate(even(2000, rows=8), {"mine": MINE}, estimators=["model-based", "oee"])
     row, notes = row_of(report, "model-based")
     assert row["coverage"] < 0.9
@@ -266,7 +266,7 @@ def test_a_certain_simulator_has_nothing_to_learn():
     assert found.uncertainty.next == "More transitions would not narrow it."
 
 
-def test_where_there_are_no_likelihood_intervals_it_is_said():
+def test_missing_likelihood_intervals_are_reported():
     """At discount 1 without a horizon, and where ``quick`` leaves them out; guaranteed ones are refused there."""
     endless, problem = Problem(SIMULATOR.with_discount(1.0), even(900).log), even(300)
     reason = "at discount 1 they need a horizon"
@@ -286,7 +286,7 @@ def test_a_box_that_the_log_contradicts():
 
 
 @pytest.mark.parametrize("names", [["oee"], ["simulator", "oee", "model-based"]])
-def test_it_is_said_of_the_policy_that_was_made_from_the_log(names):
+def test_a_policy_made_from_the_log_has_a_warning(names):
     """It is optimal under the log's frequencies, the simulator's rows where there are none."""
     problem = even(300)
     counts = problem.log.counts(16, 4).toarray()
@@ -305,7 +305,7 @@ def test_it_is_said_of_the_policy_that_was_made_from_the_log(names):
 
 
 @pytest.mark.parametrize("value", [1.0 + 5e-10, -5e-10, 0.4])
-def test_a_value_at_an_end_of_the_interval_but_for_rounding_stays_and_the_end_goes_with_it(value):
+def test_a_value_within_rounding_of_an_end_becomes_the_end(value):
     estimate = oee.Estimate(value, model_value=value)
     sure = oee.inference.Interval(0.0, 1.0, 0.95, "likelihood", {})
     found = uncertainty.choose_interval(estimate, sure, 0.95)

@@ -22,7 +22,7 @@ def test_the_trivial_estimate_scores_0570():
     assert_allclose(np.abs(ratio.values.data[:1572] - 1).mean(), 0.570, atol=5e-4)
 
 
-def test_moves_into_walls_stay_and_the_goal_absorbs():
+def test_transitions_into_walls_stay_and_the_goal_absorbs():
     grid = gridworld(3, 0.3)
     table = grid.transitions.toarray().reshape(9, 4, 9)
     assert_allclose(table[0, 1], [0.8, 0.1, 0, 0.1, 0, 0, 0, 0, 0])  # row - 1 and column - 1 both stay

@@ -102,7 +102,7 @@ def test_broken_laws_of_a_function_are_exit_code_1(capsys, here):
     assert "all laws hold" not in out
 
 
-def test_an_estimator_that_exits_or_hangs_or_is_killed_breaks_the_law_and_the_next_one_is_looked_at(capsys, here):
+def test_after_an_estimator_exits_or_hangs_or_is_killed_the_next_law_is_run(capsys, here):
     code, out, err = run(capsys, f"{here}:fatal", "--timeout", "4")
     assert (code, err) == (1, "")
     assert "all laws hold" not in out
