@@ -21,24 +21,21 @@ OF_FILES = ("features", "tie", "box", "action_noise", "initial", "impossible")
 @with_options("""
 Input:
 --simulator --log --policy
---history=auto STEPS  Last actions in a continuous task's state, 0 to 5 or more; auto: as many as lessen the held-out error,
-    where the log shows hidden state.
+--history=auto STEPS  Last actions in a continuous task's state, 0 to 5 or more; auto: as many as the held-out error asks for.
 --fit NAME,...  Parameters of a continuous task that are fitted to the log first, gravity,length; of MuJoCo body_mass.pole.
 --behavior SPEC  Policy that recorded the log, as for --policy.
 --target SIM  The true target, as for --simulator, to show errors.
 --initial --action-noise --impossible
---features FILE  Adds the row oee-features, whose ratio has your own features of transitions: {TRANSITIONS}, with a last axis
-    for several.
+--features FILE  Adds a row oee-features with your own features of transitions: {TRANSITIONS}, a last axis for several.
 --tie FILE  Adds the row oee-tied, in which transitions with one integer key share one ratio: {TRANSITIONS}.
---grid CELLS  Of a continuous task: add the rows on a finite MDP. 60x60: vertices along each feature; 3000: cells around
-    visited states; auto: the task's own.
+--grid CELLS  Adds rows on a finite MDP. 60x60: vertices along each feature; 3000: visited cells; auto: the task's own.
 --task-option* NAME=VALUE  Of a continuous task, repeatable; what is left out is the task's own. outside=error|drop|nearest:
     states of the log outside the grid; drop leaves out transitions without support too. strict=true: an error, not a
     warning, for actions of the log that are not in the task's set. calibration=ratio|difference|none. floor=0.001: share of
     other steps in the simulator on the grid (defensive). simulations=50000: Monte Carlo episodes of each policy.
-    state=MODULE:GET,SET: functions get(env) and set(env, state) of a Gymnasium environment whose state is not found;
-    its attribute state_names names the coordinates (else state_0, ..., in the order of get).
-    actions=9 or -2,0,2: levels of each coordinate of a Gymnasium Box of actions, or the commands.
+    state=MODULE:GET,SET: functions get(env) and set(env, state) of a Gymnasium environment whose state is not found; its
+    attribute state_names names the coordinates (else state_0, ..., in the order of get). actions=9 or -2,0,2: levels of
+    each coordinate of a Gymnasium Box of actions, or the commands.
 Value:
 --box --horizon --discount
 --normalized/--raw  Multiply values by (1 - discount).

@@ -181,8 +181,11 @@ def evaluate_continuous(
         return _report_rows(functions, rows, said, uncertainty, steps, discount, facts=about, **options)
     by_table = {table.tobytes(): functions[name] for name, table in tables.items()}
 
+    def evaluate_table(row: Row, problem: Problem, table: Array, *, seed: Seed = None) -> Estimate:
+        return row(by_table[np.asarray(table).tobytes()])
+
     def make_table_rows(rows: Mapping[str, Row]) -> dict[str, Estimator]:
-        return {name: partial(_evaluate_table, row, by_table) for name, row in rows.items()}
+        return {name: partial(evaluate_table, row) for name, row in rows.items()}
 
     def simulate_value(table: Array) -> MonteCarlo:
         return simulated.value(by_table[np.asarray(table).tobytes()])
@@ -247,13 +250,6 @@ def _refuse_other_signs(row: Row, paid: tuple[float, float], horizon: int, scale
     """No value of another sign than the rewards ``paid``, of the log and of the simulator's own steps from there, have."""
     low, high = (0.0 if paid[0] >= 0.0 else -np.inf), (0.0 if paid[1] <= 0.0 else np.inf)
     return lambda policy: refuse_impossible(row(policy), low, high, horizon, scale)
-
-
-def _evaluate_table(
-    row: Row, by_table: Mapping[bytes, StatePolicy], problem: Problem, table: Any, *, seed: Seed = None
-) -> Estimate:
-    """The row as an estimator, of a policy that is known by its table on the cells."""
-    return row(by_table[np.asarray(table).tobytes()])
 
 
 def _residual_rows(correction: Correction, rollouts: Rollouts) -> dict[str, Row]:

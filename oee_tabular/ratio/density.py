@@ -120,9 +120,8 @@ def density_ratio(
     toward : None, or the number that the ridge pulls g to
     normalized : whether sum q g = 1 is imposed
     loss : "kl" (the paper's), or "chi2": least squares (LSIF [2]), sum q g^2 / 2 - sum p g in place of the first two terms
-    solver : "dual" (structured, exact; Clarabel for features and kernels), a cvxpy solver ("CLARABEL", "SCS"), or "sgd" or
-        ``Sgd(...)``: the paper's Algorithm 1, for what training adds to the error (normalized=False, a box with 0 < lower
-        and finite upper)
+    solver : "dual" (structured, exact; of classes Clarabel), a cvxpy solver ("CLARABEL", "SCS"), "sgd" or ``Sgd(...)``: the
+        paper's Algorithm 1, for what training adds to the error (normalized=False, a box with 0 < lower and finite upper)
     features : None (a table: one parameter an entry), or (n,) or (n, d) numbers: the class g = Phi w, for which the ridge is
         ridge/2 * |w|^2; within lower <= g <= upper
     kernel, coordinates, n_centers : "gaussian" (in standard deviations of the coordinates) or a function of (m, c) and (k, c)

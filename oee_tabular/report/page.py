@@ -297,16 +297,8 @@ def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
         name = "guaranteed" if method == GUARANTEED else method
         lower, upper = (None if math.isnan(end) else end * report.scale for end in ends)
         values = {"value": math.nan, "lower": lower, "upper": upper, "true_value": rows[0]["true_value"]}
-        rows.append(
-            {
-                "policy": policy,
-                "estimator": f"{name} interval",
-                "interval_method": name,
-                "notes": [],
-                "status": "",
-                **values,
-            }
-        )
+        about = {"policy": policy, "estimator": f"{name} interval", "interval_method": name, "notes": [], "status": ""}
+        rows.append(about | values)
     return rows
 
 
