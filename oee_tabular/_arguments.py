@@ -128,14 +128,14 @@ def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
 def own_object(spec: str, what: str, example: str) -> Any:
     """The object of "module:object"; errors call it ``what`` and give an ``example`` of the form."""
     module_name, path = module_and_path(spec, what, example)
-    found: object = own_module(module_name)
+    result: object = own_module(module_name)
     for name in path.split("."):
-        if not hasattr(found, name):
-            public = [key for key, value in vars(found).items() if callable(value) and not key.startswith("_")]
+        if not hasattr(result, name):
+            public = [key for key, value in vars(result).items() if callable(value) and not key.startswith("_")]
             known = f" (it has {', '.join(sorted(public)[:8])})" if public else ""
             raise ValueError(f"{module_name!r} has no object {path!r}{known}")
-        found = getattr(found, name)
-    return found
+        result = getattr(result, name)
+    return result
 
 
 def own_module(module_name: str) -> ModuleType:

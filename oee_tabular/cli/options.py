@@ -78,9 +78,9 @@ def read_table(text: str) -> list[dict[str, str]]:
             group = line.rstrip(":")
             continue
         for declaration in [line] if "  " in line else line.split():
-            found = LINE.fullmatch(declaration)
-            assert found is not None, line
-            options.append({name: words for name, words in found.groupdict().items() if words} | {"group": group})
+            match = LINE.fullmatch(declaration)
+            assert match is not None, line
+            options.append({name: words for name, words in match.groupdict().items() if words} | {"group": group})
     return options
 
 

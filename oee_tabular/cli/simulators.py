@@ -66,11 +66,11 @@ def _maker(spec: str) -> Callable[[], Any]:
     if not all(part.isidentifier() for part in name.split(".")):
         own_module(module)  # which registers the environment
         return partial(make_environment, name, **keywords)
-    found = own_object(f"{module}:{name}", "the simulator", "my_package.mine:MySimulator")
+    made = own_object(f"{module}:{name}", "the simulator", "my_package.mine:MySimulator")
 
     def make() -> Any:
         try:
-            return found(*positional, **keywords) if callable(found) else found
+            return made(*positional, **keywords) if callable(made) else made
         except Exception as error:
             raise ValueError(f"simulator {spec!r} cannot be made; it raises {type(error).__name__}: {error}") from error
 
@@ -135,22 +135,22 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
         except ValueError:
             raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
         return mix(check_policy(task.expert(), mdp), uniform_policy(mdp), weight)
-    found: Any
+    made: Any
     if suffix == ".csv":
-        found = _policy_by_state(csv_frame(spec), mdp, repr(spec))
+        made = _policy_by_state(csv_frame(spec), mdp, repr(spec))
     elif suffix in (".npy", ".npz"):
-        found = read_policy_array(spec, name)
+        made = read_policy_array(spec, name)
     elif is_own(spec):
         with own_modules():
-            found = own_object(spec, name, "my_package.mine:policy")
-            return check_policy(found, mdp, name=f"{name} {spec!r}")
+            made = own_object(spec, name, "my_package.mine:policy")
+            return check_policy(made, mdp, name=f"{name} {spec!r}")
     else:
         close = difflib.get_close_matches(spec.lower(), ["uniform", "optimal", "expert", "mix:0.5"], n=1)
         raise ValueError(
             f"{name} must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz or .csv file; got {spec!r}"
             + (f" (did you mean {close[0]!r}?)" if close else "")
         )
-    return check_policy(found, mdp, name=f"{name} {spec!r}")
+    return check_policy(made, mdp, name=f"{name} {spec!r}")
 
 
 def _policy_by_state(frame: Any, mdp: FiniteMDP, name: str) -> dict[Any, Any]:

@@ -91,8 +91,8 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandP
     >>> brake = as_probabilities(lambda states: -states, np.array([[-1.0], [0.0], [1.0]]))
     >>> brake(np.array([[0.25], [4.0]])).tolist()
     [[0.25, 0.75, 0.0], [1.0, 0.0, 0.0]]
-    >>> brake.rounding(np.array([[0.25], [4.0]]))  # 0.25 becomes 0 or 1, and 4 is cut
-    (0.4330127018922193, 0.5)
+    >>> brake.rounding(np.array([[0.5], [4.0]]))  # -0.5 becomes -1 or 0, and -4 is cut to -1: sqrt(0.5^2 / 2)
+    (0.3535533905932738, 0.5)
     """
     _checks.function(policy, "policy")
     return policy if isinstance(policy, CommandPolicy) else CommandPolicy(policy, actions)

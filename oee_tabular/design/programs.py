@@ -231,9 +231,9 @@ def update_weights(weights: Array, costs: Array, total: Array, theta: Array) -> 
     curvature = (slopes / theta) @ slopes.T
     curvature += np.diag(1e-9 * np.trace(curvature) + slack / weights)
     ahead, level = np.linalg.solve(curvature, np.stack([values, np.ones(len(values))], axis=1)).T
-    moved = weights + ahead - ahead.sum() / level.sum() * level
-    moved = np.clip(moved, weights / 3.0, 3.0 * weights)
-    return np.asarray(moved / moved.sum())
+    new_weights = weights + ahead - ahead.sum() / level.sum() * level
+    new_weights = np.clip(new_weights, weights / 3.0, 3.0 * weights)
+    return np.asarray(new_weights / new_weights.sum())
 
 
 def solve_by_clarabel(program: Program) -> Solution:

@@ -229,8 +229,8 @@ def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, grad
     s = float(step.standard_error * np.sqrt(1.0 - shared**2))  # of the difference of the two values
     change = 0.0 if likelihood is None else change_to_log(step.change, likelihood - exact.value, s)
     rest = min(abs(change), threshold(s, se_fit) * s)
-    moved = 1.0 - rest / abs(change) if change else 0.0
-    value, error = exact.value + moved * change, float(np.hypot(step.standard_error, step.unseen))
+    share_moved = 1.0 - rest / abs(change) if change else 0.0
+    value, error = exact.value + share_moved * change, float(np.hypot(step.standard_error, step.unseen))
     diagnostics = {
         "standard_error_of": "log",
         "standard_error_if_centre_fits": se_fit,
@@ -240,7 +240,7 @@ def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, grad
         "one_step_standard_error": error,
         "unseen_standard_error": step.unseen,
         "one_step_distance": abs(change) / s if s > 0 else 0.0,
-        "moved": moved,
+        "moved": share_moved,
     }
     warnings: findings.Findings = ()
     if likelihood is not None:

@@ -91,13 +91,13 @@ def solve(system: System, b: Array, *, rounding: float = 0.0, near: Array | None
     """
     norm, shift = solvers.inverse_norm(system), exponent(b)
     if shift == 0:
-        found = solvers.answer(system, b, near)
-        return LinearSolution(found.x, float(norm * (found.bound + rounding)), found.method)
-    found = solvers.answer(system, np.ldexp(b, -shift))  # dot products would leave the range of floats
+        solution = solvers.answer(system, b, near)
+        return LinearSolution(solution.x, float(norm * (solution.bound + rounding)), solution.method)
+    solution = solvers.answer(system, np.ldexp(b, -shift))  # dot products would leave the range of floats
     with np.errstate(over="ignore", under="ignore"):
-        x, bound = np.ldexp(found.x, shift), float(np.ldexp(norm * found.bound, shift))
+        x, bound = np.ldexp(solution.x, shift), float(np.ldexp(norm * solution.bound, shift))
     bound += norm * rounding + len(x) * 5e-324  # what is subnormal is rounded once more
-    return LinearSolution(x, bound if np.isfinite(x).all() else np.inf, found.method)
+    return LinearSolution(x, bound if np.isfinite(x).all() else np.inf, solution.method)
 
 
 def _check_kernel(kernel: Any) -> sparse.csr_array:

@@ -151,13 +151,13 @@ def transition_gradient(
     lengths = np.diff(valued.transitions.indptr)
     if steps is None:
         known = state_values(valued, pi) if values is None else values
-        found = (model.discount * known)[valued.transitions.indices]
+        gradient = (model.discount * known)[valued.transitions.indices]
         if valued.reward_data is not None:
-            found += valued.reward_data
+            gradient += valued.reward_data
         if time is None or model.discount == 1.0:
             visited = infinite_visits(model, pi)
         else:
             visited = time.sum(axis=1) / (1.0 - model.discount)
-        found *= np.repeat((visited[:, None] * pi).reshape(-1), lengths)
-        return np.asarray(found)
+        gradient *= np.repeat((visited[:, None] * pi).reshape(-1), lengths)
+        return np.asarray(gradient)
     return gradient_to_horizon(model, valued, pi, steps)

@@ -103,8 +103,8 @@ def infinite_values(model: Model, policy: Array, near: Array | None = None) -> P
             return PolicyValues(np.zeros(len(rewards)), 0.0, 0.0, "absorbed")
         system = drop_states(system, recurrent)
     rounding = (model.n_actions + 1) * (EPS * largest + 5e-324)
-    found = solve(system, rewards, rounding=rounding, near=near)
-    return PolicyValues(found.x, finite.initial_mean(model, found.x), found.error_bound, found.method)
+    solution = solve(system, rewards, rounding=rounding, near=near)
+    return PolicyValues(solution.x, finite.initial_mean(model, solution.x), solution.error_bound, solution.method)
 
 
 def warn_if_not_finite(values: Any) -> Any:
@@ -180,9 +180,9 @@ def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) 
     ([0.5, 1.5], [0.25, 1.25])
     """
     require_model(mdp)
-    found = evaluate_policy(mdp, policy, horizon=horizon)
-    is_finite = isfinite(found.error_bound)  # which it is of finite values alone
-    return found.values if is_finite else np.asarray(warn_if_not_finite(found.values))
+    solution = evaluate_policy(mdp, policy, horizon=horizon)
+    is_finite = isfinite(solution.error_bound)  # which it is of finite values alone
+    return solution.values if is_finite else np.asarray(warn_if_not_finite(solution.values))
 
 
 def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:

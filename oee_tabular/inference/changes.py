@@ -98,14 +98,14 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     number = int(tested.sum())
     radius = anytime_radius if problem.log.by_episodes else independent_radius
     epsilon = radius(n, np.diff(rows.indptr), (1.0 - level) / max(number, 1))
-    more, moved = phat > simulated, np.abs(phat - simulated)
+    more, change = phat > simulated, np.abs(phat - simulated)
     seen_mass = np.minimum(rows.sums(np.where(more, phat, 0.0)), 1.0)
     least = lower_mass(seen_mass, epsilon) - rows.sums(np.where(more, simulated, 0.0))
-    is_largest = moved == rows.spread(rows.largest(moved))
-    entry = np.minimum.reduceat(np.where(is_largest, np.arange(len(moved)), len(moved)), rows.indptr[:-1])
+    is_largest = change == rows.spread(rows.largest(change))
+    entry = np.minimum.reduceat(np.where(is_largest, np.arange(len(change)), len(change)), rows.indptr[:-1])
     return RowChanges(
         np.where(tested, np.maximum(least, 0.0), 0.0).reshape(shape),
-        np.where(have, 0.5 * rows.sums(moved), 0.0).reshape(shape),
+        np.where(have, 0.5 * rows.sums(change), 0.0).reshape(shape),
         n.reshape(shape),
         (n * rows.sums(rel_entr(phat, simulated))).reshape(shape),
         np.where(have, rows.arrival[entry], -1).astype(np.int64).reshape(shape),

@@ -235,11 +235,11 @@ def _evaluate(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> float:
     if not rows.is_sparse:
         return float(kernels.evaluate(rows, p, values, visits, ascent.slope))
     weights = rows.weight * p
-    share, paid = np.bincount(rows.edge, weights), np.bincount(rows.state, weights * rows.pay).astype(np.float64)
+    share, rewards = np.bincount(rows.edge, weights), np.bincount(rows.state, weights * rows.pay).astype(np.float64)
     system = Kernel(rows.edges, rows.columns, as_readonly(share), rows.discount)
-    found = solvers.answer(System(system), paid, values, left)
-    value = rows.initial @ found.x + visits @ found.missed
-    values[:] = found.x
+    solution = solvers.answer(System(system), rewards, values, left)
+    value = rows.initial @ solution.x + visits @ solution.missed
+    values[:] = solution.x
     visits[:] = solvers.answer(System(system, True), rows.initial, visits, left).x
     kernels.fill_gradient(rows, values, visits, ascent.slope)
     return float(value)

@@ -60,9 +60,9 @@ def places(names: Sequence[str]) -> list[int]:
     >>> places(["model-based", "mine", "oee", "mine"]), places(["a", "b"])
     ([4, 0, 1, 0], [0, 1])
     """
-    found = {name: ESTIMATORS.index(name) for name in names if name in ESTIMATORS}
-    free = (k for k in itertools.count() if k not in found.values())
-    return [found[name] if name in found else found.setdefault(name, next(free)) for name in names]
+    numbers = {name: ESTIMATORS.index(name) for name in names if name in ESTIMATORS}
+    free = (k for k in itertools.count() if k not in numbers.values())
+    return [numbers[name] if name in numbers else numbers.setdefault(name, next(free)) for name in names]
 
 
 def shorten(name: object, longest: int = 36) -> str:

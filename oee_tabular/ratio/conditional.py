@@ -159,8 +159,8 @@ class Conditional(Method):
                 fit, excess, more = fit_rows(self.functions, observed, program, rows, seed=given.seed)
                 return given.ratio(fit, "conditional", excess, details | more)
             if self.solver == "dual":
-                found = dual.solve_rows(program, *box, some.indptr)
-                zeta[at], gap, ends[0][at], ends[1][at] = found.ratio, found.gap, found.below, found.above
+                solution = dual.solve_rows(program, *box, some.indptr)
+                zeta[at], gap, ends[0][at], ends[1][at] = solution.ratio, solution.gap, solution.below, solution.above
             else:
                 zeta[at], eta = statements.solve_rows(program, *box, some.indptr, solver=self.solver)
                 gap = dual.row_gaps(program, zeta[at], 1.0 + eta, *box, some.indptr)
@@ -233,8 +233,8 @@ def _tilt_along_all(given: RatioInput, method: Conditional) -> tuple[Tilt | None
         directions = add_values(tilt.directions, values) if values else tilt.directions
         kappa = _choice_of_kappa(given)
         tilt = fit_ridge(directions, rows, given.observed[rows.entries], kappa, start=tilt, solver=method.solver)
-    found = {"directions": tilt.named_theta(), "direction_strengths": tilt.named_strengths(), "tilt_gap": tilt.gap}
-    return tilt, details | found
+    choice = {"directions": tilt.named_theta(), "direction_strengths": tilt.named_strengths(), "tilt_gap": tilt.gap}
+    return tilt, details | choice
 
 
 PRIORS = {"ridge": _tilt_along_all, "tilt": _tilt_along_features, "simulator": _no_tilt, "none": _no_tilt}

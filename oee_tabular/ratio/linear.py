@@ -227,11 +227,11 @@ class InClass(Method):
         n = float(observed.sum())
         lam = 1.0 / n if self.ridge is None else check_ridge(self.ridge, n)
         mass = rows.spread(rows.sums(observed) / n) * q
-        found = solve_class(LinearProgram(observed / n, mass, phi, 1.0, lam, *box, False), self.solver)
-        zeta = found.ratio
+        solution = solve_class(LinearProgram(observed / n, mass, phi, 1.0, lam, *box, False), self.solver)
+        zeta = solution.ratio
         safe = np.maximum(zeta, 1e-12)
-        details |= {"weights": found.weights, "ridge": lam, "lower": box.lower, "upper": box.upper}
+        details |= {"weights": solution.weights, "ridge": lam, "lower": box.lower, "upper": box.upper}
         information = (phi * (observed / safe**2)[:, None]).T @ phi + n * lam * np.eye(phi.shape[1])
         scores, share = phi / safe[:, None], np.zeros(len(rows))
         influence = Influence(rows, observed, zeta, q / safe, share, scores=scores, information=information)
-        return given.ratio(zeta, self._name, found.gap, details, influence)
+        return given.ratio(zeta, self._name, solution.gap, details, influence)

@@ -204,8 +204,8 @@ class Method:
             seed,
             made,
         )
-        found = self._fit(given)
-        if not found.finite:
+        result = self._fit(given)
+        if not result.finite:
             options = {option.name: getattr(self, option.name) for option in fields(self)}  # type: ignore[arg-type]
             numbers = [f"{name} {x:g}" for name, x in options.items() if isinstance(x, int | float)]
             functions = [name for name, x in options.items() if callable(x)]
@@ -213,7 +213,7 @@ class Method:
                 f"the options of method {self._name!r} must make a program that double precision holds; they are "
                 f"{', '.join(numbers + functions)}"
             )
-        return found
+        return result
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
         """zeta as the number of transitions grows, recorded as ``population`` says; training is no part of it."""

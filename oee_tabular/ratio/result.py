@@ -241,10 +241,10 @@ class Influence:
 
     def likeliest(self) -> Array:
         """n_x / n_sa where the log has been, zeta P elsewhere."""
-        found = self.ratio * self.rows.weights
+        model = self.ratio * self.rows.weights
         seen = self.rows.select(self.n > 0)
-        found[seen.entries] = seen.frequencies(self.counts[seen.entries])
-        return found
+        model[seen.entries] = seen.frequencies(self.counts[seen.entries])
+        return model
 
     def one_step(self, gradient: Array) -> OneStep:
         """See ``TransitionRatio.one_step``; the variances of a row are those under zeta P, the prior taken as given."""

@@ -146,12 +146,12 @@ def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoin
     below = [moves >= program.ratio_lower * at_entry] * (program.ratio_lower > 0)
     above = [moves <= program.ratio_upper * at_entry] * (program.ratio_upper < np.inf)
     _require_optimal(run(cp.Problem(cp.Minimize(cost), constraints + below + above), solver), solver)
-    found = [np.clip(variable.value, max(program.nu, SMALLEST), program.mu) for variable in (moves, pairs)]
+    ratios = [np.clip(variable.value, max(program.nu, SMALLEST), program.mu) for variable in (moves, pairs)]
     eta, xi = (
         np.maximum(np.ravel(bound[0].dual_value), 0.0) if bound else np.zeros(len(program.q))
         for bound in (below, above)
     )
-    return JointPoint(found[0], found[1], np.ravel(consistency.dual_value), eta, xi)
+    return JointPoint(ratios[0], ratios[1], np.ravel(consistency.dual_value), eta, xi)
 
 
 def solve_linear(

@@ -39,8 +39,8 @@ def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
     """(entries,) integer keys; no transition of the simulator may be left out."""
     columns, entry = _moves_of(frame, simulator, source)
     if len(columns) > 1:
-        found = words(column.label for column in columns)
-        raise ValueError(f"{source} must have one column of keys beside {words(MOVE)}; it has {found}")
+        labels = words(column.label for column in columns)
+        raise ValueError(f"{source} must have one column of keys beside {words(MOVE)}; it has {labels}")
     written = columns[0].integers()
     matrix = simulator.transitions
     absent = np.setdiff1d(np.arange(matrix.nnz), entry)
@@ -97,11 +97,11 @@ class _Column(NamedTuple):
     source: str
     series: Any
 
-    def refuse(self, bad: BoolArray, rule: str, found: Any) -> None:
+    def refuse(self, bad: BoolArray, rule: str, values: Any) -> None:
         """A ValueError where a row is ``bad``."""
         if bad.any():
             row = int(np.argmax(bad))
-            shown = "none or nan" if found is None else found[row]
+            shown = "none or nan" if values is None else values[row]
             raise ValueError(f"column {self.label!r} of {self.source} must {rule}; row {row} has {shown}")
 
     def finite(self) -> Array:

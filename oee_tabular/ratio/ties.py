@@ -149,5 +149,5 @@ def _groups(rows: Rows, keys: IntArray, n_keys: int) -> tuple[int, IntArray]:
     lead = keys[rows.indptr[:-1]]  # every row has an entry; the others of the row are joined to its first
     pairs = np.unique(rows.spread(lead) * n_keys + keys)
     joined = sparse.csr_array((np.ones(len(pairs)), np.divmod(pairs, n_keys)), shape=(n_keys, n_keys))
-    found, group = sparse.csgraph.connected_components(joined, directed=False)
-    return int(found), np.asarray(group, dtype=np.int64)
+    n_groups, group = sparse.csgraph.connected_components(joined, directed=False)
+    return int(n_groups), np.asarray(group, dtype=np.int64)

@@ -44,10 +44,10 @@ def fit_network(
     q_train, q_held = _split(q, "q", network.held_out, generator)
     lam, places = np.full(len(p), check_ridge(ridge, float(p.sum()))), _places(network, sizes[0])
     training = neural.Training(cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, lam, toward or 0.0)
-    found = neural.train(network, training, generator)
+    trained = neural.train(network, training, generator)
     pk, qk = p / p.sum(), q / q.sum()
-    g, value = found.ratio, training.risk(found.ratio, pk, qk)
-    risks = [training.risk(each, pk, qk) for each in found.checked]
+    g, value = trained.ratio, training.risk(trained.ratio, pk, qk)
+    risks = [training.risk(each, pk, qk) for each in trained.checked]
     return replace(
         best,
         ratio=_checks.freeze(g),
@@ -55,9 +55,9 @@ def fit_network(
         objective=value,
         gap=value - best.dual_bound,
         divergence=float(pk @ np.log(g) - qk @ g + 1.0),
-        status=f"trained for {found.iteration[-1]} iterations",
-        trace=_trace(found, risks, best.objective, best.ratio, (p > 0) | (q > 0)),
-        details={"kept": found.kept, "held_out_risk": found.held_out},
+        status=f"trained for {trained.iteration[-1]} iterations",
+        trace=_trace(trained, risks, best.objective, best.ratio, (p > 0) | (q > 0)),
+        details={"kept": trained.kept, "held_out_risk": trained.held_out},
     )
 
 
@@ -80,20 +80,20 @@ def fit_rows(
         rows.transitions, sizes, places, p_train, q_train, p_held, q_held, 0.0, np.inf, program.curvature / rows.weights,
         float(program.center[0]), rows,
     )  # fmt: skip
-    found = neural.train(network, training, generator)
+    trained = neural.train(network, training, generator)
     best = dual.solve_rows(program, 0.0, np.inf, rows.indptr)
     weighted = program._replace(p=p, q=share * rows.weights, curvature=share * program.curvature)
     least = dual.objective(best.ratio, weighted)
-    excess = dual.objective(found.ratio, weighted) - least
+    excess = dual.objective(trained.ratio, weighted) - least
     details = {
         "trace": _trace(
-            found, [dual.objective(each, weighted) for each in found.checked], least, best.ratio, share > 0
+            trained, [dual.objective(each, weighted) for each in trained.checked], least, best.ratio, share > 0
         ),
-        "iterations": int(found.iteration[-1]),
-        "kept": found.kept,
-        "held_out_risk": found.held_out,
+        "iterations": int(trained.iteration[-1]),
+        "kept": trained.kept,
+        "held_out_risk": trained.held_out,
     }
-    return found.ratio, max(excess + float(rows.sums(p) @ best.gap), 0.0), details  # but for rounding
+    return trained.ratio, max(excess + float(rows.sums(p) @ best.gap), 0.0), details  # but for rounding
 
 
 def _require_neural() -> Any:
@@ -107,10 +107,10 @@ def _require_neural() -> Any:
     return _neural
 
 
-def _trace(found: Any, risks: list[float], least: float, ratio: Array, known: BoolArray) -> SgdTrace:
+def _trace(trained: Any, risks: list[float], least: float, ratio: Array, known: BoolArray) -> SgdTrace:
     """Excess risk and error of each check against the optimum, ``least`` at ``ratio``; the error where something is known."""
-    errors = [np.abs(each - ratio)[known].mean() for each in found.checked]
-    return SgdTrace(found.iteration, np.array(risks) - least, np.array(errors))
+    errors = [np.abs(each - ratio)[known].mean() for each in trained.checked]
+    return SgdTrace(trained.iteration, np.array(risks) - least, np.array(errors))
 
 
 def _places(network: Network, n_states: int) -> Array | None:

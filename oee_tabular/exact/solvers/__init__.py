@@ -131,11 +131,11 @@ def refine(
         step = solve(best.missed, max(share, 0.1 * best.rounding / best.largest))
         if step is None:
             break
-        found = measure(system, b, best.x + step, solver.name)
-        if not found.largest < best.largest:
+        candidate = measure(system, b, best.x + step, solver.name)
+        if not candidate.largest < best.largest:
             break
-        is_stalled = found.largest > 0.5 * best.largest
-        best = found
+        is_stalled = candidate.largest > 0.5 * best.largest
+        best = candidate
         if is_stalled or best.largest <= max(allowed, 0.25 * best.rounding):
             break
     return best
@@ -146,13 +146,13 @@ def inverse_norm(system: System) -> float:
     carried = system.kernel.discount * system.row_sums[1]
     if carried <= 1.0 - 1e-9:
         return (1.0 + 1e-14) / (1.0 - carried)
-    found = answer(replace(system, transpose=False), np.ones(system.n_states))
-    slack = 1.0 - found.bound
-    if not (np.all(np.isfinite(found.x)) and found.x.min() > 0.0 and slack > 0.5):
+    solution = answer(replace(system, transpose=False), np.ones(system.n_states))
+    slack = 1.0 - solution.bound
+    if not (np.all(np.isfinite(solution.x)) and solution.x.min() > 0.0 and slack > 0.5):
         radius = spectral_radius(system.csr(), system.kernel.discount)
         raise DivergentKernelError(
             f"the infinite sum does not exist: discount * kernel has a spectral radius of {radius:.6g}, "
             f"which must be below 1 (its rows sum to at most {carried:.6g}); "
             "normalise the rows or give a horizon"
         )
-    return float(found.x.max() / slack * (1.0 + 1e-14))
+    return float(solution.x.max() / slack * (1.0 + 1e-14))

@@ -32,9 +32,9 @@ from oee_tabular.estimators.names import names as estimator_names
 from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import efficiency_bound, occupancy
 from oee_tabular.lab.bench.adapters import PEERS, Peer
-from oee_tabular.lab.bench.families import HELD, Families, check_seed
+from oee_tabular.lab.bench.families import HELD, Families
 from oee_tabular.lab.bench.families import families as own_families
-from oee_tabular.lab.bench.family import Family
+from oee_tabular.lab.bench.family import Family, check_seed
 from oee_tabular.lab.bench.league import League, league_of
 from oee_tabular.lab.bench.scores import LIKELIHOOD, SIMULATOR
 from oee_tabular.lab.registry import Cell, Experiment, Row, RunSettings, Stream
