@@ -98,7 +98,7 @@ def an_open_field():
     return simulator, log, rule, dropped, allowed
 
 
-def test_a_log_with_impossible_moves_and_an_unrecorded_region(tmp_path, monkeypatch):
+def test_a_log_with_impossible_transitions_and_an_unrecorded_region(tmp_path, monkeypatch):
     """Both ways out hold the truth; the rows cut out by hand, which the package never sees, lean to one side."""
     monkeypatch.chdir(tmp_path)
     assert len(lines_of(an_open_field)) <= 8

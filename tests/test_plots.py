@@ -264,7 +264,7 @@ def test_an_svg_fits_into_a_page():
         (lambda: walk([3, 2, 5, 4, 5, 5]), None),  # 2 to 3 would step around the edge of width 3; 1 to 2 does not
     ],
 )
-def test_grids_are_found_from_the_moves(make, shape):
+def test_grids_are_found_from_the_transitions(make, shape):
     assert plots.detect_grid(make()) == shape
 
 

@@ -63,7 +63,7 @@ def test_they_are_copied_and_read_only():
         problem.counts.data[0] = 1.0
 
 
-def test_a_report_leaves_out_what_needs_whole_moves():
+def test_a_report_leaves_out_what_needs_whole_transitions():
     for problem in (oee.Problem(SIMULATOR, LOG, 20, counts=SOFT), oee.Problem(SIMULATOR, SOFT, 20)):
         assert problem.soft
         report = oee.evaluate(problem, EXPERT, estimators=["oee"], seed=0)
@@ -109,7 +109,7 @@ def paid(change):
     return oee.Transitions(**columns)
 
 
-def test_rewards_that_contradict_are_seen_in_counts():
+def test_counts_show_rewards_that_contradict():
     log = paid(lambda k: np.where(k == 7, 0.5, 0.0))
     plain, problem = oee.Problem(SIMULATOR, log, 20), oee.Problem(SIMULATOR, counted(log), 20)
     assert str(problem.reward_conflict) == str(plain.reward_conflict)
@@ -139,7 +139,7 @@ def test_importance_sampling_sees_the_sample_beside_the_counts():
     assert oee.Problem(SIMULATOR, counted(MORE, sample=LOG), 20, episodes=MORE).recorded is not LOG
 
 
-def test_terminated_moves_of_counts_are_led_to_the_terminal_state():
+def test_terminated_transitions_of_counts_are_led_to_the_terminal_state():
     mdp = oee.FiniteMDP.from_gymnasium(__import__("gymnasium").make("CliffWalking-v1"), discount=0.9)
     log = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 20, 200, seed=2)
     assert log.terminated.any()
@@ -148,7 +148,7 @@ def test_terminated_moves_of_counts_are_led_to_the_terminal_state():
     assert np.array_equal(ours.log.sample.next_state, plain.log.next_state)
 
 
-def test_what_was_left_out_is_told():
+def test_rows_left_out_have_a_warning():
     told = oee.data.counts.Recording(True, 300, 2, 20, 3, 1, 2, 4, ("a.csv: state[3] must be an integer; it is x",))
     log = oee.TransitionCounts([0], [0], [0], [7], recording=told, sample=LOG)
     texts = [finding.text for finding in oee.Problem(SIMULATOR, log).findings]

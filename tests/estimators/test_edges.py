@@ -63,7 +63,7 @@ def test_weights_beyond_floats_are_refused_at_their_row(probability):
         ImportanceSampling()(problem, UNIFORM)
 
 
-def test_a_product_of_weights_beyond_floats_is_said():
+def test_a_product_of_weights_beyond_floats_is_reported():
     n = 400
     stay = oee.FiniteMDP(np.ones((1, 2, 1)), [1.0], [1.0], 0.9)
     log = Transitions([0] * n, [0] * n, [0] * n, [1.0] * n, episode=[0] * n, behavior_probability=[0.1] * n)

@@ -49,7 +49,7 @@ SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, 
 
 
 @pytest.mark.parametrize("name", SILENT_UP_TO)
-def test_from_which_size_on_something_is_said(name):
+def test_thresholds_of_warnings(name):
     make, small, large, text = SILENT_UP_TO[name]
     assert make(small) == ()
     (finding,) = make(large)
@@ -126,7 +126,7 @@ def test_what_a_problem_s_data_contradict():
     assert "differ from behavior_policy" in str(other)
 
 
-def test_a_user_s_own_finding_is_told():
+def test_a_user_s_own_finding_is_reported():
     problem, _ = recorded_problem(n=30, horizon=4)
 
     def own(problem, policy, *, seed=None):

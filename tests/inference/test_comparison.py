@@ -86,7 +86,7 @@ def test_a_near_tie_stays_open_where_half_of_the_time_is_unrecorded():
     assert sure <= 2  # with the simulator taken for known there: 20, 11 of them wrong, and no interval holds
 
 
-def test_a_row_seen_once_is_not_certain():
+def test_a_row_recorded_once_is_not_certain():
     """Two arms that pay 0 or 1 by a coin; of each the log has one move."""
     arms = np.zeros((3, 2, 3))
     arms[:, :, 1:] = 0.5
@@ -138,7 +138,7 @@ def test_measures_of_selection():
 
 @pytest.mark.parametrize("left_out", [[], [3]])
 @pytest.mark.parametrize("horizon", [None, 5])
-def test_compared_policies_by_the_variance_of_each_row_with_one_more_move(left_out, horizon):
+def test_compared_policies_by_the_variance_of_each_row_with_one_more_transition(left_out, horizon):
     simulator, _, log, first = tiny(6, moves=60, left_out=left_out)
     second = np.random.default_rng(0).dirichlet([1.0, 1.0], size=3)
     policies = {"first": first, "second": second}

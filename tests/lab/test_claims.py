@@ -173,7 +173,7 @@ def of_uniform_recording(table, n, threefold):
     return {design: error[design, n] / error["uniform", threefold] for design in ("planned", "on-policy")}
 
 
-def test_a_third_of_the_moves():
+def test_a_third_of_the_transitions():
     one, two = (of_uniform_recording(saved("collection"), *n) for n in ((667, 2000), (6667, 20_000)))
     assert f"has {one['planned']:.2f} (667 against 2000) and {two['planned']:.2f} (6667 against 20 000) of" in PAGES
     assert f"the evaluated policy itself records, {one['on-policy']:.2f} and {two['on-policy']:.2f}" in PAGES
