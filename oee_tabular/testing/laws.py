@@ -72,10 +72,8 @@ def unbiased(subject: Subject, pair: Case) -> str:
     if distance <= allowed:
         return f"{numbers}, tolerance {allowed:.2g}"
     does_vary = error > 1e-12 * abs(mean)
-    distance_text = f"{distance / error:.1f} standard errors" if does_vary else f"{distance:.3g}, and does not vary"
-    raise Broken(
-        f"{numbers}: off by {distance_text}", f"mean over seeds of the value on pair.problem({FEW}, seed=seed)"
-    )
+    off_by = f"{distance / error:.1f} standard errors" if does_vary else f"{distance:.3g}, and does not vary"
+    raise Broken(f"{numbers}: off by {off_by}", f"mean over seeds of the value on pair.problem({FEW}, seed=seed)")
 
 
 @on_cases("ragged", "ragged infinite", "moves")
