@@ -89,7 +89,7 @@ def read_entries(path: Path, name: str, simulator: FiniteMDP) -> tuple[Any, str]
     """
     from oee_tabular import _files
     from oee_tabular.data.labels import MOVE
-    from oee_tabular.data.reader import csv_frame
+    from oee_tabular.data.tables import csv_frame
     from oee_tabular.mdp.rows import Rows
     from oee_tabular.ratio.features import feature_array
     from oee_tabular.ratio.ties import tie_keys

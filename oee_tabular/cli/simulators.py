@@ -118,7 +118,7 @@ def policies_of(specs: list[str] | None, task: NamedTask) -> dict[str, Any]:
 def policy_of(spec: str, task: NamedTask, name: str) -> Array:
     """The policy that ``spec`` names, in the MDP of ``task``."""
     from oee_tabular import _progress
-    from oee_tabular.data.reader import csv_frame
+    from oee_tabular.data.tables import csv_frame
     from oee_tabular.exact import optimal_policy
     from oee_tabular.mdp import check_policy, mix, uniform_policy
     from oee_tabular.mdp.policies import read_policy_array

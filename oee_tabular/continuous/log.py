@@ -24,7 +24,7 @@ from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.files import Columns, Format
 from oee_tabular.data.labels import COLUMNS, suggest_columns
 from oee_tabular.data.minari import is_minari, minari_episodes
-from oee_tabular.data.reader import read_labels
+from oee_tabular.data.tables import read_labels
 from oee_tabular.data.rules import check_array
 
 NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")

@@ -17,7 +17,8 @@ from oee_tabular._checks import Column
 from oee_tabular.data.digests import write_parquet
 from oee_tabular.data.labels import COLUMNS, MOVE, require_columns, warn_left_out
 from oee_tabular.data.minari import is_minari, minari_columns, save_minari
-from oee_tabular.data.reader import LogFile, read_columns
+from oee_tabular.data.rules import check_table
+from oee_tabular.data.tables import LogFile, Table, count_parquet_rows, open_table
 from oee_tabular.mdp.naming import Name, from_text, to_text
 
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several
@@ -98,9 +99,9 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
             for label, array in columns.items():
                 columns[label] = as_objects(from_text(array, label)) if array.dtype.kind == "U" else array
     elif file.suffix in (".csv", ".parquet"):
-        table, labels = read_columns(file, form.is_known, lambda given: form.require(given, name))
-        columns = form.from_table(table, name)
-        unknown = [label for label in labels if not form.is_known(label) and label not in reported]
+        table = open_table(file, form.is_known, lambda labels: form.require(labels, name))
+        columns = form.from_table(check_table(_read_whole(file, table), repr(name)), name)
+        unknown = [label for label in table.labels if not form.is_known(label) and label not in reported]
         reported.update(unknown)
         warn_left_out(name, unknown, COLUMNS)
     elif is_minari(name):
@@ -108,6 +109,19 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
     else:
         raise ValueError(f"path must end in {form.endings}; it is {name!r}")
     return {column: columns[column] for column in COLUMNS if column in columns}
+
+
+def _read_whole(file: LogFile, table: Table) -> Columns:
+    """The raw columns of a table, whole; ValueError for a line that has another number of fields than its header."""
+    if file.suffix == ".parquet":
+        _checks.require_memory(count_parquet_rows(file.path) * len(table.known), repr(file.path))
+    pieces = list(table.pieces)
+    for words in (words for piece in pieces for words in piece.lost.values()):
+        raise ValueError(f"{file.path!r}: {words}")
+    return {
+        label: np.concatenate([piece.columns[label] for piece in pieces]) if pieces else np.zeros(0)
+        for label in table.known
+    }
 
 
 def find_log_files(path: Paths) -> list[LogFile]:

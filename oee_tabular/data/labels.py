@@ -10,6 +10,7 @@ from oee_tabular import _checks
 from oee_tabular.mdp.naming import Name
 
 MOVE = ("state", "action", "next_state")
+KEY = (*MOVE, "terminated")  # of sums
 COLUMNS = (*MOVE, "reward", "terminated", "truncated", "episode", "timestep", "behavior_probability")
 N_SHOWN = 10  # of the columns that are left out
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}

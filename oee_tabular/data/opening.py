@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _workers
-from oee_tabular.data.counting import LARGEST, NO_SAMPLE, Limits, Sample, count_file
+from oee_tabular._checks import Column
+from oee_tabular.data.counting import LARGEST, Limits, Sample, count_file
 from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
 from oee_tabular.data.files import Paths, find_log_files, plain_name
 from oee_tabular.data.frames import is_frame
-from oee_tabular.data.labels import COLUMNS, warn_left_out
-from oee_tabular.data.sums import KEY, Sums
+from oee_tabular.data.labels import COLUMNS, KEY, warn_left_out
+from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.mdp import FiniteMDP
 
@@ -87,20 +88,21 @@ def open_log(
     calls = ((file, plain_name(file, files), limits) for file in files)
     results = _workers.each(count_file, calls, len(files), jobs=jobs, dask=dask)
     shown = tqdm(results, "counting", len(files), unit="file", disable=not progress)
-    sums, recording, sample = Sums(), Recording(by_episodes=False), NO_SAMPLE
+    sums: list[dict[str, Column]] = []
+    recording, sample = Recording(by_episodes=False), Sample()
     columns: dict[str, frozenset[str]] = {}
     for file, counts in zip(files, shown, strict=True):
         if not columns:
             warn_left_out(file.path, counts.unknown, COLUMNS)
         columns[file.path] = counts.known
         _check_same_columns(columns, file.path)
-        sums.add(counts.entries)
+        add_sums(sums, counts.sums or {"state": []})
         recording = recording.join(counts.recording)
         sample = sample.join(counts.sample, limits.kept)
-    if not sums.size:
+    if not sums:
         first = f", the first of which is {files[0].path!r}"
         raise ValueError(f"path must have at least one good row; of {len(files)} files none has{first}")
-    result = _to_counts(sums, recording, sample)
+    result = _to_counts(join_sums(sums), recording, sample)
     if output is not None:
         result.save(output)
     return result
@@ -115,17 +117,16 @@ def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
         raise ValueError(f"all files must have the same columns; {has!r} has {differ[0]!r}, and {lacks!r} does not")
 
 
-def _to_counts(sums: Sums, recording: Recording, sample: Sample) -> TransitionCounts:
-    """The sums in the order of s, a, s', ended, without rewards where there are none."""
-    entries = sums.entries()
-    order = np.lexsort([entries[label] for label in reversed(KEY)])
-    has_rewards = entries["reward_count"].any()
+def _to_counts(sums: dict[str, Column], recording: Recording, sample: Sample) -> TransitionCounts:
+    """Counts in the order of s, a, s', ended, with their sample; without rewards where there are none."""
+    order, has_rewards = np.lexsort([sums[label] for label in reversed(KEY)]), sums["reward_count"].any()
     columns: dict[str, Any] = {
-        label: column[order] for label, column in entries.items() if has_rewards or not label.startswith("reward")
+        label: column[order] for label, column in sums.items() if has_rewards or not label.startswith("reward")
     }
-    if len(sample.place):
-        episode = np.repeat(np.arange(len(sample.place)), sample.length)
-        columns["sample"] = Transitions(**sample.rows, episode=episode)
+    rows = dict(sample.rows)
+    if len(rows.get("place", ())):
+        place = rows.pop("place")
+        columns["sample"] = Transitions(**rows, episode=np.cumsum(np.diff(place, prepend=place[:1]) != 0))
     return TransitionCounts(**columns, recording=recording)
 
 

@@ -1,7 +1,8 @@
-"""What each column of a log must hold: one check of its values for arrays, files and counts.
+"""What each column of a log must hold: one check of its values for arrays, tables and counts.
 
 A check returns the values and, where some break the rule, a ``Fault``: all such rows, and the words for the first. Whoever
-asks raises it, or leaves the rows out. A value is missing where it is nan or None.
+asks raises it, or leaves the rows out. A value is missing where it is nan or None. In tables, a text is the number that it
+writes.
 """
 
 from __future__ import annotations
@@ -9,24 +10,21 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, Column, IntArray
+from oee_tabular.data.labels import MOVE
 from oee_tabular.mdp.naming import Name, is_number_text, numbers_of, suggest_name
 
 KINDS = {
-    "state": "integer", "action": "integer", "next_state": "integer", "reward": "number", "terminated": "flag",
-    "truncated": "flag", "episode": "integer", "timestep": "integer", "behavior_probability": "number",
+    "state": "integers", "action": "integers", "next_state": "integers", "reward": "numbers", "terminated": "booleans",
+    "truncated": "booleans", "episode": "integers", "timestep": "integers", "behavior_probability": "numbers",
 }  # fmt: skip
-HELD = {"integer": "integers", "number": "numbers", "flag": "booleans"}
 FLAG_TEXTS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
-NAMES_HINT = " (names take a simulator that has them: simulator=, --simulator)"
-COMMA_HINT = " (write a decimal point, not a comma)"
-COMMAND_HINT = " (call the column of a continuous task's commands action_0)"
 
 
 class Fault(NamedTuple):
@@ -47,12 +45,9 @@ class Fault(NamedTuple):
         place = f"{self.label}[{(self.rows[0] if row is None else row) + self.shift}]"
         if is_missing(self.value):
             return f"{place} must have a value; it has none"
-        return f"{place} {self.rule}; it is {show_value(self.value)}{self.hint}"
-
-
-def count_others(fault: Fault) -> str:
-    """How many rows break the rule, in words, where more than one does."""
-    return f" ({len(fault.rows)} such rows in all)" if len(fault.rows) > 1 else ""
+        text = self.value.strip() if isinstance(self.value, str) else ""
+        is_number = bool(text) and len(text) < 80 and is_number_text(text)  # shown without quotes
+        return f"{place} {self.rule}; it is {text if is_number else _checks.show(self.value)}{self.hint}"
 
 
 def is_missing(value: Any) -> bool:
@@ -60,24 +55,21 @@ def is_missing(value: Any) -> bool:
     return value is None or (isinstance(value, float) and math.isnan(value))
 
 
-def show_value(value: Any) -> str:
-    """A value as errors print it: texts that are no numbers in quotes."""
-    return (
-        value.strip() if isinstance(value, str) and is_number_text(value) and len(value) < 80 else _checks.show(value)
-    )
-
-
-def find_fault(label: str, raw: Column, bad: BoolArray, rule: Callable[[int], str]) -> Fault | None:
-    """The fault of the rows that are ``bad``, if any; ``rule(row)``: what the value of the first breaks."""
-    rows = np.flatnonzero(bad)
+def find_fault(label: str, raw: Column, rules: Mapping[str, BoolArray], *, has_names: bool = False) -> Fault | None:
+    """The fault of the rows that break one of the rules, if any; ``rules``: by the words of each, the rows that break it."""
+    rows = np.flatnonzero(np.any(list(rules.values()), axis=0))
     if not rows.size:
         return None
-    value = raw[rows[0]]
-    value = value.item() if isinstance(value, np.generic) else value
-    is_comma = isinstance(value, str) and re.fullmatch(r"\s*-?\d+,\d+\s*", value)
-    is_command = label.endswith("action") and _parse_number(value) % 1 > 0  # nan where it is no number
-    hint = COMMA_HINT if is_comma else COMMAND_HINT if is_command else ""
-    return Fault(label, rows, rule(int(rows[0])), value, hint)
+    rule = next(rule for rule, is_broken in rules.items() if is_broken[rows[0]])
+    value = raw[rows[0]].item() if isinstance(raw[rows[0]], np.generic) else raw[rows[0]]
+    hint = ""
+    if isinstance(value, str) and re.fullmatch(r"\s*-?\d+,\d+\s*", value):
+        hint = " (write a decimal point, not a comma)"
+    elif label.endswith("action") and _parse_number(value) % 1 > 0:  # nan where it is no number
+        hint = " (call the column of a continuous task's commands action_0)"
+    elif label in MOVE and isinstance(value, str) and value.strip()[:1].isalpha() and not has_names:
+        hint = " (names take a simulator that has them: simulator=, --simulator)"
+    return Fault(label, rows, rule, value, hint)
 
 
 def to_numbers(raw: Column) -> Column:
@@ -101,13 +93,13 @@ def _parse_number(item: Any) -> int | float:
 def check_array(value: object, label: str) -> Column:
     """A column that is given as an array or a list; ValueError with the row, the rule and the value found."""
     kind = KINDS[label]
-    if kind == "number":
+    if kind == "numbers":
         array: Column = _checks.float_array(value, label, ndim=1)
     else:
-        array = _checks.as_array(value, label, f"a column of {HELD[kind]}")
+        array = _checks.as_array(value, label, f"a column of {kind}")
     if array.ndim != 1:
         raise ValueError(f"{label} must have 1 dimension; it has shape {array.shape}")
-    if kind == "integer" and array.size and array.dtype.kind not in "iuf":
+    if kind == "integers" and array.size and array.dtype.kind not in "iuf":
         texts = " (numbers written as text? .astype(int))" if array.dtype.kind in "UO" else ""
         raise ValueError(f"{label} must hold integers; it holds {array.dtype}{texts}")
     values, fault = check_column(array, label)
@@ -116,43 +108,53 @@ def check_array(value: object, label: str) -> Column:
     return values
 
 
+def check_table(columns: Mapping[str, Column], source: str) -> dict[str, Column]:
+    """The values of a table's columns, names and the texts of episodes as they are; ValueError for the first fault."""
+    values = {}
+    for label, raw in columns.items():
+        values[label], fault = check_column(raw, label, names=() if label in MOVE else None)
+        if fault is not None:
+            raise ValueError(f"{source}: {fault.describe()}{count_others(fault)}")
+    return values
+
+
+def count_others(fault: Fault) -> str:
+    """How many rows break the rule, in words, where more than one does."""
+    return f" ({len(fault.rows)} such rows in all)" if len(fault.rows) > 1 else ""
+
+
 def check_column(
     raw: Column, label: str, *, high: int = 2**63, names: tuple[Name, ...] | None = None
 ) -> tuple[Column, Fault | None]:
     """The values of a column by its label, and what is wrong with them; labels that a log does not know are numbers.
 
     ``high``: integers are below it. ``names``: those that may stand in place of numbers, which they become; empty: any, which
-    stay; None: none.
+    stay, as the texts of episodes do; None: none.
     """
-    kind = KINDS.get(label, "number")
-    if names is not None and raw.dtype.hasobject and _holds_names(raw):
-        return _match_names(raw, label, names)
-    if kind == "integer":
-        return _check_integers(raw, label, None if label == "episode" else 0, high)
-    if kind == "flag":
-        return _check_flags(raw, label)
-    return _check_numbers(raw, label)
+    kind = KINDS.get(label, "numbers")
+    names = () if label == "episode" else names
+    if names is not None and raw.dtype.hasobject:
+        first = next((item for item in raw.tolist() if not is_missing(item)), None)
+        if isinstance(first, tuple) or (isinstance(first, str) and not is_number_text(first)):
+            return _match_names(raw, label, names)
+    if kind == "integers":
+        return _check_integers(raw, label, high)
+    return _check_flags(raw, label) if kind == "booleans" else _check_numbers(raw, label)
 
 
-def _check_integers(raw: Column, label: str, low: int | None, high: int) -> tuple[IntArray, Fault | None]:
-    """Integers in low..high - 1, and 0 in place of what is none."""
-    if raw.dtype == np.int64 and raw.size and (low is None or raw.min() >= low) and raw.max() < high:
+def _check_integers(raw: Column, label: str, high: int) -> tuple[IntArray, Fault | None]:
+    """Integers below ``high``, from 0 but for episodes, and 0 in place of what is none."""
+    low = -(2**63) if label == "episode" else 0
+    if raw.dtype == np.int64 and raw.size and raw.min() >= low and raw.max() < high:
         return raw, None
     numbers = to_numbers(raw)
     odd = np.zeros(len(numbers), dtype=np.bool_)
     if numbers.dtype.kind == "f":
         odd = ~((np.abs(numbers) <= 2.0**53) & (numbers == np.floor(numbers)))
-    outside = (numbers >= high) | (numbers < low) if low is not None else numbers >= high
-    bad = odd | outside
-
-    def rule(row: int) -> str:
-        if odd[row]:
-            return "must be an integer"
-        if low is not None and numbers[row] < low:
-            return f"must be at least {low}"
-        return "must be below " + f"2**{high.bit_length() - 1}" if high >= 2**53 else f"must be in {low}..{high - 1}"
-
-    return np.where(bad, 0, numbers).astype(np.int64), find_fault(label, raw, bad, rule)
+    is_low, is_high = numbers < low, numbers >= high
+    limit = f"must be below 2**{high.bit_length() - 1}" if high >= 2**53 else f"must be in {low}..{high - 1}"
+    rules = {"must be an integer": odd, f"must be at least {low}": is_low, limit: is_high}
+    return np.where(odd | is_low | is_high, 0, numbers).astype(np.int64), find_fault(label, raw, rules)
 
 
 def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
@@ -165,7 +167,7 @@ def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
     if label == "reward":
         is_good |= np.array([is_missing(value) or value == "nan" for value in raw.tolist()])
     rule = "must be finite" if low == -np.inf else f"must be in [{low:g}, {high:g}]"
-    return numbers, find_fault(label, raw, ~is_good, lambda row: rule)
+    return numbers, find_fault(label, raw, {rule: ~is_good})
 
 
 def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
@@ -177,24 +179,18 @@ def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
     else:
         known = [FLAG_TEXTS.get(str(item).strip().lower()) for item in raw.tolist()]
         flags, bad = np.array([flag is True for flag in known]), np.array([flag is None for flag in known])
-    return flags, find_fault(label, raw, bad, lambda row: "must be a boolean (or 0 or 1)")
-
-
-def _holds_names(raw: Column) -> bool:
-    """Whether the first value of a column of objects is a text that is no number."""
-    first = next((item for item in raw.tolist() if not is_missing(item)), None)
-    return isinstance(first, str) and not is_number_text(first)
+    return flags, find_fault(label, raw, {"must be a boolean (or 0 or 1)": bad})
 
 
 def _match_names(raw: Column, label: str, names: tuple[Name, ...]) -> tuple[Column, Fault | None]:
     """Names as their numbers; numbers as texts are none of them."""
     missing = np.array([is_missing(item) for item in raw.tolist()], dtype=np.bool_)
     if not names:
-        return raw, find_fault(label, raw, missing, lambda row: "must have a value")
+        return raw, find_fault(label, raw, {"must have a value": missing})
     known = numbers_of(names)
     numbers = np.array([known.get(str(item), -1) for item in raw.tolist()], dtype=np.int64)
-    numbers[missing] = -1
-    fault = find_fault(label, raw, numbers < 0, lambda row: "must be one of the simulator's names")
+    rules = {"must have a value": missing, "must be one of the simulator's names": numbers < 0}
+    fault = find_fault(label, raw, rules, has_names=True)
     if fault is not None and not is_missing(fault.value):
         fault = fault._replace(hint=suggest_name(fault.value, names))
     return np.maximum(numbers, 0), fault
@@ -212,11 +208,11 @@ def find_repeat(names: Column, rows: IntArray) -> tuple[int, str] | None:
 
 
 def find_order_faults(
-    columns: dict[str, Any],
-    before: dict[str, Any],
+    columns: Mapping[str, Any],
+    before: Mapping[str, Any],
     is_first: BoolArray,
     follows: BoolArray,
-    is_apart: Callable[[Any, Any], Any] = np.not_equal,
+    differs: Callable[[Any, Any], Any] = np.not_equal,
     show: Callable[[Any], Any] = operator.methodcaller("tolist"),
 ) -> list[Fault]:
     """The rows that do not continue the episode of the row before them.
@@ -227,16 +223,15 @@ def find_order_faults(
     before : the same and next_state, of the row before each
     is_first, follows : (n,) whether a row begins an episode, and whether it goes on with the one of the row before; neither
         where nothing is known of that row
-    is_apart : whether a next_state and the state after it differ; ``show``: a state as errors print it
+    differs : whether a next_state and the state after it differ; ``show``: a state as errors print it
     """
     faults = []
     if "timestep" in columns:
         expected = np.where(is_first, 0, before["timestep"] + 1)
         jumps = (is_first | follows) & (columns["timestep"] != expected)
-        rule = "must be {} (steps of an episode in order from 0)"
-        faults.append(find_fault("timestep", columns["timestep"], jumps, lambda row: rule.format(expected[row])))
-    apart = follows & is_apart(before["next_state"], columns["state"])
-    rows = np.flatnonzero(apart)
+        rule = f"must be {expected[jumps.argmax()]} (steps of an episode in order from 0)"
+        faults.append(find_fault("timestep", columns["timestep"], {rule: jumps}))
+    rows = np.flatnonzero(follows & differs(before["next_state"], columns["state"]))
     if rows.size:
         state, next_state = (show(column[rows[0]]) for column in (columns["state"], before["next_state"]))
         rule = f"must be the state of the next row of its episode, which is {state}"

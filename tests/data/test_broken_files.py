@@ -131,10 +131,18 @@ def test_flags_that_no_longer_hold_are_not_believed():
 # ---- words that look like numbers
 
 
-def test_words_are_no_numbers(tmp_path):
-    pd.DataFrame({"state": [0], "action": [0], "next_state": [1], "reward": ["0.5"]}).to_parquet(tmp_path / "l.parquet")
-    with pytest.raises(ValueError, match=r"column 'reward' of .*l\.parquet' must hold numbers; it holds texts"):
-        oee.Transitions.load(tmp_path / "l.parquet")
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_a_text_is_the_number_that_it_writes(tmp_path, ending):
+    frame = pd.DataFrame({"state": ["0", "3"], "action": [0, 0], "next_state": [1, 1], "reward": ["0.5", "much"]})
+    path = tmp_path / f"l{ending}"
+    for rows in (frame[:1], frame):
+        (rows.to_csv if ending == ".csv" else rows.to_parquet)(path, index=False)
+        for read in (oee.Transitions.load, oee.Transitions.open):
+            if len(rows) == 1:
+                assert len(read(path)) == 1
+            else:
+                with pytest.raises(ValueError, match=rf"l\{ending}': reward\[1\] must be finite; it is 'much'"):
+                    read(path)
 
 
 # ---- tables

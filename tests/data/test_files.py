@@ -186,7 +186,7 @@ def test_names_of_files_and_columns_are_never_sql(tmp_path, name):
 
 
 def test_duckdb_reads_one_file_and_loads_nothing(tmp_path):
-    from oee_tabular.data.reader import open_duckdb
+    from oee_tabular.data.tables import open_duckdb
 
     logs()["episodes"].save(tmp_path / "log.parquet")
     (tmp_path / "other.csv").write_text("a\n1\n")
