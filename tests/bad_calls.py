@@ -215,11 +215,12 @@ from_frame(frame().rename(columns={"state": "from"}), state="form")  ->  state m
 from_frame(frame(), stat="state")  ->  column_names must be of state, ... (did you mean state?)
 from_frame(frame(), state=3)  ->  state must be a column's name, or several
 from_frame(frame(), reward=["state", "action"])  ->  reward must be the name of one column
-from_frame(frame(timestep=np.nan))  ->  column 'timestep' of the frame must have a value ...; row 0 has none
-from_frame(frame(action=None))  ->  column 'action' of the frame must have ...; row 0 has none
+from_frame(frame(timestep=np.nan))  ->  frame: timestep[0] must have a value; it has none
+from_frame(frame(action=None))  ->  frame: action[0] must have a value; it has none
+from_frame(frame(action=pd.Timestamp(0)))  ->  frame: action[0] must be an integer; it is '1970-01-01...
 from_frame(pd.concat([frame(), frame()], axis=1))  ->  frame must have columns that differ
 from_frame(frame().head(0))  ->  state must have at least one row; the log is empty
-from_frame(frame(state=0.5))  ->  state[0] must be an integer
+from_frame(frame(state=0.5))  ->  frame: state[0] must be an integer
 from_episodes([])  ->  episodes must have at least one transition whose next state is known
 from_episodes([[(0, 0, 1.0)]])  ->  episodes must have at least one transition
 from_episodes(3)  ->  episodes must be a list of episodes, each a list of steps

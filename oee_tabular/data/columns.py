@@ -139,9 +139,7 @@ class LogColumns:
 
     def first(self, n: int) -> Self:
         """The first n rows with their episodes; the last episode is truncated where it is cut."""
-        size = _checks.positive_integer(n, "n")
-        if size > len(self):
-            raise ValueError(f"n must be at most the {len(self)} rows of the log; it is {size}")
+        size = self._check_size(n)
         columns = {name: column[:size].copy() for name, column in self.columns().items()}
         if self.episode is not None:
             columns["truncated"][-1] |= not columns["terminated"][-1]
@@ -165,9 +163,7 @@ class LogColumns:
             raise ValueError(f"logs must be one or more {cls.__name__}; got {_checks.show(logs)}")
         columns = [log.columns() for log in parts]
         if cls.ALLOWS_MISSING_REWARDS and any("reward" in part for part in columns):
-            columns = [
-                part if "reward" in part else part | {"reward": np.full(len(part["state"]), np.nan)} for part in columns
-            ]
+            columns = [{"reward": np.full(len(part["state"]), np.nan)} | part for part in columns]
         joined = {
             name: [part[name] for part in columns] for name in columns[0] if all(name in part for part in columns)
         }
@@ -178,10 +174,13 @@ class LogColumns:
 
     def draw(self, n: int, *, seed: Seed) -> Self:
         """Draw n rows without replacement, as independent transitions: the paper's way of sampling."""
+        return self.select(_checks.generator(seed).permutation(len(self))[: self._check_size(n)])
+
+    def _check_size(self, n: object) -> int:
         size = _checks.positive_integer(n, "n")
         if size > len(self):
             raise ValueError(f"n must be at most the {len(self)} rows of the log; it is {size}")
-        return self.select(_checks.generator(seed).permutation(len(self))[:size])
+        return size
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write .npz, .csv or .parquet; a log of numbered states also as a Minari data set (which needs episodes and rewards).

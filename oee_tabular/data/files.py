@@ -19,7 +19,7 @@ from oee_tabular.data.labels import COLUMNS, MOVE, require_columns, warn_left_ou
 from oee_tabular.data.minari import is_minari, minari_columns, save_minari
 from oee_tabular.data.rules import check_table
 from oee_tabular.data.tables import LogFile, Table, count_parquet_rows, open_table
-from oee_tabular.mdp.naming import Name, from_text, to_text
+from oee_tabular.mdp.naming import as_objects, from_text, to_text
 
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several
 ENDINGS = (".csv", ".parquet", ".npz", ".csv.gz")
@@ -174,10 +174,3 @@ def plain_name(file: LogFile, files: Sequence[LogFile]) -> str:
     """A file's path below what all have in common: the same wherever a folder stands."""
     common = os.path.commonpath([os.path.dirname(os.path.abspath(one.path)) for one in files])
     return re.sub(r"[\\/]+", "/", os.path.relpath(os.path.abspath(file.path), common))
-
-
-def as_objects(names: Sequence[Name]) -> Column:
-    """Names as an array of them, tuples whole."""
-    array = np.empty(len(names), dtype=object)
-    array[:] = names
-    return array

@@ -12,7 +12,8 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Column, IntArray
 from oee_tabular.data.labels import COLUMNS, MOVE, suggest, suggest_columns
-from oee_tabular.mdp.naming import Name, check_names, is_name, is_number_text, to_plain
+from oee_tabular.data.rules import check_table, is_missing
+from oee_tabular.mdp.naming import Name, as_objects, check_names, is_name, is_number_text, to_plain
 
 STEP = "(state, action, reward), and after these next_state, terminated and truncated where they are known"
 
@@ -33,7 +34,7 @@ def is_frame(value: object) -> bool:
 def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str, Any]:
     """The columns of a log, by the constructor's names, of a data frame; ``column_names``: what it calls them.
 
-    Raises ValueError for what is no frame, for columns that it has not, and for rows without a value.
+    Raises ValueError for what is no frame, for columns that it has not, and for the first value that is none of a log's.
     """
     for field in column_names:
         if field not in COLUMNS:
@@ -53,17 +54,27 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
         )
     used = {label for group in taken.values() for label in group}
     absent = [field for field in COLUMNS if field not in taken]
-    near = []
-    for label in (label for label in labels if label not in used):
-        for field in difflib.get_close_matches(label[:80].lower(), absent, 1, 0.8):
-            near.append(f"{label!r:.80} (is it {field}? Then {field}={label!r:.80})")
+    near = [
+        f"{label!r:.80} (is it {field}? Then {field}={label!r:.80})"
+        for label in labels
+        if label not in used
+        for field in difflib.get_close_matches(label[:80].lower(), absent, 1, 0.8)
+    ]
     if near:
         _checks.warn(f"columns of the frame that a log does not use are left out: {', '.join(near)}")
-    columns = {}
-    for field, group in taken.items():
-        parts = [_values(table, label, field) for label in group]
-        columns[field] = parts[0] if len(parts) == 1 else list(zip(*(part.tolist() for part in parts), strict=True))
-    return columns
+    return check_table({field: _join_columns(table, group) for field, group in taken.items()}, "frame")
+
+
+def _join_columns(table: Any, labels: list[str]) -> Column:
+    """A column's values, nan where it has none; tuples of several columns' values."""
+    columns = []
+    for label in labels:
+        values, absent = np.asarray(table[label].to_numpy()), table[label].is_null().to_numpy()
+        columns.append(np.where(absent, np.nan, values) if absent.any() else values)
+    if len(columns) == 1:
+        return columns[0]
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return as_objects([None if any(map(is_missing, row)) else row for row in rows])
 
 
 def eager(frame: Any) -> Any:
@@ -92,17 +103,6 @@ def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
     if not group or (len(group) > 1 and field not in MOVE):
         raise ValueError(f"{field} must be the name of one column; it is {_checks.show(given)}")
     return group
-
-
-def _values(table: Any, label: str, field: str) -> Column:
-    """A column's values; ValueError for a row that has none, but for a reward, which is nan."""
-    series = table[label]
-    values = np.asarray(series.to_numpy())
-    absent = series.is_null().to_numpy() | (np.isnan(values) if values.dtype.kind == "f" else False)
-    rows = np.flatnonzero(absent)
-    if rows.size and field != "reward":
-        raise ValueError(f"column {label!r} of the frame must have a value in every row; row {rows[0]} has none")
-    return np.where(absent, np.nan, values) if rows.size else values
 
 
 def episode_columns(episodes: object) -> dict[str, Any]:

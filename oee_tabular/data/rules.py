@@ -132,6 +132,7 @@ def check_column(
     stay, as the texts of episodes do; None: none.
     """
     kind = KINDS.get(label, "numbers")
+    raw = raw.astype(str) if raw.dtype.kind in "Mm" else raw  # dates are no numbers
     names = () if label == "episode" else names
     if names is not None and raw.dtype.hasobject:
         first = next((item for item in raw.tolist() if not is_missing(item)), None)

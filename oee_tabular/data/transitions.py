@@ -23,7 +23,7 @@ from oee_tabular.data.labels import MOVE, describe_facts
 from oee_tabular.data.rules import check_array
 from oee_tabular.data.sums import RowSums, counts_of
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.naming import Name, name_text, renumber
+from oee_tabular.mdp.naming import Name, as_objects, name_text, renumber
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -127,7 +127,7 @@ class Transitions(LogColumns):
 
     def columns(self) -> dict[str, Column]:
         """The columns that the log has, in the order of the file formats; names where it has names."""
-        names = {column: files.as_objects(own) for column, own in self._names().items()}
+        names = {column: as_objects(own) for column, own in self._names().items()}
         columns = super().columns()
         return columns | {column: own[columns[column]] for column, own in names.items()}
 
