@@ -100,7 +100,7 @@ class LogColumns:
     @staticmethod
     def _differs(following: Column, state: Column) -> BoolArray:
         """Row by row, whether a next state and the state that follows it differ."""
-        raise NotImplementedError
+        return np.asarray(following != state)
 
     def _show(self, state: Column) -> Any:
         """One row's state, as errors show it."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data.counts import N_REASONS, Recording
-from oee_tabular.data.labels import COLUMNS, KEY, MOVE, require_columns
+from oee_tabular.data.labels import COLUMNS, KEY, MOVE
 from oee_tabular.data.rules import Fault, check_column, find_order_faults, find_repeat
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile, Piece, Table, open_table, sum_groups
@@ -77,14 +77,11 @@ class FileCounts(NamedTuple):
 
 def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
     """Count one file; ``name`` is hashed for the sample."""
-
-    def require(labels: object) -> None:
-        require_columns(repr(file.path), MOVE, labels)  # type: ignore[arg-type]
-
+    form = Transitions.FILES
     if file.suffix in (".csv", ".parquet"):
-        table = open_table(file, COLUMNS.__contains__, require)
+        table = open_table(file, form)
     else:
-        columns = Transitions.FILES.to_table(Transitions.load(file.path).columns())
+        columns = form.to_table(Transitions.load(file.path).columns())
         table = Table(list(columns), list(columns), [Piece(columns, np.arange(len(columns["state"])), {})])
     count = _FileCount(file.path, limits, name)
     if not (file.suffix == ".parquet" and {"episode", "truncated"}.isdisjoint(table.known) and count.add_groups(table)):

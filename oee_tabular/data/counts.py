@@ -7,7 +7,7 @@ them can stand beside the counts.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -167,10 +167,6 @@ class TransitionCounts:
     def columns(self) -> dict[str, Column]:
         """The columns that there are."""
         return {name: getattr(self, name) for name in (*KEY, *COUNTED) if getattr(self, name) is not None}
-
-    def led_to(self, next_state: IntArray) -> TransitionCounts:
-        """The same with other next states."""
-        return replace(self, next_state=next_state)
 
     def summary(self) -> dict[str, Any]:
         """The counts' summary, as plain numbers and words."""

@@ -99,7 +99,7 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
             for label, array in columns.items():
                 columns[label] = as_objects(from_text(array, label)) if array.dtype.kind == "U" else array
     elif file.suffix in (".csv", ".parquet"):
-        table = open_table(file, form.is_known, lambda labels: form.require(labels, name))
+        table = open_table(file, form)
         columns = form.from_table(check_table(_read_whole(file, table), repr(name)), name)
         unknown = [label for label in table.labels if not form.is_known(label) and label not in reported]
         reported.update(unknown)

@@ -111,8 +111,7 @@ def episode_columns(episodes: object) -> dict[str, Any]:
     rows: list[tuple[Any, ...]] = []
     n_cut = 0
     for k, episode in enumerate(given):
-        steps = _parts(episode, f"episodes[{k}]", f"a list of steps, each {STEP}")
-        moves = _moves_of([_parts(step, f"episodes[{k}][{t}]", f"a step, {STEP}") for t, step in enumerate(steps)], k)
+        moves = _moves_of(_parts(episode, f"episodes[{k}]", f"a list of steps, each {STEP}"), k)
         known = [move for move in moves if len(move) == 5]
         rows += [(*move, k) for move in known]
         n_cut += len(moves) - len(known)
@@ -138,8 +137,9 @@ def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
     return _checks.collection(value, name, rule)
 
 
-def _moves_of(steps: list[tuple[Any, ...]], episode: int) -> list[tuple[Any, ...]]:
+def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
     """(state, action, reward, next_state, terminated) of each step, without next_state where nothing says where it led."""
+    steps = [_parts(step, f"episodes[{episode}][{t}]", f"a step, {STEP}") for t, step in enumerate(given)]
     has_end = len(steps) > 1 and len(steps[-1]) in (1, 2)
     end = steps.pop() if has_end else ()
     for t, step in enumerate(steps):

@@ -68,11 +68,8 @@ class Table:
     pieces: Iterable[Piece]
 
 
-def open_table(file: LogFile, is_known: Callable[[str], bool], require: Callable[[Sequence[str]], None]) -> Table:
-    """The table in a file, its header read; ValueError that names it for what is none, or has a known column twice.
-
-    ``require`` raises where the labels are those of no log.
-    """
+def open_table(file: LogFile, form: Any) -> Table:
+    """The table in a file, its header read; ValueError that names it for what is none of a log of this ``files.Format``."""
     is_parquet = file.suffix == ".parquet"
     if is_parquet:
         check_digest(file.path)
@@ -84,13 +81,14 @@ def open_table(file: LogFile, is_known: Callable[[str], bool], require: Callable
     first_of: dict[str, str] = {}
     for label in labels:  # also for who does not tell capitals, as DuckDB does not
         lower = label.lower()
-        if is_known(lower) and lower in first_of:
+        if form.is_known(lower) and lower in first_of:
             twice = f"{label!r} twice" if first_of[lower] == label else f"{first_of[lower]!r} and {label!r}"
             raise ValueError(f"{file.path!r} must have columns that differ; it has {twice}")
         first_of.setdefault(lower, label)
     fixed = {label: float(value) if is_number_text(value) else value for label, value in file.fixed}
-    require([*labels, *(label for label in fixed if label not in labels)])
-    known = [label for label in dict.fromkeys([*labels, *fixed]) if is_known(label)]
+    every = list(dict.fromkeys([*labels, *fixed]))
+    form.require(every, file.path)
+    known = [label for label in every if form.is_known(label)]
     read = _read_parquet if is_parquet else _read_csv
 
     def pieces() -> Iterator[Piece]:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import BoolArray, Column, IntArray
+from oee_tabular._checks import Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
@@ -117,10 +117,6 @@ class Transitions(LogColumns):
     def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
         numbers = {"state": state, "action": action, "next_state": next_state}
         return {name: check_array(column, name) for name, column in numbers.items()}
-
-    @staticmethod
-    def _differs(following: Column, state: Column) -> BoolArray:
-        return np.asarray(following != state)
 
     def _show(self, state: Column) -> Any:
         return state.tolist() if self.state_names is None else name_text(self.state_names, state)
@@ -234,10 +230,6 @@ class Transitions(LogColumns):
         """Each transition with count 1 and its reward."""
         return RowSums.of_transitions(len(self), self.reward)
 
-    def led_to(self, next_state: IntArray) -> Transitions:
-        """The same with other next states."""
-        return Transitions(**(self.columns() | {"next_state": next_state}))
-
     @property
     def by_episodes(self) -> bool:
         """Whether transitions may depend on those before them."""
@@ -262,10 +254,8 @@ class Transitions(LogColumns):
             "episode_length_max": None if lengths is None else int(lengths.max()),
             "terminated": int(self.terminated.sum()),
             "truncated": int(self.truncated.sum()),
-            "states_seen": None,
             "largest_state": int(max(self.state.max(), self.next_state.max())),
             "largest_action": int(self.action.max()),
-            "state_action_pairs_seen": None,
             "reward_min": None if self.reward is None else float(np.nanmin(self.reward)),
             "reward_max": None if self.reward is None else float(np.nanmax(self.reward)),
             "rewards_missing": None if self.reward is None else int(np.isnan(self.reward).sum()),

@@ -270,7 +270,7 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
         )
     if isinstance(log, TransitionCounts) and log.sample is not None:
         log = replace(log, sample=settle(log.sample, simulator, f"{name}.sample"))
-    return log if np.array_equal(arrival, log.next_state) else log.led_to(arrival)
+    return log if np.array_equal(arrival, log.next_state) else replace(log, next_state=arrival)
 
 
 def _check_counts(counts: Any, simulator: FiniteMDP, *, may_drop: bool) -> sparse.csr_array:
