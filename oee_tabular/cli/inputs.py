@@ -88,7 +88,7 @@ def read_entries(path: Path, name: str, simulator: FiniteMDP) -> tuple[Any, str]
     last axis more; what a dense one has where P is 0 is not looked at.
     """
     from oee_tabular import _files
-    from oee_tabular.data.labels import MOVE
+    from oee_tabular.data.rules import MOVE
     from oee_tabular.data.tables import csv_frame
     from oee_tabular.mdp.rows import Rows
     from oee_tabular.ratio.features import feature_array

@@ -22,9 +22,8 @@ from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.files import Columns, Format
-from oee_tabular.data.labels import COLUMNS, suggest_columns
 from oee_tabular.data.minari import is_minari, minari_episodes
-from oee_tabular.data.rules import check_array
+from oee_tabular.data.rules import COLUMNS, check_array, suggest_columns
 from oee_tabular.data.tables import read_labels
 
 NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")

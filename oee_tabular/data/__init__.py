@@ -21,9 +21,9 @@ memory of the counts, with a sample of whole episodes for importance sampling.
 
 - ``transitions.py``, ``columns.py``: the class ``Transitions``, and what every log has
 - ``frames.py``: data frames of any library (narwhals), episodes as lists of steps, names
-- ``rules.py``: what each column must hold, for arrays, tables and counts; ``labels.py``: labels of columns
+- ``rules.py``: the labels of columns and what each must hold, for arrays, tables and counts
 - ``files.py``: npz, and which files a path, a pattern or a folder names; ``minari.py``: Minari data sets
-- ``tables.py``: CSV and parquet in pieces; ``digests.py``: parquet files of our own
+- ``tables.py``: CSV and parquet, in pieces
 - ``counts.py``: the class ``TransitionCounts``; ``sums.py``: sums over the transitions of each (s, a, s')
 - ``counting.py``: one file as counts; ``opening.py``: several, and whatever a log may be given as
 

@@ -14,8 +14,7 @@ from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, Seed, freeze
 from oee_tabular.data import files
 from oee_tabular.data.frames import number_in_order
-from oee_tabular.data.labels import COLUMNS
-from oee_tabular.data.rules import check_array, count_others, find_order_faults, find_repeat
+from oee_tabular.data.rules import COLUMNS, check_array, count_others, find_order_faults, find_repeat
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data.counts import N_REASONS, Recording
-from oee_tabular.data.labels import COLUMNS, KEY, MOVE
-from oee_tabular.data.rules import Fault, check_column, find_order_faults, find_repeat
+from oee_tabular.data.rules import COLUMNS, KEY, MOVE, Fault, check_column, find_order_faults, find_repeat
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile, Piece, Table, open_table, sum_groups
 from oee_tabular.data.transitions import Transitions

@@ -16,10 +16,9 @@ from scipy import sparse
 from oee_tabular import _checks, _files, _printing
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, freeze
 from oee_tabular._sparse import canonical, check_csr, row_of_entry
-from oee_tabular.data.labels import KEY, describe_facts
-from oee_tabular.data.rules import check_array
+from oee_tabular.data.rules import KEY, check_array
 from oee_tabular.data.sums import COUNTED, RowSums, counts_of
-from oee_tabular.data.transitions import Transitions
+from oee_tabular.data.transitions import Transitions, describe_facts
 
 KIND = "transition_counts"
 REWARDS = COUNTED[1:]

@@ -17,7 +17,7 @@ from oee_tabular.data.counting import LARGEST, Limits, Sample, count_file
 from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
 from oee_tabular.data.files import Paths, find_log_files, plain_name
 from oee_tabular.data.frames import is_frame
-from oee_tabular.data.labels import COLUMNS, KEY, warn_left_out
+from oee_tabular.data.rules import COLUMNS, KEY, warn_left_out
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.mdp import FiniteMDP

@@ -1,4 +1,4 @@
-"""What each column of a log must hold: one check of its values for arrays, tables and counts.
+"""The columns of a log: their labels, and what each must hold, by one check for arrays, tables and counts.
 
 A check returns the values and, where some break the rule, a ``Fault``: all such rows, and the words for the first. Whoever
 asks raises it, or leaves the rows out. A value is missing where it is nan or None. In tables, a text is the number that it
@@ -7,23 +7,28 @@ writes.
 
 from __future__ import annotations
 
+import difflib
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, Column, IntArray
-from oee_tabular.data.labels import MOVE
 from oee_tabular.mdp.naming import Name, is_number_text, numbers_of, suggest_name
 
+MOVE = ("state", "action", "next_state")
+KEY = (*MOVE, "terminated")  # of sums
 KINDS = {
     "state": "integers", "action": "integers", "next_state": "integers", "reward": "numbers", "terminated": "booleans",
     "truncated": "booleans", "episode": "integers", "timestep": "integers", "behavior_probability": "numbers",
 }  # fmt: skip
+COLUMNS = tuple(KINDS)
+N_SHOWN = 10  # of the columns that are left out
+SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 FLAG_TEXTS = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
 
 
@@ -243,3 +248,56 @@ def find_order_faults(
         if rows.size:
             faults.append(Fault(label, rows, "must be False: its episode continues in the next row", True, shift=-1))
     return [fault for fault in faults if fault is not None]
+
+
+# ---- labels of tables
+
+
+def require_columns(name: str, required: Sequence[str], labels: Iterable[str], *, way: str = "") -> None:
+    """ValueError where a required column is missing, with the separator or the spelling that was probably meant.
+
+    ``way``: what else helps, where that cannot be said.
+    """
+    given = list(labels)
+    if set(required) <= set(given):
+        return
+    shown = _checks.escape_controls(", ".join(given[:1000])[:300]) or "none"
+    hint = suggest_columns(required, given) or f" (rename the columns that hold them{way})" * (
+        len(given) >= len(required)
+    )
+    raise ValueError(f"{name} must have the columns {', '.join(required)}; it has {shown}{hint}")
+
+
+def suggest_columns(required: Sequence[str], labels: Sequence[str]) -> str:
+    """What is to be changed: the separator, or how a label is written; empty where that cannot be said."""
+    for mark, word in SEPARATORS.items():
+        if any(mark in label and set(_plain(label.split(mark))) & set(required) for label in labels[:1]):
+            return f": its fields must be separated by commas; they are by {word}"
+    written = {
+        label: column
+        for label, column in zip(labels, _plain(labels), strict=True)
+        if column in required and column not in labels
+    }
+    return "".join(f"; write {column} for {_checks.show(label)}" for label, column in written.items())
+
+
+def _plain(labels: Iterable[str]) -> list[str]:
+    """Labels in lower case, with one underscore for what parts their words."""
+    return ["_".join(label.strip(" \t\"'\ufeff").lower().replace("-", " ").split()) for label in labels]
+
+
+def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str]) -> None:
+    """Warn of columns that are not read, each with the known one that it resembles."""
+    if not unknown:
+        return
+    named = [_checks.escape_controls(label[:80]) + suggest(label, known, likeness=0.8) for label in unknown[:N_SHOWN]]
+    if len(unknown) > N_SHOWN:
+        named.append(f"and {len(unknown) - N_SHOWN} more")
+    _checks.warn(f"columns of {name!r} that a log does not use are left out: {', '.join(named)}")
+
+
+def suggest(label: object, known: Sequence[str], *, quotes: bool = False, likeness: float = 0.6) -> str:
+    """What was probably meant, in words; empty where nothing is near."""
+    text = label if isinstance(label, str) else _checks.show(label)
+    near = difflib.get_close_matches(text[:80], known, n=1, cutoff=likeness)
+    return f" (did you mean {near[0]!r}?)" if near and quotes else f" (did you mean {near[0]}?)" if near else ""

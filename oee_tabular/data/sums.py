@@ -18,7 +18,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Column, IntArray
 from oee_tabular._sparse import canonical
-from oee_tabular.data.labels import KEY, MOVE
+from oee_tabular.data.rules import KEY, MOVE
 
 COUNTED = ("count", "reward_sum", "reward_min", "reward_max", "reward_count")
 N_APART = 2**20  # entries that are not joined yet

@@ -19,8 +19,7 @@ from oee_tabular._checks import Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
-from oee_tabular.data.labels import MOVE, describe_facts
-from oee_tabular.data.rules import check_array
+from oee_tabular.data.rules import MOVE, check_array
 from oee_tabular.data.sums import RowSums, counts_of
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import Name, as_objects, name_text, renumber
@@ -265,3 +264,31 @@ class Transitions(LogColumns):
     def describe(self) -> str:
         """The summary in one line."""
         return describe_facts(self._facts(), state_names=self.state_names, action_names=self.action_names)
+
+
+def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> str:
+    """A log's summary in one line; ``names``: of its states and actions, where they have names."""
+    text = f"{facts['transitions']} transitions"
+    if facts.get("different"):
+        text += f", {facts['different']} different"
+    if facts.get("files"):
+        text += f", of {facts['files']} file{'s' * (facts['files'] > 1)}"
+    if facts["episodes"]:
+        n, shortest, longest = (facts[name] for name in ("episodes", "episode_length_min", "episode_length_max"))
+        steps = f"{shortest} to {longest} steps" if shortest < longest else f"{longest} step{'s' * (longest > 1)}"
+        text += f" in {n} episode{'s' * (n > 1)} of {steps}"
+    text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
+    for word, mark in (("state", ";"), ("action", ",")):
+        own = names.get(f"{word}_names")
+        text += f"{mark} {len(own)} named {word}s" if own else f"{mark} {word}s 0..{facts[f'largest_{word}']}"
+    if facts["reward_min"] is not None:
+        text += f"; rewards {facts['reward_min'] + 0.0:g} to {facts['reward_max'] + 0.0:g}"  # no -0
+        missing = facts["rewards_missing"]
+        text += f", {missing} of {facts['transitions']} missing" if missing else ""
+    if facts.get("behavior_probability"):
+        text += "; behaviour probabilities"
+    if facts.get("sampled_episodes") is not None:
+        text += f"; {facts['sampled_episodes']} whole episodes kept"
+    if facts.get("rows_dropped"):
+        text += f"; {facts['rows_dropped']} invalid rows dropped, {facts['broken_episodes'] or 0} episodes broken"
+    return text

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import find
 from oee_tabular.data.frames import eager
-from oee_tabular.data.labels import MOVE, require_columns
+from oee_tabular.data.rules import MOVE, require_columns
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.naming import Name, number_of
