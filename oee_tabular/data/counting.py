@@ -120,8 +120,10 @@ class _FileCount:
                 groups[label], fault = self._check(groups[label], label)
                 has_all = True
             else:
-                fault = self._check(np.concatenate([groups[f"{label}_min"], groups[f"{label}_max"]]), label)[1]
+                ends = np.concatenate([groups[f"{label}_min"], groups[f"{label}_max"]])
+                fault = self._check(ends, label)[1]
                 has_all = label == "reward" or bool((groups[f"{label}_count"] == groups["count"]).all())
+                has_all &= not ends.dtype.hasobject  # texts have another order
             if fault is not None or not has_all:
                 return False
         if "reward" in table.known:

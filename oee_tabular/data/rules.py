@@ -87,6 +87,7 @@ def to_numbers(raw: Column) -> Column:
 
 def _parse_number(item: Any) -> int | float:
     """An int where it is written as one, for a float does not hold it from 2**53 on."""
+    item = item.item() if isinstance(item, np.generic) else item
     if not isinstance(item, str):
         return item if isinstance(item, int | float) and not isinstance(item, bool) else math.nan
     try:

@@ -148,6 +148,17 @@ def test_frames_of_any_library(kind):
     assert_same(oee.Problem(MDP, kind(texts)).log, NUMBERS)
 
 
+def test_columns_of_objects_and_of_texts_are_numbers():
+    expected = Transitions([0, 3], [0, 0], [3, 0], [0.5, np.nan])
+    for kind, state in ((object, [np.int64(0), 3]), (str, ["0", "3"]), ("Int64", [0, 3]), (float, [0.0, 3.0])):
+        table = pd.DataFrame({"state": pd.Series(state, dtype=kind), "action": 0, "next_state": [3, 0]})
+        assert_same(Transitions.from_frame(table.assign(reward=pd.array([0.5, None], dtype="Float64"))), expected)
+    with pytest.raises(
+        ValueError, match=r"^frame: state\[0\] must be an integer; it is '2020-01-01.* \(2 such rows in all\)"
+    ):
+        Transitions.from_frame(table.assign(state=pd.Timestamp("2020-01-01")))
+
+
 def test_an_index_is_ignored():
     shuffled = frame().set_index(pd.Index(np.arange(len(NUMBERS))[::-1]))
     assert_same(Transitions.from_frame(shuffled, simulator=MDP), NUMBERS)

@@ -157,6 +157,15 @@ def test_what_is_summed_and_what_is_left_out(tmp_path, ending):
         assert_array_equal(getattr(found, name), expected)
 
 
+def test_a_text_between_others_in_parquet_without_episodes(tmp_path):
+    chance = ["0.1", "0.1x", "0.9"]  # least and largest are numbers
+    pd.DataFrame({"state": 0, "action": 0, "next_state": 0, "behavior_probability": chance}).to_parquet(
+        tmp_path / "a.parquet"
+    )
+    with pytest.raises(ValueError, match=r"behavior_probability\[1\] must be in \[0, 1\]; it is '0\.1x'"):
+        Transitions.open(tmp_path)
+
+
 # ---- rows that are none of a log
 
 
