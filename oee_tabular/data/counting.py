@@ -86,7 +86,7 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
     if not (file.suffix == ".parquet" and {"episode", "truncated"}.isdisjoint(table.known) and count.add_groups(table)):
         for piece in table.pieces:
             count.add(piece)
-    sample = count.find_episodes() if count.n_rows else Sample()
+    sample = count.draw_episodes() if count.n_rows else Sample()
     sums = join_sums(count.sums) if count.sums else None
     recording = count.recording(sums, table)
     unknown = tuple(label for label in table.labels if label not in COLUMNS)
@@ -206,7 +206,7 @@ class _FileCount:
         self.kept, self.limit = [sample.rows], sample.limit
         return sample
 
-    def find_episodes(self) -> Sample:
+    def draw_episodes(self) -> Sample:
         """A sample of the whole episodes, of which the rows stand together: no run has the episode of another."""
         names = np.concatenate(self.names)
         names = names.astype(str) if names.dtype.hasobject else names
