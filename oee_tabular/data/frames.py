@@ -11,8 +11,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Column, IntArray
-from oee_tabular.data.rules import COLUMNS, MOVE, check_table, is_missing, suggest, suggest_columns
-from oee_tabular.mdp.naming import Name, as_objects, check_names, is_name, is_number_text, to_plain
+from oee_tabular.data.rules import COLUMNS, MOVE, as_objects, check_table, is_missing, suggest, suggest_columns
+from oee_tabular.mdp.naming import Name, check_names, is_name, is_number_text, to_plain
 
 STEP = "(state, action, reward), and after these next_state, terminated and truncated where they are known"
 

@@ -55,6 +55,13 @@ class Fault(NamedTuple):
         return f"{place} {self.rule}; it is {text if is_number else _checks.show(self.value)}{self.hint}"
 
 
+def as_objects(items: Sequence[Any]) -> Column:
+    """Names as an array of them, tuples whole."""
+    array = np.empty(len(items), dtype=object)
+    array[:] = items
+    return array
+
+
 def is_missing(value: Any) -> bool:
     """Whether a value is none."""
     return value is None or (isinstance(value, float) and math.isnan(value))

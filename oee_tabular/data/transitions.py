@@ -19,10 +19,10 @@ from oee_tabular._checks import Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
-from oee_tabular.data.rules import MOVE, check_array
+from oee_tabular.data.rules import MOVE, as_objects, check_array
 from oee_tabular.data.sums import RowSums, counts_of
 from oee_tabular.mdp import FiniteMDP
-from oee_tabular.mdp.naming import Name, as_objects, name_text, renumber
+from oee_tabular.mdp.naming import Name, name_text, renumber
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

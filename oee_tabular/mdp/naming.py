@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -194,13 +194,6 @@ def renumber(codes: IntArray, own: tuple[Name, ...], names: tuple[Name, ...] | N
             more = f"; {bad.size} such rows, of {missing} name{'s' * (missing > 1)}" if bad.size > 1 else ""
             raise ValueError(f"{error}{more}") from None
     return numbers
-
-
-def as_objects(names: Sequence[Any]) -> NDArray[Any]:
-    """Return names as an array of them, tuples whole."""
-    array = np.empty(len(names), dtype=object)
-    array[:] = names
-    return array
 
 
 def to_text(names: Any) -> NDArray[Any]:
