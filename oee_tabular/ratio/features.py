@@ -151,13 +151,11 @@ def count_rank(features: Array, *, where: str = "") -> int:
 def feature_array(features: object, simulator: FiniteMDP) -> Array:
     """phi as an (entries, d) array of finite numbers.
 
-    ``features``: None (log P), a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
+    ``features``: a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
     aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d), or a data frame with columns state, action,
     next_state (numbers or the simulator's names) and one for each feature, 0 for transitions that are not in it.
     """
     matrix, rows = simulator.transitions, Rows.of(simulator)
-    if features is None:
-        return np.asarray(np.log(matrix.data)[:, None])
     if not callable(features) and is_frame(features):
         from oee_tabular.ratio.tabled import features_in
 
