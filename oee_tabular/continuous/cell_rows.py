@@ -155,7 +155,6 @@ def on_cells(
         "log": f"{len(log)} transitions of {log.n_state}-dimensional states; encoded: {encoded.describe()}",
         "grid": model.cells.extent(),
         "floor": floor,
-        "reach": model.metadata.get("reach"),
         "ratio": ({} if tie is None else {"tie": "displacements"}) | dict(simulator.ratio),
         "rows_left_out": len(log) - len(encoded),
         "moves_left_out": share,
@@ -179,12 +178,12 @@ def no_support(model: Discretization, share: float, floor: float) -> str:
 
 def described(simulator: ContinuousSimulator, model: Discretization, support: Mapping[str, float]) -> str:
     """The simulator on cells, in one line of a report."""
-    places = ", looked at in the log's own places" if model.metadata.get("at_rows") else ""
+    places = "" if model.task.is_translation_invariant else ", looked at in the log's own places"
     text = f"{simulator.name} on {model.cells.extent()}{places}: {model.mdp!r}"
     if floor := model.metadata["floor"]:
         own, others = model.metadata["parameters"], model.metadata["others"]
         differing = [", ".join(f"{k}={v:.3g}" for k, v in other.items() if own.get(k) != v) for other in others]
-        other = f"one of {'; '.join(differing)}" if others else "spread over the cells near"
+        other = f"one of {'; '.join(differing)}" if others else "a transition of the log"
         text += f"; defensive: with probability {floor:g} a step is {other} (plain: without)"
     if "closure_error" in model.diagnostics:
         error, noise = (model.diagnostics[f"closure_{what}"] for what in ("error", "standard_error"))

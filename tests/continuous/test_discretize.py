@@ -149,22 +149,24 @@ def test_default_cells_follow_the_number_of_features():
     assert discretize(CartPole(form="full"), cells=few, **QUICK).mdp.n_states == 1001
 
 
-def assert_floor(model, log, floor, rows=slice(None)):
-    """A share of each row lies near, the log is reached, and nothing else is another."""
-    apart = (model.mdp.transitions - (1 - floor) * model.plain.transitions).toarray()
-    assert apart.min() > -1e-15
-    assert_allclose(apart.sum(axis=1)[rows], floor, rtol=1e-9)
+def assert_floor(model, log, floor):
+    """A share of pairs with impossible logged transitions lies on these, and nothing else is another."""
+    apart = (model.mdp.transitions - model.plain.transitions).toarray()
+    changed = np.abs(apart).sum(axis=1) > 0
+    assert changed.any()
+    assert_allclose(np.maximum(apart, 0.0).sum(axis=1)[changed], floor, rtol=1e-9)
     assert_allclose(model.mdp.rewards, model.plain.rewards)
-    assert model.supported(model.counts(log, outside="nearest"))[1] <= 1e-3
+    counts = model.counts(log, outside="nearest")
+    assert model.supported(counts)[1] == 0.0 < replace(model, mdp=model.plain).supported(counts)[1]
     assert model.metadata["floor"] == floor
 
 
 @given(seeds)
-@settings(max_examples=8)
+@settings(max_examples=5)
 @pytest.mark.filterwarnings("ignore:log.*state must be inside")
-def test_a_floor_is_a_share_of_what_lies_near_and_reaches_the_log(seed):
+def test_a_floor_is_a_share_of_the_log_s_impossible_transitions(seed):
     log = record(CartPole(15.0), half, n_transitions=300, max_steps=60, seed=seed)
-    assert_floor(discretize(CartPole(), log, cells=(12, 12), floor=1e-3, **QUICK), log, 1e-3)
+    assert_floor(discretize(CartPole(), log, cells=(60, 60), floor=1e-3, **QUICK), log, 1e-3)
 
 
 def test_at_a_log_the_simulator_is_what_its_own_log_says():
@@ -179,7 +181,6 @@ def test_at_a_log_the_simulator_is_what_its_own_log_says():
     assert_allclose(rows[seen], counts.toarray()[seen] / total[seen, None], atol=1e-12)
     plain = discretize(task, cells=(24, 24), **QUICK)
     assert_allclose(rows[~seen], plain.mdp.transitions.toarray()[~seen], atol=1e-12)
-    assert (model.metadata["at_rows"], model.metadata["at_outside"]) == (3000, 0)
 
 
 def test_closure_error():
@@ -260,7 +261,6 @@ def test_states_outside_are_named_and_counted():
         for number in (lambda o: len(MODEL.encode(bag, outside=o)), lambda o: MODEL.counts(bag, outside=o).sum()):
             with pytest.warns(UserWarning, match=f"{text}.* {told}"):
                 assert_allclose(number(outside), n)
-    assert discretize(CartPole(), bag, cells=(16, 16), **QUICK).metadata["at_outside"] == 2
 
 
 @given(seeds)
@@ -271,13 +271,6 @@ def test_what_is_supported_lies_where_there_is_probability(seed):
     inside = counts.toarray() * (MODEL.mdp.transitions.toarray() > 0)
     assert_array_equal(kept.toarray(), inside)
     assert_allclose(lost, 1 - inside.sum() / counts.sum(), atol=1e-12)
-
-
-def test_a_file_has_the_mdp_and_how_it_was_made(tmp_path):
-    MODEL.save(tmp_path / "cartpole.npz")
-    loaded = oee.FiniteMDP.load(tmp_path / "cartpole.npz")
-    assert_array_equal(loaded.transitions.toarray(), MODEL.mdp.transitions.toarray())
-    assert_array_equal(loaded.rewards, MODEL.mdp.rewards)
 
 
 # ---------------------------------------------------------------- cells of visited states
@@ -320,7 +313,7 @@ def test_cells_encode_logs_and_rows_are_where_the_log_s_states_lead():
 def test_a_floor_around_cells():
     log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=2000, max_steps=100, seed=9)
     floored = discretize(FULL, log, cells=SMALL, policies=POLICIES, floor=0.01, seed=1, **QUICK)
-    assert_floor(floored, log, 0.01, slice(-2))
+    assert_floor(floored, log, 0.01)
     assert floored.mdp.absorbing()[floored.over]
 
 
@@ -354,7 +347,6 @@ def test_the_length_is_found_by_the_convex_risk():
     """Lengths times .5 to 2: of a log of the half, nothing is uncovered and its length has all the weight."""
     counts = LENGTHS.counts(RUNS, outside="nearest")
     assert LENGTHS.supported(counts)[1] == 0.0
-    assert_allclose(LENGTHS.weights, 0.2)
     weights = LENGTHS.fit_weights(counts)
     assert_allclose([other["length"] for other in LENGTHS.metadata["others"]], [0.05, 0.07, 0.14, 0.2])
     assert weights[1] > 0.95
@@ -427,19 +419,8 @@ def test_costs_and_policies_are_means_over_a_box():
 
 
 def pendulum(**changes):
-    def write(env, state):
-        env.unwrapped.state = np.array(state)
-
-    options = {
-        "state_names": ("angle", "speed"),
-        "get_state": lambda env: env.unwrapped.state,
-        "set_state": write,
-        "actions": [[-2.0], [0.0], [2.0]],
-        "low": [-np.pi, -8.0],
-        "high": [np.pi, 8.0],
-        "periodic": (True, False),
-        "terminates": False,
-    }
+    options = {"state_names": ("angle", "speed"), "actions": [[-2.0], [0.0], [2.0]], "low": [-np.pi, -8.0],
+               "high": [np.pi, 8.0], "periodic": (True, False), "terminates": False}  # fmt: skip
     return GymnasiumTask(lambda: gymnasium.make("Pendulum-v1"), **(options | changes))
 
 
@@ -494,6 +475,9 @@ BAD = {
     "a nan end": (lambda: on((9, 9), low=(0.0, np.nan)), r"low\[1\] must be finite; it is nan"),
     "ends of another length": (lambda: on((9, 9), high=(1.0,)), r"high must have shape \(2,\)"),
     "floor": (lambda: discretize(CartPole(), floor=1.5), r"floor must be in \[0, 1\]; it is 1.5"),
+    "a floor of nothing": (
+        lambda: discretize(CartPole(), floor=0.1), r"floor must be 0 without a log, for CartPole has no others; it is 0.1",
+    ),
     "noise points": (
         lambda: on((9, 9), noise_points=(3, 3)),
         r"noise_points must be a number or 4 numbers, one for each disturbance; it is \(3, 3\)",
@@ -532,8 +516,8 @@ BAD = {
         r"log.terminated\[0\] must be False: episodes of Drift do not end; it is True",
     ),
     "no cells": (lambda: discretize(FULL, cells=0), r"n_cells must be a positive integer; it is 0"),
-    "weights": (lambda: LENGTHS.mixture([1.0]), r"weights must have one number for each of 5 simulators; it has shape \(1,\)"),
-    "weights that do not sum to 1": (lambda: LENGTHS.mixture([0.5] * 5), r"weights\[0\] must sum to 1"),
+    "weights": (lambda: LENGTHS.mixture([1.0]), r"weights must have shape \(5,\); it has shape \(1,\)"),
+    "weights that do not sum to 1": (lambda: LENGTHS.mixture([0.5] * 5), r"weights must sum to 1"),
     "no tasks": (lambda: visited_states([], [half], 5, max_steps=5, seed=0), r"tasks and policies must have at least one each"),
     "an action that the environment has not": (
         lambda: pendulum(actions=[[-3.0]]), r"actions\[0\] must be in Box\(-2.0, 2.0, \(1,\), float32\); it is \[-3.0\]",
@@ -544,7 +528,7 @@ BAD = {
         r"set_state must set what get_state reads; .* became",
     ),
     "low": (lambda: pendulum(low=[0.0]), r"low must have shape \(2,\), one for each of state_names; it has shape \(1,\)"),
-    "make": (lambda: GymnasiumTask(5, state_names=(), get_state=half, set_state=half, actions=[0], low=[], high=[]),
+    "make": (lambda: GymnasiumTask(5, state_names=(), actions=[0], low=[], high=[]),
              r"make must be a function; got int"),
 }  # fmt: skip
 

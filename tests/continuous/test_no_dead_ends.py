@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from oee_tabular.continuous.cell_rows import calibrated_row
-from oee_tabular.continuous.discretization.adapter import SMALLEST_REACH
 from oee_tabular.continuous.episodes import MonteCarlo
 from oee_tabular.continuous.names import continuous_simulator
 from oee_tabular.continuous.rows import refuse_impossible
@@ -22,7 +21,6 @@ from oee_tabular.tasks import (
     ResidualSimulator,
     cartpole_policy,
     corrected_value,
-    discretize,
     gymnasium_simulator,
     monte_carlo_value,
     record,
@@ -60,34 +58,13 @@ def log_of(task, n=3000):
 
 
 def test_wind_that_no_cell_reaches_leaves_the_report_standing():
-    """Gusts of .6 rad/s, six cells of a fine grid: reach follows the log, and what is left is left out and told."""
+    """Gusts of .6 rad/s, six cells of a fine grid: the floor allows what the log has."""
     log = log_of(Windy(10.0, gusts=0.3))
     report = report_of(log, replace(FEW, grid=(40, 40), outside="nearest"))
     rows = [row["estimator"] for row in report.records()]
     assert rows[0] == "oee (residual)"
-    assert report.facts["reach"] > SMALLEST_REACH
     assert rows[-1] == "oee on the grid"
-    assert report.facts["moves_left_out"] < 0.01
-
-
-def test_the_reach_is_what_the_log_asks():
-    """A target that is d cells farther than the simulator asks for about d cells; dust asks for nothing."""
-    task, spacing = CartPole(10.0, noise=0.0), 6.4 / 31
-    log = log_of(task, 2000)
-
-    def reach_of(log):
-        return discretize(task, log, cells=(32, 32), floor=0.001, closure_episodes=0).metadata["reach"]
-
-    assert reach_of(log) == SMALLEST_REACH
-    columns = log.columns()
-    quiet = np.abs(log.next_state[:, 3]) < 1.0
-    kept = {name: column[quiet] for name, column in columns.items() if name in ("state", "action")}
-    for cells in (4, 7):
-        moved = log.next_state[quiet] + [0.0, 0.0, 0.0, cells * spacing]
-        assert cells - 2 <= reach_of(ContinuousTransitions(**kept, next_state=moved)) <= 1.5 * cells
-    odd = np.array(log.next_state[quiet])
-    odd[0, 3] += 9 * spacing
-    assert reach_of(ContinuousTransitions(**kept, next_state=odd)) == SMALLEST_REACH
+    assert report.facts["moves_left_out"] == 0.0
 
 
 def test_dust_at_a_speed_limit():

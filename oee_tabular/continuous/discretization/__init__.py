@@ -3,8 +3,10 @@
 States s in R^d with features phi(s), cells j = 1, ..., N with weights w_j(phi) that sum to 1 over j, and pairs x_k at which
 the task is stepped (places):
 
-    P(j | i, a) = sum_k W_{(i,a),k} E_xi[w_j(phi(f(x_k, xi)))],     pi(a | i) = mean of pi(a | s) over the states of cell i
+    P(j | i, a) = sum_k W_{(i,a),k} E_xi[w_j(phi(f(x_k, xi)))],     r(i, a) = sum_k W_{(i,a),k} E_xi[r(x_k, xi)],
+    pi(a | i) = mean of pi(a | s) over the states of cell i
 
+Another task stepped at the same places has the same states; a ratio between the two differs from 1 by their dynamics alone.
 A log becomes soft counts n(i, a, j) = sum over its rows of w_i(s) w_j(s') (``Discretization.counts``) or numbered transitions
 drawn by these weights (``encode``), so that the ratio of the target's and the simulator's transitions is a matrix as it is for
 any finite MDP. Where episodes can end, one absorbing state that pays nothing, the last, stands for all that is over.

@@ -1,12 +1,11 @@
 """Where numbered states lie among a task's features: on the vertices of a ``Grid``, or in ``VoronoiCells`` around centres.
 
 Both share a point out among their cells with weights that sum to 1: the 2^k vertices around it, so that its mean is kept, or
-the one cell that it lies in. They say which points lie outside of what they describe, and what lies near each cell.
+the one cell that it lies in. They say which points lie outside of what they describe.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,10 +16,13 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular._sparse import canonical, row_sums
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular._sparse import canonical
 
-N_NEAREST = 10  # cells within a reach of 1; each further one doubles them
+
+def indicator(numbers: IntArray, n: int) -> sparse.csr_array:
+    """(len(numbers), n) rows with a 1 in the column of their number."""
+    size = len(numbers)
+    return sparse.csr_array((np.ones(size), numbers, np.arange(size + 1)), shape=(size, n))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,18 +79,6 @@ class Grid:
         beyond = (features < self.low - room) | (features > self.high + room)
         return np.asarray((beyond & ~np.array(self.periodic)).any(axis=1))
 
-    def neighbourhood(self, task: ContinuousTask, reach: int) -> sparse.csr_array:
-        """(S, S) uniform over the vertices within ``reach`` cells; beyond the grid only what is over there counts."""
-        offsets = np.array(list(itertools.product(range(-reach, reach + 1), repeat=len(self.shape))))
-        index = self.indices()[:, None] + offsets
-        index = np.where(self.periodic, index % self.shape, index)
-        inside = ((index >= 0) & (index < self.shape)).all(axis=2)
-        points = task.embed((self.low + index * self.spacing).reshape(-1, len(self.shape)))
-        over = task.terminated(points).reshape(inside.shape) & task.terminates
-        vertex = np.ravel_multi_index(tuple(np.moveaxis(index, 2, 0)), self.shape, mode="clip")
-        near = inside | over
-        return _uniform_rows(np.nonzero(near)[0], np.where(over, self.n_cells, vertex)[near], self.n_cells, task)
-
     def extent(self) -> str:
         """Shape and range, in words."""
         ranges = " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(self.low, self.high, strict=True))
@@ -119,45 +109,12 @@ class VoronoiCells:
 
     def weights(self, features: Array) -> sparse.csr_array:
         """(n, n_cells) 1 in the point's cell."""
-        n, number = len(features), self.nearest(features)[0]
-        return sparse.csr_array((np.ones(n), number, np.arange(n + 1)), shape=(n, self.n_cells))
+        return indicator(self.nearest(features)[0], self.n_cells)
 
     def outside(self, features: Array) -> BoolArray:
         """(n,) which points are farther from every centre than any visited state was."""
         return np.asarray(self.nearest(features)[1] > self.radius)
 
-    def neighbourhood(self, task: ContinuousTask, reach: int) -> sparse.csr_array:
-        """(S, S) uniform over the nearest cells and, where episodes can end, what is over."""
-        many = min(N_NEAREST * 2 ** (reach - 1), self.n_cells)
-        near = self._tree.query(self.centres / self.scale, k=many)[1].reshape(-1, many)
-        if task.terminates:
-            near = np.column_stack([near, np.full(self.n_cells, self.n_cells)])
-        return _uniform_rows(np.repeat(np.arange(self.n_cells), near.shape[1]), near.ravel(), self.n_cells, task)
-
     def extent(self) -> str:
         """Number of cells and reach, in words."""
         return f"the {self.n_cells} cells of visited states (reach {self.radius:.3g})"
-
-
-Cells = Grid | VoronoiCells
-
-
-def _uniform_rows(rows: IntArray, columns: IntArray, n_cells: int, task: ContinuousTask) -> sparse.csr_array:
-    """(S, S) rows that are uniform over their columns; what is over stays over."""
-    if task.terminates:
-        rows, columns = np.append(rows, n_cells), np.append(columns, n_cells)
-    size = n_cells + task.terminates
-    near = canonical(sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(size, size)), drop_zeros=True)
-    return sparse.csr_array(sparse.diags_array(1.0 / row_sums(near)) @ near)
-
-
-def weights_of(cells: Cells, task: ContinuousTask, states: Array, ended: BoolArray) -> sparse.csr_array:
-    """(n, S) how states are shared out among the numbered ones; what has ended lies in the absorbing state, the last."""
-    inner = cells.weights(task.features(states))
-    if not task.terminates:
-        return inner
-    inner = sparse.csr_array(sparse.diags_array(np.where(ended, 0.0, 1.0)) @ inner)
-    inner.eliminate_zeros()
-    found = sparse.csr_array(sparse.hstack([inner, sparse.csr_array(ended[:, None].astype(np.float64))]))
-    found.sort_indices()
-    return found

@@ -15,9 +15,9 @@ from scipy import sparse
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
-from oee_tabular._sparse import canonical, csr_on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import canonical, row_of_entry
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.discretization.cells import Grid, weights_of
+from oee_tabular.continuous.discretization.cells import Grid, indicator
 from oee_tabular.continuous.discretization.places import Places, spread_over_pairs
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
@@ -40,7 +40,6 @@ class Discretization:
     task : ContinuousTask whose states are encoded
     places : the cells, and where the task was stepped
     simulators : FiniteMDPs of the task without a floor, and of each of the ``others``
-    weights : how the simulators are mixed in ``mdp``
     metadata : how it was made: plain numbers and words
     diagnostics : ``closure_error`` and ``closure_standard_error`` of the uniform policy, where measured
 
@@ -58,7 +57,6 @@ class Discretization:
     task: ContinuousTask
     places: Places
     simulators: tuple[FiniteMDP, ...]
-    weights: tuple[float, ...]
     metadata: dict[str, Any] = field(default_factory=dict)
     diagnostics: dict[str, Any] = field(default_factory=dict)
 
@@ -136,23 +134,17 @@ class Discretization:
 
         Raises ValueError unless there are as many weights as simulators, nonnegative, summing to 1.
         """
-        shares = _checks.float_array(weights, "weights")
-        if shares.shape != (len(self.simulators),):
-            raise ValueError(
-                f"weights must have one number for each of {len(self.simulators)} simulators; it has shape {shares.shape}"
-            )
-        _checks.require_nonnegative(shares, "weights")
-        _checks.require_sums_to_one(np.array([shares.sum()]), "weights")
+        shares = _checks.distribution(weights, "weights", (len(self.simulators),))
         used = [(share, part) for share, part in zip(shares, self.simulators, strict=True) if share > 0.0]
         matrix = sum(share * part.transitions for share, part in used)
         rewards = np.sum([share * part.rewards for share, part in used], axis=0)
-        mdp = finite_mdp(self.task, self.places, matrix, rewards, self.plain.initial, self.plain.discount)
-        return replace(self, mdp=mdp, weights=tuple(shares.tolist()))
+        plain = self.plain
+        return replace(self, mdp=self.places.finite_mdp(self.task, matrix, rewards, plain.initial, plain.discount))
 
     def with_transitions(self, transitions: sparse.csr_array) -> FiniteMDP:
         """Other transitions on the same states with the task's rewards, wherever they lead."""
         plain = self.plain
-        return finite_mdp(self.task, self.places, transitions, plain.rewards, plain.initial, plain.discount)
+        return self.places.finite_mdp(self.task, transitions, plain.rewards, plain.initial, plain.discount)
 
     @one_thread
     def fit_weights(self, counts: sparse.csr_array) -> Array:
@@ -195,7 +187,7 @@ class Discretization:
         ended = self.task.terminated(array) & self.task.end_shows(array)
         self._outside(array, ended, "states", outside)
         draws = None if seed is None else _checks.generator(seed).random(len(array))
-        return _pick(self._weights(array, ended), draws)
+        return _pick(self.places.weights(self.task, array, ended), draws)
 
     def encode(
         self, log: ContinuousTransitions, *, seed: Any = None, outside: str = "error", strict: bool = False
@@ -223,8 +215,8 @@ class Discretization:
         if seed is not None:
             draws = _checks.generator(seed).random((len(kept), 2)).T
             draws[1, same] = draws[0, same + 1]
-        first = _pick(self._weights(kept.state, np.zeros_like(ended)), draws[0])
-        following = _pick(self._weights(kept.next_state, ended), draws[1])
+        first = _pick(self.places.weights(self.task, kept.state, np.zeros_like(ended)), draws[0])
+        following = _pick(self.places.weights(self.task, kept.next_state, ended), draws[1])
         first[same + 1] = following[same]  # float32 copies of one state may lie on two sides of an edge
         columns = kept.columns() | {"state": first, "action": actions, "next_state": following, "terminated": ended}
         columns["truncated"] = (kept.truncated | kept.terminated) & ~ended
@@ -242,11 +234,11 @@ class Discretization:
         if self.task.is_translation_invariant:
             before, after = self.task.features(kept.state), self.task.features(kept.next_state)
             number = _pick(self.cells.weights(before), None)
-            start = sparse.csr_array((np.ones(len(kept)), number, np.arange(len(kept) + 1)), (len(kept), n_states))
+            start = indicator(number, n_states)
             arrival = self.cells.weights(self.cells.vertices()[number] + after - before)
         else:
-            start = self._weights(kept.state, np.zeros_like(ended))
-            arrival = self._weights(kept.next_state, ended)
+            start = self.places.weights(self.task, kept.state, np.zeros_like(ended))
+            arrival = self.places.weights(self.task, kept.next_state, ended)
         return canonical(spread_over_pairs(start, actions, n_actions).T @ arrival, drop_zeros=True)
 
     def supported(self, counts: sparse.csr_array) -> tuple[sparse.csr_array, float]:
@@ -275,9 +267,6 @@ class Discretization:
         """Write the MDP as ``FiniteMDP.load`` reads it, with the metadata as JSON."""
         metadata = json.dumps(self.metadata | {"version": version("oee-tabular")})
         _files.save_npz(path, KIND, self.mdp.arrays() | {"metadata": np.array(metadata)})
-
-    def _weights(self, states: Array, ended: BoolArray) -> sparse.csr_array:
-        return weights_of(self.cells, self.task, states, ended)
 
     def _select_rows(
         self, log: ContinuousTransitions, outside: str, strict: bool
@@ -334,27 +323,6 @@ class Discretization:
             done = "left out" if outside == "drop" else "moved to the nearest place inside"
             warnings.warn(f"{text}. They are {done}", stacklevel=4)
         return np.asarray(gone)
-
-
-def finite_mdp(
-    task: ContinuousTask, places: Places, matrix: Any, paid: Array, initial: Array, discount: float
-) -> FiniteMDP:
-    """The FiniteMDP of rows, which are normalised, and rewards r(s, a).
-
-    Rewards of a task with ``reward_terms`` are those of the cells' mean terms, r(i, a, j): they telescope on cells as they do
-    in the task. Taken transition by transition, their mean error would add up.
-    """
-    matrix = canonical(matrix, drop_zeros=True)
-    rows, rewards = row_of_entry(matrix), paid
-    matrix = csr_on_pattern(matrix, matrix.data / row_sums(matrix)[rows], own=True)
-    terms = task.reward_terms(places.points)
-    if terms is not None:
-        mean, (state, action) = places.mean(terms), np.divmod(rows, task.n_actions)
-        between = task.reward_of(mean[state], action, mean[matrix.indices])
-        first = between[matrix.indptr[:-1]]
-        is_of_pair = np.array_equal(between, first[rows])
-        rewards = first.reshape(paid.shape) if is_of_pair else csr_on_pattern(matrix, between)
-    return FiniteMDP(matrix, rewards, initial, discount)
 
 
 def uniform_policy_of(task: ContinuousTask) -> StatePolicy:

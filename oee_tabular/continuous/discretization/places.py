@@ -1,12 +1,4 @@
-"""Where a continuous task is stepped, the rows of transition probabilities that follow, and the two ways to choose it.
-
-A builder chooses cells among the features, and state-action pairs x_1, ..., x_m at which the task is stepped. The row of the
-numbered pair (i, a) is the weighted mean of where those lead,
-
-    P(j | i, a) = sum_k W_{(i,a),k} E_xi[ w_j(f(x_k, xi)) ],      r(i, a) = sum_k W_{(i,a),k} E_xi[ r(x_k, xi) ],
-
-w_j the weight of cell j at a point. Another task stepped at the same places has the same states; a ratio between the two
-differs from 1 by their dynamics alone.
+"""Where a continuous task is stepped (``Places``), and the two ways to choose it.
 
 ``GridInterpolation``, up to a few dimensions: the Markov chain approximation of Munos and Moore [1]. The mean of a step is
 exact, and its variance too large by f (1 - f) h^2 a step and coordinate, which is why a grid must be fine compared with the
@@ -37,12 +29,14 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._progress import progress_bar
-from oee_tabular.continuous.discretization.cells import Cells, Grid, VoronoiCells, weights_of
+from oee_tabular._sparse import canonical, csr_on_pattern, row_of_entry, row_sums
+from oee_tabular.continuous.discretization.cells import Grid, VoronoiCells, indicator
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states
+from oee_tabular.mdp import FiniteMDP
 
 PLACES_AT_A_TIME = 250_000  # bounds the memory
 POINTS_OF_A_BOX = 4  # along each axis, where a state is the box around its vertex
@@ -55,24 +49,22 @@ class Places:
 
     Attributes
     ----------
-    cells : where the numbered states lie
+    cells : Grid or VoronoiCells, where the numbered states lie
     states, actions : (m, d), (m,) the pairs that are stepped
     averages : csr (n_cells * A, m), W; None where pair k is row k
     points, point_cell : (p, d), (p,) states that stand for the cells: policies and costs are means over them
     noise_points : Gauss-Hermite points of each disturbance; None: the stepped task's
     seed : of one draw of the disturbances for each pair, in place of those points; None: no draws
-    facts : how they were chosen: plain numbers and words
     """
 
-    cells: Cells
+    cells: Any
     states: Array
     actions: IntArray
     averages: sparse.csr_array | None
     points: Array
     point_cell: IntArray
-    noise_points: NoisePoints | None
-    seed: int | None
-    facts: dict[str, Any]
+    noise_points: NoisePoints | None = None
+    seed: int | None = None
 
     def mean(self, values: Array) -> Array:
         """(n_cells, ...) the mean over each cell of values (p, ...), one for each point."""
@@ -80,11 +72,20 @@ class Places:
         matrix = sparse.csr_array((np.ones(p), (self.point_cell, np.arange(p))), shape=(self.cells.n_cells, p))
         return np.asarray(((matrix @ values).T / np.diff(matrix.indptr)).T)
 
-    def step(self, task: ContinuousTask) -> tuple[sparse.csr_array, Array]:
-        """Rows (S * A, S) and rewards (S, A) of a task."""
+    def weights(self, task: ContinuousTask, states: Array, ended: BoolArray) -> sparse.csr_array:
+        """(n, S) how states are shared out among the numbered ones; what has ended lies in the absorbing state, the last."""
+        inner = self.cells.weights(task.features(states))
+        if not task.terminates:
+            return inner
+        inner = sparse.csr_array(sparse.diags_array(np.where(ended, 0.0, 1.0)) @ inner)
+        last = sparse.csr_array(ended[:, None].astype(np.float64))
+        return canonical(sparse.hstack([inner, last]), drop_zeros=True)
+
+    def simulate(self, task: ContinuousTask, initial: Array, discount: float) -> FiniteMDP:
+        """The FiniteMDP of a task that is stepped at these places."""
         rng = None if self.seed is None else np.random.default_rng(self.seed)
         parts = progress_bar("stepping", range(0, len(self.states), PLACES_AT_A_TIME))
-        blocks = [self._step_part(task, slice(low, low + PLACES_AT_A_TIME), rng) for low in parts]
+        blocks = [self._step(task, slice(low, low + PLACES_AT_A_TIME), rng) for low in parts]
         matrix = sparse.csr_array(sparse.vstack([block for block, _ in blocks], format="csr"))
         paid = np.concatenate([rewards for _, rewards in blocks])
         if self.averages is not None:
@@ -95,23 +96,40 @@ class Places:
             stay = sparse.csr_array(np.repeat(last, task.n_actions, axis=0))
             matrix = sparse.csr_array(sparse.vstack([matrix, stay], format="csr"))
             paid = np.concatenate([paid, np.zeros((1, task.n_actions))])
-        return matrix, paid
+        return self.finite_mdp(task, matrix, paid, initial, discount)
 
-    def _step_part(
+    def finite_mdp(self, task: ContinuousTask, matrix: Any, paid: Array, initial: Array, discount: float) -> FiniteMDP:
+        """The FiniteMDP of rows, which are normalised, and rewards r(s, a).
+
+        Rewards of a task with ``reward_terms`` are those of the cells' mean terms, r(i, a, j): they telescope on cells as they
+        do in the task. Taken transition by transition, their mean error would add up.
+        """
+        matrix = canonical(matrix, drop_zeros=True)
+        rows, rewards = row_of_entry(matrix), paid
+        matrix = csr_on_pattern(matrix, matrix.data / row_sums(matrix)[rows], own=True)
+        terms = task.reward_terms(self.points)
+        if terms is not None:
+            mean, (state, action) = self.mean(terms), np.divmod(rows, task.n_actions)
+            between = task.reward_of(mean[state], action, mean[matrix.indices])
+            first = between[matrix.indptr[:-1]]
+            is_of_pair = np.array_equal(between, first[rows])
+            rewards = first.reshape(paid.shape) if is_of_pair else csr_on_pattern(matrix, between)
+        return FiniteMDP(matrix, rewards, initial, discount)
+
+    def _step(
         self, task: ContinuousTask, part: slice, rng: np.random.Generator | None
     ) -> tuple[sparse.csr_array, Array]:
         """Where some of the pairs lead, and what they pay, on average over the disturbances."""
         states, actions = self.states[part], self.actions[part]
-        n, size = len(states), task.n_disturbances
         if rng is None:
             points = task.noise_points if self.noise_points is None else self.noise_points
-            nodes, chances = gauss_hermite(points, size)
-            draws = [np.broadcast_to(node, (n, size)) for node in nodes]
+            nodes, chances = gauss_hermite(points, task.n_disturbances)
+            draws = [np.broadcast_to(node, (len(states), len(node))) for node in nodes]
         else:
-            draws, chances = [rng.standard_normal((n, size))], np.ones(1)
+            draws, chances = [rng.standard_normal((len(states), task.n_disturbances))], np.ones(1)
         gone = task.terminated(states)
         total: Any = 0.0
-        paid = np.zeros(n)
+        paid = np.zeros(len(states))
         for disturbance, chance in zip(draws, chances, strict=True):
             moved = task.moves(states, actions, disturbance)
             bad = np.flatnonzero(~np.isfinite(moved.next_state).all(axis=1))
@@ -121,7 +139,7 @@ class Places:
                     f"steps to {moved.next_state[bad[0]].tolist()}"
                 )
             ended = moved.terminated & task.end_shows(moved.next_state) | gone
-            total = total + chance * weights_of(self.cells, task, moved.next_state, ended)
+            total = total + chance * self.weights(task, moved.next_state, ended)
             paid += chance * np.where(gone, 0.0, moved.reward)
         return sparse.csr_array(total), paid
 
@@ -149,6 +167,17 @@ def gauss_hermite(points: NoisePoints, n: int) -> tuple[Array, Array]:
 def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
     """Each state under each action, in rows s*A + a."""
     return np.repeat(states, task.n_actions, axis=0), np.tile(np.arange(task.n_actions), len(states))
+
+
+def spread_over_pairs(start: sparse.csr_array, actions: IntArray, n_actions: int) -> sparse.csr_array:
+    """(n, S * A) the weights (n, S) of states that are left by actions (n,), in the columns of the pairs s*A + a."""
+    pairs = start.indices.astype(np.int64) * n_actions + np.repeat(actions, np.diff(start.indptr))
+    return sparse.csr_array((start.data, pairs, start.indptr), shape=(len(actions), start.shape[1] * n_actions))
+
+
+def average_of_pairs(weights: sparse.csr_array) -> sparse.csr_array:
+    """(S * A, m) W, of the weights (m, S * A) that stepped pairs have in the numbered ones."""
+    return sparse.csr_array(sparse.diags_array(1.0 / weights.sum(axis=0)) @ weights.T)
 
 
 @dataclass(frozen=True)
@@ -209,50 +238,26 @@ class GridInterpolation:
             raise ValueError(f"high[{axis}] must be above low[{axis}], {low[axis]}; it is {high[axis]}")
         return Grid(low, high, self.shape, task.periodic)
 
-    def places(
-        self,
-        task: ContinuousTask,
-        log: ContinuousTransitions | None,
-        others: Sequence[ContinuousTask],
-        policies: Sequence[StatePolicy],
-        seed: Any,
-    ) -> Places:
-        """The vertices under each action and, at a log, the log's own states and actions; the rest is not used."""
+    def places(self, task: ContinuousTask, log: ContinuousTransitions | None, *others: object) -> Places:
+        """The vertices under each action and, at a log, the log's own states and actions."""
         grid = self.grid(task)
-        points = task.embed(grid.vertices())
+        points, cell = task.embed(grid.vertices()), np.arange(grid.n_cells)
         states, actions = each_action(task, points)
         averages = None
-        facts: dict[str, Any] = {"builder": "GridInterpolation", "shape": list(self.shape)}
-        facts |= {"at_rows": 0, "at_outside": 0}
         if task.is_translation_invariant:
             line = (np.arange(POINTS_OF_A_BOX) + 0.5) / POINTS_OF_A_BOX - 0.5
             box = np.stack(np.meshgrid(*[line] * len(self.shape), indexing="ij"), axis=-1).reshape(-1, len(self.shape))
             points = task.embed((grid.vertices()[:, None] + box * grid.spacing).reshape(-1, len(self.shape)))
+            cell = np.repeat(cell, len(box))
         elif log is not None:
             own, chosen = check_states(task, log.state, "log.state"), log.action_numbers(task.actions)
             inside = ~grid.outside(task.features(own))
             own, chosen = own[inside], chosen[inside]
-            averages = self._averages(grid.weights(task.features(own)), chosen, task.n_actions)
+            logged = spread_over_pairs(grid.weights(task.features(own)), chosen, task.n_actions)
+            vertex = np.where(logged.sum(axis=0) > 0, self.vertex_weight, 1.0)
+            averages = average_of_pairs(sparse.vstack([sparse.diags_array(vertex), logged], format="csr"))
             states, actions = np.concatenate([states, own]), np.concatenate([actions, chosen])
-            facts |= {"at_rows": len(log), "at_outside": int((~inside).sum()), "vertex_weight": self.vertex_weight}
-        cell = np.repeat(np.arange(grid.n_cells), len(points) // grid.n_cells)
-        return Places(grid, states, actions, averages, points, cell, self.noise_points, None, facts)
-
-    def _averages(self, start: sparse.csr_array, actions: IntArray, n_actions: int) -> sparse.csr_array:
-        """W for the vertices' own pairs and then the log's: w_i(s), and ``vertex_weight`` for the vertex itself."""
-        pairs = spread_over_pairs(start, actions, n_actions)
-        mass = np.asarray(pairs.sum(axis=0))
-        total = mass + self.vertex_weight
-        own = np.divide(self.vertex_weight, total, out=np.ones_like(mass), where=mass > 0)
-        scale = np.divide(1.0, total, out=np.zeros_like(mass), where=mass > 0)
-        logged = sparse.diags_array(scale) @ pairs.T
-        return sparse.csr_array(sparse.hstack([sparse.diags_array(own), logged], format="csr"))
-
-
-def spread_over_pairs(start: sparse.csr_array, actions: IntArray, n_actions: int) -> sparse.csr_array:
-    """(n, S * A) the weights (n, S) of states that are left by actions (n,), in the columns of the pairs s*A + a."""
-    pairs = start.indices.astype(np.int64) * n_actions + np.repeat(actions, np.diff(start.indptr))
-    return sparse.csr_array((start.data, pairs, start.indptr), shape=(len(actions), start.shape[1] * n_actions))
+        return Places(grid, states, actions, averages, points, cell, self.noise_points)
 
 
 @dataclass(frozen=True)
@@ -318,11 +323,9 @@ class VisitedCells:
         if log is not None:
             states, actions = np.concatenate([states, own]), np.append(actions, log.action_numbers(task.actions))
             start = np.append(start, cells.nearest(task.features(own))[0])
-        row, n_rows = start * task.n_actions + actions, cells.n_cells * task.n_actions
-        entries = (1.0 / np.bincount(row, minlength=n_rows)[row], (row, np.arange(len(row))))
-        averages = sparse.csr_array(entries, shape=(n_rows, len(row)))
-        facts = {"builder": "VisitedCells", "n_cells": cells.n_cells, "visited": len(points)}
-        return Places(cells, states, actions, averages, points, cell, None, int(rng.integers(2**62)), facts)
+        pairs = indicator(start * task.n_actions + actions, cells.n_cells * task.n_actions)
+        averages = average_of_pairs(pairs)
+        return Places(cells, states, actions, averages, points, cell, seed=int(rng.integers(2**62)))
 
     def _cells(self, features: Array, rng: np.random.Generator) -> VoronoiCells:
         """Centres among these points (m, k)."""
