@@ -1,15 +1,14 @@
 """Gymnasium environments by id, ``Pendulum-v1:g=9``, as continuous simulators: how their states are read and set is found.
 
 Classic control keeps its state in ``unwrapped.state``; MuJoCo's is (qpos, qvel), set by ``set_state``. Of others two functions
-say it, get(env) and set(env, state). Whatever the way, ``GymnasiumTask`` steps a record of its own again and refuses a state
-that does not decide the next one.
+say it, get(env) and set(env, state).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -24,46 +23,10 @@ from oee_tabular.continuous.simulator import SLOW_EPISODES, SLOW_PATHS, SLOW_REF
 
 OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")  # MODULE:EnvId-v0
 HORIZON = 1000  # where the environment has no limit
-LOOKED = 1000  # steps by which usual ranges are found
 HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE
 
 
-@dataclass(frozen=True)
-class StateAccess:
-    """How an environment's state is read and set, and what is known of its coordinates.
-
-    Attributes
-    ----------
-    get, write : as ``get_state`` and ``set_state`` of ``GymnasiumTask``
-    names : of the coordinates; () where nothing is known but their number
-    periodic : which are angles; () for none
-    low, high : usual ranges; () where steps must show them
-    over : (env, states) -> which are over; None where steps alone can say
-    terminates : whether episodes can end before a time limit
-    """
-
-    get: Callable[[Any], Any]
-    write: Callable[[Any, Array], None]
-    names: tuple[str, ...] = ()
-    periodic: tuple[bool, ...] = ()
-    low: tuple[float, ...] = ()
-    high: tuple[float, ...] = ()
-    over: Callable[[Any, Array], BoolArray] | None = None
-    terminates: bool = True
-
-
-def _read(env: Any) -> Array:
-    return np.array(env.unwrapped.state, dtype=np.float64)
-
-
-def _write(env: Any, state: Array) -> None:
-    inner = env.unwrapped
-    inner.state = np.array(state)
-    if hasattr(inner, "steps_beyond_terminated"):
-        inner.steps_beyond_terminated = None
-
-
-def _fallen(env: Any, states: Array) -> BoolArray:
+def _has_fallen(env: Any, states: Array) -> BoolArray:
     far, turned = np.abs(states[:, 0]) > env.x_threshold, np.abs(states[:, 2]) > env.theta_threshold_radians
     return np.asarray(far | turned)
 
@@ -76,21 +39,23 @@ def _is_raised(env: object, states: Array) -> BoolArray:
     return np.asarray(-np.cos(states[:, 0]) - np.cos(states[:, 1] + states[:, 0]) > 1.0)
 
 
-_TURN, _POLE = float(np.pi), 0.21
-_CAR = StateAccess(_read, _write, ("position", "speed"), (), (-1.2, -0.07), (0.6, 0.07), _has_arrived)
-CLASSIC: Mapping[str, StateAccess] = {  # by the name of the class, or of one that it is made from
-    "CartPoleEnv": StateAccess(
-        _read, _write, ("x", "x_dot", "theta", "theta_dot"), (), (-2.4, -3.0, -_POLE, -3.2), (2.4, 3.0, _POLE, 3.2), _fallen
-    ),
-    "PendulumEnv": StateAccess(
-        _read, _write, ("angle", "speed"), (True, False), (-_TURN, -8.0), (_TURN, 8.0), terminates=False
-    ),
+_CAR = {"state_names": ("position", "speed"), "low": (-1.2, -0.07), "high": (0.6, 0.07), "over": _has_arrived}
+# by the name of the class, or of one that it is made from: what GymnasiumTask takes; ``over`` takes the environment as well
+CLASSIC: Mapping[str, dict[str, Any]] = {
+    "CartPoleEnv": {
+        "state_names": ("x", "x_dot", "theta", "theta_dot"), "low": (-2.4, -3.0, -0.21, -3.2),
+        "high": (2.4, 3.0, 0.21, 3.2), "over": _has_fallen,
+    },
+    "PendulumEnv": {
+        "state_names": ("angle", "speed"), "low": (-np.pi, -8.0), "high": (np.pi, 8.0), "periodic": (True, False),
+        "terminates": False,
+    },
     "MountainCarEnv": _CAR,
     "Continuous_MountainCarEnv": _CAR,
-    "AcrobotEnv": StateAccess(
-        _read, _write, ("angle_1", "angle_2", "speed_1", "speed_2"), (True, True, False, False),
-        (-_TURN, -_TURN, -4 * _TURN, -9 * _TURN), (_TURN, _TURN, 4 * _TURN, 9 * _TURN), _is_raised,
-    ),
+    "AcrobotEnv": {
+        "state_names": ("angle_1", "angle_2", "speed_1", "speed_2"), "low": (-np.pi, -np.pi, -4 * np.pi, -9 * np.pi),
+        "high": (np.pi, np.pi, 4 * np.pi, 9 * np.pi), "periodic": (True, True, False, False), "over": _is_raised,
+    },
 }  # fmt: skip
 
 
@@ -116,30 +81,15 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     (('x', 'x_dot', 'theta', 'theta_dot'), 500)
     """
     physics = Physics(*gymnasium_spec(spec))
-    make, identifier = physics.make, physics.identifier
-    env = make()
+    env = physics.make()
     env.reset(seed=0)
-    way = _find_access(env, identifier) if state is None else _parse_access(state)
-    start = np.array(way.get(env), dtype=np.float64)
-    names = way.names or getattr(env.unwrapped, "state_names", None) or [f"state_{i}" for i in range(start.size)]
-    commands = action_set(env.unwrapped.action_space, actions)
-    low, high = (way.low, way.high) if way.low else _ranges(make, way, commands)
-    task = GymnasiumTask(
-        make,
-        state_names=tuple(names),
-        get_state=way.get,
-        set_state=way.write,
-        actions=commands,
-        low=low,
-        high=high,
-        periodic=way.periodic or None,
-        terminates=way.terminates,
-        over=None if way.over is None else partial(way.over, env.unwrapped),
-        parameters=physics.given,
-        make_vector=physics.make_vector,
-    )
+    known = _find_state(env, physics.identifier) if state is None else _parse_state(state)
+    if "over" in known:
+        known["over"] = partial(known["over"], env)
+    known |= {"actions": action_set(env.action_space, actions), "make_vector": physics.make_vector}
+    task = GymnasiumTask(physics.make, parameters=physics.given, **known)
     task.family, physics.task = physics, task
-    simulator = as_simulator(task, getattr(env.spec, "max_episode_steps", None) or HORIZON)
+    simulator = as_simulator(task, env.spec.max_episode_steps or HORIZON)
     return replace(simulator, name=spec, episodes=SLOW_EPISODES, refit_paths=SLOW_PATHS, refits=SLOW_REFITS)
 
 
@@ -179,45 +129,44 @@ def _register(spec: str) -> str:
     return spec[own.start(2) :]
 
 
-def _parse_access(state: str) -> StateAccess:
+def _parse_state(state: str) -> dict[str, Any]:
     """From "module:get,set"."""
     first, comma, second = state.partition(",")
     if not comma:
         raise ValueError(f"--task-option state must be like my_module:get,set, two functions; got {state!r}")
     module = first.partition(":")[0]
     with own_modules():
-        functions = [
+        get, write = (
             own_object(name if ":" in name else f"{module}:{name}", "--task-option state", "my_module:get,set")
             for name in (first.strip(), second.strip())
-        ]
-    return StateAccess(*functions)
+        )
+    return {"get_state": get, "set_state": write}
 
 
-def _find_access(env: Any, identifier: str) -> StateAccess:
-    """What the environment itself offers."""
-    inner = env.unwrapped
-    for owner in type(inner).__mro__:
+def _find_state(env: Any, identifier: str) -> dict[str, Any]:
+    """What is known of the state: of classic control, of MuJoCo, else that ``env.state`` is numbers."""
+    for owner in type(env).__mro__:
         if owner.__name__ in CLASSIC and owner.__module__.startswith("gymnasium."):
-            return CLASSIC[owner.__name__]
-    if hasattr(inner, "model") and hasattr(inner, "data") and hasattr(inner, "set_state"):
-        return _mujoco(inner)
-    state = getattr(inner, "state", None)
+            return dict(CLASSIC[owner.__name__])
+    if hasattr(env, "model") and hasattr(env, "data") and hasattr(env, "set_state"):
+        return _describe_mujoco(env.model)
+    state = getattr(env, "state", None)
     try:
-        vector = np.array(state, dtype=np.float64)
+        is_vector = state is not None and np.array(state, dtype=np.float64).ndim == 1 and np.size(state) > 0
     except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if state is None or vector.ndim != 1 or vector.size == 0:
+        is_vector = False
+    if not is_vector:
         raise ValueError(
             f"environment {identifier!r} must have a state that can be set, unwrapped.state (numbers) or "
             "unwrapped.set_state(qpos, qvel); it has neither. Write two functions, get(env) -> numbers and set(env, numbers), "
             "and name them: --task-option state=MODULE:GET,SET (tasks.GymnasiumTask in Python)"
         )
-    return StateAccess(_read, _write)
+    return {}
 
 
-def _mujoco(inner: Any) -> StateAccess:
-    """(qpos, qvel); hinges without a range are angles; over where the environment's ``is_healthy`` says so."""
-    model, nq = inner.model, int(inner.model.nq)
+def _describe_mujoco(model: Any) -> dict[str, Any]:
+    """(qpos, qvel); hinges without a range are angles."""
+    nq = int(model.nq)
     names = tuple(f"qpos_{i}" for i in range(nq)) + tuple(f"qvel_{i}" for i in range(int(model.nv)))
     free = (np.asarray(model.jnt_type) == HINGE) & ~np.asarray(model.jnt_limited, dtype=np.bool_)
     turns = set(np.asarray(model.jnt_qposadr)[free].tolist())
@@ -229,22 +178,5 @@ def _mujoco(inner: Any) -> StateAccess:
         env.unwrapped.data.qacc_warmstart[:] = 0.0  # of the step before, which is another's
         env.unwrapped.set_state(np.array(state[:nq]), np.array(state[nq:]))
 
-    return StateAccess(get, write, names, tuple(i in turns for i in range(len(names))))
-
-
-def _ranges(make: Callable[[], Any], way: StateAccess, commands: Array) -> tuple[Array, Array]:
-    """The usual range of each coordinate: what random actions reach, and a tenth more; of an angle one turn."""
-    env, rng = make(), np.random.default_rng(0)
-    env.reset(seed=0)
-    states = []
-    for _ in range(LOOKED):
-        states.append(np.array(way.get(env), dtype=np.float64))
-        command = commands[int(rng.integers(len(commands)))]
-        _, _, over, cut, _ = env.step(command.astype(env.action_space.dtype) if command.ndim else int(command))
-        if over or cut:
-            env.reset()
-    env.close()
-    low, high = np.min(states, axis=0), np.max(states, axis=0)
-    room = np.maximum(0.1 * (high - low), 1e-6)
-    turns = np.array(way.periodic or (False,) * len(low))
-    return np.where(turns, -np.pi, low - room), np.where(turns, np.pi, high + room)
+    periodic = tuple(i in turns for i in range(len(names)))
+    return {"get_state": get, "set_state": write, "state_names": names, "periodic": periodic}

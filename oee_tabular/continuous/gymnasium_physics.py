@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular.tasks.toy_text import environment_exists, make_environment
+from oee_tabular.tasks.toy_text import environment_exists
 
 # fields of a MuJoCo model whose elements have names: the kind of the name, and how many there are
 ELEMENTS = {
@@ -36,31 +36,57 @@ class Physics:
 
         environment_exists(identifier)
         self.identifier, self.given, self.spec = identifier, dict(given), gymnasium.spec(identifier)
-        takes = inspect.signature(_entry(self.spec.entry_point)).parameters
-        self._plain = {key: value for key, value in given.items() if key in takes or key in self.spec.kwargs}
-        for key, value in self._plain.items():
-            usual = takes[key].default if key in takes else None
-            if isinstance(usual, int | float) and not isinstance(usual, bool):
-                _checks.number_in(value, key, -np.inf, np.inf)
+        self._takes = inspect.signature(_load(self.spec.entry_point)).parameters
+        self._arguments = {key: x for key, x in given.items() if key in self._takes or key in self.spec.kwargs}
         self._constants: dict[str, Any] = {}
         self._fields: dict[str, Any] = {}
-        rest = {key: value for key, value in given.items() if key not in self._plain}
-        if rest:
-            env = make_environment(identifier, **self._plain)
-            inner, model = env.unwrapped, getattr(env.unwrapped, "model", None)
-            is_field = {key: not hasattr(inner, key) and _holder(model, key) is not None for key in rest}
-            self._fields = {key: value for key, value in rest.items() if is_field[key]}
-            self._constants = {key: value for key, value in rest.items() if not is_field[key]}
-            for key, value in self._constants.items():
-                _check_constant(inner, key, value, identifier, [name for name in takes if name != "kwargs"])
-            env.close()
+        for key, value in self._arguments.items():
+            if key in self._takes and _is_number(self._takes[key].default):
+                _checks.number_in(value, key, -np.inf, np.inf)
+        rest = {key: value for key, value in given.items() if key not in self._arguments}
+        if not rest:
+            return
+        env = self.make()
+        model, known = getattr(env.unwrapped, "model", None), _numbers_of(env.unwrapped)
+        for key, value in rest.items():
+            if not hasattr(env.unwrapped, key) and model is not None and (key in _elements(model) or _has(model, key)):
+                self._fields[key] = value
+                continue
+            if key not in known:
+                takes = ", ".join(name for name in self._takes if name != "kwargs") or "none"
+                raise ValueError(
+                    f"{key} must be an argument or a number of {identifier}: it takes {takes} and has "
+                    f"{', '.join(known) or 'none'}; got {key}={value!r}"
+                )
+            self._constants[key] = _checks.number_in(value, key, -np.inf, np.inf)
+        env.close()
 
-    def make(self) -> Any:
-        """The environment."""
-        if not self._constants and not self._fields:
-            return make_environment(self.identifier, **self._plain)
-        env = _made_with(self.identifier, "entry_point", self._constants, self._plain)
-        _set_fields(env, self._fields)
+    def make(self, point: str = "entry_point", **arguments: Any) -> Any:
+        """The environment, without Gymnasium's wrappers."""
+        import gymnasium
+
+        owner, arguments = _load(getattr(self.spec, point)), self.spec.kwargs | self._arguments | arguments
+        if self._constants:
+            if not isinstance(owner, type):
+                raise ValueError(
+                    f"{next(iter(self._constants))} must be an argument of {self.identifier}, which is made by a function"
+                )
+            constants = self._constants
+
+            def hold(env: object, name: str, value: object) -> None:
+                object.__setattr__(env, name, constants.get(name, value))
+
+            members = {**constants, "__setattr__": hold, "__module__": owner.__module__}
+            owner = type(owner.__name__, (owner,), members)
+        try:
+            env = owner(**arguments)
+        except gymnasium.error.Error as error:
+            raise ValueError(f"environment {self.identifier!r} cannot be made: {error}") from None
+        except (TypeError, LookupError, ValueError, ArithmeticError, AttributeError, AssertionError) as error:
+            raise ValueError(f"environment {self.identifier!r} does not take {arguments}: {error}") from None
+        env.spec = self.spec
+        for key, value in self._fields.items():
+            _set_field(env.unwrapped, key, value)
         return env
 
     @property
@@ -68,8 +94,7 @@ class Physics:
         """n -> n environments that step at once, where Gymnasium has such; None where not."""
         if self.spec.vector_entry_point is None or self._fields:
             return None
-        make, constants, plain = _made_with, self._constants, self._plain
-        return lambda n: make(self.identifier, "vector_entry_point", constants, plain | {"num_envs": n}).unwrapped
+        return lambda n: self.make("vector_entry_point", num_envs=n)
 
     def __call__(self, **parameters: float) -> Any:
         """The task with these parameters."""
@@ -79,113 +104,59 @@ class Physics:
     def known(self) -> dict[str, float]:
         """Name -> number, as it is: arguments, constants, and elements of a MuJoCo model (body_mass.pole)."""
         env = self.make()
-        inner: Any = env.unwrapped
-        model: Any = getattr(inner, "model", None)
-        takes = inspect.signature(_entry(self.spec.entry_point)).parameters
-        found = {name: p.default for name, p in takes.items() if isinstance(p.default, int | float)}
-        found |= {name: getattr(inner, name) for name in sorted(dir(inner)) if _is_number(inner, name)}
-        found |= {name: value for name, value in self.given.items() if isinstance(value, int | float)}
-        for field, (kind, count) in ELEMENTS.items() if model is not None else ():
-            for k in range(getattr(model, count)):
-                name = getattr(model, kind)(int(model.dof_jntid[k]) if count == "nv" else k).name or str(k)
-                found[f"{field}.{name}"] = np.ravel(getattr(model, field)[k])[0]
+        inner = env.unwrapped
+        found = {name: p.default for name, p in self._takes.items()} | _numbers_of(inner) | self.given
+        if hasattr(inner, "model"):
+            found |= {name: values[0] for name, values in _elements(inner.model).items()}
         env.close()
-        return {name: float(value) for name, value in found.items() if not isinstance(value, bool)}
+        return {name: float(value) for name, value in found.items() if _is_number(value)}
 
 
-def _check_constant(inner: object, key: str, value: object, identifier: str, takes: list[str]) -> None:
-    own = getattr(inner, key, None)
-    if isinstance(own, int | float | np.number) and not isinstance(own, bool):
-        _checks.number_in(value, key, -np.inf, np.inf)
-        return
-    known = sorted({name for owner in (type(inner), inner) for name in dir(owner) if _is_number(inner, name)})
-    raise ValueError(
-        f"{key} must be an argument or a number of {identifier}: it takes {', '.join(takes) or 'none'} and has "
-        f"{', '.join(known) or 'none'}; got {key}={value!r}"
-    )
-
-
-def _is_number(inner: object, name: str) -> bool:
-    if name.startswith("_") or isinstance(inspect.getattr_static(inner, name, None), property):
-        return False
-    value = getattr(inner, name, None)
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _entry(point: object) -> Any:
+def _load(point: object) -> Any:
     from gymnasium.envs.registration import load_env_creator
 
     return point if callable(point) else load_env_creator(str(point))
 
 
-def _made_with(identifier: str, point: str, constants: Mapping[str, object], arguments: Mapping[str, object]) -> Any:
-    """The environment's class with constants that its own ``__init__`` cannot set otherwise."""
-    import gymnasium
-
-    spec = gymnasium.spec(identifier)
-    owner = _entry(getattr(spec, point))
-    if not isinstance(owner, type):
-        if constants:
-            raise ValueError(
-                f"{next(iter(constants))} must be an argument of {identifier}, which is made by a function"
-            )
-        return owner(**(spec.kwargs | dict(arguments)))
-
-    def held(self: object, name: str, value: object) -> None:
-        object.__setattr__(self, name, constants.get(name, value))
-
-    changed = type(owner.__name__, (owner,), {**constants, "__setattr__": held, "__module__": owner.__module__})
-    try:
-        env = changed(**(spec.kwargs | dict(arguments)))
-    except (TypeError, LookupError, ValueError, ArithmeticError, AttributeError, AssertionError) as error:
-        raise ValueError(f"environment {identifier!r} does not take {dict(arguments)}: {error}") from None
-    env.spec = spec
-    return env
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
-def _holder(model: Any, key: str) -> Any:
-    """What of a MuJoCo model holds the field ``key``, or ``FIELD.ELEMENT``: the model or its options."""
-    field, dot, element = key.partition(".")
-    if model is None or (dot and _element(model, field, element) is None):
-        return None
-    return next((part for part in (model, getattr(model, "opt", None)) if hasattr(part, field)), None)
+def _numbers_of(inner: object) -> dict[str, Any]:
+    """The attributes of an environment that are numbers, its class's too, by name; none that are computed."""
+    names = [name for name in sorted(dir(inner)) if not name.startswith("_")]
+    plain = [name for name in names if not isinstance(inspect.getattr_static(inner, name, None), property)]
+    return {name: x for name in plain if _is_number(x := getattr(inner, name, None))}
 
 
-def _element(model: Any, field: str, element: str) -> int | None:
-    """Where the named element stands in a field; None where there is none."""
-    kind, count = ELEMENTS.get(field, ("body", "nbody"))
-    try:
-        number = int(element) if element.isdigit() else int(getattr(model, kind)(element).id)
-    except KeyError:
-        return None
-    if count == "nv" and not element.isdigit():
-        number = int(model.jnt_dofadr[number])
-    return number if field in ELEMENTS and number < getattr(model, count) else None
+def _elements(model: Any) -> dict[str, Any]:
+    """FIELD.ELEMENT -> its numbers, a view, of a MuJoCo model; friction and gear have more than the first."""
+    found: dict[str, Any] = {}
+    for field, (kind, count) in ELEMENTS.items():
+        values = getattr(model, field)
+        for k in range(getattr(model, count)):
+            name = getattr(model, kind)(int(model.dof_jntid[k]) if count == "nv" else k).name or str(k)
+            found.setdefault(f"{field}.{name}", values.reshape(len(values), -1)[k])
+    return found
 
 
-def _set_fields(env: Any, fields: Mapping[str, Any]) -> None:
-    """Fields of a MuJoCo model, arrays whole or one element by its name."""
-    if not fields:
-        return
+def _has(model: Any, key: str) -> bool:
+    return hasattr(model, key) or hasattr(model.opt, key)
+
+
+def _set_field(inner: Any, key: str, value: Any) -> None:
+    """A field of a MuJoCo model, an array whole, or one element by its name."""
     import mujoco
 
-    model = env.unwrapped.model
-    for key, value in fields.items():
-        holder, (field, dot, element) = _holder(model, key), key.partition(".")
-        if dot:
-            values = getattr(holder, field).reshape(
-                len(getattr(holder, field)), -1
-            )  # a view; friction and gear have more
-            values[_element(model, field, element), 0] = _checks.number_in(value, key, -np.inf, np.inf)
-            continue
-        own = np.asarray(getattr(holder, key), dtype=np.float64)
-        found = _checks.float_array(value, key, ndim=(0, 1, 2))
+    model, elements = inner.model, _elements(inner.model)
+    if key in elements:
+        elements[key][0] = _checks.number_in(value, key, -np.inf, np.inf)
+    else:
+        holder = model if hasattr(model, key) else model.opt
+        own, found = np.asarray(getattr(holder, key)), _checks.float_array(value, key, ndim=(0, 1, 2))
         if found.shape != own.shape:
             raise ValueError(
                 f"{key} must have shape {own.shape}, as in the model: {own.tolist()}; it has shape {found.shape}"
             )
-        if own.ndim:
-            getattr(holder, key)[...] = found
-        else:
-            setattr(holder, key, type(getattr(holder, key))(found))
-    mujoco.mj_setConst(model, env.unwrapped.data)
+        setattr(holder, key, found if own.ndim else own.dtype.type(found))
+    mujoco.mj_setConst(model, inner.data)

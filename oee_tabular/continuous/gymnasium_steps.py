@@ -19,9 +19,9 @@ from oee_tabular.continuous.task import Moves
 SAME_STEP = 0.02  # of a coordinate's usual step: a step that is repeated
 FEW = 0.05  # share of steps that may be another (contacts, whose solvers remember): told, not refused
 DIFFER = (
-    "get_state and set_state must have all that decides the next step, and chance must come from np_random: {} differ from the "
-    "record when stepped again from its states. Read and set the rest as well, such as other bodies' velocities and timers "
-    "(--task-option state=MODULE:GET,SET)"
+    "get_state and set_state must have all that decides the next step, and chance must come from np_random: {count} differ "
+    "from the record when stepped again from its states. Read and set the rest as well, such as other bodies' velocities and "
+    "timers (--task-option state=MODULE:GET,SET); the most in {most}"
 )
 
 
@@ -31,55 +31,46 @@ def check_steps_of(task: Any, env: Any, steps: int) -> tuple[Array, IntArray]:
     ``task`` : GymnasiumTask. A warning where at most a twentieth of the steps differ. Returns the record's (s, a).
     """
     env.reset(seed=0)
-    inner = env.unwrapped
     rng, generators = np.random.default_rng(0), []
     numbers = rng.integers(task.n_actions, size=steps)
-    before, after, again = np.zeros((3, steps, task.n_state + 1))  # rewards last
-    for i, number in enumerate(numbers):
-        before[i, :-1] = task.read(env)
-        generators.append(copy.deepcopy(inner.np_random))
-        _, reward, over, cut, _ = inner.step(task.command(int(number)))
-        after[i] = np.append(task.read(env), reward)
-        if over or cut:
-            inner.reset()
-    env.close()
+
+    def choose(state: Array) -> int:
+        generators.append(copy.deepcopy(env.unwrapped.np_random))
+        return int(numbers[len(generators) - 1])
+
+    states, _, following, reward, _, _ = task.play(env, choose, steps)
+    before, after = np.column_stack([states, np.zeros(steps)]), np.column_stack([following, reward])  # rewards last
+    again = np.empty_like(after)
     for i in rng.permutation(steps):  # in the record's own order what the state lacks would come along
-        moved = task.one_by_one(before[i : i + 1, :-1], numbers[i : i + 1], generators[i])
+        moved = task.one_by_one(states[i : i + 1], numbers[i : i + 1], generators[i])
         again[i] = np.append(moved.next_state[0], moved.reward)
     size = np.sqrt(((after - before) ** 2).mean(axis=0)) + 1e-9 * (1.0 + np.abs(after).max(axis=0))
     away = np.abs(again - after)
     bad = (away > SAME_STEP * size).any(axis=1)
     if bad.any():
         k = int((away / size).max(axis=0).argmax())
-        name = (*task.state_names, "the reward")[k]
-        text = (
-            DIFFER.replace("{}", f"{int(bad.sum())} of {steps} steps of {task.name}")
-            + f"; the most in {name}: {away[:, k].max():.3g}, where a step moves it by {size[k]:.3g}"
+        text = DIFFER.format(
+            count=f"{int(bad.sum())} of {steps} steps of {task.name}",
+            most=f"{(*task.state_names, 'the reward')[k]}: {away[:, k].max():.3g}, where a step moves it by {size[k]:.3g}",
         )
         if bad.mean() > FEW:
             raise ValueError(text)
         warnings.warn(text, stacklevel=4)
-    return before[:, :-1], np.asarray(numbers, dtype=np.int64)
+    return states, np.asarray(numbers, dtype=np.int64)
 
 
 def repeats_at_once(task: Any, way: Callable[[Any, Array, IntArray], Moves], states: Array, numbers: IntArray) -> bool:
     """Whether this way of stepping many states at once does as the environment does one by one."""
     one = task.one_by_one(states, numbers, np.random.default_rng(0))
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             many = way(task, states, numbers)
     except Exception:  # another interface than the one that is used here, numbers alone, or random numbers
         return False
-    return many.next_state.shape == states.shape and (
-        _are_near(one.next_state, many.next_state)
-        and _are_near(one.reward, many.reward)
-        and np.array_equal(one.terminated, many.terminated)
+    return np.array_equal(one.terminated, many.terminated) and all(
+        x.shape == y.shape and bool((np.abs(x - y) <= 1e-9 * (1.0 + np.abs(x))).all())
+        for x, y in ((one.next_state, many.next_state), (one.reward, many.reward))
     )
-
-
-def _are_near(one: Array, other: Array) -> bool:
-    return bool((np.abs(one - other) <= 1e-9 * (1.0 + np.abs(one))).all())
 
 
 MOST = 64  # draws in a step

@@ -11,15 +11,31 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
 from oee_tabular.continuous.gymnasium_steps import Chance, check_steps_of, draws_of, repeats_at_once
-from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
+from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy, check_probabilities
 
-FEWEST_AT_ONCE, MOST_AT_ONCE = 16, 4096  # states
+FEWEST_AT_ONCE = 16  # states
+LOOKED = 1000  # steps by which usual ranges are found
+AT_ONCE = 2048  # environments of a vector
 NO_CHANCE = Chance(np.empty(0))  # in place of random numbers, where none may be drawn
+
+
+def read_state(env: Any) -> Array:
+    """The numbers ``env.unwrapped.state``."""
+    return np.array(env.unwrapped.state, dtype=np.float64)
+
+
+def write_state(env: Any, state: Array) -> None:
+    """Put these numbers into ``env.unwrapped.state``, as if no episode had ended there."""
+    inner = env.unwrapped
+    inner.state = np.array(state)
+    if hasattr(inner, "steps_beyond_terminated"):
+        inner.steps_beyond_terminated = None
 
 
 class GymnasiumTask(ContinuousTask):
@@ -29,11 +45,12 @@ class GymnasiumTask(ContinuousTask):
     ----------
     make : function without arguments that makes the environment; what is stepped is ``env.unwrapped``, so that wrappers (time
         limits, scalings) do nothing
-    state_names : names of the d coordinates that ``get_state`` returns
-    get_state, set_state : read the state of an environment as (d,) numbers; put the environment into such a state, as if no
-        episode had ended there
     actions : (A,) or (A, k), what is passed to ``step``: integers where the environment's actions are Discrete
-    low, high, periodic : (d,) the usual range of each coordinate, and whether it is an angle; for grids
+    state_names : names of the d coordinates that ``get_state`` returns; default: its own ``state_names``, or state_0, ...
+    low, high, periodic : (d,) the usual range of each coordinate, and whether it is an angle; for grids. Default: what random
+        actions reach and a tenth more, of an angle one turn; no angles
+    get_state, set_state : read the state of an environment as (d,) numbers; put the environment into such a state, as if no
+        episode had ended there. Default: its ``unwrapped.state``
     terminates : whether episodes can end before a time limit
     over : function of states (n, d) giving (n,) which are over, for vertices and logs (default: none; steps always ask the
         environment)
@@ -43,11 +60,6 @@ class GymnasiumTask(ContinuousTask):
         repeats the steps of one, and the environment's own step does not do so with arrays in place of numbers
     check_steps : how many recorded steps are stepped again from their states; 0: none
 
-    Attributes
-    ----------
-    steps_at_once : whether many states are stepped at once
-    family : function of parameters, by name, that makes the task of the environment with them; None where it is not known
-
     Raises
     ------
     ValueError
@@ -56,24 +68,19 @@ class GymnasiumTask(ContinuousTask):
 
     Notes
     -----
-    Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 and more at once: by
-    the environment's own step, where it takes arrays (d, n) as its state and draws nothing, or by ``make_vector``. The normal,
-    uniform and whole numbers that a step draws from ``np_random`` are the disturbance (``gymnasium_steps.Chance``), as many as
-    its checked steps drew. Where it draws others, or steps are not checked, there is no disturbance: ``step`` gives the
-    environment its own generator, ``moves`` one of seed 0.
+    Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 and more at once
+    (``steps_at_once``). The normal, uniform and whole numbers that a step draws from ``np_random`` are the disturbance
+    (``gymnasium_steps.Chance``), as many as its checked steps drew. Where it draws others, or steps are not checked, there is
+    no disturbance: ``step`` gives the environment its own generator, ``moves`` one of seed 0.
 
     Examples
     --------
     Pendulum-v1, which this package does not ship, as a finite MDP:
 
     >>> import gymnasium, numpy as np
-    >>> def write(env, state):
-    ...     env.unwrapped.state = np.array(state)
     >>> task = GymnasiumTask(
     ...     lambda: gymnasium.make("Pendulum-v1"),
     ...     state_names=("angle", "speed"),
-    ...     get_state=lambda env: env.unwrapped.state,
-    ...     set_state=write,
     ...     actions=[[-2.0], [0.0], [2.0]],
     ...     low=[-np.pi, -8.0], high=[np.pi, 8.0], periodic=(True, False),
     ...     terminates=False,
@@ -87,12 +94,12 @@ class GymnasiumTask(ContinuousTask):
         self,
         make: Callable[[], Any],
         *,
-        state_names: tuple[str, ...],
-        get_state: Callable[[Any], Any],
-        set_state: Callable[[Any, Array], None],
         actions: object,
-        low: object,
-        high: object,
+        state_names: tuple[str, ...] | None = None,
+        low: object = None,
+        high: object = None,
+        get_state: Callable[[Any], Any] = read_state,
+        set_state: Callable[[Any, Array], None] = write_state,
         periodic: tuple[bool, ...] | None = None,
         terminates: bool = True,
         over: Callable[[Array], Any] | None = None,
@@ -109,23 +116,19 @@ class GymnasiumTask(ContinuousTask):
         self._reward_between, self._parameters = reward_between, dict(parameters or {})
         self._env = make()
         self._env.reset(seed=0)
-        state, shape = self.read(self._env), (len(state_names),)
-        if state.shape != shape:
+        state = self.read(self._env)
+        own = getattr(self._env.unwrapped, "state_names", None) or [f"state_{i}" for i in range(state.size)]
+        names = tuple(own if state_names is None else state_names)
+        if state.shape != (len(names),):
             raise ValueError(
-                f"get_state must return the {len(state_names)} numbers of state_names; it returns shape {state.shape}"
+                f"get_state must return the {len(names)} numbers of state_names; it returns shape {state.shape}"
             )
         spec = getattr(self._env, "spec", None)
         self.name = "environment" if spec is None else str(spec.id)
-        self.state_names = self.feature_names = tuple(state_names)
+        self.state_names = self.feature_names = names
         self.commands = np.array(actions)
         self.actions = freeze(_checks.float_array(actions, "actions", ndim=(1, 2)))
         self.n_disturbances = 0
-        self.feature_low, self.feature_high = _checks.float_array(low, "low"), _checks.float_array(high, "high")
-        for end, name in ((self.feature_low, "low"), (self.feature_high, "high")):
-            if end.shape != shape:
-                raise ValueError(
-                    f"{name} must have shape {shape}, one for each of state_names; it has shape {end.shape}"
-                )
         self.periodic = (False,) * len(state) if periodic is None else tuple(periodic)
         self.terminates = terminates
         for number in range(len(self.actions)):
@@ -133,11 +136,19 @@ class GymnasiumTask(ContinuousTask):
                 raise ValueError(
                     f"actions[{number}] must be in {self._env.action_space}; it is {self.actions[number].tolist()}"
                 )
+        found = self._find_ranges(make()) if low is None or high is None else (None, None)
+        self.feature_low = _checks.float_array(found[0] if low is None else low, "low")
+        self.feature_high = _checks.float_array(found[1] if high is None else high, "high")
+        for end, name in ((self.feature_low, "low"), (self.feature_high, "high")):
+            if end.shape != state.shape:
+                raise ValueError(
+                    f"{name} must have shape {state.shape}, one for each of state_names; it has shape {end.shape}"
+                )
         self._set(self._env, state)
         if not np.array_equal(kept := self.read(self._env), state):
             raise ValueError(f"set_state must set what get_state reads; {state.tolist()} became {kept.tolist()}")
-        self.family: Any = None
-        self._vectors: dict[int, Any] = {}
+        self.family: Any = None  # of parameters by name makes the task with them; where that is known (Physics)
+        self._vector: Any = None
         self._make_vector = make_vector
         self._at_once: Callable[[GymnasiumTask, Array, IntArray], Moves] | None = None
         if check_steps:
@@ -151,9 +162,9 @@ class GymnasiumTask(ContinuousTask):
     ) -> GymnasiumTask:
         """The same task of another environment of the kind, not checked again."""
         again = copy.copy(self)
-        again._make, again._env, again._vectors, again._parameters = make, make(), {}, parameters
+        again._make, again._env, again._parameters = make, make(), parameters
+        again._make_vector, again._vector = make_vector, None
         again._env.reset(seed=0)
-        again._make_vector = make_vector
         return again
 
     @property
@@ -185,35 +196,28 @@ class GymnasiumTask(ContinuousTask):
 
     def _step_arrays(self, states: Array, actions: IntArray) -> Moves:
         """By the environment's own step, whose formulas take arrays in place of numbers."""
-        if 0 not in self._vectors:
-            self._vectors[0] = self._make()
-            self._vectors[0].reset(seed=0)
-        env, n = self._vectors[0], len(states)
-        env.unwrapped.np_random = NO_CHANCE
-        self._set(env, states.T.copy())
-        _, reward, over, _, _ = env.unwrapped.step(self.commands[actions].T.astype(env.action_space.dtype))
-        return Moves(self.read(env).T.copy(), np.full(n, reward, dtype=np.float64), np.full(n, over, dtype=np.bool_))
+        inner, n = self._env.unwrapped, len(states)
+        inner.np_random = NO_CHANCE
+        self._set(self._env, states.T.copy())
+        _, reward, over, _, _ = inner.step(self.commands[actions].T.astype(self._env.action_space.dtype))
+        following = self.read(self._env).T.copy()
+        return Moves(following, np.full(n, reward, dtype=np.float64), np.full(n, over, dtype=np.bool_))
 
     def _step_vector(self, states: Array, actions: IntArray) -> Moves:
-        """By environments that step together, as many as a power of two holds."""
-        parts = []
-        for low in range(0, len(states), MOST_AT_ONCE):
-            part, taken = states[low : low + MOST_AT_ONCE], np.asarray(actions[low : low + MOST_AT_ONCE])
-            n = len(part)
-            size = 1 << (n - 1).bit_length()
-            if size not in self._vectors:
-                assert self._make_vector is not None
-                self._vectors[size] = self._make_vector(size).unwrapped
-            envs = self._vectors[size]
-            more = np.resize(np.arange(n), size)
+        """By Gymnasium's environments that step together, the last of them repeated."""
+        if self._vector is None:
+            assert self._make_vector is not None
+            self._vector = self._make_vector(AT_ONCE).unwrapped
+        envs, parts = self._vector, []
+        for low in range(0, len(states), AT_ONCE):
+            some = np.minimum(np.arange(low, low + AT_ONCE), len(states) - 1)
             envs.reset(seed=0)  # nothing of the step before is left
             envs.np_random = NO_CHANCE
-            envs.state = part[more].T.copy()
-            commands = self.commands[taken[more]].astype(envs.action_space.dtype)
-            _, reward, over, _, _ = envs.step(commands)
-            parts.append((np.array(envs.state).T[:n], np.asarray(reward)[:n], np.asarray(over)[:n]))
-        following, reward, over = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return Moves(following.astype(np.float64), reward.astype(np.float64), over.astype(np.bool_))
+            envs.state = states[some].T.copy()
+            _, reward, over, _, _ = envs.step(self.commands[np.asarray(actions)[some]].astype(envs.action_space.dtype))
+            parts.append((np.array(envs.state, dtype=np.float64).T, np.asarray(reward, dtype=np.float64), over))
+        following, reward, over = (np.concatenate(column)[: len(states)] for column in zip(*parts, strict=True))
+        return Moves(following, reward, over.astype(np.bool_))
 
     def one_by_one(self, states: Array, actions: IntArray, rng: np.random.Generator | Sequence[Chance]) -> Moves:
         """Each state put into the environment by itself; random numbers are one generator's, or each its own."""
@@ -250,37 +254,70 @@ class GymnasiumTask(ContinuousTask):
         """By the function of that name."""
         return None if self._reward_between is None else self._reward_between(states, actions, next_states)
 
+    def play(
+        self, env: Any, choose: Callable[[Array], int], n: int, limit: int | None = None
+    ) -> tuple[NDArray[Any], ...]:
+        """Step an environment that was reset as any program would, never setting its state, n times; then close it.
+
+        Columns: state, action number, next state, reward, whether it is over, and whether the environment cut the episode,
+        which also ends after ``limit`` steps.
+        """
+        rows, inner, t = [], env.unwrapped, 0
+        for _ in range(n):
+            state = self.read(env)
+            number = choose(state)
+            _, reward, over, cut, _ = inner.step(self.command(number))
+            t += 1
+            cut = not over and (cut or t == limit)
+            rows.append((state, number, self.read(env), reward, over, cut))
+            if over or cut:
+                inner.reset()
+                t = 0
+        env.close()
+        return tuple(map(np.array, zip(*rows, strict=True)))
+
+    def _find_ranges(self, env: Any) -> tuple[Array, Array]:
+        """The usual range of each coordinate, by random actions."""
+        env.reset(seed=0)
+        rng, limit = np.random.default_rng(0), getattr(getattr(env, "spec", None), "max_episode_steps", None)
+        states = self.play(env, lambda state: int(rng.integers(self.n_actions)), LOOKED, limit)[0]
+        low, high = states.min(axis=0), states.max(axis=0)
+        room = np.maximum(0.1 * (high - low), 1e-6)
+        return np.where(self.periodic, -np.pi, low - room), np.where(self.periodic, np.pi, high + room)
+
     def record(
         self, policy: StatePolicy, *, n_transitions: int, max_steps: int, seed: Any = None
     ) -> ContinuousTransitions:
-        """Reset and step the environment as any program would, never setting its state, and write down what it does.
+        """A log of what the environment does, whose state is never set (``play``).
 
         ``policy`` is a function of states (n, d) giving probabilities (n, A). Episodes are truncated after ``max_steps``, the
         last one where the log ends.
         """
         rows = _checks.positive_integer(n_transitions, "n_transitions")
         steps = _checks.positive_integer(max_steps, "max_steps")
-        rng = _checks.generator(seed)
-        env = self._make()
+        rng, env, known = _checks.generator(seed), self._make(), []
         env.reset(seed=int(rng.integers(2**31)))
-        inner = env.unwrapped
-        written: list[tuple[object, ...]] = []
-        episode, t = 0, 0
-        inner.reset()
-        for row in range(rows):
-            state = self.read(env)
-            probabilities = check_probabilities(policy, state[None], self.n_actions)[0]
-            action = int(np.searchsorted(np.cumsum(probabilities), rng.random() * probabilities.sum(), side="right"))
-            _, reward, over, cut, _ = inner.step(self.command(action))
-            t += 1
-            stop = not over and (cut or t == steps or row == rows - 1)
-            written.append((state, action, self.read(env), reward, over, stop, episode, probabilities[action]))
-            if over or stop:
-                inner.reset()
-                episode, t = episode + 1, 0
-        env.close()
-        columns = map(np.array, zip(*written, strict=True))
-        return ContinuousTransitions(**dict(zip(RECORDED, columns, strict=True)))
+        env.unwrapped.reset()
+
+        def choose(state: Array) -> int:
+            chances = check_probabilities(policy, state[None], self.n_actions)[0]
+            number = int(np.searchsorted(np.cumsum(chances), rng.random() * chances.sum(), side="right"))
+            known.append(chances[number])
+            return number
+
+        state, action, following, reward, over, cut = self.play(env, choose, rows, steps)
+        cut[-1] |= not over[-1]
+        episode = np.cumsum(over | cut) - (over | cut)
+        return ContinuousTransitions(
+            state,
+            action,
+            following,
+            reward,
+            terminated=over,
+            truncated=cut,
+            episode=episode,
+            behavior_probability=known,
+        )
 
     def command(self, number: int) -> Any:
         """What is passed to the environment's ``step``."""

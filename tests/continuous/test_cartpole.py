@@ -1,4 +1,3 @@
-import gymnasium
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,30 +10,14 @@ from oee_tabular.continuous.cartpole.dynamics import ANGLE_LIMIT
 from oee_tabular.continuous.cartpole.expert import EXPERT
 from oee_tabular.tasks import (
     CartPole,
-    GymnasiumTask,
     cartpole_policy,
     discretize,
+    gymnasium_simulator,
     monte_carlo_value,
     record,
     resimulate,
     train_expert,
 )
-
-NAMES = ("x", "x_dot", "theta", "theta_dot")
-
-
-def gymnasium_cartpole(gravity=9.8):
-    def make():
-        env = gymnasium.make("CartPole-v1")
-        env.unwrapped.gravity = gravity
-        return env
-
-    def write(env, state):
-        env.unwrapped.state, env.unwrapped.steps_beyond_terminated = np.array(state), None
-
-    ends = np.array([2.4, 3.0, 0.21, 3.2])
-    return GymnasiumTask(make, state_names=NAMES, get_state=lambda env: env.unwrapped.state, set_state=write,
-                         actions=[0, 1], low=-ends, high=ends, parameters={"gravity": gravity})  # fmt: skip
 
 
 @pytest.mark.parametrize("gravity", [7.5, 9.8, 15.0])
@@ -42,7 +25,7 @@ def test_one_step_is_gymnasium_s_to_the_last_bit(gravity):
     rng = np.random.default_rng(0)
     states = rng.uniform([-2.45, -3, -0.22, -4], [2.45, 3, 0.22, 4], (3000, 4))
     actions = rng.integers(0, 2, 3000)
-    theirs = gymnasium_cartpole(gravity).step(states, actions, rng)
+    theirs = gymnasium_simulator(f"CartPole-v1:gravity={gravity}").task.step(states, actions, rng)
     ours = CartPole(gravity, noise=0.0).step(states, actions, rng)
     assert_array_equal(ours.next_state, theirs.next_state)
     assert_array_equal(ours.terminated, theirs.terminated)

@@ -126,24 +126,14 @@ def test_what_does_not_step_as_one_does_is_not_used():
     for gravity in (9.8, 9.0):
         task = GymnasiumTask(
             lambda: gymnasium.make("CartPole-v1"), make_vector=vector(gravity), state_names=named.state_names,
-            actions=[0, 1], low=named.feature_low, high=named.feature_high, get_state=get, set_state=put,
+            actions=[0, 1], low=named.feature_low, high=named.feature_high,
         )  # fmt: skip
         assert task.steps_at_once == (gravity == 9.8)
 
 
-def get(env):
-    return env.unwrapped.state
-
-
-def put(env, state):
-    env.unwrapped.state, env.unwrapped.steps_beyond_terminated = np.array(state), None
-
-
 def task_of(make, low=(-9.0,), high=(9.0,), names=("place",), n_actions=2):
     """Of an environment whose state is ``unwrapped.state``."""
-    return GymnasiumTask(
-        make, state_names=names, actions=range(n_actions), low=low, high=high, get_state=get, set_state=put
-    )
+    return GymnasiumTask(make, state_names=names, actions=range(n_actions), low=low, high=high)
 
 
 class Place(gymnasium.Env):
@@ -199,12 +189,6 @@ def test_a_state_that_does_not_decide_the_next_one_is_refused():
         task_of(lambda: Remembering(np.random.default_rng(0).random))
     with pytest.warns(UserWarning, match=r": [1-9] of 200 steps of environment differ from the record"):
         task_of(Walled)
-
-
-def test_noise_of_the_environment_s_own_is_no_error():
-    """np_random is carried along: the record is repeated with its own draws."""
-    moved = task_of(Noisy).step(np.zeros((200, 1)), np.zeros(200, dtype=int), np.random.default_rng(0))
-    assert np.std(moved.next_state) > 0.5
 
 
 class Tank(Place):
