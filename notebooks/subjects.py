@@ -66,7 +66,7 @@ SUBJECTS = {
             "ResidualSimulator", "corrected_value", "HistoryTask", "fit_parameters", "ParameterFit", "LinearModel",
         ),
         "CartPole": ("CartPole", "cartpole_policy"),
-        "Reacher": ("Reacher", "LinearReacher", "reacher_policy", "reacher_log"),
+        "Reacher": ("Reacher", "reacher_policy", "reacher_log"),
         "Kinova arm": (
             "KinovaArm", "KinovaHand", "kinova_policy", "fit_hand", "hand_log",
             "load_kinova_log", "record_goals", "train_expert",

@@ -153,7 +153,7 @@ OTHERWISE = {  # functions in which the name means something else, or is not use
     "policy": ["monte_carlo_value", "record", "record_episodes", "corrected_value"],
     "behavior_policy": ["transition_ratio", "compare_with_oracle", "Joint", "Quotient"],
     "simulator": ["Transitions.from_episodes", "Transitions.from_frame", "Transitions.numbered", "evaluate_continuous"],
-    "target": ["Reacher", "LinearReacher", "reacher_policy", "evaluate_continuous"], "path": ["Report.to_html"],
+    "target": ["Reacher", "reacher_policy", "evaluate_continuous"], "path": ["Report.to_html"],
     "discount": ["TransitionCounts.counts"], "n": ["plot_errors"], "lower": ["plot_intervals"], "upper": ["plot_intervals"],
     "ridge": ["Conditional", "InClass", "Joint", "Quotient"], "weights": ["RatioFit", "cartpole_policy"],
     "method": ["TransitionRatio"], "kind": ["Finding"], "behavior": ["evaluate_continuous"],

@@ -29,7 +29,7 @@ _MODULES = {
     "kinova.logs": ("hand_log", "kinova_policy", "load_kinova_log", "record_goals"),
     "linear_model": ("LinearModel",),
     "log": ("ContinuousTransitions",),
-    "reacher.dynamics": ("LinearReacher", "Reacher"),
+    "reacher.dynamics": ("Reacher",),
     "reacher.expert": ("reacher_log", "reacher_policy"),
     "parameters": ("ParameterFit", "fit_parameters"),
     "residual": ("ResidualSimulator",),

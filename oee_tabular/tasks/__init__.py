@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.kinova.logs import hand_log, kinova_policy, load_kinova_log, record_goals
     from oee_tabular.continuous.linear_model import LinearModel
     from oee_tabular.continuous.parameters import ParameterFit, fit_parameters
-    from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
+    from oee_tabular.continuous.reacher.dynamics import Reacher
     from oee_tabular.continuous.reacher.expert import reacher_log, reacher_policy
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.rows import corrected_value
@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
 
 __all__ = [
     "CartPole", "ContinuousSimulator", "ContinuousTask", "Discretization", "Embedded", "GridInterpolation",
-    "GymnasiumTask", "HistoryTask", "KinovaArm", "KinovaHand", "LinearModel", "LinearReacher", "MonteCarlo", "Moves",
+    "GymnasiumTask", "HistoryTask", "KinovaArm", "KinovaHand", "LinearModel", "MonteCarlo", "Moves",
     "NamedTask", "ParameterFit", "Reacher", "ResidualSimulator", "Settings", "StatePolicy", "VisitedCells",
     "cartpole_policy", "corrected_value", "discretize", "embedded_default", "evaluate_continuous", "fit_hand",
     "fit_parameters", "gridworld", "gridworld_expert", "gridworld_policy", "gymnasium_simulator", "hand_log",

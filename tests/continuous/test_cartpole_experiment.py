@@ -17,10 +17,10 @@ from oee_tabular.lab.registry import Stream
 from oee_tabular.lab.robots import cartpole_truth, frequencies
 from oee_tabular.lab.robots.cartpole import published_error
 from oee_tabular.lab.robots.cartpole_estimates import (
-    Linear,
     exact_values,
     fine_values,
     importance_sampling,
+    linear_model,
     off_environment,
     policies_of,
     target_log,
@@ -122,8 +122,8 @@ def test_frequencies_stay_where_the_log_was_never():
 
 def test_the_linear_model_s_values_are_its_own():
     log = target_log("compiled", 15.0, 5000, np.random.default_rng(0))
-    sampled = monte_carlo_value(Linear.fit(log), cartpole_policy(0.4), 40_000, 100, seed=0, normalized=True)
-    assert abs(fine_values(Linear.fit(log))[2] - sampled.value) < 4 * sampled.standard_error + 5e-4
+    sampled = monte_carlo_value(linear_model(log), cartpole_policy(0.4), 40_000, 100, seed=0, normalized=True)
+    assert abs(fine_values(linear_model(log))[2] - sampled.value) < 4 * sampled.standard_error + 5e-4
 
 
 def test_importance_sampling_of_the_log_s_own_policy_is_the_mean_return():

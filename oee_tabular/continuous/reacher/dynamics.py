@@ -25,9 +25,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
-from oee_tabular._threads import ONE_THREAD
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, Moves, check_states
+from oee_tabular.continuous.task import ContinuousTask, Moves
 
 RADIUS, DENSITY, MARGIN = 0.01, 1000.0, 0.04  # m, kg/m^3, Bullet's collision margin in m
 STOP = 3.0  # rad, of the elbow
@@ -44,21 +42,8 @@ FACTORS = (0.5, 0.7, 1.4, 2.0)  # of the length, in the other arms of the defens
 def link_bodies(length: float, inertia: str = "box") -> Array:
     """(3, 3) mass (kg), distance of the centre of mass from the joint (m), moment about it (kg m^2): upper link, lower, tip.
 
-    Parameters
-    ----------
-    length : of each link in m; the tip is a ball 0.01 m beyond the lower link's end
-    inertia : "box" | "capsule"
-        Bullet's box around a link, m/12 [(2 r + .08)^2 + (l + 2 r + .08)^2], or that of the capsule itself (MuJoCo's).
-
-    Raises
-    ------
-    ValueError
-        A length that is not positive; another inertia.
-
-    Examples
-    --------
-    >>> link_bodies(0.1)[:, 0].round(4).tolist()
-    [0.0356, 0.0356, 0.0042]
+    The tip is a ball 0.01 m beyond the lower link's end. ``inertia``: Bullet's "box" around a link, m/12 [(2 r + .08)^2 +
+    (l + 2 r + .08)^2], or that of the "capsule" itself (MuJoCo's).
     """
     long = _checks.number_in(length, "length", 0.0, np.inf)
     if long == 0.0:
@@ -77,11 +62,7 @@ def link_bodies(length: float, inertia: str = "box") -> Array:
 
 
 def fingertip(states: Array, length: float) -> Array:
-    """(n, 2) where the fingertip is: l (cos q1, sin q1) + (l + 0.01) (cos(q1 + q2), sin(q1 + q2)), in m.
-
-    >>> fingertip(np.array([[0.0, np.pi / 2, 0.0, 0.0]]), 0.1).round(3).tolist()
-    [[0.1, 0.11]]
-    """
+    """(n, 2) where the fingertip is: l (cos q1, sin q1) + (l + 0.01) (cos(q1 + q2), sin(q1 + q2)), in m."""
     q1, q12 = states[:, 0], states[:, 0] + states[:, 1]
     reach = length + RADIUS
     return np.stack([length * np.cos(q1) + reach * np.cos(q12), length * np.sin(q1) + reach * np.sin(q12)], axis=1)
@@ -166,9 +147,7 @@ class Reacher(ContinuousTask):
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step, and its reward."""
-        return self._moves_to(states, actions, self.advance(states, self.actions[np.asarray(actions, dtype=np.int64)]))
-
-    def _moves_to(self, states: Array, actions: IntArray, following: Array) -> Moves:
+        following = self.advance(states, self.actions[np.asarray(actions, dtype=np.int64)])
         reward = self.reward_of(self.reward_terms(states), actions, self.reward_terms(following))
         return Moves(following, reward, np.zeros(len(states), dtype=np.bool_))
 
@@ -258,61 +237,3 @@ class Reacher(ContinuousTask):
 def at_stop(states: Array) -> Array:
     """(n,) 1 where the elbow is within 1 % of its stop: where Bullet's Reacher pays its cost."""
     return np.asarray(np.abs(np.abs(states[:, 1]) / STOP - 1.0) < 0.01, dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class LinearReacher(Reacher):
-    """A linear-Gaussian model of the arm: what a log says of it without a simulator and without cells.
-
-        s' = s + A s + B u + c + N(0, Sigma), by least squares; rewards and beginnings are the arm's
-
-    Made by ``LinearReacher.fit``; the other fields are the arm's.
-
-    Attributes
-    ----------
-    coefficients : (7, 4), of 1, the state's four and the command's two
-    root : (4, 4), Cholesky's of Sigma, the residuals' covariance
-
-    Examples
-    --------
-    >>> from oee_tabular.tasks import reacher_log
-    >>> model = LinearReacher.fit(reacher_log(Reacher.tamed(), 1000, max_steps=25, seed=0), Reacher.tamed())
-    >>> still = np.zeros((2, 4))
-    >>> back, forth = model.moves(still, np.array([0, 8]), still).next_state[:, 2]  # the shoulder's speed
-    >>> bool(back < 0 < forth)
-    True
-    """
-
-    n_disturbances = 4
-
-    coefficients: Array = field(default_factory=lambda: np.zeros((7, 4)), compare=False, repr=False)
-    root: Array = field(default_factory=lambda: np.zeros((4, 4)), compare=False, repr=False)
-
-    @classmethod
-    def fit(cls, log: ContinuousTransitions, task: Reacher | None = None) -> LinearReacher:
-        """The least-squares fit to ``log``, with the reward of ``task`` (default: the paper's arm); O(n).
-
-        Raises
-        ------
-        ValueError
-            A log with other dimensions than the arm's, or actions that are not its.
-        """
-        base = Reacher() if task is None else task
-        states = check_states(base, log.state, "log.state")
-        design = _design(states, base.actions[log.action_numbers(base.actions)])
-        change = log.next_state - states
-        with ONE_THREAD:
-            coefficients: Array = np.linalg.lstsq(design, change)[0].astype(np.float64)
-            rest = change - design @ coefficients
-            root: Array = np.linalg.cholesky(rest.T @ rest / len(rest) + 1e-12 * np.eye(4)).astype(np.float64)
-        options: dict[str, Any] = base.parameters() | {"target": base.target}
-        return cls(**options, coefficients=coefficients, root=root)
-
-    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step of the model."""
-        drift = _design(states, self.actions[np.asarray(actions, dtype=np.int64)]) @ self.coefficients
-        return self._moves_to(states, actions, states + drift + disturbance @ self.root.T)
-
-
-def _design(states: Array, commands: Array) -> Array:
-    return np.column_stack([np.ones(len(states)), states, commands])

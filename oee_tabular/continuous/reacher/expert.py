@@ -16,18 +16,7 @@ from oee_tabular.continuous.reacher.dynamics import LENGTH, LEVELS, RADIUS, TARG
 def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
     """(q1, q2) that put the fingertip on ``target``, the elbow bent to the left (q2 >= 0).
 
-    cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)).
-
-    Raises
-    ------
-    ValueError
-        A target out of the arm's reach.
-
-    Examples
-    --------
-    >>> q1, q2 = joint_angles((0.1, 0.11))
-    >>> round(abs(q1), 12), round(q2 / np.pi, 12)
-    (0.0, 0.5)
+    cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)); a ValueError for a target out of the arm's reach.
     """
     x, y = _checks.float_array(target, "target")
     far = length + RADIUS

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cartpole.dynamics import CartPole
 from oee_tabular.continuous.cartpole.expert import cartpole_policy
@@ -26,11 +26,12 @@ from oee_tabular.continuous.discretization import Discretization, GridInterpolat
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, Moves
+from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.estimators.rollouts import normalize_by_step, segment_products
 from oee_tabular.exact import policy_value
 from oee_tabular.lab.robots import cartpole_truth, frequencies
 from oee_tabular.lab.robots.cartpole_truth import DELTAS, HORIZON, SIMULATED
+from oee_tabular.lab.robots.linear import LinearGaussian
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio, transition_ratio
 
@@ -69,28 +70,9 @@ def target_log(kind: str, gravity: float, n: int, generator: np.random.Generator
 # ---- models of the log -----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Linear(CartPole):
-    """CartPole whose (theta, theta') moves linearly in theta, theta', the force and 1."""
-
-    coefficients: Any = None
-
-    @classmethod
-    def fit(cls, log: ContinuousTransitions) -> Linear:
-        """Least squares of the next state; the model knows where the pole has fallen."""
-        design = cls.design(log.state, cls.actions[log.action])
-        return cls(noise=0.0, coefficients=np.linalg.lstsq(design, log.next_state[:, 2:])[0])
-
-    @staticmethod
-    def design(states: Array, push: Array) -> Array:
-        """(n, 4) theta, theta', the force and 1."""
-        return np.column_stack([states[:, 2:], push, np.ones(len(states))])
-
-    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step, without noise."""
-        following = np.zeros_like(states)
-        following[:, 2:] = self.design(states, self.actions[actions]) @ self.coefficients
-        return Moves(following, np.ones(len(states)), self.terminated(following))
+def linear_model(log: ContinuousTransitions) -> LinearGaussian:
+    """(theta, theta') linear in theta, theta', the force and 1; the model knows where the pole has fallen."""
+    return LinearGaussian(CartPole(), log, slice(2, 4))
 
 
 def fine_values(task: ContinuousTask) -> Array:
@@ -181,7 +163,7 @@ def estimates(log: ContinuousTransitions, gravity: float, *, noise: float) -> tu
         "OEE, calibrated": found.calibrated,
         "model-based": model,
         "model-based, calibrated": model_mended,
-        "linear model": fine_values(Linear.fit(log)),
+        "linear model": fine_values(linear_model(log)),
         "IS, per decision": importance_sampling(log, self_normalized=False),
         "IS, self-normalised": importance_sampling(log, self_normalized=True),
         "oracle": ideal,

@@ -14,7 +14,7 @@ from scipy import sparse
 from oee_tabular._checks import Array
 from oee_tabular.continuous.discretization import Discretization, VisitedCells, discretize
 from oee_tabular.continuous.episodes import monte_carlo_value
-from oee_tabular.continuous.reacher.dynamics import LinearReacher, Reacher
+from oee_tabular.continuous.reacher.dynamics import Reacher
 from oee_tabular.continuous.reacher.expert import reacher_log, reacher_policy
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import ContinuousTask
@@ -24,6 +24,7 @@ from oee_tabular.lab.findings import reach
 from oee_tabular.lab.panels import Panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
 from oee_tabular.lab.robots import frequencies, select_deltas
+from oee_tabular.lab.robots.linear import LinearGaussian
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
 
@@ -99,7 +100,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
         counts = model.counts(log, outside="nearest")
     found, facts = estimates(model, counts, length)
     found[RESIDUAL] = monte_carlo_values(ResidualSimulator(Even(SIMULATED, length), log, seed=0), MODEL_EPISODES, 4)
-    found[LINEAR] = monte_carlo_values(LinearReacher.fit(log, target), MODEL_EPISODES, 4)
+    found[LINEAR] = monte_carlo_values(LinearGaussian(target, log), MODEL_EPISODES, 4)
     right = truth(length, length)
     rows = []
     for name, values in found.items():
