@@ -116,7 +116,7 @@ class KinovaArm(HandTask):
         return np.concatenate([seen, joints, np.zeros((n, N_JOINTS)), joints, np.zeros((n, 3))], axis=1)
 
     def on_features(self) -> KinovaHand:
-        """The hand's position as a process of its own: it leaves 24 coordinates open, averaged over by ``fit_hand``."""
+        """The hand's position as a process of its own."""
         return fit_hand(self)
 
     def parameters(self) -> dict[str, Any]:
@@ -143,7 +143,7 @@ class KinovaArm(HandTask):
         return found[:, :N_JOINTS], found[:, N_JOINTS:]
 
     def _model(self, mujoco: Any) -> Any:
-        """The compiled arm with this task's payload, friction and gain."""
+        """The arm with this task's payload, friction and gain."""
         model = mujoco.MjModel.from_xml_string(arm_xml())
         hand = model.body("end_effector").id
         model.body_mass[hand] += self.payload

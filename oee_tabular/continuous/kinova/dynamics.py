@@ -1,13 +1,7 @@
-"""A stand-in for the paper's robot (Section VI.D, Table I): a Kinova Gen3 simulated by MuJoCo, and the same arm perturbed.
-
-**No data of the real arm was ever published. What is called the target here is this simulation with other parameters**:
-a scale on the velocity that a command gives, latency, a payload, joint friction, weaker servos, noisier encoders. Payload,
-gain and friction change the value by less than 1 %, since the servos are stiff and gravity is compensated; what a
-task of Cartesian commands notices is how far a command moves the hand.
+"""Where a Gen3's hand is, the joint rates that move it, and what the arm and the model of its hand share as tasks.
 
 A command in {-1, 0, 1}^3 asks for 0.1 m/s along the axes of the base during 0.2 s. Resolved rates turn it into a moving
-reference of the joints, and position servos follow that. Simulating needs the extra ``mujoco``; where the hand is needs NumPy
-alone:
+reference of the joints, and position servos follow that. Where the hand is needs NumPy alone:
 
     T(q) = prod_k Trans(p_k) Rot_x(r_k) Rot_z(q_k),      dq = J^T (J J^T + lambda^2 I)^-1 (v, 0)
 
@@ -70,8 +64,6 @@ def _frames(joints: Array) -> tuple[Array, Array, Array]:
 
 def end_effector(joints: Array) -> Array:
     """(n, 3) position of the end effector in m, in the frame of the base, at joint angles (n, 7) in rad.
-
-    Raises ValueError for another shape or numbers that are not finite. Cost: O(n).
 
     Examples
     --------

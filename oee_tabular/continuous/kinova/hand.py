@@ -46,18 +46,16 @@ class KinovaHand(HandTask):
     coefficients : (27, 10, 3) in m, of 1, z and the products of z, for each command
     scatter : (27, 3, 3) in m, L_a: what the position alone does not tell
     starts : (n, 3) in m, positions at which episodes begin
-    goal : row of GOALS; r(x) = -|x - goal|
     source : the arm's parameters
+    goal : row of GOALS; r(x) = -|x - goal|
     noise_points : Gauss-Hermite points of the scatter on a grid
-    name : says that it is a stand-in
 
     Examples
     --------
-    >>> still = np.zeros((27, 3, 3))
-    >>> hand = KinovaHand(ideal_hand().coefficients, still, CENTER[None], {"ideal": True}, goal=2)
-    >>> further = hand.scaled(1.5).moves(CENTER[None], np.array([26]), np.zeros((1, 3)))
-    >>> ((further.next_state - CENTER) / STEP).round(3).tolist(), further.reward.round(3).tolist()
-    ([[1.5, 1.5, 1.5]], [-0.247])
+    >>> hand = ideal_hand(1.4, scatter=0.0)
+    >>> shift = hand.moves(CENTER[None], np.array([26]), np.zeros((1, 3))).next_state[0] - CENTER
+    >>> (shift / STEP).round(3).tolist()
+    [1.4, 1.4, 1.4]
     """
 
     state_names = ("x", "y", "z")
@@ -83,15 +81,15 @@ class KinovaHand(HandTask):
             shift[rows] = basis(states[rows]) @ self.coefficients[a] + disturbance[rows] @ self.scatter[a].T
         return Moves(states + shift, self.costs(states), np.zeros(len(states), dtype=np.bool_))
 
-    def scaled(self, factor: float) -> KinovaHand:
-        """The same hand with all displacements times ``factor``, and twice the scatter, at one deviation on either side."""
-        changed = self.source | {"scaled": factor, "scatter": WIDER}
-        wider = WIDER * self.scatter
-        return replace(self, coefficients=factor * self.coefficients, scatter=wider, source=changed, noise_points=2)
-
     def others(self) -> tuple[KinovaHand, ...]:
-        """Hands that go half and one and a half times as far: a target may lie between."""
-        return tuple(self.scaled(factor) for factor in FACTORS)
+        """Hands that go half and one and a half times as far, with twice the scatter: a target may lie between."""
+        return tuple(
+            replace(
+                self, coefficients=factor * self.coefficients, scatter=WIDER * self.scatter, noise_points=2,
+                source=self.source | {"scaled": factor, "scatter": WIDER},
+            )
+            for factor in FACTORS
+        )  # fmt: skip
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Some of ``starts``."""
@@ -107,15 +105,7 @@ class KinovaHand(HandTask):
 
 
 def ideal_hand(scale: float = 1.0, *, scatter: float = 0.05) -> KinovaHand:
-    """A hand that every command moves by ``scale`` steps, with a scatter of ``scatter`` steps: for trying out, without MuJoCo.
-
-    Examples
-    --------
-    >>> hand = ideal_hand(1.4, scatter=0.0)
-    >>> shift = hand.moves(CENTER[None], np.array([26]), np.zeros((1, 3))).next_state[0] - CENTER
-    >>> (shift / STEP).round(3).tolist()
-    [1.4, 1.4, 1.4]
-    """
+    """A hand that every command moves by ``scale`` steps, with a scatter of ``scatter`` steps, without MuJoCo."""
     coefficients = np.zeros((len(COMMANDS), 10, 3))
     coefficients[:, 0] = _checks.number_in(scale, "scale", 0.0, 3.0) * STEP * COMMANDS
     spread = _checks.number_in(scatter, "scatter", 0.0, 1.0) * STEP * np.eye(3)
@@ -136,27 +126,13 @@ def fit_hand(arm: HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand
 
     Parameters
     ----------
-    arm : KinovaArm
-        A KinovaHand serves as well, to see what the fit finds of a hand that is known.
-    n_states : how many states are stepped, at most
+    arm : KinovaArm, which needs MuJoCo; or a KinovaHand, to see what the fit finds of a hand that is known
+    n_states : how many states are stepped, at most; 27 n_states commands of the arm, some seconds by default
     seed : the same seed gives the same bits
-
-    Raises
-    ------
-    ImportError
-        A KinovaArm, and MuJoCo is not installed.
-
-    Notes
-    -----
-    27 n_states commands of the arm: some seconds by default.
 
     Examples
     --------
-    >>> class Straight(KinovaHand):  # in the arm's place: every command moves it by 1.4 steps
-    ...     def moves(self, states, actions, disturbance):
-    ...         following = states + 1.4 * STEP * COMMANDS[actions]
-    ...         return Moves(following, self.costs(states), np.zeros(len(states), dtype=np.bool_))
-    >>> found = fit_hand(Straight(None, None, CENTER[None], {}), n_states=100)
+    >>> found = fit_hand(ideal_hand(1.4, scatter=0.0), n_states=100)
     >>> (found.coefficients[26, 0] / STEP).round(3).tolist(), found.coefficients.shape
     ([1.4, 1.4, 1.4], (27, 10, 3))
     """

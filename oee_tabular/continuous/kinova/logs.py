@@ -1,7 +1,6 @@
 """The controller of the hand, and logged trajectories of an arm as a log of its hand's positions.
 
-That is the way that data of a real Gen3 would take. No such data was ever published; what this package evaluates is the
-simulated stand-in's. A log of a real arm comes as a table (CSV, parquet or npz: columns state_0, ..., next_state_0, ...,
+A log of a real arm comes as a table (CSV, parquet or npz: columns state_0, ..., next_state_0, ...,
 action or action_0, ..., episode; one command a row) or as a Minari data set with continuous observations. A state is the
 hand's position in m (3), the joints' angles in rad (7: forward kinematics give the position), or a whole state of the
 stand-in (27, of which the first three are the position).
@@ -35,9 +34,8 @@ from oee_tabular.continuous.log import ContinuousTransitions
 class KinovaPolicy:
     """pi_delta = delta * uniform + (1 - delta) * the proportional controller, a function of states giving (n, 27).
 
-    The controller commands sign(goal_i - x_i) along each axis that is off by more than the dead band of 0.015 m: a
-    proportional command, cut to [-1, 1] and rounded. It looks at the first three coordinates of a state alone, the measured
-    position in m, so that it is the same for the arm and for its model.
+    The controller commands sign(goal_i - x_i) along each axis that is off by more than the dead band of 0.015 m. It looks at
+    the first three coordinates of a state alone, the measured position in m: it is the same for the arm and for its model.
 
     Parameters
     ----------
@@ -83,16 +81,10 @@ def record_goals(
     Parameters
     ----------
     arm : KinovaArm, which needs MuJoCo, or KinovaHand; its own goal is not used
-    n_runs : to each goal
+    n_runs : to each goal; goal g has the episodes g n_runs to (g + 1) n_runs - 1, and the rewards of its goal
     delta : share of random commands, in [0, 1]
     horizon : commands of a run
     seed : the same seed gives the same bits
-
-    Returns
-    -------
-    ContinuousTransitions
-        States are whole states of ``arm``; goal g has the episodes g n_runs to (g + 1) n_runs - 1; rewards are those of the
-        episode's goal. It is a simulated stand-in's log, not a robot's.
 
     Examples
     --------
@@ -121,11 +113,7 @@ def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> Conti
     speed : m/s that a command of 1 stands for, where the log's actions are velocities; None: they are numbers of the 27
         commands, or their directions
 
-    Raises
-    ------
-    ValueError
-        Another number of coordinates; positions beyond 1.3 m or angles beyond 8 pi (millimetres, degrees?); commands
-        without three coordinates.
+    Positions beyond 1.3 m and angles beyond 8 pi (millimetres, degrees?) are errors.
 
     Examples
     --------
@@ -156,15 +144,6 @@ def load_kinova_log(path: str | os.PathLike[str], *, speed: float | None = None)
     ----------
     path : of a file whose name ends in .csv, .parquet or .npz; else a Minari folder or id
     speed : m/s that a command of 1 stands for, see ``hand_log``
-
-    Raises
-    ------
-    ValueError
-        What ``hand_log`` refuses, with the file's name.
-    FileNotFoundError
-        Neither a file, nor a Minari folder, nor a Minari id here.
-    ImportError
-        A format's library is missing; it names the extra (``parquet``, ``minari``).
 
     Examples
     --------
