@@ -20,7 +20,6 @@ from oee_tabular.tasks import (
     HistoryTask,
     ResidualSimulator,
     cartpole_policy,
-    corrected_value,
     discretize,
     monte_carlo_value,
     named_task,
@@ -326,18 +325,6 @@ def test_the_corrected_simulator_comes_first():
     assert said.startswith("The target's steps differ from the simulator's in x_dot (residuals ")
     assert "theta_dot" in said
     assert "oee (residual)" not in by_row(evaluated(LOG, policy, estimators=["simulator"])[1])
-
-
-def test_an_error_of_the_corrected_value_covers_other_logs():
-    """Standard error of refits and rollouts against the spread of the estimate over logs."""
-    policy, errors, values = cartpole_policy(0.4), [], []
-    for seed in range(8):
-        log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=400, max_steps=100, seed=seed)
-        found = corrected_value(ResidualSimulator(CartPole(10.0), log, seed=0), policy, 500, 100, paths=500, seed=seed)
-        values.append(found.value)
-        errors.append(found.standard_error)
-        assert found.standard_error > found.diagnostics["standard_error_of_the_log"]
-    assert 0.4 < np.mean(errors) / np.std(values, ddof=1) < 2.5
 
 
 class Remembers(HistoryTask):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from oee_tabular.continuous.kinova.dynamics import CENTER, HOME, STEP, end_effector, resolved_rates
+from oee_tabular.continuous.kinova.dynamics import HOME, STEP, end_effector, resolved_rates
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import kinova
 
@@ -70,30 +70,6 @@ def test_a_log_of_a_real_arm(tmp_path):
         found = kinova.load_kinova_log(tmp_path / f"arm.{ending}", speed=0.1)
         assert_allclose(found.state, end_effector(joints[:2]))
         assert found.action_numbers(kinova.COMMANDS, strict=True).tolist() == [22, 12]
-
-
-def test_a_minari_log(tmp_path, monkeypatch):
-    minari = pytest.importorskip("minari", reason="needs the extra: pip install 'oee-tabular[minari]'")
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    import warnings
-
-    from gymnasium import spaces
-    from minari.data_collector import EpisodeBuffer
-
-    places = CENTER + STEP * np.arange(4)[:, None] * np.array([1.0, 0.0, 0.0])
-    buffer = EpisodeBuffer(
-        id=0, observations=places, actions=np.tile([1.0, 0.0, 0.0], (3, 1)), rewards=[0.0] * 3,
-        terminations=[False] * 3, truncations=[False, False, True],
-    )  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        minari.create_dataset_from_buffers(
-            "arm/log-v0", [buffer], observation_space=spaces.Box(-2, 2, (3,), np.float64),
-            action_space=spaces.Box(-1, 1, (3,), np.float64), data_format="arrow",
-        )  # fmt: skip
-    found = kinova.load_kinova_log(tmp_path / "arm" / "log-v0")
-    assert_allclose(found.next_state, places[1:], rtol=1e-6)
-    assert found.action_numbers(kinova.COMMANDS).tolist() == [22, 22, 22]
 
 
 def moves(width, size=0.1, action=(0.0, 0.0, 1.0)):
