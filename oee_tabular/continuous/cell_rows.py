@@ -128,13 +128,9 @@ def on_cells(
     # rewards differ within a cell: they are held against the task's own steps, not against the cells' means
     bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
     kept, share = model.supported(counts)
-    if share > MAX_LEFT_OUT and settings.outside != "drop":
+    if kept.nnz == 0 or (share > MAX_LEFT_OUT and settings.outside != "drop"):
         raise NoCellsError(no_support(model, share, floor))
     if share > 0.0:
-        if kept.nnz == 0:
-            raise NoCellsError(
-                f"none of the log's transitions has probability in the simulator on {model.cells.extent()}"
-            )
         most = int((row_sums(counts) - row_sums(kept)).argmax()) // model.task.n_actions
         warnings.warn(
             f"{share:.2g} of the log's transitions have no probability in the simulator on {model.cells.extent()}; the rows on "
@@ -158,10 +154,9 @@ def on_cells(
         "ratio": ({} if tie is None else {"tie": "displacements"}) | dict(simulator.ratio),
         "rows_left_out": len(log) - len(encoded),
         "moves_left_out": share,
+        "closure_error": model.diagnostics["closure_error"],
         **support,
     }
-    if "closure_error" in model.diagnostics:
-        facts["closure_error"] = model.diagnostics["closure_error"]
     return OnCells(model, problem, zeta, support, facts)
 
 
@@ -185,12 +180,10 @@ def described(simulator: ContinuousSimulator, model: Discretization, support: Ma
         differing = [", ".join(f"{k}={v:.3g}" for k, v in other.items() if own.get(k) != v) for other in others]
         other = f"one of {'; '.join(differing)}" if others else "a transition of the log"
         text += f"; defensive: with probability {floor:g} a step is {other} (plain: without)"
-    if "closure_error" in model.diagnostics:
-        error, noise = (model.diagnostics[f"closure_{what}"] for what in ("error", "standard_error"))
-        text += f"; closure error of the uniform policy {error:+.1%} (+-{noise:.1%})"
+    error, noise = (model.diagnostics[f"closure_{what}"] for what in ("error", "standard_error"))
     return text + (
-        f"; uncovered mass {support['uncovered_mass']:.2g}, largest zeta {support['largest_zeta']:.3g} "
-        f"(D_inf {support['d_inf']:.2g} nats)"
+        f"; closure error of the uniform policy {error:+.1%} (+-{noise:.1%}); uncovered mass {support['uncovered_mass']:.2g}, "
+        f"largest zeta {support['largest_zeta']:.3g} (D_inf {support['d_inf']:.2g} nats)"
     )
 
 

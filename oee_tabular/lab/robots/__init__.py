@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 
 from oee_tabular._sparse import row_sums
+from oee_tabular.lab.experiments import paper
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
 
 
 def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
@@ -20,6 +22,21 @@ def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
     unseen = np.flatnonzero(total == 0)
     staying = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen // n_actions)), shape=counts.shape)
     return sparse.csr_array(sparse.diags_array(1.0 / np.where(total > 0, total, 1.0)) @ counts + staying)
+
+
+def distance_between(first: pd.DataFrame, second: pd.DataFrame) -> float:
+    """The mean |difference| of two of the paper's curves; nan where they have no points in common."""
+    both = first.merge(second, on="x")
+    return float((both["mean_x"] - both["mean_y"]).abs().mean()) if len(both) else float("nan")
+
+
+def mark_paper(ax: Axes, figure: str, setting: str, markers: Mapping[str, tuple[str, str]]) -> None:
+    """What the paper published, series -> (name, marker); its expert is lost, so its points need not lie on our lines."""
+    for series, (name, marker) in markers.items():
+        points = paper.curve(figure, setting, series)
+        if len(points):
+            label = f"the paper's {name}"
+            ax.plot(points.x, points["mean"], ls="none", marker=marker, mfc="none", color="0.35", label=label)
 
 
 def select_deltas(table: pd.DataFrame, deltas: Iterable[float]) -> pd.DataFrame:

@@ -16,7 +16,7 @@ from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.findings import listed
 from oee_tabular.lab.panels import Panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
-from oee_tabular.lab.robots import cartpole_truth, select_deltas
+from oee_tabular.lab.robots import cartpole_truth, distance_between, mark_paper, select_deltas
 from oee_tabular.lab.robots.cartpole_estimates import (
     BEHAVIOR,
     FLOOR,
@@ -88,13 +88,8 @@ def published_error(gravity: float, estimator: str) -> float:
     setting, name = f"gravity={gravity}", PAPERS_NAMES.get(estimator)
     right = paper.curve("cartpole", setting, "true_value")
     if estimator == "simulator" and gravity != SIMULATED:
-        curve = paper.curve("cartpole", f"gravity={SIMULATED}", "true_value")
-    elif name is None:
-        return float("nan")
-    else:
-        curve = paper.curve("cartpole", setting, name)
-    both = curve.merge(right, on="x")
-    return float((both["mean_x"] - both["mean_y"]).abs().mean()) if len(both) else float("nan")
+        return distance_between(paper.curve("cartpole", f"gravity={SIMULATED}", "true_value"), right)
+    return float("nan") if name is None else distance_between(paper.curve("cartpole", setting, name), right)
 
 
 def published(summary: pd.DataFrame) -> list[float]:
@@ -111,7 +106,7 @@ def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) ->
     shared: dict[str, Any] = {"curves": "estimator", "x": "delta", "xlabel": "delta (share of the uniform policy)"}
     errors = shared | {"title": "gravity {gravity:g} m/s²: errors", "ylabel": ERROR, "log": True}
     Panels(
-        "value", title="gravity {gravity:g} m/s²: values", ylabel="value times (1 - discount)", beneath=mark_paper,
+        "value", title="gravity {gravity:g} m/s²: values", ylabel="value times (1 - discount)", beneath=mark,
         extra={"true value": "truth"}, only=partial(keep, ("OEE, calibrated",)), **shared,
         beside=[Panels("error", only=partial(keep, names), **errors) for names in (ON_CELLS, OTHERS)],
         by=("gravity",), columns=3, size=(6.0, 4.4),
@@ -126,19 +121,9 @@ def keep(names: tuple[str, ...], rows: pd.DataFrame) -> pd.DataFrame:
     return rows[rows.estimator.isin(names)]
 
 
-def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:
-    """What the paper published under this gravity; its expert is lost, so its points need not lie on our lines."""
-    for series, (name, marker) in PAPERS.items():
-        points = paper.curve("cartpole", f"gravity={rows.gravity.iloc[0]}", series)
-        if len(points):
-            style: dict[str, Any] = {
-                "ls": "none",
-                "marker": marker,
-                "mfc": "none",
-                "color": "0.35",
-                "label": f"the paper's {name}",
-            }
-            ax.plot(points.x, points["mean"], **style)
+def mark(ax: Axes, rows: pd.DataFrame) -> None:
+    """What the paper published under this gravity."""
+    mark_paper(ax, "cartpole", f"gravity={rows.gravity.iloc[0]}", PAPERS)
 
 
 def finding_2(table: pd.DataFrame) -> str:

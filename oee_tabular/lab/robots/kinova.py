@@ -19,13 +19,13 @@ from oee_tabular.continuous.discretization import Discretization, discretize
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.exact.system import policy_kernel
+from oee_tabular.exact import policy_value
 from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.findings import percent, reach
 from oee_tabular.lab.panels import panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
 from oee_tabular.lab.robots import frequencies
-from oee_tabular.mdp import FiniteMDP, uniform_policy
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio, transition_ratio
 from oee_tabular.simulate import sample_episodes
 
@@ -105,21 +105,14 @@ def towards(task: Any, goal: int) -> Any:
 
 
 def goal_values(mdp: FiniteMDP) -> dict[float, Array]:
-    """delta -> (5,) exact values of the policies to each goal in ``mdp``, on the grid.
-
-    v_t = r + gamma (delta P_uniform + (1 - delta) P_controller) v_{t+1}: the part of the random commands is shared.
-    """
-    anyhow = policy_kernel(mdp, uniform_policy(mdp))
+    """delta -> (5,) exact values of the policies to each goal in ``mdp``, on the grid."""
     found: dict[float, list[float]] = {delta: [] for delta in POLICIES}
     for g in range(len(kinova.GOALS)):
         policy, cost = controller(g)
-        controlled = policy_kernel(mdp, policy)
+        paid = mdp.with_rewards(cost)
         for delta in POLICIES:
-            value = cost
-            for _ in range(kinova.HORIZON - 1):
-                ahead = (1.0 - delta) * (controlled @ value)
-                value = cost + mdp.discount * (ahead + delta * (anyhow @ value) if delta else ahead)
-            found[delta].append(float(mdp.initial @ value))
+            mixed = delta / policy.shape[1] + (1.0 - delta) * policy
+            found[delta].append(policy_value(paid, mixed, horizon=kinova.HORIZON))
     return {delta: np.array(values) for delta, values in found.items()}
 
 
@@ -213,13 +206,8 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
         for name in ORDER:
             value = values[name].mean()
             row: Row = {"policy": delta, "estimator": name, "value": value, "error": value - truth.mean()}
-            row |= {
-                "removed": 1.0 - abs(value - truth.mean()) / apart,
-                "uncovered": 0.0,
-                "left_out": 1.0 - inside.mean(),
-            }
-            if name in models:
-                row["uncovered"] = models[name][1]
+            row |= {"removed": 1.0 - abs(value - truth.mean()) / apart, "left_out": 1.0 - inside.mean()}
+            row["uncovered"] = models[name][1] if name in models else 0.0
             rows.append(row | {f"goal_{g}": float(x) for g, x in enumerate(values[name])})
     return rows
 

@@ -23,7 +23,7 @@ from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.findings import reach
 from oee_tabular.lab.panels import Panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
-from oee_tabular.lab.robots import frequencies, select_deltas
+from oee_tabular.lab.robots import distance_between, frequencies, mark_paper, select_deltas
 from oee_tabular.lab.robots.linear import LinearGaussian
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
@@ -154,17 +154,15 @@ def fit_among(model: Discretization, counts: sparse.csr_array, lengths: Sequence
     return weights
 
 
-def paper_curve(length: Any, series: str) -> pd.DataFrame:
-    """The paper's curve for links of this length; empty where it was not published."""
-    return paper.curve("reacher", f"link_length_ratio={float(length) / SIMULATED}", series)
+def setting_of(length: Any) -> str:
+    """The paper's name of links of this length."""
+    return f"link_length_ratio={float(length) / SIMULATED}"
 
 
 def published_error(length: float, series: str) -> float:
     """The mean over delta of |curve - true value| in the paper's figure; nan where it was not published."""
-    right, other = paper_curve(length, "true_value"), paper_curve(length, series)
-    if len(right) == 0 or len(other) != len(right):
-        return float("nan")
-    return float(np.abs(other["mean"] - right["mean"]).mean())
+    curves = (paper.curve("reacher", setting_of(length), name) for name in (series, "true_value"))
+    return distance_between(*curves)
 
 
 def published(summary: pd.DataFrame) -> list[float]:
@@ -181,16 +179,14 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     own = table[(table.n == table.n.max()) & table.series.isin(shown)]
     Panels(
         "value", "series", "delta", ("length",), "links of {length:g} m", "delta: share of random actions",
-        "value (discounted sum of 100 rewards)", extra={"true value": "truth"}, bands=True, beneath=mark_paper, size=(6.4, 4.4),
+        "value (discounted sum of 100 rewards)", extra={"true value": "truth"}, bands=True, beneath=mark, size=(6.4, 4.4),
     )(select_deltas(own, DELTAS), summary, figure)  # fmt: skip
 
 
-def mark_paper(ax: Axes, rows: pd.DataFrame) -> None:
+def mark(ax: Axes, rows: pd.DataFrame) -> None:
     """The paper's points for this length, of its own expert and targets."""
-    for name, marker in zip(("true_value", *PUBLISHED.values()), "xo^s", strict=True):
-        points = paper_curve(rows.length.iloc[0], name)
-        if len(points):
-            ax.scatter(points.x, points["mean"], marker=marker, color="0.35", label=f"the paper's {name}")
+    markers = {name: (name, marker) for name, marker in zip(("true_value", *PUBLISHED.values()), "xo^s", strict=True)}
+    mark_paper(ax, "reacher", setting_of(rows.length.iloc[0]), markers)
 
 
 def finding(table: pd.DataFrame) -> str:
