@@ -47,9 +47,9 @@ class Physics:
         if not rest:
             return
         env = self.make()
-        model, known = getattr(env.unwrapped, "model", None), _numbers_of(env.unwrapped)
+        elements, known = _elements(env.unwrapped), _numbers_of(env.unwrapped)
         for key, value in rest.items():
-            if not hasattr(env.unwrapped, key) and model is not None and (key in _elements(model) or _has(model, key)):
+            if not hasattr(env.unwrapped, key) and elements and (key in elements or _has(env.unwrapped.model, key)):
                 self._fields[key] = value
                 continue
             if key not in known:
@@ -106,8 +106,7 @@ class Physics:
         env = self.make()
         inner = env.unwrapped
         found = {name: p.default for name, p in self._takes.items()} | _numbers_of(inner) | self.given
-        if hasattr(inner, "model"):
-            found |= {name: values[0] for name, values in _elements(inner.model).items()}
+        found |= {name: values[0] for name, values in _elements(inner).items()}
         env.close()
         return {name: float(value) for name, value in found.items() if _is_number(value)}
 
@@ -129,10 +128,11 @@ def _numbers_of(inner: object) -> dict[str, Any]:
     return {name: x for name in plain if _is_number(x := getattr(inner, name, None))}
 
 
-def _elements(model: Any) -> dict[str, Any]:
-    """FIELD.ELEMENT -> its numbers, a view, of a MuJoCo model; friction and gear have more than the first."""
+def _elements(inner: Any) -> dict[str, Any]:
+    """FIELD.ELEMENT -> its numbers, a view, of an environment's MuJoCo model; friction and gear have more than the first."""
     found: dict[str, Any] = {}
-    for field, (kind, count) in ELEMENTS.items():
+    model = getattr(inner, "model", None)
+    for field, (kind, count) in ELEMENTS.items() if hasattr(model, "nbody") else ():
         values = getattr(model, field)
         for k in range(getattr(model, count)):
             name = getattr(model, kind)(int(model.dof_jntid[k]) if count == "nv" else k).name or str(k)
@@ -148,7 +148,7 @@ def _set_field(inner: Any, key: str, value: Any) -> None:
     """A field of a MuJoCo model, an array whole, or one element by its name."""
     import mujoco
 
-    model, elements = inner.model, _elements(inner.model)
+    model, elements = inner.model, _elements(inner)
     if key in elements:
         elements[key][0] = _checks.number_in(value, key, -np.inf, np.inf)
     else:

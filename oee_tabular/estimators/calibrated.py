@@ -8,7 +8,7 @@ discretisation's, and an estimate in the same finite states carries much the sam
 
 A calibrated value stands beside the raw one and never replaces it. It helps as far as the estimate and J_d
 see the cells alike: the simulator must be discretised at the log's own places
-(``GridInterpolation.build(task, at=log)``), or the estimate differs from J_d by where in its cell a state lies.
+(``tasks.discretize(task, log)``), or the estimate differs from J_d by where in its cell a state lies.
 """
 
 from __future__ import annotations

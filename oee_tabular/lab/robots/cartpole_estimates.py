@@ -1,7 +1,7 @@
 """Every estimate of CartPole's values from one log, in one documented configuration.
 
-    32 x 32 grid over (theta, theta'), the simulator (gravity 10) looked at in the log's own places (at=log), floor 0.001
-    (reach 2), zeta from soft counts with prior "simulator" and strength 0.01, exact evaluation, calibrated by the ratio.
+    32 x 32 grid over (theta, theta'), the simulator (gravity 10) looked at in the log's own places, floor 0.001,
+    zeta from soft counts with prior "simulator" and strength 0.01, exact evaluation, calibrated by the ratio.
 
 The same for every gravity and n; ``cartpole_choice`` compares others on logs that no other experiment reports. Moves from or
 to states outside the grid, one in a million, are left out; ends of the track, which (theta, theta') does not show, are taken
