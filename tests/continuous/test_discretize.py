@@ -475,6 +475,7 @@ BAD = {
     "a nan end": (lambda: on((9, 9), low=(0.0, np.nan)), r"low\[1\] must be finite; it is nan"),
     "ends of another length": (lambda: on((9, 9), high=(1.0,)), r"high must have shape \(2,\)"),
     "floor": (lambda: discretize(CartPole(), floor=1.5), r"floor must be in \[0, 1\]; it is 1.5"),
+    "a whole floor": (lambda: discretize(CartPole(), floor=1.0), r"floor must be in \(0, 1\); it is 1"),
     "a floor of nothing": (
         lambda: discretize(CartPole(), floor=0.1), r"floor must be 0 without a log, for CartPole has no others; it is 0.1",
     ),

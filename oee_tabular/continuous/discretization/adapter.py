@@ -82,8 +82,10 @@ def discretize(
         require_log_of(task, log)
     process = task.on_features()
     mixed = list(process.others()) if others is None else [other.on_features() for other in others]
-    if share > 0.0 and log is None and not mixed:
-        raise ValueError(f"floor must be 0 without a log, for {task.name} has no others; it is {floor}")
+    if share > 0.0 and not mixed:
+        _checks.number_in(floor, "floor", 0.0, 1.0, open_ends=True)
+        if log is None:
+            raise ValueError(f"floor must be 0 without a log, for {task.name} has no others; it is {floor}")
     if isinstance(cells, Discretization):
         places = cells.places
     else:
