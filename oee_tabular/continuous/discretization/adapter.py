@@ -111,6 +111,7 @@ def discretize(
         return model
     if mixed:
         return model.mixture([1.0 - share, *[share / len(mixed)] * len(mixed)])
+    assert log is not None
     with warnings.catch_warnings(action="ignore"):  # whoever encodes the log is told
         counts = model.counts(log, outside="nearest")
     return replace(model, mdp=model.plain.with_support_of(counts, share))

@@ -29,9 +29,8 @@ from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.estimators.rollouts import normalize_by_step, segment_products
 from oee_tabular.exact import policy_value
-from oee_tabular.lab.robots import cartpole_truth, frequencies
+from oee_tabular.lab.robots import LinearGaussian, cartpole_truth, frequencies
 from oee_tabular.lab.robots.cartpole_truth import DELTAS, HORIZON, SIMULATED
-from oee_tabular.lab.robots.linear import LinearGaussian
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio, transition_ratio
 

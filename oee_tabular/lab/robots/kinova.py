@@ -110,9 +110,8 @@ def goal_values(mdp: FiniteMDP) -> dict[float, Array]:
     for g in range(len(kinova.GOALS)):
         policy, cost = controller(g)
         paid = mdp.with_rewards(cost)
-        for delta in POLICIES:
-            mixed = delta / policy.shape[1] + (1.0 - delta) * policy
-            found[delta].append(policy_value(paid, mixed, horizon=kinova.HORIZON))
+        for delta, values in found.items():
+            values.append(policy_value(paid, delta / policy.shape[1] + (1.0 - delta) * policy, horizon=kinova.HORIZON))
     return {delta: np.array(values) for delta, values in found.items()}
 
 
@@ -207,7 +206,7 @@ def cell(settings: Cell, stream: Stream) -> list[Row]:
             value = values[name].mean()
             row: Row = {"policy": delta, "estimator": name, "value": value, "error": value - truth.mean()}
             row |= {"removed": 1.0 - abs(value - truth.mean()) / apart, "left_out": 1.0 - inside.mean()}
-            row["uncovered"] = models[name][1] if name in models else 0.0
+            row |= {"uncovered": models[name][1] if name in models else 0.0}
             rows.append(row | {f"goal_{g}": float(x) for g, x in enumerate(values[name])})
     return rows
 

@@ -23,8 +23,7 @@ from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.findings import reach
 from oee_tabular.lab.panels import Panels
 from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
-from oee_tabular.lab.robots import distance_between, frequencies, mark_paper, select_deltas
-from oee_tabular.lab.robots.linear import LinearGaussian
+from oee_tabular.lab.robots import LinearGaussian, distance_between, frequencies, mark_paper, select_deltas
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
 
@@ -161,8 +160,7 @@ def setting_of(length: Any) -> str:
 
 def published_error(length: float, series: str) -> float:
     """The mean over delta of |curve - true value| in the paper's figure; nan where it was not published."""
-    curves = (paper.curve("reacher", setting_of(length), name) for name in (series, "true_value"))
-    return distance_between(*curves)
+    return distance_between(*(paper.curve("reacher", setting_of(length), name) for name in (series, "true_value")))
 
 
 def published(summary: pd.DataFrame) -> list[float]:
