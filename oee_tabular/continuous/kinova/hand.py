@@ -49,6 +49,7 @@ class KinovaHand(HandTask):
     source : the arm's parameters
     goal : row of GOALS; r(x) = -|x - goal|
     noise_points : Gauss-Hermite points of the scatter on a grid
+    name : says that it is a stand-in
 
     Examples
     --------
