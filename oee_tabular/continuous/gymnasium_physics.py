@@ -131,7 +131,7 @@ def _numbers_of(inner: object) -> dict[str, Any]:
 def _elements(inner: Any) -> dict[str, Any]:
     """FIELD.ELEMENT -> its numbers, a view, of an environment's MuJoCo model; friction and gear have more than the first."""
     found: dict[str, Any] = {}
-    model = getattr(inner, "model", None)
+    model: Any = getattr(inner, "model", None)
     for field, (kind, count) in ELEMENTS.items() if hasattr(model, "nbody") else ():
         values = getattr(model, field)
         for k in range(getattr(model, count)):
