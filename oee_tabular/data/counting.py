@@ -56,11 +56,13 @@ class Sample(NamedTuple):
 def cut_sample(rows: dict[str, Column], kept: int, limit: int) -> Sample:
     """Those below ``limit`` first in the draw that have ``kept`` rows at most; the first that is left out is the new limit."""
     rows = choose(rows, rows["place"] < np.uint64(limit))
-    places, length = np.unique(rows["place"], return_counts=True)
-    n = int(np.searchsorted(np.cumsum(length), kept, side="right"))
-    if n < len(places):
-        limit = int(places[n])
-        rows = choose(rows, rows["place"] < places[n])
+    starts = np.flatnonzero(np.diff(rows["place"], prepend=rows["place"][:1] + 1))  # an episode's rows stand together
+    order = np.argsort(rows["place"][starts])
+    length = np.diff(starts, append=len(rows["place"]))
+    n = int(np.searchsorted(np.cumsum(length[order]), kept, side="right"))
+    if n < len(order):
+        limit = int(rows["place"][starts[order[n]]])
+        rows = choose(rows, rows["place"] < np.uint64(limit))
     return Sample(rows, limit)
 
 

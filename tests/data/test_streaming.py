@@ -166,6 +166,16 @@ def test_a_text_between_others_in_parquet_without_episodes(tmp_path):
         Transitions.open(tmp_path)
 
 
+def test_numbers_whose_product_64_bits_do_not_hold(tmp_path):
+    large = 2**52
+    rows = [(large, large, large - 1, 1.0), (0, 1, 5, 2.0), (large, large, large - 1, 4.0), (large, large, 5, 8.0)]
+    pd.DataFrame(rows, columns=["state", "action", "next_state", "reward"]).to_csv(tmp_path / "a.csv", index=False)
+    counts = Transitions.open(tmp_path)
+    assert_array_equal(counts.state, [0, large, large])
+    assert_array_equal(counts.next_state, [5, 5, large - 1])
+    assert_array_equal(counts.reward_sum, [2, 8, 5])
+
+
 # ---- rows that are none of a log
 
 
