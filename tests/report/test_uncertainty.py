@@ -187,6 +187,7 @@ def test_policies_that_the_log_separates_are_ranked_and_others_are_not():
     assert " ".join(str(report).split()).startswith(ranking)
     assert ranking in report.to_html()
     tied = oee.evaluate(even(4000), {"bad": BAD, "good": GOOD, "same": GOOD}, estimators=["oee"])
+    assert tied.uncertainty.comparison.confidence == pytest.approx(1 - 0.05 / 2)  # both differences at once
     assert tied.uncertainty.ranking == "“good” and “same” are worth the same in the target; the other 1 is worth less."
     assert "“good” is worth about" in tied.answer
 
