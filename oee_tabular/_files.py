@@ -7,6 +7,7 @@ import errno
 import hashlib
 import os
 import re
+import tempfile
 import uuid
 import warnings
 import zipfile
@@ -57,10 +58,17 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
 
 
 def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> None:
-    """ValueError where something stands at ``path`` that may not be lost."""
+    """ValueError where something stands at ``path`` that may not be lost; OSError where no file can be written there."""
     local(path)
     if not overwrite and os.path.lexists(path):
         raise ValueError(f"{name} must be a new file, or be given with --overwrite; {os.fspath(path)!r} exists already")
+    folder = Path(os.path.realpath(path)).parent
+    if Path(path).suffix and folder.is_dir():  # else whoever writes it makes the folder, or says that there is none
+        try:
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise OSError(error.errno, f"cannot be written ({error.strerror})", os.fspath(path)) from None
 
 
 @contextmanager
@@ -92,7 +100,8 @@ def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> 
             raise
         raise OSError(error.errno, f"cannot be written ({error.strerror})", os.fspath(path)) from None
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # a read-only disk says so of what is not there, too
+            temporary.unlink()
 
 
 def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:

@@ -1,11 +1,14 @@
 """What the commands write: nothing recorded is lost, links stay, no formulas; one command a folder; Ctrl-C."""
 
 import csv
+import errno
 import json
+import os
 import resource
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import numpy as np
 import pandas as pd
@@ -117,6 +120,56 @@ def test_a_full_disk_names_the_file(tmp_path):
         assert "Traceback" not in said
         assert (tmp_path / name).read_text() == "old"
     assert {path.name for path in tmp_path.iterdir()} == {"log.npz", "log.csv", "log.parquet"}
+
+
+@contextmanager
+def at_most(size):
+    """No file may grow beyond so many bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("line", [f"policy {GRID} uniform --output p.npy", f"{SAMPLE} folder"])
+def test_a_full_disk_names_an_array_and_a_minari_folder(tmp_path, capsys, monkeypatch, line):
+    pytest.importorskip("minari")
+    monkeypatch.chdir(tmp_path)
+    with at_most(100):
+        code, _, said = command(capsys, line)
+    name = line.split()[-1]
+    assert (code, said) == (2, f"oee: {name}: cannot be written (File too large)\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_read_only_disk_names_the_file_before_the_work(tmp_path, capsys, monkeypatch):
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("oee_tabular._files.os.fsync", refuse)
+    monkeypatch.setattr("oee_tabular._files.Path.unlink", refuse)  # says so of what is not there, too
+    monkeypatch.setattr("oee_tabular._files.tempfile.TemporaryFile", refuse)
+    for line in (f"policy {GRID} uniform", "counts nothing.csv", f"sample {GRID} --episodes 2"):
+        name = tmp_path / f"{line.split()[0]}.np{'y' if line.startswith('policy') else 'z'}"
+        code, _, said = command(capsys, f"{line} --output {name}")
+        assert (code, said) == (2, f"oee: {name}: cannot be written (Read-only file system)\n")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="has no /dev/full")
+@pytest.mark.parametrize("line", ["--help", "reproduce --list"])
+def test_output_that_cannot_be_written_is_one_line(line):
+    with open("/dev/full", "w") as full:
+        process = subprocess.run(
+            [sys.executable, "-m", "oee_tabular", *line.split()],
+            text=True,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert process.returncode == 2
+    assert process.stderr == "oee: the output cannot be written (No space left on device)\n"
 
 
 # ---- spreadsheets

@@ -115,4 +115,6 @@ def _sentence(error: Exception) -> str:
         return f"no such {'folder' if error.strerror == 'no such folder' else 'file'}: {error.filename}"
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:  # of no file that we opened: standard output
+        return f"the output cannot be written ({error.strerror})"
     return str(error)

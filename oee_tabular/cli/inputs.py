@@ -28,12 +28,16 @@ def refuse(options: Options, names: Iterable[str], rule: str) -> None:
 
 def write_array(path: Path, array: Array) -> None:
     """A .npy file, which appears whole or not at all."""
+    import io
+
     import numpy as np
 
     from oee_tabular import _files
 
+    content = io.BytesIO()  # written to a file itself, an array loses the system's words for a full disk
+    np.save(content, array, allow_pickle=False)
     with _files.whole_file(path, (".npy",)) as handle:
-        np.save(handle, array, allow_pickle=False)
+        handle.write(content.getbuffer())
 
 
 def read_problem(options: Options) -> tuple[NamedTask, Problem]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import itertools
 import os
@@ -62,12 +63,16 @@ def save_minari(log: Any, name: str) -> None:
     target = find_folder(identifier) if is_id else Path(name)
     if target.exists():
         raise ValueError(f"path must be a new folder; {str(target)!r} exists already")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    absolute = target.parent.absolute()  # Minari joins a relative one twice
-    with tempfile.TemporaryDirectory(dir=absolute, prefix=".minari-") as root:
-        with mock.patch.dict(os.environ, {FOLDER: root}):
-            _write_minari(log, identifier)
-        os.replace(Path(root) / identifier, target)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        absolute = target.parent.absolute()  # Minari joins a relative one twice
+        with tempfile.TemporaryDirectory(dir=absolute, prefix=".minari-") as root:
+            with mock.patch.dict(os.environ, {FOLDER: root}):
+                _write_minari(log, identifier)
+            os.replace(Path(root) / identifier, target)
+    except OSError as error:  # of a file inside, or of none
+        number = error.errno or errno.EIO
+        raise OSError(number, f"cannot be written ({os.strerror(number)})", str(target)) from None
 
 
 def _write_minari(log: Any, identifier: str) -> None:
