@@ -46,6 +46,8 @@ def test_errors_are_logarithmic_with_a_slope(ax):
     assert ax.get_xscale() == ax.get_yscale() == "log"
     slope = next(line for line in ax.get_lines() if line.get_label() == "slope -0.5")
     np.testing.assert_allclose(slope.get_ydata(), 3 / np.sqrt(n))
+    late = plots.plot_errors(n, {"none at first": [np.nan, 0.3, 0.2]}, Figure().subplots()).get_lines()[-1]
+    np.testing.assert_allclose(late.get_ydata(), 0.3 * np.sqrt(1000.0 / n))
     assert ax.get_ylabel() == "mean L1 error"
     assert len(plots.plot_errors([10.0], {"a": [1.0]}, Figure().subplots(), slope=None).get_lines()) == 1
 

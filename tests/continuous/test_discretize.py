@@ -169,6 +169,21 @@ def test_a_floor_is_a_share_of_the_log_s_impossible_transitions(seed):
     assert_floor(discretize(CartPole(), log, cells=(60, 60), floor=1e-3, **QUICK), log, 1e-3)
 
 
+def test_half_of_a_floor_lies_where_a_step_begins():
+    model = discretize(Drift(), cells=(81,), floor=0.1, **QUICK)  # a step leads ten vertices away
+    row, near = np.zeros(82), np.full(5, 0.1 / 2 / 5)
+    row[38:43], row[28:33] = near, near
+    row[30] += 0.9
+    assert_allclose(dense(model)[40, 0], row, atol=1e-12)
+
+
+def test_copies_of_a_state_on_two_sides_of_an_edge_are_one():
+    model = discretize(Drift(), cells=(81,), **QUICK)
+    log = ContinuousTransitions([[-0.25], [0.0125 + 1e-8]], [1, 1], [[0.0125 - 1e-8], [0.2625]], episode=[0, 0])
+    encoded = model.encode(log)
+    assert encoded.state[1] == encoded.next_state[0]
+
+
 def test_at_a_log_the_simulator_is_what_its_own_log_says():
     """With no weight for the vertex, the visited rows are the simulator's soft frequencies in the log's places."""
     task = CartPole(noise=0.0)
@@ -326,6 +341,8 @@ def test_a_mixture_has_the_others_support():
     own, first, second = (part.transitions for part in model.simulators)
     assert abs(model.mdp.transitions - (0.8 * own + 0.1 * first + 0.1 * second)).max() < 1e-15
     assert model.metadata["floor"] == 0.2
+    without = replace(model, mdp=model.plain)
+    assert model.closure_error(n_episodes=100) == without.closure_error(n_episodes=100)  # what cells cost, not a floor
     assert [other["gravity"] for other in model.metadata["others"]] == [5.0, 20.0]
     ratio = oee.true_ratio(discretize(low, cells=model, **QUICK).mdp, model.mdp)
     assert ratio.values.data.max() <= 10.0 + 1e-9  # K / floor
@@ -438,6 +455,8 @@ def test_pendulum_through_gymnasium():
     error, noise = model.closure_error(swing, horizon=30, n_episodes=60)
     assert abs(error) < 0.03 + 3 * noise
     log = task.record(swing, n_transitions=100, max_steps=40, seed=0)
+    assert np.bincount(log.episode).tolist() == [40, 40, 20]
+    assert_allclose(log.behavior_probability, swing(log.state)[np.arange(100), log.action])
     assert_array_equal(np.flatnonzero(log.truncated), [39, 79, 99])
     assert_array_equal(resimulate(task, log).next_state, log.next_state)
     assert len(model.encode(log, seed=0)) == 100

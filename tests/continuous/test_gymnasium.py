@@ -61,6 +61,14 @@ def mine(run, tmp_path, monkeypatch):
 # ---------------------------------------------------------------- physics and states
 
 
+def test_a_family_keeps_the_physics_that_were_given():
+    one, both = (gymnasium_simulator(f"CartPole-v1:gravity=12{more}").task for more in ("", ",length=0.65"))
+    member = one.family(length=0.65)
+    assert member.parameters() == both.parameters()
+    arguments = np.array([[0.1, 0.2, 0.05, -0.3]]), np.array([1]), np.zeros((1, 0))
+    assert_array_equal(member.moves(*arguments).next_state, both.moves(*arguments).next_state)
+
+
 @pytest.mark.parametrize("spec", CLASSIC)
 def test_physics_by_key_and_value(spec):
     """Constants are those that were asked for, and what is computed of them follows; a step is the environment's own."""

@@ -9,8 +9,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from oee_tabular.continuous.correction import choose_correction
 from oee_tabular.continuous.episodes import paired_returns
 from oee_tabular.continuous.evaluation import evaluate_continuous
+from oee_tabular.continuous.history import earlier_rows, history_effects
 from oee_tabular.continuous.parameters import fit_parameters, parameters_of
 from oee_tabular.continuous.sentences import hidden_state
+from oee_tabular.continuous.sentences import history as history_sentence
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.robots.changes import classic
 from oee_tabular.tasks import CartPole, HistoryTask, ResidualSimulator, Settings, cartpole_policy, record
@@ -80,7 +82,35 @@ def test_a_delay_is_named_and_its_history_kept(steps):
     words = ("one step", "two steps", "three steps")[steps - 1]
     assert hidden_state(chosen.plain).startswith(f"the action of {words} ago explains 8")
     assert (chosen.steps, chosen.is_trusted, chosen.warning) == (steps, True, "")
+    more = " At most 5 are tried; history 8 keeps more."
+    assert not chosen.reason.endswith(more)
+    assert history_sentence(chosen.plain, chosen.learned, 5, True).endswith(f"of a step's standard deviation.{more}")
     assert abs(value(chosen.learned) - value(target)) < 0.05 * abs(value(SIMULATOR) - value(target))
+
+
+def test_what_history_explains_is_no_effect_below_the_least():
+    log = log_of(Delay(SIMULATOR, 1), 2000)
+    left = ResidualSimulator(SIMULATOR, log, seed=0).left_over
+    every, group = np.ones(len(log), dtype=np.bool_), log.episode % 40
+    for share, is_effect in ((0.5, True), (2.0, False)):
+        effect = history_effects(
+            SIMULATOR, log, log.action, left, group, is_smooth=every, is_free=every, least=share * left.std(axis=0)
+        )[3]
+        assert (effect.r_squared > 0.5) == is_effect
+        assert (effect.part > 0.0) == is_effect
+
+
+def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
+    """Half of the residual is the last action's, the rest noise, of which a row tells nothing to itself."""
+    log = line_log(Line(noise=0.1), 4000)
+    last = earlier_rows(log, 1)[:, 0]
+    residual = np.where(last >= 0, 2.0 * log.action[last] - 1.0, 0.0) + np.random.default_rng(0).normal(size=4000)
+    every = np.ones(4000, dtype=np.bool_)
+    effect = history_effects(
+        Line(), log, log.action, residual[:, None], log.episode % 40, is_smooth=every, is_free=every, least=np.zeros(1)
+    )[0]
+    assert (effect.lag, effect.of) == (1, "action")
+    assert_allclose(effect.r_squared, 0.5, atol=0.03)
 
 
 def test_sentences_speak_of_the_row_in_front():

@@ -67,6 +67,9 @@ def test_columns_of_a_table(tmp_path):
     frame[frame.columns[::-1]].assign(comment="x").to_csv(path, index=False)
     with pytest.warns(UserWarning, match="left out: comment"):
         assert_same(ContinuousTransitions.load(path), log())
+    wide = np.arange(24.0).reshape(2, 12)  # state_10 comes after state_9
+    ContinuousTransitions(wide, [0, 1], wide + 1.0).save(path)
+    assert_array_equal(ContinuousTransitions.load(path).state, wide)
 
 
 def test_what_is_filled_in():

@@ -417,6 +417,21 @@ def test_refits_vary_as_other_logs_do():
     assert shift(one) == shift(ResidualSimulator(Line(noise=0.2), line_log(target, 500), seed=0))
 
 
+@pytest.mark.parametrize("target", [Line(noise=0.05), Gusty(noise=0.02)])
+def test_a_refit_draws_no_residual_of_an_episode_that_it_leaves_out(target):
+    """Neither from all rows nor from those near by."""
+    corrected = ResidualSimulator(Line(), line_log(target, 2000, steps=100), seed=0)
+    assert corrected._scatter.local == isinstance(target, Gusty)
+    quantiles = np.column_stack([np.zeros(4000), np.random.default_rng(0).normal(size=4000)])
+    states = np.linspace(-0.9, 0.9, 4000)[:, None]
+
+    def n_outcomes(task):
+        moved = task.moves(states, np.ones(4000, dtype=np.int64), quantiles).next_state
+        return len(np.unique(np.round(moved - states, 12)))
+
+    assert n_outcomes(corrected.resampled(0)) < 0.85 * n_outcomes(corrected)
+
+
 # ---------------------------------------------------------------- bad input
 
 
