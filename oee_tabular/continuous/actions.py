@@ -14,9 +14,9 @@ from oee_tabular._checks import Array
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import BadPolicy, ask_policy
 
-LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
-MOST = 1000  # commands
-FEW = 100  # commands of a log, which are then the actions
+N_LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
+MAX_COMMANDS = 1000
+MAX_COMMANDS_OF_LOG = 100  # of a log, which are then the actions
 
 
 def action_set(space: Any, given: Any = None) -> Array:
@@ -45,30 +45,27 @@ def action_set(space: Any, given: Any = None) -> Array:
                 f"actions must be left out where the environment has {space}; they are {_checks.show(given)}"
             )
         return np.asarray(int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64)
-    shape = getattr(space, "shape", None)
-    if shape is None or len(shape) != 1 or not hasattr(space, "low"):
+    if len(getattr(space, "shape", None) or ()) != 1 or not hasattr(space, "low"):
         raise ValueError(f"env.action_space must be Discrete, or a Box of vectors; it is {space}")
-    k = shape[0]
-    count = LEVELS.get(k, 3) if given is None else given
+    k = space.shape[0]
+    count = N_LEVELS.get(k, 3) if given is None else given
     if isinstance(count, int):
-        most = _checks.positive_integer(count, "actions")
+        n = _checks.positive_integer(count, "actions")
         if not np.isfinite([space.low, space.high]).all():
             raise ValueError(f"actions must be given for {space}, whose range has no end: levels such as [-1,0,1]")
-        levels = [np.linspace(low, high, most) for low, high in zip(space.low, space.high, strict=True)]
+        levels = [np.linspace(low, high, n) for low, high in zip(space.low, space.high, strict=True)]
     else:
-        table = _checks.float_array(count, "actions", ndim=(1, 2))
-        if table.ndim == 2:
-            return _inside(table, space)
-        levels = [table] * k
-    if np.prod([float(len(each)) for each in levels]) > MOST:
-        raise ValueError(f"actions must be at most {MOST} in all; {len(levels[0])} levels of {k} coordinates are more")
-    return _inside(np.array(list(itertools.product(*levels))), space)
-
-
-def _inside(table: Array, space: Any) -> Array:
-    bad = [i for i, row in enumerate(table) if not space.contains(row.astype(space.dtype))]
-    if bad:
-        raise ValueError(f"actions[{bad[0]}] must be in {space}; it is {table[bad[0]].tolist()}")
+        levels = [_checks.float_array(count, "actions", ndim=(1, 2))] * k
+    if levels[0].ndim == 2:
+        table = levels[0]
+    elif np.prod([float(len(each)) for each in levels]) > MAX_COMMANDS:
+        text = f"{len(levels[0])} levels of {k} coordinates are more"
+        raise ValueError(f"actions must be at most {MAX_COMMANDS} in all; {text}")
+    else:
+        table = np.array(list(itertools.product(*levels)))
+    for i, row in enumerate(table):
+        if not space.contains(row.astype(space.dtype)):
+            raise ValueError(f"actions[{i}] must be in {space}; it is {row.tolist()}")
     return table
 
 
@@ -76,8 +73,8 @@ def commands_of(log: ContinuousTransitions) -> Any:
     """The log's own commands where they are few; None where the log has numbers, or more commands than a set should have."""
     if log.action.ndim == 1:
         return None
-    found = np.unique(log.action, axis=0)
-    return found.tolist() if len(found) <= FEW else None
+    commands = np.unique(log.action, axis=0)
+    return commands.tolist() if len(commands) <= MAX_COMMANDS_OF_LOG else None
 
 
 def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
@@ -147,9 +144,9 @@ def _interpolate_weights(commands: Array, actions: Array) -> Array:
     if np.prod(shape) != len(actions) or len(np.unique(actions, axis=0)) != len(actions):
         distance = ((commands[:, None, :] - actions[None]) ** 2).sum(axis=2)
         return np.asarray(np.eye(len(actions))[distance.argmin(axis=1)])
-    found = np.ones((len(commands), 1))
+    weights = np.ones((len(commands), 1))
     for column, each in zip(commands.T, levels, strict=True):
-        weights = np.column_stack([np.interp(column, each, one) for one in np.eye(len(each))])
-        found = (found[:, :, None] * weights[:, None, :]).reshape(len(commands), -1)
+        own = np.column_stack([np.interp(column, each, one) for one in np.eye(len(each))])
+        weights = (weights[:, :, None] * own[:, None, :]).reshape(len(commands), -1)
     place = [np.searchsorted(each, column) for column, each in zip(actions.T, levels, strict=True)]
-    return np.asarray(found[:, np.ravel_multi_index(tuple(place), shape)])
+    return np.asarray(weights[:, np.ravel_multi_index(tuple(place), shape)])

@@ -19,10 +19,10 @@ from oee_tabular.continuous.history import MAX_LAG, HistoryTask
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.parameters import ParameterFit
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 
-ENOUGH = 0.01  # of a step's own deviation: a history that brings less is not kept
-LEFT = 0.2  # share of the hidden part that may be left with a history, for its value to be trusted
+MIN_GAIN = 0.01  # of a step's own deviation: a history that brings less is not kept
+MAX_HIDDEN_LEFT = 0.2  # share of the hidden part that may be left with a history, for its value to be trusted
 PREFERENCE = 1.05  # how much larger the error with fitted parameters may be
 
 
@@ -37,7 +37,6 @@ class Correction:
     fit : of the parameters, where it was taken
     plain : the ResidualSimulator of the simulator as it was given, without history
     reason : sentences on what was taken and why
-    history : as it was asked for, a number or "auto"
     """
 
     learned: ResidualSimulator
@@ -45,12 +44,11 @@ class Correction:
     fit: ParameterFit | None
     plain: ResidualSimulator
     reason: str
-    history: int | Literal["auto"] = "auto"
 
     @cached_property
     def is_trusted(self) -> bool:
         """Whether no more than a fifth of what is hidden is left."""
-        return not self.learned.units and self.learned.hidden_part <= LEFT * self.plain.hidden_part
+        return not self.learned.units and self.learned.hidden_part <= MAX_HIDDEN_LEFT * self.plain.hidden_part
 
     @property
     def name(self) -> str:
@@ -60,30 +58,13 @@ class Correction:
         return f"oee ({', '.join(parts)})"
 
     @property
-    def whole(self) -> HistoryTask:
-        """The task with its last actions in the state, which is corrected."""
-        assert isinstance(self.learned.task, HistoryTask)
-        return self.learned.task
-
-    @property
     def status(self) -> str:
-        """Of the value in the corrected simulator."""
-        return "ok" if self.is_trusted else sentences.flaw(self.learned)
+        """Of the value in the corrected simulator: "ok", or why it cannot be trusted."""
+        return "ok" if self.is_trusted else sentences.describe_flaw(self.learned)
 
-    @property
-    def plain_status(self) -> str:
-        """Of values that take the simulator's own state to be Markov."""
-        return sentences.flaw(self.plain)
-
-    @property
-    def warning(self) -> str:
-        """Why no correction can be trusted; "" where one can."""
-        return "" if self.is_trusted else f"No correction can be trusted, because {sentences.flaw(self.learned)}."
-
-    @property
-    def advice(self) -> str:
-        """What to do where no correction can be trusted."""
-        return "" if self.is_trusted or self.learned.units else sentences.advice(self)
+    def policy(self, policy: StatePolicy) -> StatePolicy:
+        """A policy of the simulator's states as one of the corrected simulator's."""
+        return self.learned.task.policy(policy) if isinstance(self.learned.task, HistoryTask) and self.steps else policy
 
 
 def choose_correction(
@@ -104,46 +85,45 @@ def choose_correction(
     fit : of the simulator's parameters, to be compared with none
     seed : as in ``ResidualSimulator``
     """
-    if not (isinstance(history, str) and history == "auto"):
-        is_zero = isinstance(history, int) and not isinstance(history, bool) and history == 0
-        history = 0 if is_zero else _checks.positive_integer(history, "history")
-    plain, learned, steps = _with_history(task, log, history, seed)
-    reason = sentences.history(plain, learned, steps, history == "auto")
-    chosen = Correction(learned, steps, None, plain, reason, history)
+    is_auto = isinstance(history, str) and history == "auto"
+    if not is_auto and not (isinstance(history, int) and history == 0 and history is not False):
+        history = _checks.positive_integer(history, "history")
+    _progress.report_step("correction of the simulator by the log")
+    plain = ResidualSimulator(task, log, seed=seed)
+    learned, steps = _add_history(plain, log, history, seed)
+    chosen = Correction(learned, steps, None, plain, sentences.history(plain, learned, steps, is_auto))
     if fit is None:
         return chosen
-    unremembered, fitted, n = _with_history(fit.task, log, history, seed)
-    is_taken = fitted.held_out_error <= PREFERENCE * learned.held_out_error
-    told = sentences.parameters(fit, unremembered, fitted, learned, is_taken)
+    fitted = ResidualSimulator(fit.task, log, seed=seed)
+    learned, steps = _add_history(fitted, log, history, seed)
+    is_taken = learned.held_out_error <= PREFERENCE * chosen.learned.held_out_error
+    text = sentences.parameters(fit, fitted, learned, chosen.learned, is_taken)
     if is_taken:
-        reason = sentences.history(unremembered, fitted, n, history == "auto")
-        chosen = Correction(fitted, n, fit, plain, reason, history)
-    return replace(chosen, reason=f"{told} {chosen.reason}".strip())
+        chosen = Correction(learned, steps, fit, plain, sentences.history(fitted, learned, steps, is_auto))
+    return replace(chosen, reason=f"{text} {chosen.reason}".strip())
 
 
-def _with_history(
-    task: ContinuousTask, log: ContinuousTransitions, history: int | str, seed: Seed
-) -> tuple[ResidualSimulator, ResidualSimulator, int]:
-    """The correction without history, that with the best (or given) one, and how many actions that has."""
+def _add_history(
+    plain: ResidualSimulator, log: ContinuousTransitions, history: int | str, seed: Seed
+) -> tuple[ResidualSimulator, int]:
+    """The correction with the best number of last actions in the state, or the one that is asked for."""
 
     def learn(steps: int) -> ResidualSimulator:
         _progress.report_step(f"correction with {steps} earlier action{'s' * (steps > 1)} in the state")
-        whole = HistoryTask(task, steps)
-        return ResidualSimulator(whole, whole.log(log), seed=seed)
+        whole = HistoryTask(plain.task, steps)
+        return ResidualSimulator(whole, whole.log(log), seed=seed) if steps else plain
 
-    _progress.report_step("correction of the simulator by the log")
-    plain = ResidualSimulator(task, log, seed=seed)
     if isinstance(history, int):
-        return plain, learn(history) if history else plain, history
+        return learn(history), history
     hidden = [c.history for c in plain.coordinates if c.hidden]
     if not hidden or plain.units:
-        return plain, plain, 0
+        return plain, 0
     first = max(hidden, key=lambda effect: effect.lag_r_squared)
-    tried, least = {0: plain}, plain.held_out_error**0.5
+    tried, errors = {0: plain}, [plain.held_out_error**0.5]
     for steps in range(first.lag if first.of == "action" else 1, MAX_LAG + 1):
         tried[steps] = learn(steps)
-        before, least = least, min(least, tried[steps].held_out_error ** 0.5)
-        if before - tried[steps].held_out_error ** 0.5 < ENOUGH / 3.0:
+        errors.append(tried[steps].held_out_error ** 0.5)
+        if min(errors[:-1]) - errors[-1] < MIN_GAIN / 3.0:
             break
-    steps = next(k for k, learned in tried.items() if learned.held_out_error**0.5 <= least + ENOUGH)
-    return plain, tried[steps], steps
+    steps = next(k for k, error in zip(tried, errors, strict=True) if error <= min(errors) + MIN_GAIN)
+    return tried[steps], steps

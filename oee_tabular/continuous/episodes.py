@@ -182,17 +182,15 @@ def record(
     _checks.instance(task, ContinuousTask, "task")
     steps = _checks.positive_integer(max_steps, "max_steps")
     if n_episodes is not None:
-        wanted = _checks.positive_integer(n_episodes, "n_episodes")
-        parts = [_episodes(task, policy, size, steps, rng) for rng, size in _streams(seed, wanted)]
-        return ContinuousTransitions.concatenate(parts)
+        streams = _streams(seed, _checks.positive_integer(n_episodes, "n_episodes"))
+        return ContinuousTransitions.concatenate([_episodes(task, policy, size, steps, rng) for rng, size in streams])
     assert n_transitions is not None
     rows = _checks.positive_integer(n_transitions, "n_transitions")
     _checks.require_memory(8.0 * rows, "n_transitions", rows)
-    parts, found = [], 0
+    parts: list[ContinuousTransitions] = []
     generator = _checks.generator(seed)
-    while found < rows:
+    while sum(map(len, parts)) < rows:
         parts.append(_episodes(task, policy, 256, steps, generator.spawn(1)[0]))
-        found += len(parts[-1])
     return ContinuousTransitions.concatenate(parts).first(rows)
 
 

@@ -1,10 +1,7 @@
 """``evaluate`` for a continuous simulator and a log of continuous states.
 
-The rows stand in the order of what they may be trusted for: the simulator corrected by the log's residuals
-(``ResidualSimulator``), a linear model of the log, importance sampling where the log has probabilities, the simulator itself by
-Monte Carlo (``rows``). Where a grid is asked for, a finite problem joins them (``cell_rows``): the value on cells, calibrated,
-finite estimators, and last off-environment evaluation on the grid alone, which has the grid's error. What the cells cannot
-take is said, and the other rows stand.
+The rows (``rows``) are functions of a policy, in the order of what they may be trusted for (``evaluate_continuous``); where a
+grid is asked for, a finite problem joins them (``cell_rows``). What the cells cannot take is said, and the other rows stand.
 """
 
 from __future__ import annotations
@@ -12,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -22,21 +19,21 @@ from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.actions import as_probabilities
 from oee_tabular.continuous.cell_rows import NoCellsError, on_cells
-from oee_tabular.continuous.correction import Correction, choose_correction
+from oee_tabular.continuous.correction import choose_correction
 from oee_tabular.continuous.episodes import MonteCarlo
 from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.parameters import ParameterFit, fit_parameters, parameters_of
-from oee_tabular.continuous.rows import (
-    LearnedRow,
-    ResidualRow,
-    Rollouts,
-    Row,
-    SimulatorRow,
-    refuse_impossible,
-    sampling_rows,
+from oee_tabular.continuous.rows import Rollouts, Row, describe_simulated, refuse_impossible, sampling_rows
+from oee_tabular.continuous.sentences import (
+    add_features,
+    advice,
+    describe_flaw,
+    difference,
+    name_loss,
+    rewards_contradict,
+    rounding,
 )
-from oee_tabular.continuous.sentences import add_features, difference, name_loss, rewards_contradict, rounding
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, require_log_of
 from oee_tabular.estimators import Estimate, Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
@@ -92,9 +89,9 @@ def evaluate_continuous(
     Report
         In front the value of the corrected simulator (``choose_correction``) by Monte Carlo, or, where no correction can be
         trusted, the simulator's. Row "oee (residual)" where oee is asked for; with ``settings.grid`` also "oee (calibrated)"
-        and, last, "oee on the grid"; "linear model of the log" where ``estimators`` is None; "simulator (continuous)" (Monte
-        Carlo) always. ``facts`` has the support diagnostics and the closure error. Where the cells cannot take the log, their
-        rows are left out with a sentence.
+        and, last, "oee on the grid", which has the grid's error; "linear model of the log" where ``estimators`` is None;
+        "simulator (continuous)" (Monte Carlo) always. ``facts`` has the support diagnostics and the closure error. Where the
+        cells cannot take the log, their rows are left out with a sentence.
 
     Raises
     ------
@@ -111,100 +108,113 @@ def evaluate_continuous(
     >>> [row["estimator"] for row in report.records()]
     ['oee (residual)', 'simulator (continuous)']
     """
-    given = as_simulator(simulator, horizon) if isinstance(simulator, ContinuousTask) else simulator
-    _checks.instance(given, ContinuousSimulator, "simulator", "ContinuousTask or a ContinuousSimulator")
+    chosen = _checks.instance(Settings() if settings is None else settings, Settings, "settings")
+    if isinstance(simulator, ContinuousTask):
+        simulator = as_simulator(simulator, horizon)
+    _checks.instance(simulator, ContinuousSimulator, "simulator", "ContinuousTask or a ContinuousSimulator")
     if not _checks.instance(policies, Mapping, "policies", "mapping from names to policies"):
         raise ValueError("policies must hold at least one; it is empty")
-    facts, seed = options.pop("facts", None) or {}, options.get("seed")
-    _checks.instance(facts, Mapping, "facts")
+    facts, seed = dict(_checks.instance(options.pop("facts", None) or {}, Mapping, "facts")), options.get("seed")
     if target is not None:
         _checks.instance(target, ContinuousTask, "target")
     names = None if estimators is None else _names(estimators, "estimators")
     fit = fit if fit is None or isinstance(fit, ParameterFit) else _names(fit, "fit")
-    chosen = _checks.instance(Settings() if settings is None else settings, Settings, "settings")
-    kind = given.calibration if chosen.calibration is None else chosen.calibration
+    kind = simulator.calibration if chosen.calibration is None else chosen.calibration
     _checks.one_of(kind, "calibration", CALIBRATIONS)
-    steps = given.horizon if horizon is None else _checks.positive_integer(horizon, "horizon")
-    require_log_of(given.task, log)
+    steps = simulator.horizon if horizon is None else _checks.positive_integer(horizon, "horizon")
+    require_log_of(simulator.task, log)
     cells = None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        numbered = _number_actions(given.task, log, behavior, strict=chosen.strict)
+        numbered = _number_actions(simulator.task, log, behavior, strict=chosen.strict)
         if chosen.grid is not None:
             try:
-                cells = on_cells(given, numbered, chosen, steps, discount, seed)
+                cells = on_cells(simulator, numbered, chosen, steps, discount, seed)
             except NoCellsError as reason:
                 warnings.warn(f"The rows on the grid are left out: {reason}", stacklevel=2)
-    said = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
-    for text in said:
-        warnings.warn(text, stacklevel=3)
+    messages = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
+    for message in messages:
+        warnings.warn(message, stacklevel=3)
     tables: dict[str, Array] = {}
     functions: dict[str, StatePolicy] = {}
     for name, policy in policies.items():
         if callable(policy):
-            functions[name] = rounded = as_probabilities(policy, given.task.actions)
-            said += filter(None, [rounding(name, len(rounded.actions), *rounded.rounding(log.state[:MAX_ASKED]))])
+            functions[name] = rounded = as_probabilities(policy, simulator.task.actions)
+            messages += filter(None, [rounding(name, len(rounded.actions), *rounded.rounding(log.state[:MAX_ASKED]))])
         elif cells is None:
             raise ValueError(f"policy {name!r} must be a function of states: there are no cells to be an array on")
         if cells is not None:
             tables[name] = cells.model.policy(functions.get(name, policy), f"policy {name!r}")
             functions.setdefault(name, cells.model.policy_function(tables[name]))
     if fit is not None and not isinstance(fit, ParameterFit):
-        fit = fit_parameters(*parameters_of(given.task, fit), numbered)
-    correction = choose_correction(given.task, numbered, history=history, fit=fit, seed=seed)
-    episodes = given.episodes if chosen.episodes is None else chosen.episodes
+        fit = fit_parameters(*parameters_of(simulator.task, fit), numbered)
+    correction = choose_correction(simulator.task, numbered, history=history, fit=fit, seed=seed)
+    episodes = simulator.episodes if chosen.episodes is None else chosen.episodes
     stream = _checks.seed_sequence(seed, (10**6,))
-    rollouts = Rollouts(steps, discount, episodes, stream, given.refits, given.refit_paths)
+    rollouts = Rollouts(steps, discount, episodes, stream, simulator.refits, simulator.refit_paths)
     scale = 1.0 - discount if options.get("normalized") else 1.0
+    simulate = cache(partial(rollouts.value, simulator.task))
+
+    def simulated_row(policy: StatePolicy) -> Estimate:
+        return describe_simulated(simulate(policy), is_headline=not correction.is_trusted)
+
+    low, high = correction.plain.rewards
+    bounds = 0.0 if low >= 0.0 else -np.inf, 0.0 if high <= 0.0 else np.inf
+
+    def learned_row(learned: ContinuousTask, status: str, policy: StatePolicy) -> Estimate:
+        """No value of another sign than the rewards of the log, and of the simulator's own steps from there, have."""
+        return refuse_impossible(rollouts.estimate(learned, policy, status), *bounds, steps, scale)
+
     wanted, left_out = _choose_estimators(names, numbered, has_cells=cells is not None)
-    wants_oee = OffEnvironment() in wanted.values()
-    learned = _residual_rows(correction, rollouts) if wants_oee else {}
+    wants_oee, plain_status = OffEnvironment() in wanted.values(), describe_flaw(correction.plain)
+    rows: dict[str, Row] = {} if correction.is_trusted else {SIMULATOR: simulated_row}
+    if wants_oee:
+        corrected_row = partial(learned_row, correction.learned, correction.status)
+        rows[correction.name] = lambda policy: corrected_row(correction.policy(policy))
+        rows["oee (residual)"] = partial(learned_row, correction.plain, plain_status)
+    sampling = {name: e for name, e in wanted.items() if isinstance(e, ImportanceSampling)}
     others: dict[str, Row] = {}
     if names is None:
-        others[LINEAR] = LearnedRow(LinearModel(given.task, numbered), rollouts, correction.plain_status)
-    learned, others = (
-        {name: _refuse_other_signs(row, correction.plain.paid, steps, scale) for name, row in rows.items()}
-        for rows in (learned, others)
-    )
-    sampling = {name: e for name, e in wanted.items() if isinstance(e, ImportanceSampling)}
-    others |= sampling_rows(sampling, numbered, given.task.n_actions, steps, discount)
-    simulated = SimulatorRow(given.task, rollouts, is_headline=not correction.is_trusted)
-    front = {} if correction.is_trusted else {SIMULATOR: simulated}
-    last = {} if target is None else {"target (continuous)": SimulatorRow(target, rollouts)}
+        others[LINEAR] = partial(learned_row, LinearModel(simulator.task, numbered), plain_status)
+    others |= sampling_rows(sampling, numbered, simulator.task.n_actions, steps, discount) | {SIMULATOR: simulated_row}
+    last: dict[str, Row] = {}
+    if target is not None:
+        last["target (continuous)"] = lambda policy: describe_simulated(rollouts.value(target, policy))
     change = difference(correction.plain if correction.fit is not None and not correction.steps else correction.learned)
-    first = tuple(filter(None, (correction.advice, correction.reason, change)))
-    said = [*left_out, *said, *filter(None, [rewards_contradict(given.task, numbered)])]
+    first = tuple(filter(None, (advice(correction, history == "auto"), correction.reason, change)))
+    caveat = "" if correction.is_trusted else f"No correction can be trusted, because {correction.status}."
+    messages = [*left_out, *messages, *filter(None, [rewards_contradict(simulator.task, numbered)])]
     if cells is None:
-        rows = front | learned | others | {SIMULATOR: simulated} | last
-        about = {"simulator": f"{given.name}, without cells", "log": repr(log), **facts}
-        uncertainty = Uncertainty(distance=first, caveat=correction.warning)
-        return _report_rows(functions, rows, said, uncertainty, steps, discount, facts=about, **options)
-    by_table = {table.tobytes(): functions[name] for name, table in tables.items()}
+        about = {"simulator": f"{simulator.name}, without cells", "log": repr(log), **facts}
+        uncertainty = Uncertainty(distance=first, caveat=caveat)
+        return _report_rows(functions, rows | others | last, messages, uncertainty, steps, discount, about, **options)
+    function_of = {table.tobytes(): functions[name] for name, table in tables.items()}
 
     def evaluate_table(row: Row, problem: Problem, table: Array, *, seed: Seed = None) -> Estimate:
-        return row(by_table[np.asarray(table).tobytes()])
+        return row(function_of[np.asarray(table).tobytes()])
 
-    def make_table_rows(rows: Mapping[str, Row]) -> dict[str, Estimator]:
+    def on_tables(rows: Mapping[str, Row]) -> dict[str, Estimator]:
+        """Rows as estimators, of policies that are known by their tables on the cells."""
         return {name: partial(evaluate_table, row) for name, row in rows.items()}
 
-    def simulate_value(table: Array) -> MonteCarlo:
-        return simulated.value(by_table[np.asarray(table).tobytes()])
+    def simulate_table(table: Array) -> MonteCarlo:
+        return simulate(function_of[np.asarray(table).tobytes()])
 
-    every = make_table_rows(front | learned)
+    every = on_tables(rows)
     if wants_oee and kind != "none":
-        every["oee (calibrated)"] = cells.calibrated(simulate_value, numbered, kind, scale)
+        every["oee (calibrated)"] = cells.calibrated(simulate_table, numbered, kind, scale)
     finite = {name: estimator for name, estimator in wanted.items() if name not in sampling}
-    every |= make_table_rows(others | {SIMULATOR: simulated}) | cells.others(finite) | make_table_rows(last)
+    every |= on_tables(others) | cells.others(finite) | on_tables(last)
     report = evaluate(cells.problem, tables, estimators=every, facts=cells.facts | facts, **options)
-    said.append(name_loss(cells.model, simulate_value, tables, steps))
+    messages.append(name_loss(cells.model, simulate_table, tables, steps))
     uncertainty = replace(
         report.uncertainty,
         next=add_features(report.uncertainty.next, cells.model),
         distance=(*first, *report.uncertainty.distance),
-        caveat=correction.warning,
+        caveat=caveat,
     )
-    told = tuple(add_features(text, cells.model) for text in (*report.warnings, *said))
-    return replace(report, warnings=told, uncertainty=uncertainty)
+    texts = tuple(add_features(text, cells.model) for text in (*report.warnings, *messages))
+    return replace(report, warnings=texts, uncertainty=uncertainty)
 
 
 def _number_actions(
@@ -218,60 +228,36 @@ def _number_actions(
     return ContinuousTransitions(**columns)
 
 
-def _names(given: object, argument: str) -> list[str]:
+def _names(names: object, argument: str) -> list[str]:
     """Names, at least one."""
-    names = [_checks.instance(name, str, argument, "names") for name in _checks.collection(given, argument, "names")]
-    if not names:
+    checked = [_checks.instance(name, str, argument, "names") for name in _checks.collection(names, argument, "names")]
+    if not checked:
         raise ValueError(f"{argument} must hold at least one name; it is empty")
-    return names
+    return checked
 
 
 def _choose_estimators(
     names: list[str] | None, log: ContinuousTransitions, *, has_cells: bool
 ) -> tuple[dict[str, Estimator], list[str]]:
     """Estimators by name, those of finite problems only where there are cells, and a sentence on the others."""
-    if names is not None:
-        found = named_estimators(names)
-    else:
+    if names is None:
         is_weighted = all(column is not None for column in (log.reward, log.episode, log.behavior_probability))
-        finite = ["simulator", "model-based"] * has_cells
-        found = named_estimators(["oee", *finite, *(["pdis", "wpdis"] * is_weighted)])
-    if has_cells:
-        return found, []
-    kept: dict[str, Estimator] = {
-        name: e for name, e in found.items() if isinstance(e, ImportanceSampling | Simulator) or e == OffEnvironment()
-    }
-    gone = [name for name in found if name not in kept]
+        names = ["oee", *["simulator", "model-based"] * has_cells, *["pdis", "wpdis"] * is_weighted]
+    estimators, kinds = named_estimators(names), (ImportanceSampling, Simulator)
+    gone = [name for name, e in estimators.items() if not (has_cells or isinstance(e, kinds) or e == OffEnvironment())]
     sentence = f"{', '.join(gone)} {'is' if len(gone) == 1 else 'are'} left out: they need cells."
-    return kept, [sentence] * bool(gone)
-
-
-def _refuse_other_signs(row: Row, paid: tuple[float, float], horizon: int, scale: float) -> Row:
-    """No value of another sign than the rewards ``paid``, of the log and of the simulator's own steps from there, have."""
-    low, high = (0.0 if paid[0] >= 0.0 else -np.inf), (0.0 if paid[1] <= 0.0 else np.inf)
-    return lambda policy: refuse_impossible(row(policy), low, high, horizon, scale)
-
-
-def _residual_rows(correction: Correction, rollouts: Rollouts) -> dict[str, Row]:
-    """The chosen correction, and the simulator's own without history where that is another."""
-    rows: dict[str, Row] = {}
-    if correction.learned is not correction.plain:
-        row = ResidualRow(correction.learned, rollouts, correction.status)
-        rows[correction.name] = row
-        if correction.steps:
-            rows[correction.name] = lambda policy: row(correction.whole.policy(policy))
-    return rows | {"oee (residual)": ResidualRow(correction.plain, rollouts, correction.plain_status)}
+    return {name: e for name, e in estimators.items() if name not in gone}, [sentence] * bool(gone)
 
 
 def _report_rows(
     policies: Mapping[str, StatePolicy],
     rows: Mapping[str, Row],
-    said: Sequence[str],
+    messages: Sequence[str],
     uncertainty: Uncertainty,
     horizon: int,
     discount: float,
-    *,
     facts: Mapping[str, Any],
+    *,
     seed: Seed = None,
     confidence: float = 0.95,
     normalized: bool = False,
@@ -291,5 +277,5 @@ def _report_rows(
         for label, row in rows.items():
             _progress.report_step(f"{label} of “{name}”")
             results.append(Result(name, label, choose_interval(row(policy), None, level, scale)))
-    warned, notes = number_notes(results, [*group_findings(results), *((sentence, []) for sentence in said)])
-    return Report(tuple(results), {}, warned, notes, level, normalized, discount, horizon, seed, facts, uncertainty)
+    texts, notes = number_notes(results, [*group_findings(results), *((message, []) for message in messages)])
+    return Report(tuple(results), {}, texts, notes, level, normalized, discount, horizon, seed, facts, uncertainty)

@@ -8,15 +8,16 @@ residuals cannot carry that, and every value that takes the state to be Markov i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.neighbors import Neighbors
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, StatePolicy, require_log_of
 
 FOLDS = 4
@@ -55,13 +56,11 @@ class HistoryTask(DerivedTask):
     """
 
     def __init__(self, task: ContinuousTask, steps: int = 1) -> None:
-        steps = 0 if steps is not False and steps == 0 else _checks.positive_integer(steps, "steps")
+        self.steps = steps = 0 if steps is not False and steps == 0 else _checks.positive_integer(steps, "steps")
         about = "action" if steps == 1 else f"{steps} actions"
         super().__init__(_checks.instance(task, ContinuousTask, "task"), f"{task.name} with its last {about}")
-        numbers = range(task.n_actions)
-        last = tuple(f"last_action_{a}" for a in numbers if steps)
-        last += tuple(f"action_{a}_{k}_steps_ago" for k in range(2, steps + 1) for a in numbers)
-        self.steps, self.n_remembered = steps, len(last)
+        names = ["last_action_{}", *(f"action_{{}}_{k}_steps_ago" for k in range(2, steps + 1))][:steps]
+        last = tuple(name.format(a) for name in names for a in range(task.n_actions))
         self.state_names, self.feature_names = task.state_names + last, task.feature_names + last
         self.feature_low = freeze(np.concatenate([task.feature_low, np.zeros(len(last))]))
         self.feature_high = freeze(np.concatenate([task.feature_high, np.ones(len(last))]))
@@ -79,69 +78,65 @@ class HistoryTask(DerivedTask):
             )
         codes = np.vstack([np.eye(self.n_actions), np.zeros(self.n_actions)])  # the last: no action
         last = codes[np.where(earlier >= 0, actions[earlier], -1)].reshape(len(log), -1)
-        columns = log.columns()
-        columns["state"] = np.column_stack([log.state, last])
-        columns["next_state"] = self._append(columns["state"], actions, log.next_state)
-        return ContinuousTransitions(**columns)
+        states = np.column_stack([log.state, last])
+        columns = {"state": states, "next_state": self._append_action(states, actions, log.next_state)}
+        return ContinuousTransitions(**(log.columns() | columns))
 
     def policy(self, policy: StatePolicy) -> StatePolicy:
         """A policy of the task's own states as one of these."""
         _checks.function(policy, "policy")
         return lambda states: policy(states[:, : self.task.n_state])
 
-    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """The task's, and the action taken."""
-        return self._remember(states, actions, self.task.moves(self.own(states), actions, disturbance))
-
-    def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
-        """The task's, and the action taken."""
-        return self._remember(states, actions, self.task.step(self.own(states), actions, rng))
-
-    def _remember(self, states: Array, actions: IntArray, moved: Moves) -> Moves:
-        return Moves(self._append(states, actions, moved.next_state), moved.reward, moved.terminated)
-
     def own(self, states: Array) -> Array:
         """Without the last actions."""
         return np.ascontiguousarray(states[:, : self.task.n_state])
 
-    def _append(self, states: Array, actions: IntArray, following: Array) -> Array:
-        last = np.column_stack([np.eye(self.n_actions)[actions], states[:, self.task.n_state :]])
-        return np.column_stack([following, last[:, : self.steps * self.n_actions]])
+    def _last(self, states: Array) -> Array:
+        """(n, steps A) the last actions in states, or in features."""
+        return states[:, states.shape[1] - self.steps * self.n_actions :]
 
-    def past_displacements(self, states: Array, actions: IntArray) -> Array:
-        """(n, steps d) f(s, b) - s under each of the last actions b; under the present one where there was none."""
-        own, past = self.own(states), self._codes(states)
+    def _append_action(self, states: Array, actions: IntArray, next_states: Array) -> Array:
+        last = np.column_stack([np.eye(self.n_actions)[actions], self._last(states)])
+        return np.column_stack([next_states, last[:, : self.steps * self.n_actions]])
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """The task's, and the action taken."""
+        moved = self.task.moves(self.own(states), actions, disturbance)
+        return replace(moved, next_state=self._append_action(states, actions, moved.next_state))
+
+    def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
+        """The task's, and the action taken."""
+        moved = self.task.step(self.own(states), actions, rng)
+        return replace(moved, next_state=self._append_action(states, actions, moved.next_state))
+
+    def displacements(self, states: Array, actions: IntArray, next_states: Array) -> list[Array]:
+        """The task's, and f(s, b) - s under each of the last actions b; under the present one where there was none."""
+        own, past = self.own(states), self._last(states).reshape(len(states), self.steps, self.n_actions)
         numbers = np.where(past.any(axis=2), past.argmax(axis=2), np.asarray(actions)[:, None])
-        none = np.zeros((len(own), self.task.n_disturbances))
-        return np.column_stack([self.task.moves(own, b, none).next_state - own for b in numbers.T] or [own[:, :0]])
-
-    def _codes(self, states: Array) -> Array:
-        return states[:, self.task.n_state :].reshape(len(states), self.steps, self.n_actions)
+        earlier = [self.task.noiseless_step(own, b).next_state - own for b in numbers.T]
+        return self.task.displacements(own, actions, self.own(next_states)) + earlier
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """The task's, without a last action."""
-        return self._append_nothing(super().initial_states(n, rng))
+        return np.pad(self.task.initial_states(n, rng), ((0, 0), (0, self.steps * self.n_actions)))
 
     def initial_points(self) -> tuple[Array, Array]:
         """The task's, without a last action."""
-        points, weights = super().initial_points()
-        return self._append_nothing(points), weights
-
-    def _append_nothing(self, states: Array) -> Array:
-        return np.pad(states, ((0, 0), (0, self.n_remembered)))
+        points, weights = self.task.initial_points()
+        return np.pad(points, ((0, 0), (0, self.steps * self.n_actions))), weights
 
     def features(self, states: Array) -> Array:
         """The task's, and the last actions."""
-        return np.column_stack([super().features(states), states[:, self.task.n_state :]])
+        return np.column_stack([self.task.features(self.own(states)), self._last(states)])
 
     def smooth(self, states: Array) -> Array:
         """The task's, and which of the last actions there were."""
-        return np.column_stack([super().smooth(states), self._codes(states).any(axis=2)])
+        last = self._last(states).reshape(len(states), self.steps, self.n_actions)
+        return np.column_stack([self.task.smooth(self.own(states)), last.any(axis=2)])
 
     def embed(self, features: Array) -> Array:
         """The task's, and the last actions."""
-        k = len(self.task.feature_names)
-        return np.column_stack([super().embed(features[:, :k]), features[:, k:]])
+        return np.column_stack([self.task.embed(features[:, : len(self.task.feature_names)]), self._last(features)])
 
     def parameters(self) -> dict[str, Any]:
         """The task's."""
@@ -164,11 +159,10 @@ def earlier_rows(log: ContinuousTransitions, steps: int) -> IntArray:
     before, after = consecutive(log)
     last = np.full(len(log) + 1, -1)  # the last entry is that of no row
     last[after] = before
-    found = np.empty((len(log), steps + 1), dtype=np.int64)
-    found[:, 0] = np.arange(len(log))
-    for k in range(steps):
-        found[:, k + 1] = last[found[:, k]]
-    return found[:, 1:]
+    rows = [np.arange(len(log))]
+    for _ in range(steps):
+        rows.append(last[rows[-1]])
+    return np.stack(rows, axis=1)[:, 1:]
 
 
 @dataclass(frozen=True)
@@ -180,19 +174,14 @@ class HistoryEffect:
     r_squared : share of its mean square that all of the last five explain, on episodes that the regression was not fitted to
     lag, of : the step back, and "action" or "residual", that alone explains most
     lag_r_squared : how much that is
-    size : root mean square of the residuals that were looked at, rows far from the others at most ``CLIP`` of it
+    part : root mean square of what they explain, of rows far from the others at most ``CLIP`` root mean squares
     """
 
     r_squared: float = 0.0
     lag: int = 1
     of: str = "action"
     lag_r_squared: float = 0.0
-    size: float = 0.0
-
-    @property
-    def part(self) -> float:
-        """Root mean square of what is explained, among the rows that were looked at."""
-        return float(self.r_squared**0.5 * self.size)
+    part: float = 0.0
 
 
 def history_effects(
@@ -211,70 +200,57 @@ def history_effects(
     best = [HistoryEffect() for _ in residuals.T]
     if len(rows) < MIN_ROWS:
         return best
-    acted = _earlier_actions(task, log.state[rows], actions, rows, earlier[rows])
-    for usable, has_residuals in ((is_smooth, True), (is_free, False)):
-        some = usable[rows]
-        used = rows[some]
+    codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])  # the last: no action
+    own, acted = task.noiseless_step(log.state[rows], actions[rows]).next_state, []
+    for back in earlier[rows].T:  # which action was taken then, and where the simulator would go under it now
+        then = np.where(back >= 0, actions[back], actions[rows])
+        other = task.noiseless_step(log.state[rows], then).next_state - own
+        scale = other.std(axis=0)
+        acted.append(np.column_stack([codes[back], other[:, scale > 0] / scale[scale > 0]]))
+    for is_usable, has_residuals in ((is_smooth, True), (is_free, False)):
+        used = rows[is_usable[rows]]
         if len(used) < MIN_ROWS:
             continue
-        unit = np.sqrt((residuals[usable] ** 2).mean(axis=0))
-        y = np.clip(residuals / np.where(unit > 0, unit, 1.0), -CLIP, CLIP) * usable[:, None]
-        blocks = {(k, "action"): block[some] for k, block in enumerate(acted, start=1)}
+        unit = np.sqrt((residuals[is_usable] ** 2).mean(axis=0))
+        y = np.clip(residuals / np.where(unit > 0, unit, 1.0), -CLIP, CLIP) * is_usable[:, None]
+        blocks = {(k, "action"): block[is_usable[rows]] for k, block in enumerate(acted, start=1)}
         if has_residuals:
             padded = np.vstack([y, np.zeros(y.shape[1])])  # -1 is no row
             blocks |= {(k, "residual"): padded[back] for k, back in enumerate(earlier[used].T, start=1)}
-        near = _mean_near(task, log.state, actions, y, usable, group)[used]
-        x, target, fold = np.column_stack([np.eye(task.n_actions)[actions[used]], near]), y[used], group[used] % FOLDS
-        plain = _errors_held_out(x, target, fold)
+        near = _mean_near(task, log.state, actions, y, is_usable, group)[used]
+        x, target, fold = np.column_stack([codes[used], near]), y[used], group[used] % FOLDS
+        plain = _errors_held_out([x], target, fold)
         total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
-        gained = plain - _errors_held_out(np.column_stack([x, *blocks.values()]), target, fold)
-        whole = gained.sum(axis=0) / total
+        gained = plain - _errors_held_out([x, *blocks.values()], target, fold)
         shares = {
-            key: (plain - _errors_held_out(np.column_stack([x, block]), target, fold)).sum(axis=0) / total
+            key: (plain - _errors_held_out([x, block], target, fold)).sum(axis=0) / total
             for key, block in blocks.items()
         }
+        whole, size = gained.sum(axis=0) / total, unit * np.sqrt((target**2).mean(axis=0))
         is_sure = gained.sum(axis=0) > SURE * len(used) ** 0.5 * gained.std(axis=0)
-        size = unit * np.sqrt((target**2).mean(axis=0))
         is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
         for k in np.flatnonzero(is_sure & is_large & (whole > [effect.r_squared for effect in best])):
-            (lag, kind), alone = max(shares.items(), key=lambda item: item[1][k])
-            best[k] = HistoryEffect(float(whole[k]), lag, kind, float(alone[k]), float(size[k]))
+            (lag, kind), share = max(shares.items(), key=lambda item: item[1][k])
+            best[k] = HistoryEffect(float(whole[k]), lag, kind, float(share[k]), float(whole[k] ** 0.5 * size[k]))
     return best
 
 
-def _earlier_actions(
-    task: ContinuousTask, states: Array, actions: IntArray, rows: IntArray, earlier: IntArray
-) -> list[Array]:
-    """For each lag which action was taken then, and where the simulator would go under it now."""
-    codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])
-    none = np.zeros((len(rows), task.n_disturbances))
-    own, found = task.moves(states, actions[rows], none).next_state, []
-    for back in earlier.T:
-        other = task.moves(states, np.where(back >= 0, actions[back], actions[rows]), none).next_state - own
-        scale = other.std(axis=0)
-        found.append(np.column_stack([codes[back], other[:, scale > 0] / scale[scale > 0]]))
-    return found
-
-
 def _mean_near(
-    task: ContinuousTask, states: Array, actions: IntArray, y: Array, usable: BoolArray, group: IntArray
+    task: ContinuousTask, states: Array, actions: IntArray, y: Array, is_usable: BoolArray, group: IntArray
 ) -> Array:
     """(n, k) mean of the nearest rows of the same action in other folds: what (s, a) explains, however rough."""
-    places = task.smooth(states)
-    places = places / np.maximum(places.std(axis=0), 1e-300)
-    found, fold = np.zeros_like(y), group % FOLDS
-    for a in np.unique(actions):
-        for f in range(FOLDS):
-            here = np.flatnonzero((actions == a) & (fold == f))
-            there = np.flatnonzero((actions == a) & (fold != f) & usable)
-            if len(here) and len(there) >= N_NEIGHBORS:
-                found[here] = y[there[cKDTree(places[there]).query(places[here], k=N_NEIGHBORS)[1]]].mean(axis=1)
-    return found
+    neighbors, mean, fold = Neighbors(task, states), np.zeros_like(y), group % FOLDS
+    for a, f in itertools.product(np.unique(actions), range(FOLDS)):
+        here = np.flatnonzero((actions == a) & (fold == f))
+        there = np.flatnonzero((actions == a) & (fold != f) & is_usable)
+        if len(here) and len(there) >= N_NEIGHBORS:
+            mean[here] = y[neighbors.find(states[here], there, N_NEIGHBORS, key=(a, f))].mean(axis=1)
+    return mean
 
 
-def _errors_held_out(x: Array, y: Array, fold: IntArray) -> Array:
+def _errors_held_out(inputs: list[Array], y: Array, fold: IntArray) -> Array:
     """(n, k) squared errors of a linear regression, each row's by the fit to the other folds."""
-    errors = np.empty_like(y)
+    x, errors = np.column_stack(inputs), np.empty_like(y)
     for f in range(FOLDS):
         inside, outside = fold == f, fold != f
         gram = x[outside].T @ x[outside]

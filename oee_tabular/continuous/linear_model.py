@@ -18,9 +18,11 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.regression import draw_groups
+from oee_tabular.continuous.scatter import draw_rows
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest
 
-GROUPS = 40  # of whole episodes, for resampling
+N_GROUPS = 40  # of whole episodes, for resampling
 
 
 class LinearModel(DerivedTask):
@@ -59,42 +61,35 @@ class LinearModel(DerivedTask):
         super().__init__(_checks.instance(task, ContinuousTask, "task"), f"linear model of a log of {task.name}")
         require_log_of(task, log)
         self.n_disturbances = 1
-        self._actions = log.action_numbers(task.actions)
-        self._periods = find_periods(task, log.next_state)
-        self._x, self._y = self._inputs(log.state), shortest(log.next_state - log.state, self._periods)
-        turns = self._periods > 0  # an angle may go round
-        self._low = np.where(turns, -np.inf, log.next_state.min(axis=0))
-        self._high = np.where(turns, np.inf, log.next_state.max(axis=0))
-        self._group = np.arange(len(log)) * min(GROUPS, len(log)) // len(log)  # none of them empty
-        if log.episode is not None and len(np.unique(log.episode)) >= GROUPS:
-            self._group = np.unique(log.episode, return_inverse=True)[1] % GROUPS
+        self._actions, periods = log.action_numbers(task.actions), find_periods(task, log.next_state)
+        self._x, self._y = self._inputs(log.state), shortest(log.next_state - log.state, periods)
+        low, high = log.next_state.min(axis=0), log.next_state.max(axis=0)
+        self._limits = np.where(periods > 0, [[-np.inf], [np.inf]], [low, high])  # an angle may go round
+        self._group = np.arange(len(log)) * min(N_GROUPS, len(log)) // len(log)  # none of them empty
+        if log.episode is not None and len(np.unique(log.episode)) >= N_GROUPS:
+            self._group = np.unique(log.episode, return_inverse=True)[1] % N_GROUPS
         self._fit(np.ones(len(log)))
 
     def _inputs(self, states: Array) -> Array:
         return np.column_stack([np.ones(len(states)), self.task.smooth(states)])
 
     def _fit(self, weights: Array) -> None:
-        """Least squares with these weights of the rows, and whose residuals are drawn how often."""
-        every = np.arange(len(weights))
-        pooled = self._solve(every, weights)
-        self.coefficients = np.repeat(pooled[None], self.n_actions, axis=0)
-        self._pools = [(every, np.cumsum(weights))] * self.n_actions
+        """Least squares with these weights of the rows, by which residuals are drawn."""
+        self.coefficients = np.empty((self.n_actions, self._x.shape[1], self._y.shape[1]))
+        self._pools = []
         for a in range(self.n_actions):
             rows = np.flatnonzero((self._actions == a) & (weights > 0))
-            if len(rows) > self._x.shape[1]:
-                self.coefficients[a], self._pools[a] = self._solve(rows, weights), (rows, np.cumsum(weights[rows]))
+            if len(rows) <= self._x.shape[1]:
+                rows = np.arange(len(weights))
+            root = np.sqrt(weights[rows])[:, None]
+            self.coefficients[a] = np.linalg.lstsq(root * self._x[rows], root * self._y[rows])[0]
+            self._pools.append((rows, np.cumsum(weights[rows])))
         self.residuals = self._y - np.einsum("np,npk->nk", self._x, self.coefficients[self._actions])
-
-    def _solve(self, rows: IntArray, weights: Array) -> Array:
-        root = np.sqrt(weights[rows])[:, None]
-        return np.asarray(np.linalg.lstsq(root * self._x[rows], root * self._y[rows])[0])
 
     def resampled(self, seed: Any = None) -> LinearModel:
         """The same of a bootstrap's log: groups of whole episodes drawn with replacement."""
-        n_groups = int(self._group.max()) + 1
-        weights = np.bincount(_checks.generator(seed).integers(n_groups, size=n_groups), minlength=n_groups)
         again = copy.copy(self)
-        again._fit(weights[self._group].astype(np.float64))
+        again._fit(draw_groups(int(self._group.max()) + 1, seed)[self._group])
         return again
 
     @one_thread
@@ -104,15 +99,12 @@ class LinearModel(DerivedTask):
         following = np.array(states, dtype=np.float64)
         for a in np.unique(actions):
             at = np.flatnonzero(actions == a)
-            rows, running = self._pools[a]
-            drawn = rows[np.minimum(np.searchsorted(running, uniform[at] * running[-1], side="right"), len(rows) - 1)]
-            following[at] += x[at] @ self.coefficients[a] + self.residuals[drawn]
-        following = np.clip(following, self._low, self._high)
-        over = self.task.terminated(following) if self.terminates else np.zeros(len(states), dtype=np.bool_)
-        paid = self.task.reward_between(states, actions, following)
-        if paid is None:
-            paid = self.task.moves(states, actions, np.zeros((len(states), self.task.n_disturbances))).reward
-        return Moves(following, paid, over)
+            following[at] += x[at] @ self.coefficients[a] + self.residuals[draw_rows(self._pools[a], uniform[at])]
+        following = np.clip(following, *self._limits)
+        reward = self.task.reward_between(states, actions, following)
+        if reward is None:
+            reward = self.task.noiseless_step(states, actions).reward
+        return Moves(following, reward, self.task.terminated(following) & self.terminates)
 
     def parameters(self) -> dict[str, Any]:
         """The task's, and how many transitions the model is fitted to."""

@@ -60,17 +60,15 @@ class VectorFormat(Format):
                 parts.setdefault(match[1], {})[int(match[2])] = column
             else:
                 columns[label] = column
-        for vector, found in parts.items():
+        for vector, part in parts.items():
             if vector in columns:
                 raise ValueError(f"{name!r} must have either {vector} or {vector}_0, ...; it has both")
-            if max(found) >= len(found):
-                missing = next(k for k in range(len(found)) if k not in found)
-                last = f"{vector}_{max(found)}"
-                raise ValueError(
-                    f"{name!r} must have every column from {vector}_0 to {last}; {vector}_{missing} is missing"
-                )
+            missing = next((k for k in range(len(part)) if k not in part), None)
+            if missing is not None:
+                text = f"every column from {vector}_0 to {vector}_{max(part)}; {vector}_{missing} is missing"
+                raise ValueError(f"{name!r} must have {text}")
             with _files.parts_of(name, f"{vector}_0, ..."):  # columns of kinds that have nothing in common
-                columns[vector] = np.stack([found[k] for k in range(len(found))], axis=1)
+                columns[vector] = np.stack([part[k] for k in range(len(part))], axis=1)
         if columns["state"].ndim == 1:
             raise ValueError(
                 f"{name!r} must have the columns state_0, ..., next_state_0, ...; it has one column state: a log of numbered "
@@ -80,15 +78,15 @@ class VectorFormat(Format):
 
     def require(self, labels: Iterable[str], name: str) -> None:
         """The three of a move, whole or by their coordinates."""
-        given = list(labels)
-        whole = [label for label in given if label in COLUMNS]
-        whole += [match[1] for match in map(NUMBERED.fullmatch, given) if match]
+        labels = list(labels)
+        whole = [label for label in labels if label in COLUMNS]
+        whole += [match[1] for match in map(NUMBERED.fullmatch, labels) if match]
         absent = [column for column in self.required if column not in whole]
         if absent:
             raise ValueError(
                 f"{name!r} must have the columns state_0, ..., next_state_0, ... and action (or action_0, ...); it has no "
-                f"{', no '.join(absent)}, only {_checks.escape_controls(', '.join(given[:1000])[:300]) or 'nothing'}"
-                + suggest_columns(("state_0", "next_state_0", *self.required), given)
+                f"{', no '.join(absent)}, only {_checks.escape_controls(', '.join(labels[:1000])[:300]) or 'nothing'}"
+                + suggest_columns(("state_0", "next_state_0", *self.required), labels)
             )
 
     def check_episode(self, observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:
@@ -215,28 +213,31 @@ class ContinuousTransitions(LogColumns):
             raise ValueError(
                 f"log.action must have the {table.shape[1]} coordinates of the task's actions; it has {self.action.shape[1]}"
             )
-        distance = np.linalg.norm(self.action[:, None, :] - table[None], axis=2)
-        nearest = distance.argmin(axis=1)
-        away = distance[np.arange(len(self)), nearest]
-        off = np.flatnonzero(away > 1e-6 * (1.0 + np.abs(table).max()))
-        if off.size:
-            worst = int(away.argmax())
-            found = (
-                f"{off.size} of {len(self)} rows are none of them; the farthest, row {worst}, is "
-                f"{self.action[worst].tolist()}, {away[worst]:.3g} from {table[nearest[worst]].tolist()}"
+        distances = np.linalg.norm(self.action[:, None, :] - table[None], axis=2)
+        nearest, distance = distances.argmin(axis=1), distances.min(axis=1)
+        n_off, worst = int((distance > 1e-6 * (1.0 + np.abs(table).max())).sum()), int(distance.argmax())
+        if n_off == 0:
+            return np.asarray(nearest, dtype=np.int64)
+        about = f"the task's {len(table)} actions"
+        which = (
+            f"{n_off} of {len(self)} rows are none of them; the farthest, row {worst}, is {self.action[worst].tolist()}, "
+            f"{distance[worst]:.3g} from {table[nearest[worst]].tolist()}"
+        )
+        if strict:
+            raise ValueError(f"log.action must be one of {about}; {which}")
+        gaps = [np.diff(np.unique(column)).max(initial=0.0) for column in table.T]
+        if (
+            0.0 < 0.5 * float(np.linalg.norm(gaps)) * (1.0 + 1e-9) < distance[worst]
+        ):  # of a single action there are none
+            raise ValueError(
+                f"log.action must lie among {about}, no farther off than half of what they are apart; {which}. Name actions "
+                "that reach as far (tasks.GymnasiumTask(actions=), --task-option actions=)"
             )
-            if strict:
-                raise ValueError(f"log.action must be one of the task's {len(table)} actions; {found}")
-            if away[worst] > _half_apart(table):
-                raise ValueError(
-                    f"log.action must lie among the task's {len(table)} actions, no farther off than half of what they are "
-                    f"apart; {found}. Name actions that reach as far (tasks.GymnasiumTask(actions=), --task-option actions=)"
-                )
-            warnings.warn(
-                f"log.action is moved to the nearest of the task's {len(table)} actions: {found}. More actions "
-                "(tasks.GymnasiumTask(actions=), --task-option actions=) move it less",
-                stacklevel=3,
-            )
+        warnings.warn(
+            f"log.action is moved to the nearest of {about}: {which}. More actions (tasks.GymnasiumTask(actions=), "
+            "--task-option actions=) move it less",
+            stacklevel=3,
+        )
         return np.asarray(nearest, dtype=np.int64)
 
 
@@ -249,13 +250,6 @@ def _vectors(value: object, name: str) -> Array:
         raise ValueError(f"{name} must have at least one row; the log is empty")
     _checks.require_finite(array, name)
     return array
-
-
-def _half_apart(table: Array) -> float:
-    """Half the diagonal of the widest gaps between the levels of actions (A, k); inf of a single one."""
-    gaps = [np.diff(np.unique(column)) for column in table.T]
-    widest = [float(gap.max()) for gap in gaps if len(gap)]
-    return 0.5 * float(np.hypot.reduce(widest)) * (1.0 + 1e-9) if widest else np.inf
 
 
 def _actions(value: object) -> NDArray[Any]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import difflib
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -62,11 +61,11 @@ class ParameterFit:
 
     def describe(self) -> str:
         """Each parameter with its standard error, and which of them stand at a bound or are not determined."""
-        told = ", ".join(
+        values = ", ".join(
             f"{name} {value:.4g} (standard error {self.standard_error[name]:.2g}; the simulator has {self.start[name]:.4g})"
             for name, value in self.parameters.items()
         )
-        text = f"Least squares gives {told}."
+        text = f"Least squares gives {values}."
         if self.at_bounds:
             text += f" The fit stopped at a bound of {', '.join(self.at_bounds)}."
         if unknown := [name for name, error in self.standard_error.items() if not np.isfinite(error)]:
@@ -117,40 +116,38 @@ def fit_parameters(
         raise ValueError(f"start must map names of parameters to numbers; got {_checks.show(start)}")
     names = list(start)
     x0 = np.array([_checks.number_in(start[name], f"start[{name!r}]", -np.inf, np.inf) for name in names])
-    low, high = _limits(names, x0, {} if bounds is None else bounds)
-    first = _checks.instance(task_of(**dict(zip(names, x0.tolist(), strict=True))), ContinuousTask, "task_of(**start)")
+    limits = _limits(names, x0, {} if bounds is None else bounds)
+
+    def by_name(x: Array) -> dict[str, float]:
+        return dict(zip(names, x.tolist(), strict=True))
+
+    first = _checks.instance(task_of(**by_name(x0)), ContinuousTask, "task_of(**start)")
     require_log_of(first, log)
-    actions = log.action_numbers(first.actions)
-    most = MAX_ROWS if first.steps_at_once else MAX_SLOW_ROWS
-    rows = np.arange(len(log))[:: -(-len(log) // most)]
-    periods = find_periods(first, log.next_state)
+    actions, periods = log.action_numbers(first.actions), find_periods(first, log.next_state)
+    step = -(-len(log) // (MAX_ROWS if first.steps_at_once else MAX_SLOW_ROWS))
     moved = shortest(log.next_state - log.state, periods).std(axis=0)
-    scale = np.where(moved > 0, moved, 1.0)
 
-    def name_all(x: Array) -> dict[str, float]:
-        return dict(zip(names, np.asarray(x).tolist(), strict=True))
+    def errors(task: ContinuousTask, step: int) -> Array:
+        own = task.noiseless_step(log.state[::step], actions[::step]).next_state
+        return shortest(log.next_state[::step] - own, periods)
 
-    def errors(task: ContinuousTask, some: Any) -> Array:
-        none = np.zeros((len(log.state[some]), task.n_disturbances))
-        return shortest(log.next_state[some] - task.moves(log.state[some], actions[some], none).next_state, periods)
-
-    def scaled(x: Array) -> Array:
-        return (errors(task_of(**name_all(x)), rows) / scale).ravel()
+    def scaled_errors(x: Array) -> Array:
+        return (errors(task_of(**by_name(x)), step) / np.where(moved > 0, moved, 1.0)).ravel()
 
     x, size = x0, np.where(x0 != 0, np.abs(x0), 1.0)
     for _ in range(3):  # the scale of the errors falls as the fit improves
-        left = np.abs(scaled(x))
+        left = np.abs(scaled_errors(x))
         c = max(float(np.median(left[left > 0])) if (left > 0).any() else 0.0, FLOOR)
-        found = least_squares(
-            scaled, x, bounds=(low, high), loss="soft_l1", f_scale=c, x_scale=size, diff_step=DIFFERENCE, max_nfev=50
+        result = least_squares(
+            scaled_errors, x, bounds=limits, loss="soft_l1", f_scale=c, x_scale=size, diff_step=DIFFERENCE, max_nfev=50
         )
-        x = found.x
+        x = result.x
     steps = np.diag(DIFFERENCE * size)
-    jacobian = np.stack([(scaled(x + h) - scaled(x - h)) / (2.0 * h.sum()) for h in steps], axis=1)
-    error = np.maximum(_sandwich(jacobian, scaled(x), c, len(rows)), ROUNDING * size)
-    task = task_of(**name_all(x))
-    at_bounds = tuple(name for name, mask in zip(names, found.active_mask, strict=True) if mask)
-    return ParameterFit(task, name_all(x), name_all(error), errors(task, slice(None)), name_all(x0), at_bounds)
+    jacobian = np.stack([(scaled_errors(x + h) - scaled_errors(x - h)) / (2.0 * h.sum()) for h in steps], axis=1)
+    error = np.maximum(_sandwich(jacobian, scaled_errors(x), c, len(log.state[::step])), ROUNDING * size)
+    task = task_of(**by_name(x))
+    at_bounds = tuple(name for name, mask in zip(names, result.active_mask, strict=True) if mask)
+    return ParameterFit(task, by_name(x), by_name(error), errors(task, 1), by_name(x0), at_bounds)
 
 
 def _limits(names: list[str], x0: Array, bounds: Mapping[str, tuple[float, float]]) -> tuple[Array, Array]:
@@ -169,13 +166,14 @@ def _limits(names: list[str], x0: Array, bounds: Mapping[str, tuple[float, float
 def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
     """(p,) standard errors, diag(H^-1 (sum_i g_i g_i') H^-1)^(1/2), g_i the gradient of row i; inf where H is singular."""
     size = np.sqrt((jacobian**2).sum(axis=0))
-    unit, weight = jacobian / np.where(size > 0, size, 1.0), (1.0 + (residual / c) ** 2) ** -0.5
+    scale = np.where(size > 0, size, 1.0)
+    unit, weight = jacobian / scale, (1.0 + (residual / c) ** 2) ** -0.5
     values, vectors = np.linalg.eigh(unit.T @ (unit * (weight**3)[:, None]))  # weight^3 is rho''
     is_flat = values <= FLAT * values[-1]
     inverse = (vectors[:, ~is_flat] / values[~is_flat]) @ vectors[:, ~is_flat].T
     gradients = (unit * (weight * residual)[:, None]).reshape(n_rows, -1, len(size)).sum(axis=1)
-    found = np.sqrt(((gradients @ inverse) ** 2).sum(axis=0)) / np.where(size > 0, size, 1.0)
-    return np.where((size == 0) | (np.abs(vectors[:, is_flat]) > 1e-3).any(axis=1), np.inf, found)
+    error = np.sqrt(((gradients @ inverse) ** 2).sum(axis=0)) / scale
+    return np.where((size == 0) | (np.abs(vectors[:, is_flat]) > 1e-3).any(axis=1), np.inf, error)
 
 
 def parameters_of(task: ContinuousTask, names: Sequence[str]) -> tuple[Callable[..., ContinuousTask], dict[str, float]]:
@@ -187,7 +185,7 @@ def parameters_of(task: ContinuousTask, names: Sequence[str]) -> tuple[Callable[
         A name that is no number of the task's; the nearest is named.
     """
     family: Any = getattr(task, "family", None)
-    known = family.known() if family is not None else _numbers_of(task)
+    known = _numbers_of(task) if family is None else family.known()
     for name in names:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
@@ -195,7 +193,15 @@ def parameters_of(task: ContinuousTask, names: Sequence[str]) -> tuple[Callable[
             raise ValueError(
                 f"fit must name parameters of {task.name} ({', '.join(known) or 'none'}); got {name!r}{hint}"
             )
-    return (functools.partial(_change, task) if family is None else family), {name: known[name] for name in names}
+
+    def change(**values: float) -> Any:
+        again: Any = copy.copy(task)
+        if dataclasses.is_dataclass(again):
+            return dataclasses.replace(again, **values)  # type: ignore[type-var]
+        vars(again).update(values)
+        return again
+
+    return change if family is None else family, {name: known[name] for name in names}
 
 
 def _numbers_of(task: Any) -> dict[str, float]:
@@ -203,12 +209,3 @@ def _numbers_of(task: Any) -> dict[str, float]:
     names = [f.name for f in dataclasses.fields(task) if f.init] if dataclasses.is_dataclass(task) else vars(task)
     values = {name: getattr(task, name) for name in names if not name.startswith("_")}
     return {name: float(x) for name, x in values.items() if isinstance(x, int | float) and not isinstance(x, bool)}
-
-
-def _change(task: Any, **values: float) -> ContinuousTask:
-    if dataclasses.is_dataclass(task):
-        again: Any = dataclasses.replace(task, **values)  # type: ignore[type-var]
-    else:
-        again = copy.copy(task)
-        vars(again).update(values)
-    return _checks.instance(again, ContinuousTask, "task")

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import linalg
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.continuous import _regression
 from oee_tabular.continuous.task import ContinuousTask
@@ -49,16 +51,13 @@ class Functions:
         moving = np.flatnonzero(scale > 1e-12 * (1.0 + np.abs(centre)))
         z = (raw[:, moving] - centre[moving]) / scale[moving]
         alike = np.abs(z.T @ z) / len(z) > 1.0 - 1e-9
-        self._kept = kept = moving[
-            [not alike[i, :i].any() for i in range(len(moving))]
-        ]  # no multiple of an earlier one
+        is_new = [not alike[i, :i].any() for i in range(len(moving))]  # no multiple of an earlier one
+        self._kept = kept = moving[is_new]
         self._limits = np.stack([raw.min(axis=0)[kept], raw.max(axis=0)[kept], centre[kept], 1.0 / scale[kept]])
         m, n_x = len(kept), int((kept < smooth.shape[1] + n_commands).sum())
-        d = states.shape[
-            1
-        ]  # where no column of x but the state's own is kept, x need not be computed: a tenth of a step
-        beyond = np.setdiff1d(kept, [*range(d), *range(smooth.shape[1], raw.shape[1])])
-        self._is_own = len(beyond) == 0 and np.array_equal(smooth[:, :d], states)
+        d = states.shape[1]  # where x is not needed beyond the state itself it is not computed: a tenth of a step
+        is_beyond = (kept >= d) & (kept < smooth.shape[1])
+        self._is_own = not is_beyond.any() and np.array_equal(smooth[:, :d], states)
         self._places = np.where(kept < d, kept, kept - smooth.shape[1] + d) if self._is_own else kept
         n_waves = FOURIER if m > 0 else 0
         reach = rng.choice([0.25, 0.5, 1.0], size=n_waves) * np.sqrt(2.0 / max(m, 1))
@@ -105,8 +104,8 @@ class Functions:
     def predict(self, states: Array, actions: IntArray, displacement: Array, w: Array, ends: Array) -> Array:
         """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends`` (2, k): compiled, O(n p k)."""
         q = min(w.shape[1], len(self._first))
-        x = states if self._is_own else self._task.smooth(states)
-        x, d = (np.require(each, requirements=["C", "W"]) for each in (x, displacement))  # so that one kernel takes all
+        inputs = states if self._is_own else self._task.smooth(states), displacement
+        x, d = (np.require(each, requirements=["C", "W"]) for each in inputs)  # so that one kernel takes all
         a = np.require(actions, np.int64, ["C", "W"])
         products, waves = (self._first[:q], self._second[:q]), (self._frequencies, self._phases)
         return np.asarray(
@@ -187,9 +186,10 @@ class Grams:
                 for ridge in (RIDGES if len(columns) > 1 else RIDGES[-1:])
             ]
             errors = self.held_out_errors(columns, options, fold, grams)
-            tried += [(name, *option, found) for option, found in zip(options, errors, strict=True)]
+            tried += [(name, *option, error) for option, error in zip(options, errors, strict=True)]
         tried.sort(key=lambda c: (len(self.nested[c[0]]) * (n_actions if c[1] else 1), -c[2]))
-        return [self._choose_for(tried, k) for k in range(self.k)]
+        every = np.array([errors for _, _, _, errors in tried])  # (tried, groups, targets)
+        return [self._choose_for(tried, every[:, :, k], k) for k in range(self.k)]
 
     def held_out_errors(
         self, columns: IntArray, options: list[tuple[bool, float]], fold: IntArray, grams: list[Array]
@@ -209,32 +209,31 @@ class Grams:
                 errors[i, inside] = np.maximum(error, 0.0)
         return errors
 
-    def _choose_for(self, tried: list[tuple[str, bool, float, Array]], target: int) -> Fit:
-        n_groups, of_target = len(self.g), slice(target, target + 1)
-        errors = np.array([held_out[:, target] for _, _, _, held_out in tried])
-        whole = self.g[:, :, self.p + target, self.p + target].sum()
-        beyond = errors - errors[errors.sum(axis=1).argmin()]
-        tolerance = np.sqrt(n_groups) * beyond.std(axis=1) + EQUAL * whole
-        k = int(np.argmax(beyond.sum(axis=1) <= tolerance))
+    def _choose_for(self, tried: list[tuple[str, bool, float, Array]], errors: Array, target: int) -> Fit:
+        """Of the classes that were tried, with ``errors`` (tried, groups), the first that is as good as the best."""
+        n_groups, whole = len(self.g), self.g[:, :, self.p + target, self.p + target].sum()
+        excess = errors - errors[errors.sum(axis=1).argmin()]
+        tolerance = np.sqrt(n_groups) * excess.std(axis=1) + EQUAL * whole
+        k = int(np.argmax(excess.sum(axis=1) <= tolerance))
+        gain = errors[0] - errors[k]  # the first is g = 0
+        error = float(np.sqrt(n_groups) * gain.std())
+        t = float(gain.sum()) / error if error > 0 else (np.inf if gain.sum() > 0 else 0.0)
         name, per_action, ridge, _ = tried[k]
-        columns = self.nested[name]
-        w = self.solve(self.g.sum(axis=0), columns, of_target, ridge, per_action)[:, :, 0]
-        gained = errors[0] - errors[k]  # the first is g = 0
-        error = float(np.sqrt(n_groups) * gained.std())
-        t = float(gained.sum()) / error if error > 0 else (np.inf if gained.sum() > 0 else 0.0)
-        return Fit(name, per_action, ridge, columns, w, float(errors[k].sum()), t)
+        fit = Fit(name, per_action, ridge, self.nested[name], np.empty(0), float(errors[k].sum()), t)
+        return self._refit(fit, target, self.g.sum(axis=0))
+
+    def _refit(self, fit: Fit, target: int, gram: Array) -> Fit:
+        of_target = slice(target, target + 1)
+        w = self.solve(gram, fit.columns, of_target, fit.ridge, fit.per_action)
+        return replace(fit, coefficients=w[:, :, 0])
 
     def refit(self, fits: Sequence[Fit], weights: Array) -> list[Fit]:
         """The same classes fitted to groups with these weights: a bootstrap's."""
         gram = np.tensordot(weights, self.g, axes=1)
-        again = []
-        for k, fit in enumerate(fits):
-            w = self.solve(gram, fit.columns, slice(k, k + 1), fit.ridge, fit.per_action)[:, :, 0]
-            again.append(replace(fit, coefficients=w))
-        return again
+        return [self._refit(fit, k, gram) for k, fit in enumerate(fits)]
 
 
-def groups_of(episode: IntArray | None, n: int, width: int, n_actions: int) -> IntArray:
+def episode_groups(episode: IntArray | None, n: int, width: int, n_actions: int) -> IntArray:
     """(n,) groups of whole episodes (of rows in turn, without episodes), as many as the Gram matrices' memory allows.
 
     At least 8 and at most 40, if there are so many episodes.
@@ -245,3 +244,9 @@ def groups_of(episode: IntArray | None, n: int, width: int, n_actions: int) -> I
         number = np.unique(episode, return_inverse=True)[1].astype(np.int64)
     most = int(np.clip(LARGEST / (8.0 * n_actions * width**2), 8, 40))
     return np.asarray(number % most, dtype=np.int64)
+
+
+def draw_groups(n_groups: int, seed: Any) -> Array:
+    """(n_groups,) how often a bootstrap draws each group, with replacement."""
+    drawn = _checks.generator(seed).integers(n_groups, size=n_groups)
+    return np.bincount(drawn, minlength=n_groups).astype(np.float64)

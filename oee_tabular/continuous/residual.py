@@ -16,29 +16,80 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.coordinate import TRIFLE, Coordinate
 from oee_tabular.continuous.history import HistoryEffect, history_effects
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.regression import Fit, Functions, Grams, groups_of
-from oee_tabular.continuous.scatter import Scatter
+from oee_tabular.continuous.neighbors import Neighbors
+from oee_tabular.continuous.regression import Fit, Functions, Grams, draw_groups, episode_groups
+from oee_tabular.continuous.scatter import Scatter, root_mean_square
 from oee_tabular.continuous.stops import Stops
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest
 from oee_tabular.continuous.units import other_units
 
-APART = 8.0  # robust deviations: such residuals no smooth g should be fitted to
-MOST_APART = 0.2  # share of rows that may be so
-ROUNDS = 3  # of setting them apart and fitting again
-SKEWED = 5.0  # standard errors between the means of two scatters: they are not the same
-SAME = 1e-9  # of a displacement's deviation: rounding
+OUTLYING = 8.0  # robust deviations: such residuals no smooth g should be fitted to
+MAX_OUTLYING = 0.2  # share of rows that may be so
+N_ROUNDS = 3  # of leaving them out and fitting again
+ROUNDING = 1e-9  # of a turn
+SURE = 3.0  # standard errors of what g explains: the target differs
+HIDDEN = 0.1  # share of what is left over that history explains: the state is not all that decides
+SMALL = 0.03  # of a step's own deviation: less is no hidden state to speak of
+ALIKE = 0.05  # share by which two scatters that are the same may differ
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """What a log says of one coordinate of the next state (or of the reward): how the target differs, and is it Markov.
+
+    Attributes
+    ----------
+    name : the coordinate's
+    kind, per_action : the class of functions that g is of, and whether each action has its own coefficients
+    t_statistic : how many standard errors what g explains is from 0
+    simulator_scatter, residual_scatter : root mean squares, of the simulator's own step about f and of s' - f(s, a) in the log
+    left_over : root mean square of s' - f(s, a) - g(s, a)
+    displacement : standard deviation of s' - s in the log (of the reward)
+    explained : share of the residual's mean square, of every row, that g explains on episodes that it was not fitted to
+    scatter : "none" | "simulator" | "log", where the noise about f + g is taken from
+    history : what earlier actions and residuals explain of what is left over
+    """
+
+    name: str
+    kind: str
+    per_action: bool
+    t_statistic: float
+    simulator_scatter: float
+    residual_scatter: float
+    left_over: float
+    displacement: float
+    explained: float
+    scatter: str
+    history: HistoryEffect
+
+    @property
+    def differs(self) -> bool:
+        """Whether the target's step differs from the simulator's: g is surely not zero, or the scatter is another."""
+        is_alike = abs(self.left_over - self.simulator_scatter) <= ALIKE * self.simulator_scatter
+        return self.t_statistic > SURE or (self.scatter == "log" and not is_alike)
+
+    @property
+    def unexplained(self) -> float:
+        """Held-out mean square error of f + g, in units of the displacement's variance."""
+        if self.displacement == 0.0:
+            return 0.0
+        return (1.0 - self.explained) * (self.residual_scatter / self.displacement) ** 2
+
+    @property
+    def hidden(self) -> bool:
+        """Whether something that is not in the state decides: history explains enough of what is left over."""
+        return self.history.r_squared > HIDDEN and self.history.part > SMALL * self.displacement
 
 
 class ResidualSimulator(DerivedTask):
@@ -55,7 +106,6 @@ class ResidualSimulator(DerivedTask):
     coordinates : a ``Coordinate`` for each coordinate of the state, and for the reward where it had to be learned
     fits : g of each of them; see ``regression.Fit``
     residuals, left_over : (n, k) s' - f(s, a) of the log's rows, f without its stops, and what g leaves of it
-    paid : the least and the largest reward of the log and of the simulator's own steps from its rows
     units : the columns that seem to be in another unit than the simulator's, and in which; "" where none does
 
     Raises
@@ -95,170 +145,117 @@ class ResidualSimulator(DerivedTask):
         require_log_of(task, log)
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))
         actions = log.action_numbers(task.actions)
-        own = task.moves(log.state, actions, np.zeros((len(log), task.n_disturbances)))
+        own = task.noiseless_step(log.state, actions)
         self._periods, self._start = find_periods(task, own.next_state), np.resize(task.feature_low, self.n_state)
-        ends = self._start - SAME, np.resize(task.feature_high, self.n_state) + SAME
-        self._wrapped = (self._periods > 0) & ((own.next_state >= ends[0]) & (own.next_state <= ends[1])).all(axis=0)
+        low, high = self._start - ROUNDING, np.resize(task.feature_high, self.n_state) + ROUNDING
+        self._wraps = (self._periods > 0) & ((own.next_state >= low) & (own.next_state <= high)).all(axis=0)
         features = task.features(log.state)
-        self._seen = features.min(axis=0), features.max(axis=0)
-        self.units = other_units(task, log.state, actions, log.next_state, self._shortest)
+        self._range = features.min(axis=0), features.max(axis=0)
+        self.units = other_units(task, log, actions, self._periods)
         self._stops = Stops(log.state, log.next_state, own.next_state, self._periods > 0)
-        self._is_stopped = self._stops.is_stopped(log.next_state)
-        free = self._free(log.state, actions, own.next_state)
-        self.residuals = self._differences(log, own, np.where(self._is_stopped[:, None], own.next_state, free))
-        is_smooth = self._fit(log, actions, free, rng)
-        spread = self._fit_scatter(log, actions, own, rng)
-        self._remember_ends(log, own)
-        self.coordinates = self._describe(log, actions, spread, is_smooth)
+        self._known_ends = np.concatenate([log.terminated, own.terminated])
+        self._known_rewards = np.concatenate([own.reward if log.reward is None else log.reward, own.reward])
+        self._neighbors = Neighbors(task, np.concatenate([log.next_state, own.next_state]))
+        self._knows_ends = bool((task.terminated(own.next_state) == own.terminated).all())
+        is_free = ~self._stops.is_stopped(log.next_state)
+        is_smooth = self._fit(log, actions, own, is_free, rng)
+        self._scatter = Scatter(task, log, actions, own, self.left_over, is_free, self._periods, rng)
+        self._is_free = is_free
+        self.n_disturbances = task.n_disturbances + int(self._scatter.drawn.any())
+        self.coordinates = self._describe(log, actions, is_smooth, is_free)
 
     # ---- what the log says ---------------------------------------------------------------------------------------------
 
-    def _shortest(self, differences: Array) -> Array:
-        return shortest(differences, self._periods) if self._periods.any() else differences
-
-    def _free(self, states: Array, actions: IntArray, own: Array) -> Array:
-        """The simulator's next states without its stops."""
-
-        def step(states: Array, rows: IntArray) -> Array:
-            return self.task.moves(states, actions[rows], np.zeros((len(rows), self.task.n_disturbances))).next_state
-
-        return self._stops.free(step, states, own)
-
-    def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
-        """(n, m) f(s, a) - s, and under each action that the state remembers."""
-        d = self.n_state - self.n_remembered
-        own = self._shortest(free - states)[:, :d]
-        if self.n_remembered == 0:
-            return own
-        return np.column_stack([own, shortest(self.task.past_displacements(states, actions), self._periods[:d])])
-
-    def _differences(self, log: ContinuousTransitions, own: Moves, following: Array) -> Array:
-        """(n, d) s' - f(s, a), and the rewards' difference where the task does not know r(s, a, s')."""
-        apart = self._shortest(log.next_state - following)
-        known = self.task.reward_between(log.state[:1], np.zeros(1, dtype=np.int64), log.next_state[:1]) is not None
-        self._learns_reward = not known and log.reward is not None
-        if self._learns_reward and log.reward is not None:
-            apart = np.column_stack([apart, np.where(own.terminated == log.terminated, log.reward - own.reward, 0.0)])
-        return apart
-
-    def _fit(self, log: ContinuousTransitions, actions: IntArray, free: Array, rng: np.random.Generator) -> BoolArray:
+    def _fit(
+        self, log: ContinuousTransitions, actions: IntArray, own: Moves, is_free: BoolArray, rng: np.random.Generator
+    ) -> BoolArray:
         """Fit g to smooth rows, which it finds by what g leaves over; then what is lost at stops."""
+        d, free = self.n_state, self._stops.free(self.task, log.state, actions, own.next_state)
+        self.residuals = shortest(log.next_state - np.where(is_free[:, None], free, own.next_state), self._periods)
+        if log.reward is not None and self.task.reward_between(log.state, actions, log.next_state) is None:
+            is_alike = own.terminated == log.terminated
+            self.residuals = np.column_stack([self.residuals, np.where(is_alike, log.reward - own.reward, 0.0)])
         arguments = log.state, actions, self._displacements(log.state, actions, free)
         self._functions = Functions(self.task, *arguments, rng)
-        self._group = groups_of(log.episode, len(log), self._functions.width, self.n_actions)
-        is_free = ~self._is_stopped
-        self._ends_of_g = np.stack([self.residuals[is_free].min(axis=0), self.residuals[is_free].max(axis=0)])
+        self._group = episode_groups(log.episode, len(log), self._functions.width, self.n_actions)
+        self._limits = np.stack([self.residuals[is_free].min(axis=0), self.residuals[is_free].max(axis=0)])
         is_smooth = is_free
-        for _ in range(1 + ROUNDS):
+        for _ in range(1 + N_ROUNDS):
             self._grams = Grams(self._functions, arguments, self.residuals, self._group, is_smooth)
-            self._use(self._grams.choose())
-            added = self._correction(*arguments)
-            last, is_smooth = is_smooth, is_free & ~self._is_apart(self.residuals - added)
+            self._set_fits(self._grams.choose())
+            added = self._correction(log.state, actions, free)
+            last, is_smooth = is_smooth, is_free & ~self._is_outlying(self.residuals - added)
             if np.array_equal(is_smooth, last):
                 break
         self.left_over = self.residuals - added
-        moved = free + added[:, : self.n_state]
-        self._stops.learn(moved, moved + self._shortest(log.next_state - moved))
-        stopped = self._keep(self._stops.push(moved))
+        following = free + added[:, :d]
+        self._stops.learn(following, following + shortest(log.next_state - following, self._periods))
+        stopped = self._clip(self._stops.push(following))
         self._stops.hold(stopped)
-        self.left_over[self._is_stopped, : self.n_state] = self._shortest(log.next_state - stopped)[self._is_stopped]
+        self.left_over[~is_free, :d] = shortest(log.next_state - stopped, self._periods)[~is_free]
         return last
 
-    def _is_apart(self, left: Array) -> BoolArray:
+    def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
+        """(n, m) what g depends on besides (s, a), ``free`` the simulator's next states without its stops."""
+        steps = self.task.displacements(states, actions, free)
+        return np.column_stack([shortest(step, self._periods) for step in steps])
+
+    def _is_outlying(self, left: Array) -> BoolArray:
         """(n,) rows with a residual far beyond the others', where they are few: contacts, stops."""
         size = np.median(np.abs(left), axis=0) / 0.6745
-        floor = 1e-3 * np.sqrt((self.residuals**2).mean(axis=0))
-        far = np.abs(left) > APART * np.maximum(size, floor) + 1e-300
-        far &= far.mean(axis=0) <= MOST_APART
-        return np.asarray(far.any(axis=1) & (far.any(axis=1).mean() <= MOST_APART))
+        floor = 1e-3 * root_mean_square(self.residuals)
+        is_far = np.abs(left) > OUTLYING * np.maximum(size, floor) + 1e-300
+        is_far &= is_far.mean(axis=0) <= MAX_OUTLYING
+        return np.asarray(is_far.any(axis=1) & (is_far.any(axis=1).mean() <= MAX_OUTLYING))
 
-    def _use(self, fits: Sequence[Fit]) -> None:
+    def _set_fits(self, fits: Sequence[Fit]) -> None:
         self.fits, self._is_zero = list(fits), not any(len(fit.columns) for fit in fits)
         self._coefficients = self._functions.stack(fits)
 
-    def _correction(self, states: Array, actions: IntArray, displacement: Array) -> Array:
+    def _correction(self, states: Array, actions: IntArray, free: Array) -> Array:
         """(n, k) g(s, a), within what was logged."""
         if self._is_zero:
             return np.zeros((len(states), len(self.fits)))
-        return self._functions.predict(states, actions, displacement, self._coefficients, self._ends_of_g)
-
-    def _fit_scatter(
-        self, log: ContinuousTransitions, actions: IntArray, own: Moves, rng: np.random.Generator
-    ) -> Array:
-        """Compare what is left over with the simulator's own scatter, whose (k,) root mean square is returned."""
-        some, d = np.sort(rng.permutation(len(log))[:5000]), self.n_state
-        scattered, is_free = self.task.step(log.state[some], actions[some], rng), ~self._is_stopped
-        away = self._shortest(scattered.next_state - own.next_state[some])
-        spread, can_own = np.zeros(len(self.fits)), np.full(len(self.fits), self.task.n_disturbances > 0)
-        spread[:d] = np.sqrt((away**2).mean(axis=0))
-        apart = np.abs(away.mean(axis=0) - self.left_over[is_free, :d].mean(axis=0))
-        can_own[:d] &= apart <= SKEWED * spread[:d] * np.sqrt(2.0 / len(some))
-        rounding = np.full(len(spread), SAME)
-        rounding[:d] = SAME * self._shortest(log.next_state - log.state).std(axis=0)
-        rounding[:d] += np.finfo(float).eps * np.abs(log.next_state).max(axis=0)
-        self._scatter = Scatter(
-            self.task, log.state[is_free], actions[is_free], self.left_over[is_free], spread=spread, rounding=rounding,
-            can_own=can_own, rng=rng,
-        )  # fmt: skip
-        self.n_disturbances = self.task.n_disturbances + int(self._scatter.drawn.any())
-        self._gain = self._find_gain(log.state[some], actions[some]) if self._scatter.own.any() else None
-        if self._learns_reward:  # is drawn from the log all the same
-            is_alike = scattered.terminated == own.terminated[some]
-            spread[-1] = _rms(np.where(is_alike, scattered.reward - own.reward[some], 0.0))
-        return spread
-
-    def _find_gain(self, states: Array, actions: IntArray) -> Array | None:
-        """(q, d) B where the simulator's noise is xi B at all of these rows, up to rounding; else None.
-
-        Then a second step for the noise is spared: a sixth of Monte Carlo's time in CartPole.
-        """
-        rows = np.resize(np.arange(len(states)), max(len(states), 1000))
-        xi = np.random.default_rng(0).standard_normal((len(rows), self.task.n_disturbances))
-        ends = [self.task.moves(states[rows], actions[rows], x).next_state for x in (np.zeros_like(xi), xi)]
-        gain = np.linalg.lstsq(xi, ends[1] - ends[0])[0]
-        is_additive = np.abs(ends[1] - ends[0] - xi @ gain).max() <= 8 * np.finfo(float).eps * np.abs(ends).max()
-        return gain * self._scatter.own[: self.n_state] if is_additive else None
-
-    def _remember_ends(self, log: ContinuousTransitions, own: Moves) -> None:
-        """Known next states: whether they end, and what is paid."""
-        self._knows_ends = bool((self.task.terminated(own.next_state) == own.terminated).all())
-        self._ends = np.concatenate([log.terminated, own.terminated])
-        self._paid = np.concatenate([own.reward if log.reward is None else log.reward, own.reward])
-        self.paid = float(self._paid.min()), float(self._paid.max())
-        self._places = self.task.smooth(np.concatenate([log.next_state, own.next_state]))
-        self._unit = np.maximum(self._places.std(axis=0), 1e-300)
-        self._trees: dict[bool | None, tuple[IntArray, cKDTree]] = {}
+        displacements = self._displacements(states, actions, free)
+        return self._functions.predict(states, actions, displacements, self._coefficients, self._limits)
 
     def _describe(
-        self, log: ContinuousTransitions, actions: IntArray, spread: Array, is_smooth: BoolArray
+        self, log: ContinuousTransitions, actions: IntArray, is_smooth: BoolArray, is_free: BoolArray
     ) -> tuple[Coordinate, ...]:
         """One ``Coordinate`` each; rows that g was not fitted to count by what it leaves of them."""
+        scatter, left = self._scatter, root_mean_square(self.left_over)
         squares, rough = (self.residuals**2).sum(axis=0), (self.left_over[~is_smooth] ** 2).sum(axis=0)
-        moved = self._shortest(log.next_state - log.state).std(axis=0)
-        displaced = np.append(moved, 0.0 if log.reward is None else log.reward.std())[: len(spread)]
-        effects, is_drawn = [HistoryEffect()] * len(spread), self._scatter.drawn
-        if (np.sqrt((self.left_over**2).mean(axis=0)) * is_drawn > TRIFLE * displaced).any():
+        moved = shortest(log.next_state - log.state, self._periods).std(axis=0)
+        displaced = np.append(moved, 0.0 if log.reward is None else log.reward.std())[: len(left)]
+        effects = [HistoryEffect()] * len(left)
+        if (left * scatter.drawn > SMALL * displaced).any():
             effects = history_effects(
-                self.task, log, actions, self.left_over, self._group, is_smooth=is_smooth, is_free=~self._is_stopped,
-                least=TRIFLE * displaced,
+                self.task, log, actions, self.left_over, self._group, is_smooth=is_smooth, is_free=is_free,
+                least=SMALL * displaced,
             )  # fmt: skip
+        residual = root_mean_square(self.residuals)
         return tuple(
             Coordinate(
-                name, fit.kind, fit.per_action, float(spread[k]), _rms(self.residuals[:, k]), _rms(self.left_over[:, k]),
-                float(displaced[k]), float(1.0 - (fit.error + rough[k]) / squares[k]) if squares[k] > 0 else 0.0,
-                fit.t_statistic, self._scatter.source(k), effects[k] if is_drawn[k] else HistoryEffect(),
+                name, fit.kind, fit.per_action, fit.t_statistic, float(scatter.spread[k]), float(residual[k]),
+                float(left[k]), float(displaced[k]),
+                float(1.0 - (fit.error + rough[k]) / squares[k]) if squares[k] > 0 else 0.0,
+                scatter.source(k), effects[k] if scatter.drawn[k] else HistoryEffect(),
             )
             for k, (name, fit) in enumerate(zip((*self.state_names, "reward"), self.fits, strict=False))
         )  # fmt: skip
 
     def resampled(self, seed: Any = None) -> ResidualSimulator:
         """The same corrected by a bootstrap's log: groups of whole episodes drawn with replacement, g of the same classes."""
-        rng, n_groups = _checks.generator(seed), len(self._grams.g)
-        weights = np.bincount(rng.integers(n_groups, size=n_groups), minlength=n_groups).astype(np.float64)
+        weights = draw_groups(len(self._grams.g), seed)
         again = copy.copy(self)
-        again._use(self._grams.refit(self.fits, weights))
-        again._scatter = self._scatter.weighted(weights[self._group[~self._is_stopped]])
+        again._set_fits(self._grams.refit(self.fits, weights))
+        again._scatter = self._scatter.reweighted(weights[self._group[self._is_free]])
         return again
+
+    @property
+    def rewards(self) -> tuple[float, float]:
+        """The least and the largest reward of the log and of the simulator's own steps from its rows."""
+        return float(self._known_rewards.min()), float(self._known_rewards.max())
 
     @property
     def hidden_part(self) -> float:
@@ -273,7 +270,7 @@ class ResidualSimulator(DerivedTask):
     def beyond(self, states: Array) -> BoolArray:
         """(n,) states with a feature outside the range of the log's, where no data support g."""
         features = self.task.features(states)
-        return np.asarray(((features < self._seen[0]) | (features > self._seen[1])).any(axis=1))
+        return np.asarray(((features < self._range[0]) | (features > self._range[1])).any(axis=1))
 
     # ---- the task ------------------------------------------------------------------------------------------------------
 
@@ -281,22 +278,18 @@ class ResidualSimulator(DerivedTask):
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One corrected step; the last disturbance chooses e, where it is drawn from the log."""
         actions, scatter = np.asarray(actions, dtype=np.int64), self._scatter
-        xi = disturbance[:, : self.task.n_disturbances]
-        own = self.task.moves(states, actions, np.zeros_like(xi))
-        free = own.next_state if self._is_zero else self._free(states, actions, own.next_state)
-        added = self._correction(states, actions, self._displacements(states, actions, free))
+        own = self.task.noiseless_step(states, actions)
+        free = own.next_state if self._is_zero else self._stops.free(self.task, states, actions, own.next_state)
+        added = self._correction(states, actions, free)
         if scatter.drawn.any():
             added += scatter.draw(states, actions, ndtr(disturbance[:, -1]))
         following = self._stops.push(free + added[:, : self.n_state])
-        if self._gain is not None:
-            following = following + xi @ self._gain
-        elif scatter.own.any():
-            noise = self.task.moves(states, actions, xi).next_state - own.next_state
-            following = following + np.where(scatter.own[: self.n_state], noise, 0.0)
-        if self._wrapped.any() or np.isfinite(self._stops.bounds).any():
-            following = np.where(following != own.next_state, self._keep(following), following)
+        if scatter.own.any():
+            following = following + scatter.own_noise(states, actions, own, disturbance[:, : self.task.n_disturbances])
+        if self._wraps.any() or np.isfinite(self._stops.bounds).any():
+            following = np.where(following != own.next_state, self._clip(following), following)
         self._stops.hold(following)
-        ends = self._is_over(following, own.terminated)
+        ends = self._is_terminal(following, own.terminated)
         return Moves(following, self._reward(states, actions, following, ends, own, added), ends)
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
@@ -306,49 +299,36 @@ class ResidualSimulator(DerivedTask):
             xi = np.column_stack([xi, rng.spawn(1)[0].standard_normal(len(states))])
         return self.moves(states, actions, xi)
 
-    def _keep(self, following: Array) -> Array:
+    def _clip(self, following: Array) -> Array:
         """Within the stops, and within one turn where the task is."""
-        kept = np.asarray(np.clip(following, *self._stops.bounds))
-        for i in np.flatnonzero(self._wrapped):
-            kept[:, i] = self._start[i] + (kept[:, i] - self._start[i]) % self._periods[i]
-        return kept
+        inside = np.clip(following, *self._stops.bounds)
+        turned = self._start + (inside - self._start) % np.where(self._wraps, self._periods, 1.0)
+        return np.where(self._wraps, turned, inside)
 
-    def _is_over(self, following: Array, own: BoolArray) -> BoolArray:
+    def _is_terminal(self, following: Array, own: BoolArray) -> BoolArray:
         if not self.terminates:
             return own
         if self._knows_ends:
             return self.task.terminated(following)
-        return np.asarray(self._ends[self._nearest(following)])
-
-    def _nearest(self, following: Array, end: bool | None = None) -> IntArray:
-        """The nearest known next state to each; among those only that end so, where ``end`` is given."""
-        if end not in self._trees:
-            among = np.flatnonzero(self._ends == end) if end is not None else np.arange(len(self._ends))
-            self._trees[end] = among, cKDTree(self._places[among] / self._unit)
-        among, tree = self._trees[end]
-        return np.asarray(among[tree.query(self.task.smooth(following) / self._unit)[1]])
+        every = np.arange(len(self._known_ends))
+        return np.asarray(self._known_ends[self._neighbors.find(following, every, key=None)])
 
     def _reward(
         self, states: Array, actions: IntArray, following: Array, ends: BoolArray, own: Moves, added: Array
     ) -> Array:
-        between = self.task.reward_between(states, actions, following)
-        if between is not None:
-            return between
-        paid = own.reward + added[:, -1] if self._learns_reward else own.reward
+        """r(s, a, s'); the simulator's own and what was learned where a task has none, or that of the nearest such end."""
+        known = self.task.reward_between(states, actions, following)
+        if known is not None:
+            return known
+        reward = own.reward + added[:, -1] if added.shape[1] > self.n_state else own.reward.copy()
         is_other = ends != own.terminated
-        if is_other.any():  # a step that ends otherwise than the simulator's is paid as the nearest that ends so
-            paid = paid.copy()
-            for end in (False, True):
-                rows = np.flatnonzero(is_other & (ends == end))
-                if len(rows) and (self._ends == end).any():
-                    paid[rows] = self._paid[self._nearest(following[rows], end)]
-        return paid
+        for end in (False, True) if is_other.any() else ():
+            rows, alike = np.flatnonzero(is_other & (ends == end)), np.flatnonzero(self._known_ends == end)
+            if len(rows) and len(alike):
+                reward[rows] = self._known_rewards[self._neighbors.find(following[rows], alike, key=end)]
+        return reward
 
     def parameters(self) -> dict[str, Any]:
         """The task's, and what the correction is made of."""
         learned = {c.name: [c.kind, c.per_action, c.scatter] for c in self.coordinates}
         return self.task.parameters() | {"corrected_by_moves": len(self.residuals), "correction": learned}
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values**2).mean()))

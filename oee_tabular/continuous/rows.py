@@ -1,18 +1,15 @@
 """The rows of a continuous task's report: functions of a policy that give an ``Estimate`` of J = E[sum_{t<T} gamma^t r_t].
 
-Three are Monte Carlo in a task: the simulator, the simulator corrected by the log's residuals, a linear model of the log. Where
-the task is learned from the log, the error of the value counts the rollouts and the log,
-
-    se^2 = se_MC^2 + Var_b (J_b - J),    J_b of the task learned from resampled episodes,
-
-J_b and J by common random numbers, and the interval is that of Student's t. The fourth is importance sampling on the log's own
-episodes, with the policy's probabilities in the log's own states: every row of the log is a state of its own.
+Three are Monte Carlo in a task (``Rollouts``): the simulator, the simulator corrected by the log's residuals, a linear model of
+the log; of the last two the error counts the rollouts and the log, see ``corrected_value``. The fourth is importance sampling
+on the log's own episodes, with the policy's probabilities in the log's own states: every row of the log is a state of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,7 +23,7 @@ from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_c
 from oee_tabular.continuous.history import consecutive
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.sentences import flaw
+from oee_tabular.continuous.sentences import describe_flaw
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Estimator, Problem
@@ -62,106 +59,81 @@ class Rollouts:
     refits: int = 20
     paths: int = 1000
 
-    def stream(self, *key: int) -> np.random.SeedSequence:
+    def _stream(self, *key: int) -> np.random.SeedSequence:
         """Random numbers of their own."""
         return np.random.SeedSequence(self.seed.entropy, spawn_key=(*self.seed.spawn_key, *key))
 
+    @one_thread
     def value(self, task: ContinuousTask, policy: StatePolicy) -> MonteCarlo:
         """J of the policy in the task."""
-        seed = np.random.default_rng(self.stream())
+        seed = np.random.default_rng(self._stream())
         return monte_carlo_value(task, policy, self.episodes, self.horizon, discount=self.discount, seed=seed)
 
-    def compare(self, tasks: Sequence[ContinuousTask], policy: StatePolicy) -> Array:
-        """(len(tasks), paths) returns by common random numbers."""
-        paths, seed = min(self.paths, self.episodes), self.stream(1)
-        return compare_returns(tasks, policy, paths, self.horizon, discount=self.discount, seed=seed)
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatorRow:
-    """J in the simulator (or the target) itself.
-
-    Attributes
-    ----------
-    is_headline : where no correction can be trusted; the rollouts' noise is no interval to speak of then
-    """
-
-    task: ContinuousTask
-    rollouts: Rollouts
-    is_headline: bool = False
-    _known: dict[int, MonteCarlo] = field(default_factory=dict)
-
-    def value(self, policy: StatePolicy) -> MonteCarlo:
-        """Computed once for each policy."""
-        if id(policy) not in self._known:
-            self._known[id(policy)] = self.rollouts.value(self.task, policy)
-        return self._known[id(policy)]
+    def _returns(self, tasks: Sequence[ContinuousTask], policy: StatePolicy, n: int) -> Array:
+        """(len(tasks), n) returns by common random numbers."""
+        n, seed = min(n, self.paths, self.episodes), self._stream(1)
+        return compare_returns(tasks, policy, n, self.horizon, discount=self.discount, seed=seed)
 
     @one_thread
-    def __call__(self, policy: StatePolicy) -> Estimate:
-        """No estimate from the log, but where it stands in front."""
-        mc = self.value(policy)
-        is_first = self.is_headline
-        error = None if is_first else mc.standard_error
-        return Estimate(mc.value, error, diagnostics=_facts(mc), is_headline=is_first, is_from_log=not is_first)
+    def estimate(self, learned: Any, policy: StatePolicy, status: str = "ok") -> Estimate:
+        """J in a task learned from the log, with the error of the log and of the rollouts.
 
+        Parameters
+        ----------
+        learned : ContinuousTask whose ``resampled(rng)`` is the same fitted to a bootstrap's log; a report begins with the
+            value in a ``ResidualSimulator``, which says how often the policy leaves what the log has seen
+        policy : of the task's states
+        status : why the value is not to be relied on, and then has no error; "ok"
+        """
+        mc = self.value(learned, policy)
+        facts: dict[str, Any] = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
+        error: float | None = None
+        interval: tuple[float, float] | None = None
+        findings: tuple[Finding, ...] = ()
+        if status == "ok":
+            rngs = map(np.random.default_rng, self._stream(2).spawn(self.refits))
+            returns = self._returns([learned, *map(learned.resampled, rngs)], policy, self.paths)
+            of_log = float((returns[1:] - returns[0]).mean(axis=1).std(ddof=1))
+            error = float(np.hypot(of_log, mc.standard_error))
+            reach = error * float(stdtrit(self.refits - 1, 0.975))
+            interval = mc.value - reach, mc.value + reach
+            facts |= {
+                "standard_error_of": "log and rollouts", "refits": self.refits, "standard_error_of_the_log": of_log,
+                "interval_method": "refits",
+            }  # fmt: skip
+        is_corrected = isinstance(learned, ResidualSimulator)
+        if is_corrected:
+            share = self._share_beyond(learned, policy)
+            explained = ", ".join(f"{c.name} {c.explained:.3g}" for c in learned.coordinates if c.kind != "zero")
+            facts |= {"explained": explained, "beyond_log": share}
+            findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),) * (share > MAX_BEYOND)
+        is_first = is_corrected and status == "ok"
+        return Estimate(
+            mc.value, error, interval, facts, status, findings, is_normal=status == "ok", is_headline=is_first
+        )
 
-@dataclass(frozen=True, eq=False)
-class LearnedRow:
-    """J in a task learned from the log, as a linear model is, with an error by refits on resampled episodes.
-
-    Attributes
-    ----------
-    learned : ContinuousTask whose ``resampled(rng)`` is the same fitted to a bootstrap's log
-    status : why the value is not to be relied on, and then has no error; "ok"
-    """
-
-    learned: Any
-    rollouts: Rollouts
-    status: str = "ok"
-
-    @one_thread
-    def __call__(self, policy: StatePolicy) -> Estimate:
-        """The value with the error of the log and of the rollouts."""
-        mc, refits = self.rollouts.value(self.learned, policy), self.rollouts.refits
-        if self.status != "ok":
-            return Estimate(mc.value, None, None, _facts(mc), status=self.status)
-        rngs = map(np.random.default_rng, self.rollouts.stream(2).spawn(refits))
-        returns = self.rollouts.compare([self.learned, *map(self.learned.resampled, rngs)], policy)
-        of_log = float((returns[1:] - returns[0]).mean(axis=1).std(ddof=1))
-        error = float(np.hypot(of_log, mc.standard_error))
-        reach = error * float(stdtrit(refits - 1, 0.975))
-        facts = _facts(mc) | {
-            "standard_error_of": "log and rollouts", "refits": refits, "standard_error_of_the_log": of_log,
-            "interval_method": "refits",
-        }  # fmt: skip
-        return Estimate(mc.value, error, (mc.value - reach, mc.value + reach), facts, is_normal=True)
-
-
-@dataclass(frozen=True, eq=False)
-class ResidualRow(LearnedRow):
-    """J in the simulator corrected by the log's residuals; it says how often the policy leaves what the log has seen."""
-
-    learned: ResidualSimulator
-
-    def __call__(self, policy: StatePolicy) -> Estimate:
-        """The value, in front of all others where the correction can be trusted."""
-        found, share = super().__call__(policy), self._share_beyond(policy)
-        told = ", ".join(f"{c.name} {c.explained:.3g}" for c in self.learned.coordinates if c.kind != "zero")
-        findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),) if share > MAX_BEYOND else ()
-        facts = found.diagnostics | {"explained": told, "beyond_log": share}
-        return replace(found, diagnostics=facts, findings=findings, is_headline=self.status == "ok")
-
-    def _share_beyond(self, policy: StatePolicy) -> float:
+    def _share_beyond(self, learned: ResidualSimulator, policy: StatePolicy) -> float:
         """Share of the policy's transitions that begin beyond what the log has seen."""
-        counted = np.zeros(2)
+        counts = np.zeros(2)
 
         def watch(states: Array) -> Array:
-            counted[:] += self.learned.beyond(states).sum(), len(states)
+            counts[:] += learned.beyond(states).sum(), len(states)
             return policy(states)
 
-        replace(self.rollouts, paths=min(200, self.rollouts.paths)).compare([self.learned], watch)
-        return float(counted[0] / counted[1])
+        self._returns([learned], watch, 200)
+        return float(counts[0] / counts[1])
+
+
+def describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:
+    """A value in the simulator (or the target) itself: no estimate from the log.
+
+    ``is_headline`` where no correction can be trusted; the rollouts' noise is no interval to speak of then.
+    """
+    error, facts = (
+        None if is_headline else mc.standard_error,
+        {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes},
+    )
+    return Estimate(mc.value, error, diagnostics=facts, is_headline=is_headline, is_from_log=not is_headline)
 
 
 def corrected_value(
@@ -217,7 +189,7 @@ def corrected_value(
         raise ValueError(f"refits must be at least 2, for a variance; got {refits}")
     each, gamma = _checks.positive_integer(paths, "paths"), _checks.number_in(discount, "discount", 0.0, 1.0)
     rollouts = Rollouts(steps, gamma, episodes, _checks.seed_sequence(seed, ()), n_refits, each)
-    return ResidualRow(corrected, rollouts, flaw(corrected))(policy)
+    return rollouts.estimate(corrected, policy, describe_flaw(corrected))
 
 
 def refuse_impossible(estimate: Estimate, lowest: float, highest: float, horizon: int, scale: float = 1.0) -> Estimate:
@@ -256,23 +228,16 @@ def sampling_rows(
     following[before] = after
     entries = np.ones((n + 1) * n_actions), np.repeat(following, n_actions), np.arange((n + 1) * n_actions + 1)
     kernel = sparse.csr_array(entries, shape=((n + 1) * n_actions, n + 1))
-    paid = np.zeros(n + 1) if log.reward is None else np.append(log.reward, 0.0)
-    mdp = FiniteMDP(kernel, paid, np.full(n + 1, 1.0 / (n + 1)), discount)
+    rewards = np.zeros(n + 1) if log.reward is None else np.append(log.reward, 0.0)
+    mdp = FiniteMDP(kernel, rewards, np.full(n + 1, 1.0 / (n + 1)), discount)
     columns: dict[str, Any] = log.columns() | {"state": np.arange(n), "next_state": following[:n]}
     columns["truncated"] = ~np.isin(np.arange(n), before) & ~log.terminated
     if log.reward is None:  # there is nothing to average
         columns |= {"episode": None, "timestep": None}
     problem = Problem(mdp, Transitions(**columns), horizon=horizon)
 
-    def row(estimator: Estimator) -> Row:
-        def weigh(policy: StatePolicy) -> Estimate:
-            table = check_probabilities(policy, log.state, n_actions)
-            return estimator(problem, np.vstack([table, np.full(n_actions, 1.0 / n_actions)]))
+    def weigh(estimator: Estimator, policy: StatePolicy) -> Estimate:
+        table = check_probabilities(policy, log.state, n_actions)
+        return estimator(problem, np.vstack([table, np.full(n_actions, 1.0 / n_actions)]))
 
-        return weigh
-
-    return {name: row(estimator) for name, estimator in wanted.items()}
-
-
-def _facts(mc: MonteCarlo) -> dict[str, Any]:
-    return {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
+    return {name: partial(weigh, estimator) for name, estimator in wanted.items()}

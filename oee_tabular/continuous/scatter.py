@@ -5,14 +5,29 @@ from __future__ import annotations
 import copy
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.neighbors import Neighbors
+from oee_tabular.continuous.task import ContinuousTask, Moves, shortest
 
-NEAR = 8  # rows near by, from which one is drawn
-TELLING = 0.02  # share of a residual, or of its size, that its neighbours explain: then they are what it is drawn from
-LOOKED_AT = 3000  # rows at which that is judged
+N_NEIGHBORS = 8  # rows near by, from which one is drawn
+MIN_EXPLAINED = (
+    0.02  # share of a residual, or of its size, that its neighbours explain: then they are what it is drawn from
+)
+N_JUDGED = 3000  # rows at which that is judged
+N_SIMULATED = 5000  # steps by which the simulator's own noise is known
+SKEWED = 5.0  # standard errors between the means of two scatters: they are not the same
+ROUNDING = 1e-9  # of a displacement's deviation
+
+Pool = tuple[IntArray, Array]  # rows, and the running sum of their weights
+
+
+def draw_rows(pool: Pool, uniform: Array) -> IntArray:
+    """Rows by the quantile ``uniform`` of their weights."""
+    rows, running = pool
+    place = np.searchsorted(running, uniform * running[-1], side="right")
+    return np.asarray(rows[np.minimum(place, len(rows) - 1)])
 
 
 class Scatter:
@@ -20,81 +35,110 @@ class Scatter:
 
     Parameters
     ----------
-    task, states, actions, left_over : of a log's rows, (n, d), (n,) and (n, k)
-    spread, rounding : (k,) root mean square of the simulator's own scatter, and what is no scatter
-    can_own : (k,) coordinates that may scatter as the simulator does, if the sizes are alike
+    task, log, actions : the simulator, the log and the numbers (n,) of its actions
+    own : the simulator's steps from the log's rows, without noise
+    left_over : (n, k) what f + g leaves of the log's next states, and of its rewards where they are learned
+    is_free : (n,) rows that count
+    periods : of angles, as in ``shortest``
 
     Attributes
     ----------
+    spread : (k,) root mean square of the simulator's own noise
     own : (k,) coordinates that scatter as the simulator does
     drawn : (k,) coordinates whose e is drawn from the log
-    local : whether it is drawn from rows near by
     """
 
     def __init__(
-        self, task: ContinuousTask, states: Array, actions: IntArray, left_over: Array, *, spread: Array, rounding: Array,
-        can_own: BoolArray, rng: np.random.Generator,
+        self, task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, own: Moves, left_over: Array,
+        is_free: BoolArray, periods: Array, rng: np.random.Generator,
     ) -> None:  # fmt: skip
-        size = np.sqrt((left_over**2).mean(axis=0))
-        near = max(0.05, 4.0 / np.sqrt(len(states)))
-        self.own = (spread > rounding) & (np.abs(size / np.maximum(spread, 1e-300) - 1.0) <= near) & can_own
+        d, k = log.n_state, left_over.shape[1]
+        some = np.sort(rng.permutation(len(log))[:N_SIMULATED])
+        noisy = task.step(log.state[some], actions[some], rng)
+        noise = np.zeros((len(some), k))
+        noise[:, :d] = shortest(noisy.next_state - own.next_state[some], periods)
+        self.spread, e = root_mean_square(noise), left_over[is_free]
+        size, rounding = root_mean_square(e), np.full(k, ROUNDING)
+        rounding[:d] *= shortest(log.next_state - log.state, periods).std(axis=0)
+        rounding[:d] += np.finfo(float).eps * np.abs(log.next_state).max(axis=0)
+        is_alike = np.abs(size / np.maximum(self.spread, 1e-300) - 1.0) <= max(0.05, 4.0 / np.sqrt(len(e)))
+        is_alike &= np.abs(noise.mean(axis=0) - e.mean(axis=0)) <= SKEWED * self.spread * np.sqrt(2.0 / len(some))
+        self.own = (self.spread > rounding) & is_alike & (task.n_disturbances > 0)
         self.drawn = ~self.own & (size > rounding)
-        self._task, self._e = task, np.where(self.drawn, left_over, 0.0)
+        if k > d:
+            is_paid_alike = noisy.terminated == own.terminated[some]
+            self.spread[-1] = root_mean_square(np.where(is_paid_alike, noisy.reward - own.reward[some], 0.0))
+        self._task = task
+        self._gain = self._find_gain(log.state[some], actions[some]) if self.own.any() else None
+        self._e, self._actions = np.where(self.drawn, e, 0.0), actions[is_free]
         scaled = self._e / np.maximum(size, 1e-300)
         widest = np.linalg.eigh(scaled.T @ scaled)[1][:, -1] / np.maximum(size, 1e-300)
         self._order = self._e @ widest  # rows are drawn in order along the direction in which e varies most
-        places = task.smooth(states)
-        self._unit = np.maximum(places.std(axis=0), 1e-300)
-        self._places = places / self._unit
-        self._rows = [np.flatnonzero(actions == a) for a in range(task.n_actions)]
-        self._trees = [cKDTree(self._places[rows]) if len(rows) else None for rows in self._rows]
-        self.local = bool(self.drawn.any()) and self._neighbors_tell(rng.permutation(len(states))[:LOOKED_AT])
-        self._near = self._neighbors() if self.local else None
-        self._weigh(np.ones(len(states)))
+        self._rows = [np.flatnonzero(self._actions == a) for a in range(task.n_actions)]
+        self._neighbors, self._near = Neighbors(task, log.state[is_free]), None
+        if self.drawn.any():
+            near = self._find_near(log.state[is_free])
+            if self._is_local(near, rng.permutation(len(e))[:N_JUDGED]):
+                order = np.argsort(self._order[near[:, :N_NEIGHBORS]], axis=1, kind="stable")
+                self._near = np.take_along_axis(near, order, axis=1)
+        self._set_weights(np.ones(len(e)))
+
+    @property
+    def local(self) -> bool:
+        """Whether it is drawn from rows near by."""
+        return self._near is not None
 
     def source(self, k: int) -> str:
         """Where coordinate k's noise is taken from."""
         return "simulator" if self.own[k] else "log" if self.drawn[k] else "none"
 
-    def _neighbors_tell(self, some: IntArray) -> bool:
+    def _find_gain(self, states: Array, actions: IntArray) -> Array | None:
+        """(q, d) B where the simulator's noise is xi B at all of these rows, up to rounding; else None.
+
+        Then a second step for the noise is spared: a sixth of Monte Carlo's time in CartPole.
+        """
+        rows = np.resize(np.arange(len(states)), max(len(states), 1000))
+        xi = np.random.default_rng(0).standard_normal((len(rows), self._task.n_disturbances))
+        still = self._task.noiseless_step(states[rows], actions[rows]).next_state
+        noisy = self._task.moves(states[rows], actions[rows], xi).next_state
+        gain = np.linalg.lstsq(xi, noisy - still)[0]
+        is_additive = np.abs(noisy - still - xi @ gain).max() <= 8 * np.finfo(float).eps * np.abs([still, noisy]).max()
+        return gain * self.own[: still.shape[1]] if is_additive else None
+
+    def _find_near(self, states: Array) -> IntArray:
+        """(n, N_NEIGHBORS + 1) rows of the same action near each row, itself among them; repeated where there are fewer."""
+        near = np.empty((len(states), N_NEIGHBORS + 1), dtype=np.int64)
+        for a, rows in enumerate(self._rows):
+            if len(rows):
+                k = min(N_NEIGHBORS + 1, len(rows))
+                found = self._neighbors.find(states[rows], rows, k, key=a).reshape(len(rows), k)
+                near[rows] = found[:, np.resize(np.arange(k), N_NEIGHBORS + 1)]
+        return near
+
+    def _is_local(self, near: IntArray, some: IntArray) -> bool:
         """Whether the residuals of the rows near by, or their sizes, explain some of a row's."""
-        e, others = [], []
-        for tree, rows in zip(self._trees, self._rows, strict=True):
-            mine = np.intersect1d(some, rows)
-            if tree is None or len(rows) <= NEAR or len(mine) == 0:
-                continue
-            near = rows[tree.query(self._places[mine], k=NEAR + 1)[1]]
-            last = np.argsort(near == mine[:, None], axis=1, kind="stable")  # the row itself is left out
-            e.append(self._e[mine])
-            others.append(self._e[np.take_along_axis(near, np.sort(last[:, :NEAR], axis=1), axis=1)])
-        if sum(len(part) for part in e) < 50:
+        some = some[np.bincount(self._actions)[self._actions[some]] > N_NEIGHBORS]
+        if len(some) < 50:
             return False
-        one, eight = np.concatenate(e)[:, self.drawn], np.concatenate(others)[:, :, self.drawn]
-        least = max(TELLING, 9.0 / len(one))
+        is_self = near[some] == some[:, None]
+        others = np.take_along_axis(near[some], np.argsort(is_self, axis=1, kind="stable")[:, :N_NEIGHBORS], axis=1)
+        one, eight = self._e[some][:, self.drawn], self._e[others][:, :, self.drawn]
         pairs = ((one, eight.mean(axis=1)), (np.abs(one), np.abs(eight).mean(axis=1)))
+        least = max(MIN_EXPLAINED, 9.0 / len(some))
         return any(_squared_correlation(x[:, i], y[:, i]) > least for x, y in pairs for i in range(one.shape[1]))
 
-    def _neighbors(self) -> IntArray:
-        """(n, NEAR) rows of the same action near each row, itself among them, in order."""
-        near = np.empty((len(self._e), NEAR), dtype=np.int64)
-        for tree, rows in zip(self._trees, self._rows, strict=True):
-            if tree is not None:
-                at = rows[tree.query(self._places[rows], k=min(NEAR, len(rows)))[1].reshape(len(rows), -1)]
-                near[rows] = at[:, np.resize(np.arange(at.shape[1]), NEAR)]
-        return np.take_along_axis(near, np.argsort(self._order[near], axis=1, kind="stable"), axis=1)
-
-    def _weigh(self, weights: Array) -> None:
-        """Of each action its rows in order and their running weights; of an action without rows, all."""
+    def _set_weights(self, weights: Array) -> None:
+        """Of each action its rows in order with these weights; of an action without rows, all."""
         self._weights, self._pools = weights, []
         for rows in self._rows:
             pool = rows if weights[rows].any() else np.arange(len(self._e))
             pool = pool[np.argsort(self._order[pool], kind="stable")]
             self._pools.append((pool, np.cumsum(weights[pool])))
 
-    def weighted(self, weights: Array) -> Scatter:
+    def reweighted(self, weights: Array) -> Scatter:
         """The same with rows drawn by these weights."""
         again = copy.copy(self)
-        again._weigh(weights)
+        again._set_weights(weights)
         return again
 
     def draw(self, states: Array, actions: IntArray, uniform: Array) -> Array:
@@ -102,20 +146,27 @@ class Scatter:
         chosen = np.empty(len(states), dtype=np.int64)
         for a in np.unique(actions):
             at = np.flatnonzero(actions == a)
-            chosen[at] = self._choose(states[at], a, uniform[at])
+            if self._near is None or len(self._rows[a]) == 0:
+                chosen[at] = draw_rows(self._pools[a], uniform[at])
+            else:
+                near = self._near[self._neighbors.find(states[at], self._rows[a], key=a)]
+                weights = self._weights[near]
+                running = np.cumsum(np.where(weights.any(axis=1, keepdims=True), weights, 1.0), axis=1)
+                place = (running <= (uniform[at] * running[:, -1])[:, None]).sum(axis=1)
+                chosen[at] = near[np.arange(len(at)), np.minimum(place, N_NEIGHBORS - 1)]
         return np.asarray(self._e[chosen])
 
-    def _choose(self, states: Array, a: int, uniform: Array) -> IntArray:
-        tree = self._trees[a]
-        if self._near is None or tree is None:
-            pool, running = self._pools[a]
-            place = np.searchsorted(running, uniform * running[-1], side="right")
-            return np.asarray(pool[np.minimum(place, len(pool) - 1)])
-        near = self._near[self._rows[a][tree.query(self._task.smooth(states) / self._unit)[1]]]
-        weights = self._weights[near]
-        running = np.cumsum(np.where(weights.any(axis=1, keepdims=True), weights, 1.0), axis=1)
-        place = (running <= (uniform * running[:, -1])[:, None]).sum(axis=1)
-        return np.asarray(near[np.arange(len(near)), np.minimum(place, NEAR - 1)])
+    def own_noise(self, states: Array, actions: IntArray, own: Moves, xi: Array) -> Array:
+        """(n, d) the simulator's noise, of the coordinates that scatter as it does; ``own`` is its step without noise."""
+        if self._gain is not None:
+            return xi @ self._gain
+        noise = self._task.moves(states, actions, xi).next_state - own.next_state
+        return np.where(self.own[: noise.shape[1]], noise, 0.0)
+
+
+def root_mean_square(values: Array) -> Array:
+    """Of each column."""
+    return np.asarray(np.sqrt((values**2).mean(axis=0)))
 
 
 def _squared_correlation(x: Array, y: Array) -> float:

@@ -38,7 +38,7 @@ def hidden_state(learned: ResidualSimulator) -> str:
     return text + more * (effect.r_squared > effect.lag_r_squared + 0.05)
 
 
-def flaw(learned: ResidualSimulator) -> str:
+def describe_flaw(learned: ResidualSimulator) -> str:
     """What is wrong where columns are in other units, or history explains the residuals; "ok" where all is well."""
     if learned.units:
         return f"{UNITS}{learned.units}"
@@ -46,26 +46,28 @@ def flaw(learned: ResidualSimulator) -> str:
     return f"the next state depends on more than the state and the action (hidden state): {effect}" if effect else "ok"
 
 
-def advice(chosen: Correction) -> str:
-    """What to do where history explains residuals and no correction can be trusted."""
-    if chosen.history != "auto":
+def advice(chosen: Correction, is_auto: bool) -> str:
+    """What to do where history explains residuals and no correction can be trusted; "" elsewhere."""
+    if chosen.is_trusted or chosen.learned.units:
+        return ""
+    if not is_auto:
         return "Use history auto, which tries up to five last actions in the state."
     share = chosen.learned.hidden_part / chosen.plain.hidden_part
-    tried = f"With the last {chosen.steps} actions in the state, {share:.0%} of that effect is left."
+    text = f"With the last {chosen.steps} actions in the state, {share:.0%} of that effect is left."
     if chosen.steps == 0:
-        tried = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
+        text = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
     return (
-        f"{tried} Sensor noise, a slow actuator, or a quantity that is not recorded may be the cause. Filter the states, "
+        f"{text} Sensor noise, a slow actuator, or a quantity that is not recorded may be the cause. Filter the states, "
         "or record what is missing. Until then read the simulator's value, which has no interval."
     )
 
 
 def parameters(
-    fit: ParameterFit, plain: ResidualSimulator, fitted: ResidualSimulator, given: ResidualSimulator, is_taken: bool
+    fit: ParameterFit, plain: ResidualSimulator, fitted: ResidualSimulator, unfitted: ResidualSimulator, is_taken: bool
 ) -> str:
     """What was fitted, whether the value in front has it, and where a fit without history (``plain``) is no physics."""
     caution = " The fit ignores history, which matters here. Do not read its numbers as physics."
-    both, alone = (f"{learned.held_out_error**0.5:.2g}" for learned in (fitted, given))
+    both, alone = (f"{learned.held_out_error**0.5:.2g}" for learned in (fitted, unfitted))
     return (
         f"{fit.describe()} The value in front corrects the residuals of the {'fitted' if is_taken else 'given'} simulator, "
         f"because its held-out one-step error is {'no larger' if is_taken else 'smaller'} ({both} of a step's standard "
@@ -73,38 +75,38 @@ def parameters(
     )
 
 
-def history(plain: ResidualSimulator, learned: ResidualSimulator, steps: int, is_chosen: bool) -> str:
+def history(plain: ResidualSimulator, learned: ResidualSimulator, steps: int, is_auto: bool) -> str:
     """How many last actions are in the state, and why; "" where none are."""
     if not steps:
         return ""
     text = f"The value in front has the last {'action' if steps == 1 else f'{steps} actions'} in the state"
-    if not is_chosen:
-        return f"{text}." if flaw(learned) == "ok" else ""
+    if not is_auto:
+        return f"{text}." if describe_flaw(learned) == "ok" else ""
     before, after = (f"{each.held_out_error**0.5:.2g}" for each in (plain, learned))
-    return (
-        f"{text}, because {hidden_state(plain)}. The held-out one-step error falls from {before} to {after} of a step's "
-        "standard deviation."
-        + (f" At most {MAX_LAG} are tried; history {MAX_LAG + 3} keeps more." if steps == MAX_LAG else "")
-    )
+    text += f", because {hidden_state(plain)}. The held-out one-step error falls from {before} to {after} of a step's "
+    text += "standard deviation."
+    return text + f" At most {MAX_LAG} are tried; history {MAX_LAG + 3} keeps more." * (steps == MAX_LAG)
 
 
 def difference(corrected: ResidualSimulator) -> str:
     """In which coordinates the log's residuals show that the target differs from the simulator."""
-    changed = [c for c in corrected.coordinates if c.differs]
-    if not changed:
+    changes = ", ".join(
+        f"{c.name} (residuals {c.residual_scatter:.2g}, simulator's scatter {c.simulator_scatter:.2g}, "
+        f"{max(c.explained, 0.0):.1%} explained)"
+        for c in corrected.coordinates
+        if c.differs
+    )
+    if not changes:
         return (
             "The log shows no difference between the target's steps and the simulator's. Its residuals s' - f(s, a) are as "
             "large as the simulator's own scatter."
         )
-    each = ", ".join(
-        f"{c.name} (residuals {c.residual_scatter:.2g}, simulator's scatter {c.simulator_scatter:.2g}, "
-        f"{max(c.explained, 0.0):.1%} explained)"
-        for c in changed
-    )
-    sentence = f"The target's steps differ from the simulator's in {each}."
+    text = f"The target's steps differ from the simulator's in {changes}."
     if corrected.units:
-        return f"{UNITS.capitalize()}{corrected.units}. {sentence}"
-    return f"{sentence} Explained is the share of the residuals' mean square that the correction removes.{odd_row(corrected)}"
+        return f"{UNITS.capitalize()}{corrected.units}. {text}"
+    return (
+        f"{text} Explained is the share of the residuals' mean square that the correction removes.{odd_row(corrected)}"
+    )
 
 
 def odd_row(corrected: ResidualSimulator) -> str:
@@ -121,10 +123,10 @@ def odd_row(corrected: ResidualSimulator) -> str:
 
 
 def name_loss(
-    model: Discretization, mc: Callable[[Array], MonteCarlo], tables: Mapping[str, Array], horizon: int
+    model: Discretization, simulate: Callable[[Array], MonteCarlo], tables: Mapping[str, Array], horizon: int
 ) -> str:
     """By how much the cells change the simulator's own values, which no interval counts."""
-    values = {name: mc(table).value for name, table in tables.items()}
+    values = {name: simulate(table).value for name, table in tables.items()}
     changes = ", ".join(
         f"{policy_value(model.plain, tables[name], horizon=horizon) - value:+.3g} of {value:.3g} ({name})"
         for name, value in values.items()
@@ -166,11 +168,11 @@ def rewards_contradict(task: ContinuousTask, log: ContinuousTransitions) -> str:
     known = None if log.reward is None else task.reward_between(log.state, log.action, log.next_state)
     if log.reward is None or known is None:
         return ""
-    away = np.abs(log.reward - known)
-    bad = np.flatnonzero(away > 1e-6 * max(1.0, float(np.abs(known).max())))
+    distance = np.abs(log.reward - known)
+    bad = np.flatnonzero(distance > 1e-6 * max(1.0, float(np.abs(known).max())))
     if bad.size == 0:
         return ""
-    k = int(away.argmax())
+    k = int(distance.argmax())
     return (
         f"The log's rewards contradict the simulator's r(s, a, s') in {bad.size} of {len(log)} transitions. The reward of row "
         f"{k} is {log.reward[k]:g} in the log and {known[k]:g} in the simulator. The simulator's rewards are used"

@@ -63,9 +63,9 @@ class ContinuousSimulator:
         The function takes states (n, d) and gives probabilities (n, A), action numbers (n,) or commands (n, k); see
         ``actions.as_probabilities``.
         """
+        expert = self.expert
         if spec == "uniform":
             return _mix(None, 0.0, self.task.n_actions)
-        expert = self.expert
         if expert is not None and spec == "expert":
             return expert
         if expert is not None and spec.startswith("mix:"):

@@ -6,15 +6,16 @@ correction is added, by a step from a little further back, and the target's is p
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular.continuous.task import ContinuousTask
 
-ROWS = 5  # that end at exactly the extreme of a coordinate: a stop
-MOST = 0.5  # share of rows at stops, beyond which they are values like others
-BACK = 2.0 ** np.arange(-5, 1)  # of the longest displacement: from how far back a step is free of the simulator's stop
+MIN_ROWS = 5  # that end at exactly the extreme of a coordinate: a stop
+MAX_SHARE = 0.5  # of rows at stops, beyond which they are values like others
+SHARES_BACK = 2.0 ** np.arange(
+    -5, 1
+)  # of the longest displacement: from how far back a step is free of the simulator's stop
 
 
 class Stops:
@@ -34,34 +35,30 @@ class Stops:
     """
 
     def __init__(self, states: Array, following: Array, own: Array, is_angle: BoolArray) -> None:
-        bounds = _extremes(following)
-        target, ours = _find(following, bounds, is_angle), _find(own, _extremes(own), is_angle)
-        for side, (sign, most) in enumerate(((-1.0, following.min(axis=0)), (1.0, following.max(axis=0)))):
-            alike = np.isinf(bounds[side]) & np.isfinite(ours[side]) & (sign * most <= sign * ours[side])
-            bounds[side, alike] = target[side, alike] = ours[side, alike]
-        self.bounds, self.target, self.own = bounds, target, ours
+        self.bounds = _extremes(following)
+        self.target, self.own = _find(following, self.bounds, is_angle), _find(own, _extremes(own), is_angle)
+        least, most = following.min(axis=0), following.max(axis=0)
+        is_own = np.isinf(self.bounds) & np.isfinite(self.own) & [least >= self.own[0], most <= self.own[1]]
+        self.bounds[is_own] = self.target[is_own] = self.own[is_own]
         self._reach = np.maximum(np.abs(following - states).max(axis=0), np.abs(own - states).max(axis=0))
-        self.held = _group_stops(target, np.concatenate([following, own]))
+        self.held = _group_stops(self.target, np.concatenate([following, own]))
         self.pushes = {at: np.zeros((len(j), self._reach.size)) for at, (j, _) in self.held.items()}
 
     def is_stopped(self, following: Array) -> BoolArray:
         """(n,) next states at a stop of the target."""
         return np.asarray(_side(self.target, following).any(axis=1))
 
-    def free(self, step: Callable[[Array, IntArray], Array], states: Array, own: Array) -> Array:
-        """(n, d) the simulator's next states without its stops, f(s - b) + b; b is as short as is free of them.
-
-        ``step`` (states, rows) is the simulator's without noise under the actions of those rows.
-        """
+    def free(self, task: ContinuousTask, states: Array, actions: IntArray, own: Array) -> Array:
+        """(n, d) the simulator's next states ``own`` without its stops, f(s - b) + b; b is as short as is free of them."""
         if np.isinf(self.own).all():
             return own
         at, free = _side(self.own, own), own.copy()
         rows = np.flatnonzero(at.any(axis=1))
-        for share in BACK:
+        for share in SHARES_BACK:
             if len(rows) == 0:
                 break
             b = at[rows] * share * self._reach
-            moved = step(states[rows] - b, rows)
+            moved = task.noiseless_step(states[rows] - b, actions[rows]).next_state
             free[rows] = moved + b
             rows = rows[(_side(self.own, moved) * at[rows] > 0).any(axis=1)]
         return free
@@ -71,7 +68,7 @@ class Stops:
         for (side, i), (held, values) in self.held.items():
             rows = following[:, i] == self.target[side, i]
             others = np.setdiff1d(np.arange(self._reach.size), [i, *held])
-            if rows.sum() >= ROWS * len(held):
+            if rows.sum() >= MIN_ROWS * len(held):
                 lost = moved[rows][:, held] - values
                 self.pushes[side, i][:, others] = np.linalg.lstsq(lost, (following - moved)[rows][:, others])[0]
 
@@ -99,9 +96,9 @@ def _side(stops: Array, values: Array) -> IntArray:
 
 
 def _extremes(values: Array) -> Array:
-    """(2, d) the least and the most, where ROWS end there and not all."""
+    """(2, d) the least and the most, where ``MIN_ROWS`` end there and not all."""
     ends = np.stack([values.min(axis=0), values.max(axis=0)])
-    is_stop = ((values == ends[:, None]).sum(axis=1) >= ROWS) & (values.std(axis=0) > 0)
+    is_stop = ((values == ends[:, None]).sum(axis=1) >= MIN_ROWS) & (values.std(axis=0) > 0)
     return np.where(is_stop, ends, [[-np.inf], [np.inf]])
 
 
@@ -116,11 +113,10 @@ def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
         between = values[_side(extremes[:, [i]], values[:, [i]])[:, 0] == 0, i]
         if is_angle[i] or len(np.unique(between)) ** 2 <= len(values):
             stops[:, i] = none[:, i]
-    holding = _group_stops(stops, values)
-    for side, i in zip(*np.nonzero(np.isfinite(stops)), strict=True):
-        if (side, i) not in holding:
-            stops[side, i] = none[side, i]
-    return stops if _side(stops, values).any(axis=1).mean() <= MOST else none
+    held = _group_stops(stops, values)
+    for at in zip(*np.nonzero(np.isfinite(stops)), strict=True):
+        stops[at] = stops[at] if at in held else none[at]
+    return stops if _side(stops, values).any(axis=1).mean() <= MAX_SHARE else none
 
 
 def _group_stops(stops: Array, values: Array) -> dict[tuple[int, int], tuple[IntArray, Array]]:

@@ -98,7 +98,6 @@ class ContinuousTask(ABC):
     periodic: tuple[bool, ...]
     terminates: bool
     steps_at_once: bool = True  # whether many states cost little more than one
-    n_remembered: int = 0  # coordinates at the end of a state that only remember actions (HistoryTask)
     default_cells: Any = None
     noise_points: int = 1
     is_translation_invariant: bool = False
@@ -155,9 +154,9 @@ class ContinuousTask(ABC):
         """
         return None
 
-    def past_displacements(self, states: Array, actions: IntArray) -> Array:
-        """(n, m) displacements of steps under the actions that a state remembers; default: it remembers none."""
-        return np.empty((len(states), 0))
+    def displacements(self, states: Array, actions: IntArray, next_states: Array) -> list[Array]:
+        """What a correction of the step depends on besides (s, a), each (n, <= d): s' - s of the task's own step."""
+        return [next_states - states]
 
     def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
         """(n,) r(s, a, s') by the ``reward_terms`` of s and s', linear in both."""
@@ -190,52 +189,48 @@ class ContinuousTask(ABC):
         """The number A of actions."""
         return len(self.actions)
 
+    def noiseless_step(self, states: Array, actions: IntArray) -> Moves:
+        """One step f(s, a) from each state, with xi = 0."""
+        return self.moves(states, actions, np.zeros((len(states), self.n_disturbances)))
+
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """One random step from each state."""
         return self.moves(states, actions, rng.standard_normal((len(states), self.n_disturbances)))
 
 
-def _pass_to_task(method: str) -> Any:
-    """The other task's method."""
-    return lambda self, *given: getattr(self.task, method)(*given)
-
-
-def _pass_own_to_task(method: str) -> Any:
-    """The other task's method, of its own states in those that are given first."""
-    return lambda self, states, *given: getattr(self.task, method)(self.own(states), *given)
-
-
 class DerivedTask(ContinuousTask):
-    """A task made of another: all that a subclass does not say is the other's, of ``own`` of a state."""
+    """A task made of another: what a subclass does not say is the other's, of ``own`` of a state."""
 
     def __init__(self, task: ContinuousTask, name: str) -> None:
+        for attribute in ContinuousTask.__annotations__:
+            setattr(self, attribute, getattr(task, attribute))
         self.task, self.name = task, name
-        self.state_names, self.actions, self.n_disturbances = task.state_names, task.actions, task.n_disturbances
-        self.feature_names, self.periodic, self.terminates = task.feature_names, task.periodic, task.terminates
-        self.feature_low, self.feature_high = task.feature_low, task.feature_high
-        self.steps_at_once, self.n_remembered = task.steps_at_once, task.n_remembered
-        self.default_cells, self.is_translation_invariant = task.default_cells, task.is_translation_invariant
 
     def own(self, states: Array) -> Array:
         """The other task's states (n, d) in these; default: these."""
         return states
 
-    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
-        """The task's."""
-        return self.task.initial_states(n, rng)
+    @staticmethod
+    def _delegate(method: str, n_states: int) -> Any:
+        """The other task's method; its first ``n_states`` arguments are states."""
+
+        def call(self: DerivedTask, *arguments: Any) -> Any:
+            return getattr(self.task, method)(*map(self.own, arguments[:n_states]), *arguments[n_states:])
+
+        return call
+
+    initial_states, initial_points = _delegate("initial_states", 0), _delegate("initial_points", 0)
+    embed, reward_of = _delegate("embed", 0), _delegate("reward_of", 0)
+    terminated, end_shows = _delegate("terminated", 1), _delegate("end_shows", 1)
+    features, smooth, reward_terms = _delegate("features", 1), _delegate("smooth", 1), _delegate("reward_terms", 1)
 
     def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
         """The task's."""
         return self.task.reward_between(self.own(states), actions, self.own(next_states))
 
-    initial_points, embed, reward_of = (
-        _pass_to_task("initial_points"),
-        _pass_to_task("embed"),
-        _pass_to_task("reward_of"),
-    )
-    terminated, end_shows = _pass_own_to_task("terminated"), _pass_own_to_task("end_shows")
-    features, smooth = _pass_own_to_task("features"), _pass_own_to_task("smooth")
-    reward_terms, past_displacements = _pass_own_to_task("reward_terms"), _pass_own_to_task("past_displacements")
+    def displacements(self, states: Array, actions: IntArray, next_states: Array) -> list[Array]:
+        """The task's."""
+        return self.task.displacements(self.own(states), actions, self.own(next_states))
 
 
 def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:
@@ -298,14 +293,16 @@ def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> A
 
 def find_periods(task: ContinuousTask, states: Array) -> Array:
     """(d,) the period of coordinates that are angles, 0 of others: where the features of these states are the states."""
-    turns, periods = np.array(task.periodic, dtype=np.bool_), np.zeros(task.n_state)
-    if task.n_state == len(turns) and turns.any() and np.array_equal(task.features(states), states):
-        periods[turns] = (np.asarray(task.feature_high) - np.asarray(task.feature_low))[turns]
+    periodic, periods = np.array(task.periodic, dtype=np.bool_), np.zeros(task.n_state)
+    if task.n_state == len(periodic) and periodic.any() and np.array_equal(task.features(states), states):
+        periods[periodic] = np.subtract(task.feature_high, task.feature_low)[periodic]
     return periods
 
 
 def shortest(differences: Array, periods: Array) -> Array:
-    """Differences of angles by the shorter way; ``periods`` (d,) repeat where there are more columns."""
-    each = np.resize(periods, differences.shape[1])
+    """Differences (n, k) of the first k coordinates, of angles by the shorter way."""
+    if not periods.any():
+        return differences
+    each = periods[: differences.shape[1]]
     turns = np.where(each > 0, np.round(differences / np.where(each > 0, each, 1.0)), 0.0)
     return np.asarray(differences - each * turns)

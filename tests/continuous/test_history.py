@@ -58,7 +58,9 @@ def test_a_history_is_the_task_with_more_in_its_state():
     assert_array_equal(task.terminated(moved.next_state), moved.terminated)
     assert_allclose(task.reward_between(states, np.array([1, 1]), moved.next_state), moved.reward)
     assert_array_equal(task.embed(task.features(states)), states)
-    assert_allclose(task.past_displacements(states, np.array([0, 0])), [[0.3], [-0.155]])  # no last action: the present
+    own, last = task.displacements(states, np.array([0, 0]), moved.next_state)
+    assert_allclose(own, [[0.3], [0.345]])
+    assert_allclose(last, [[0.3], [-0.155]])  # no last action: the present
     assert task.initial_points()[0].shape == (50_000, 3)
 
 
@@ -81,10 +83,10 @@ def test_a_delay_is_named_and_its_history_kept(steps):
     assert effect.lag_r_squared > 0.7
     words = ("one step", "two steps", "three steps")[steps - 1]
     assert hidden_state(chosen.plain).startswith(f"the action of {words} ago explains 8")
-    assert (chosen.steps, chosen.is_trusted, chosen.warning) == (steps, True, "")
     more = " At most 5 are tried; history 8 keeps more."
     assert not chosen.reason.endswith(more)
     assert history_sentence(chosen.plain, chosen.learned, 5, True).endswith(f"of a step's standard deviation.{more}")
+    assert (chosen.steps, chosen.is_trusted, chosen.status) == (steps, True, "ok")
     assert abs(value(chosen.learned) - value(target)) < 0.05 * abs(value(SIMULATOR) - value(target))
 
 

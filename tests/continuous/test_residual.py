@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular.continuous.episodes import paired_returns
-from oee_tabular.continuous.regression import FOLDS, Functions, Grams, groups_of
+from oee_tabular.continuous.regression import FOLDS, Functions, Grams, episode_groups
 from oee_tabular.continuous.sentences import odd_row
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.robots.changes import classic
@@ -213,12 +213,16 @@ def test_the_simplest_class_that_does(drift, kind, per_action):
     assert np.sqrt(((found - right) ** 2).mean()) < 0.005
 
 
-def test_a_correction_stays_within_what_was_logged():
-    corrected = ResidualSimulator(Line(), line_log(Line(lambda s, a: 0.2 * s)), seed=0)
-    far = np.array([[50.0], [-50.0]])
-    moved = corrected.moves(far, np.array([0, 1]), np.zeros((2, corrected.n_disturbances))).next_state - far
-    own = np.array([[-0.25], [0.25]])
-    assert (np.abs(moved - own) <= np.abs(corrected.residuals).max() + 1e-12).all()
+def test_a_correction_stays_within_the_residuals_that_were_logged():
+    """They are -.3 and .3; the fit alone reaches .97; what it leaves, which is drawn, adds to what is cut off."""
+    target, simulator = Line(lambda s, a: np.where(s > 0, 0.3, -0.3), knows_reward=False), Line(knows_reward=False)
+    corrected = ResidualSimulator(simulator, line_log(target, 100, seed=2, steps=4), seed=0)
+    for reach in (3.0, 50.0):
+        states, actions = np.linspace(-reach, reach, 2001)[:, None], np.zeros(2001, dtype=int)
+        added = corrected.moves(states, actions, np.zeros((2001, corrected.n_disturbances))).next_state - (
+            states - 0.25
+        )
+        assert 0.3 < np.abs(added).max() < 0.45
 
 
 def test_a_reward_that_the_task_cannot_tell_is_learned():
@@ -396,11 +400,11 @@ def test_values_are_sums_of_functions_row_by_row():
 
 def test_groups_are_of_whole_episodes():
     episode = np.repeat(np.arange(100), 7)
-    group = groups_of(episode, 700, 50, 2)
+    group = episode_groups(episode, 700, 50, 2)
     assert group.max() == 39
     assert all(len(np.unique(group[episode == k])) == 1 for k in range(100))
-    assert groups_of(episode, 700, 3000, 9).max() == 7  # memory
-    assert len(np.unique(groups_of(None, 700, 50, 2))) == 40
+    assert episode_groups(episode, 700, 3000, 9).max() == 7  # memory
+    assert len(np.unique(episode_groups(None, 700, 50, 2))) == 40
 
 
 def test_refits_vary_as_other_logs_do():
