@@ -169,14 +169,6 @@ def test_a_floor_is_a_share_of_the_log_s_impossible_transitions(seed):
     assert_floor(discretize(CartPole(), log, cells=(60, 60), floor=1e-3, **QUICK), log, 1e-3)
 
 
-def test_half_of_a_floor_lies_where_a_step_begins():
-    model = discretize(Drift(), cells=(81,), floor=0.1, **QUICK)  # a step leads ten vertices away
-    row, near = np.zeros(82), np.full(5, 0.1 / 2 / 5)
-    row[38:43], row[28:33] = near, near
-    row[30] += 0.9
-    assert_allclose(dense(model)[40, 0], row, atol=1e-12)
-
-
 def test_copies_of_a_state_on_two_sides_of_an_edge_are_one():
     model = discretize(Drift(), cells=(81,), **QUICK)
     log = ContinuousTransitions([[-0.25], [0.0125 + 1e-8]], [1, 1], [[0.0125 - 1e-8], [0.2625]], episode=[0, 0])
