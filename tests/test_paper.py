@@ -91,7 +91,7 @@ def test_the_convex_program_as_printed(rng, normalized, lam):
     one = (
         (p > 0) | (lam > 0) | (not normalized)
     )  # elsewhere cells share what the others leave as they like, at one risk
-    assert_allclose(printed[one], fit.ratio[one], rtol=0, atol=1e-5)
+    assert_allclose(printed[one], fit.ratio[one], rtol=0, atol=1e-4)  # risks equal to 1e-9 say no more
     assert_allclose(q[~one] @ printed[~one], q[~one] @ fit.ratio[~one], rtol=0, atol=1e-5)
     assert (printed >= nu - 1e-5).all()
     assert (printed <= mu + 1e-5).all()

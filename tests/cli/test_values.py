@@ -147,7 +147,7 @@ def test_compare_says_which_or_that_it_cannot(run, folder):
     assert doubt["best"] is None
     assert "The log cannot say which of" in doubt["sentence"]
     assert {row["probability_best"] for row in doubt["policies"]} == {None}
-    assert "There is no P(best): " in run(words)
+    assert "There is no P(best), because" in run(words)
 
 
 @pytest.mark.parametrize("moves", [6, 60, 600])
