@@ -162,9 +162,9 @@ def run_command(*words):
     return ended.value.code or 0
 
 
-def printed_with_threads(script, threads):
-    """What a script prints in a process of its own with that many numba threads."""
-    environment = os.environ | {"NUMBA_NUM_THREADS": str(threads)}
+def printed(script, **settings):
+    """What a script prints in a process of its own, with these of numba's settings."""
+    environment = os.environ | {name: str(value) for name, value in settings.items()}
     command = [sys.executable, "-c", script]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
 

@@ -14,11 +14,12 @@ from numba import njit
 
 from oee_tabular.inference._robust import greedy_row
 
-# an ascent's numbers; ``value`` is J of its rows and ``base`` that of the frequencies, ``change`` the last step's
-NAMES = "sign limit base settled value step tau change divergence slack quiet iterations reached"
-NUMBERS = np.dtype([(name, "f8") for name in NAMES.split()])
+# an ascent's numbers, as records: their fields are attributes without numba too; ``value`` is J of its rows and ``reference``
+# that of the frequencies, ``change`` the last step's
+NAMES = "sign limit reference settled value step tau change divergence slack quiet iterations reached"
+NUMBERS = np.dtype((np.record, [(name, "f8") for name in NAMES.split()]))
 N_ITERATIONS = 200  # at most; ten are usual
-N_QUIET = 4  # iterations that move the end by less than a share ``settled`` of the way from ``base`` are the last
+N_QUIET = 4  # iterations that move the end by less than a share ``settled`` of the way from ``reference`` are the last
 EXACT = 1e-8  # of the limit: how closely it is met in the end
 SOLVED = 1e-3  # of the last iteration's change: how far J of an iteration may be off
 GROWTH = 1.2  # of the step, after one that was no worse; doubling it is refused every other time
@@ -41,7 +42,7 @@ def ascend(rows, ascent):
 def propose(rows, ascent):
     """Fill ``trial`` with the rows P(x) that are best for x, the limit met as closely as the last step was long."""
     s = ascent.numbers[0]
-    width = abs(s.value - s.base) + TINY
+    width = abs(s.value - s.reference) + TINY
     s.slack = SOLVED * min(s.change, width)
     ascent.trial[:] = ascent.p
     share = s.step if rows.n_steps > 0 else 1.0
@@ -61,7 +62,7 @@ def accept(ascent, value):
         s.step *= 0.5
     else:
         s.change = s.change if is_first else abs(gain)
-        is_still = abs(gain) <= s.settled * abs(value - s.base) + 1e-14 * abs(s.base)
+        is_still = abs(gain) <= s.settled * abs(value - s.reference) + 1e-14 * abs(s.reference)
         s.quiet = s.quiet + 1 if is_still else 0
         is_last = is_last or s.quiet >= N_QUIET or (is_still and np.abs(ascent.trial - ascent.p).max() <= 1e-9)
         if is_first:  # drawn directions get the gradient's size, so that they can be mixed

@@ -201,7 +201,7 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
     start = np.full(n, 1.0 / ((1.0 - rows.discount) * n) if rows.is_sparse else 0.0)
     last_x, gradient, x, trial, slope = np.zeros((5, k))
     ascent = Ascent(np.zeros(1, dtype=kernels.NUMBERS), p, last_x, gradient, x, trial, np.zeros(n), start, slope)
-    ascent.numbers["value"] = ascent.numbers["base"] = _evaluate(rows, p, ascent, FINE)
+    ascent.numbers["value"] = ascent.numbers["reference"] = _evaluate(rows, p, ascent, FINE)
     ascent.numbers["step"], ascent.numbers["change"] = 1.0, np.inf
     return ascent
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import random_mdp, random_policy, rngs
+from helpers import printed, random_mdp, random_policy, rngs
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -174,3 +174,14 @@ def test_an_end_where_no_recorded_row_changes_the_value():
         log = oee.sample_episodes(simulator, np.zeros(21, int), 30, 20, seed=seed)
         found = oee.interval(oee.Problem(simulator, log), np.where(places < 10, 1, 0))
         assert -0.4 - 1e-9 <= found.lower < found.upper <= 1.0
+
+
+def test_the_ends_are_the_same_where_kernels_are_not_compiled():
+    """The machine code and Python run the same loop."""
+    script = (
+        "import oee_tabular as oee; w = oee.tasks.gridworld(2, slip=0.2)\n"
+        "p = oee.uniform_policy(w); log = oee.sample_transitions(w, p / 4, 30, seed=0)\n"
+        "ends = oee.interval(oee.Problem(w, log), p); print(repr(ends.lower), repr(ends.upper))"
+    )
+    ends = [printed(script, NUMBA_DISABLE_JIT=off).split() for off in "01"]
+    assert_allclose(*(np.array(words, dtype=float) for words in ends), rtol=1e-9)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import printed_with_threads, random_mdp, random_policy, rngs
+from helpers import printed, random_mdp, random_policy, rngs
 from hypothesis import given, settings
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
@@ -35,7 +35,7 @@ print(hashlib.sha256(b"".join(column.tobytes() for column in columns)).hexdigest
 
 @pytest.mark.large
 def test_the_same_bits_for_any_number_of_threads():
-    assert printed_with_threads(SCRIPT, 1) == printed_with_threads(SCRIPT, 2) != ""
+    assert printed(SCRIPT, NUMBA_NUM_THREADS=1) == printed(SCRIPT, NUMBA_NUM_THREADS=2) != ""
 
 
 def test_an_episode_does_not_depend_on_how_many_there_are_nor_on_what_is_computed():
