@@ -189,7 +189,9 @@ def _fill_missing(column: Any) -> Column:
     if not np.ma.is_masked(column):
         return np.asarray(np.ma.getdata(column))
     is_number = column.dtype.kind in "iuf"
-    return np.asarray(column.astype(np.float64 if is_number else object).filled(np.nan if is_number else None))
+    values = np.ma.getdata(column).astype(np.float64 if is_number else object)
+    values[np.ma.getmaskarray(column)] = np.nan if is_number else None  # filled(None) would write "?"
+    return np.asarray(values)
 
 
 # ---- parquet of our own

@@ -1,6 +1,7 @@
 """Logs as people have them: names, data frames of several libraries, episodes as lists of steps, and files of all these."""
 
 import pickle
+import tempfile
 import warnings
 from dataclasses import replace
 
@@ -10,6 +11,8 @@ import pyarrow as pa
 import pytest
 from helpers import ACTIONS, STATES
 from helpers import NAMED as MDP
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
@@ -247,3 +250,43 @@ def test_files_of_a_pattern_warn_once_and_missing_rewards_are_described(tmp_path
     with pytest.warns(UserWarning, match="left out: speed$"):
         counts = Transitions.open(tmp_path)
     assert all("rewards -2 to 0, 1 of 4 missing" in each.describe() for each in (log, counts))
+
+
+KINDS = {  # of a column's values; a place among them is drawn for the last
+    "numbers": lambda k: k,
+    "floats": lambda k: k.astype(float),
+    "texts of numbers": lambda k: k.astype(str).astype(object),
+    "names": lambda k: np.array(list("abcd"), dtype=object)[k],
+    "a half": lambda k: np.append(k[1:] + 0.0, 0.5),
+    "nothing": lambda k: np.append(k[1:] + 0.0, np.nan),
+    "a name that is nothing": lambda k: np.array([*"abcd"[: len(k) - 1], None], dtype=object),
+    "too large": lambda k: np.append(k[1:], 2**60),
+}
+
+
+@settings(max_examples=25)
+@given(st.data())
+def test_a_table_is_the_same_log_in_every_form_or_is_refused_in_all(data):
+    """The values, and of bad ones the column, the row, the rule and what was found."""
+    n = data.draw(st.integers(1, 5))
+    numbers = st.lists(st.integers(0, 3), min_size=n, max_size=n).map(np.array)
+    drawn = {
+        label: KINDS[data.draw(st.sampled_from([*KINDS]), label)](data.draw(numbers))
+        for label in ("state", "action", "next_state", *data.draw(st.sampled_from([(), ("reward",), ("episode",)])))
+    }
+    frame = pd.DataFrame(drawn)
+    with tempfile.TemporaryDirectory() as folder:
+        csv, parquet = f"{folder}/log.csv", f"{folder}/log.parquet"
+        frame.to_csv(csv, index=False)
+        frame.to_parquet(parquet, index=False)
+        ways = (Transitions.from_frame, frame), (Transitions.load, csv), (Transitions.load, parquet)
+        assert len({str(outcome(make, source)) for make, source in ways}) == 1
+
+
+def outcome(make, source):
+    """A log's columns, or the words of its error without the file."""
+    try:
+        log = make(source)
+    except ValueError as error:
+        return str(error).split(": ", 1)[-1]
+    return {label: str(column.tolist()) for label, column in log.columns().items()}
