@@ -18,9 +18,18 @@ def _hurried(monkeypatch):
     monkeypatch.setattr("oee_tabular._progress.SECONDS", 600.0)
 
 
+IS_COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
+
+
+def pytest_configure(config):
+    """Where kernels are not compiled, numpy warns of overflow to infinity, which machine code does not."""
+    if not IS_COMPILED:
+        config.addinivalue_line("filterwarnings", "ignore::RuntimeWarning")
+
+
 def pytest_collection_modifyitems(config, items):
     """Large problems are left out where kernels are not compiled: they would take hours."""
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+    if not IS_COMPILED:
         large = [item for item in items if item.get_closest_marker("large")]
         config.hook.pytest_deselected(items=large)
         items[:] = [item for item in items if not item.get_closest_marker("large")]
