@@ -77,7 +77,7 @@ def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -
     mdp = problem.model
     shape = (mdp.n_states, mdp.n_actions)
     counts = row_sums(problem.counts)
-    model = reweight(mdp, Conditional().fit(problem.observed, problem.simulator, made=problem.made))
+    model = reweight(mdp, Conditional().fit(problem.observed, problem.simulator, cache=problem.cache))
     table, optimistic = row_costs(
         mdp, model, list(policies.values()), counts, horizon=problem.horizon, box=Box(0.0, np.inf), confidence=confidence,
         optimistic=True,

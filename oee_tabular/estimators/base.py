@@ -317,7 +317,7 @@ class RatioEstimator(TabularEstimator):
                 simulator_data=problem.simulator_data,
                 behavior_policy=problem.behavior_policy,
                 seed=generator,
-                made=problem.made,
+                cache=problem.cache,
             )
         zeta.on(problem.simulator)  # or an error
         return zeta

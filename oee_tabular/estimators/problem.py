@@ -172,9 +172,12 @@ class Problem:
         return self.log if is_whole else self.counts
 
     @cached_property
-    def made(self) -> dict[Any, Any]:
-        """A cache that fits to this log share (``Method.fit``)."""
-        return Made()
+    def cache(self) -> dict[Any, Any]:
+        """What fits to this log share (``Method.fit``)."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "cache"}
 
     @cached_property
     def soft(self) -> bool:
@@ -228,13 +231,6 @@ class Problem:
             return log.reward
         simulated = simulator_rewards(self.simulator, log)
         return simulated if log.reward is None else np.where(np.isnan(log.reward), simulated, log.reward)
-
-
-class Made(dict[Any, Any]):
-    """A cache that is empty in copies and in other processes."""
-
-    def __reduce__(self) -> tuple[type[Made], tuple[()]]:
-        return Made, ()
 
 
 def require_policy(problem: object, policy: PolicyLike) -> Array:

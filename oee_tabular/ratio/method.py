@@ -1,4 +1,4 @@
-"""What a way from counts to zeta is: an object with its options, ``fit`` to a log and its ``limit`` with infinite data."""
+"""Methods for zeta from counts: objects with options, ``fit`` to a log, and the ``limit`` with infinite data."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ class RatioInput:
     simulator_data: SimulatorData = None
     behavior_policy: Array | None = None
     seed: Seed = None
-    made: dict[Any, Any] = field(default_factory=dict)
+    cache: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def visited(self) -> Rows:
-        """The rows that the log has, the same object for all fits that share ``made``."""
+        """The rows that the log has, the same object for all fits that share a cache."""
         rows: Rows = self.get_or_compute(_visited)
         return rows
 
     def get_or_compute(self, make: Callable[..., Any]) -> Any:
-        """``make(given)``, which looks at counts and simulator alone, for all fits that share ``made``."""
-        if make not in self.made:
-            self.made[make] = make(self)
-        return self.made[make]
+        """``make(given)``, which looks at counts and simulator alone, for all fits that share a cache."""
+        if make not in self.cache:
+            self.cache[make] = make(self)
+        return self.cache[make]
 
     def ratio(
         self, zeta: Array, method: str, gap: float, details: dict[str, Any], influence: Influence | None = None
@@ -168,15 +168,15 @@ class Method:
         simulator_data: SimulatorData = None,
         behavior_policy: PolicyLike | None = None,
         seed: Seed = None,
-        made: dict[Any, Any] | None = None,
+        cache: dict[Any, Any] | None = None,
     ) -> TransitionRatio:
         """zeta from a log of the target, or from counts, csr (S*A, S).
 
-        The rest as in ``transition_ratio``; and ``made``, a dict for fits to one log and simulator: what does not depend on
-        the rest is made once. What the method has no use for is not looked at.
+        The rest as in ``transition_ratio``; and ``cache``, a dict for fits to one log and simulator: what does not depend on
+        the rest is computed once. What the method has no use for is not looked at.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
-        log, made = None, {} if made is None else made
+        log, cache = None, {} if cache is None else cache
         if isinstance(log_or_counts, Transitions):
             log = log_or_counts.numbered(simulator)
             counts = log.counts(simulator.n_states, simulator.n_actions, discount=discount)
@@ -186,15 +186,15 @@ class Method:
             raise ValueError("discount must be left out where counts are given: they have no timesteps")
         else:
             counts = checked_counts(log_or_counts, simulator)
-        if Rows not in made:
-            made[Rows] = Rows.of(simulator)
+        if Rows not in cache:
+            cache[Rows] = Rows.of(simulator)
         observed = supported_counts(counts, simulator)
         if not observed.sum() > 0:
             raise ValueError("log_or_counts must have at least one transition; it has none")
         given = RatioInput(
             observed,
             simulator,
-            made[Rows],
+            cache[Rows],
             log,
             discount,
             () if values_of is None else _policies(values_of, simulator),
@@ -202,7 +202,7 @@ class Method:
             simulator_data,
             None if behavior_policy is None else check_policy(behavior_policy, simulator, name="behavior_policy"),
             seed,
-            made,
+            cache,
         )
         result = self._fit(given)
         if not result.finite:
