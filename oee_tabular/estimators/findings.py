@@ -150,11 +150,11 @@ MADE_FROM_LOG = Finding(
 )
 
 
-def conflict_with_centre(likeliest: float, distance: float) -> Findings:
-    """The value rests on the corrected simulator, ``distance`` standard errors from the log's."""
+def conflict_with_log(ml_value: float, distance: float) -> Findings:
+    """The value is that of the corrected simulator, ``distance`` standard errors from maximum likelihood's."""
     text = (
         "Two estimates disagree. The value is that of the corrected simulator. Maximum likelihood (the corrected simulator in "
-        f"unrecorded pairs) gives {likeliest:.4g}, {{}} standard errors of the difference away. Use the interval and not the "
+        f"unrecorded pairs) gives {ml_value:.4g}, {{}} standard errors of the difference away. Use the interval and not the "
         "standard error. What you know of the difference may help (features=, --features; tie=, --tie)."
     )
     return (Finding("against", distance, text, f"{distance:.1f}"),)

@@ -121,7 +121,7 @@ class OffEnvironment(RatioEstimator):
         zeta = self.fit(problem, policy, generator)
         if self.evaluation == "monte_carlo":
             return self._average_rollouts(problem, zeta, policy, generator)
-        return _evaluate(problem, zeta, policy)
+        return _estimate_exactly(problem, zeta, policy)
 
     @property
     def claims(self) -> frozenset[str]:
@@ -187,8 +187,8 @@ class OffEnvironment(RatioEstimator):
         return moments.mean
 
 
-def _evaluate(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
-    """J in zeta * P, moved towards the log where rows of zeta * P are probabilities."""
+def _estimate_exactly(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
+    """J of zeta * P by dynamic programming, moved towards the log where rows of zeta * P are probabilities."""
     model = reweight(problem.model, zeta)
     result = evaluate_policy(model, policy, horizon=problem.horizon)
     exact = Estimate(
@@ -212,22 +212,22 @@ def _evaluate(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimat
         model_value=result.value,
         measured=shares["coverage"],
     )
-    likelihood = _maximum_likelihood_value(problem, zeta, policy)  # before the gradient, which is as large as its model
+    ml_value = _maximum_likelihood_value(problem, zeta, policy)  # before the gradient, which is as large as its model
     gradient = transition_gradient(model, policy, horizon=problem.horizon, values=result.values, time=time)
-    return _move(exact, likelihood, zeta, gradient)
+    return _move(exact, ml_value, zeta, gradient)
 
 
-def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, gradient: Array) -> Estimate:
-    """The exact value, moved towards the log; its standard error and interval."""
+def _move(exact: Estimate, ml_value: float | None, zeta: TransitionRatio, gradient: Array) -> Estimate:
+    """Move J(zeta P) towards the log, by the soft threshold; ``ml_value`` is J of the maximum-likelihood model."""
     se_fit, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
     if se_fit is None or step is None:
         return exact
-    known = (se_fit, step.change, step.standard_error, step.change_error, likelihood or 0.0)
+    known = (se_fit, step.change, step.standard_error, step.change_error, ml_value or 0.0)
     if not np.isfinite(known).all():
         return exact  # rewards near the largest float
     shared = min(se_fit / step.standard_error, 1.0) if step.standard_error > 0 else 1.0
     s = float(step.standard_error * np.sqrt(1.0 - shared**2))  # of the difference of the two values
-    change = 0.0 if likelihood is None else change_to_log(step.change, likelihood - exact.value, s)
+    change = 0.0 if ml_value is None else change_to_log(step.change, ml_value - exact.value, s)
     rest = min(abs(change), threshold(s, se_fit) * s)
     share_moved = 1.0 - rest / abs(change) if change else 0.0
     value, error = exact.value + share_moved * change, float(np.hypot(step.standard_error, step.unseen))
@@ -243,10 +243,10 @@ def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, grad
         "moved": share_moved,
     }
     warnings: findings.Findings = ()
-    if likelihood is not None:
-        diagnostics["maximum_likelihood_value"] = likelihood
-        if abs(value - likelihood) > CONTRADICTION * s > 0.0:
-            warnings = findings.conflict_with_centre(likelihood, abs(value - likelihood) / s)
+    if ml_value is not None:
+        diagnostics["maximum_likelihood_value"] = ml_value
+        if abs(value - ml_value) > CONTRADICTION * s > 0.0:
+            warnings = findings.conflict_with_log(ml_value, abs(value - ml_value) / s)
     certain = error_or_none(error, gradient, zeta.values.indptr)
     has_interval = certain is not None and np.isfinite(error)
     return replace(
@@ -260,17 +260,17 @@ def _move(exact: Estimate, likelihood: float | None, zeta: TransitionRatio, grad
     )
 
 
-def threshold(difference_error: float, within: float) -> float:
-    """lambda of the soft threshold, where the two values' difference has the standard error ``difference_error``."""
-    if not within > 0.0:
+def threshold(s: float, se_fit: float) -> float:
+    """lambda of the soft threshold, by the ratio of ``s``, the standard error of the two values' difference, to ``se_fit``."""
+    if not se_fit > 0.0:
         return THRESHOLDS[-1]
     logs = np.log(VARIANCE_RATIOS)
-    return float(np.interp(2.0 * np.log(max(difference_error, 1e-300) / within), logs, THRESHOLDS))
+    return float(np.interp(2.0 * np.log(max(s, 1e-300) / se_fit), logs, THRESHOLDS))
 
 
 def _maximum_likelihood_value(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:
     """None without one, or where at discount 1 states with rewards keep the policy for ever."""
-    rows = zeta.likeliest
+    rows = zeta.maximum_likelihood_rows
     if rows is None:
         return None
     try:
@@ -279,13 +279,13 @@ def _maximum_likelihood_value(problem: Problem, zeta: TransitionRatio, policy: A
         return None
 
 
-def change_to_log(one_step: float, likelihood: float, difference_error: float) -> float:
+def change_to_log(one_step: float, likelihood: float, s: float) -> float:
     """The change towards the log: to the nearer of two values, 0 if they lie on two sides.
 
-    If the nearer is 2 to 4 times ``difference_error`` away, partly to maximum likelihood's.
+    If the nearer is 2 to 4 times ``s``, the standard error of the difference, away, partly to maximum likelihood's.
     """
     if one_step * likelihood <= 0:
         return 0.0
     nearer = min(one_step, likelihood, key=abs)
-    distance = abs(nearer) / difference_error if difference_error > 0 else np.inf
+    distance = abs(nearer) / s if s > 0 else np.inf
     return nearer + float(np.clip((distance - 2.0) / 2.0, 0.0, 1.0)) * (likelihood - nearer)

@@ -106,18 +106,18 @@ class TransitionRatio:
 
     def maximum_likelihood_model(self, simulator: FiniteMDP) -> FiniteMDP:
         """The log's frequencies in recorded pairs, zeta * P in the others; a ValueError if no log is known."""
-        _checks.instance(simulator, FiniteMDP, "simulator")
+        self.on(simulator)  # or an error
         if self._influence is None:
             raise ValueError(
                 f"a ratio of method {self.method!r} has no maximum-likelihood model: it keeps no frequencies"
             )
-        self.on(simulator)  # or an error
-        return simulator.with_transitions(csr_on_pattern(simulator.transitions, self._influence.likeliest()))
+        rows = self._influence.maximum_likelihood_rows()
+        return simulator.with_transitions(csr_on_pattern(simulator.transitions, rows))
 
     @property
-    def likeliest(self) -> Array | None:
+    def maximum_likelihood_rows(self) -> Array | None:
         """(entries,) the rows of ``maximum_likelihood_model``; None where no log is known."""
-        return None if self._influence is None else self._influence.likeliest()
+        return None if self._influence is None else self._influence.maximum_likelihood_rows()
 
     @property
     def finite(self) -> bool:
@@ -239,7 +239,7 @@ class Influence:
             total += self.tilt.variance(pull)
         return float(np.sqrt(total))
 
-    def likeliest(self) -> Array:
+    def maximum_likelihood_rows(self) -> Array:
         """n_x / n_sa where the log has been, zeta P elsewhere."""
         model = self.ratio * self.rows.weights
         seen = self.rows.select(self.n > 0)

@@ -142,6 +142,8 @@ def test_a_fit_by_blocks_is_that_of_all_rows_at_once(name, monkeypatch):
         fit = oee.transition_ratio(log, simulator, **about, **OPTIONS[name])
         step = fit.one_step(gradient)
         errors = [fit.log_standard_error(gradient), step.change, step.standard_error, step.unseen, step.change_error]
-        found.append([fit.values.data, fit.gap, *fit.details["enclosure"], np.array(errors), fit.likeliest])
+        found.append(
+            [fit.values.data, fit.gap, *fit.details["enclosure"], np.array(errors), fit.maximum_likelihood_rows]
+        )
     for one, other in zip(*found, strict=True):
         assert_allclose(one, other, rtol=1e-12, atol=1e-14)
