@@ -45,8 +45,10 @@ def task_of(
 
 def is_own(spec: str) -> bool:
     """Whether ``spec`` is MODULE:OBJECT or MODULE:ENV-ID: words on both sides of the colon, the first a module's name."""
+    from oee_tabular.tasks.specs import FINITE
+
     module, colon, rest = spec.partition(":")
-    if not colon or module == "gridworld" or not all(part.isidentifier() for part in module.split(".")):
+    if not colon or module in FINITE or not all(part.isidentifier() for part in module.split(".")):
         return False
     from oee_tabular.continuous.names import CONTINUOUS
 
@@ -135,22 +137,19 @@ def policy_of(spec: str, task: NamedTask, name: str) -> Array:
         except ValueError:
             raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
         return mix(check_policy(task.expert(), mdp), uniform_policy(mdp), weight)
-    made: Any
+    label = f"{name} {spec!r}"
     if suffix == ".csv":
-        made = _policy_by_state(csv_frame(spec), mdp, repr(spec))
-    elif suffix in (".npy", ".npz"):
-        made = read_policy_array(spec, name)
-    elif is_own(spec):
+        return check_policy(_policy_by_state(csv_frame(spec), mdp, repr(spec)), mdp, name=label)
+    if suffix in (".npy", ".npz"):
+        return check_policy(read_policy_array(spec, name), mdp, name=label)
+    if is_own(spec):
         with own_modules():
-            made = own_object(spec, name, "my_package.mine:policy")
-            return check_policy(made, mdp, name=f"{name} {spec!r}")
-    else:
-        close = difflib.get_close_matches(spec.lower(), ["uniform", "optimal", "expert", "mix:0.5"], n=1)
-        raise ValueError(
-            f"{name} must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz or .csv file; got {spec!r}"
-            + (f" (did you mean {close[0]!r}?)" if close else "")
-        )
-    return check_policy(made, mdp, name=f"{name} {spec!r}")
+            return check_policy(own_object(spec, name, "my_package.mine:policy"), mdp, name=label)
+    close = difflib.get_close_matches(spec.lower(), ["uniform", "optimal", "expert", "mix:0.5"], n=1)
+    raise ValueError(
+        f"{name} must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz or .csv file; got {spec!r}"
+        + (f" (did you mean {close[0]!r}?)" if close else "")
+    )
 
 
 def _policy_by_state(frame: Any, mdp: FiniteMDP, name: str) -> dict[Any, Any]:

@@ -102,12 +102,9 @@ def gridworld_policy(size: int, delta: float) -> Array:
     return mix(expert, np.full_like(expert, 0.25), _checks.number_in(delta, "delta", 0.0, 1.0))
 
 
-# ---- the default problem of ``oee evaluate``: the 10 x 10 grid at n = 3162 (the paper's Figure 1 b, c, d)
-
-
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """What a problem is made of, the policies to evaluate, and the target that made the log.
+    """The default problem of ``oee evaluate``: the 10 x 10 grid at n = 3162 (the paper's Figure 1 b, c, d), and its target.
 
     Attributes
     ----------

@@ -19,6 +19,8 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
 
+FINITE = ("gridworld",)  # tasks of numbered states that ``named_task`` knows, beside Gymnasium's
+
 
 @dataclass(frozen=True)
 class NamedTask:
@@ -51,8 +53,8 @@ class NamedTask:
 
 
 def is_numbered(spec: str) -> bool:
-    """Whether ``spec`` is a file's name or a gridworld: of numbered states, whatever Gymnasium knows, which is slow to ask."""
-    return Path(spec).suffix.lower() == ".npz" or spec.partition(":")[0] == "gridworld"
+    """Whether ``spec`` is a file or one of ``FINITE``: of numbered states, whatever Gymnasium knows, which is slow to ask."""
+    return Path(spec).suffix.lower() == ".npz" or spec.partition(":")[0] in FINITE
 
 
 def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
@@ -99,7 +101,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         model = simulator.discretize(**({"discount": 0.99} | given))
         expert = lambda: model.policy(simulator.policy("expert"))  # noqa: E731
         return NamedTask(spec, model.mdp, expert, continuous=simulator, discretization=model)
-    environment_exists(name, ("gridworld", *wing.CONTINUOUS))
+    environment_exists(name, (*FINITE, *wing.CONTINUOUS))
     _, keywords = parse_spec(spec)
     mdp = toy_text(name, **(keywords | given))
     keywords.pop("discount", None)
