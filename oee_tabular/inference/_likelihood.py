@@ -34,7 +34,7 @@ def ascend(rows, ascent):
     is_over = False
     while not is_over:
         propose(rows, ascent)
-        value = evaluate(rows, ascent.trial, ascent.values, ascent.visits, ascent.slope)
+        value = fill_values(rows, ascent.trial, ascent.values, ascent.visits, ascent.slope)
         is_over = accept(ascent, value)
 
 
@@ -74,10 +74,10 @@ def accept(ascent, value):
 
 
 @njit(cache=True, error_model="numpy")
-def evaluate(rows, p, values, visits, gradient):
+def fill_values(rows, p, values, visits, gradient):
     """J, V, d and the gradient of J, of few states or with a horizon."""
     if rows.n_steps > 0:
-        evaluate_steps(rows, p, values, visits, gradient)
+        fill_values_of_steps(rows, p, values, visits, gradient)
     else:
         n = len(values)
         matrix, paid = np.eye(n), np.zeros(n)
@@ -110,7 +110,7 @@ def fill_gradient(rows, values, visits, gradient):
 
 
 @njit(cache=True, error_model="numpy")
-def evaluate_steps(rows, p, values, visits, gradient):
+def fill_values_of_steps(rows, p, values, visits, gradient):
     """With a horizon T.
 
     V_t = r_pi + gamma P_pi V_{t+1},   d = sum_t gamma^t alpha_t,   dJ / dP_i = pi sum_t gamma^t alpha_t (pay_i + gamma V_{t+1})

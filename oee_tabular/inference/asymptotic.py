@@ -13,7 +13,7 @@ from oee_tabular._sparse import find
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, transition_gradient
 from oee_tabular.inference.evidence import Evidence
-from oee_tabular.inference.likelihood import PolicyRows, evaluate_rows
+from oee_tabular.inference.likelihood import PolicyRows, value_of_rows
 
 FEWEST_EPISODES = 10
 
@@ -61,7 +61,7 @@ def bootstrap_values(problem: Problem, evidence: Evidence, *, by: str, n_bootstr
             drawn = generator.multinomial(n, share).astype(np.float64)
         p = np.where(rows.spread(rows.sums(drawn)) > 0, rows.frequencies(drawn), rows.weights)
         if is_quick:
-            values[b] = evaluate_rows(taken, p[taken.entries])
+            values[b] = value_of_rows(taken, p[taken.entries])
         else:
             values[b] = policy_value(evidence.with_rows(p), evidence.policy, horizon=evidence.horizon)
     return values

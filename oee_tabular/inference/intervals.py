@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
-Method = Literal["likelihood", "delta", "bootstrap", "robust"]
 NO_VARIATION = (
     "the log's transitions that affect the value never vary: no spread can be estimated; use method='likelihood'"
 )
@@ -117,7 +116,7 @@ def interval(
     problem: Problem,
     policy: PolicyLike,
     *,
-    method: Method = "likelihood",
+    method: Literal["likelihood", "delta", "bootstrap", "robust"] = "likelihood",
     confidence: float = 0.95,
     lower_ratio: float | None = None,
     upper_ratio: float | None = None,

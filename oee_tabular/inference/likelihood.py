@@ -3,7 +3,7 @@
     {J(P') : sum_x n_x KL(phat_x || P'_x) <= c},   c half the chi-square quantile with one degree of freedom,
 
 asymptotically of the confidence asked for [1]; on tables the same as CoinDICE's empirical likelihood [2]. Rows without data, if
-the policy reaches them, are set to their extreme in the prior box (the whole simplex on the simulator's support without one).
+the policy reaches them, are set to their extreme in the box (the whole simplex on the simulator's support without one).
 
 An end is stationary where its rows are best for the gradient of J at themselves. P(x) are the rows that maximise sum x P over
 the set (``_likelihood``: P_i = phat_i / (1 + e - u_i)), G_k = d(s) pi(a | s) (r + gamma V(s')) is the gradient of J at P_k, and
@@ -172,7 +172,7 @@ def _find_end(rows: PolicyRows, evidence: Evidence, base: Ascent, directions: li
             end = ascent
     if is_large:
         end = _ascend(rows, base, end.last_x, sign, SETTLED)
-    _evaluate(rows, end.p, end, FINE)
+    _fill_values(rows, end.p, end, FINE)
     end.trial[:] = end.p
     numbers = end.numbers[0]
     kernels.best_rows(rows, sign * end.slope, 1.0, numbers["limit"], kernels.EXACT, 0.0, end.trial)
@@ -201,7 +201,7 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
     start = np.full(n, 1.0 / ((1.0 - rows.discount) * n) if rows.is_sparse else 0.0)
     last_x, gradient, x, trial, slope = np.zeros((5, k))
     ascent = Ascent(np.zeros(1, dtype=kernels.NUMBERS), p, last_x, gradient, x, trial, np.zeros(n), start, slope)
-    ascent.numbers["value"] = ascent.numbers["reference"] = _evaluate(rows, p, ascent, FINE)
+    ascent.numbers["value"] = ascent.numbers["reference"] = _fill_values(rows, p, ascent, FINE)
     ascent.numbers["step"], ascent.numbers["change"] = 1.0, np.inf
     return ascent
 
@@ -216,16 +216,16 @@ def _ascend(rows: PolicyRows, base: Ascent, x: Array, sign: float, settled: floa
     is_over = False
     while not is_over:
         kernels.propose(rows, ascent)
-        is_over = kernels.accept(ascent, _evaluate(rows, ascent.trial, ascent, ROUGH))
+        is_over = kernels.accept(ascent, _fill_values(rows, ascent.trial, ascent, ROUGH))
     return ascent
 
 
-def evaluate_rows(rows: PolicyRows, p: Array) -> float:
+def value_of_rows(rows: PolicyRows, p: Array) -> float:
     """J at rows p."""
     return rows.unit * float(_begin(rows, p).numbers["value"][0])
 
 
-def _evaluate(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> float:
+def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> float:
     """J at rows p, whose V, d and gradient go into the ascent.
 
     In large problems V and d are corrected from those of the rows before, to a share ``left`` of what these miss, and J = mu V
@@ -233,7 +233,7 @@ def _evaluate(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> float:
     """
     values, visits = ascent.values, ascent.visits
     if not rows.is_sparse:
-        return float(kernels.evaluate(rows, p, values, visits, ascent.slope))
+        return float(kernels.fill_values(rows, p, values, visits, ascent.slope))
     weights = rows.weight * p
     share, rewards = np.bincount(rows.edge, weights), np.bincount(rows.state, weights * rows.pay).astype(np.float64)
     system = Kernel(rows.edges, rows.columns, as_readonly(share), rows.discount)

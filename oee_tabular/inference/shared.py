@@ -30,7 +30,7 @@ from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.features import feature_array
-from oee_tabular.ratio.prior._ridge import evaluate, minimise, sum_columns
+from oee_tabular.ratio.prior._ridge import minimise, penalized_risk, sum_columns
 from oee_tabular.ratio.prior.directions import Directions, own_directions
 from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.support import aligned_counts
@@ -71,7 +71,7 @@ def shared_ends(problem: Problem, policy: Array, directions: Directions, level: 
     mass, pulled = visited.sums(observed), sum_columns(columns, observed, visited.n_actions)
     action = np.zeros((len(fit.theta), 1))
     action[0] = 1.0  # no parameters of an action alone
-    least = evaluate(columns, (mass, pulled), fit.theta, fit.penalty)[0]
+    least = penalized_risk(columns, (mass, pulled), fit.theta, fit.penalty)[0]
     limit = least + float(gammaincinv(0.5, level))  # half of chi-square's quantile
 
     def value(theta: Array) -> float:
@@ -93,7 +93,7 @@ def shared_ends(problem: Problem, policy: Array, directions: Directions, level: 
 
         def excess(log_c: float) -> float:
             theta = minimise_against(np.exp(log_c) * force)
-            rise: float = evaluate(columns, (mass, pulled), theta, fit.penalty)[0] - limit
+            rise: float = penalized_risk(columns, (mass, pulled), theta, fit.penalty)[0] - limit
             return rise
 
         low = high = 0.0

@@ -48,7 +48,7 @@ class Conditional(Method):
         proportional to exp(theta . phi), fitted to all pairs together. "ridge": phi are all directions made from the
         simulator, the values of the policies that matter and ``features``, one strength per group by marginal likelihood
         (``ratio.prior``; "average" is an older name). "tilt": ``features`` alone (log P without any), under the penalty
-        |theta|^2 / 2 on standardised features, a unit Gaussian prior.
+        |theta|^2 / 2 on standardised features, a unit Gaussian prior. Neither has to do with the option ``ridge``.
     strength : "evidence" (default) | "loo", or a nonnegative number
         How many transitions the prior is worth in each pair (kappa, the strength of a Dirichlet prior): chosen by marginal
         likelihood or by leave-one-out, at least 1, one for each kind of pairs (those with the same simulator
@@ -227,7 +227,7 @@ def _tilt_along_all(given: RatioInput, method: Conditional) -> tuple[Tilt | None
     if not len(rows):
         return None, {}
     features, details = _features(given, method)
-    tilt = _without_values(given, features) if features is not None else given.get_or_compute(_without_values)
+    tilt = given.get_or_compute(_fit_without_values) if features is None else _fit_without_values(given, features)
     values = values_in(given.simulator, given.policies, given.horizon)
     if values or method.solver != "dual":
         directions = add_values(tilt.directions, values) if values else tilt.directions
@@ -240,8 +240,8 @@ def _tilt_along_all(given: RatioInput, method: Conditional) -> tuple[Tilt | None
 PRIORS = {"ridge": _tilt_along_all, "tilt": _tilt_along_features, "simulator": _no_tilt, "none": _no_tilt}
 
 
-def _without_values(given: RatioInput, features: Array | None = None) -> Tilt:
-    """What no policy changes: the tilt along all directions but V."""
+def _fit_without_values(given: RatioInput, features: Array | None = None) -> Tilt:
+    """The tilt along all directions but V, which no policy changes."""
     rows: Rows = given.get_or_compute(_informative)
     none = np.zeros((len(given.observed), 0))
     directions = make_directions(given.simulator, rows, none if features is None else features)

@@ -22,7 +22,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.report import text
 from oee_tabular.report.results import Report, Result, first_results
-from oee_tabular.report.uncertainty import LIKELIHOOD, SHARED, Premises, add_sentences, choose_interval, find_intervals
+from oee_tabular.report.uncertainty import LIKELIHOOD, SHARED, Premises, add_comparison, choose_interval, find_intervals
 
 
 @one_thread
@@ -127,7 +127,7 @@ def evaluate(
             likelihood = uncertainty.intervals.get(result.policy, {}).get(key)
             results[k] = replace(result, estimate=choose_interval(result.estimate, likelihood, level, scale))
         front = {name: result.estimate for name, result in first_results(results).items()}
-        uncertainty = add_sentences(uncertainty, problem, named, level, known, front, scale)
+        uncertainty = add_comparison(uncertainty, problem, named, level, known, front, scale)
     models = [(r.policy, r.estimator) for r in results if not r.estimate.is_from_episodes]
     warnings_and_rows: list[tuple[str, list[Pair]]] = [(sentence, []) for sentence in left_out]
     warnings_and_rows += [(str(finding), models if finding.severity > 0 else []) for finding in problem.findings]

@@ -19,7 +19,7 @@ from oee_tabular.plots import figure_png, plot_values
 from oee_tabular.report import tables, text
 from oee_tabular.report.files import check_output, check_page, plain
 from oee_tabular.report.text import Answer
-from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty, descending
+from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty, descending_key
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -172,7 +172,7 @@ class Report:
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if len(self.answers) == 1 or not answers or not self.uncertainty.ranking:
             return self.headline
-        ordered = sorted(answers, key=lambda answer: descending(answer.value))
+        ordered = sorted(answers, key=lambda answer: descending_key(answer.value))
         return " ".join([self.headline, *(text.policy_worth(answer, self.confidence) for answer in ordered)])
 
     def records(self) -> list[dict[str, Any]]:
@@ -222,7 +222,7 @@ class Report:
             return []
         table, known = [], self.uncertainty.likelihood
         rows = [self._record(result) for result in first_results(self.results).values()]
-        best, *_ = rows = sorted(rows, key=lambda row: descending(row["value"]))
+        best, *_ = rows = sorted(rows, key=lambda row: descending_key(row["value"]))
         for row in rows:
             policy, less = row["policy"], best["value"] - row["value"]
             lower, upper = (self.scale * end for end in compared.bounds(best["policy"], policy, known))

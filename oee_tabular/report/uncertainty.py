@@ -128,7 +128,7 @@ class Uncertainty:
 def find_intervals(
     problem: Problem, policies: Mapping[str, Array], level: float, known: Premises, *, guaranteed: bool, quick: bool
 ) -> Uncertainty:
-    """Compute the intervals of every policy, and say how far the target is and why there are no intervals."""
+    """Test the simulator against the log and compute the intervals of every policy, or say why there are none."""
     if problem.soft:
         if guaranteed:
             reason = "soft counts are no independent transitions"
@@ -184,7 +184,7 @@ def _test_simulator(evidence: Evidence) -> str:
     return text.agreement(n_tested) if abs(z) < MIN_Z else text.joint_rejection(z)
 
 
-def descending(value: float) -> float:
+def descending_key(value: float) -> float:
     """A key that sorts values from the largest, those that are not finite last."""
     return -value if math.isfinite(value) else math.inf
 
@@ -249,10 +249,10 @@ def _put_inside(estimate: Estimate, likelihood: Interval, scale: float) -> Estim
     )
 
 
-# after the values: sentences
+# after the values: which policy is best, what to record next
 
 
-def add_sentences(
+def add_comparison(
     found: Uncertainty,
     problem: Problem,
     policies: Mapping[str, Array],
@@ -261,7 +261,7 @@ def add_sentences(
     front: Mapping[str, Estimate],
     scale: float,
 ) -> Uncertainty:
-    """Say what the intervals assume, which policy is best, and what to record next.
+    """Compare the policies; say what the intervals assume, which policy is best, and what to record next.
 
     ``front`` are the estimates that stand in front; ``scale`` multiplies values in the sentences.
     """
@@ -291,7 +291,7 @@ def _rank(
     """Say which policy is best, and by how much it is better than the next."""
     if decision.margin is None:
         return text.no_best_policy(decision.candidates, len(values), are_equal=decision.are_equal)
-    best, following = sorted(values, key=lambda name: descending(values[name]))[:2]
+    best, following = sorted(values, key=lambda name: descending_key(values[name]))[:2]
     ours, theirs = likelihood.get(best), likelihood.get(following)
     overlap = ours is None or theirs is None or ours.lower <= theirs.upper
     difference, lower, upper = (scale * x for x in decision.margin)

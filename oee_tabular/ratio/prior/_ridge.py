@@ -189,7 +189,7 @@ def differentiate(columns, model, risk, theta, penalty):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def evaluate(columns, risk, theta, penalty):
+def penalized_risk(columns, risk, theta, penalty):
     """f, and the rows under the tilt."""
     mass, pulled = risk
     model, log_normalizer = tilt_rows(columns, theta)
@@ -203,7 +203,7 @@ def minimise(columns, risk, theta, penalty, tolerance):
 
     theta, G, and the bound sum f'^2 / (2 L) on f less its minimum.
     """
-    value, model = evaluate(columns, risk, theta, penalty)
+    value, model = penalized_risk(columns, risk, theta, penalty)
     last = np.inf
     for _ in range(N_NEWTON):
         gradient, covariances = differentiate(columns, model, risk, theta, penalty)
@@ -216,10 +216,10 @@ def minimise(columns, risk, theta, penalty, tolerance):
         last = decrement
         slack = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
         length = 1.0
-        trial, tilted = evaluate(columns, risk, theta + step, penalty)
+        trial, tilted = penalized_risk(columns, risk, theta + step, penalty)
         while trial > value - 1e-4 * length * decrement + slack and length > 1e-12:
             length *= 0.5
-            trial, tilted = evaluate(columns, risk, theta + length * step, penalty)
+            trial, tilted = penalized_risk(columns, risk, theta + length * step, penalty)
         if length <= 1e-12:
             break
         theta, value, model = theta + length * step, trial, tilted
