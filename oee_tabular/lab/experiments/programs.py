@@ -179,7 +179,7 @@ PENALTIES: dict[str, dict[str, Any]] = {  # options of ``transition_ratio``, bes
     "sum g^2": {"prior": "none", "toward": None},
     "sum P g^2": {"prior": "none", "toward": 0.0},
     "sum P (g - 1)^2": {"prior": "none", "toward": 1.0},
-    "-2 sum P log g": {"prior": "simulator"},
+    "sum P log g^-2": {"prior": "simulator"},
     "quotient, sum g^2": {"method": "ratio_of_ratios", "simulator_data": "exact", "toward": None},
 }
 
@@ -203,7 +203,7 @@ def find_best_penalty(table: pd.DataFrame) -> str:
 )  # fmt: skip
 def lambda_n(settings: Cell, stream: Stream) -> list[Row]:
     """10 x 10 grid. The strength is the number of transitions that the penalty is worth: lambda_n = strength / n_sa in a row,
-    / n for the quotient's two programs (box [0.01, 10]). sum g^2: the paper's; -2 sum P log g: the Dirichlet prior.
+    / n for the quotient's two programs (box [0.01, 10]). sum g^2: the paper's; sum P log g^-2: the Dirichlet prior.
     """
     simulator, target = grids()
     policy = gridworld_policy(10, 0.5)
