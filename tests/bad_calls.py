@@ -36,7 +36,6 @@ GRID.with_layout((0, 9))  ->  layout must be (height, width) with height * width
 mdp().with_transitions(GRID.transitions)  ->  new ...transitions must be for 2 states and 2 actions
 GRID.save("mdp.csv")  ->  path must end in .npz
 GRID.save("nowhere/mdp.npz")  ->  [Errno ...no such folder...nowhere
-uniform_policy(None)  ->  mdp must be a FiniteMDP
 HALL.with_layout(PLACES[:2])  ->  layout must have shape (3,) or (3, c), a place
 HALL.with_layout(np.zeros((3, 0)))  ->  layout must ...; it has shape (3, 0)
 HALL.with_layout(np.zeros((3, 1, 1)))  ->  layout must have 1 or 2 dimension(s)
@@ -168,13 +167,10 @@ Transitions.concatenate([LOG, "log"])  ->  logs must be one or more Transitions
 LOG.draw(10**6, seed=0)  ->  n must be at most the ... rows of the log
 LOG.select([])  ->  rows must choose at least one row
 LOG.select([10**6])  ->  rows must be a mask or row numbers of the log's ... rows
-LOG.counts("3", 2)  ->  n_states must be a positive integer
 LOG.save("log.xlsx")  ->  path must end in .npz, .csv, .csv.gz, .parquet, or be a Minari folder or id
 Transitions.load("log.xlsx")  ->  path must end in .npz, .csv, .csv.gz, .parquet
-Transitions.open("log.csv", kept_moves=0)  ->  kept_moves must be a positive integer
 Transitions.open("log.csv", jobs=0)  ->  jobs must be a positive integer
 Transitions.open("log.csv", simulator=HALL, n_states=4)  ->  n_states and n_actions must be left out where simulator
-Transitions.open("log.csv", simulator=4)  ->  simulator must be a FiniteMDP
 TransitionCounts([-1], [0], [0], [1])  ->  state[0] must be at least 0
 TransitionCounts([0], [0.5], [0], [1])  ->  action[0] must be an integer
 TransitionCounts([0], [0], [0], [0])  ->  count[0] must be positive and at most 2**53
@@ -264,7 +260,6 @@ Problem(GRID, {"state": [0]})  ->  log must be Transitions; got dict (a mapping 
 Problem(GRID, np.zeros((3, 3)))  ->  log must be Transitions; got ndarray (columns ...: Transitions(*log.T))
 Problem(GRID, None)  ->  log must be Transitions; got NoneType
 Problem(GRID, "nowhere.csv")  ->  [Errno ...nowhere.csv
-Problem(GOOD, LOG)  ->  simulator must be a FiniteMDP
 Problem(GRID, Transitions([0, 9], [0, 0], [3, 3]))  ->  log.state[1] must be in 0..8, the simulator's
 Problem(GRID, Transitions([0], [4], [3]))  ->  log.action[0] must be in 0..3, the simulator's
 Problem(GRID, TransitionCounts([9], [0], [0], [1]))  ->  log.state[0] must be in 0..8, the simulator's
@@ -301,15 +296,12 @@ OffEnvironment(n_rollouts=10**14, evaluation="monte_carlo")(P, UNIFORM, seed=0) 
 OffEnvironment(true_ratio(GRID, GRID))(RIGID, UNIFORM)  ->  ratio must have the support of this simulator's transitions
 OffEnvironment(true_ratio(mdp(), mdp()))(P, UNIFORM)  ->  ratio must be for (36, 9) rows and states
 Oracle(GRID)(RIGID, UNIFORM)  ->  target must stay in the simulator's support: the simulator gives probability 0 to
-Oracle(5)  ->  target must be a FiniteMDP
 DoublyRobust(data="q")  ->  data must be one of 'transitions', 'rollouts', 'episodes'
 DoublyRobust(self_normalized=True)  ->  self_normalized must be False with data 'transitions': it is for episodes
-Magic(n_lengths=0)  ->  n_lengths must be a positive integer
 Magic().limit(GRID, GRID, UNIFORM, behavior_policy=UP, horizon=5)  ->  behavior_policy must take every action ... it never takes
 DualDice()(Problem(GRID, LOG, horizon=3), UNIFORM)  ->  horizon must be None for DualDICE, ...; it is 3
 DualDice()(Problem(ENDLESS, LOG), UNIFORM)  ->  discount must be below 1 for DualDICE
 Marginalized(lower=2.0, upper=1.0)  ->  lower must not exceed upper
-Marginalized(upper="wide")  ->  upper must be
 Marginalized("joint", features=np.eye(36))  ->  ratio must be left out with features
 Marginalized(features=np.eye(36))(Problem(GRID, LOG, horizon=4), UNIFORM)  ->  horizon must be None with features
 Marginalized(features=np.eye(36))(Problem(ENDLESS, LOG), UNIFORM)  ->  discount must be below 1 with features
@@ -464,12 +456,8 @@ Conditional(ridge=1, toward=1e308).fit(LOG, GRID)  ->  the options of method 'co
 Network((0,))  ->  layers[0] must be a positive integer
 Network(64)  ->  layers must be a collection of widths of hidden layers
 Network(inputs="pixels")  ->  inputs must be one of 'one_hot'...'pixels'
-Network(step_size=0)  ->  step_size must be in (0, inf)
-Network(batch_size=0)  ->  batch_size must be a positive integer
-Network(n_iterations=1.5)  ->  n_iterations must be a positive integer
 Network(held_out=1)  ->  held_out must leave transitions to train on
 Network(held_out=-0.1)  ->  held_out must be in [0, 1]
-Network(patience=0)  ->  patience must be a positive integer
 boxed(functions="mlp")  ->  functions must be a Network(...)
 boxed(normalized=True)  ->  normalized must be False with functions
 boxed(solver="CLARABEL")  ->  solver must be left out with functions=
@@ -499,7 +487,6 @@ value_range(GRID, UNIFORM, 1.2, 2.0)  ->  lower_ratio must be in [0, 1]
 value_range(GRID, UNIFORM, 0.5, 0.5)  ->  upper_ratio must be in [1, inf]
 value_range(walk(0.5), [0, 0], 0.0, 2.0)  ->  horizon must be given: ... stay for ever ... s=0 is one
 value_range(walk(1.0), [0, 0], 0.5, 2.0)  ->  horizon must be given: ... s=0 has reward -1
-row_changes(P).largest(0)  ->  k must be a positive integer
 compare_policies(P, [[0] * 9])  ->  policies must be at least two to compare; there is 'policy 0'
 compare_policies(Problem(HUGE, LOG), {"a": UNIFORM, "b": UP})  ->  the simulator's rewards must be at most 1e+140,
 selection_measures([1], [1])  ->  estimates and truths must have one length of at least 2
@@ -518,7 +505,6 @@ plan(GRID, restart=0.1)  ->  restart must be left out with sampling 'free'
 plan(GRID, sampling="behavior", restart=1.0)  ->  restart must be in (0, 1)
 plan(GRID, sampling="behavior", restart=1 - 1e-9)  ->  restart must let episodes reach ...; at 1 what
 plan(GRID, lower_ratio=1.5)  ->  the box [lower_ratio, upper_ratio] must contain 1
-plan(GRID).after(0)  ->  m must be a positive integer
 
 # sampling and tasks
 sample_transitions(GRID, np.ones(4), 5, seed=0)  ->  distribution must have 2 dimension
@@ -567,7 +553,6 @@ plot_occupancy([np.nan], (1, 1))  ->  time must hold at least one finite number
 plot_states([], [])  ->  time must hold at least one state
 plot_states([np.nan], [1])  ->  time[0] must be finite
 plot_states([1.0], [1, 2])  ->  recorded must have the shape of time, (1,)
-plot_states([1.0], [1], top=0)  ->  top must be a positive integer
 plot_states([1.0], [1], names=[])  ->  names must have 1 entries, one a state
 figure_png(print, size=(0, 1))  ->  size must be from 0.1 to 100 inches
 figure_png(3)  ->  draw must be a function
@@ -575,7 +560,6 @@ label_ends(3)  ->  ax must be matplotlib Axes
 label_ends(AXES, fontsize=0)  ->  fontsize must be in (0, 100)
 
 # theorems
-simulation_lemma(None, CHAIN, ONLY)  ->  target must be a FiniteMDP
 kl_path_sides(CHAIN, CHAIN.transitions, ONLY)  ->  model must be a FiniteMDP or a ReweightedModel
 unnormalised_sides(CHAIN, reweight(CHAIN, ONES), ONLY, ratio=ONES)  ->  model must be a FiniteMDP (the simulator) with a ratio
 unnormalised_sides(CHAIN, CHAIN, ONLY, ratio=sparse.csr_array(np.ones((3, 2))))  ->  ratio must be sparse of shape (2, 2)
@@ -611,9 +595,106 @@ sup_error_bound(5, 0.5, 0.5, 2, 0.5, 0.9)  ->  mu must be in [1, inf)
 value_bound_counterexample(2, 0.9, -0.1, 0.5)  ->  epsilon must be in [0, inf)
 value_error_bound(2, 1.0, 0.9, error=0.1, nu=2.0)  ->  nu must be in (0, 1)
 
+# continuous tasks
+CartPole(gravity=-1.0)  ->  gravity must be in [0, inf); it is -1
+CartPole(noise=np.nan)  ->  noise must be in [0, inf); it is nan
+train_expert(elite=65)  ->  elite must be at most the population, 64; it is 65
+record(CartPole(), POLE, n_transitions=5, n_episodes=5, max_steps=5)  ->  one of n_transitions and n_episodes must be given
+record(CartPole(), lambda s: np.ones(len(s)), n_transitions=5, max_steps=5)  ->  policy(states) must have shape (256, 2)
+monte_carlo_value(CartPole(), lambda s: np.full((len(s), 2), 0.25), 5, 5)  ->  policy(states)[0] must sum to 1 ...0.5 (5 such
+Reacher(0.0)  ->  length must be positive; it is 0.0
+Reacher(0.1, 0.0)  ->  reward_length must be in (0, inf); it is 0
+Reacher(target=(1, 2, 3))  ->  target must be two finite numbers (x, y); it is (1, 2, 3)
+Reacher(target=(0.1, float("nan")))  ->  target must be two finite numbers
+Reacher(gear=-1.0)  ->  gear must be in [0, inf); it is -1
+Reacher(timestep=0.0)  ->  timestep must be in (0, inf); it is 0
+oee.tasks.reacher_policy(0.5, target=(1.0, 0.0))  ->  target must be 0.01 to 0.21 m ...; it is 1 m away
+KinovaArm(goal=5)  ->  goal must be in 0..4, a row of GOALS; it is 5
+KinovaArm(velocity_scale=-1.0)  ->  velocity_scale must be in [0, 3]; it is -1
+KinovaArm(latency=0.3)  ->  latency must be in [0, 0.2]; it is 0.3
+KinovaArm(payload=np.nan)  ->  payload must be in
+hand_log(hand(5))  ->  log.state must have 3 coordinates (position), 7 ...; it has 5
+hand_log(hand(3, 456.0))  ->  log.state[0, 0] must be within +-1.3: positions in m; it is 456
+hand_log(hand(7, 90.0))  ->  log.state[0, 0] must be within +-25.13: joint angles in rad; it is 90
+hand_log(hand(3, action=(1.0, 0.0)))  ->  log.action must have 3 coordinates, along x, y, z; it has 2
+hand_log(hand(3), speed=0.0)  ->  speed must be in
+HistoryTask(CartPole(), -1).log(pole())  ->  steps must be a positive integer
+HistoryTask(CartPole(), 200).log(pole())  ->  steps must be less than the longest episode
+HistoryTask(CartPole()).log(pole(rows=slice(None, None, 2)))  ->  ...log.episode is not given, and no row begins where
+HistoryTask(Reacher()).log(pole(width=3))  ->  log.state must have the 4 coordinates of Reacher
+HistoryTask(CartPole()).policy(np.ones((3, 2)))  ->  policy must be
+ResidualSimulator("cartpole", pole())  ->  task must be ...ContinuousTask
+ResidualSimulator(CartPole(), None)  ->  log must be
+ResidualSimulator(CartPole(), pole(width=2))  ->  log.state must ...; it has 2; speeds that were not recorded can
+ResidualSimulator(CartPole(), pole(action=2))  ->  log.action[0] must be in 0..1
+corrected_value(CartPole(), POLE, 10, 5)  ->  corrected must be a ResidualSimulator
+corrected_value(corrected(), np.ones((3, 2)), 10, 5)  ->  policy must be
+corrected_value(corrected(), POLE, 10, 5, refits=1)  ->  refits must be at least 2, for a variance; got 1
+fit_parameters(CartPole, {}, pole())  ->  start must map names
+fit_parameters(CartPole, {"gravity": 10.0}, pole(), {"gravity": (11, 12)})  ->  start['gravity'] must be in its bounds, 11 to 12
+fit_parameters(CartPole, {"gravity": 10.0}, pole(), {"mass": (0.0, 1.0)})  ->  bounds must be of parameters in start
+fit_parameters(None, {"gravity": 10.0}, pole())  ->  task_of must be
+evaluate_continuous(CartPole(), pole(), {"p": POLE}, horizon=10, fit="gravity")  ->  fit must be names
+evaluate_continuous(CartPole(), pole(), {"p": POLE}, horizon=9, fit=["gravty"])  ->  fit must name ...(did you mean gravity?)
+evaluate_continuous(CartPole(), pole(), {"p": POLE}, horizon=9, history="all")  ->  history must be a positive integer
+
+# continuous tasks as finite MDPs
+GridInterpolation(60)  ->  shape must be a tuple of positive integers; got 60
+cells((60, 1))  ->  shape must have at least 2 vertices ...; it is (60, 1)
+cells((60, 1.5))  ->  shape must be a positive integer; got 1.5
+cells((9, 9, 9))  ->  shape must have 2 numbers, one for each feature of CartPole (theta, theta_dot); it is (9, 9, 9)
+cells(GridInterpolation((9, 9), low=(0.0, 3.2)))  ->  high[1] must be above low[1], 3.2; it is 3.2
+cells(GridInterpolation((9, 9), low=(0.0, np.nan)))  ->  low[1] must be finite; it is nan
+cells(GridInterpolation((9, 9), high=(1.0,)))  ->  high must have shape (2,)
+cells(GridInterpolation((9, 9), noise_points=(3, 3)))  ->  noise_points must be a number or 4 numbers
+discretize(5)  ->  task must be a ContinuousTask; got int
+discretize(Nowhere(), cells=(6, 6))  ->  task must step to finite states; from [... it steps to [nan
+discretize(pendulum(terminates=False), cells=(5, 5)).counts(states(terminated=[0, 1]))  ->  log.terminated[1] must be False: ep
+cells(floor=1.0)  ->  floor must be in (0, 1); it is 1
+cells(floor=0.1)  ->  floor must be 0 without a log, for CartPole has no others; it is 0.1
+cells(closure_episodes=-1)  ->  closure_episodes must be a positive integer; it is -1
+cells(log=pole(width=2))  ->  log.state must have the 4 coordinates of CartPole (x, x_dot, theta, theta_dot); it has 2
+cells().encode_states(np.zeros((3, 2)))  ->  states must have shape (n, 4), the x, x_dot, theta, theta_dot of CartPole
+cells().encode_states([[0, 0, np.nan, 0]])  ->  states[0, 2] must be finite; it is nan
+cells().counts(Transitions([0], [0], [0]))  ->  log must be ContinuousTransitions; got Transitions
+cells().counts(pole(action=2))  ->  log.action[0] must be in 0..1, ...; it is 2
+cells().counts(pole(state=[0.0, 0.0, 0.5, 0.0]))  ->  log.state[0] must be a state in which CartPole goes on; it is
+cells().counts(pole(next_state=[0.0, 0.0, 0.0, 9.0]))  ->  log.next_state must be inside ...: 1 of 50 rows ...theta_dot=9
+cells().encode(pole(), outside="clip")  ->  outside must be one of 'error', 'nearest', ...; got 'clip'
+cells(floor=0.2, others=[CartPole(5.0)]).mixture([1.0])  ->  weights must have shape (2,); it has shape (1,)
+cells(floor=0.2, others=[CartPole(5.0)]).mixture([0.6, 0.6])  ->  weights must sum to 1
+visited_states([], [POLE], 5, max_steps=5, seed=0)  ->  tasks and policies must have at least one each
+pendulum(actions=[[-3.0]])  ->  actions[0] must be in Box(-2.0, 2.0, (1,), float32); it is [-3.0]
+pendulum(state_names=("a",))  ->  get_state must return the 1 numbers ...; it returns shape (2,)
+pendulum(set_state=lambda env, state: env.reset())  ->  set_state must set what get_state reads; ... became
+pendulum(low=[0.0])  ->  low must have shape (2,), one for each of state_names; it has shape (1,)
+GymnasiumTask(5, state_names=(), actions=[0], low=[], high=[])  ->  make must be a function; got int
+
+# logs of continuous tasks
+states(state=[0.0, 1.0])  ->  state must have shape (n, d); it has shape (2,)
+states(state=np.zeros((0, 2)))  ->  state must have at least one row; the log is empty
+states(state=[[0.0, np.nan], [0.4, 0.1]])  ->  state[0, 1] must be finite; it is nan
+states(next_state=[[0.4, 0.1], [np.inf, 0.0]])  ->  next_state[1, 0] must be finite; it is inf
+states(state=[["a", "b"]])  ->  state must be an array of numbers; got list
+states(next_state=[[0.4], [0.5]])  ->  next_state must have the 2 coordinates of state; it has 1
+states(action=[0])  ->  columns must have equal lengths; ...'action': 1
+states(action=[0, -1])  ->  action[1] must be at least 0; it is -1
+states(action=[0, 0.5])  ->  action[1] must be an integer; it is 0.5 (call the column of a continuous task's commands action_0)
+states(next_state=[[0.25, 0.3], [0.5, 0.0]])  ->  next_state[0] must be the state of the next row of its episode
+states(terminated=[1, 0])  ->  terminated[0] must be False: its episode continues in the next row
+states(reward=[0.0, np.nan])  ->  reward[1] must be finite; it is nan
+states(action=[0, 3]).action_numbers([-1.0, 1.0])  ->  log.action[1] must be in 0..1, ...it is 3
+states(action=np.zeros((2, 2))).action_numbers([-1.0, 1.0])  ->  log.action must have the 1 coordinates of
+states(action=[[0.5]] * 2).action_numbers([-1.0, 1.0], strict=True)  ->  log.action must be one of the task's 2 actions; 2 of 2
+states().select([])  ->  rows must choose at least one row
+states().first(5)  ->  n must be at most the 2 rows of the log; it is 5
+states().save("log.txt")  ->  path must end in .npz, .csv, .parquet; it is 'log.txt'
+states().save("folder")  ->  path must end in .npz, .csv, .parquet; it is 'folder'
+ContinuousTransitions.load("none.csv")  ->  ...none.csv
+ContinuousTransitions.concatenate([states(), "log"])  ->  logs must be one or more ContinuousTransitions
+
 # families of the bench
 family(target=GRID)  ->  target and simulator must have the same states and actions; ...(60, 30)
-family(simulator=3)  ->  simulator must be a FiniteMDP; got int
 family(simulator=STIFF, target=GRID, policy=UNIFORM, data_policy=UNIFORM)  ->  target must stay in ... ...s=0, a=
 family(policy=np.ones((30, 2)))  ->  policy[0] must sum to 1 ...it sums to 2
 family(data_policy=np.ones((2, 2)) / 2)  ->  data_policy must have shape (30, 2)
@@ -656,11 +737,9 @@ compared(pair=(GRID, HALL))  ->  target and simulator must have the same states 
 compared(estimator=lambda problem: 1.0)  ->  estimator must be callable as ...; it takes (problem)
 compared(estimator=lambda problem, policy: (1.0, 2.0))  ->  an estimator must return a float or an Estimate; it returned tuple
 compared(behavior_policy=None, data_distribution=EVEN / 2)  ->  data_distribution must sum to 1 ...; it sums to 0.5
-mdps(max_states=0)  ->  max_states must be a positive integer; it is 0
 mdps(min_states=3, max_states=2)  ->  min_states must be at most max_states; they are 3 and 2
 mdps(discounts=[1.5])  ->  discounts must be in [0, 1]; it is 1.5
 mdps(discounts=[])  ->  discounts must hold at least one; it is empty
 mdps(rewards=["ss"])  ->  rewards must be one of 's', 'sa', 'sas'; got 'ss'
 mdp_pairs(support="violated", min_states=1)  ->  min_states must be at least 2 for support 'violated'; it is 1
-horizons(GRID, max_horizon=0)  ->  max_horizon must be a positive integer; it is 0
 """

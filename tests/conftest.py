@@ -2,6 +2,9 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, several workers: threads only wait for each other
 
+import shlex
+import warnings
+
 import pytest
 from hypothesis import settings
 
@@ -16,6 +19,30 @@ settings.load_profile("ci" if os.environ.get("CI") else "dev")
 def _hurried(monkeypatch):
     """A loaded machine is not told what takes it long: tests compare what is said."""
     monkeypatch.setattr("oee_tabular._progress.SECONDS", 600.0)
+
+
+@pytest.fixture
+def run(capsys, monkeypatch, tmp_path):
+    """``oee`` with words, in strings, in a folder of its own: stdout, or stderr with the one line of an error."""
+    from oee_tabular.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+
+    def run(*words, code=0):
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            with pytest.raises(SystemExit) as ended:
+                main(shlex.split(" ".join(str(word) for word in words)))
+        captured = capsys.readouterr()
+        assert (ended.value.code or 0) == code, captured.err
+        if code == 0:
+            return captured.out
+        told = [line for line in captured.err.splitlines() if not line.startswith("oee: warning: ")]
+        assert told[0].startswith("Usage: ") or (len(told) == 1 and told[0].startswith("oee: "))
+        return captured.err
+
+    return run
 
 
 IS_COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")

@@ -3,7 +3,9 @@
 import doctest
 import inspect
 import warnings
+from dataclasses import replace
 
+import gymnasium
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,7 +18,7 @@ from matplotlib.figure import Figure
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import FiniteMDP, Transitions
+from oee_tabular import ContinuousTransitions, FiniteMDP, Transitions
 
 GOOD = np.array([[[0.5, 0.5], [0.0, 1.0]], [[1.0, 0.0], [0.3, 0.7]]])
 PAIR = oee.bench.families()["corridor30"]
@@ -98,6 +100,51 @@ def compared(estimator=lambda problem, policy: 1.0, pair=(GRID, GRID), **options
     return oee.testing.compare_with_oracle(estimator, pair, UNIFORM, **{"n": 9, "behavior_policy": UNIFORM} | options)
 
 
+POLE = oee.tasks.cartpole_policy(0.3)
+
+
+def pole(width=4, rows=slice(None), **first):
+    """A log of CartPole: so many coordinates of its states, these rows; ``first``: other values in row 0."""
+    log = oee.tasks.record(oee.tasks.CartPole(), POLE, n_transitions=50, max_steps=100, seed=0)
+    columns = {name: np.array(log.columns()[name])[rows] for name in ("state", "action", "next_state")}
+    for name, value in first.items():
+        columns[name][0] = value
+    return ContinuousTransitions(columns["state"][:, :width], columns["action"], columns["next_state"][:, :width])
+
+
+def states(**changes):
+    columns = {
+        "state": [[0.0, 0.1], [0.4, 0.1]],
+        "action": [0, 1],
+        "next_state": [[0.4, 0.1], [0.5, 0.0]],
+        "episode": [4, 4],
+    }
+    return ContinuousTransitions(**(columns | changes))
+
+
+def hand(width, size=0.1, action=(0.0, 0.0, 1.0)):
+    return ContinuousTransitions(np.full((2, width), size), [list(action)] * 2, np.full((2, width), size))
+
+
+def corrected():
+    return oee.tasks.ResidualSimulator(oee.tasks.CartPole(), pole(), seed=0)
+
+
+def cells(shape=(6, 6), **options):
+    return oee.tasks.discretize(oee.tasks.CartPole(), cells=shape, **{"closure_episodes": 0} | options)
+
+
+class Nowhere(oee.tasks.CartPole):
+    def moves(self, states, actions, disturbance):
+        moved = super().moves(states, actions, disturbance)
+        return replace(moved, next_state=np.nan * moved.next_state)
+
+
+def pendulum(**changes):
+    named = {"state_names": ("angle", "speed"), "actions": [[-2.0], [2.0]], "low": [-4.0, -8.0], "high": [4.0, 8.0]}
+    return oee.tasks.GymnasiumTask(lambda: gymnasium.make("Pendulum-v1"), **named | changes)
+
+
 NAMES = {}
 for room in (oee, oee.bench, oee.estimators, oee.exact, oee.inference, oee.mdp, oee.plots, oee.ratio, oee.simulate, oee.tasks,
              oee.testing, oee.theory):  # fmt: skip
@@ -138,13 +185,17 @@ RULES = {  # of an argument's name: what is given, and the rule, whichever publi
     "policy": [(3, "must be an action, or a distribution"), ("x", "must be an action, or"), (2 * UNIFORM, "must sum to 1")],
     "behavior_policy": [(2 * UNIFORM, "must sum to 1")], "data_distribution": SHARES, "distribution": SHARES[:1],
     "confidence": [(1.0, "must be in (0, 1)"), ("x", "must be a number")], "lower": BOUND, "upper": BOUND, "ridge": BOUND[:1],
-    "lower_ratio": [("x", "must be a number")], "path": [(3, "must be "), ("a\0", "must be text"), (None, "must be ")],
-    "slip": [(1.1, "must be in [0, 1]")], "epsilon": [("x", "must be a number")], "seed": SEED, "n_states": POSITIVE,
+    "lower_ratio": [("x", "must be a number")], "delta": [(1.5, "must be in [0, 1]")], "floor": [(1.5, "must be in [0, 1]")],
+    "path": [(3, "must be "), ("a\0", "must be text"), (None, "must be ")], "slip": [(1.1, "must be in [0, 1]")],
+    "epsilon": [("x", "must be a number")], "step_size": [(0, "must be in (0, inf)")], "seed": SEED, "n_states": POSITIVE,
 }  # fmt: skip
-for number in ("horizon", "n", "n_actions", "n_episodes", "n_rollouts", "max_steps", "n_draws", "n_lengths"):
+for number in ("horizon", "n", "n_actions", "n_episodes", "n_rollouts", "max_steps", "n_draws", "n_lengths",
+               "batch_size", "n_iterations", "patience", "n_bootstrap", "m", "k", "kept_moves", "n_cells", "paths", "substeps",
+               "population", "n_runs", "n_transitions", "max_states", "max_horizon", "top"):  # fmt: skip
     RULES[number] = POSITIVE
 for word in ("impossible", "bad_rows", "loss", "radius", "resample", "of", "sampling", "fallback", "weights", "ragged", "pay",
-             "behavior", "evaluation", "weighting", "activation", "optimizer", "support", "kind", "method"):  # fmt: skip
+             "behavior", "evaluation", "weighting", "activation", "optimizer", "support", "kind", "method", "form", "inertia",
+             ):  # fmt: skip
     RULES[word] = [("words", "must be one of '")]
 OTHERWISE = {  # functions in which the name means something else, or is not used or checked in the call that is tried
     "seed": ["transition_ratio", "interval", "density_ratio", "Conditional.fit", "InClass.fit", "Tied.fit", "discretize",
@@ -157,6 +208,8 @@ OTHERWISE = {  # functions in which the name means something else, or is not use
     "discount": ["TransitionCounts.counts"], "n": ["plot_errors"], "lower": ["plot_intervals"], "upper": ["plot_intervals"],
     "ridge": ["Conditional", "InClass", "Joint", "Quotient"], "weights": ["RatioFit", "cartpole_policy"],
     "method": ["TransitionRatio"], "kind": ["Finding"], "behavior": ["evaluate_continuous"],
+    "n_bootstrap": ["interval", "compare_policies"], "step_size": ["density_ratio"], "batch_size": ["density_ratio"],
+    "n_iterations": ["density_ratio"],
 }  # fmt: skip
 
 

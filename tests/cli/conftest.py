@@ -1,32 +1,8 @@
 """What tests of the command share."""
 
-import shlex
-import warnings
-
 import pytest
 
 import oee_tabular as oee
-from oee_tabular.cli import main
-
-
-@pytest.fixture
-def run(capsys, monkeypatch, tmp_path):
-    """``oee`` with words, in strings, in a folder of its own: stdout, or the one line on stderr where an error is expected."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
-
-    def run(*words, code=0):
-        with pytest.raises(SystemExit) as ended:
-            main(shlex.split(" ".join(str(word) for word in words)))
-        captured = capsys.readouterr()
-        assert (ended.value.code or 0) == code, captured.err
-        if code == 0:
-            return captured.out
-        assert captured.err.startswith(("oee: ", "Usage: "))
-        assert captured.err.count("\n") == 1 or captured.err.startswith("Usage: ")
-        return captured.err
-
-    return run
 
 
 @pytest.fixture

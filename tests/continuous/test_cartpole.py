@@ -124,35 +124,3 @@ def test_the_same_seed_gives_the_same_bits():
     assert_array_equal(short.state, one.state[:1000])
     values = [monte_carlo_value(CartPole(), cartpole_policy(0.3), 5000, 100, seed=4) for _ in range(2)]
     assert values[0] == values[1]
-
-
-BAD = {
-    "gravity": (lambda: CartPole(gravity=-1.0), r"gravity must be in \[0, inf\); it is -1"),
-    "noise": (lambda: CartPole(noise=np.nan), r"noise must be in \[0, inf\); it is nan"),
-    "form": (lambda: CartPole(form="polar"), r"form must be one of 'angle', 'full'; got 'polar'"),
-    "delta": (lambda: cartpole_policy(1.5), r"delta must be in \[0, 1\]; it is 1.5"),
-    "elite": (lambda: train_expert(elite=65), r"elite must be at most the population, 64; it is 65"),
-    "population": (lambda: train_expert(population=0), r"population must be a positive integer; it is 0"),
-    "both lengths": (
-        lambda: record(CartPole(), cartpole_policy(0.3), n_transitions=5, n_episodes=5, max_steps=5),
-        r"one of n_transitions and n_episodes must be given",
-    ),
-    "a policy of another shape": (
-        lambda: record(CartPole(), lambda s: np.ones(len(s)), n_transitions=5, max_steps=5),
-        r"policy\(states\) must have shape \(256, 2\) for 256 states; it has shape \(256,\)",
-    ),
-    "a policy that misses 1": (
-        lambda: monte_carlo_value(CartPole(), lambda s: np.full((len(s), 2), 0.25), 5, 5),
-        r"policy\(states\)\[0\] must sum to 1 .*; it sums to 0.5 \(5 such rows in all\)",
-    ),
-    "no horizon": (
-        lambda: monte_carlo_value(CartPole(), cartpole_policy(0.3), 5, 0),
-        r"horizon must be a positive integer; it is 0",
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("call", "text"), BAD.values(), ids=BAD)
-def test_bad_calls(call, text):
-    with pytest.raises(ValueError, match=text):
-        call()

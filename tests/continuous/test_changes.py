@@ -238,23 +238,3 @@ def test_a_corrected_value_of_what_is_not_markov():
     corrected = ResidualSimulator(case.simulator, case.log(1500, 0), seed=0)
     found = corrected_value(corrected, case.acting(0.4), 100, 20, refits=2, paths=20, seed=0)
     assert "hidden state" in found.status
-
-
-@pytest.mark.parametrize(
-    ("changed", "match"),
-    [
-        ({"corrected": CartPole()}, "corrected must be a ResidualSimulator"),
-        ({"policy": np.ones((3, 2))}, "policy must be"),
-        ({"n_episodes": 0}, "n_episodes must be"),
-        ({"horizon": -1}, "horizon must be"),
-        ({"discount": 1.5}, "discount must be"),
-        ({"refits": 1}, "refits must be at least 2, for a variance; got 1"),
-        ({"paths": 0}, "paths must be"),
-    ],
-)
-def test_bad_calls_of_a_corrected_value(changed, match):
-    case = CASES["CartPole, gravity 15"]
-    arguments = {"policy": case.acting(0.4), "n_episodes": 10, "horizon": 5}
-    corrected = changed.get("corrected") or ResidualSimulator(case.simulator, case.log(50, 0), seed=0)
-    with pytest.raises(ValueError, match=match):
-        corrected_value(corrected, **(arguments | {k: v for k, v in changed.items() if k != "corrected"}))

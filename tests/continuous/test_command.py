@@ -139,19 +139,9 @@ FAST = changed(
     state=at_rows([3, 8], [0.0, 0.0, -0.1, 3.25]), next_state=at_rows([3, 8], [0.0, 0.0, -0.1 + 0.02 * 3.25, 3.25])
 )
 PUSHED = changed(action=lambda action: at_rows(5, 8.5)(np.array([[-10.0], [10.0]])[action]))
-NARROW = changed(state=lambda s: s[:, :2], next_state=lambda s: s[:, :2])
-NO_EPISODES = oee.ContinuousTransitions(LOG.state[::2], LOG.action[::2], LOG.next_state[::2])
 BAD = {
-    "other dimensions": (
-        NARROW, "", "log.state must have the 4 coordinates of CartPole (x, x_dot, theta, theta_dot); it has 2",
-    ),
-    "positions alone": (NARROW, "", "speeds that were not recorded can be had from positions, by finite differences or"),
     "outside": (FAST, "", "x [-3.2, 3.2]: 2 of 1500 rows are not; the first, row 3, is at theta="),
     "the way out": (FAST, "", "outside='nearest' or 'drop' (--task-option outside=), takes them"),
-    "strict": (
-        PUSHED, "--task-option=strict=true", "log.action must be one of the task's 2 actions; 1 of 1500 rows are none of them;",
-    ),
-    "no such action": (changed(action=lambda a: a + 1), "", "must be in 0..1, the numbers of the task's actions; it is 2"),
     "outside how": (LOG, "--task-option=outside=clip", "--task-option outside must be one of 'error', "),
     "a grid in words": (LOG, "--grid=fine", "--grid must be like 32x32, 3000 or auto; got 'fine'"),
     "a line": (LOG, "--grid=32x32x32", "--grid must have 2 numbers, one for each feature of"),
@@ -177,8 +167,6 @@ BAD = {
     "target": (LOG, "--target gridworld:3,slip=0.1", "--target must be a continuous task as the simulator is"),
     "guaranteed": (LOG, "--guaranteed", "guaranteed must be False where counts are given"),
     "a negative history": (LOG, "--history=-1", "--history must be a positive integer; it is -1"),
-    "a long history": (LOG, "--history=200", "steps must be less than the longest episode's transitions; no row of the"),
-    "a history without episodes": (NO_EPISODES, "--history=2", "log.episode is not given, and no row begins where another"),
     "no parameter": (LOG, "--fit gravty", "--fit must name parameters of CartPole (gravity, noise); got 'gravty' (did you mea"),
 }  # fmt: skip
 

@@ -18,7 +18,6 @@ from oee_tabular.continuous.discretization import (
     VisitedCells,
     discretize,
     gauss_hermite,
-    visited_states,
 )
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import (
@@ -454,98 +453,3 @@ def test_pendulum_through_gymnasium():
     assert len(model.encode(log, seed=0)) == 100
     commands = ContinuousTransitions(log.state, 2.0 * (log.action[:, None] - 1.0), log.next_state)
     assert abs(model.counts(commands, strict=True) - model.counts(log)).max() == 0
-
-
-# ---------------------------------------------------------------- bad calls
-
-
-def edited(column, row, value):
-    changed = np.array(LOG.columns()[column])
-    changed[row] = value
-    return ContinuousTransitions(**(LOG.select(np.arange(len(LOG))).columns() | {column: changed}))
-
-
-class Nan(Drift):
-    def moves(self, states, actions, disturbance):
-        moved = super().moves(states, actions, disturbance)
-        return replace(moved, next_state=np.where(states == 0.0, np.nan, moved.next_state))
-
-
-def on(shape, task=None, **options):
-    return discretize(CartPole() if task is None else task, cells=GridInterpolation(shape, **options))
-
-
-BAD = {
-    "no shape": (lambda: GridInterpolation(60), r"shape must be a tuple of positive integers; got 60"),
-    "one vertex": (lambda: on((60, 1)), r"shape must have at least 2 vertices .*; it is \(60, 1\)"),
-    "half a vertex": (lambda: discretize(CartPole(), cells=(60, 1.5)), r"shape must be a positive integer; got 1.5"),
-    "another number of features": (
-        lambda: on((9, 9, 9)), r"shape must have 2 numbers, one for each feature of CartPole \(theta, theta_dot\); it is \(9,",
-    ),
-    "low above high": (lambda: on((9, 9), low=(0.0, 3.2)), r"high\[1\] must be above low\[1\], 3.2; it is 3.2"),
-    "a nan end": (lambda: on((9, 9), low=(0.0, np.nan)), r"low\[1\] must be finite; it is nan"),
-    "ends of another length": (lambda: on((9, 9), high=(1.0,)), r"high must have shape \(2,\)"),
-    "floor": (lambda: discretize(CartPole(), floor=1.5), r"floor must be in \[0, 1\]; it is 1.5"),
-    "a whole floor": (lambda: discretize(CartPole(), floor=1.0), r"floor must be in \(0, 1\); it is 1"),
-    "a floor of nothing": (
-        lambda: discretize(CartPole(), floor=0.1), r"floor must be 0 without a log, for CartPole has no others; it is 0.1",
-    ),
-    "noise points": (
-        lambda: on((9, 9), noise_points=(3, 3)),
-        r"noise_points must be a number or 4 numbers, one for each disturbance; it is \(3, 3\)",
-    ),
-    "closure": (lambda: discretize(CartPole(), closure_episodes=-1), "closure_episodes must be a positive integer; it is -1"),
-    "no task": (lambda: discretize(5), "task must be a ContinuousTask; got int"),
-    "a step to nowhere": (
-        lambda: on((5,), Nan()), r"task must step to finite states; from \[0.0\] under action 0 it steps to \[nan\]",
-    ),
-    "states of another dimension": (
-        lambda: MODEL.encode_states(np.zeros((3, 2))),
-        r"states must have shape \(n, 4\), the x, x_dot, theta, theta_dot of CartPole; it has shape \(3, 2\)",
-    ),
-    "nan states": (lambda: MODEL.encode_states([[0, 0, np.nan, 0]]), r"states\[0, 2\] must be finite; it is nan"),
-    "a log of another dimension": (
-        lambda: discretize(CartPole(), ContinuousTransitions(np.zeros((3, 2)), [0, 0, 0], np.zeros((3, 2)))),
-        r"log.state must have the 4 coordinates of CartPole \(x, x_dot, theta, theta_dot\); it has 2",
-    ),
-    "a finite log": (
-        lambda: MODEL.counts(oee.Transitions([0], [0], [0])), r"log must be ContinuousTransitions; got Transitions",
-    ),
-    "an action outside": (lambda: MODEL.counts(edited("action", 3, 2)), r"log.action\[3\] must be in 0..1, .*; it is 2"),
-    "a state that is over": (
-        lambda: MODEL.counts(edited("state", 5, [0.0, 0.0, 0.5, 0.0])),
-        r"log.state\[5\] must be a state in which CartPole goes on; it is over in \[0.0, 0.0, 0.5, 0.0\] \(1 such rows",
-    ),
-    "a next state outside": (
-        lambda: MODEL.counts(edited("next_state", 5, [0.0, 0.0, 0.0, 9.0])),
-        r"log.next_state must be inside .*: 1 of 400 rows are not; the first, row 5, is at theta=0, theta_dot=9",
-    ),
-    "outside": (lambda: MODEL.encode(LOG, outside="clip"), r"outside must be one of 'error', 'nearest', .*; got 'clip'"),
-    "termination of what does not end": (
-        lambda: discretize(Drift(circle=True), cells=(9,), **QUICK).counts(
-            ContinuousTransitions([[0.0]], [0], [[0.1]], terminated=[True])
-        ),
-        r"log.terminated\[0\] must be False: episodes of Drift do not end; it is True",
-    ),
-    "no cells": (lambda: discretize(FULL, cells=0), r"n_cells must be a positive integer; it is 0"),
-    "weights": (lambda: LENGTHS.mixture([1.0]), r"weights must have shape \(5,\); it has shape \(1,\)"),
-    "weights that do not sum to 1": (lambda: LENGTHS.mixture([0.5] * 5), r"weights must sum to 1"),
-    "no tasks": (lambda: visited_states([], [half], 5, max_steps=5, seed=0), r"tasks and policies must have at least one each"),
-    "an action that the environment has not": (
-        lambda: pendulum(actions=[[-3.0]]), r"actions\[0\] must be in Box\(-2.0, 2.0, \(1,\), float32\); it is \[-3.0\]",
-    ),
-    "state names": (lambda: pendulum(state_names=("a",)), r"get_state must return the 1 numbers .*; it returns shape \(2,\)"),
-    "a state that is not set": (
-        lambda: pendulum(set_state=lambda env, state: setattr(env.unwrapped, "state", state + 1)),
-        r"set_state must set what get_state reads; .* became",
-    ),
-    "low": (lambda: pendulum(low=[0.0]), r"low must have shape \(2,\), one for each of state_names; it has shape \(1,\)"),
-    "make": (lambda: GymnasiumTask(5, state_names=(), actions=[0], low=[], high=[]),
-             r"make must be a function; got int"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("call", "text"), BAD.values(), ids=BAD)
-def test_bad_calls(call, text):
-    with pytest.raises(ValueError, match=text):
-        call()

@@ -216,32 +216,3 @@ def test_history_may_be_given(monkeypatch):
     assert names[0] == ["simulator (continuous)", "oee (residual)"]
     assert names[1] == ["simulator (continuous)", "oee (residual, last action)", "oee (residual)"]  # too short
     assert names[3][0] == "oee (residual, last 3 actions)"
-
-
-@pytest.mark.parametrize(
-    ("steps", "match"),
-    [
-        (-1, "steps must be a positive integer"),
-        (1.5, "steps must be"),
-        (200, "steps must be less than the longest episode"),
-    ],
-)
-def test_bad_steps(steps, match):
-    with pytest.raises(ValueError, match=match):
-        HistoryTask(SIMULATOR, steps).log(log_of(SIMULATOR, 50))
-
-
-def test_bad_input():
-    log = log_of(SIMULATOR, 50)
-    with pytest.raises(ValueError, match="history must be a positive integer; got 'all'"):
-        choose_correction(SIMULATOR, log, history="all")
-    bag = ContinuousTransitions(log.state[::2], log.action[::2], log.next_state[::2])
-    with pytest.raises(ValueError, match=r"log.episode is not given, and no row begins where another ends"):
-        HistoryTask(SIMULATOR).log(bag)
-    with pytest.raises(ValueError, match=r"log.state must have the 1 coordinates of Line"):
-        HistoryTask(Line()).log(log)
-    with pytest.raises(ValueError, match="policy"):
-        HistoryTask(Line()).policy(np.ones((3, 2)))
-    positions = ContinuousTransitions(log.state[:, ::2], log.action, log.next_state[:, ::2])
-    with pytest.raises(ValueError, match=r"it has 2; speeds that were not recorded can be had .* finite differences"):
-        ResidualSimulator(SIMULATOR, positions)

@@ -72,34 +72,6 @@ def test_a_log_of_a_real_arm(tmp_path):
         assert found.action_numbers(kinova.COMMANDS, strict=True).tolist() == [22, 12]
 
 
-def moves(width, size=0.1, action=(0.0, 0.0, 1.0)):
-    return ContinuousTransitions(np.full((2, width), size), [list(action)] * 2, np.full((2, width), size))
-
-
-BAD = [
-    (lambda: kinova.KinovaArm(goal=5), r"goal must be in 0\.\.4, a row of GOALS; it is 5"),
-    (lambda: kinova.KinovaArm(velocity_scale=-1.0), r"velocity_scale must be in \[0, 3\]; it is -1"),
-    (lambda: kinova.KinovaArm(latency=0.3), r"latency must be in \[0, 0.2\]; it is 0.3"),
-    (lambda: kinova.KinovaArm(payload=float("nan")), "payload must be in"),
-    (lambda: kinova.kinova_policy(0, 1.5), r"delta must be in \[0, 1\]; it is 1.5"),
-    (lambda: end_effector(np.zeros((2, 6))), r"joints must have shape \(n, 7\), angles in rad; it has shape \(2, 6\)"),
-    (lambda: kinova.hand_log(moves(5)), r"log.state must have 3 coordinates \(position\), 7 .* it has 5"),
-    (lambda: kinova.hand_log(moves(3, 456.0)), r"log.state\[0, 0\] must be within \+-1.3: positions in m; it is 456"),
-    (lambda: kinova.hand_log(moves(7, 90.0)), r"must be within \+-25.13: joint angles in rad; it is 90"),
-    (
-        lambda: kinova.hand_log(moves(3, action=(1.0, 0.0))),
-        "log.action must have 3 coordinates, along x, y, z; it has 2",
-    ),
-    (lambda: kinova.hand_log(moves(3), speed=0.0), "speed must be in"),
-]
-
-
-@pytest.mark.parametrize(("call", "text"), BAD)
-def test_bad_calls(call, text):
-    with pytest.raises(ValueError, match=text):
-        call()
-
-
 def test_without_mujoco_everything_imports_and_says_which_extra():
     code = (
         "import sys; sys.modules['mujoco'] = None\n"

@@ -124,21 +124,3 @@ def test_a_report_fits_by_name():
     )  # fmt: skip
     assert [r["estimator"] for r in report.records()][:2] == ["oee (parameters, residual)", "oee (residual)"]
     assert report.uncertainty.sentences[0].startswith("Least squares gives gravity 14")
-
-
-def test_bad_input():
-    log = cartpole_log(CartPole(15.0), 50)
-    with pytest.raises(
-        ValueError, match=r"fit must name .* \(gravity, noise\); got 'gravty' \(did you mean gravity\?\)"
-    ):
-        parameters_of(CartPole(), ["gravty"])
-    with pytest.raises(ValueError, match="start must map names"):
-        fit_parameters(CartPole, {}, log)
-    with pytest.raises(ValueError, match=r"start\['gravity'\] must be in its bounds, 11 to 12; it is 10"):
-        fit_parameters(CartPole, {"gravity": 10.0}, log, {"gravity": (11.0, 12.0)})
-    with pytest.raises(ValueError, match="bounds must be of parameters in start"):
-        fit_parameters(CartPole, {"gravity": 10.0}, log, {"mass": (0.0, 1.0)})
-    with pytest.raises(ValueError, match="task_of must be"):
-        fit_parameters(None, {"gravity": 10.0}, log)
-    with pytest.raises(ValueError, match="fit must be names"):
-        evaluate_continuous(CartPole(), log, {"p": cartpole_policy(0.5)}, horizon=10, fit="gravity")

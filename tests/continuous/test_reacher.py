@@ -8,10 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 
 from oee_tabular.continuous.reacher.dynamics import STOP, at_stop, fingertip, link_bodies
-from oee_tabular.continuous.reacher.expert import ReacherPolicy, joint_angles
+from oee_tabular.continuous.reacher.expert import joint_angles
 from oee_tabular.tasks import (
     Reacher,
-    reacher_log,
     reacher_policy,
 )
 
@@ -177,25 +176,3 @@ def test_policies():
     there = np.array([[*joint_angles((0.1, 0.1)), 0.0, 0.0]])
     assert reacher_policy(0.0)(there)[0, 4] == 1.0  # no torque at rest on the target
     assert_array_equal(reacher_policy(0.2)(states + np.array([2 * np.pi, 0, 0, 0])), reacher_policy(0.2)(states))
-
-
-BAD = {
-    "no length": (lambda: Reacher(0.0), r"length must be positive; it is 0.0"),
-    "negative": (lambda: Reacher(-0.1), r"length must .*-0.1"),
-    "reward": (lambda: Reacher(0.1, 0.0), r"reward_length must be in \(0, inf\); it is 0"),
-    "a place in space": (lambda: Reacher(target=(1, 2, 3)), r"target must be two finite numbers \(x, y\); it is \(1, 2, 3\)"),
-    "nan place": (lambda: Reacher(target=(0.1, float("nan"))), r"target must be two finite numbers|target.* nan"),
-    "gear": (lambda: Reacher(gear=-1.0), r"gear must .*-1"),
-    "no time": (lambda: Reacher(timestep=0.0), r"timestep must be in \(0, inf\); it is 0"),
-    "half a step": (lambda: Reacher(substeps=0.5), r"substeps must be a positive integer; got 0.5"),
-    "inertia": (lambda: Reacher(inertia="rod"), r"inertia must be one of .*rod"),
-    "delta": (lambda: reacher_policy(1.5), r"delta must .*1.5"),
-    "out of reach": (lambda: ReacherPolicy(target=(1.0, 0.0)), r"target must be 0.01 to 0.21 m .*; it is 1 m away"),
-    "no moves": (lambda: reacher_log(Reacher(), 0), r"n must be a positive integer; it is 0"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("call", "text"), BAD.values(), ids=BAD)
-def test_bad_calls(call, text):
-    with pytest.raises(ValueError, match=text):
-        call()

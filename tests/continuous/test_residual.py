@@ -436,22 +436,6 @@ def test_a_refit_draws_no_residual_of_an_episode_that_it_leaves_out(target):
     assert n_outcomes(corrected.resampled(0)) < 0.85 * n_outcomes(corrected)
 
 
-# ---------------------------------------------------------------- bad input
-
-
-def test_bad_input():
-    log = cartpole_log(CartPole(15.0), 100)
-    with pytest.raises(ValueError, match=r"task must be .*ContinuousTask"):
-        ResidualSimulator("cartpole", log)
-    with pytest.raises(ValueError, match=r"log.state must have the 1 coordinates of Line \(s\); it has 4"):
-        ResidualSimulator(Line(), log)
-    with pytest.raises(ValueError, match="log must be"):
-        ResidualSimulator(CartPole(), None)
-    bad = ContinuousTransitions(log.state, np.full(100, 2), log.next_state)
-    with pytest.raises(ValueError, match=r"log.action\[0\] must be in 0..1"):
-        ResidualSimulator(CartPole(), bad)
-
-
 def test_a_row_on_which_every_value_rests_is_named():
     columns = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=800, max_steps=100, seed=0).columns()
     log = ContinuousTransitions(**columns)

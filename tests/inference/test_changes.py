@@ -12,11 +12,6 @@ from oee_tabular.inference import row_changes
 SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
 
 
-def true_change():
-    apart = np.abs((SIMULATOR.transitions - TARGET.transitions).toarray()).sum(axis=1)
-    return 0.5 * apart.reshape(16, 4)
-
-
 def test_the_simulator_s_own_log_changes_nothing():
     log = oee.sample_transitions(SIMULATOR, np.full((16, 4), 1 / 64), 4_000, seed=1)
     found = row_changes(oee.Problem(SIMULATOR, log))
