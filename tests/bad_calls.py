@@ -114,6 +114,7 @@ policy_values_by_horizon(GRID, UNIFORM, horizon=10**9)  ->  horizon must be one 
 policy_value(ENDLESS, UNIFORM, horizon=3, normalized=True)  ->  normalized must be False at discount 1
 occupancy(ENDLESS, UNIFORM)  ->  horizon must be given: at discount 1
 return_moments(ENDLESS, UNIFORM)  ->  horizon must be given: at discount 1
+transition_gradient(mdp(np.ones((1, 1, 1)), (1.0,), (1.0,), 1.0), [[1.0]])  ->  ...the policy is absorbed in states with
 efficiency_bound(ENDLESS, UNIFORM, EVEN)  ->  horizon must be given at discount 1
 doubly_robust_moments(GRID, ZETA, UNIFORM, horizon=2, baseline="V")  ->  baseline must be an array of numbers
 doubly_robust_moments(GRID, ZETA, UNIFORM, horizon=2, baseline=np.full((3, 9), np.inf))  ->  baseline[0, 0] must be finite

@@ -196,12 +196,6 @@ def ratio_of(rng, simulator):
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
-def histories(mdp, policy, horizon):
-    """(probability, states s_0..s_T, actions, rewards) of each path, all of positive probability."""
-    found = [(p, *zip(*steps, strict=True)) for p, steps in paths(mdp, policy, horizon)]
-    return [(p, (*states, following[-1]), actions, paid) for p, states, actions, following, paid in found]
-
-
 def tiny(seed, moves=25, left_out=(), form="sa", n_states=3, n_actions=2, discount=0.8):
     """A simulator, a target near nothing, a log of its moves (none of the pairs ``left_out``), and a policy."""
     rng = np.random.default_rng(seed)

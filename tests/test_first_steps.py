@@ -1,10 +1,6 @@
 """What a newcomer's own files run into: each was met by someone who had read the README alone."""
 
-import inspect
-import itertools
-
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
@@ -54,67 +50,3 @@ def test_single_precision_is_scaled():
         oee.policy_value(single, (0.999 * policy).astype(np.float32))
     with pytest.raises(ValueError, match=r"must sum to 1"):
         oee.policy_value(single, policy + 1e-7)  # double precision is taken at its word
-
-
-def lines_of(function):
-    text = inspect.getsource(function).split("# theirs")[1]
-    return [line for line in text.splitlines()[1:] if line.strip()]
-
-
-def open_field(stall=0.0):
-    """A field of 5 x 5, round its edges, with its goal in a corner; -1 a step, moves slip sideways.
-
-    No action makes a robot stay, but its wheels may stall.
-    """
-    P, r = np.zeros((25, 4, 25)), np.full((25, 4, 25), -1.0)
-    ways = [(-1, 0), (0, 1), (1, 0), (0, -1)]
-    for s, a in itertools.product(range(24), range(4)):
-        row, column = divmod(s, 5)
-        for way, share in ((a, 0.8), ((a + 1) % 4, 0.1), ((a - 1) % 4, 0.1)):
-            to = ((row + ways[way][0]) % 5) * 5 + (column + ways[way][1]) % 5
-            P[s, a, to] += (1.0 - stall) * share
-        P[s, a, s] += stall
-    P[24, :, 24], r[24] = 1.0, 0.0
-    return P, r
-
-
-def field_log(path):
-    """A CSV as a robot writes it: no probabilities of its driver's, stalls, and nothing from the last row but one."""
-    target = oee.FiniteMDP(*open_field(stall=0.1), 0, 0.9)
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 80, horizon=40, seed=1)
-    table = pd.DataFrame({"state": log.state, "action": log.action, "next_state": log.next_state})
-    table[~table.state.isin(range(15, 20)) & (table.state != 24)].to_csv(path, index=False)
-
-
-def an_open_field():
-    field_log("log.csv")
-    P, r = open_field()
-    # theirs, from here on: arrays of the simulator, the file, a rule
-    simulator = oee.FiniteMDP(P, r, 0, 0.9)
-    rule = [0 if s % 5 == 4 else 1 for s in range(25)]
-    dropped = oee.interval(oee.Problem(simulator, "log.csv", impossible="drop"), rule)
-    log = oee.Transitions.load("log.csv")
-    allowed = oee.interval(oee.Problem(simulator.with_support_of(log, 0.01), log), rule)
-    return simulator, log, rule, dropped, allowed
-
-
-def test_a_log_with_impossible_transitions_and_an_unrecorded_region(tmp_path, monkeypatch):
-    """Both ways out hold the truth; the rows cut out by hand, which the package never sees, lean to one side."""
-    monkeypatch.chdir(tmp_path)
-    assert len(lines_of(an_open_field)) <= 8
-    simulator, log, rule, dropped, allowed = an_open_field()
-    with pytest.raises(ValueError, match=r"\(--impossible allow=0\.01\) .*\(--impossible drop\)"):
-        oee.Problem(simulator, log)
-    truth = oee.policy_value(oee.FiniteMDP(*open_field(stall=0.1), 0, 0.9), rule)
-    assert dropped.lower <= truth <= dropped.upper
-    assert allowed.lower <= truth <= allowed.upper
-    assert dropped.diagnostics["unvisited_rows"] > 0
-    assert 0.02 < dropped.diagnostics["dropped_share"] < 0.1  # a tenth of the time before the goal
-    possible = log.state != log.next_state
-    cut = oee.Transitions(log.state[possible], log.action[possible], log.next_state[possible])
-    by_hand = oee.interval(oee.Problem(simulator, cut), rule)
-    assert truth < (by_hand.lower + by_hand.upper) / 2  # too optimistic
-    assert by_hand.upper < dropped.upper
-    told = str(oee.evaluate(oee.Problem(simulator, log, impossible="drop"), {"rule": rule}, estimators=["oee"], seed=0))
-    assert "are impossible in the simulator and left out of every model" in " ".join(told.split())
-    assert "never recorded" in told

@@ -65,21 +65,6 @@ def test_the_failing_step_has_a_reward_too():
     assert_allclose(ceiling, 0.633967658726771, rtol=1e-12)
 
 
-def test_the_angle_alone_is_an_exact_reduction():
-    """Episodes of the whole environment, cart and all, against those whose cart is put back each step."""
-
-    class Still(CartPole):
-        def moves(self, states, actions, disturbance):
-            moved = super().moves(states, actions, disturbance)
-            moved.next_state[:, :2] = 0.0
-            return moved
-
-    for delta in (0.0, 0.6):
-        whole = monte_carlo_value(CartPole(15.0), cartpole_policy(delta), 4000, 100, seed=5)
-        angle = monte_carlo_value(Still(15.0), cartpole_policy(delta), 4000, 100, seed=5)
-        assert_allclose(angle.value, whole.value, rtol=1e-3)
-
-
 def test_the_shipped_expert_is_the_trained_one():
     assert train_expert() == EXPERT
     assert train_expert(seed=1) == train_expert(seed=1) != EXPERT

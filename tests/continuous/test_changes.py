@@ -19,8 +19,6 @@ from oee_tabular.lab.robots.kinova import towards
 from oee_tabular.tasks import (
     CartPole,
     HistoryTask,
-    LinearModel,
-    Moves,
     Reacher,
     ResidualSimulator,
     corrected_value,
@@ -101,27 +99,6 @@ def test_a_delayed_task_does_what_was_asked_before():
     assert_array_equal(moved.next_state[:, 4:], [[0, 1], [0, 1], [1, 0]])
 
 
-def test_the_linear_model_finds_a_linear_task():
-    class Straight(CartPole):
-        def moves(self, states, actions, disturbance):
-            slope = np.array([[0, 0.02, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0.02], [0, 0, 0.3, 0]])
-            following = states + states @ slope.T + 0.1 * self.actions[actions][:, None] * [0, 0.2, 0, -0.3]
-            return Moves(following + 0.01 * disturbance, np.ones(len(states)), self.terminated(following))
-
-    target = Straight(10.0)
-    log = record(target, CASES["CartPole, delay"].acting(0.3), n_transitions=4000, max_steps=100, seed=0)
-    model = LinearModel(CartPole(10.0), log)
-    states, actions = log.state[:20], log.action[:20]
-    right = target.moves(states, actions, np.zeros((20, 4))).next_state
-    low, high = log.next_state.min(axis=0) + 0.03, log.next_state.max(axis=0) - 0.03
-    within = (low <= right) & (right <= high)  # far from its stops
-    assert within.sum() > 40
-    moved = model.step(np.repeat(states, 5000, axis=0), np.repeat(actions, 5000), np.random.default_rng(0)).next_state
-    moved = moved.reshape(20, 5000, 4)
-    assert_allclose(moved.mean(axis=1)[within], right[within], atol=0.005)
-    assert_allclose(moved.std(axis=1)[within], 0.01, rtol=0.1)
-
-
 def test_a_corrected_arm_aims_elsewhere():
     hand = ideal_hand(1.0, scatter=0.0)
     log = record(
@@ -178,14 +155,6 @@ def test_a_delay_is_reported_and_the_last_action_mends_it(tables):
     assert rows.hidden.all()
     assert rows.share["residual, last action"] < 1 / 3
     assert rows.error["residual"] > 2 * rows.error["residual, last action"]
-
-
-def test_the_figure_has_a_line_for_each_case(tables):
-    summary = summary_of(experiment.CHANGES, tables)
-    figure = Figure()
-    experiment.CHANGES.draw(tables, summary, figure)
-    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
-    assert labels == list(tables.case.unique())
 
 
 def test_every_case_is_a_change_but_one():

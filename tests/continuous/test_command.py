@@ -16,8 +16,6 @@ from oee_tabular.estimators import calibrate
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.tasks import (
     CartPole,
-    ContinuousTask,
-    HistoryTask,
     ResidualSimulator,
     cartpole_policy,
     discretize,
@@ -313,35 +311,6 @@ def test_the_corrected_simulator_comes_first():
     assert said.startswith("The target's steps differ from the simulator's in x_dot (residuals ")
     assert "theta_dot" in said
     assert "oee (residual)" not in by_row(evaluated(LOG, policy, estimators=["simulator"])[1])
-
-
-class Remembers(HistoryTask):
-    """CartPole that is kicked by a push to the right after a push to the right."""
-
-    step = ContinuousTask.step
-
-    def moves(self, states, actions, disturbance):
-        moved = super().moves(states, actions, disturbance)
-        moved.next_state[:, 3] += 0.2 * states[:, 5] * actions
-        return moved
-
-
-def test_hidden_state_is_reported_and_not_put_in_front():
-    """Where the action before decides, the row says so, and a row with that action in the state stands before all."""
-    target = Remembers(CartPole(10.0))
-    columns = record(target, target.policy(cartpole_policy(0.5)), n_transitions=3000, max_steps=100, seed=0).columns()
-    log = oee.ContinuousTransitions(**(columns | {k: columns[k][:, :4] for k in ("state", "next_state")}))
-    policy = cartpole_policy(0.4)
-    report = evaluated(log, policy, grid=None, episodes=3000)[1]
-    assert [row["estimator"] for row in report.records()][:2] == ["oee (residual, last action)", "oee (residual)"]
-    assert report.answers[0].estimator == "oee (residual, last action)"
-    hidden = report.results[1].estimate
-    assert "the next state depends on more than the state and the action" in hidden.status
-    assert (hidden.standard_error, hidden.interval) == (None, None)
-    assert "because the action of one step ago explains" in report.uncertainty.sentences[0]
-    truth = monte_carlo_value(target, target.policy(policy), 5000, 100, seed=0).value
-    values = {name: row["value"] for name, row in by_row(report).items()}
-    assert abs(values["oee (residual, last action)"] - truth) < abs(values["simulator (continuous)"] - truth) / 3
 
 
 def test_transitions_without_support_are_reported_with_the_ways_out():

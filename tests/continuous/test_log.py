@@ -131,5 +131,3 @@ def test_logs_are_joined_and_drawn_from():
     drawn = two.draw(8, seed=0)
     assert drawn.episode is None
     assert_array_equal(np.sort(drawn.state[:, 0]), np.sort(two.state[:, 0]))
-    with pytest.raises(ValueError, match="logs must be one or more ContinuousTransitions"):
-        ContinuousTransitions.concatenate([log(), "log"])

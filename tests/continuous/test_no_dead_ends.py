@@ -21,7 +21,6 @@ from oee_tabular.tasks import (
     ResidualSimulator,
     cartpole_policy,
     corrected_value,
-    gymnasium_simulator,
     monte_carlo_value,
     record,
 )
@@ -57,45 +56,7 @@ def log_of(task, n=3000):
 # ---------------------------------------------------------------- support
 
 
-def test_wind_that_no_cell_reaches_leaves_the_report_standing():
-    """Gusts of .6 rad/s, six cells of a fine grid: the floor allows what the log has."""
-    log = log_of(Windy(10.0, gusts=0.3))
-    report = report_of(log, replace(FEW, grid=(40, 40), outside="nearest"))
-    rows = [row["estimator"] for row in report.records()]
-    assert rows[0] == "oee (residual)"
-    assert rows[-1] == "oee on the grid"
-    assert report.facts["moves_left_out"] == 0.0
-
-
-def test_dust_at_a_speed_limit():
-    """MountainCar: soft weights of a thousandth of a move have no support, which was an error."""
-    simulator, target = (gymnasium_simulator(f"MountainCar-v0:gravity={g}") for g in (0.0025, 0.0027))
-
-    def along(states):
-        return np.eye(3)[np.where(states[:, 1] >= 0, 2, 0)] * 0.7 + 0.1
-
-    log = record(target.task, along, n_transitions=1500, max_steps=200, seed=0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        report = evaluate_continuous(
-            simulator, log, {"along": along}, settings=Settings(grid=(15, 15), episodes=20), seed=0, horizon=50
-        )
-    assert report.records()[0]["estimator"] == "oee (residual)"
-    assert report.records()[-1]["estimator"] == "oee on the grid"
-
-
 # ---------------------------------------------------------------- calibration
-
-
-def test_calibration_is_by_the_plain_simulator():
-    """A large floor shrinks the simulator on the cells; dividing by it gave more than the rewards can pay."""
-    log = log_of(Windy(10.0, gusts=0.1))
-    report = report_of(log, replace(FEW, grid=(12, 12), floor=0.05), normalized=True)
-    rows = {row["estimator"]: row for row in report.records()}
-    most = 1.0 - 0.99**100
-    assert rows["oee (calibrated)"]["value"] <= most
-    truth = monte_carlo_value(Windy(10.0, gusts=0.1), cartpole_policy(0.4), 5000, 100, seed=0, normalized=True).value
-    assert abs(rows["oee (calibrated)"]["value"] - truth) < 0.05
 
 
 @pytest.mark.parametrize(

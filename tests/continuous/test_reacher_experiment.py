@@ -5,13 +5,11 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
-from oee_tabular.lab.output import summary_of
 from oee_tabular.lab.registry import Stream
 from oee_tabular.lab.robots import reacher
-from oee_tabular.lab.robots.reacher import DELTAS, FIGURE_3
+from oee_tabular.lab.robots.reacher import DELTAS
 from oee_tabular.tasks import Reacher, VisitedCells, monte_carlo_value, reacher_log, reacher_policy
 
 
@@ -47,14 +45,6 @@ def test_every_curve_is_there(table):
     assert left_out.weight_of_true_length.isna().all()
     assert (table[table.series == reacher.WEIGHTED].weight_of_true_length > 0.9).all()
     assert (table[table.series == reacher.SIMULATOR].uncovered > 0.3).all()
-
-
-def test_the_figure_and_the_summary(table):
-    summary = summary_of(FIGURE_3, table)
-    assert len(summary) == table.series.nunique()
-    figure = Figure()
-    FIGURE_3.draw(table, summary, figure)
-    assert [ax.get_title() for ax in figure.axes if ax.get_visible()] == ["links of 0.05 m"]
 
 
 def test_the_paper_s_errors():

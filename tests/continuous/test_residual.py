@@ -1,6 +1,5 @@
 """A simulator corrected by a log: against own truths, and its parts against plain numpy."""
 
-import gymnasium
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -14,15 +13,12 @@ from oee_tabular.lab.robots.changes import classic
 from oee_tabular.tasks import (
     CartPole,
     ContinuousTask,
-    GymnasiumTask,
     Moves,
-    Reacher,
     ResidualSimulator,
     cartpole_policy,
     corrected_value,
     discretize,
     monte_carlo_value,
-    reacher_policy,
     record,
 )
 
@@ -86,17 +82,6 @@ def test_an_unchanged_target_is_the_simulator_to_the_last_bit():
     assert values[0] == values[1]  # common random numbers
 
 
-def gymnasium_pendulum():
-    def write(env, state):
-        env.unwrapped.state = np.array(state)
-
-    return GymnasiumTask(
-        lambda: gymnasium.make("Pendulum-v1"), state_names=("angle", "speed"), get_state=lambda env: env.unwrapped.state,
-        set_state=write, actions=[[-2.0], [0.0], [2.0]], low=[-np.pi, -8.0], high=[np.pi, 8.0], periodic=(True, False),
-        terminates=False,
-    )  # fmt: skip
-
-
 def test_pendulum():
     """The environment's steps are Gymnasium's (test_changes.py)."""
     target, simulator = classic.Pendulum(mass=1.2, gravity=11.0), classic.Pendulum()
@@ -110,15 +95,6 @@ def test_pendulum():
         assert abs(found - truth) < 0.1 * abs(before - truth)
     stepped = corrected.moves(np.array([[3.0, 7.99], [3.0, -7.99]]), np.array([2, 0]), np.zeros((2, 1))).next_state
     assert np.abs(stepped[:, 1]).max() <= 8.0
-
-
-def test_gymnasium_s_own_is_corrected_alike():
-    target = classic.Pendulum(mass=1.2, gravity=11.0)
-    log = record(target, classic.swinging(0.3), n_transitions=500, max_steps=100, seed=0)
-    found, right = (ResidualSimulator(task, log, seed=0) for task in (gymnasium_pendulum(), classic.Pendulum()))
-    assert_allclose(found.left_over, right.left_over, atol=1e-9)
-    states, actions, xi = log.state[:50], log.action[:50], np.zeros((50, found.n_disturbances))
-    assert_allclose(found.moves(states, actions, xi).next_state, right.moves(states, actions, xi).next_state, atol=1e-9)
 
 
 class Unknowing(classic.MountainCar):
@@ -143,14 +119,6 @@ def test_mountain_car(simulator, within):
         policy = classic.rocking(delta)
         truth, found, before = (value(task, policy, 100, 200) for task in (target, corrected, simulator))
         assert abs(found - truth) < within * abs(before - truth)
-
-
-def test_reacher():
-    target, simulator = Reacher.tamed(0.17), Reacher.tamed(0.1, reward_length=0.17)
-    log = record(target, reacher_policy(0.5), n_transitions=4000, max_steps=25, seed=0)
-    corrected = ResidualSimulator(simulator, log, seed=0)
-    values = [value(task, reacher_policy(0.5), 200, 25) for task in (target, corrected, simulator)]
-    assert abs(values[1] - values[0]) < 0.05 * abs(values[2] - values[0])
 
 
 # ---------------------------------------------------------------- tasks on the line

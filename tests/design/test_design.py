@@ -103,24 +103,6 @@ def test_rewards_of_transitions_that_the_simulator_lacks():
     assert_allclose(plan.costs["policy"][0], [(5.0 - 1.0) ** 2 / 4, 0.0])
 
 
-@given(rngs)
-def test_a_free_plan_levels_what_one_transition_more_gains(rng):
-    """c / (n_x + n q_x)^2 is one level where q > 0, and no larger elsewhere."""
-    mdp = random_mdp(rng)
-    counts = rng.integers(0, 9, (mdp.n_states, mdp.n_actions))
-    counts[0, 0] = 1
-    problem = Problem(mdp, log_of(mdp, counts))
-    plan = plan_data_collection(problem, random_policy(rng, mdp), n=int(rng.integers(1, 40)), model="simulator")
-    if plan.status != "ok":
-        return
-    cost, q = plan.costs["policy"], plan.distribution
-    gain = np.divide(cost, (counts + plan.n * q) ** 2, out=np.zeros_like(cost), where=cost > 0)
-    assert_allclose(q.sum(), 1.0, rtol=1e-12)
-    assert np.all(q[cost == 0] == 0)
-    assert_allclose(gain[q > 1e-9], gain.max(), rtol=1e-5)
-    assert_allclose(gain[q > 1e-4], gain.max(), rtol=1e-9)
-
-
 @pytest.mark.parametrize("pay", [-1.0, 0.3, 1e9])
 def test_a_value_that_no_transition_changes_needs_none(pay):
     """Every move of the first step pays the same: what is left of its variance is rounding."""

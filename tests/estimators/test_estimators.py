@@ -13,37 +13,6 @@ def grids(size=5, **options):
     return oee.tasks.gridworld(size, 0.3, **options), oee.tasks.gridworld(size, 0.1, **options)
 
 
-# ---- importance sampling: worked by hand -------------------------------------------------------------------------
-
-LOG = Transitions(
-    [0, 1, 0, 0, 1, 1], [0, 1, 1, 0, 0, 1], [1, 2, 2, 1, 1, 2], [1.0, 2.0, 4.0, 1.0, 3.0, 2.0],
-    terminated=[0, 1, 1, 0, 0, 1], episode=[0, 0, 1, 2, 2, 2], behavior_probability=[0.5, 0.25, 0.5, 0.5, 0.75, 0.25],
-)  # fmt: skip
-HAND_POLICY = np.array([[0.25, 0.75], [0.5, 0.5], [1.0, 0.0]])
-# ratios: 0.5, 2 | 1.5 | 0.5, 2/3, 2; products 0.5, 1 | 1.5 | 0.5, 1/3, 2/3
-RETURNS = np.array([1 + 0.5 * 2, 4.0, 1 + 0.5 * 3 + 0.25 * 2])
-LAST = np.array([1.0, 1.5, 2 / 3])
-
-
-def three_state_problem(horizon=None, **options):
-    transitions = np.full((3, 2, 3), 1 / 3)
-    transitions[2] = [0.0, 0.0, 1.0]
-    mdp = oee.FiniteMDP(transitions, np.array([1.0, 1.0, 0.0]), [1.0, 0.0, 0.0], 0.5)
-    return Problem(mdp, LOG, horizon=horizon, **options)
-
-
-def test_importance_sampling_by_hand():
-    problem = three_state_problem()
-    trajectory = ImportanceSampling("trajectory")(problem, HAND_POLICY)
-    assert_allclose(trajectory.value, np.mean(LAST * RETURNS), rtol=1e-14)
-    assert_allclose(trajectory.standard_error, np.std(LAST * RETURNS, ddof=1) / np.sqrt(3), rtol=1e-14)
-    assert_allclose(trajectory.diagnostics["effective_sample_size"], LAST.sum() ** 2 / (LAST**2).sum())
-    weighted = ImportanceSampling("trajectory", self_normalized=True)(problem, HAND_POLICY)
-    assert_allclose(weighted.value, (LAST * RETURNS).sum() / LAST.sum(), rtol=1e-14)
-    decisions = np.array([0.5 * 1 + 1 * 0.5 * 2, 1.5 * 4, 0.5 * 1 + 1 / 3 * 0.5 * 3 + 2 / 3 * 0.25 * 2])
-    assert_allclose(ImportanceSampling()(problem, HAND_POLICY).value, decisions.mean(), rtol=1e-14)
-
-
 def test_a_behaviour_policy_may_be_given_instead_of_recorded():
     simulator, target = grids()
     behavior = oee.tasks.gridworld_policy(5, 0.3)
@@ -56,12 +25,13 @@ def test_a_behaviour_policy_may_be_given_instead_of_recorded():
 
 
 def test_the_log_s_rewards_count_and_the_simulator_s_where_there_are_none():
-    problem = three_state_problem()
-    bare = Transitions(**{name: column for name, column in LOG.columns().items() if name != "reward"})
-    without = Problem(problem.simulator, bare)
-    ones = Transitions(**(LOG.columns() | {"reward": np.ones(6)}))
-    expected = ImportanceSampling()(Problem(problem.simulator, ones), HAND_POLICY).value
-    assert ImportanceSampling()(without, HAND_POLICY).value == expected
+    problem, _ = recorded_problem(2)
+    columns = dict(problem.log.columns())
+    values = []
+    for reward in (columns["reward"], None, 3.0 * columns["reward"]):  # of r(s, a) the log has what the simulator pays
+        given = Problem(problem.simulator, Transitions(**columns | {"reward": reward}))
+        values.append(ImportanceSampling()(given, POLICY).value)
+    assert_allclose(values, values[0] * np.array([1.0, 1.0, 3.0]), rtol=1e-12)
 
 
 # ---- model based -------------------------------------------------------------------------------------------------

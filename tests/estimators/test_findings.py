@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from estimators.four_states import BEHAVIOR, POLICY, environments, recorded_problem, reweighted_zeta
+from estimators.four_states import BEHAVIOR, POLICY, recorded_problem, reweighted_zeta
 
 import oee_tabular as oee
 from oee_tabular import Problem, Transitions
@@ -108,22 +108,6 @@ def test_what_a_report_acts_on():
     assert not any(
         e(problem, POLICY).is_from_episodes for e in (OffEnvironment(), ModelBased(), DoublyRobust(), Marginalized())
     )
-
-
-def test_what_a_problem_s_data_contradict():
-    simulator, target = environments(2)
-    log = oee.sample_episodes(target, BEHAVIOR, 5, 6, seed=1)
-    assert Problem(simulator, log).findings == ()
-    paid = Transitions(**(log.columns() | {"reward": log.reward + 1.0}))
-    (rewards,) = Problem(simulator, paid).findings
-    assert rewards.severity > 0  # of every value that a model gives
-    assert str(rewards).startswith("The log's rewards contradict the simulator's in ")
-    assert str(rewards).endswith("uses those of the log.")
-    (settled,) = Problem(simulator, paid, rewards="log").findings
-    assert settled.severity == 0
-    assert str(settled).endswith("use the log's mean reward where it was observed.")
-    (other,) = Problem(simulator, log, behavior_policy=POLICY).findings
-    assert "differ from behavior_policy" in str(other)
 
 
 def test_a_user_s_own_finding_is_reported():

@@ -95,17 +95,6 @@ def test_only_what_is_reached_in_time_is_read():
     assert exact.policy_values_by_horizon(line, policy, horizon=steps).tolist() == [0.0, 3.0, 5.0, 6.25]
 
 
-GOOD = np.array([[0.5, 0.5], [0.25, 0.75]])
-
-
-def test_a_policy_in_another_form_has_the_same_value():
-    mdp = random_mdp(np.random.default_rng(0), n_states=2, n_actions=2)
-    nearly = GOOD.copy()
-    nearly[0, 0] += 5e-9  # within the tolerance
-    for other in (GOOD.tolist(), np.asfortranarray(GOOD), GOOD.astype(np.float32), nearly):
-        assert_allclose(oee.policy_value(mdp, other, horizon=3), oee.policy_value(mdp, GOOD, horizon=3), atol=1e-6)
-
-
 @given(rngs, st.one_of(st.none(), st.integers(1, 5)))
 def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
     """sum_t gamma^t alpha_t (r + gamma V'_t+1) on the other model's entries, alpha of the first, V' of the other."""

@@ -64,6 +64,25 @@ def check(found, probability, x):
     assert abs(found.variance - variance) <= 1e-10 * scale + 1e-14
 
 
+def check_sources(found, mdp, drawn, x, horizon):
+    """Var E[X | path to s_t+1] - Var E[X | path to s_t], the start's part first, and the steps' by their states s_t."""
+    every = paths(mdp, drawn, horizon)
+    probability, before = np.array([p for p, _ in every]), moments_of(np.array([p for p, _ in every]), x)[0]
+    scale, by_state = max(1.0, probability @ x**2), np.zeros(mdp.n_states)
+    for t in range(horizon + 1):
+        groups, level = {}, np.empty(len(x))
+        for k, (_, steps) in enumerate(every):
+            known = tuple(step[:2] for step in steps[:t]), steps[t][0] if t < horizon else steps[-1][2]
+            groups.setdefault(known, []).append(k)
+        for members in groups.values():
+            level[members] = probability[members] @ x[members] / probability[members].sum()
+        part, before = probability * (level - before) ** 2, level
+        assert_allclose(found.by_step[t], part.sum(), rtol=1e-8, atol=1e-11 * scale)
+        if t > 0:
+            np.add.at(by_state, [steps[t - 1][0] for _, steps in every], part)
+    assert_allclose(found.by_state, by_state, rtol=1e-8, atol=1e-11 * scale)
+
+
 @settings(max_examples=200)
 @given(rngs, st.sampled_from(KINDS))
 def test_19_products_of_ratios_equal_enumeration(rng, kind):
@@ -76,9 +95,9 @@ def test_19_products_of_ratios_equal_enumeration(rng, kind):
     probability, x, *_ = enumerated(simulator, policy, np.ones(simulator.rewards.shape), w, horizon, kind)
     found = oee.weighted_return_moments(simulator, zeta, policy, kind=kind, horizon=horizon, sources=True)
     check(found, probability, x)
-    assert_allclose(found.by_step.sum(), found.variance, rtol=1e-9, atol=1e-12)
-    assert_allclose(found.by_state.sum() + found.by_step[0], found.variance, rtol=1e-9, atol=1e-12)
-    assert len(found.by_step) == horizon + 1
+    check_sources(found, simulator, policy, x, horizon)
+    bare = oee.weighted_return_moments(simulator, zeta, policy, kind=kind, horizon=horizon)
+    assert (bare.mean, bare.variance, bare.by_step, bare.by_state) == (found.mean, found.variance, None, None)
 
 
 @settings(max_examples=60)
@@ -129,7 +148,7 @@ def test_self_normalised_limits_variances_and_biases(rng, kind):
     assert_allclose(found.mean, limit, rtol=1e-10, atol=1e-11)
     assert_allclose(found.variance, probability @ influence**2, atol=1e-9 * scale)
     assert_allclose(found.bias, bias, rtol=1e-8, atol=1e-9 * scale)
-    assert_allclose(found.by_step.sum(), found.variance, atol=1e-9 * scale)
+    check_sources(found, simulator, policy, influence, horizon)
 
 
 @settings(max_examples=60)

@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-from helpers import BEHAVIOR, POLICY, environments, histories, random_mdp, random_policy, ratio_of, rngs
+from helpers import BEHAVIOR, POLICY, environments, random_mdp, random_policy, ratio_of, rngs
 from hypothesis import given, settings
 from numpy.testing import assert_allclose
-from scipy import sparse
 
 import oee_tabular as oee
-
-KINDS = ("per_decision", "trajectory")
 
 
 def check_in_time(mdp, zeta, policy, behavior, horizon):
@@ -56,66 +53,6 @@ def test_rings_and_rows_of_very_different_lengths(rng):
         mdp = oee.FiniteMDP(transitions, rng.normal(size=(n, n_actions, n)), np.full(n, 1 / n), 0.9)
         policy, behavior = (rng.dirichlet(np.ones(n_actions), n) for _ in range(2))
         check_in_time(mdp, ratio_of(rng, mdp), policy, behavior, 4)
-
-
-def shares_by_enumeration(mdp, found, x, horizon):
-    """Parts of Var X: the start's and each step's, and the steps' by the state they were taken from."""
-    probability = np.array([path[0] for path in found])
-    levels = [np.full(len(x), probability @ x)]
-    for t in range(horizon + 1):
-        groups = {}
-        for k, (_, states, actions, _) in enumerate(found):
-            groups.setdefault((states[: t + 1], actions[:t]), []).append(k)
-        level = np.empty(len(x))
-        for members in groups.values():
-            level[members] = probability[members] @ x[members] / probability[members].sum()
-        levels.append(level)
-    steps = [probability * (after - before) ** 2 for before, after in zip(levels[:-1], levels[1:], strict=True)]
-    by_state = np.zeros(mdp.n_states)
-    for t in range(horizon):
-        np.add.at(by_state, [path[1][t] for path in found], steps[t + 1])
-    return np.array([step.sum() for step in steps]), by_state
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("self_normalized", [False, True])
-@pytest.mark.parametrize("form", [1, 2, 3])
-def test_each_step_and_each_state_has_its_own_share_of_the_variance(form, kind, self_normalized):
-    """Not only their sum: Var E[X | path to s_t+1] - Var E[X | path to s_t], path by path, by states s_t."""
-    simulator, target = environments(form)
-    zeta, horizon = oee.true_ratio(target, simulator), 3
-    w = zeta.values.toarray().reshape(3, 2, 3) * np.array([1.0, 1.3, 0.8])  # the rows do not sum to 1
-    ratio = sparse.csr_array(w.reshape(6, 3))
-    found = histories(simulator, POLICY, horizon)
-    weights, paid = [], []
-    for _, states, actions, rewards in found:
-        after = np.cumprod([w[states[t], actions[t], states[t + 1]] for t in range(horizon)])
-        weights.append(after if form == 3 else np.concatenate([[1.0], after[:-1]]))
-        paid.append(rewards)
-    weights, paid = np.array(weights), np.array(paid)
-    probability, gamma = np.array([path[0] for path in found]), simulator.discount ** np.arange(horizon)
-    if kind == "trajectory":
-        weight, total = weights[:, -1], paid @ gamma
-        mass = probability @ weight
-        level = probability @ (weight * total) / mass
-        x = weight * (total - level) / mass if self_normalized else weight * total
-    else:
-        mass = probability @ weights
-        level = probability @ (weights * paid) / mass
-        x = (weights * (paid - level) / mass) @ gamma if self_normalized else (weights * paid) @ gamma
-    by_step, by_state = shares_by_enumeration(simulator, found, x, horizon)
-    moments = oee.weighted_return_moments(
-        simulator, ratio, POLICY, kind=kind, horizon=horizon, self_normalized=self_normalized, sources=True
-    )
-    assert_allclose(moments.by_step, by_step, rtol=1e-9, atol=1e-12)
-    assert_allclose(moments.by_state, by_state, rtol=1e-9, atol=1e-12)
-    assert_allclose(moments.variance, by_step.sum(), rtol=1e-9)
-    bare = oee.weighted_return_moments(
-        simulator, ratio, POLICY, kind=kind, horizon=horizon, self_normalized=self_normalized
-    )
-    assert bare.by_step is None
-    assert bare.by_state is None
-    assert (bare.mean, bare.variance, bare.bias) == (moments.mean, moments.variance, moments.bias)
 
 
 @pytest.mark.parametrize("form", [1, 2, 3])

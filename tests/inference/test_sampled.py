@@ -42,24 +42,6 @@ def test_intervals_hold_the_truth_where_the_simulator_was_sampled_too():
     assert hits["bare"] <= 50
 
 
-@pytest.mark.parametrize("horizon", [None, 6])
-def test_standard_error_of_the_simulator_s_own_value(horizon):
-    """Of 200 samplings: the spread of J beside the standard errors (ratios 1.07 and 1.08 of 400)."""
-    found = []
-    for seed in range(200):
-        simulator = sampled(seed)
-        if simulator.n_states == 4:
-            problem = oee.Problem(
-                simulator, oee.Transitions([0], [0], simulator.transitions.indices[:1]), horizon=horizon
-            )
-            found.append(oee.estimators.Simulator()(problem, PI))
-    values, errors = (np.array([getattr(one, name) for one in found]) for name in ("value", "standard_error"))
-    assert_allclose(np.std(values), np.sqrt(np.mean(errors**2)), rtol=0.15)
-    truth = oee.policy_value(SIMULATOR, PI, horizon=horizon)
-    assert np.mean([one.interval[0] <= truth <= one.interval[1] for one in found]) > 0.88
-    assert oee.estimators.Simulator()(oee.Problem(SIMULATOR, problem.log), PI).standard_error is None
-
-
 def test_the_report_says_where_the_policy_s_own_pairs_are_short():
     log = oee.Transitions([0] * 50 + [1] * 5, [0] * 55, [0] * 25 + [1] * 25 + [0] * 5, [1.0] * 50 + [3.0] * 5)
     with pytest.warns(UserWarning, match="filled in"):

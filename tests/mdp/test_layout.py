@@ -57,15 +57,6 @@ def test_coordinates_in_names_are_a_layout_where_none_is_given(tmp_path):
         assert named.with_names(list(names)).layout is None
 
 
-def test_a_twin_lies_where_its_state_does():
-    log = oee.Transitions(
-        [(0, 0), (0, 0), (0, 1)], ["go"] * 3, [(0, 1), (0, 1), (0, 0)], [1.0] * 3, terminated=[0, 1, 0]
-    )
-    made = FiniteMDP.from_log(log)
-    assert made.state_names[-1] == (0, 1, "over")
-    assert made.layout.tolist() == [[0, 0], [0, 1], [0, 1]]
-
-
 def test_other_numbers_of_the_states_take_layout_and_names_along():
     pair = case("ragged")
     names = [f"s{k}" for k in range(pair.simulator.n_states)]

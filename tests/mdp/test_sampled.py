@@ -293,14 +293,3 @@ def test_terminated_transitions_lead_where_termination_leads():
     allowing = mdp.with_support_of(log, 0.1)
     assert allowing.transitions[[14 * 4], :].toarray()[0, [13, mdp.terminal_state[15]]].tolist() == [0.9, 0.1]
     oee.Problem(allowing, log)
-
-
-def test_the_variance_of_a_mean_reward_is_that_of_simulated_means():
-    """s^2 / k where a transition was met k = 4 or 3 times, and where it was met once the variance of all together."""
-    n, pattern, spread = 2000, np.array([0, 0, 0, 0, 1, 2, 2, 2]), np.array([3.0, 2.0, 2.0])
-    state = (pattern + 3 * np.arange(n)[:, None]).reshape(-1)  # n copies of three states that stay
-    paid = np.random.default_rng(0).normal(size=8 * n) * spread[state % 3]
-    made = FiniteMDP.from_log(Transitions(state, 0 * state, state, paid))
-    means, variances = (x.diagonal().reshape(n, 3) for x in (made.transition_rewards, made.sampling.reward_error))
-    pooled = (3 * 9.0 + 2 * 4.0) / 5  # of 3 and 2 degrees of freedom
-    assert_allclose(variances.mean(axis=0), [means[:, 0].var(), pooled, means[:, 2].var()], rtol=0.08)
