@@ -19,8 +19,8 @@ from oee_tabular.design.programs import (
     Solver,
     behavior_of,
     collection_mdp,
-    evaluate,
     solve_for_all,
+    sum_variances,
 )
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
@@ -148,7 +148,7 @@ def plan_data_collection(
         q = np.full(base.size, 1.0 / base.size)
     else:
         q = occupancy(collection, uniform_policy(collection)).reshape(-1)
-    now, after = (evaluate(costs, base, x) for x in (np.zeros_like(base), q))
+    now, after = (sum_variances(costs, base, x) for x in (np.zeros_like(base), q))
     to_least, to_free = (np.divide(after, x, out=np.ones_like(after), where=x > 0.0) for x in (least, free))
     shape = (mdp.n_states, mdp.n_actions)
     return Plan(

@@ -12,7 +12,7 @@ from scipy import special
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.design.advice import advice_sentence, describe_pair
-from oee_tabular.design.programs import evaluate
+from oee_tabular.design.programs import sum_variances
 from oee_tabular.mdp.naming import NAMELESS, Names, name_text
 from oee_tabular.plots import plot_states
 
@@ -161,7 +161,7 @@ class Plan:
         number = _checks.positive_integer(m, "m")
         total = (self.counts + number * self.distribution).reshape(-1)
         costs = np.array([cost.reshape(-1) for cost in self.costs.values()])
-        variances = evaluate(costs, total, np.zeros_like(total))
+        variances = sum_variances(costs, total, np.zeros_like(total))
         return {o.name: replace(o, variance_after=float(v)) for o, v in zip(self.policies, variances, strict=True)}
 
     def to_dict(self) -> dict[str, Any]:

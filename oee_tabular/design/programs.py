@@ -30,7 +30,7 @@ UNREACHED = 1e12  # times the variance of free sampling: episodes do not get whe
 NEGLIGIBLE = 1e-60  # a row that the start reaches more seldom costs nothing, and is left out
 
 
-def evaluate(costs: Array, base: Array, q: Array) -> Array:
+def sum_variances(costs: Array, base: Array, q: Array) -> Array:
     """(K,) F_k(q) = sum_x C_kx / (b_x + q_x), 0 / 0 being 0; inf where a row that costs has nothing."""
     total = base + q
     empty = total <= 0.0
@@ -106,7 +106,7 @@ class Program:
             return np.asarray(0.9 * fill(mean, self.base) + 0.1 * (mean > 0.0) / np.sum(mean > 0.0))
         visits = [occupancy(self.collection, policy) for policy in (uniform_policy(self.collection), *policies)]
         q = np.mean(visits, axis=0).reshape(-1)
-        worst = float(evaluate(self.costs, self.base, q).max())
+        worst = float(sum_variances(self.costs, self.base, q).max())
         if not worst < UNREACHED:
             raise ValueError(
                 f"restart must let episodes reach the (s, a) that matter; at {1.0 - self.collection.discount:g} what their "
@@ -149,7 +149,7 @@ def solve_for_all(
     costs: Array, base: Array, collection: FiniteMDP | None, policies: list[Array], solver: Solver
 ) -> tuple[Solution, Array, Array]:
     """The solution, and of each policy the least variance of a plan for it alone: sampling as here, and at will."""
-    free = np.array([float(evaluate(c[None], base, fill(c, base))[0]) for c in costs])
+    free = np.array([float(sum_variances(c[None], base, fill(c, base))[0]) for c in costs])
     scaled = costs / free[:, None]
     if collection is None:
         return solve(Program(scaled, base, None), policies, solver), free, free
@@ -167,7 +167,7 @@ def solve(program: Program, policies: list[Array], solver: Solver) -> Solution:
         return solve_by_clarabel(program)
     if program.collection is None and len(program.costs) == 1:
         q = fill(program.costs[0], program.base)
-        value = float(evaluate(program.costs, program.base, q)[0])
+        value = float(sum_variances(program.costs, program.base, q)[0])
         return q, value, value
     return solve_by_interior_point(program, start)
 
@@ -190,7 +190,7 @@ def solve_by_interior_point(program: Program, start: Array) -> Solution:
     matrix = matrix[:, np.flatnonzero(used)]
     transposed, squared = sparse.csr_array(matrix.T), matrix.power(2)
     best = program.project(start)
-    value, bound = float(evaluate(program.costs, program.base, best).max()), -np.inf
+    value, bound = float(sum_variances(program.costs, program.base, best).max()), -np.inf
     weights, v, z = np.full(len(costs), 1.0 / len(costs)), np.zeros(len(right)), value * BARRIER_FALL / (len(q) * q)
     smallest_barrier = 0.1 * TOLERANCE * value / len(q)
     point, prices = np.zeros(len(start)), np.full(len(start), np.inf)
@@ -200,7 +200,7 @@ def solve_by_interior_point(program: Program, start: Array) -> Solution:
         prices[used], point[used] = transposed @ v, q
         bound = max(bound, program.lower_bound(weights, prices, float(right @ v)))
         candidate = program.project(point)
-        at_candidate = float(evaluate(program.costs, program.base, candidate).max())
+        at_candidate = float(sum_variances(program.costs, program.base, candidate).max())
         if at_candidate < value:
             best, value = candidate, at_candidate
         if value - bound <= TOLERANCE * value:
@@ -261,4 +261,4 @@ def solve_by_clarabel(program: Program) -> Solution:
     weights, v = np.maximum(np.ravel(inefficiency.dual_value), 0.0), np.ravel(feasible.dual_value)
     point = program.project(unit * y.value)
     bound = program.lower_bound(weights / weights.sum(), matrix.T @ v, float(right @ v))
-    return point, float(evaluate(costs, base, point).max()), bound
+    return point, float(sum_variances(costs, base, point).max()), bound
