@@ -104,7 +104,7 @@ def require_squares(model: FiniteMDP) -> None:
         )
 
 
-def unseen_time(evidence: Evidence) -> float:
+def unrecorded_share(evidence: Evidence) -> float:
     """Of the policy's discounted time, the share in open rows without data, which are the simulator's."""
     time = occupancy(evidence.fitted, evidence.policy, horizon=evidence.horizon)
     return float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())

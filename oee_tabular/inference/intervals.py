@@ -21,7 +21,7 @@ from oee_tabular.inference.evidence import (
     gather,
     reachable_rows,
     require_squares,
-    unseen_time,
+    unrecorded_share,
 )
 from oee_tabular.inference.likelihood import likelihood_ends
 from oee_tabular.inference.margins import outside_margin
@@ -195,8 +195,8 @@ def interval(
         )
     kind = ("anytime" if problem.log.by_episodes else "independent") if radius == "auto" else radius
     z, margin = NormalDist().inv_cdf(0.5 + level / 2.0), outside_margin(problem, evidence)
-    unvisited = _count_unvisited(evidence)
-    facts: dict[str, Any] = {"unvisited_share": unseen_time(evidence), "unvisited_rows": unvisited}
+    unrecorded = _count_unrecorded(evidence)
+    facts: dict[str, Any] = {"unvisited_share": unrecorded_share(evidence), "unvisited_rows": unrecorded}
     facts |= {} if margin is None else margin.diagnostics
     wrong = find_contradictions(evidence, level, kind) if evidence.has_box else np.zeros(0)
     if wrong.size:
@@ -218,7 +218,7 @@ def interval(
         }
         facts |= {shown: max(getattr(low, name), getattr(high, name)) for name, shown in names.items()}
         sampling = lower, upper
-        if has_dropped or unvisited:
+        if has_dropped or unrecorded:
             sampling = _interval_as_estimated(problem, evidence, z, sampling)
             facts["sampling_method"] = "value ± quantile x standard error"
     elif method == "robust":
@@ -333,7 +333,7 @@ def _interval_as_estimated(
     return tuple(np.clip(ends, *quoted).tolist()) if evidence.has_box else ends
 
 
-def _count_unvisited(evidence: Evidence) -> int:
+def _count_unrecorded(evidence: Evidence) -> int:
     """How many rows bear on the value and were never recorded."""
     steps = 1 if evidence.model.discount == 0.0 else evidence.horizon
     if steps is not None and evidence.model.reward_data is None:
