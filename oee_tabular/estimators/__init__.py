@@ -40,34 +40,36 @@ from __future__ import annotations
 import importlib
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the same for type checkers
     from typing import Any
 
-    from oee_tabular.estimators.base import Estimate, Estimator
-    from oee_tabular.estimators.calibrated import calibrate
-    from oee_tabular.estimators.doubly_robust import DoublyRobust, Magic
-    from oee_tabular.estimators.findings import Finding
-    from oee_tabular.estimators.importance_sampling import ImportanceSampling
-    from oee_tabular.estimators.marginalized import DualDice, Marginalized
-    from oee_tabular.estimators.model_based import ModelBased
-    from oee_tabular.estimators.off_environment import OffEnvironment
-    from oee_tabular.estimators.problem import Problem
-    from oee_tabular.estimators.simulator import Oracle, Simulator
+    from oee_tabular.estimators.base import Estimate as Estimate
+    from oee_tabular.estimators.base import Estimator as Estimator
+    from oee_tabular.estimators.calibrated import calibrate as calibrate
+    from oee_tabular.estimators.doubly_robust import DoublyRobust as DoublyRobust
+    from oee_tabular.estimators.doubly_robust import Magic as Magic
+    from oee_tabular.estimators.findings import Finding as Finding
+    from oee_tabular.estimators.importance_sampling import ImportanceSampling as ImportanceSampling
+    from oee_tabular.estimators.marginalized import DualDice as DualDice
+    from oee_tabular.estimators.marginalized import Marginalized as Marginalized
+    from oee_tabular.estimators.model_based import ModelBased as ModelBased
+    from oee_tabular.estimators.off_environment import OffEnvironment as OffEnvironment
+    from oee_tabular.estimators.problem import Problem as Problem
+    from oee_tabular.estimators.simulator import Oracle as Oracle
+    from oee_tabular.estimators.simulator import Simulator as Simulator
 
-__all__ = [  # imported on first use: ``oee --help`` reads the table of names alone
-    "DoublyRobust", "DualDice", "Estimate", "Estimator", "Finding", "ImportanceSampling", "Magic", "Marginalized", "ModelBased",
-    "OffEnvironment", "Oracle", "Problem", "Simulator", "calibrate",
-]  # fmt: skip
-_FILES = {
-    "Estimate": "base", "Estimator": "base", "Finding": "findings", "DualDice": "marginalized", "Oracle": "simulator",
-    "DoublyRobust": "doubly_robust", "Magic": "doubly_robust", "ImportanceSampling": "importance_sampling",
-    "ModelBased": "model_based", "OffEnvironment": "off_environment", "calibrate": "calibrated",
+_NAMES = {  # of each file, imported on first use: ``oee --help`` reads the table of names alone
+    "base": "Estimate Estimator", "calibrated": "calibrate", "doubly_robust": "DoublyRobust Magic", "findings": "Finding",
+    "importance_sampling": "ImportanceSampling", "marginalized": "DualDice Marginalized", "model_based": "ModelBased",
+    "off_environment": "OffEnvironment", "problem": "Problem", "simulator": "Oracle Simulator",
 }  # fmt: skip
+_FILE_OF = {name: file for file, names in _NAMES.items() for name in names.split()}
+__all__ = sorted(_FILE_OF)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    if name not in _FILE_OF:
         raise AttributeError(f"module 'oee_tabular.estimators' has no attribute {name!r}")
-    module = importlib.import_module(f"oee_tabular.estimators.{_FILES.get(name, name.lower())}")
+    module = importlib.import_module(f"oee_tabular.estimators.{_FILE_OF[name]}")
     value = globals()[name] = getattr(module, name)
     return value

@@ -27,15 +27,11 @@ from oee_tabular.ratio.transition import method_named
 
 UNEXPLAINED = "the value is not finite: beyond the largest float, or not a number"
 
-
-IN_VALUES_UNIT = frozenset(  # diagnostics that are values, or errors of values: (1 - discount) multiplies them as well
-    (
-        "simulator_value", "model_value", "one_step_value", "maximum_likelihood_value", "replaced_value",
-        "refused_value", "second_calibration_value", "truncation_bias_bound", "error_bound",
-        "one_step_standard_error", "unseen_standard_error", "standard_error_if_centre_fits",
-        "standard_error_of_the_log",
-    )
-)  # fmt: skip
+IN_VALUES_UNIT = frozenset({  # diagnostics that are values, or errors of values: (1 - discount) multiplies them as well
+    "simulator_value", "model_value", "one_step_value", "maximum_likelihood_value", "replaced_value", "refused_value",
+    "second_calibration_value", "truncation_bias_bound", "error_bound", "one_step_standard_error", "unseen_standard_error",
+    "standard_error_if_centre_fits", "standard_error_of_the_log",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)

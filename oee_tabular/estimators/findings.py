@@ -15,6 +15,7 @@ MAX_ROW_SUM_ERROR = 1e-3
 MIN_WEIGHTED, MIN_WEIGHTED_SHARE = 10.0, 0.05  # effective sample size, and its share of the episodes
 MAX_GAP = 1e-6  # nats
 MAX_ERROR_BOUND = 1e-6  # of the value
+FEW_WEIGHTED = "weights"  # the kind of a value that rests on a few episodes; a short report leaves its row out
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None
                 f"the effective sample size is {{}} of {n} {noun}. The value is mostly chance and its standard error is too "
                 "small."
             )
-            findings.append(Finding("weights", -effective, text, f"{effective:.1f}"))
+            findings.append(Finding(FEW_WEIGHTED, -effective, text, f"{effective:.1f}"))
     if (gap := facts.get("gap", 0.0)) > MAX_GAP:
         findings.append(Finding("gap", gap, "the ratio's program is solved only to a gap of {} nats.", f"{gap:.1e}"))
     if (bound := facts.get("error_bound", 0.0)) > MAX_ERROR_BOUND * max(1.0, abs(value)):

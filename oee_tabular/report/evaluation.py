@@ -12,7 +12,7 @@ from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.estimators import Estimator, Problem
-from oee_tabular.estimators.findings import MADE_FROM_LOG, WEIGHTLESS, Finding
+from oee_tabular.estimators.findings import FEW_WEIGHTED, MADE_FROM_LOG, WEIGHTLESS, Finding
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
@@ -119,7 +119,7 @@ def evaluate(
         if estimators is None:
             results, reasons = _drop_weightless(results)
             left_out += reasons
-            uncertain = (r for r in results if any(f.kind == "weights" for f in r.estimate.findings))
+            uncertain = (r for r in results if any(f.kind == FEW_WEIGHTED for f in r.estimate.findings))
             hidden = frozenset((r.policy, r.estimator) for r in uncertain)
         uncertainty = find_intervals(problem, named, level, known, guaranteed=guaranteed, quick=quick)
         for k, result in enumerate(results):
