@@ -74,10 +74,10 @@ class OffEnvironment(RatioEstimator):
     Notes
     -----
     Limit with "conditional", as n grows: J(P_target) if the log covers the policy; unrecorded pairs have the
-    prior (the tilted simulator). ``Estimate.value`` is the exact value of zeta * P
-    (``diagnostics["model_value"]``), moved towards the log by a soft threshold:
+    prior (the tilted simulator). ``Estimate.value`` is J(zeta P), the exact value of the corrected simulator
+    (``model_value``), moved towards the log by a soft threshold:
 
-        value + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2,
+        J(zeta P) + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2,
 
     change is the difference to the one-step value or to that of maximum likelihood, whichever is nearer (0 if
     they lie on two sides): the first is linear in the log's frequencies and can overshoot, the second has a
