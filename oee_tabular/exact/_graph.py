@@ -54,7 +54,7 @@ def breadth_first(kernel, back, widest):
 
 @njit(cache=True)
 def expands(kernel):
-    """Whether twice as many steps lead to 14 times as many states, more than in lattices of up to three dimensions.
+    """Whether twice as many steps lead to 9 times as many states, more than in lattices of up to three dimensions.
 
     By five searches of at most 32 steps each, from states that lie far from each other in the numbering.
     """
@@ -78,7 +78,7 @@ def expands(kernel):
                         queue[tail] = j
                         tail += 1
             sizes[step] = tail
-            if step > 2 and tail > 14.0 * sizes[step // 2]:
+            if step % 2 == 0 and tail > 9.0 * sizes[step // 2]:
                 n_expanding += 1
                 break
             if tail == level or 2 * tail > n:

@@ -55,7 +55,7 @@ def accept(ascent, value):
     """Take the trial rows, of this J and gradient ``slope``, or halve the step; set the next x. Whether that was the last."""
     s = ascent.numbers[0]
     gain = s.sign * (value - s.value)
-    is_first, is_last = s.iterations == 0, s.iterations == N_ITERATIONS - 1
+    is_first, is_last = s.iterations == 0, s.iterations >= N_ITERATIONS - 1
     is_worse = gain < -max(2.0 * s.slack, 1e-12 * max(1.0, abs(s.value))) and s.step >= LEAST_STEP and not is_first
     s.iterations += 1
     if is_worse:
@@ -183,7 +183,10 @@ def best_rows(rows, x, share, limit, room, tau, p):
         if not 1e-3 * second_order < tau < 1e3 * second_order:  # a far guess has all its u in rounding, or none
             tau = second_order
         tau, reached = meet_limit(tau, moving, rows, v, best, curvature, limit, room, new)
-    blend(rows, share, new, p)
+    if share < 1.0:
+        blend(rows, share, new, p)
+    else:
+        p[:] = new
     return tau, reached
 
 

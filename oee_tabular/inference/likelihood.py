@@ -167,11 +167,13 @@ def _find_end(rows: PolicyRows, evidence: Evidence, base: Ascent, directions: li
     """The farthest end of ascents from several directions: its value to rounding, its rows, and what is promised."""
     is_large, end = len(rows.initial) > N_DENSE, base
     for x in directions:
-        ascent = _ascend(rows, base, x, sign, SCOUTED if is_large else SETTLED)
+        ascent = Ascent(*(part.copy() for part in base))
+        ascent.x[:], ascent.numbers["sign"] = x, sign
+        _ascend(rows, ascent, SCOUTED if is_large else SETTLED)
         if end is base or sign * (ascent.numbers["value"] - end.numbers["value"]) > 0.0:
             end = ascent
     if is_large:
-        end = _ascend(rows, base, end.last_x, sign, SETTLED)
+        _ascend(rows, end, SETTLED)
     _fill_values(rows, end.p, end, FINE)
     end.trial[:] = end.p
     numbers = end.numbers[0]
@@ -206,18 +208,14 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
     return ascent
 
 
-def _ascend(rows: PolicyRows, base: Ascent, x: Array, sign: float, settled: float) -> Ascent:
-    """Run the loop above from a direction x (entries,), upwards (sign 1) or downwards (-1)."""
-    ascent = Ascent(*(part.copy() for part in base))
-    ascent.x[:], ascent.numbers["sign"], ascent.numbers["settled"] = x, sign, settled
+def _ascend(rows: PolicyRows, ascent: Ascent, settled: float) -> None:
+    """Run the loop above, or continue it, until iterations move the end by a share ``settled``."""
+    ascent.numbers["settled"], ascent.numbers["quiet"], is_over = settled, 0.0, False
     if not rows.is_sparse:
-        kernels.ascend(rows, ascent)
-        return ascent
-    is_over = False
+        return kernels.ascend(rows, ascent)
     while not is_over:
         kernels.propose(rows, ascent)
         is_over = kernels.accept(ascent, _fill_values(rows, ascent.trial, ascent, ROUGH))
-    return ascent
 
 
 def value_of_rows(rows: PolicyRows, p: Array) -> float:

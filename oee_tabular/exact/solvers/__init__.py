@@ -7,7 +7,7 @@
 ``SuperLU(8)``       other graphs in which elimination fills little: trees
 ``PlainBiCGStab``    graphs that expand: constants taken out, no preconditioner
 ``BiCGStab``         all others: an independent set eliminated, a modified DILU in breadth-first order
-``EnvelopeLU``       where that takes more than 45 steps and the graph is not too wide
+``EnvelopeLU``       where that takes more than 72 steps and the graph is not too wide
 ``LAPACK(400)``      up to 400 states, where those before fall short: dense
 ``SuperLU()``        the same for any number of states, unless the graph expands: sparse
 ``LAPACK(3000)``     the last resort, up to 3000 states: dense

@@ -18,7 +18,7 @@ from oee_tabular.exact._policy_rows import transpose_rows
 
 FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x
 STEPS = 500
-PROBE_STEPS = 8  # within which a twentieth has to be left, where fewer than STEPS are allowed
+PROBE_STEPS = 16  # within which a twentieth has to be left, where fewer than STEPS are allowed
 
 # row pointers of L and U, their columns and values, D - 2; D~
 Factors = namedtuple("Factors", "lower upper columns values diagonal modified")

@@ -22,8 +22,9 @@ from oee_tabular.exact._policy_rows import add_entry, multiply
 from oee_tabular.exact.solvers import _bicgstab
 from oee_tabular.exact.system import Kernel, Solve, System
 
-# where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at .99 and up to 39 at .9999, random bands 60 to 500
-FEW_STEPS = 45
+# where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at .99 and up to 39 at .9999, small worlds of 500 states 53
+# at .999, random bands 67 at .99 and up to 500
+FEW_STEPS = 72
 
 
 @dataclass(frozen=True)
