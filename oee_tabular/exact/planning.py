@@ -15,9 +15,10 @@ from numba import njit
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular.exact import _graph
 from oee_tabular.exact.solvers.envelope import EnvelopeLU
-from oee_tabular.exact.system import policy_system, rows_of
-from oee_tabular.exact.values import action_values, infinite_values, warn_if_not_finite
+from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
+from oee_tabular.exact.values import action_values, finite_values, infinite_values
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.mdp.horizons import limit_horizon
 
@@ -61,22 +62,30 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
         actions, values = action_values(mdp, uniform_policy(mdp)).argmax(axis=1), None
     else:
-        is_narrow = mdp.n_states > 100 and EnvelopeLU(is_narrow=True).suits(policy_system(mdp, uniform_policy(mdp)))
-        actions, values = iterate_modified(model, 1e-9, N_TURNS_NARROW if is_narrow else N_TURNS)
+        n_turns = N_TURNS_NARROW if is_narrow(mdp) else N_TURNS
+        actions, values = iterate_modified(model, 1e-9, n_turns)
     rounding = 1e-11 if mdp.discount == 1.0 else min(max(1e-6 * (1.0 - mdp.discount), 1e-14), 1e-11)
     met: set[bytes] = set()
     choices: Array = np.eye(mdp.n_actions)
     while True:
         met.add(actions.tobytes())
         policy = choices[actions]
-        values = infinite_values(mdp, policy, near=values).values
-        first, is_better = find_better_actions(model, warn_if_not_finite(values), actions, rounding)
-        if is_better.any():
-            actions = np.where(is_better, first, actions)
-            if actions.tobytes() not in met:
-                continue
+        values = finite_values(infinite_values(mdp, policy, near=values))
+        first, actions = find_better_actions(model, values, actions, rounding)
+        if actions.tobytes() not in met:
+            continue
         # among equals the first; at discount 1 an equal action may never be absorbed, so the one evaluated stays
         return policy if mdp.discount == 1.0 else np.asarray(choices[first])
+
+
+def is_narrow(mdp: FiniteMDP) -> bool:
+    """Whether LU in a band is quick for the values of most policies."""
+    if mdp.n_states <= 100:
+        return False
+    rows = rows_of(mdp.csr)  # those of a state side by side lead wherever its actions do
+    if _graph.expands(Kernel(as_readonly(rows.indptr[:: mdp.n_actions]), rows.indices, rows.data, 1.0)):
+        return False
+    return EnvelopeLU(is_narrow=True).suits(policy_system(mdp, uniform_policy(mdp)))
 
 
 @njit(cache=True)
@@ -162,18 +171,18 @@ def iterate_modified(model, relative, n_turns):
 
 @njit(cache=True)
 def find_better_actions(model, values, actions, relative):
-    """For values of these actions: the first of a state's best actions up to rounding, and whether it is better by more."""
+    """For values of these actions: the first of a state's best ones up to rounding; these, but that one where better by more."""
     n_states, n_actions = model[1].shape
     q, largest = np.empty((n_states, n_actions)), 0.0
     for state in range(n_states):
         for action in range(n_actions):
             q[state, action] = action_value(model, values, state, action)
             largest = max(largest, abs(q[state, action]))
-    first, gains = np.empty(n_states, dtype=np.int64), np.empty(n_states, dtype=np.bool_)
+    first, better = np.zeros(n_states, dtype=np.int64), actions.copy()
     for state in range(n_states):
         best = q[state].max()
-        gains[state] = best > q[state, actions[state]] + relative * largest
-        first[state] = 0
         while q[state, first[state]] < best - relative * largest:
             first[state] += 1
-    return first, gains
+        if best > q[state, actions[state]] + relative * largest:
+            better[state] = first[state]
+    return first, better

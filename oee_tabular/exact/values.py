@@ -114,6 +114,12 @@ def warn_if_not_finite(values: Any) -> Any:
     return values
 
 
+def finite_values(solution: PolicyValues) -> Array:
+    """V, with a warning where a value is not finite."""
+    is_finite = isfinite(solution.error_bound)  # which it is of finite values alone
+    return solution.values if is_finite else np.asarray(warn_if_not_finite(solution.values))
+
+
 def _backward(model: Model, policy: Array, steps: int) -> Array:
     """V with the last ``steps`` of a policy's steps to go."""
     if policy.ndim == 2:
@@ -180,9 +186,7 @@ def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) 
     ([0.5, 1.5], [0.25, 1.25])
     """
     require_model(mdp)
-    solution = evaluate_policy(mdp, policy, horizon=horizon)
-    is_finite = isfinite(solution.error_bound)  # which it is of finite values alone
-    return solution.values if is_finite else np.asarray(warn_if_not_finite(solution.values))
+    return finite_values(evaluate_policy(mdp, policy, horizon=horizon))
 
 
 def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:

@@ -210,9 +210,9 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
 
 def _ascend(rows: PolicyRows, ascent: Ascent, settled: float) -> None:
     """Run the loop above, or continue it, until iterations move the end by a share ``settled``."""
-    ascent.numbers["settled"], ascent.numbers["quiet"], is_over = settled, 0.0, False
-    if not rows.is_sparse:
-        return kernels.ascend(rows, ascent)
+    ascent.numbers["settled"], ascent.numbers["quiet"], is_over = settled, 0.0, not rows.is_sparse
+    if is_over:
+        kernels.ascend(rows, ascent)
     while not is_over:
         kernels.propose(rows, ascent)
         is_over = kernels.accept(ascent, _fill_values(rows, ascent.trial, ascent, ROUGH))

@@ -185,7 +185,8 @@ def read_policy_array(path: str, name: str) -> Array:
 
 def require_sized(mdp: object) -> None:
     """Raise a ValueError for what has no states and actions."""
-    if isinstance(mdp, type) or not all(hasattr(mdp, name) for name in ("n_states", "n_actions", "terminal_state")):
+    is_sized = hasattr(mdp, "n_states") and hasattr(mdp, "n_actions") and hasattr(mdp, "terminal_state")
+    if isinstance(mdp, type) or not is_sized:
         raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
 
 
