@@ -16,7 +16,7 @@ from numba import njit
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.exact import _graph
-from oee_tabular.exact.solvers.envelope import EnvelopeLU
+from oee_tabular.exact.solvers.direct import EnvelopeLU
 from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
 from oee_tabular.exact.values import action_values, finite_values, infinite_values
 from oee_tabular.mdp import FiniteMDP, uniform_policy
@@ -171,7 +171,7 @@ def iterate_modified(model, relative, n_turns):
 
 @njit(cache=True)
 def find_better_actions(model, values, actions, relative):
-    """For values of these actions: the first of a state's best ones up to rounding; these, but that one where better by more."""
+    """For values of these actions: each state's first best one, up to rounding; these, or that where it is better by more."""
     n_states, n_actions = model[1].shape
     q, largest = np.empty((n_states, n_actions)), 0.0
     for state in range(n_states):

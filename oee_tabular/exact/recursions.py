@@ -1,6 +1,6 @@
 """Mean and variance of sums along a walk: per decision, over the whole trajectory, for ever, self-normalised.
 
-Sums go backward in time with the law of total variance, so that nothing cancels (``_moments``, ``_strips``): X = p L + q R with
+Sums go backward in time with the law of total variance, so that nothing cancels (``_moments``): X = p L + q R with
 the pair (L, R) of the kernels. By steps and states, the variance is Var X_0(s_0) plus what each step adds given the path before
 it, E[(p_t, q_t) C_t (p_t, q_t)^T], (p_t, q_t) = (p, q) A_0 ... A_{t-1} and C_t the step's own covariance.
 """
@@ -16,7 +16,7 @@ from oee_tabular import _printing
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import dot
-from oee_tabular.exact import _moments, _strips
+from oee_tabular.exact import _moments
 from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.system import DivergentKernelError, as_readonly, exponent
 from oee_tabular.exact.walks import Walk, radius_of
@@ -125,14 +125,14 @@ def per_decision_moments(
 
 
 def _merged_backward(walk: Walk, discounts: Array, offsets: Array | None, keep: bool) -> tuple[Array, Array]:
-    """``_moments.backward`` by strips."""
+    """The same of merged actions."""
     n = walk.n_states
-    strips = _strips.lay_strips(*_strips.merge(walk))
+    strips = _moments.lay_strips(*_moments.merge(walk))
     order = strips.order[:n]
     shifts = np.zeros((0 if offsets is None else len(discounts), len(strips.order)))
     if offsets is not None:
         shifts[:, :n] = offsets[:, order] if offsets.shape[1] > 1 else offsets
-    mean, variance, own = _strips.backward(strips, discounts, shifts, keep)
+    mean, variance, own = _moments.backward_merged(strips, discounts, shifts, keep)
     out, local = np.zeros((5, n)), np.empty((len(own), 1, n))
     out[0], out[1, order], out[4, order], local[:, 0, order] = 1.0, mean[:n], variance[:n], own[:, :n]
     return out, local

@@ -18,7 +18,7 @@ from oee_tabular.exact import _graph, _policy_rows
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp.naming import NAMELESS, Names
 
-# entries of a state in the envelope, on average, up to which LU in it is asked (solvers/envelope.py)
+# entries of a state in the envelope, on average, up to which LU in it is asked (solvers/direct.py)
 WIDEST = 48.0
 
 # of the right side, and of how far its residual is to fall; None where the solver gives up

@@ -25,7 +25,7 @@ class AliasTable(NamedTuple):
     Attributes
     ----------
     code : (S + 1,) first slot * 2^8 + terminal * 2^7 + k of each state
-    word : threshold and alias of each slot, as in ``_alias``
+    word : threshold and alias of each slot, as in ``_rollout``
     following : code of the state that a slot leads to
     reward, factor : r and zeta of a slot's transition; ``factor`` is empty without weights
     entry : the entry of P that a slot stands for
@@ -116,7 +116,7 @@ def draw(
 
 def alias_table(mdp: FiniteMDP, policy: Array, initial: Array, terminal: BoolArray, ratio: Array) -> AliasTable:
     """Of every state's (a, s') under ``policy`` (S, A), and of the first state; or (S*A, 1): of every pair's s'."""
-    from oee_tabular.simulate._alias import fill_table
+    from oee_tabular.simulate._rollout import fill_table
 
     matrix, begin = mdp.transitions, np.flatnonzero(initial)
     indptr = np.append(matrix.indptr, np.full(policy.shape[1], matrix.nnz + len(begin))).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Solvers of M x = b, M = I - gamma K, one a file, tried in this order until the residual is within rounding.
+"""Solvers of M x = b, M = I - gamma K, tried in this order until the residual is within rounding.
 
 ===================  ===================================================================================================
 ``LAPACK(100)``      up to 100 states: dense
@@ -13,7 +13,7 @@
 ``LAPACK(3000)``     the last resort, up to 3000 states: dense
 ===================  ===================================================================================================
 
-A new solver is a file with such a class and a place in ``SOLVERS``; tests/exact/test_solvers.py holds every one to the same
+A new solver is such a class (``Solver``) with a place in ``SOLVERS``; tests/exact/test_solvers.py holds every one to the same
 laws. Answers are refined on the residual of the system as it was given, until that is as small as its own rounding.
 
 For a nonnegative K any h > 0 with M h >= c > 0 certifies that the spectral radius of gamma K is below 1 and that |M^-1|_inf <=
@@ -34,11 +34,8 @@ import numpy as np
 from oee_tabular._checks import Array
 from oee_tabular.exact import _policy_rows
 from oee_tabular.exact.solvers.bicgstab import BiCGStab
-from oee_tabular.exact.solvers.envelope import EnvelopeLU
-from oee_tabular.exact.solvers.lapack import LAPACK, LAST_RESORT
-from oee_tabular.exact.solvers.plain_bicgstab import PlainBiCGStab
-from oee_tabular.exact.solvers.superlu import SuperLU
-from oee_tabular.exact.solvers.value_iteration import ValueIteration
+from oee_tabular.exact.solvers.direct import LAPACK, LAST_RESORT, EnvelopeLU, SuperLU
+from oee_tabular.exact.solvers.mixing import PlainBiCGStab, ValueIteration
 from oee_tabular.exact.system import DivergentKernelError, Solve, System, spectral_radius
 
 

@@ -1,13 +1,21 @@
-"""BiCGSTAB without a preconditioner [1], for rows with one sum s, of the system from which the eigenvalue 1 - gamma s is taken.
+"""Value iteration and BiCGSTAB without a preconditioner, for rows K of one sum s, on graphs where a few steps lead far.
 
-    M' = M + c 11^T / n,    c = gamma s:    M' y = b  ->  x = y + c mean(y) / (1 - c);    M'^T x = b + c sum(b) / (1 - c) / n:
+Value iteration goes on until the change is the same in all states, which is then summed:
+
+    x_{n+1} = b + gamma K x_n;    x* = x_{n+1} + c / (1 - c) (x_{n+1} - x_n),    c = gamma s [1, 6.6.3].
+
+The transposed sweeps keep the sum of what x misses, so that they begin with an x of the right sum: sum(x*) = sum(b) / (1 - c).
+
+BiCGSTAB [2] is given the system from which the eigenvalue 1 - c is taken:
+
+    M' = M + c 11^T / n:    M' y = b  ->  x = y + c mean(y) / (1 - c);    M'^T x = b + c sum(b) / (1 - c) / n:
 
 M 1 = (1 - c) 1, so that constants are solved for at once, and the discount does not matter. 1^T M'^T = 1^T: transposed
 systems begin with y = b, whose residual has the sum 0. (Residuals begin as the vector that later ones are held against; an
 eigenvector there, as an even b is, would end the iteration.) The vector updates and dot products of a step ride on four
 passes; the sum of a vector is taken where it is made.
 
-Reference: [1] van der Vorst, Bi-CGSTAB, SIAM J. Sci. Stat. Comput. 13 (1992).
+References: [1] Puterman, Markov Decision Processes, 1994. [2] van der Vorst, Bi-CGSTAB, SIAM J. Sci. Stat. Comput. 13 (1992).
 """
 
 from __future__ import annotations
@@ -23,6 +31,62 @@ from oee_tabular.exact.system import Solve, System
 
 FLOOR = 4e-16  # of the residual relative to x
 WINDOW = 150  # steps in which the residual is to fall to a tenth: small worlds near discount 1 take 100
+
+
+@dataclass(frozen=True)
+class ValueIteration:
+    """Some dozen sweeps over a graph that mixes: of random MDPs with 5 next states .6 of the time of plain BiCGSTAB.
+
+    Measured on 10 000 states with the policies of tests/benchmarks/values.py. It gives up as soon as four sweeps leave
+    more than .45 of what the states' changes differ by; from there on plain BiCGSTAB is as fast.
+    """
+
+    name: str = "value iteration"
+    is_direct: bool = False
+
+    def suits(self, system: System) -> bool:
+        """Rows of one sum, so that a constant stays constant."""
+        return system.shared_sum is not None
+
+    def prepare(self, system: System) -> Solve:
+        """Nothing is worked out before."""
+        return partial(sweep, system.kernel, system.shared_sum, system.transpose)
+
+
+@njit(cache=True)
+def sweep(kernel, mass, transpose, b, relative):
+    """x, for rows with the sum ``mass``; None where four sweeps leave more than .45 of the spread of the change."""
+    n = len(b)
+    carried = kernel.discount * mass
+    over = carried / (1.0 - carried)
+    mean = 0.0  # term by term: numpy's own differs from the compiled one in the last bit
+    for i in range(n):
+        mean += b[i]
+    mean /= n
+    x, new = b + (over * mean if transpose else 0.0), np.empty(n)
+    allowed, floor = np.inf, 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))  # rounding grows with a row
+    for turn in range(200):
+        multiply(kernel, transpose, x, new)
+        low, high, largest = np.inf, -np.inf, 0.0
+        for i in range(n):
+            value = b[i] + kernel.discount * new[i]
+            new[i] = value
+            change = value - x[i]
+            low = min(low, change)
+            high = max(high, change)
+            largest = max(largest, abs(value))
+        x, new = new, x
+        spread = high - low
+        shift = 0.0 if transpose else over * (0.5 * (low + high))
+        failing = turn % 4 == 0 and not spread <= allowed
+        near = max(relative, floor) * max(largest, abs(shift))
+        if spread <= near or (failing and spread <= 64.0 * near):  # rounding keeps it from falling any more
+            return x + shift
+        if failing:
+            return None
+        if turn % 4 == 0:
+            allowed = 0.45 * spread
+    return None
 
 
 @dataclass(frozen=True)
