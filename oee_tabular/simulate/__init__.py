@@ -26,9 +26,9 @@ so that X estimates J of the target in which zeta P is the dynamics (per decisio
 
 Method and guarantees
 ---------------------
-(a, s') is one draw from an alias table of its state (``_rollout``), whose probabilities are P pi to 2^-50: whole numbers of units
-2^-62, compared with 62 random bits. Each step of each episode has random bits of its own: Philox4x32-10, keyed
-by the seed, with a counter of (step, stream, episode). So
+(a, s') is one draw from an alias table of its state (``_rollout``), whose probabilities are P pi to 2^-50: whole numbers of
+units 2^-62, compared with 62 random bits. Each step of each episode has random bits of its own: Philox4x32-10, keyed by the
+seed, with a counter of (step, stream, episode). So
 
 * the same seed gives identical results for any number of threads or processes, forked or not;
 * an episode depends neither on how many others there are nor on what is computed along it;
