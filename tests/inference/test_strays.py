@@ -75,6 +75,28 @@ def test_the_band_is_first_order_over_all_places(form, horizon):
         assert margin.diagnostics["dropped_moves"] == 2 * EACH
 
 
+@pytest.mark.parametrize("form", ["r(s, a)", "r(s, a, s')"])
+def test_the_band_of_a_horizon_has_the_extreme_of_every_step(form):
+    """d / de of values to go of which every step sends a share e q where its own r + gamma V is least or most."""
+    P, r, counts, policy = world(3, form)
+    problem = problem_of(P, r, counts, 4)
+    evidence = gather(problem, policy)
+    margin = outside_margin(problem, evidence)
+    rows, paid = evidence.fitted.transitions.toarray().reshape(P.shape), r[:, :, None] if r.ndim == 2 else r
+    share = (problem.dropped / (problem.dropped + evidence.n)).reshape(S, A)
+    for sign, size in ((-1.0, margin.down), (1.0, margin.up)):
+        values = []
+        for e in (0.0, 1e-6):
+            value = np.zeros(S)
+            for _ in range(4):
+                kept = np.nansum(rows * (paid + 0.9 * value), axis=2)
+                most = sign * np.nanmax(sign * paid, axis=None if r.ndim == 3 else 2)
+                gain = np.maximum(sign * (most + 0.9 * sign * (sign * value).max() - kept), 0.0)
+                value = (policy * (kept + sign * e * share * gain)).sum(axis=1)
+            values.append(value[0])
+        assert_allclose(size, sign * (values[1] - values[0]) / 1e-6, rtol=1e-4)
+
+
 @pytest.mark.parametrize("method", ["likelihood", "robust"])
 @pytest.mark.parametrize("horizon", [None, 3])
 def test_intervals_widen_by_the_band(method, horizon):
