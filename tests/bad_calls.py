@@ -647,7 +647,7 @@ cells((9, 9, 9))  ->  shape must have 2 numbers, one for each feature of CartPol
 cells(GridInterpolation((9, 9), low=(0.0, 3.2)))  ->  high[1] must be above low[1], 3.2; it is 3.2
 cells(GridInterpolation((9, 9), low=(0.0, np.nan)))  ->  low[1] must be finite; it is nan
 cells(GridInterpolation((9, 9), high=(1.0,)))  ->  high must have shape (2,)
-cells(GridInterpolation((9, 9), noise_points=(3, 3)))  ->  noise_points must be a number or 4 numbers
+cells(GridInterpolation((9, 9), noise_points=(3, 3)))  ->  noise_points must be a positive integer; got (3, 3)
 discretize(5)  ->  task must be a ContinuousTask; got int
 discretize(Nowhere(), cells=(6, 6))  ->  task must step to finite states; from [... it steps to [nan
 discretize(pendulum(terminates=False), cells=(5, 5)).counts(states(terminated=[0, 1]))  ->  log.terminated[1] must be False: ep

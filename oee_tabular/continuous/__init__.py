@@ -7,7 +7,7 @@ tasks; ``discretize`` (discretization) makes a FiniteMDP with the way from state
 visited states; a ``ContinuousSimulator`` (simulator) is a task with the configuration by which
 logs are evaluated (evaluation, row by row: rows; on cells: cell_rows), and has a name on the command line (names; Gymnasium's
 environments: gymnasium_named). Each of ``cartpole``, ``reacher`` and ``kinova`` has its dynamics and its expert
-(kinova's controller is in ``kinova.logs``); the paper's experiments with them are in ``lab.robots``.
+(kinova's controller is in ``kinova.hand``); the paper's experiments with them are in ``lab.robots``.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ import importlib
 from typing import Any
 
 _MODULES = {
-    "cartpole.dynamics": ("CartPole",),
-    "cartpole.expert": ("cartpole_policy", "train_expert"),
+    "cartpole": ("CartPole", "cartpole_policy", "train_expert"),
     "discretization": ("Discretization", "GridInterpolation", "VisitedCells", "discretize", "visited_states"),
     "episodes": ("MonteCarlo", "monte_carlo_value", "record", "resimulate"),
     "evaluation": ("evaluate_continuous",),
@@ -25,12 +24,10 @@ _MODULES = {
     "gymnasium_task": ("GymnasiumTask",),
     "history": ("HistoryTask",),
     "kinova.arm": ("KinovaArm",),
-    "kinova.hand": ("KinovaHand", "fit_hand"),
-    "kinova.logs": ("hand_log", "kinova_policy", "load_kinova_log", "record_goals"),
+    "kinova.hand": ("KinovaHand", "fit_hand", "hand_log", "kinova_policy", "load_kinova_log", "record_goals"),
     "linear_model": ("LinearModel",),
     "log": ("ContinuousTransitions",),
-    "reacher.dynamics": ("Reacher",),
-    "reacher.expert": ("reacher_log", "reacher_policy"),
+    "reacher": ("Reacher", "reacher_log", "reacher_policy"),
     "parameters": ("ParameterFit", "fit_parameters"),
     "residual": ("ResidualSimulator",),
     "rows": ("corrected_value",),

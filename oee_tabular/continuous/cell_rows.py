@@ -7,15 +7,16 @@ calibrated one, by the simulator without the defensive share.
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Seed
+from oee_tabular._checks import Array, Seed
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.discretization import Discretization
@@ -129,7 +130,13 @@ def on_cells(
     bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
     kept, share = model.supported(counts)
     if kept.nnz == 0 or (share > MAX_LEFT_OUT and settings.outside != "drop"):
-        raise NoCellsError(no_support(model, share, floor))
+        ways = [] if floor > 0.0 else ["a defensive share (--task-option floor=0.001)"]
+        ways += ["a coarser grid (--grid NxM)", "without those transitions (--task-option outside=drop)"]
+        more = f", with a defensive share of {floor:g}" if floor > 0.0 else ""
+        raise NoCellsError(
+            f"the log must stay where the simulator has probability: {share:.2g} of its transitions have none on "
+            f"{model.cells.extent()}{more}, and no ratio exists there. Ways out: {', '.join(ways[:-1])}, or {ways[-1]}"
+        )
     if share > 0.0:
         most = int((row_sums(counts) - row_sums(kept)).argmax()) // model.task.n_actions
         warnings.warn(
@@ -160,17 +167,6 @@ def on_cells(
     return OnCells(model, problem, zeta, support, facts)
 
 
-def no_support(model: Discretization, share: float, floor: float) -> str:
-    """Why the cells cannot take the log, and the ways out that are not in force."""
-    more = f", with a defensive share of {floor:g}" if floor > 0.0 else ""
-    ways = [] if floor > 0.0 else ["a defensive share (--task-option floor=0.001)"]
-    ways += ["a coarser grid (--grid NxM)", "without those transitions (--task-option outside=drop)"]
-    return (
-        f"the log must stay where the simulator has probability: {share:.2g} of its transitions have none on "
-        f"{model.cells.extent()}{more}, and no ratio exists there. Ways out: {', '.join(ways[:-1])}, or {ways[-1]}"
-    )
-
-
 def described(simulator: ContinuousSimulator, model: Discretization, support: Mapping[str, float]) -> str:
     """The simulator on cells, in one line of a report."""
     places = "" if model.task.is_translation_invariant else ", looked at in the log's own places"
@@ -185,6 +181,36 @@ def described(simulator: ContinuousSimulator, model: Discretization, support: Ma
         f"; closure error of the uniform policy {error:+.1%} (+-{noise:.1%}); uncovered mass {support['uncovered_mass']:.2g}, "
         f"largest zeta {support['largest_zeta']:.3g} (D_inf {support['d_inf']:.2g} nats)"
     )
+
+
+def name_loss(
+    model: Discretization, simulate: Callable[[Array], MonteCarlo], tables: Mapping[str, Array], horizon: int
+) -> str:
+    """By how much the cells change the simulator's own values, which no interval counts."""
+    values = {name: simulate(table).value for name, table in tables.items()}
+    changes = ", ".join(
+        f"{policy_value(model.plain, tables[name], horizon=horizon) - value:+.3g} of {value:.3g} ({name})"
+        for name, value in values.items()
+    )
+    return (
+        "standard errors and intervals count the log's noise and not the error of the cells. The cells change the simulator's "
+        f"own value by {changes}, and may change another environment's by more"
+    )
+
+
+def add_features(text: str, model: Discretization) -> str:
+    """A warning with the features of the states that it numbers."""
+    n, names = model.cells.n_cells, model.task.feature_names
+
+    def place(match: re.Match[str]) -> str:
+        number = int(match[1])
+        points = model.points[model.places.point_cell == number] if number < n else model.points[:0]
+        if len(points) == 0:
+            return match[0]
+        at = model.task.features(points).mean(axis=0)
+        return f"{match[0]} ({', '.join(f'{name}={value:.3g}' for name, value in zip(names, at, strict=True))})"
+
+    return re.sub(r"\bstate (\d+)", place, text)
 
 
 def reward_bounds(problem: Problem, log: ContinuousTransitions, horizon: int) -> tuple[float, float]:

@@ -72,12 +72,11 @@ def evaluate_files(
 
     ``options``: by ``task_options``; ``grid``: by ``read_grid``; ``common``: what ``evaluate_continuous`` takes.
     """
-    from oee_tabular.continuous.actions import commands_of
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.gymnasium_named import is_continuous_id
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.names import continuous_simulator
-    from oee_tabular.continuous.simulator import Settings
+    from oee_tabular.continuous.simulator import Settings, commands_of
 
     recorded = ContinuousTransitions.load(log)
     state, actions = options.get("state"), options.get("actions")
@@ -138,7 +137,7 @@ def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StateP
     """A policy of states; an array's cells are those of the default grid."""
     if Path(spec).suffix.lower() not in (".npy", ".npz"):
         return simulator.policy(spec, name)
-    from oee_tabular.continuous.discretization.adapter import DEFAULT_VERTICES
+    from oee_tabular.continuous.discretization import DEFAULT_VERTICES
     from oee_tabular.mdp.policies import read_policy_array
 
     if len(simulator.task.feature_names) > max(DEFAULT_VERTICES):

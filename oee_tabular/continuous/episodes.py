@@ -137,13 +137,6 @@ def compare_returns(
     return total.reshape(len(tasks), n)
 
 
-def paired_returns(
-    task: ContinuousTask, policy: StatePolicy, n: int, horizon: int, *, discount: float, seed: np.random.SeedSequence
-) -> Array:
-    """(n,) returns of one task, as ``compare_returns`` gives them."""
-    return compare_returns([task], policy, n, horizon, discount=discount, seed=seed).ravel()
-
-
 def record(
     task: ContinuousTask,
     policy: StatePolicy,

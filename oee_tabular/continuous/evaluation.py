@@ -17,24 +17,20 @@ import numpy as np
 from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.actions import as_probabilities
-from oee_tabular.continuous.cell_rows import NoCellsError, on_cells
-from oee_tabular.continuous.correction import choose_correction
+from oee_tabular.continuous.cell_rows import NoCellsError, add_features, name_loss, on_cells
+from oee_tabular.continuous.correction import choose_correction, describe_flaw, difference
 from oee_tabular.continuous.episodes import MonteCarlo
 from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.parameters import ParameterFit, fit_parameters, parameters_of
 from oee_tabular.continuous.rows import Rollouts, Row, describe_simulated, refuse_impossible, sampling_rows
-from oee_tabular.continuous.sentences import (
-    add_features,
-    advice,
-    describe_flaw,
-    difference,
-    name_loss,
-    rewards_contradict,
-    rounding,
+from oee_tabular.continuous.simulator import (
+    CommandPolicy,
+    ContinuousSimulator,
+    Settings,
+    as_probabilities,
+    as_simulator,
 )
-from oee_tabular.continuous.simulator import ContinuousSimulator, Settings, as_simulator
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, require_log_of
 from oee_tabular.estimators import Estimate, Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
@@ -126,7 +122,11 @@ def evaluate_continuous(
     cells = None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        numbered = _number_actions(simulator.task, log, behavior, strict=chosen.strict)
+        columns = log.columns() | {"action": log.action_numbers(simulator.task.actions, strict=chosen.strict)}
+        if behavior is not None and log.behavior_probability is None:
+            probabilities = check_probabilities(behavior, log.state, simulator.task.n_actions)
+            columns["behavior_probability"] = probabilities[np.arange(len(log)), columns["action"]]
+        numbered = ContinuousTransitions(**columns)
         if chosen.grid is not None:
             try:
                 cells = on_cells(simulator, numbered, chosen, steps, discount, seed)
@@ -140,7 +140,7 @@ def evaluate_continuous(
     for name, policy in policies.items():
         if callable(policy):
             functions[name] = rounded = as_probabilities(policy, simulator.task.actions)
-            messages += filter(None, [rounding(name, len(rounded.actions), *rounded.rounding(log.state[:MAX_ASKED]))])
+            messages += filter(None, [_describe_rounding(name, rounded, log.state[:MAX_ASKED])])
         elif cells is None:
             raise ValueError(f"policy {name!r} must be a function of states: there are no cells to be an array on")
         if cells is not None:
@@ -181,24 +181,26 @@ def evaluate_continuous(
     if target is not None:
         last["target (continuous)"] = lambda policy: describe_simulated(rollouts.value(target, policy))
     change = difference(correction.plain if correction.fit is not None and not correction.steps else correction.learned)
-    first = tuple(filter(None, (advice(correction, history == "auto"), correction.reason, change)))
+    first = tuple(filter(None, (correction.advice(is_auto=history == "auto"), correction.reason, change)))
     caveat = "" if correction.is_trusted else f"No correction can be trusted, because {correction.status}."
-    messages = [*left_out, *messages, *filter(None, [rewards_contradict(simulator.task, numbered)])]
+    messages = [*left_out, *messages, *filter(None, [_describe_rewards(simulator.task, numbered)])]
     if cells is None:
         about = {"simulator": f"{simulator.name}, without cells", "log": repr(log), **facts}
+        report = _report_rows(functions, rows | others | last, steps, discount, about, **options)
         uncertainty = Uncertainty(distance=first, caveat=caveat)
-        return _report_rows(functions, rows | others | last, messages, uncertainty, steps, discount, about, **options)
-    function_of = {table.tobytes(): functions[name] for name, table in tables.items()}
+        return replace(report, warnings=(*report.warnings, *messages), uncertainty=uncertainty)
+    known = {table.tobytes(): functions[name] for name, table in tables.items()}
 
-    def evaluate_table(row: Row, problem: Problem, table: Array, *, seed: Seed = None) -> Estimate:
-        return row(function_of[np.asarray(table).tobytes()])
+    def simulate_table(table: Array) -> MonteCarlo:
+        return simulate(known[np.asarray(table).tobytes()])
 
     def on_tables(rows: Mapping[str, Row]) -> dict[str, Estimator]:
         """Rows as estimators, of policies that are known by their tables on the cells."""
-        return {name: partial(evaluate_table, row) for name, row in rows.items()}
 
-    def simulate_table(table: Array) -> MonteCarlo:
-        return simulate(function_of[np.asarray(table).tobytes()])
+        def evaluate_row(row: Row, problem: Problem, table: Array, *, seed: Seed = None) -> Estimate:
+            return row(known[np.asarray(table).tobytes()])
+
+        return {name: partial(evaluate_row, row) for name, row in rows.items()}
 
     every = on_tables(rows)
     if wants_oee and kind != "none":
@@ -217,19 +219,35 @@ def evaluate_continuous(
     return replace(report, warnings=texts, uncertainty=uncertainty)
 
 
-def _number_actions(
-    task: ContinuousTask, log: ContinuousTransitions, behavior: StatePolicy | None, *, strict: bool
-) -> ContinuousTransitions:
-    """The log with action numbers, and the behaviour's probabilities where it lacks them."""
-    columns = log.columns() | {"action": log.action_numbers(task.actions, strict=strict)}
-    if behavior is not None and log.behavior_probability is None:
-        probabilities = check_probabilities(behavior, log.state, task.n_actions)
-        columns["behavior_probability"] = probabilities[np.arange(len(log)), columns["action"]]
-    return ContinuousTransitions(**columns)
+def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
+    """How far the task's commands are from those of a policy; "" where they are the same."""
+    distance, beyond = policy.rounding(states)
+    if distance == beyond == 0.0:
+        return ""
+    cut = f" {beyond:.0%} of them lie beyond the range of these and are cut to it." * (beyond > 0.0)
+    return (
+        f"The commands of “{name}” are rounded to the task's {len(policy.actions)} commands, by {distance:.2g} (root mean "
+        f"square in the log's states).{cut}"
+    )
+
+
+def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:
+    """Where the log's rewards are not the task's r(s, a, s'); "" where they are, or where either is unknown."""
+    known = None if log.reward is None else task.reward_between(log.state, log.action, log.next_state)
+    if log.reward is None or known is None:
+        return ""
+    distance = np.abs(log.reward - known)
+    bad = np.flatnonzero(distance > 1e-6 * max(1.0, float(np.abs(known).max())))
+    if bad.size == 0:
+        return ""
+    k = int(distance.argmax())
+    return (
+        f"The log's rewards contradict the simulator's r(s, a, s') in {bad.size} of {len(log)} transitions. The reward of row "
+        f"{k} is {log.reward[k]:g} in the log and {known[k]:g} in the simulator. The simulator's rewards are used"
+    )
 
 
 def _names(names: object, argument: str) -> list[str]:
-    """Names, at least one."""
     checked = [_checks.instance(name, str, argument, "names") for name in _checks.collection(names, argument, "names")]
     if not checked:
         raise ValueError(f"{argument} must hold at least one name; it is empty")
@@ -252,8 +270,6 @@ def _choose_estimators(
 def _report_rows(
     policies: Mapping[str, StatePolicy],
     rows: Mapping[str, Row],
-    messages: Sequence[str],
-    uncertainty: Uncertainty,
     horizon: int,
     discount: float,
     facts: Mapping[str, Any],
@@ -277,5 +293,5 @@ def _report_rows(
         for label, row in rows.items():
             _progress.report_step(f"{label} of “{name}”")
             results.append(Result(name, label, choose_interval(row(policy), None, level, scale)))
-    texts, notes = number_notes(results, [*group_findings(results), *((message, []) for message in messages)])
-    return Report(tuple(results), {}, texts, notes, level, normalized, discount, horizon, seed, facts, uncertainty)
+    texts, notes = number_notes(results, group_findings(results))
+    return Report(tuple(results), {}, texts, notes, level, normalized, discount, horizon, seed, facts)

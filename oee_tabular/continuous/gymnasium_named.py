@@ -1,50 +1,50 @@
-"""Gymnasium environments by id, ``Pendulum-v1:g=9``, as continuous simulators: how their states are read and set is found.
+"""Gymnasium environments by id with other physics, ``Pendulum-v1:g=9``, as continuous simulators.
 
-Classic control keeps its state in ``unwrapped.state``; MuJoCo's is (qpos, qvel), set by ``set_state``. Of others two functions
-say it, get(env) and set(env, state).
+Physics are arguments of the constructor, constants of the class, and fields of a MuJoCo model. A constant is set while the
+environment is made, wherever its ``__init__`` would set it, so that what is computed from it there (CartPole's
+``polemass_length`` from ``length``) follows.
+
+How a state is read and set is found: classic control keeps it in ``unwrapped.state``; MuJoCo's is (qpos, qvel), set by
+``set_state``. Of others two functions say it, get(env) and set(env, state).
 """
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from oee_tabular import _checks
 from oee_tabular._arguments import own_module, own_modules, own_object, parse_spec
-from oee_tabular._checks import Array, BoolArray
-from oee_tabular.continuous.actions import action_set
-from oee_tabular.continuous.gymnasium_physics import Physics
+from oee_tabular._checks import Array
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
-from oee_tabular.continuous.simulator import SLOW_EPISODES, SLOW_PATHS, SLOW_REFITS, ContinuousSimulator, as_simulator
+from oee_tabular.continuous.simulator import SLOW, ContinuousSimulator, action_set, as_simulator
+from oee_tabular.tasks.toy_text import environment_exists
 
 OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")  # MODULE:EnvId-v0
 HORIZON = 1000  # where the environment has no limit
 HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE
+# fields of a MuJoCo model whose elements have names: the kind of the name, and how many there are
+ELEMENTS = {
+    "body_mass": ("body", "nbody"), "dof_damping": ("joint", "nv"), "dof_armature": ("joint", "nv"),
+    "dof_frictionloss": ("joint", "nv"), "jnt_stiffness": ("joint", "njnt"), "actuator_gear": ("actuator", "nu"),
+    "geom_friction": ("geom", "ngeom"),
+}  # fmt: skip
 
 
-def _has_fallen(env: Any, states: Array) -> BoolArray:
-    far, turned = np.abs(states[:, 0]) > env.x_threshold, np.abs(states[:, 2]) > env.theta_threshold_radians
-    return np.asarray(far | turned)
-
-
-def _has_arrived(env: Any, states: Array) -> BoolArray:
-    return np.asarray((states[:, 0] >= env.goal_position) & (states[:, 1] >= env.goal_velocity))
-
-
-def _is_raised(env: object, states: Array) -> BoolArray:
-    return np.asarray(-np.cos(states[:, 0]) - np.cos(states[:, 1] + states[:, 0]) > 1.0)
-
-
-_CAR = {"state_names": ("position", "speed"), "low": (-1.2, -0.07), "high": (0.6, 0.07), "over": _has_arrived}
+_CAR = {"state_names": ("position", "speed"), "low": (-1.2, -0.07), "high": (0.6, 0.07)} | {
+    "over": lambda env, states: (states[:, 0] >= env.goal_position) & (states[:, 1] >= env.goal_velocity)
+}
 # by the name of the class, or of one that it is made from: what GymnasiumTask takes; ``over`` takes the environment as well
 CLASSIC: Mapping[str, dict[str, Any]] = {
     "CartPoleEnv": {
         "state_names": ("x", "x_dot", "theta", "theta_dot"), "low": (-2.4, -3.0, -0.21, -3.2),
-        "high": (2.4, 3.0, 0.21, 3.2), "over": _has_fallen,
+        "high": (2.4, 3.0, 0.21, 3.2),
+        "over": lambda env, states: (np.abs(states[:, [0, 2]]) > [env.x_threshold, env.theta_threshold_radians]).any(axis=1),
     },
     "PendulumEnv": {
         "state_names": ("angle", "speed"), "low": (-np.pi, -8.0), "high": (np.pi, 8.0), "periodic": (True, False),
@@ -54,7 +54,8 @@ CLASSIC: Mapping[str, dict[str, Any]] = {
     "Continuous_MountainCarEnv": _CAR,
     "AcrobotEnv": {
         "state_names": ("angle_1", "angle_2", "speed_1", "speed_2"), "low": (-np.pi, -np.pi, -4 * np.pi, -9 * np.pi),
-        "high": (np.pi, np.pi, 4 * np.pi, 9 * np.pi), "periodic": (True, True, False, False), "over": _is_raised,
+        "high": (np.pi, np.pi, 4 * np.pi, 9 * np.pi), "periodic": (True, True, False, False),
+        "over": lambda env, states: -np.cos(states[:, 0]) - np.cos(states[:, 1] + states[:, 0]) > 1.0,
     },
 }  # fmt: skip
 
@@ -67,7 +68,7 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     spec : ID, ``ID:key=value,...`` or ``ID,key=value,...``: arguments of the environment, its constants (``gravity``,
         ``LINK_MASS_2``), fields of a MuJoCo model (arrays whole); ``MODULE:ID`` imports what registers it
     state : "module:get,set", functions get(env) -> (d,) and set(env, state); None: found
-    actions : of a Box, see ``actions.action_set``
+    actions : of a Box, see ``simulator.action_set``
 
     Raises
     ------
@@ -89,8 +90,7 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     known |= {"actions": action_set(env.action_space, actions), "make_vector": physics.make_vector}
     task = GymnasiumTask(physics.make, parameters=physics.given, **known)
     task.family, physics.task = physics, task
-    simulator = as_simulator(task, env.spec.max_episode_steps or HORIZON)
-    return replace(simulator, name=spec, episodes=SLOW_EPISODES, refit_paths=SLOW_PATHS, refits=SLOW_REFITS)
+    return as_simulator(task, env.spec.max_episode_steps or HORIZON, name=spec, **SLOW)
 
 
 def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
@@ -130,7 +130,6 @@ def _register(spec: str) -> str:
 
 
 def _parse_state(state: str) -> dict[str, Any]:
-    """From "module:get,set"."""
     first, comma, second = state.partition(",")
     if not comma:
         raise ValueError(f"--task-option state must be like my_module:get,set, two functions; got {state!r}")
@@ -180,3 +179,139 @@ def _describe_mujoco(model: Any) -> dict[str, Any]:
 
     periodic = tuple(i in turns for i in range(len(names)))
     return {"get_state": get, "set_state": write, "state_names": names, "periodic": periodic}
+
+
+class Physics:
+    """Environment ``identifier`` with these parameters by name; a ValueError for what it does not have.
+
+    With a ``task`` of the environment it is a ``task_of`` of ``fit_parameters``.
+    """
+
+    task: Any = None
+
+    def __init__(self, identifier: str, given: Mapping[str, Any]) -> None:
+        import gymnasium
+
+        environment_exists(identifier)
+        self.identifier, self.given, self.spec = identifier, dict(given), gymnasium.spec(identifier)
+        self._takes = inspect.signature(_load(self.spec.entry_point)).parameters
+        self._arguments = {key: x for key, x in given.items() if key in self._takes or key in self.spec.kwargs}
+        self._constants: dict[str, Any] = {}
+        self._fields: dict[str, Any] = {}
+        for key, value in self._arguments.items():
+            if key in self._takes and _is_number(self._takes[key].default):
+                _checks.number_in(value, key, -np.inf, np.inf)
+        rest = {key: value for key, value in given.items() if key not in self._arguments}
+        if not rest:
+            return
+        env = self.make()
+        elements, known = _elements(env.unwrapped), _numbers_of(env.unwrapped)
+        for key, value in rest.items():
+            holders = (env.unwrapped.model, env.unwrapped.model.opt) if elements else ()
+            if not hasattr(env.unwrapped, key) and (key in elements or any(hasattr(each, key) for each in holders)):
+                self._fields[key] = value
+                continue
+            if key not in known:
+                takes = ", ".join(name for name in self._takes if name != "kwargs") or "none"
+                raise ValueError(
+                    f"{key} must be an argument or a number of {identifier}: it takes {takes} and has "
+                    f"{', '.join(known) or 'none'}; got {key}={value!r}"
+                )
+            self._constants[key] = _checks.number_in(value, key, -np.inf, np.inf)
+        env.close()
+
+    def make(self, point: str = "entry_point", **arguments: Any) -> Any:
+        """The environment, without Gymnasium's wrappers."""
+        import gymnasium
+
+        owner, arguments = _load(getattr(self.spec, point)), self.spec.kwargs | self._arguments | arguments
+        if self._constants:
+            if not isinstance(owner, type):
+                raise ValueError(
+                    f"{next(iter(self._constants))} must be an argument of {self.identifier}, which is made by a function"
+                )
+            constants = self._constants
+
+            def hold(env: object, name: str, value: object) -> None:
+                object.__setattr__(env, name, constants.get(name, value))
+
+            members = {**constants, "__setattr__": hold, "__module__": owner.__module__}
+            owner = type(owner.__name__, (owner,), members)
+        try:
+            env = owner(**arguments)
+        except gymnasium.error.Error as error:
+            raise ValueError(f"environment {self.identifier!r} cannot be made: {error}") from None
+        except (TypeError, LookupError, ValueError, ArithmeticError, AttributeError, AssertionError) as error:
+            raise ValueError(f"environment {self.identifier!r} does not take {arguments}: {error}") from None
+        env.spec = self.spec
+        for key, value in self._fields.items():
+            _set_field(env.unwrapped, key, value)
+        return env
+
+    @property
+    def make_vector(self) -> Callable[[int], Any] | None:
+        """n -> n environments that step at once, where Gymnasium has such; None where not."""
+        if self.spec.vector_entry_point is None or self._fields:
+            return None
+        return lambda n: self.make("vector_entry_point", num_envs=n)
+
+    def __call__(self, **parameters: float) -> Any:
+        """The task with these parameters."""
+        changed = Physics(self.identifier, self.given | parameters)
+        return self.task.with_environment(changed.make, changed.make_vector, changed.given)
+
+    def known(self) -> dict[str, float]:
+        """Name -> number, as it is: arguments, constants, and elements of a MuJoCo model (body_mass.pole)."""
+        env = self.make()
+        inner = env.unwrapped
+        found = {name: p.default for name, p in self._takes.items()} | _numbers_of(inner) | self.given
+        found |= {name: values[0] for name, values in _elements(inner).items()}
+        env.close()
+        return {name: float(value) for name, value in found.items() if _is_number(value)}
+
+
+def _load(point: object) -> Any:
+    from gymnasium.envs.registration import load_env_creator
+
+    return point if callable(point) else load_env_creator(str(point))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _numbers_of(inner: object) -> dict[str, Any]:
+    """The attributes of an environment that are numbers, its class's too, by name; none that are computed."""
+    names = [name for name in sorted(dir(inner)) if not name.startswith("_")]
+    plain = [name for name in names if not isinstance(inspect.getattr_static(inner, name, None), property)]
+    return {name: x for name in plain if _is_number(x := getattr(inner, name, None))}
+
+
+def _elements(inner: Any) -> dict[str, Any]:
+    """FIELD.ELEMENT -> its numbers, a view, of an environment's MuJoCo model; friction and gear have more than the first."""
+    found: dict[str, Any] = {}
+    model: Any = getattr(inner, "model", None)
+    for field, (kind, count) in ELEMENTS.items() if hasattr(model, "nbody") else ():
+        values = getattr(model, field)
+        for k in range(getattr(model, count)):
+            name = getattr(model, kind)(int(model.dof_jntid[k]) if count == "nv" else k).name or str(k)
+            found.setdefault(f"{field}.{name}", values.reshape(len(values), -1)[k])
+    return found
+
+
+def _set_field(inner: Any, key: str, value: Any) -> None:
+    """A field of a MuJoCo model, an array whole, or one element by its name."""
+    import mujoco
+
+    model, elements = inner.model, _elements(inner)
+    if key in elements:
+        elements[key][0] = _checks.number_in(value, key, -np.inf, np.inf)
+    else:
+        holder = model if hasattr(model, key) else model.opt
+        own, found = np.asarray(getattr(holder, key)), _checks.float_array(value, key, ndim=(0, 1, 2))
+        if found.shape != own.shape:
+            raise ValueError(
+                f"{key} must have shape {own.shape}, as in the model: {own.tolist()}; it has shape {found.shape}"
+            )
+        setattr(holder, key, found if own.ndim else own.dtype.type(found))
+    mujoco.mj_setConst(model, inner.data)

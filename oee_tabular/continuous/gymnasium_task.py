@@ -1,12 +1,15 @@
 """Any Gymnasium environment whose state can be read and set, as a continuous task; and logs by stepping one.
 
 The state must be the environment's own, not its observation: CartPole's observations are float32 copies of a float64 state,
-Pendulum's leave the angle to be found from its sine and cosine. Say how it is read and set, and which actions there are.
+Pendulum's leave the angle to be found from its sine and cosine. Say how it is read and set, and which actions there are. A
+record of random actions is then stepped again from its states: does a state decide the next one, can many states be stepped at
+once, how many random numbers does a step draw (``Chance``).
 """
 
 from __future__ import annotations
 
 import copy
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,14 +18,15 @@ from numpy.typing import NDArray
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
-from oee_tabular.continuous.gymnasium_steps import Chance, check_steps_of, draws_of, repeats_at_once
-from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy, check_probabilities
+from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
+from oee_tabular.continuous.task import NO_CHANCE, Chance, ContinuousTask, Moves, StatePolicy, check_probabilities
 
 FEWEST_AT_ONCE = 16  # states
 LOOKED = 1000  # steps by which usual ranges are found
-AT_ONCE = 2048  # environments of a vector
-NO_CHANCE = Chance(np.empty(0))  # in place of random numbers, where none may be drawn
+N_CHECKED = 200  # recorded steps that are stepped again from their states
+MAX_DRAWS = 64  # in a step
+SAME_STEP = 0.02  # of a coordinate's usual step: a step that is repeated
+FEW = 0.05  # share of steps that may be another (contacts, whose solvers remember): told, not refused
 
 
 def read_state(env: Any) -> Array:
@@ -54,11 +58,9 @@ class GymnasiumTask(ContinuousTask):
     terminates : whether episodes can end before a time limit
     over : function of states (n, d) giving (n,) which are over, for vertices and logs (default: none; steps always ask the
         environment)
-    reward_between : function of (states, action numbers, next states), optional
     parameters : what distinguishes it, written into files
     make_vector : function of n that makes n environments whose ``state`` is (d, n) and which step at once; used where it
         repeats the steps of one, and the environment's own step does not do so with arrays in place of numbers
-    check_steps : how many recorded steps are stepped again from their states; 0: none
 
     Raises
     ------
@@ -70,8 +72,8 @@ class GymnasiumTask(ContinuousTask):
     -----
     Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 and more at once
     (``steps_at_once``). The normal, uniform and whole numbers that a step draws from ``np_random`` are the disturbance
-    (``gymnasium_steps.Chance``), as many as its checked steps drew. Where it draws others, or steps are not checked, there is
-    no disturbance: ``step`` gives the environment its own generator, ``moves`` one of seed 0.
+    (``Chance``), as many as its checked steps drew. Where it draws others there is no disturbance: ``step`` gives the
+    environment its own generator, ``moves`` one of seed 0.
 
     Examples
     --------
@@ -95,7 +97,7 @@ class GymnasiumTask(ContinuousTask):
         make: Callable[[], Any],
         *,
         actions: object,
-        state_names: tuple[str, ...] | None = None,
+        state_names: Sequence[str] | None = None,
         low: object = None,
         high: object = None,
         get_state: Callable[[Any], Any] = read_state,
@@ -103,29 +105,25 @@ class GymnasiumTask(ContinuousTask):
         periodic: tuple[bool, ...] | None = None,
         terminates: bool = True,
         over: Callable[[Array], Any] | None = None,
-        reward_between: Callable[[Array, IntArray, Array], Array] | None = None,
         parameters: dict[str, Any] | None = None,
         make_vector: Callable[[int], Any] | None = None,
-        check_steps: int = 200,
     ) -> None:
         _checks.boolean(terminates, "terminates")
         for name, function in (("make", make), ("get_state", get_state), ("set_state", set_state)):
-            if not callable(function):
-                raise ValueError(f"{name} must be a function; got {type(function).__name__}")
+            _checks.function(function, name)
         self._make, self._get, self._set, self._over = make, get_state, set_state, over
-        self._reward_between, self._parameters = reward_between, dict(parameters or {})
-        self._env = make()
+        self._parameters, self._env = dict(parameters or {}), make()
         self._env.reset(seed=0)
         state = self.read(self._env)
-        own = getattr(self._env.unwrapped, "state_names", None) or [f"state_{i}" for i in range(state.size)]
-        names = tuple(own if state_names is None else state_names)
-        if state.shape != (len(names),):
+        if state_names is None:
+            state_names = getattr(self._env.unwrapped, "state_names", None) or [f"state_{i}" for i in range(state.size)]
+        self.state_names = self.feature_names = tuple(state_names)
+        if state.shape != (self.n_state,):
             raise ValueError(
-                f"get_state must return the {len(names)} numbers of state_names; it returns shape {state.shape}"
+                f"get_state must return the {self.n_state} numbers of state_names; it returns shape {state.shape}"
             )
         spec = getattr(self._env, "spec", None)
         self.name = "environment" if spec is None else str(spec.id)
-        self.state_names = self.feature_names = names
         self.commands = np.array(actions)
         self.actions = freeze(_checks.float_array(actions, "actions", ndim=(1, 2)))
         self.n_disturbances = 0
@@ -137,25 +135,81 @@ class GymnasiumTask(ContinuousTask):
                     f"actions[{number}] must be in {self._env.action_space}; it is {self.actions[number].tolist()}"
                 )
         found = self._find_ranges(make()) if low is None or high is None else (None, None)
-        self.feature_low = _checks.float_array(found[0] if low is None else low, "low")
-        self.feature_high = _checks.float_array(found[1] if high is None else high, "high")
-        for end, name in ((self.feature_low, "low"), (self.feature_high, "high")):
+        for name, own, given in zip(("low", "high"), found, (low, high), strict=True):
+            end = _checks.float_array(own if given is None else given, name)
             if end.shape != state.shape:
                 raise ValueError(
                     f"{name} must have shape {state.shape}, one for each of state_names; it has shape {end.shape}"
                 )
+            setattr(self, f"feature_{name}", end)
         self._set(self._env, state)
         if not np.array_equal(kept := self.read(self._env), state):
             raise ValueError(f"set_state must set what get_state reads; {state.tolist()} became {kept.tolist()}")
         self.family: Any = None  # of parameters by name makes the task with them; where that is known (Physics)
-        self._vector: Any = None
         self._make_vector = make_vector
         self._at_once: Callable[[GymnasiumTask, Array, IntArray], Moves] | None = None
-        if check_steps:
-            record = check_steps_of(self, make(), _checks.positive_integer(check_steps, "check_steps"))
-            ways = [GymnasiumTask._step_arrays] + [GymnasiumTask._step_vector] * (make_vector is not None)
-            self._at_once = next((way for way in ways if repeats_at_once(self, way, *record)), None)
-            self.n_disturbances = draws_of(self, *record)
+        record = self._check_steps(make())
+        ways = [GymnasiumTask._step_arrays] + [GymnasiumTask._step_vector] * (make_vector is not None)
+        self._at_once = next((way for way in ways if self._repeats(way, *record)), None)
+        self.n_disturbances = self._count_draws(*record)
+
+    def _check_steps(self, env: Any) -> tuple[Array, IntArray]:
+        """Step a record of random actions again from its states, in another order; its (s, a).
+
+        What differs is an error, where it is at most a twentieth of the steps a warning.
+        """
+        env.reset(seed=0)
+        rng, generators = np.random.default_rng(0), []
+        numbers = rng.integers(self.n_actions, size=N_CHECKED)
+
+        def choose(state: Array) -> int:
+            generators.append(copy.deepcopy(env.unwrapped.np_random))
+            return int(numbers[len(generators) - 1])
+
+        states, _, following, reward, _, _ = self.play(env, choose, N_CHECKED)
+        before, after = np.pad(states, ((0, 0), (0, 1))), np.column_stack([following, reward])  # rewards last
+        again = np.empty_like(after)
+        for i in rng.permutation(N_CHECKED):  # in the record's own order what the state lacks would come along
+            moved = self.one_by_one(states[i : i + 1], numbers[i : i + 1], generators[i])
+            again[i] = np.append(moved.next_state[0], moved.reward)
+        size = np.sqrt(((after - before) ** 2).mean(axis=0)) + 1e-9 * (1.0 + np.abs(after).max(axis=0))
+        away = np.abs(again - after)
+        bad = (away > SAME_STEP * size).any(axis=1)
+        if bad.any():
+            k = int((away / size).max(axis=0).argmax())
+            text = (
+                "get_state and set_state must have all that decides the next step, and chance must come from np_random: "
+                f"{int(bad.sum())} of {N_CHECKED} steps of {self.name} differ from the record when stepped again from its "
+                "states. Read and set the rest as well, such as other bodies' velocities and timers (--task-option "
+                f"state=MODULE:GET,SET); the most in {(*self.state_names, 'the reward')[k]}: {away[:, k].max():.3g}, where a "
+                f"step moves it by {size[k]:.3g}"
+            )
+            if bad.mean() > FEW:
+                raise ValueError(text)
+            _checks.warn(text)
+        return states, np.asarray(numbers, dtype=np.int64)
+
+    def _repeats(self, way: Callable[[Any, Array, IntArray], Moves], states: Array, numbers: IntArray) -> bool:
+        """Whether this way of stepping many states at once does as the environment does one by one."""
+        one = self.one_by_one(states, numbers, np.random.default_rng(0))
+        try:
+            with warnings.catch_warnings(action="ignore"):
+                many = way(self, states, numbers)
+        except Exception:  # another interface than the one that is used here, numbers alone, or random numbers
+            return False
+        return np.array_equal(one.terminated, many.terminated) and all(
+            x.shape == y.shape and bool((np.abs(x - y) <= 1e-9 * (1.0 + np.abs(x))).all())
+            for x, y in ((one.next_state, many.next_state), (one.reward, many.reward))
+        )
+
+    def _count_draws(self, states: Array, numbers: IntArray) -> int:
+        """The most random numbers that one of these steps draws; 0: none, or others than ``Chance`` has."""
+        chances = [Chance(xi) for xi in np.random.default_rng(0).standard_normal((len(states), MAX_DRAWS))]
+        try:
+            self.one_by_one(states, numbers, chances)
+        except (AttributeError, IndexError, TypeError, ValueError):
+            return 0
+        return max(chance.used for chance in chances)
 
     def with_environment(
         self, make: Callable[[], Any], make_vector: Callable[[int], Any] | None, parameters: dict[str, Any]
@@ -163,7 +217,7 @@ class GymnasiumTask(ContinuousTask):
         """The same task of another environment of the kind, not checked again."""
         again = copy.copy(self)
         again._make, again._env, again._parameters = make, make(), parameters
-        again._make_vector, again._vector = make_vector, None
+        again._make_vector = make_vector
         again._env.reset(seed=0)
         return again
 
@@ -204,41 +258,34 @@ class GymnasiumTask(ContinuousTask):
         return Moves(following, np.full(n, reward, dtype=np.float64), np.full(n, over, dtype=np.bool_))
 
     def _step_vector(self, states: Array, actions: IntArray) -> Moves:
-        """By Gymnasium's environments that step together, the last of them repeated."""
-        if self._vector is None:
-            assert self._make_vector is not None
-            self._vector = self._make_vector(AT_ONCE).unwrapped
-        envs, parts = self._vector, []
-        for low in range(0, len(states), AT_ONCE):
-            some = np.minimum(np.arange(low, low + AT_ONCE), len(states) - 1)
-            envs.reset(seed=0)  # nothing of the step before is left
-            envs.np_random = NO_CHANCE
-            envs.state = states[some].T.copy()
-            _, reward, over, _, _ = envs.step(self.commands[np.asarray(actions)[some]].astype(envs.action_space.dtype))
-            parts.append((np.array(envs.state, dtype=np.float64).T, np.asarray(reward, dtype=np.float64), over))
-        following, reward, over = (np.concatenate(column)[: len(states)] for column in zip(*parts, strict=True))
-        return Moves(following, reward, over.astype(np.bool_))
+        """By Gymnasium's environments that step together."""
+        assert self._make_vector is not None
+        envs = self._make_vector(len(states)).unwrapped
+        envs.reset(seed=0)
+        envs.np_random, envs.state = NO_CHANCE, states.T.copy()
+        _, reward, over, _, _ = envs.step(self.commands[actions].astype(envs.action_space.dtype))
+        return Moves(
+            np.array(envs.state.T, dtype=np.float64), np.asarray(reward, dtype=np.float64), over.astype(np.bool_)
+        )
 
     def one_by_one(self, states: Array, actions: IntArray, rng: np.random.Generator | Sequence[Chance]) -> Moves:
         """Each state put into the environment by itself; random numbers are one generator's, or each its own."""
         env = self._env
         following, reward, over = np.empty_like(states), np.empty(len(states)), np.zeros(len(states), dtype=np.bool_)
-        inner = env.unwrapped
         for i, (state, action) in enumerate(zip(states, actions, strict=True)):
             env.unwrapped.np_random = rng if isinstance(rng, np.random.Generator) else rng[i]
             self._set(env, state)
-            _, reward[i], over[i], _, _ = inner.step(self.command(int(action)))
+            _, reward[i], over[i], _, _ = env.unwrapped.step(self.command(int(action)))
             following[i] = self.read(env)
         return Moves(following, reward, over)
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """By resetting the environment."""
-        env = self._env
-        env.reset(seed=int(rng.integers(2**31)))
+        self._env.reset(seed=int(rng.integers(2**31)))
         found = np.empty((n, self.n_state))
         for i in range(n):
-            env.reset()
-            found[i] = self.read(env)
+            self._env.reset()
+            found[i] = self.read(self._env)
         return found
 
     def initial_points(self) -> tuple[Array, Array]:
@@ -249,10 +296,6 @@ class GymnasiumTask(ContinuousTask):
     def terminated(self, states: Array) -> Any:
         """By the function ``over``."""
         return super().terminated(states) if self._over is None else np.asarray(self._over(states), dtype=np.bool_)
-
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
-        """By the function of that name."""
-        return None if self._reward_between is None else self._reward_between(states, actions, next_states)
 
     def play(
         self, env: Any, choose: Callable[[Array], int], n: int, limit: int | None = None
@@ -277,7 +320,6 @@ class GymnasiumTask(ContinuousTask):
         return tuple(map(np.array, zip(*rows, strict=True)))
 
     def _find_ranges(self, env: Any) -> tuple[Array, Array]:
-        """The usual range of each coordinate, by random actions."""
         env.reset(seed=0)
         rng, limit = np.random.default_rng(0), getattr(getattr(env, "spec", None), "max_episode_steps", None)
         states = self.play(env, lambda state: int(rng.integers(self.n_actions)), LOOKED, limit)[0]
@@ -305,19 +347,10 @@ class GymnasiumTask(ContinuousTask):
             known.append(chances[number])
             return number
 
-        state, action, following, reward, over, cut = self.play(env, choose, rows, steps)
+        *columns, over, cut = self.play(env, choose, rows, steps)
         cut[-1] |= not over[-1]
         episode = np.cumsum(over | cut) - (over | cut)
-        return ContinuousTransitions(
-            state,
-            action,
-            following,
-            reward,
-            terminated=over,
-            truncated=cut,
-            episode=episode,
-            behavior_probability=known,
-        )
+        return ContinuousTransitions(**dict(zip(RECORDED, (*columns, over, cut, episode, known), strict=True)))
 
     def command(self, number: int) -> Any:
         """What is passed to the environment's ``step``."""

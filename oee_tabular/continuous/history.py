@@ -17,7 +17,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.neighbors import Neighbors
+from oee_tabular.continuous.scatter import Neighbors
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, StatePolicy, require_log_of
 
 FOLDS = 4

@@ -226,9 +226,8 @@ class ContinuousTransitions(LogColumns):
         if strict:
             raise ValueError(f"log.action must be one of {about}; {which}")
         gaps = [np.diff(np.unique(column)).max(initial=0.0) for column in table.T]
-        if (
-            0.0 < 0.5 * float(np.linalg.norm(gaps)) * (1.0 + 1e-9) < distance[worst]
-        ):  # of a single action there are none
+        room = 0.5 * float(np.linalg.norm(gaps)) * (1.0 + 1e-9)  # 0 of a single action
+        if 0.0 < room < distance[worst]:
             raise ValueError(
                 f"log.action must lie among {about}, no farther off than half of what they are apart; {which}. Name actions "
                 "that reach as far (tasks.GymnasiumTask(actions=), --task-option actions=)"

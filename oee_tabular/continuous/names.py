@@ -13,12 +13,10 @@ from typing import Any
 
 from oee_tabular import _checks
 from oee_tabular._arguments import parse_spec
-from oee_tabular.continuous.cartpole.dynamics import CartPole
-from oee_tabular.continuous.cartpole.expert import cartpole_policy
+from oee_tabular.continuous.cartpole import CartPole, cartpole_policy
 from oee_tabular.continuous.gymnasium_named import gymnasium_simulator, is_continuous_id
 from oee_tabular.continuous.kinova import KinovaArm, fit_hand, kinova_policy
-from oee_tabular.continuous.reacher.dynamics import Reacher
-from oee_tabular.continuous.reacher.expert import reacher_policy
+from oee_tabular.continuous.reacher import Reacher, reacher_policy
 from oee_tabular.continuous.simulator import ContinuousSimulator
 
 KINOVA_RUNS = 250  # of Monte Carlo: some thousand commands a second

@@ -151,7 +151,6 @@ def fit_parameters(
 
 
 def _limits(names: list[str], x0: Array, bounds: Mapping[str, tuple[float, float]]) -> tuple[Array, Array]:
-    """Lower and upper bounds of each parameter."""
     low, high = np.where(x0 > 0, 0.0, -np.inf), np.where(x0 < 0, 0.0, np.inf)
     for name, ends in bounds.items():
         if name not in names:

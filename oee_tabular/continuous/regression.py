@@ -55,10 +55,6 @@ class Functions:
         self._kept = kept = moving[is_new]
         self._limits = np.stack([raw.min(axis=0)[kept], raw.max(axis=0)[kept], centre[kept], 1.0 / scale[kept]])
         m, n_x = len(kept), int((kept < smooth.shape[1] + n_commands).sum())
-        d = states.shape[1]  # where x is not needed beyond the state itself it is not computed: a tenth of a step
-        is_beyond = (kept >= d) & (kept < smooth.shape[1])
-        self._is_own = not is_beyond.any() and np.array_equal(smooth[:, :d], states)
-        self._places = np.where(kept < d, kept, kept - smooth.shape[1] + d) if self._is_own else kept
         n_waves = FOURIER if m > 0 else 0
         reach = rng.choice([0.25, 0.5, 1.0], size=n_waves) * np.sqrt(2.0 / max(m, 1))
         self._frequencies = rng.standard_normal((m, n_waves)) * reach
@@ -103,14 +99,11 @@ class Functions:
 
     def predict(self, states: Array, actions: IntArray, displacement: Array, w: Array, ends: Array) -> Array:
         """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends`` (2, k): compiled, O(n p k)."""
-        q = min(w.shape[1], len(self._first))
-        inputs = states if self._is_own else self._task.smooth(states), displacement
+        q, inputs = min(w.shape[1], len(self._first)), (self._task.smooth(states), displacement)
         x, d = (np.require(each, requirements=["C", "W"]) for each in inputs)  # so that one kernel takes all
         a = np.require(actions, np.int64, ["C", "W"])
-        products, waves = (self._first[:q], self._second[:q]), (self._frequencies, self._phases)
-        return np.asarray(
-            _regression.predict(x, self._commands, d, a, self._places, self._limits, *products, *waves, w, ends)
-        )
+        functions = self._first[:q], self._second[:q], self._frequencies, self._phases
+        return np.asarray(_regression.predict(x, self._commands, d, a, self._kept, self._limits, *functions, w, ends))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ is stepped, not weighted. Cells, ratios and exact values can come after it, as a
 from __future__ import annotations
 
 import copy
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,12 +28,9 @@ from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.history import HistoryEffect, history_effects
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.neighbors import Neighbors
 from oee_tabular.continuous.regression import Fit, Functions, Grams, draw_groups, episode_groups
-from oee_tabular.continuous.scatter import Scatter, root_mean_square
-from oee_tabular.continuous.stops import Stops
+from oee_tabular.continuous.scatter import Neighbors, Scatter, Stops, root_mean_square
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest
-from oee_tabular.continuous.units import other_units
 
 OUTLYING = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MAX_OUTLYING = 0.2  # share of rows that may be so
@@ -42,6 +40,13 @@ SURE = 3.0  # standard errors of what g explains: the target differs
 HIDDEN = 0.1  # share of what is left over that history explains: the state is not all that decides
 SMALL = 0.03  # of a step's own deviation: less is no hidden state to speak of
 ALIKE = 0.05  # share by which two scatters that are the same may differ
+UNITS = {  # of a column, and the factors to the simulator's
+    "degrees for radians": np.pi / 180.0, "radians for degrees": 180.0 / np.pi,
+    "mm for m": 1e-3, "m for mm": 1e3, "cm for m": 1e-2, "m for cm": 1e2,
+}  # fmt: skip
+N_UNIT_ROWS = 500  # of the log by which units are judged
+MAX_UNIT_COORDINATES = 8  # beyond, units are not judged
+MISSED, MET = 0.5, 0.1  # shares of a displacement, by which a step is missed and by which it is met in another unit
 
 
 @dataclass(frozen=True)
@@ -285,7 +290,8 @@ class ResidualSimulator(DerivedTask):
             added += scatter.draw(states, actions, ndtr(disturbance[:, -1]))
         following = self._stops.push(free + added[:, : self.n_state])
         if scatter.own.any():
-            following = following + scatter.own_noise(states, actions, own, disturbance[:, : self.task.n_disturbances])
+            noisy = self.task.moves(states, actions, disturbance[:, : self.task.n_disturbances])
+            following += np.where(scatter.own[: self.n_state], noisy.next_state - own.next_state, 0.0)
         if self._wraps.any() or np.isfinite(self._stops.bounds).any():
             following = np.where(following != own.next_state, self._clip(following), following)
         self._stops.hold(following)
@@ -332,3 +338,36 @@ class ResidualSimulator(DerivedTask):
         """The task's, and what the correction is made of."""
         learned = {c.name: [c.kind, c.per_action, c.scatter] for c in self.coordinates}
         return self.task.parameters() | {"corrected_by_moves": len(self.residuals), "correction": learned}
+
+
+def other_units(task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, periods: Array) -> str:
+    """Which columns are in another unit than the simulator's, and in which; "" where none is, or no factor makes steps alike.
+
+        miss(c)_k = min(1, |c s' - f(c s, a)|_k^2 / |c s' - c s|_k^2),   c a factor for each column
+
+    Columns one by one, and in pairs by the same factor: the least sum of misses of those that bring a coordinate from more than
+    half to less than a tenth. One call of f with 500 rows, some 200 where a coordinate is missed.
+    """
+    d, rows = task.n_state, np.linspace(0, len(log) - 1, min(N_UNIT_ROWS, len(log))).astype(np.int64)
+    if d > MAX_UNIT_COORDINATES:
+        return ""
+
+    def miss(factors: Array) -> Array:
+        before, after = factors * log.state[rows], factors * log.next_state[rows]
+        with np.errstate(all="ignore"):  # states that no simulator was made for
+            own = task.noiseless_step(before, actions[rows]).next_state
+            left, moved = ((shortest(x, periods) ** 2).sum(axis=0) for x in (after - own, after - before))
+        return np.asarray(np.where(moved > 0, np.minimum(1.0, left / np.where(moved > 0, moved, 1.0)), 0.0))
+
+    plain = miss(np.ones(d))
+    is_missed, least, text = plain > MISSED, plain.sum(), ""
+    pairs = itertools.combinations_with_replacement(range(d), 2) if is_missed.any() else ()
+    for columns in sorted(pairs, key=lambda pair: pair[0] != pair[1]):  # one column first
+        for unit, factor in UNITS.items():
+            factors = np.ones(d)
+            factors[list(columns)] = factor
+            missed = miss(factors)
+            if (is_missed & (missed < MET)).any() and missed.sum() < least:
+                names = " and ".join(task.state_names[k] for k in dict.fromkeys(columns))
+                least, text = missed.sum(), f"{names} ({unit})"
+    return text

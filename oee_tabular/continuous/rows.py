@@ -19,11 +19,11 @@ from scipy.special import stdtrit
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
+from oee_tabular.continuous.correction import describe_flaw
 from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_carlo_value
 from oee_tabular.continuous.history import consecutive
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.sentences import describe_flaw
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Estimator, Problem
@@ -60,7 +60,6 @@ class Rollouts:
     paths: int = 1000
 
     def _stream(self, *key: int) -> np.random.SeedSequence:
-        """Random numbers of their own."""
         return np.random.SeedSequence(self.seed.entropy, spawn_key=(*self.seed.spawn_key, *key))
 
     @one_thread
@@ -70,7 +69,6 @@ class Rollouts:
         return monte_carlo_value(task, policy, self.episodes, self.horizon, discount=self.discount, seed=seed)
 
     def _returns(self, tasks: Sequence[ContinuousTask], policy: StatePolicy, n: int) -> Array:
-        """(len(tasks), n) returns by common random numbers."""
         n, seed = min(n, self.paths, self.episodes), self._stream(1)
         return compare_returns(tasks, policy, n, self.horizon, discount=self.discount, seed=seed)
 
@@ -86,7 +84,7 @@ class Rollouts:
         status : why the value is not to be relied on, and then has no error; "ok"
         """
         mc = self.value(learned, policy)
-        facts: dict[str, Any] = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
+        facts = _count_rollouts(mc)
         error: float | None = None
         interval: tuple[float, float] | None = None
         findings: tuple[Finding, ...] = ()
@@ -124,15 +122,16 @@ class Rollouts:
         return float(counts[0] / counts[1])
 
 
+def _count_rollouts(mc: MonteCarlo) -> dict[str, Any]:
+    return {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
+
+
 def describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:
     """A value in the simulator (or the target) itself: no estimate from the log.
 
     ``is_headline`` where no correction can be trusted; the rollouts' noise is no interval to speak of then.
     """
-    error, facts = (
-        None if is_headline else mc.standard_error,
-        {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes},
-    )
+    error, facts = None if is_headline else mc.standard_error, _count_rollouts(mc)
     return Estimate(mc.value, error, diagnostics=facts, is_headline=is_headline, is_from_log=not is_headline)
 
 

@@ -1,8 +1,13 @@
-"""A continuous simulator with the configuration by which logs are evaluated in it: ``ContinuousSimulator``."""
+"""A continuous simulator with the configuration by which logs are evaluated in it: ``ContinuousSimulator``.
+
+Its task has finitely many actions, which of a Gymnasium action space are chosen here (``action_set``). Policies may say
+commands or numbers of actions in place of probabilities (``as_probabilities``).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,13 +16,150 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._checks import Array
-from oee_tabular.continuous.actions import as_probabilities
 from oee_tabular.continuous.discretization import Discretization, VisitedCells, discretize
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy
+from oee_tabular.continuous.task import BadPolicy, ContinuousTask, StatePolicy, ask_policy
 
-SLOW_EPISODES, SLOW_PATHS, SLOW_REFITS, SLOW_CLOSURE = 2000, 200, 10, 500  # of tasks that step one state at a time
+N_LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
+MAX_COMMANDS = 1000
+MAX_COMMANDS_OF_LOG = 100  # of a log, which are then the actions
+
+
+def action_set(space: Any, given: Any = None) -> Array:
+    """(A,) numbers of a Discrete space, or (A, k) commands of a Box.
+
+    Parameters
+    ----------
+    space : Gymnasium's Discrete or Box
+    given : of a Box, how many levels each coordinate has, evenly from low to high (None: 9 of one coordinate, 5 of two,
+        else 3); or the levels themselves, (m,); or the commands, (A, k)
+
+    Raises
+    ------
+    ValueError
+        Another space; levels of an endless range; actions of a Discrete space; commands outside the space.
+
+    Examples
+    --------
+    >>> from gymnasium.spaces import Box
+    >>> action_set(Box(-2.0, 2.0, (1,)), 3).tolist()
+    [[-2.0], [0.0], [2.0]]
+    """
+    if hasattr(space, "n"):
+        if given is not None:
+            raise ValueError(
+                f"actions must be left out where the environment has {space}; they are {_checks.show(given)}"
+            )
+        return np.asarray(int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64)
+    if len(getattr(space, "shape", None) or ()) != 1 or not hasattr(space, "low"):
+        raise ValueError(f"env.action_space must be Discrete, or a Box of vectors; it is {space}")
+    k = space.shape[0]
+    count = N_LEVELS.get(k, 3) if given is None else given
+    if isinstance(count, int):
+        n = _checks.positive_integer(count, "actions")
+        if not np.isfinite([space.low, space.high]).all():
+            raise ValueError(f"actions must be given for {space}, whose range has no end: levels such as [-1,0,1]")
+        levels = [np.linspace(low, high, n) for low, high in zip(space.low, space.high, strict=True)]
+    else:
+        levels = [_checks.float_array(count, "actions", ndim=(1, 2))] * k
+    if levels[0].ndim == 2:
+        table = levels[0]
+    elif np.prod([float(len(each)) for each in levels]) > MAX_COMMANDS:
+        text = f"{len(levels[0])} levels of {k} coordinates are more"
+        raise ValueError(f"actions must be at most {MAX_COMMANDS} in all; {text}")
+    else:
+        table = np.array(list(itertools.product(*levels)))
+    for i, row in enumerate(table):
+        if not space.contains(row.astype(space.dtype)):
+            raise ValueError(f"actions[{i}] must be in {space}; it is {row.tolist()}")
+    return table
+
+
+def commands_of(log: ContinuousTransitions) -> Any:
+    """The log's own commands where they are few; None where the log has numbers, or more commands than a set should have."""
+    if log.action.ndim == 1:
+        return None
+    commands = np.unique(log.action, axis=0)
+    return commands.tolist() if len(commands) <= MAX_COMMANDS_OF_LOG else None
+
+
+def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
+    """A policy that may say, for states (n, d), probabilities (n, A), action numbers (n,) or commands (n, k).
+
+    A command between those of a product grid is shared out among its neighbours so that its mean is kept; elsewhere the nearest
+    of ``actions`` (A, k) is taken.
+
+    Examples
+    --------
+    >>> brake = as_probabilities(lambda states: -states, np.array([[-1.0], [0.0], [1.0]]))
+    >>> brake(np.array([[0.25], [4.0]])).tolist()
+    [[0.25, 0.75, 0.0], [1.0, 0.0, 0.0]]
+    >>> brake.rounding(np.array([[0.5], [4.0]]))  # -0.5 becomes -1 or 0, and -4 is cut to -1: sqrt(0.5^2 / 2)
+    (0.3535533905932738, 0.5)
+    """
+    _checks.function(policy, "policy")
+    return policy if isinstance(policy, CommandPolicy) else CommandPolicy(policy, actions)
+
+
+@dataclass(frozen=True, eq=False)
+class CommandPolicy:
+    """``policy`` of states as probabilities of ``actions``; made by ``as_probabilities``."""
+
+    policy: Callable[[Array], Any]
+    actions: Array
+
+    def __call__(self, states: Array) -> Array:
+        """(n, A) probabilities; what is neither these, numbers nor commands as it is."""
+        return self._play(states)[0]
+
+    def rounding(self, states: Array) -> tuple[float, float]:
+        """How far the actions are from the commands (root mean square), and the share of these that is cut to their range."""
+        weights, commands = self._play(states)
+        if commands is None:
+            return 0.0, 0.0
+        inside = np.clip(commands, self.actions.min(axis=0), self.actions.max(axis=0))
+        squares = weights @ (self.actions**2).sum(axis=1) + (inside * (inside - 2.0 * weights @ self.actions)).sum(
+            axis=1
+        )
+        return float(np.sqrt(max(0.0, squares.mean()))), float((commands != inside).any(axis=1).mean())
+
+    def _play(self, states: Array) -> tuple[Array, Array | None]:
+        """Probabilities, and the commands (n, k) that they are of, where the policy gave such."""
+        found, n, actions = np.asarray(ask_policy(self.policy, states)), len(states), self.actions
+        if found.shape == (n, len(actions)):
+            return found, None
+        if actions.ndim == 1 and found.shape == (n,) and found.dtype.kind in "iu":
+            bad = np.flatnonzero((found < 0) | (found >= len(actions)))
+            if bad.size:
+                raise BadPolicy(f"policy(states)[{bad[0]}] must be in 0..{len(actions) - 1}; it is {found[bad[0]]}")
+            return np.eye(len(actions))[found], None
+        commands = found[:, None] if found.ndim == 1 else found
+        if actions.ndim == 1 or commands.shape != (n, actions.shape[1]):
+            return found, None
+        odd = np.flatnonzero(~np.isfinite(commands).all(axis=1))
+        if odd.size:
+            raise BadPolicy(f"policy(states)[{odd[0]}] must be finite; it is {found[odd[0]]}")
+        commands = commands.astype(np.float64)
+        return _interpolate_weights(commands, actions), commands
+
+
+def _interpolate_weights(commands: Array, actions: Array) -> Array:
+    """(n, A) multilinear weights on a product grid, the nearest where the actions are none."""
+    levels = [np.unique(column) for column in actions.T]
+    shape = tuple(len(each) for each in levels)
+    if np.prod(shape) != len(actions) or len(np.unique(actions, axis=0)) != len(actions):
+        distance = ((commands[:, None, :] - actions[None]) ** 2).sum(axis=2)
+        return np.asarray(np.eye(len(actions))[distance.argmin(axis=1)])
+    weights = np.ones((len(commands), 1))
+    for column, each in zip(commands.T, levels, strict=True):
+        own = np.column_stack([np.interp(column, each, one) for one in np.eye(len(each))])
+        weights = (weights[:, :, None] * own[:, None, :]).reshape(len(commands), -1)
+    place = [np.searchsorted(each, column) for column, each in zip(actions.T, levels, strict=True)]
+    return np.asarray(weights[:, np.ravel_multi_index(tuple(place), shape)])
+
+
+SLOW = {"episodes": 2000, "refit_paths": 200, "refits": 10}  # of tasks that step one state at a time
 
 
 @dataclass(frozen=True)
@@ -61,7 +203,7 @@ class ContinuousSimulator:
         """``uniform``; ``expert``; ``mix:0.7``, the expert with that probability, else uniform; or ``module:function``.
 
         The function takes states (n, d) and gives probabilities (n, A), action numbers (n,) or commands (n, k); see
-        ``actions.as_probabilities``.
+        ``as_probabilities``.
         """
         expert = self.expert
         if spec == "uniform":
@@ -97,7 +239,7 @@ class ContinuousSimulator:
             chosen = VisitedCells(chosen, max_steps=self.horizon)
         return discretize(
             self.task, log, cells=chosen, floor=floor, policies=self.policies, discount=discount,
-            closure_episodes=2000 if self.task.steps_at_once else SLOW_CLOSURE,
+            closure_episodes=2000 if self.task.steps_at_once else 500,
         )  # fmt: skip
 
     def record(self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any) -> ContinuousTransitions:
@@ -105,16 +247,18 @@ class ContinuousSimulator:
         return record(self.task, policy, max_steps=self.horizon if max_steps is None else max_steps, **options)
 
 
-def as_simulator(task: ContinuousTask, horizon: int | None) -> ContinuousSimulator:
-    """A task as a simulator, configured as a Gymnasium environment is; ``horizon`` of its episodes."""
+def as_simulator(task: ContinuousTask, horizon: int | None, **options: Any) -> ContinuousSimulator:
+    """A task as a simulator, configured as a Gymnasium environment is but for ``options``; ``horizon`` of its episodes."""
     if horizon is None:
         raise ValueError(f"horizon must be given for {task.name}, which has no time limit of its own; it is None")
-    slow, ratio = not task.steps_at_once, {"prior": "simulator", "strength": 0.01}
-    return ContinuousSimulator(
-        task.name, task, None, horizon, floor=1e-3, ratio=ratio, calibration="difference",
-        episodes=SLOW_EPISODES if slow else 50_000, refit_paths=SLOW_PATHS if slow else 1000,
-        refits=SLOW_REFITS if slow else 20,
-    )  # fmt: skip
+    own: dict[str, Any] = {
+        "name": task.name,
+        "expert": None,
+        "floor": 1e-3,
+        "ratio": {"prior": "simulator", "strength": 0.01},
+    }
+    own |= {"calibration": "difference"} | ({} if task.steps_at_once else SLOW)
+    return ContinuousSimulator(task=task, horizon=horizon, **(own | options))
 
 
 def _mix(expert: StatePolicy | None, weight: float, n_actions: int) -> StatePolicy:

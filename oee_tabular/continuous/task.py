@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+from scipy.special import ndtr
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
@@ -211,26 +212,19 @@ class DerivedTask(ContinuousTask):
         return states
 
     @staticmethod
-    def _delegate(method: str, n_states: int) -> Any:
-        """The other task's method; its first ``n_states`` arguments are states."""
+    def _delegate(method: str, *at: int) -> Any:
+        """The other task's method, of whose arguments those at these places are states."""
 
         def call(self: DerivedTask, *arguments: Any) -> Any:
-            return getattr(self.task, method)(*map(self.own, arguments[:n_states]), *arguments[n_states:])
+            return getattr(self.task, method)(*(self.own(x) if k in at else x for k, x in enumerate(arguments)))
 
         return call
 
-    initial_states, initial_points = _delegate("initial_states", 0), _delegate("initial_points", 0)
-    embed, reward_of = _delegate("embed", 0), _delegate("reward_of", 0)
-    terminated, end_shows = _delegate("terminated", 1), _delegate("end_shows", 1)
-    features, smooth, reward_terms = _delegate("features", 1), _delegate("smooth", 1), _delegate("reward_terms", 1)
-
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
-        """The task's."""
-        return self.task.reward_between(self.own(states), actions, self.own(next_states))
-
-    def displacements(self, states: Array, actions: IntArray, next_states: Array) -> list[Array]:
-        """The task's."""
-        return self.task.displacements(self.own(states), actions, self.own(next_states))
+    initial_states, initial_points = _delegate("initial_states"), _delegate("initial_points")
+    embed, reward_of = _delegate("embed"), _delegate("reward_of")
+    terminated, end_shows = _delegate("terminated", 0), _delegate("end_shows", 0)
+    features, smooth, reward_terms = _delegate("features", 0), _delegate("smooth", 0), _delegate("reward_terms", 0)
+    reward_between, displacements = _delegate("reward_between", 0, 2), _delegate("displacements", 0, 2)
 
 
 def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:
@@ -258,6 +252,59 @@ def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
             f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "
             f"it has {log.n_state}; {way_out}"
         )
+
+
+class Chance:
+    """Stands in for an environment's ``np_random``: its numbers are the quantiles at xi in turn; at xi = 0 the medians.
+
+    What it has is what steps draw: normal, uniform and whole numbers. Another draw is an AttributeError, more than xi has an
+    IndexError.
+
+    >>> chance = Chance(np.array([0.0, 1.0, 0.0]))
+    >>> float(chance.uniform(-1.0, 1.0)), float(chance.normal(2.0, 0.5)), chance.integers(5), chance.used
+    (0.0, 2.5, 2, 3)
+    """
+
+    def __init__(self, xi: Array) -> None:
+        self._xi, self.used = xi, 0
+
+    def _draw(self, size: Any, *bounds: Any) -> Any:
+        """N(0, 1) of this size, or of the bounds' own shape; a number where that is none."""
+        shape = np.broadcast_shapes(*map(np.shape, bounds)) if size is None else size
+        n = int(np.prod(shape))
+        if self.used + n > len(self._xi):
+            raise IndexError(
+                f"a step must draw at most {len(self._xi)} random numbers, as when it was recorded; it draws more"
+            )
+        found = self._xi[self.used : self.used + n].reshape(shape)
+        self.used += n
+        return found.copy() if found.ndim else float(found)
+
+    def standard_normal(self, size: Any = None) -> Any:
+        """N(0, 1)."""
+        return self._draw(size)
+
+    def normal(self, loc: Any = 0.0, scale: Any = 1.0, size: object = None) -> Any:
+        """N(loc, scale^2)."""
+        return np.float64(loc) + np.float64(scale) * self._draw(size, loc, scale)
+
+    def random(self, size: object = None) -> Any:
+        """Uniform on [0, 1)."""
+        return self.uniform(0.0, 1.0, size)
+
+    def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
+        """Uniform on [low, high)."""
+        share = np.minimum(ndtr(self._draw(size, low, high)), np.nextafter(1.0, 0.0))
+        return np.float64(low) + (np.float64(high) - np.float64(low)) * np.float64(share)
+
+    def integers(self, low: int, high: int | None = None, size: object = None, *, endpoint: bool = False) -> Any:
+        """Whole numbers from low to below high; from 0 to below low where there is no high."""
+        start, end = (0, low) if high is None else (low, high)
+        found = start + np.floor((end + endpoint - start) * np.asarray(self.random(size))).astype(np.int64)
+        return int(found) if size is None else found
+
+
+NO_CHANCE = Chance(np.empty(0))  # in place of random numbers, where none may be drawn
 
 
 class BadPolicy(ValueError):

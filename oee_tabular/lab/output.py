@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,9 +13,6 @@ import pandas as pd
 from oee_tabular import _files
 from oee_tabular.lab.registry import Experiment, RunSettings
 from oee_tabular.lab.store import Store, refuse_links
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 STATISTICS = ("mean", "sd", "se")  # of a measure over the seeds
 TITLE_SIZE = 12.0  # points at most
@@ -52,7 +49,7 @@ def write(store: Store) -> None:
 def figures(experiment: Experiment, table: pd.DataFrame, summary: pd.DataFrame) -> dict[str, bytes]:
     """The figure as svg and png: the same bytes for the same table."""
 
-    def draw(figure: Figure) -> None:
+    def draw(figure: Any) -> None:
         experiment.draw(table, summary, figure)
         share_legend(figure)
         set_title(figure, experiment.finding(table))
@@ -60,9 +57,7 @@ def figures(experiment: Experiment, table: pd.DataFrame, summary: pd.DataFrame) 
     return {f"figure.{kind}": content for kind, content in draw_bytes(draw, salt=experiment.id).items()}
 
 
-def draw_bytes(
-    draw: Callable[[Figure], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")
-) -> dict[str, bytes]:
+def draw_bytes(draw: Callable[[Any], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")) -> dict[str, bytes]:
     """The bytes of the figure that ``draw`` makes, by kind, without a date."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -79,7 +74,7 @@ def draw_bytes(
     return contents
 
 
-def share_legend(figure: Figure) -> None:
+def share_legend(figure: Any) -> None:
     """One legend below the panels instead of one in each, where one panel has the series of all and more than three."""
     drawn = [ax for ax in figure.axes if ax.get_legend() is not None]
     entries = [dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True)) for ax in drawn]
@@ -93,7 +88,7 @@ def share_legend(figure: Figure) -> None:
     figure.legend(list(most.values()), list(most), loc="outside lower center", ncols=columns, fontsize="small")
 
 
-def set_title(figure: Figure, text: str) -> None:
+def set_title(figure: Any, text: str) -> None:
     """The title of a whole figure: one line, in letters small enough for its width."""
     if text:
         title = figure.suptitle(text, fontsize=TITLE_SIZE)

@@ -1,21 +1,16 @@
-"""Figures as data: which column of a table is x, which y, what tells its curves apart, and what its panels."""
+"""Figures as data: which column of a table is x, which y, what tells its curves apart, and what its panels; their words."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from oee_tabular.lab.findings import listed
 from oee_tabular.plots import plot_curves
 from oee_tabular.plots.style import INK
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SIZE = (4.8, 3.9)  # of a panel, inches
 
@@ -56,13 +51,13 @@ class Panels:
     only: Callable[[pd.DataFrame], pd.DataFrame] = lambda rows: rows
     log: bool = False
     slope: float | None = None
-    beneath: Callable[[Axes, pd.DataFrame], object] | None = None
+    beneath: Callable[[Any, pd.DataFrame], object] | None = None
     axes: Mapping[str, Any] = field(default_factory=dict)
     beside: Sequence[Panels] = ()
     columns: int | None = None
     size: tuple[float, float] = SIZE
 
-    def __call__(self, table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+    def __call__(self, table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
         """Draw a panel for each group, and those beside it."""
         groups: list[Any] = list(table.groupby(list(self.by), sort=False)) if self.by else [((), table)]
         parts = [(panel, rows, key) for key, rows in groups for panel in (self, *self.beside)]
@@ -82,7 +77,7 @@ class Panels:
         values = rows[rows[self.x] == last].groupby(self.curves)[self.y].agg(self.how).sort_values()
         return f"{self.ylabel} at {self.x} = {last:g}: {listed(values.head(3))}"
 
-    def _draw(self, rows: pd.DataFrame, ax: Axes) -> None:
+    def _draw(self, rows: pd.DataFrame, ax: Any) -> None:
         by_x = rows.groupby(self.x)
         curves = {name: by_x[column].mean() for name, column in self.extra.items()}
         bands = {}
@@ -103,15 +98,15 @@ class Panels:
         ax.set(**{"yscale": "log" if self.log else "linear"} | dict(self.axes))
 
 
-def add_slope(ax: Axes, n: Any, errors: Any, slope: float) -> None:
+def add_slope(ax: Any, n: Any, errors: Any, slope: float) -> None:
     """Add a line of this slope in logarithmic axes, from the first error."""
     label = f"slope {slope:g}"
     ax.plot(n, errors[0] * (n / n[0]) ** slope, color=INK, lw=1.0, ls=":", zorder=0, label=label)
 
 
 def panels(
-    figure: Figure, names: Sequence[Any], *, columns: int | None = None, size: tuple[float, float] = SIZE
-) -> list[Axes]:
+    figure: Any, names: Sequence[Any], *, columns: int | None = None, size: tuple[float, float] = SIZE
+) -> list[Any]:
     """Titled axes side by side, each of ``size`` inches."""
     across = len(names) if columns is None else min(columns, len(names))
     down = -(-len(names) // across)
@@ -122,3 +117,39 @@ def panels(
     for ax in axes[len(names) :]:
         ax.set_visible(False)
     return axes[: len(names)]
+
+
+# ---- what a table shows, in its own numbers: the words of the figures' titles
+
+
+def number(x: float) -> str:
+    """Two digits, as people write them.
+
+    >>> number(0.00412), number(31.4), number(612.0), number(3.2e7)
+    ('0.0041', '31', '612', '3.2e+07')
+    """
+    return f"{x:.0f}" if 10.0 <= abs(x) < 1e5 else f"{x:.2g}"
+
+
+def percent(share: float) -> str:
+    """A share, in per cent.
+
+    >>> percent(0.9761), percent(0.0041)
+    ('98%', '0.41%')
+    """
+    return f"{number(100.0 * share)}%"
+
+
+def reach(values: Iterable[float], write: Callable[[float], str] = number) -> str:
+    """From the smallest to the largest.
+
+    >>> reach([0.5, 0.1, 0.3]), reach([0.5])
+    ('0.1 to 0.5', '0.5')
+    """
+    ordered = sorted(values)
+    return " to ".join(dict.fromkeys([write(ordered[0]), write(ordered[-1])]))
+
+
+def listed(values: pd.Series[float], write: Callable[[float], str] = number) -> str:
+    """Each value with its name, in their order: "0.01 (default), 0.2 (simulator)"."""
+    return ", ".join(f"{write(x)} ({name})" for name, x in values.items())

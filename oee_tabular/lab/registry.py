@@ -12,13 +12,10 @@ import itertools
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
+import pandas as pd
 
 Scalar = float | int | str | bool
 Cell = Mapping[str, Any]  # name -> Scalar
@@ -76,7 +73,7 @@ class Experiment:
     run: Callable[[Cell, Stream], list[Row]]
     keys: tuple[str, ...]
     measures: tuple[str, ...]
-    draw: Callable[[pd.DataFrame, pd.DataFrame, Figure], None]
+    draw: Callable[[pd.DataFrame, pd.DataFrame, Any], None]
     finding: Callable[[pd.DataFrame], str] = lambda table: ""
     repetitions: int = 10
     smoke: Mapping[str, tuple[Scalar, ...]] = field(default_factory=dict)

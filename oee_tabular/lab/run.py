@@ -12,7 +12,6 @@ import importlib.util
 import signal
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,24 +27,6 @@ ATTEMPTS = 3  # of a cell whose worker died
 DEATHS = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")  # of a worker, in loky and dask
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """What a run did: its results, the cells computed now and those taken from the cache."""
-
-    store: Store
-    computed: int
-    cached: int
-
-    def __str__(self) -> str:
-        stale, damaged = self.store.stale, self.store.damaged
-        return (
-            f"{self.store.folder}: {self.computed} cells computed"
-            + (f", {self.cached} from the cache" if self.cached else "")
-            + (f", {stale} of another version of the code left aside" if stale else "")
-            + (f"; lines of cells.jsonl that did not fit and are left out: {damaged}" if damaged else "")
-        )
-
-
 def run_and_write(
     folder: Path,
     settings: RunSettings,
@@ -57,9 +38,9 @@ def run_and_write(
     """What both commands do in a folder that is theirs alone: compute, write the files, say what was done."""
     start = time.perf_counter()
     with alone(folder):
-        sweep = run_experiment(folder, settings, **options)
-        write(sweep.store)
-    say(f"{sweep} ({time.perf_counter() - start:.0f} s)")
+        store = run_experiment(folder, settings, **options)
+        write(store)
+    say(f"{store} ({time.perf_counter() - start:.0f} s)")
 
 
 def run_experiment(
@@ -70,7 +51,7 @@ def run_experiment(
     dask: str | None = None,
     fresh: bool = False,
     progress: bool = False,
-) -> Sweep:
+) -> Store:
     """Compute the cells that are not in the folder yet.
 
     ``jobs``: processes on this machine, no more than cells are left; -1: one a core. ``dask``: address of a scheduler, where
@@ -92,7 +73,8 @@ def run_experiment(
             disable=not progress, leave=True,
         ) as bar:  # fmt: skip
             _compute(store, dict(enumerate(todo)), jobs, dask, bar)
-    return Sweep(store, len(todo), total - len(todo))
+    store.computed, store.cached = len(todo), total - len(todo)
+    return store
 
 
 def require_modules(experiment: Experiment) -> None:

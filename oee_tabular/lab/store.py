@@ -18,14 +18,13 @@ import math
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from oee_tabular import _checks, _files
 from oee_tabular._arguments import own_modules
 from oee_tabular.lab.registry import Cell, Row, RunSettings, Scalar
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 PACKAGE = Path(__file__).parents[1]
 LOCK, SETTINGS, CELLS = ".lock", "settings.json", "cells.jsonl"
@@ -106,6 +105,7 @@ class Store:
     Attributes
     ----------
     stale : lines of other code, which are kept; damaged : lines that do not fit, which are left out
+    computed, cached : cells that a run computed, and that it took from here
 
     Raises
     ------
@@ -123,12 +123,21 @@ class Store:
         if (folder / SETTINGS).is_file():
             self._compare()
         self._done: dict[str, list[Row]] = {}
+        self.computed = self.cached = 0
         self._others: list[str] = []
         self.damaged = 0
         if (folder / CELLS).is_file():
             for line in (folder / CELLS).read_bytes().splitlines():
                 self._read(line)
         self.stale = len(self._others)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.folder}: {self.computed} cells computed"
+            + (f", {self.cached} from the cache" if self.cached else "")
+            + (f", {self.stale} of another version of the code left aside" if self.stale else "")
+            + (f"; lines of cells.jsonl that did not fit and are left out: {self.damaged}" if self.damaged else "")
+        )
 
     def _empty(self) -> None:
         present = [path for path in self.folder.iterdir() if path.name != LOCK]
@@ -220,8 +229,6 @@ class Store:
 
     def table(self) -> pd.DataFrame:
         """All rows, in the order of the cells, each with its cell's settings first."""
-        import pandas as pd
-
         missing, cells = len(self.missing()), self.settings.cells()
         if missing:
             raise ValueError(f"{self.folder} lacks {missing} of {len(cells)} cells; run the experiment again")

@@ -1,7 +1,7 @@
 """The report's own sentences and templates: the answer, how certain it is, what the columns mean.
 
 The others are in ``report.uncertainty`` (what the user assumes, why intervals are left out), ``estimators.findings`` (what
-estimators warn of), ``.rewards`` and ``.names``, ``design.advice`` (what to record next) and ``continuous.sentences``.
+estimators warn of), ``.rewards`` and ``.names``, ``design.advice`` (what to record next) and ``continuous.correction``.
 """
 
 from __future__ import annotations

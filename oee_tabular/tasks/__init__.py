@@ -12,8 +12,8 @@ from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_te
 if TYPE_CHECKING:  # the rest is the wing's, imported on use
     # fmt: off
     # isort: off
-    from oee_tabular.continuous.cartpole.dynamics import CartPole
-    from oee_tabular.continuous.cartpole.expert import cartpole_policy, train_expert
+    from oee_tabular.continuous.cartpole import CartPole
+    from oee_tabular.continuous.cartpole import cartpole_policy, train_expert
     from oee_tabular.continuous.discretization import Discretization, GridInterpolation, VisitedCells, discretize
     from oee_tabular.continuous.discretization import visited_states
     from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
@@ -23,11 +23,11 @@ if TYPE_CHECKING:  # the rest is the wing's, imported on use
     from oee_tabular.continuous.history import HistoryTask
     from oee_tabular.continuous.kinova.arm import KinovaArm
     from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand
-    from oee_tabular.continuous.kinova.logs import hand_log, kinova_policy, load_kinova_log, record_goals
+    from oee_tabular.continuous.kinova.hand import hand_log, kinova_policy, load_kinova_log, record_goals
     from oee_tabular.continuous.linear_model import LinearModel
     from oee_tabular.continuous.parameters import ParameterFit, fit_parameters
-    from oee_tabular.continuous.reacher.dynamics import Reacher
-    from oee_tabular.continuous.reacher.expert import reacher_log, reacher_policy
+    from oee_tabular.continuous.reacher import Reacher
+    from oee_tabular.continuous.reacher import reacher_log, reacher_policy
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.rows import corrected_value
     from oee_tabular.continuous.simulator import ContinuousSimulator, Settings

@@ -1,4 +1,4 @@
-"""The rule that sees one number x ~ N(b, 1) and has the least worst ratio: the table of ``oee_tabular.lab.bench.scores``.
+"""The rule that sees one number x ~ N(b, 1) and has the least worst ratio: the table of ``oee_tabular.lab.bench.league``.
 
     python tests/benchmarks/floor.py
 
@@ -10,7 +10,7 @@ import cvxpy as cp
 import numpy as np
 from scipy import stats
 
-from oee_tabular.lab.bench.scores import ERRORS, LEAST
+from oee_tabular.lab.bench.league import ERRORS, LEAST
 
 NODES, TOP = np.linspace(0.0, 12.0, 97), 12.0
 BIASES = np.arange(0.0, 9.01, 0.125)

@@ -6,8 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.continuous.cartpole.dynamics import ANGLE_LIMIT
-from oee_tabular.continuous.cartpole.expert import EXPERT
+from oee_tabular.continuous.cartpole import ANGLE_LIMIT, EXPERT
 from oee_tabular.tasks import (
     CartPole,
     cartpole_policy,

@@ -14,16 +14,20 @@ from saved_results import saved
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 from oee_tabular.lab.output import figures, summary_of
 from oee_tabular.lab.registry import Stream
-from oee_tabular.lab.robots import cartpole_truth, frequencies
+from oee_tabular.lab.robots import frequencies
 from oee_tabular.lab.robots.cartpole import published_error
 from oee_tabular.lab.robots.cartpole_estimates import (
+    GRAVITIES,
     exact_values,
     fine_values,
     importance_sampling,
     linear_model,
     off_environment,
     policies_of,
+    simulate_truth,
     target_log,
+    true_values,
+    truth_table,
 )
 from oee_tabular.tasks import CartPole, cartpole_policy, discretize, monte_carlo_value, record
 
@@ -61,24 +65,24 @@ def test_a_smoke_cell(name):
 
 
 def test_the_shipped_truths_are_what_their_function_makes():
-    table = cartpole_truth.table()
+    table = truth_table()
     assert len(table) == 6 * (4 + 4 + 1 + 1)
     assert (table.episodes == 400_000).all()
     assert (table.standard_error < 3e-4).all()
     for case, gravity, delta in (("target", 15.0, 0.4), ("target without noise", 7.5, 1.0), ("simulator", 10.0, 0.0)):
         shipped = table[(table.case == case) & (table.gravity == gravity) & (table.delta == delta)].iloc[0]
-        found = cartpole_truth.monte_carlo(case, gravity, delta, 20_000)
+        found = simulate_truth(case, gravity, delta, 20_000)
         assert abs(found.value - shipped.value) < 4 * found.standard_error
     assert_allclose(
-        cartpole_truth.values("simulator", 10.0), cartpole_truth.values("target", 10.0), rtol=0, atol=1.5e-3
+        true_values("simulator", 10.0), true_values("target", 10.0), rtol=0, atol=1.5e-3
     )  # other random numbers, one quantity
 
 
-@pytest.mark.parametrize("gravity", cartpole_truth.GRAVITIES)
+@pytest.mark.parametrize("gravity", GRAVITIES)
 def test_a_hundred_by_a_hundred_is_within_one_percent(gravity):
     model = discretize(CartPole(gravity), cells=(100, 100), closure_episodes=0)
     found = exact_values(model.mdp, policies_of(model))
-    assert_allclose(found, cartpole_truth.values("target", gravity), rtol=0.01)
+    assert_allclose(found, true_values("target", gravity), rtol=0.01)
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads Linux's record of the peak memory")
@@ -99,7 +103,7 @@ print(value, time.process_time() - began, int(peak.split()[1]) / 1024**2)  # get
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     value, seconds, gigabytes = map(float, done.stdout.split())
-    assert_allclose(value, cartpole_truth.values("target", 10.0)[2], rtol=2e-3)
+    assert_allclose(value, true_values("target", 10.0)[2], rtol=2e-3)
     assert seconds < 10.0
     assert gigabytes < 1.0
 

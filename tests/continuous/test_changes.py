@@ -13,7 +13,8 @@ from oee_tabular.continuous.kinova.hand import ideal_hand
 from oee_tabular.lab import experiments
 from oee_tabular.lab.output import summary_of
 from oee_tabular.lab.registry import Stream
-from oee_tabular.lab.robots.changes import classic, coverage, experiment
+from oee_tabular.lab.robots import changes
+from oee_tabular.lab.robots.changes import classic
 from oee_tabular.lab.robots.changes.cases import CASES, Delayed
 from oee_tabular.lab.robots.kinova import towards
 from oee_tabular.tasks import (
@@ -120,14 +121,14 @@ def small(name):
 def tables():
     names = ("CartPole, pole x 1.3", "CartPole, delay", "Pendulum, mass, gravity", "Chain, mass, springs")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiment, "CASES", {name: small(name) for name in names})
-        patch.setattr(experiment, "LOGS", {name: (name, 1500) for name in names})
-        experiment.known.cache_clear()
+        patch.setattr(changes, "CASES", {name: small(name) for name in names})
+        patch.setattr(changes, "LOGS", {name: (name, 1500) for name in names})
+        changes.known.cache_clear()
         rows = []
         for name in names:
             settings = {"case": name, "repetition": 0}
-            rows += [settings | row for row in experiment.cell(settings, Stream("changes", 0, settings))]
-        experiment.known.cache_clear()
+            rows += [settings | row for row in changes.changes.run(settings, Stream("changes", 0, settings))]
+        changes.known.cache_clear()
     return pd.DataFrame(rows)
 
 
@@ -173,20 +174,20 @@ def test_every_case_is_a_change_but_one():
 def test_a_small_coverage(monkeypatch):
     """Six logs of 1000 moves: of their intervals at least five hold the truth, by the log's part alone as well."""
     for name, size in {"N": 1000, "EPISODES": 200, "PATHS": 50, "TRUTH": 20_000}.items():
-        monkeypatch.setattr(coverage, name, size)
+        monkeypatch.setattr(changes, name, size)
     name = "CartPole, gravity 12.5"
-    coverage.truth.cache_clear()
-    coverage.pair.cache_clear()
+    changes.truth.cache_clear()
+    changes.returns_of_target.cache_clear()
     table = experiments.table("residual_coverage", case=name, repetitions=6)
-    coverage.truth.cache_clear()
-    coverage.pair.cache_clear()
+    changes.truth.cache_clear()
+    changes.returns_of_target.cache_clear()
     assert min(table.covered.sum(), table.covered_paired.sum()) >= 5
     assert_array_equal(table.covered, (table.lower <= table.truth) & (table.truth <= table.upper))
     apart = table.error.abs() / np.hypot(table.error_of_log, table.noise)
     assert_array_equal(table.covered_paired == 1.0, apart <= 2.262)  # Student's t, 9 degrees of freedom
     assert table.error_of_log.mean() < 0.1 * (table.upper - table.lower).mean()  # the rollouts' part is most
     figure = Figure()
-    coverage.draw(table, summary_of(coverage.RESIDUAL_COVERAGE, table), figure)
+    changes.draw_coverage(table, summary_of(changes.residual_coverage, table), figure)
     assert [ax.get_title() for ax in figure.axes] == [name]
 
 

@@ -6,13 +6,11 @@ from benchmarks.hidden_state import Cogging, Delay, Lag, RandomActions, SensorNo
 from continuous.test_residual import Line, line_log
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.continuous.correction import choose_correction
-from oee_tabular.continuous.episodes import paired_returns
+from oee_tabular.continuous.correction import choose_correction, describe_history, hidden_state
+from oee_tabular.continuous.episodes import compare_returns
 from oee_tabular.continuous.evaluation import evaluate_continuous
 from oee_tabular.continuous.history import earlier_rows, history_effects
 from oee_tabular.continuous.parameters import fit_parameters, parameters_of
-from oee_tabular.continuous.sentences import hidden_state
-from oee_tabular.continuous.sentences import history as history_sentence
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.robots.changes import classic
 from oee_tabular.tasks import CartPole, HistoryTask, ResidualSimulator, Settings, cartpole_policy, record
@@ -27,7 +25,7 @@ def log_of(target, n=3000, seed=0, delta=0.3):
 
 def value(task, delta=0.4):
     policy, seed = of_own(cartpole_policy(delta), 4), np.random.SeedSequence(1)
-    return paired_returns(task, policy, 400, 100, discount=0.99, seed=seed).mean()
+    return compare_returns([task], policy, 400, 100, discount=0.99, seed=seed).mean()
 
 
 # ---------------------------------------------------------------- the state with the last actions
@@ -85,7 +83,7 @@ def test_a_delay_is_named_and_its_history_kept(steps):
     assert hidden_state(chosen.plain).startswith(f"the action of {words} ago explains 8")
     more = " At most 5 are tried; history 8 keeps more."
     assert not chosen.reason.endswith(more)
-    assert history_sentence(chosen.plain, chosen.learned, 5, True).endswith(f"of a step's standard deviation.{more}")
+    assert describe_history(chosen.plain, chosen.learned, 5, True).endswith(f"of a step's standard deviation.{more}")
     assert (chosen.steps, chosen.is_trusted, chosen.status) == (steps, True, "ok")
     assert abs(value(chosen.learned) - value(target)) < 0.05 * abs(value(SIMULATOR) - value(target))
 

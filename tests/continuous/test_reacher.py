@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 
-from oee_tabular.continuous.reacher.dynamics import STOP, at_stop, fingertip, link_bodies
-from oee_tabular.continuous.reacher.expert import joint_angles
+from oee_tabular.continuous.reacher import STOP, at_stop, fingertip, joint_angles, link_bodies
 from oee_tabular.tasks import (
     Reacher,
     reacher_policy,

@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.continuous.episodes import paired_returns
+from oee_tabular.continuous.correction import odd_row
+from oee_tabular.continuous.episodes import compare_returns
 from oee_tabular.continuous.regression import FOLDS, Functions, Grams, episode_groups
-from oee_tabular.continuous.sentences import odd_row
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.robots.changes import classic
 from oee_tabular.tasks import (
@@ -40,7 +40,7 @@ def cartpole_log(target, n=6000, seed=0):
 
 def value(task, policy, episodes, horizon):
     """By random numbers that belong to the episode and the step: tasks that are alike go alike."""
-    return paired_returns(task, policy, episodes, horizon, discount=0.99, seed=np.random.SeedSequence(1)).mean()
+    return compare_returns([task], policy, episodes, horizon, discount=0.99, seed=np.random.SeedSequence(1)).mean()
 
 
 def errors(target, corrected, simulator, episodes, deltas=(0.0, 0.5)):

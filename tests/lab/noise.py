@@ -27,5 +27,5 @@ def experiment(run=noise, **options):
 
 def bytes_of(folder, settings, **options):
     """The files of a run."""
-    write(run_experiment(folder, settings, **options).store)
+    write(run_experiment(folder, settings, **options))
     return {name: (folder / name).read_bytes() for name in ("table.csv", "summary.csv", "summary.md", "figure.svg")}

@@ -7,8 +7,7 @@ from numpy.testing import assert_allclose
 from saved_results import saved
 
 import oee_tabular as oee
-from oee_tabular.lab.experiments import paper
-from oee_tabular.lab.experiments.common import grids
+from oee_tabular.lab.experiments.common import grids, published_at
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 PAGES = " ".join(" ".join((NOTEBOOKS / f"{page}.md").read_text().split()) for page in ("promises", "paper", "guide"))
@@ -28,7 +27,7 @@ def of_the_networks(table):
     """(grid, n) -> the default's mean error over the paper's, and the standard error of that."""
     default = table[(table.data == "uniform") & table.estimator.str.startswith("default")]
     error = default.groupby(["grid", "n"]).error.agg(["mean", "sem"])
-    networks = [paper.at("fig1a", f"grid={g}", "mean_absolute_error_of_zeta", float(n)) for g, n in error.index]
+    networks = [published_at("fig1a", f"grid={g}", "mean_absolute_error_of_zeta", float(n)) for g, n in error.index]
     return error.div(networks, axis=0).dropna()
 
 
@@ -47,7 +46,7 @@ def test_our_networks_reach_the_published_curve():
     trained = table[table.fit.str.startswith("network, trained")]
     error = trained.pivot_table(index="n", columns="simulator", values="error")
     share = error.div(
-        [paper.at("fig1a", "grid=10", "mean_absolute_error_of_zeta", float(n)) for n in error.index], axis=0
+        [published_at("fig1a", "grid=10", "mean_absolute_error_of_zeta", float(n)) for n in error.index], axis=0
     )
     afresh, recorded = share["sampled afresh"], share["a log of n moves"]
     assert (

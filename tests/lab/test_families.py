@@ -1,6 +1,7 @@
 """The families: valid, made when looked up, redrawn by the seed, with a truth and a data distribution that are exact."""
 
 import re
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
-from oee_tabular.lab.bench import Family, families_grids, garnet_worse, tandem
+from oee_tabular.lab.bench import Family, garnet_worse, tandem
 from oee_tabular.lab.bench.families import HELD
 
 EVERY = oee.bench.families()
@@ -99,7 +100,7 @@ def test_without_the_extra_a_family_is_left_out_with_a_sentence(monkeypatch):
         family = EVERY["icu_sepsis"]
         assert round(family.truth, 2) == 0.53
         assert round(oee.policy_value(family.simulator, family.policy), 3) == 0.722
-    monkeypatch.setattr(families_grids, "icu_file", lambda: None)
+    monkeypatch.setattr(import_module("oee_tabular.lab.bench.families"), "icu_file", lambda: None)
     without = oee.bench.families()
     assert "icu_sepsis" not in without
     with pytest.raises(KeyError, match=re.escape("in a clone: pip install '.[bench]'")):

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from oee_tabular.lab.bench.scores import ERRORS, floor
+from oee_tabular.lab.bench.league import ERRORS, floor
 
 
 def test_the_table_against_the_least_favourable_prior():

@@ -9,9 +9,8 @@ from lab.noise import bytes_of, experiment
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.lab.findings import listed, percent, reach
 from oee_tabular.lab.output import figures, index, pipe_table, set_title, share_legend, summary_of
-from oee_tabular.lab.panels import Panels
+from oee_tabular.lab.panels import Panels, listed, percent, reach
 
 
 def test_the_files_of_an_experiment(tmp_path):

@@ -5,8 +5,8 @@ import pytest
 from lab.noise import experiment
 from numpy.testing import assert_array_equal
 
-from oee_tabular.lab.experiments import paper
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+from oee_tabular.lab.experiments.common import published, published_at
 from oee_tabular.lab.registry import Stream
 
 CELL = {"n": 1, "case": "a", "repetition": 3}
@@ -55,7 +55,7 @@ def test_the_stream_is_pinned():
 
 
 def test_the_papers_numbers():
-    points = paper.curve("fig1a", "grid=10", "mean_absolute_error_of_zeta")
+    points = published("fig1a", "grid=10", "mean_absolute_error_of_zeta")
     assert points.x.tolist() == [1000, 3162, 10000, 31623, 100000, 316228]
-    assert paper.at("fig1a", "grid=40", "mean_absolute_error_of_zeta", 316228) == pytest.approx(0.0715476503)
-    assert np.isnan(paper.at("fig1a", "grid=20", "mean_absolute_error_of_zeta", 1000))
+    assert published_at("fig1a", "grid=40", "mean_absolute_error_of_zeta", 316228) == pytest.approx(0.0715476503)
+    assert np.isnan(published_at("fig1a", "grid=20", "mean_absolute_error_of_zeta", 1000))

@@ -94,7 +94,7 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path):
     assert (first.computed, first.cached) == (0, 3)  # what is there can be written with one repetition
     (tmp_path / "go").touch()
     sweep = run_experiment(tmp_path / "a", settings)
-    assert (sweep.computed, sweep.cached, sweep.store.damaged) == (2, 4, 0)
+    assert (sweep.computed, sweep.cached, sweep.damaged) == (2, 4, 0)
     assert len(log.read_text().splitlines()) == 7  # the one that failed, twice
     again = run_experiment(tmp_path / "a", settings)
     assert (again.computed, again.cached) == (0, 6)
@@ -174,4 +174,4 @@ def test_a_cell_whose_worker_dies_is_run_again(tmp_path, is_always):
     sweep = run_experiment(tmp_path / "a", settings, jobs=2)
     assert sweep.computed == 3
     plain = experiment().settings(repetitions=1)
-    assert sweep.store.table().equals(run_experiment(tmp_path / "b", plain).store.table())
+    assert sweep.table().equals(run_experiment(tmp_path / "b", plain).table())

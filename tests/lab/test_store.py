@@ -68,8 +68,8 @@ def test_results_of_other_code_are_computed_again_and_kept_for_its_return(tmp_pa
     old.open()
     old.add(SETTINGS.cells()[0], [{"name": "one", "value": -1.0}])
     sweep = run_experiment(tmp_path, SETTINGS)
-    assert (sweep.computed, sweep.cached, sweep.store.stale) == (6, 0, 1)
-    assert (sweep.store.table().value > 0).all()
+    assert (sweep.computed, sweep.cached, sweep.stale) == (6, 0, 1)
+    assert (sweep.table().value > 0).all()
     assert "1 of another version of the code left aside" in str(sweep)
     assert len(Store(tmp_path, SETTINGS, code="0.0.0+old").missing()) == 5
     assert re.fullmatch(r"[\d.]+\+[0-9a-f]{12}", code_version())
@@ -145,11 +145,11 @@ def test_a_line_that_does_not_fit_is_reported_and_computed_again(folder, name):
     first, *rest = cells.read_text().splitlines()
     cells.write_text("\n".join([DAMAGED[name](first), *rest]) + "\n")
     sweep = run_experiment(folder, SETTINGS)
-    assert (sweep.computed, sweep.cached, sweep.store.damaged) == (1, 5, 1)
+    assert (sweep.computed, sweep.cached, sweep.damaged) == (1, 5, 1)
     assert "lines of cells.jsonl that did not fit and are left out: 1" in str(sweep)
-    write(sweep.store)
+    write(sweep)
     assert (folder / "table.csv").read_bytes() == expected
-    assert run_experiment(folder, SETTINGS).store.damaged == 0
+    assert run_experiment(folder, SETTINGS).damaged == 0
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00binary\n\n\x80" * 50, b"\n\n"])
@@ -158,14 +158,14 @@ def test_a_file_without_a_line_that_fits(folder, content):
     (folder / "cells.jsonl").write_bytes(content)
     with pytest.raises(ValueError, match="lacks 6 of 6 cells; run the experiment again"):
         Store(folder, SETTINGS).table()
-    write(run_experiment(folder, SETTINGS).store)
+    write(run_experiment(folder, SETTINGS))
     assert (folder / "table.csv").read_bytes() == expected
 
 
 def test_a_cell_that_is_there_twice_counts_once(folder):
     expected, cells = (folder / "table.csv").read_bytes(), folder / "cells.jsonl"
     cells.write_text(cells.read_text() * 2)
-    write(run_experiment(folder, SETTINGS).store)
+    write(run_experiment(folder, SETTINGS))
     assert (folder / "table.csv").read_bytes() == expected
     assert len(cells.read_text().splitlines()) == 6
 
@@ -201,7 +201,7 @@ def test_a_link_that_comes_while_cells_are_computed(tmp_path):
 
     with pytest.raises(OSError, match="cannot be written"):
         run_experiment(folder, experiment(swap).settings())
-    store = run_experiment(tmp_path / "b", SETTINGS).store
+    store = run_experiment(tmp_path / "b", SETTINGS)
     (tmp_path / "b" / "table.csv").symlink_to(precious)
     with pytest.raises(ValueError, match="must be a plain file"):
         write(store)

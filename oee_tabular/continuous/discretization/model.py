@@ -189,9 +189,7 @@ class Discretization:
         draws = None if seed is None else _checks.generator(seed).random(len(array))
         return _pick(self.places.weights(self.task, array, ended), draws)
 
-    def encode(
-        self, log: ContinuousTransitions, *, seed: Any = None, outside: str = "error", strict: bool = False
-    ) -> Transitions:
+    def encode(self, log: ContinuousTransitions, *, seed: Any = None, outside: str = "error") -> Transitions:
         """The log with numbered states and actions, ready for ``Problem``.
 
         Parameters
@@ -200,14 +198,13 @@ class Discretization:
         outside : "error" | "nearest" | "drop"
             Rows with a state outside the cells: an error that names and counts them, the nearest place, or left out (the rest
             is then a bag without episodes); both of the latter with a warning.
-        strict : an error, not a warning, for actions that are not in the task's set
 
         Raises
         ------
         ValueError
             A log with other dimensions than the task; actions or states that the task does not know.
         """
-        kept, actions, ended = self._select_rows(log, outside, strict)
+        kept, actions, ended = self._select_rows(log, outside)
         draws: Any = (None, None)
         same = np.zeros(0, dtype=np.int64)  # rows whose next state is the next row's state
         if kept.episode is not None:
@@ -222,14 +219,14 @@ class Discretization:
         columns["truncated"] = (kept.truncated | kept.terminated) & ~ended
         return Transitions(**columns)
 
-    def counts(self, log: ContinuousTransitions, *, outside: str = "error", strict: bool = False) -> sparse.csr_array:
+    def counts(self, log: ContinuousTransitions, *, outside: str = "error") -> sparse.csr_array:
         """Soft counts n(s, a, s') = sum over rows of w_s(state) w_s'(next_state): csr of shape (S*A, S).
 
         The mean of ``encode(...).counts(...)`` over draws, without their noise. Arguments and errors as there. Where a command
         moves the features alike everywhere, a transition is carried to the vertex i of its box, and spread as the simulator's
         rows are: w_j(vertex_i + phi(s') - phi(s)).
         """
-        kept, actions, ended = self._select_rows(log, outside, strict)
+        kept, actions, ended = self._select_rows(log, outside)
         n_states, n_actions = self.mdp.n_states, self.task.n_actions
         if self.task.is_translation_invariant:
             before, after = self.task.features(kept.state), self.task.features(kept.next_state)
@@ -269,13 +266,12 @@ class Discretization:
         _files.save_npz(path, KIND, self.mdp.arrays() | {"metadata": np.array(metadata)})
 
     def _select_rows(
-        self, log: ContinuousTransitions, outside: str, strict: bool
+        self, log: ContinuousTransitions, outside: str
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
         """The rows that can be encoded, their action numbers, and which end in the absorbing state."""
         require_log_of(self.task, log)
         _checks.one_of(outside, "outside", OUTSIDE)
-        _checks.boolean(strict, "strict")
-        task, actions = self.task, log.action_numbers(self.task.actions, strict=strict)
+        task, actions = self.task, log.action_numbers(self.task.actions)
         ended = log.terminated | task.terminated(log.next_state)
         if not task.terminates:
             for row in np.flatnonzero(log.terminated):
@@ -312,10 +308,8 @@ class Discretization:
         if rows.size:
             at = zip(self.task.feature_names, features[rows[0]], strict=True)
             place = ", ".join(f"{feature}={value:.4g}" for feature, value in at)
-            text = (
-                f"{name} must be inside {self.cells.extent()}: {rows.size} of {len(states)} rows are not; the first, "
-            )
-            text += f"row {rows[0]}, is at {place}"
+            text = f"{name} must be inside {self.cells.extent()}: {rows.size} of {len(states)} rows are not"
+            text += f"; the first, row {rows[0]}, is at {place}"
             if outside == "error":
                 raise ValueError(
                     f"{text}. A wider grid, or outside='nearest' or 'drop' (--task-option outside=), takes them"

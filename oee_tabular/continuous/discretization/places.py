@@ -20,6 +20,7 @@ References: [1] R. Munos and A. Moore, Variable resolution discretization in opt
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,8 +40,8 @@ from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_state
 from oee_tabular.mdp import FiniteMDP
 
 PLACES_AT_A_TIME = 250_000  # bounds the memory
+N_LLOYD = 3  # iterations for the centres of cells
 POINTS_OF_A_BOX = 4  # along each axis, where a state is the box around its vertex
-NoisePoints = int | tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class Places:
     averages: sparse.csr_array | None
     points: Array
     point_cell: IntArray
-    noise_points: NoisePoints | None = None
+    noise_points: int | None = None
     seed: int | None = None
 
     def mean(self, values: Array) -> Array:
@@ -144,24 +145,16 @@ class Places:
         return sparse.csr_array(total), paid
 
 
-def gauss_hermite(points: NoisePoints, n: int) -> tuple[Array, Array]:
+def gauss_hermite(points: int, n: int) -> tuple[Array, Array]:
     """Nodes (m, n) and weights (m,) that average over N(0, I_n): exact for polynomials of degree 2 points - 1.
 
-    >>> nodes, weights = gauss_hermite((3, 1), 2)
-    >>> round(float(weights @ nodes[:, 0] ** 4), 12), float(abs(nodes[:, 1]).max())
-    (3.0, 0.0)
+    >>> nodes, weights = gauss_hermite(3, 2)
+    >>> round(float(weights @ nodes[:, 0] ** 4), 12), len(nodes)
+    (3.0, 9)
     """
-    counts = (points,) * n if isinstance(points, int) else tuple(points)
-    if len(counts) != n:
-        raise ValueError(
-            f"noise_points must be a number or {n} numbers, one for each disturbance; it is {_checks.show(points)}"
-        )
-    nodes, weights = np.zeros((1, 0)), np.ones(1)
-    for count in counts:
-        line, chance = np.polynomial.hermite_e.hermegauss(_checks.positive_integer(count, "noise_points"))
-        nodes = np.column_stack([np.repeat(nodes, len(line), axis=0), np.tile(line, len(nodes))])
-        weights = np.outer(weights, chance / chance.sum()).ravel()
-    return nodes, weights
+    line, chance = np.polynomial.hermite_e.hermegauss(_checks.positive_integer(points, "noise_points"))
+    nodes, weights = (np.array(list(itertools.product(x, repeat=n))) for x in (line, chance / chance.sum()))
+    return nodes, weights.prod(axis=1)
 
 
 def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
@@ -188,8 +181,8 @@ class GridInterpolation:
     ----------
     shape : vertices along each feature, at least 2
     low, high : (k,) the grid's range; default the task's ``feature_low`` and ``feature_high``
-    noise_points : the number of Gauss-Hermite points for each component of the disturbance (one number for all, or one each);
-        1 leaves that component at 0; None: the task's ``noise_points``
+    noise_points : the number of Gauss-Hermite points for each component of the disturbance; 1 leaves it at 0; None: the task's
+        ``noise_points``
     vertex_weight : at a log, how many transitions the row of the vertex itself is worth beside the log's places
 
     Notes
@@ -207,7 +200,7 @@ class GridInterpolation:
     shape: tuple[int, ...]
     low: Any = None
     high: Any = None
-    noise_points: NoisePoints | None = None
+    noise_points: int | None = None
     vertex_weight: float = 0.01
 
     def __post_init__(self) -> None:
@@ -267,7 +260,6 @@ class VisitedCells:
     Parameters
     ----------
     n_cells : at most so many; cells in which no visited state lies are dropped
-    lloyd : Lloyd iterations for the centres
     n_simulated : states that the task and the ``others`` of ``discretize`` visit by themselves under its ``policies``, for what
         the log leaves out
     n_stepped : of all these states, how many are stepped under every action; the log's are under the logged one as well
@@ -275,8 +267,8 @@ class VisitedCells:
 
     Notes
     -----
-    The same log, policies and seed give the same cells. Cost: lloyd (n + n_simulated) + A n_stepped nearest-cell searches, for
-    each task.
+    The same log, policies and seed give the same cells. Cost: 3 (n + n_simulated) + A n_stepped nearest-cell searches, for each
+    task.
 
     Examples
     --------
@@ -287,7 +279,6 @@ class VisitedCells:
     """
 
     n_cells: int
-    lloyd: int = 3
     n_simulated: int = 30_000
     n_stepped: int = 60_000
     max_steps: int = 100
@@ -295,8 +286,6 @@ class VisitedCells:
     def __post_init__(self) -> None:
         for name in ("n_cells", "n_simulated", "n_stepped", "max_steps"):
             _checks.positive_integer(getattr(self, name), name)
-        if self.lloyd:
-            _checks.positive_integer(self.lloyd, "lloyd")
 
     def places(
         self,
@@ -334,7 +323,7 @@ class VisitedCells:
         points = features / scale
         unique = np.unique(points, axis=0)
         centres = unique[rng.permutation(len(unique))[: self.n_cells]]
-        for _ in range(self.lloyd):
+        for _ in range(N_LLOYD):
             number = cKDTree(centres).query(points)[1]
             n = np.bincount(number, minlength=len(centres))
             total = np.stack([np.bincount(number, column, len(centres)) for column in points.T], axis=1)

@@ -16,31 +16,19 @@ Without MuJoCo everything imports; what simulates the arm raises an ImportError 
 
 from oee_tabular.continuous.kinova.arm import STAND_IN, KinovaArm, require_mujoco
 from oee_tabular.continuous.kinova.dynamics import COMMANDS, GOALS, HOME, end_effector
-from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand, ideal_hand
-from oee_tabular.continuous.kinova.logs import (
+from oee_tabular.continuous.kinova.hand import (
     HORIZON,
+    KinovaHand,
     KinovaPolicy,
+    fit_hand,
     hand_log,
+    ideal_hand,
     kinova_policy,
     load_kinova_log,
     record_goals,
 )
 
 __all__ = [
-    "COMMANDS",
-    "GOALS",
-    "HOME",
-    "HORIZON",
-    "STAND_IN",
-    "KinovaArm",
-    "KinovaHand",
-    "KinovaPolicy",
-    "end_effector",
-    "fit_hand",
-    "hand_log",
-    "ideal_hand",
-    "kinova_policy",
-    "load_kinova_log",
-    "record_goals",
-    "require_mujoco",
-]
+    "COMMANDS", "GOALS", "HOME", "HORIZON", "STAND_IN", "KinovaArm", "KinovaHand", "KinovaPolicy", "end_effector", "fit_hand",
+    "hand_log", "ideal_hand", "kinova_policy", "load_kinova_log", "record_goals", "require_mujoco",
+]  # fmt: skip

@@ -143,7 +143,6 @@ class KinovaArm(HandTask):
         return found[:, :N_JOINTS], found[:, N_JOINTS:]
 
     def _model(self, mujoco: Any) -> Any:
-        """The arm with this task's payload, friction and gain."""
         model = mujoco.MjModel.from_xml_string(arm_xml())
         hand = model.body("end_effector").id
         model.body_mass[hand] += self.payload

@@ -1,32 +1,230 @@
-"""The families by name, made when they are looked up."""
+"""The families by name, made when they are looked up; and those on grids and of random MDPs.
+
+Grids: the paper's, floors of 8 x 8 whose slip differs by place or by motor, Gymnasium's toy text; patients with sepsis.
+Garnets: random MDPs, of which the simulator gets the probabilities wrong in several ways.
+"""
 
 from __future__ import annotations
 
 import difflib
 import functools
 import hashlib
+import importlib.util
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular import _checks
+from oee_tabular._sparse import csr_on_pattern, row_of_entry
+from oee_tabular.exact import optimal_policy, state_values
 from oee_tabular.lab.bench import families_chains as chains
-from oee_tabular.lab.bench import families_grids as grids
 from oee_tabular.lab.bench.families_shifts import FAMILIES as SHIFTS
-from oee_tabular.lab.bench.family import Family, Maker, check_seed
+from oee_tabular.lab.bench.family import Family, Maker, check_seed, normalize, pair, scale_rows
+from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
+from oee_tabular.tasks import gridworld, gridworld_policy, toy_text
+
+SIMULATED = 0.15  # slip of the floors
+PAPER: dict[str, Any] = {"policy": gridworld_policy(10, 0.5), "recorded": 0.0, "length": 1000}  # half the expert's
+ROW, COLUMN = np.indices((8, 8)).reshape(2, 64, 1)
+MISSING_ICU = "icu_sepsis is left out: it needs the package icu-sepsis (in a clone: pip install '.[bench]')."
+
+
+def floor(slip: Any = SIMULATED) -> FiniteMDP:
+    """8 x 8 cells, started anywhere; ``slip`` is a number, or one for each cell, or each (cell, action)."""
+    share = np.broadcast_to(np.asarray(slip, dtype=np.float64), (64, 4)).copy()
+    share[-1] = 0.0
+    always, never = gridworld(8, 1.0).transitions, gridworld(8, 0.0).transitions
+    transitions = sparse.diags_array(share.ravel()) @ always + sparse.diags_array(1.0 - share.ravel()) @ never
+    return FiniteMDP(transitions, 0.2 * (ROW + COLUMN - 14.0).ravel(), normalize(np.append(np.ones(63), 0.0)), 0.98)
+
+
+def floor_wind() -> Family:
+    """A gust carries the robot up a row, whatever it does."""
+    simulator = floor()
+    gust = simulator.transitions[np.arange(64 * 4) // 4 * 4 + 1]
+    about = "A wind blows along one direction, in a fifth of the steps; the simulator has none."
+    return pair(about, simulator, 0.8 * simulator.transitions + 0.2 * gust)
+
+
+def one_way_grid() -> Family:
+    """The paper's grid from its corner with a log of its expert alone: much of what the policy does is never recorded."""
+    simulator, target = (gridworld(6, slip, discount=0.97) for slip in (0.3, 0.15))
+    family = pair("Moves slip less than simulated, and the log shows one way only.", simulator, target, optimal=0.6)
+    narrow = pair(family.about, simulator, target, optimal=0.97).policy
+    return Family(simulator, target, family.policy, narrow, family.about)
+
+
+def icu_file() -> Path | None:
+    """The table that the package icu-sepsis ships, or None without it (the package need not be imported)."""
+    package = importlib.util.find_spec("icu_sepsis")
+    if package is None or not package.submodule_search_locations:
+        return None
+    return Path(package.submodule_search_locations[0]) / "envs" / "assets" / "dynamics.npz"
+
+
+def icu_sepsis() -> Family:
+    """Patients with sepsis [1], five levels of the first drug, the second's as the clinicians chose them; discount .99.
+
+    In the target death is twice as likely and survival .7 times, the rows scaled. Policy: the clinicians' levels.
+
+    Reference: [1] K. Choudhary, D. Gupta, P. S. Thomas, ICU-Sepsis: a benchmark MDP built from real medical data, RLC 2024.
+    """
+    path = icu_file()
+    if path is None:
+        raise ImportError(MISSING_ICU)
+    with np.load(path) as table:
+        moves, start, chosen = table["tx_mat"], table["d_0"], table["expert_policy"]
+    n_states, ends = len(start), slice(713, None)  # 713 states of patients; then death, survival, and what follows
+    chosen = chosen.reshape(n_states, 5, 5)
+    levels = chosen.sum(axis=2, keepdims=True)
+    given = np.where(levels > 0, chosen / np.where(levels > 0, levels, 1.0), 0.2)
+    averaged = np.einsum("sab,sabt->sat", given, moves.reshape(n_states, 5, 5, n_states))
+    sicker = averaged.copy()
+    sicker[:713, :, 713:715] *= [2.0, 0.7]
+    rewards = np.zeros_like(averaged)
+    rewards[:713, :, 714] = 1.0
+    clinicians = levels[:, :, 0].copy()
+    clinicians[ends] = 0.2
+    clinicians = normalize(clinicians)
+    simulator = FiniteMDP(normalize(averaged), rewards, start / start.sum(), 0.99)
+    about = "Patients are sicker than simulated: death is twice as likely, survival .7 times."
+    return Family(
+        simulator, simulator.with_transitions(normalize(sicker)), clinicians,
+        mix(clinicians, uniform_policy(simulator), 0.5), about,
+    )  # fmt: skip
+
+
+def garnet(about: str, change: Callable[..., Any] | None = None, n_states: int = 40, recorded: float = 0.5) -> Maker:
+    """Each (s, a) leads to five random states with uniform Dirichlet probabilities; r(s, a) is normal.
+
+    Parameters
+    ----------
+    change : (p, row, z, rng) -> the target's weights of the simulator's transitions, which have the probabilities p; row is
+        that of (s, a), z the next state's standardised value under the family's policy; None: no change
+    """
+
+    def make(rng: np.random.Generator) -> Family:
+        rows = 3 * n_states
+        to = np.argsort(rng.random((rows, n_states)), axis=1)[:, :5]
+        entries = rng.dirichlet(np.ones(5), rows).ravel(), (np.repeat(np.arange(rows), 5), to.ravel())
+        transitions = sparse.csr_array(entries, (rows, n_states))
+        rewards = rng.normal(size=(n_states, 3))
+        simulator = FiniteMDP(transitions, rewards, np.full(n_states, 1 / n_states), 0.95)
+        target = simulator.transitions
+        if change is not None:
+            values = state_values(simulator, mix(optimal_policy(simulator), uniform_policy(simulator), 0.9))
+            z = ((values - values.mean()) / values.std())[target.indices]
+            weights = change(target.data, row_of_entry(target), z, rng)
+            target = scale_rows(csr_on_pattern(target, weights))
+        return pair(about, simulator, target, recorded=recorded)
+
+    return make
+
+
+def make_worse(n_states: int = 40) -> Maker:
+    """What makes a Garnet of that size, a little worse everywhere along V."""
+    about = "Each transition is a little worse than simulated, along V."
+    return garnet(about, lambda p, row, z, rng: p * np.exp(-0.25 * z), n_states)
+
+
+def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
+    """A Garnet that is a little worse everywhere along V: P exp(-.25 z(V)), as ``garnet_worse``, of any size.
+
+    Parameters
+    ----------
+    n_states : int of at least 5
+    seed : int from 0; it chooses the Garnet
+
+    Examples
+    --------
+    >>> family = garnet_worse(10)
+    >>> family.open_rows, family.truth < 20
+    (30, True)
+    """
+    if _checks.positive_integer(n_states, "n_states") < 5:
+        raise ValueError(f"n_states must be at least 5; it is {n_states}")
+    return make_worse(n_states)(np.random.default_rng([check_seed(seed), n_states]))
+
+
+FLOORS: dict[str, Maker] = {
+    "paper_grid": lambda: pair(
+        "The paper's: steps slip less than simulated.", gridworld(10, 0.3), gridworld(10, 0.1), **PAPER
+    ),
+    "paper_grid_reversed": lambda: pair(
+        "Steps slip more than simulated.", gridworld(10, 0.1), gridworld(10, 0.3), **PAPER
+    ),
+    "floor_slippery": lambda: pair(
+        "Nine cells in the middle of the floor are slippery, which the simulator does not know.", floor(),
+        floor(np.where((ROW >= 3) & (ROW < 6) & (COLUMN >= 3) & (COLUMN < 6), 0.6, SIMULATED)),
+    ),
+    "floor_motor": lambda: pair(
+        "One of the four motors is weak.", floor(), floor(np.array([0.55, SIMULATED, SIMULATED, SIMULATED])), recorded=0.0
+    ),
+    "floor_chequered": lambda: pair(
+        "Every other cell of the floor is more slippery than simulated.", floor(),
+        floor(np.where((ROW + COLUMN) % 2, 0.4, SIMULATED)), recorded=0.9,
+    ),
+    "floor_wind": floor_wind,
+    "floor_identical": lambda: pair("The simulator of the floor is right.", floor(), floor()),
+}  # fmt: skip
+GARNETS: dict[str, Maker] = {
+    "garnet_dirichlet100": garnet(
+        "Every row is a little off, at random.", lambda p, row, z, rng: rng.gamma(100.0 * p) + np.finfo(float).tiny
+    ),
+    "garnet_dirichlet10": garnet(
+        "Every row is far off, at random.", lambda p, row, z, rng: rng.gamma(10.0 * p) + np.finfo(float).tiny, recorded=0.0
+    ),
+    "garnet_replaced": garnet(
+        "A twentieth of the rows is wrong.",
+        lambda p, row, z, rng: np.where(np.isin(row, rng.permutation(120)[:6]), rng.exponential(size=p.size), p), recorded=0.9,
+    ),
+    "garnet_worse": make_worse(),
+    "garnet_better": garnet(
+        "Each transition is a little better than simulated, along V.", lambda p, row, z, rng: p * np.exp(0.25 * z), recorded=0.0
+    ),
+    "garnet_one_action": garnet(
+        "The transitions of one action are worse.", lambda p, row, z, rng: p * np.exp(-0.5 * z * (row % 3 == 0))
+    ),
+    "garnet_tempered": garnet("Moves are noisier than simulated.", lambda p, row, z, rng: p**0.7, recorded=0.9),
+    "garnet_identical": garnet("The simulator of the random MDP is right."),
+}  # fmt: skip
+LARGE_GARNETS = {f"garnet_worse{n}": make_worse(n) for n in (10, 20, 80, 160)}
+TOY_TEXT: dict[str, Maker] = {
+    # FrozenLake 8 x 8: a step goes where it is meant with probability 1/3 simulated, .6 real
+    "frozen_lake": lambda: pair(
+        "The ice is less slippery than simulated.",
+        *(toy_text("FrozenLake-v1", map_name="8x8", success_rate=rate) for rate in (1 / 3, 0.6)),
+    ),
+    # a taxi in the rain goes where it is sent with probability .8 simulated, .6 real
+    "taxi_rain": lambda: pair(
+        "It rains harder than simulated: the taxi misses more turns.",
+        *(toy_text("Taxi-v4", discount=0.95, is_rainy=True, rainy_probability=rate) for rate in (0.8, 0.6)), recorded=0.9,
+    ),
+    # one action in ten is replaced by a random one in the simulator, three in ten in the target
+    "cliff_walking": lambda: pair(
+        "The edge of the cliff is more slippery than simulated.",
+        toy_text("CliffWalking-v1", discount=0.95).with_action_noise(0.1),
+        toy_text("CliffWalking-v1", discount=0.95).with_action_noise(0.3).transitions, recorded=0.9,
+    ),
+    "icu_sepsis": icu_sepsis,
+}  # fmt: skip
+
 
 TABLES = (
     chains.FIRST,
-    grids.FLOORS,
-    grids.GARNETS,
-    grids.TABLES,
+    FLOORS,
+    GARNETS,
+    TOY_TEXT,
     chains.TRADES,
-    {"one_way_grid": grids.one_way_grid},
+    {"one_way_grid": one_way_grid},
     SHIFTS,
 )
 MADE: Mapping[str, Maker] = {name: make for table in TABLES for name, make in table.items()}
-LARGE: Mapping[str, Maker] = {"tandem45": lambda: chains.tandem(45), **grids.LARGE_GARNETS}
+LARGE: Mapping[str, Maker] = {"tandem45": lambda: chains.tandem(45), **LARGE_GARNETS}
 HELD = (  # whose results nobody saw while the default was chosen
     "blend_with_stranger", "epidemic_superspreading", "low_rank", "lucky_queue", "predator_prey", "random_yield",
     "router_fault", "traffic_hours", "web_pages",
@@ -126,6 +324,6 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     False
     """
     _checks.boolean(large, "large")
-    left_out = {} if grids.icu_file() else {"icu_sepsis": grids.MISSING_ICU}
+    left_out = {} if icu_file() else {"icu_sepsis": MISSING_ICU}
     makers = {name: make for name, make in ({**MADE, **LARGE} if large else MADE).items() if name not in left_out}
     return Families(makers, check_seed(seed), left_out)

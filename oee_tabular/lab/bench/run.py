@@ -35,8 +35,7 @@ from oee_tabular.lab.bench.adapters import PEERS, Peer
 from oee_tabular.lab.bench.families import HELD, Families
 from oee_tabular.lab.bench.families import families as own_families
 from oee_tabular.lab.bench.family import Family, check_seed
-from oee_tabular.lab.bench.league import League, league_of
-from oee_tabular.lab.bench.scores import LIKELIHOOD, SIMULATOR
+from oee_tabular.lab.bench.league import LIKELIHOOD, SIMULATOR, League, league_of
 from oee_tabular.lab.registry import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.run import run_and_write, run_experiment
 from oee_tabular.lab.store import Store, alone
@@ -109,8 +108,8 @@ def run(
     _checks.boolean(progress, "progress")
     settings = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed, timeout=timeout)
     with tempfile.TemporaryDirectory() if output is None else nullcontext(output) as folder, alone(Path(folder)):
-        sweep = run_experiment(Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress)
-    return league_of(sweep.store.table().drop(columns="repetition"))
+        store = run_experiment(Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress)
+    return league_of(store.table().drop(columns="repetition"))
 
 
 def plan(

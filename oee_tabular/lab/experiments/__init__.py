@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _checks
-from oee_tabular.lab.experiments.paper import curve as published
+from oee_tabular.lab.experiments.common import published
 from oee_tabular.lab.registry import RunSettings, Stream
 
 __all__ = ["load_saved_table", "published", "table"]

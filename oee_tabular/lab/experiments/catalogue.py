@@ -11,12 +11,10 @@ from typing import Any
 
 from oee_tabular import _files
 from oee_tabular.lab import output as out
-from oee_tabular.lab.bench.ranking import ranking
 from oee_tabular.lab.experiments import programs, sureness, toy_text, values, zeta
 from oee_tabular.lab.registry import Experiment
 from oee_tabular.lab.robots import cartpole, kinova, reacher
-from oee_tabular.lab.robots.changes.coverage import RESIDUAL_COVERAGE
-from oee_tabular.lab.robots.changes.experiment import CHANGES
+from oee_tabular.lab.robots.changes import changes, residual_coverage
 from oee_tabular.lab.run import require_modules, run_and_write
 from oee_tabular.lab.store import Store, refuse_links
 
@@ -26,9 +24,9 @@ EXPERIMENTS: dict[str, Experiment] = {
         zeta.fig1a, values.fig1bcd, values.estimands, values.horizon, values.data_policy, programs.rate, programs.renyi,
         programs.misspecified, programs.normalisation, programs.lambda_n, zeta.networks,
         toy_text.frozen_lake, toy_text.taxi, toy_text.cliff_walking,
-        sureness.coverage, sureness.coverage_lake, sureness.efficiency, sureness.collection, ranking,
-        cartpole.FIGURE_2, cartpole.RESOLUTION, cartpole.CARTPOLE_DATA, cartpole.CARTPOLE_CHOICE, reacher.FIGURE_3,
-        kinova.TABLE_1, CHANGES, RESIDUAL_COVERAGE,
+        sureness.coverage, sureness.coverage_lake, sureness.efficiency, sureness.collection, sureness.ranking,
+        cartpole.fig2, cartpole.cartpole_resolution, cartpole.cartpole_data, cartpole.cartpole_choice, reacher.fig3,
+        kinova.table1, changes, residual_coverage,
     )
 }  # fmt: skip
 

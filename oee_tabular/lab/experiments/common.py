@@ -1,10 +1,12 @@
-"""What the gridworld experiments share: pairs of environments, logs by the paper's recipe, errors."""
+"""What experiments share: the paper's published figures, pairs of gridworlds, logs by the paper's recipe, errors."""
 
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 import oee_tabular as oee
@@ -18,6 +20,24 @@ DELTAS = (0.1, 0.5, 0.9)
 DATA = {"uniform": 0.0, "pi_0.5": 0.5}  # delta of the policies that record
 SCALE, SMALL_SCALE = 0.01, 0.05  # 1 - discount, of ``grids`` and of ``small_grids``
 MEAN_ERROR = "mean |error| of (1 - discount) J"
+
+
+@functools.cache
+def published_table() -> pd.DataFrame:
+    """The paper's published figures as numbers: figure, setting, series, x, mean, lo, hi; some curves were never published."""
+    return pd.read_csv(Path(__file__).with_name("paper.csv"))
+
+
+def published(figure: str, setting: str, series: str) -> pd.DataFrame:
+    """The points of one of the paper's curves, by x; empty where it was not published."""
+    table = published_table()
+    points = table[(table.figure == figure) & (table.setting == setting) & (table.series == series)]
+    return points.sort_values("x").reset_index(drop=True)
+
+
+def published_at(figure: str, setting: str, series: str, x: float) -> float:
+    """The mean at one point; nan where none was published."""
+    return float(published(figure, setting, series).set_index("x")["mean"].get(x, float("nan")))
 
 
 @functools.lru_cache(maxsize=8)

@@ -15,8 +15,7 @@ from oee_tabular.estimators import ModelBased, OffEnvironment, Simulator
 from oee_tabular.exact import evaluate_policy, reweight
 from oee_tabular.lab.experiments import common
 from oee_tabular.lab.experiments.common import DELTAS, HALF_DECADES, HORIZON, SCALE, grids, sample_log, zeta_error
-from oee_tabular.lab.findings import number
-from oee_tabular.lab.panels import Panels, add_slope
+from oee_tabular.lab.panels import Panels, add_slope, number
 from oee_tabular.lab.registry import Cell, Row, Stream, experiment
 from oee_tabular.ratio import Quotient
 from oee_tabular.tasks import gridworld, gridworld_policy

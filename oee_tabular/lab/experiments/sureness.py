@@ -1,4 +1,4 @@
-"""How sure: asymptotic variances, what planned collection saves, coverage and width of the intervals."""
+"""How sure: asymptotic variances, what planned collection saves, coverage and width of the intervals, which policy is best."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ import oee_tabular as oee
 from oee_tabular._checks import Array
 from oee_tabular.design.programs import collection_mdp
 from oee_tabular.estimators import ModelBased, OffEnvironment
-from oee_tabular.exact import ratio_of_ratios_variance
+from oee_tabular.exact import policy_value, ratio_of_ratios_variance
+from oee_tabular.lab.bench.families import HELD, families
 from oee_tabular.lab.experiments.common import SMALL_SCALE, RmsePanels, grids, signed_error, small_grids
-from oee_tabular.lab.findings import listed, percent
-from oee_tabular.lab.panels import panels
+from oee_tabular.lab.panels import Panels, listed, panels, percent
 from oee_tabular.lab.registry import Cell, Row, Stream, experiment
+from oee_tabular.mdp import mix, uniform_policy
 from oee_tabular.plots import plot_intervals
+from oee_tabular.report import contest
 from oee_tabular.tasks import gridworld_policy, named_task
 
 POLICY = gridworld_policy(5, 0.5)  # that is evaluated on the small grids
@@ -241,3 +243,50 @@ def coverage_lake(settings: Cell, stream: Stream) -> list[Row]:
             "unvisited_rows": interval.diagnostics["unvisited_rows"],
         }
     ]
+
+
+TUNED = (
+    "inventory20", "queue25", "machine", "forest12", "river_swim", "corridor30", "floor_slippery", "floor_chequered",
+    "garnet_dirichlet100", "garnet_worse", "garnet_tempered", "elevator",
+)  # fmt: skip
+
+
+def compare_rules(table: pd.DataFrame) -> str:
+    """How often each rule is right, and how often contest is wrong."""
+    share = {str(rule): rows[["right", "wrong", "cannot_say"]].mean() for rule, rows in table.groupby("rule")}
+    ours, oee = share["contest"], share["largest value of oee"]
+    return (
+        f"contest is right in {percent(ours['right'])}, cannot say in {percent(ours['cannot_say'])}, wrong in "
+        f"{percent(ours['wrong'])}; the largest value of oee is wrong in {percent(oee['wrong'])}"
+    )
+
+
+@experiment(
+    "Which policy is worth most: right, wrong, cannot say",
+    axes={"family": (*TUNED, *HELD), "size": (3.0, 10.0, 30.0)}, smoke={"family": ("machine",)}, group="sureness",
+    keys=("families", "size", "rule"), measures=("right", "wrong", "cannot_say"), finding=compare_rules,
+    draw=Panels("right", curves="rule", x="size", xlabel="transitions per stochastic pair", ylabel="share that is right",
+                by=("families",), title="{families} families", axes={"xticks": (3, 10, 30)}),
+)  # fmt: skip
+def ranking(settings: Cell, stream: Stream) -> list[Row]:
+    """Three policies: the family's, four fifths of it, and the one that recorded the log (the rest of each is uniform).
+    "contest" names the best policy or says that the log cannot tell; the others always name the one with the largest value.
+    """
+    family = families(int(settings["repetition"]))[str(settings["family"])]
+    uniform = uniform_policy(family.simulator)
+    policies = {"new": family.policy, "four fifths": mix(family.policy, uniform, 0.8), "recorded": family.data_policy}
+    values = {name: policy_value(family.target, policy, horizon=family.horizon) for name, policy in policies.items()}
+    best = max(values, key=values.__getitem__)
+    problem = family.problem(family.size(float(settings["size"])), stream.generator())
+    report = contest(problem, policies)
+    shown = {result.policy: result.estimate.value for result in report.results}
+    likelihood = {name: ModelBased(fallback="simulator")(problem, policy).value for name, policy in policies.items()}
+    named = {"contest": report.best, "largest value of oee": max(shown, key=shown.__getitem__),
+             "largest value of maximum likelihood": max(likelihood, key=likelihood.__getitem__)}  # fmt: skip
+    kind = "held" if settings["family"] in HELD else "tuned"
+    facts: Row = {"families": kind, "gap": values[best] - sorted(values.values())[-2]}
+    return [
+        {**facts, "rule": rule, "right": float(name == best), "wrong": float(name not in (best, None)),
+         "cannot_say": float(name is None)}
+        for rule, name in named.items()
+    ]  # fmt: skip

@@ -15,8 +15,7 @@ from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.estimators import OffEnvironment, Oracle
 from oee_tabular.estimators.names import NAMED
 from oee_tabular.lab.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, grids, sample_log, sample_pool
-from oee_tabular.lab.findings import listed
-from oee_tabular.lab.panels import Panels
+from oee_tabular.lab.panels import Panels, listed
 from oee_tabular.lab.registry import Cell, Row, Stream, experiment
 from oee_tabular.tasks import gridworld, gridworld_policy
 

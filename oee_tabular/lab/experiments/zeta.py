@@ -13,8 +13,16 @@ from scipy.special import xlogy
 import oee_tabular as oee
 from oee_tabular._checks import Array
 from oee_tabular._sparse import csr_on_pattern, row_sums
-from oee_tabular.lab.experiments import paper
-from oee_tabular.lab.experiments.common import DATA, HALF_DECADES, LONGEST, ErrorPanels, grids, sample_log, zeta_error
+from oee_tabular.lab.experiments.common import (
+    DATA,
+    HALF_DECADES,
+    LONGEST,
+    ErrorPanels,
+    grids,
+    published_at,
+    sample_log,
+    zeta_error,
+)
 from oee_tabular.lab.registry import Cell, Row, Stream, experiment
 from oee_tabular.plots.style import INK
 from oee_tabular.ratio import Network, Quotient, action_displacement
@@ -34,7 +42,7 @@ def errors_of_paper(summary: pd.DataFrame) -> list[float]:
     """The error of the paper's networks for each row of a summary; their data are the uniform policy's."""
     rows = summary if "grid" in summary else summary.assign(data="uniform", grid=10)
     return [
-        paper.at("fig1a", f"grid={grid}", "mean_absolute_error_of_zeta", n) if data == "uniform" else np.nan
+        published_at("fig1a", f"grid={grid}", "mean_absolute_error_of_zeta", n) if data == "uniform" else np.nan
         for data, grid, n in zip(rows["data"], rows["grid"], rows["n"], strict=True)
     ]
 

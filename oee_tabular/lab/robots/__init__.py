@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy import sparse
 
 from oee_tabular._checks import Array, IntArray
@@ -14,11 +15,7 @@ from oee_tabular._sparse import row_sums
 from oee_tabular._threads import ONE_THREAD
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves
-from oee_tabular.lab.experiments import paper
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
+from oee_tabular.lab.experiments.common import published
 
 
 def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
@@ -35,10 +32,10 @@ def distance_between(first: pd.DataFrame, second: pd.DataFrame) -> float:
     return float((both["mean_x"] - both["mean_y"]).abs().mean()) if len(both) else float("nan")
 
 
-def mark_paper(ax: Axes, figure: str, setting: str, markers: Mapping[str, tuple[str, str]]) -> None:
+def mark_paper(ax: Any, figure: str, setting: str, markers: Mapping[str, tuple[str, str]]) -> None:
     """What the paper published, series -> (name, marker); its expert is lost, so its points need not lie on our lines."""
     for series, (name, marker) in markers.items():
-        points = paper.curve(figure, setting, series)
+        points = published(figure, setting, series)
         if len(points):
             label = f"the paper's {name}"
             ax.plot(points.x, points["mean"], ls="none", marker=marker, mfc="none", color="0.35", label=label)
@@ -46,8 +43,6 @@ def mark_paper(ax: Axes, figure: str, setting: str, markers: Mapping[str, tuple[
 
 def select_deltas(table: pd.DataFrame, deltas: Iterable[float]) -> pd.DataFrame:
     """A row for each policy, with delta, value, truth and error, of columns value_0.1, truth_0.1, ...; for figures."""
-    import pandas as pd
-
     parts = [
         table.assign(delta=delta, value=table[f"value_{delta:g}"], truth=table[f"truth_{delta:g}"]) for delta in deltas
     ]

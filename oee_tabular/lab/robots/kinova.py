@@ -9,29 +9,25 @@ from __future__ import annotations
 import copy
 import functools
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from oee_tabular._checks import Array, IntArray
+from oee_tabular._checks import Array
 from oee_tabular.continuous import kinova
 from oee_tabular.continuous.discretization import Discretization, discretize
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.exact import policy_value
-from oee_tabular.lab.experiments import paper
-from oee_tabular.lab.findings import percent, reach
-from oee_tabular.lab.panels import panels
-from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
+from oee_tabular.lab.experiments.common import published_table
+from oee_tabular.lab.panels import panels, percent, reach
+from oee_tabular.lab.registry import Cell, Row, Stream, experiment
 from oee_tabular.lab.robots import frequencies
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio, transition_ratio
 from oee_tabular.simulate import sample_episodes
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
 
 TARGETS: dict[str, dict[str, float]] = {
     "velocity x 1.4": {"velocity_scale": 1.4},
@@ -57,17 +53,16 @@ def arm_of(target: str) -> kinova.KinovaArm:
 
 
 @functools.cache
-def simulators() -> tuple[tuple[Discretization, IntArray], tuple[Discretization, IntArray]]:
-    """The simulator of the hand's position on the grid, and its defensive mixture, each with its ties."""
+def simulators() -> tuple[Discretization, Discretization]:
+    """The simulator of the hand's position on the grid, and its defensive mixture."""
     defensive = discretize(kinova.fit_hand(arm_of("simulator")), floor=EPSILON, closure_episodes=0)
-    plain = replace(defensive, mdp=defensive.plain)
-    return (plain, plain.displacement_ties()), (defensive, defensive.displacement_ties())
+    return replace(defensive, mdp=defensive.plain), defensive
 
 
 @functools.cache
 def controller(goal: int) -> tuple[Array, Array]:
     """(S, 27) the controller to a goal and (S,) the rewards for it, on the grid."""
-    plain = simulators()[0][0]
+    plain = simulators()[0]
     costs = kinova.ideal_hand().towards(goal).costs(plain.points)
     return plain.policy(kinova.kinova_policy(goal)), plain.places.mean(costs)
 
@@ -75,16 +70,10 @@ def controller(goal: int) -> tuple[Array, Array]:
 @functools.cache
 def grid_values(target: str) -> dict[str, dict[float, Array]]:
     """name -> delta -> values of the goals on the grid: of the simulators, and of the target itself (the oracle)."""
-    (plain, _), (defensive, _) = simulators()
+    plain, defensive = simulators()
     own = discretize(kinova.fit_hand(arm_of(target)), cells=plain, closure_episodes=0)
     models = {"simulator on the grid": plain, "defensive simulator on the grid": defensive, "oracle on the grid": own}
     return {name: goal_values(model.mdp) for name, model in models.items()}
-
-
-@functools.cache
-def iterate_values(target: str, delta: float) -> Array:
-    """(5,) Monte Carlo values of the goals in the arm itself, 50 runs each."""
-    return simulate_values(arm_of(target), delta)
 
 
 def simulate_values(task: Any, delta: float) -> Array:
@@ -93,6 +82,9 @@ def simulate_values(task: Any, delta: float) -> Array:
     policies = [kinova.kinova_policy(g, delta) for g in goals]
     found = [monte_carlo_value(towards(task, g), policies[g], CONVERGED, horizon, seed=[9, g]) for g in goals]
     return np.array([each.value for each in found])
+
+
+known_values = functools.cache(lambda target, delta: simulate_values(arm_of(target), delta))
 
 
 def towards(task: Any, goal: int) -> Any:
@@ -153,64 +145,6 @@ def product_values(
     return np.array(plain), np.array(normalized)
 
 
-def cell(settings: Cell, stream: Stream) -> list[Row]:
-    """SIMULATED STAND-IN: no data of the paper's robot was published; the target is the same MuJoCo arm perturbed. Means of
-    sum_t 0.99^t (-|x_t - goal|) in m over 5 goals, T = 25, 10 runs to each goal, recorded with a share delta of random
-    commands. removed: share of the simulator's error (of 250 runs) that is gone. zeta is tied over displacements, against a
-    defensive simulator (10% of it displacements times 0.5 and 1.5, a change of the paper's fixed simulator; the plain one
-    beside it); calibrated: plus the simulator's difference between 250 runs and the grid. uncovered: share of the log's
-    transitions without support, left_out: of states outside the grid. residual: the simulated arm corrected by what the log's
-    steps leave over its own, 250 runs. The paper's column has the real arm's numbers.
-    """
-    target, data = str(settings["target"]), float(settings["data"])
-    rng, ((plain, plain_tie), (defensive, tie)) = stream.generator(), simulators()
-    recorded = {
-        delta: kinova.record_goals(arm_of(target), n_runs=N_RUNS, delta=delta, seed=rng)
-        for delta in sorted({data, *POLICIES})
-    }
-    corrected = ResidualSimulator(arm_of("simulator"), recorded[data], seed=0)
-    log = kinova.hand_log(recorded[data])
-    inside = ~(defensive.cells.outside(log.state) | defensive.cells.outside(log.next_state))
-    counts = defensive.counts(log if inside.all() else log.select(inside))
-    kept, uncovered = defensive.supported(counts)
-    kept_plain, uncovered_plain = plain.supported(counts)
-    zeta = transition_ratio(kept, defensive.mdp, tie=tie, strength=STRENGTH)
-    tied_plain = transition_ratio(kept_plain, plain.mdp, tie=plain_tie, strength=STRENGTH)
-    cellwise = transition_ratio(kept, defensive.mdp, prior="simulator", strength=1.0)
-    models = {
-        OEE: (zeta.target_model(defensive.mdp), uncovered),
-        "OEE, tied, exact, plain simulator": (tied_plain.target_model(plain.mdp), uncovered_plain),
-        "OEE, not tied": (cellwise.target_model(defensive.mdp), uncovered),
-        "model-based": (plain.mdp.with_transitions(frequencies(counts, plain.mdp.n_actions)), 0.0),
-    }
-    exact = {name: goal_values(model) for name, (model, _) in models.items()} | grid_values(target)
-    rows: list[Row] = []
-    for delta in POLICIES:
-        truth, simulated = iterate_values(target, delta), iterate_values("simulator", delta)
-        values = {name: found[delta] for name, found in exact.items()}
-        again = kinova.record_goals(arm_of("simulator"), n_runs=N_RUNS, delta=delta, seed=rng)
-        product, normalized = product_values(defensive, zeta, delta, rng)
-        values |= {
-            TRUE: run_values(recorded[delta]),
-            SIMULATOR: run_values(again),
-            "true value, 250 runs": truth,
-            "simulator, 250 runs": simulated,
-            "OEE, tied, exact, calibrated": values[OEE] + simulated - values["defensive simulator on the grid"],
-            "OEE, tied, 50 simulated runs": product,
-            "OEE, tied, 50 simulated runs, self-normalised": normalized,
-            RESIDUAL: simulate_values(corrected, delta),
-            "PDIS": importance_sampling(recorded[data], delta),
-        }
-        apart = abs(simulated.mean() - truth.mean())
-        for name in ORDER:
-            value = values[name].mean()
-            row: Row = {"policy": delta, "estimator": name, "value": value, "error": value - truth.mean()}
-            row |= {"removed": 1.0 - abs(value - truth.mean()) / apart, "left_out": 1.0 - inside.mean()}
-            row |= {"uncovered": models[name][1] if name in models else 0.0}
-            rows.append(row | {f"goal_{g}": float(x) for g, x in enumerate(values[name])})
-    return rows
-
-
 ORDER = (
     TRUE, OEE, SIMULATOR, RESIDUAL, "OEE, tied, exact, calibrated", "OEE, tied, 50 simulated runs",
     "OEE, tied, 50 simulated runs, self-normalised", "OEE, tied, exact, plain simulator", "OEE, not tied",
@@ -219,7 +153,7 @@ ORDER = (
 )  # fmt: skip
 
 
-def published(summary: pd.DataFrame) -> list[float]:
+def published_numbers(summary: pd.DataFrame) -> list[float]:
     """Table I, beside the controller's rows of the reference mismatch; the robot's numbers, not the stand-in's."""
     return [
         paper_value(name) if name in PUBLISHED and policy == 0.0 and target == REFERENCE else np.nan
@@ -227,7 +161,7 @@ def published(summary: pd.DataFrame) -> list[float]:
     ]
 
 
-def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
     """Mean and standard deviation over the seeds of every estimator of the controller; Table I of the paper."""
     from oee_tabular.plots import plot_intervals
 
@@ -256,21 +190,69 @@ def finding(table: pd.DataFrame) -> str:
 
 def paper_value(name: str) -> float:
     """The paper's number for one of its three rows."""
-    table = paper.published()
+    table = published_table()
     return float(table[(table.figure == "kinova") & (table.series == PUBLISHED[name])]["mean"].iloc[0])
 
 
-TABLE_1 = Experiment(
-    id="table1",
-    title="Table I on a simulated stand-in for the Kinova Gen3 (not the robot)",
-    axes={"target": tuple(TARGETS), "data": (0.0, 0.3)},
-    smoke={"target": (REFERENCE,), "data": (0.0,)},
-    run=cell,
-    keys=("target", "data", "policy", "estimator"),
-    measures=("value", "error", "removed", "uncovered", "left_out"),
-    draw=draw,
-    finding=finding,
-    paper=published,
-    group="continuous",
-    requires=("mujoco",),
-)
+@experiment(
+    "Table I on a simulated stand-in for the Kinova Gen3 (not the robot)", group="continuous", requires=("mujoco",),
+    axes={"target": tuple(TARGETS), "data": (0.0, 0.3)}, smoke={"target": (REFERENCE,), "data": (0.0,)},
+    keys=("target", "data", "policy", "estimator"), measures=("value", "error", "removed", "uncovered", "left_out"),
+    draw=draw, finding=finding, paper=published_numbers,
+)  # fmt: skip
+def table1(settings: Cell, stream: Stream) -> list[Row]:
+    """SIMULATED STAND-IN: no data of the paper's robot was published; the target is the same MuJoCo arm perturbed. Means of
+    sum_t 0.99^t (-|x_t - goal|) in m over 5 goals, T = 25, 10 runs to each goal, recorded with a share delta of random
+    commands. removed: share of the simulator's error (of 250 runs) that is gone. zeta is tied over displacements, against a
+    defensive simulator (10% of it displacements times 0.5 and 1.5, a change of the paper's fixed simulator; the plain one
+    beside it); calibrated: plus the simulator's difference between 250 runs and the grid. uncovered: share of the log's
+    transitions without support, left_out: of states outside the grid. residual: the simulated arm corrected by what the log's
+    steps leave over its own, 250 runs. The paper's column has the real arm's numbers.
+    """
+    target, data = str(settings["target"]), float(settings["data"])
+    rng, (plain, defensive) = stream.generator(), simulators()
+    recorded = {
+        delta: kinova.record_goals(arm_of(target), n_runs=N_RUNS, delta=delta, seed=rng)
+        for delta in sorted({data, *POLICIES})
+    }
+    corrected = ResidualSimulator(arm_of("simulator"), recorded[data], seed=0)
+    log = kinova.hand_log(recorded[data])
+    inside = ~(defensive.cells.outside(log.state) | defensive.cells.outside(log.next_state))
+    counts = defensive.counts(log if inside.all() else log.select(inside))
+    kept, uncovered = defensive.supported(counts)
+    kept_plain, uncovered_plain = plain.supported(counts)
+    zeta = transition_ratio(kept, defensive.mdp, tie=defensive.displacement_ties(), strength=STRENGTH)
+    tied_plain = transition_ratio(kept_plain, plain.mdp, tie=plain.displacement_ties(), strength=STRENGTH)
+    cellwise = transition_ratio(kept, defensive.mdp, prior="simulator", strength=1.0)
+    models = {
+        OEE: (zeta.target_model(defensive.mdp), uncovered),
+        "OEE, tied, exact, plain simulator": (tied_plain.target_model(plain.mdp), uncovered_plain),
+        "OEE, not tied": (cellwise.target_model(defensive.mdp), uncovered),
+        "model-based": (plain.mdp.with_transitions(frequencies(counts, plain.mdp.n_actions)), 0.0),
+    }
+    exact = {name: goal_values(model) for name, (model, _) in models.items()} | grid_values(target)
+    rows: list[Row] = []
+    for delta in POLICIES:
+        truth, simulated = (known_values(name, delta) for name in (target, "simulator"))
+        values = {name: found[delta] for name, found in exact.items()}
+        again = kinova.record_goals(arm_of("simulator"), n_runs=N_RUNS, delta=delta, seed=rng)
+        product, normalized = product_values(defensive, zeta, delta, rng)
+        values |= {
+            TRUE: run_values(recorded[delta]),
+            SIMULATOR: run_values(again),
+            "true value, 250 runs": truth,
+            "simulator, 250 runs": simulated,
+            "OEE, tied, exact, calibrated": values[OEE] + simulated - values["defensive simulator on the grid"],
+            "OEE, tied, 50 simulated runs": product,
+            "OEE, tied, 50 simulated runs, self-normalised": normalized,
+            RESIDUAL: simulate_values(corrected, delta),
+            "PDIS": importance_sampling(recorded[data], delta),
+        }
+        apart = abs(simulated.mean() - truth.mean())
+        for name in ORDER:
+            value = values[name].mean()
+            row: Row = {"policy": delta, "estimator": name, "value": value, "error": value - truth.mean()}
+            row |= {"removed": 1.0 - abs(value - truth.mean()) / apart, "left_out": 1.0 - inside.mean()}
+            row |= {"uncovered": models[name][1] if name in models else 0.0}
+            rows.append(row | {f"goal_{g}": float(x) for g, x in enumerate(values[name])})
+    return rows

@@ -6,31 +6,25 @@ import functools
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy import sparse
 
 from oee_tabular._checks import Array
 from oee_tabular.continuous.discretization import Discretization, VisitedCells, discretize
 from oee_tabular.continuous.episodes import monte_carlo_value
-from oee_tabular.continuous.reacher.dynamics import Reacher
-from oee_tabular.continuous.reacher.expert import reacher_log, reacher_policy
+from oee_tabular.continuous.reacher import Reacher, reacher_log, reacher_policy
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exact import policy_value
-from oee_tabular.lab.experiments import paper
-from oee_tabular.lab.findings import reach
-from oee_tabular.lab.panels import Panels
-from oee_tabular.lab.registry import Cell, Experiment, Row, Stream
+from oee_tabular.lab.experiments.common import published
+from oee_tabular.lab.panels import Panels, reach
+from oee_tabular.lab.registry import Cell, Row, Stream, experiment
 from oee_tabular.lab.robots import LinearGaussian, distance_between, frequencies, mark_paper, select_deltas
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 DELTAS = (0.1, 0.3, 0.5, 0.7, 0.9)
 SIMULATED, HORIZON = 0.1, 100  # m, rewards of a value
@@ -76,38 +70,6 @@ def monte_carlo_values(task: ContinuousTask, episodes: int, seed: int) -> Array:
 def values_of(mdp: FiniteMDP, policies: list[Array]) -> Array:
     """(deltas,) exact values."""
     return np.array([policy_value(mdp, policy, horizon=HORIZON) for policy in policies])
-
-
-def cell(settings: Cell, stream: Stream) -> list[Row]:
-    """Discounted sums of 100 rewards of delta uniform + (1 - delta) expert; the simulator's links are 0.1 m, the target at a
-    fixed place (errors compare with the paper's, values do not). Errors: means over delta against 4096 Monte Carlo episodes.
-    Every curve but "simulator, its own reward" is paid by the target's fingertip. OEE's simulator is not the paper's: 3000
-    cells at the log's states; lengths .05 to .2 m, the target's among them, averaged or weighted by the convex risk; "left
-    out": without the target's length; "plain": nine tenths of the 0.1 m arm. Chosen among 25 variants on another seed of the
-    same targets. Residual: the 0.1 m arm corrected by what the log's steps leave over its own, 2048 episodes; no other length
-    is known to it.
-    """
-    length, n = float(settings["length"]), int(settings["n"])
-    target = Reacher(length)
-    log = reacher_log(target, n, seed=stream.generator())
-    others = [Reacher(other, length) for other in WIDER[1:]]
-    model = discretize(
-        Reacher(SIMULATED, length), log, cells=CELLS, others=others, policies=VISITING, closure_episodes=0,
-        seed=stream.sequence(use="cells"),
-    )  # fmt: skip
-    with warnings.catch_warnings(action="ignore"):  # next states far from every cell go to the nearest
-        counts = model.counts(log, outside="nearest")
-    found, facts = estimates(model, counts, length)
-    found[RESIDUAL] = monte_carlo_values(ResidualSimulator(Even(SIMULATED, length), log, seed=0), MODEL_EPISODES, 4)
-    found[LINEAR] = monte_carlo_values(LinearGaussian(target, log), MODEL_EPISODES, 4)
-    right = truth(length, length)
-    rows = []
-    for name, values in found.items():
-        row: Row = {"series": name, "error": float(np.abs(values - right).mean()), "uncovered": np.nan}
-        rows.append(row | facts.get(name, {}))
-        for delta, value, true in zip(DELTAS, values, right, strict=True):
-            rows[-1] |= {f"value_{delta}": float(value), f"truth_{delta}": float(true)}
-    return rows
 
 
 def estimates(
@@ -158,20 +120,17 @@ def setting_of(length: Any) -> str:
     return f"link_length_ratio={float(length) / SIMULATED}"
 
 
-def published_error(length: float, series: str) -> float:
-    """The mean over delta of |curve - true value| in the paper's figure; nan where it was not published."""
-    return distance_between(*(paper.curve("reacher", setting_of(length), name) for name in (series, "true_value")))
-
-
-def published(summary: pd.DataFrame) -> list[float]:
-    """The paper's mean error of the same curve."""
+def published_numbers(summary: pd.DataFrame) -> list[float]:
+    """The mean over delta of |curve - true value| of the same curve in the paper's figure; nan where it was not published."""
     return [
-        published_error(float(length), PUBLISHED[name]) if name in PUBLISHED and int(n) == N_PAPER else np.nan
+        distance_between(*(published("reacher", setting_of(length), each) for each in (PUBLISHED[name], "true_value")))
+        if name in PUBLISHED and int(n) == N_PAPER
+        else np.nan
         for length, n, name in zip(summary["length"], summary["n"], summary["series"], strict=True)
     ]
 
 
-def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
+def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
     """Value against delta for each length (at the largest n), and the paper's points."""
     shown = (WEIGHTED, RESIDUAL, MODEL, OWN_REWARD, SIMULATOR, UNKNOWN)
     own = table[(table.n == table.n.max()) & table.series.isin(shown)]
@@ -181,7 +140,7 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Figure) -> None:
     )(select_deltas(own, DELTAS), summary, figure)  # fmt: skip
 
 
-def mark(ax: Axes, rows: pd.DataFrame) -> None:
+def mark(ax: Any, rows: pd.DataFrame) -> None:
     """The paper's points for this length, of its own expert and targets."""
     markers = {name: (name, marker) for name, marker in zip(("true_value", *PUBLISHED.values()), "xo^s", strict=True)}
     mark_paper(ax, "reacher", setting_of(rows.length.iloc[0]), markers)
@@ -197,16 +156,39 @@ def finding(table: pd.DataFrame) -> str:
     return f"Mean error of the value at n = {n}: " + "; ".join(parts)
 
 
-FIGURE_3 = Experiment(
-    id="fig3",
-    title="Figure 3: the value of Reacher's policies on longer and on shorter arms",
-    axes={"length": (0.2, 0.05), "n": (15_000, N_PAPER)},
-    smoke={"n": (15_000,)},
-    run=cell,
-    keys=("length", "n", "series"),
-    measures=("error", "uncovered"),
-    draw=draw,
-    finding=finding,
-    paper=published,
-    group="continuous",
-)
+@experiment(
+    "Figure 3: the value of Reacher's policies on longer and on shorter arms", group="continuous",
+    axes={"length": (0.2, 0.05), "n": (15_000, N_PAPER)}, smoke={"n": (15_000,)},
+    keys=("length", "n", "series"), measures=("error", "uncovered"),
+    draw=draw, finding=finding, paper=published_numbers,
+)  # fmt: skip
+def fig3(settings: Cell, stream: Stream) -> list[Row]:
+    """Discounted sums of 100 rewards of delta uniform + (1 - delta) expert; the simulator's links are 0.1 m, the target at a
+    fixed place (errors compare with the paper's, values do not). Errors: means over delta against 4096 Monte Carlo episodes.
+    Every curve but "simulator, its own reward" is paid by the target's fingertip. OEE's simulator is not the paper's: 3000
+    cells at the log's states; lengths .05 to .2 m, the target's among them, averaged or weighted by the convex risk; "left
+    out": without the target's length; "plain": nine tenths of the 0.1 m arm. Chosen among 25 variants on another seed of the
+    same targets. Residual: the 0.1 m arm corrected by what the log's steps leave over its own, 2048 episodes; no other length
+    is known to it.
+    """
+    length, n = float(settings["length"]), int(settings["n"])
+    target = Reacher(length)
+    log = reacher_log(target, n, seed=stream.generator())
+    others = [Reacher(other, length) for other in WIDER[1:]]
+    model = discretize(
+        Reacher(SIMULATED, length), log, cells=CELLS, others=others, policies=VISITING, closure_episodes=0,
+        seed=stream.sequence(use="cells"),
+    )  # fmt: skip
+    with warnings.catch_warnings(action="ignore"):  # next states far from every cell go to the nearest
+        counts = model.counts(log, outside="nearest")
+    found, facts = estimates(model, counts, length)
+    found[RESIDUAL] = monte_carlo_values(ResidualSimulator(Even(SIMULATED, length), log, seed=0), MODEL_EPISODES, 4)
+    found[LINEAR] = monte_carlo_values(LinearGaussian(target, log), MODEL_EPISODES, 4)
+    right = truth(length, length)
+    rows = []
+    for name, values in found.items():
+        row: Row = {"series": name, "error": float(np.abs(values - right).mean()), "uncovered": np.nan}
+        rows.append(row | facts.get(name, {}))
+        for delta, value, true in zip(DELTAS, values, right, strict=True):
+            rows[-1] |= {f"value_{delta}": float(value), f"truth_{delta}": float(true)}
+    return rows

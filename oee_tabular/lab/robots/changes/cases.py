@@ -11,14 +11,13 @@ import numpy as np
 
 from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.continuous import kinova
-from oee_tabular.continuous.cartpole.dynamics import CartPole
-from oee_tabular.continuous.cartpole.expert import cartpole_policy
-from oee_tabular.continuous.episodes import paired_returns, record
+from oee_tabular.continuous.cartpole import CartPole, cartpole_policy
+from oee_tabular.continuous.episodes import compare_returns, record
 from oee_tabular.continuous.history import HistoryTask
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.reacher.expert import reacher_policy
+from oee_tabular.continuous.reacher import reacher_policy
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
-from oee_tabular.lab.robots.cartpole_truth import DELTAS as CARTPOLE_DELTAS
+from oee_tabular.lab.robots.cartpole_estimates import DELTAS as CARTPOLE_DELTAS
 from oee_tabular.lab.robots.changes import classic
 from oee_tabular.lab.robots.kinova import arm_of, towards
 from oee_tabular.lab.robots.reacher import DELTAS as REACHER_DELTAS
@@ -71,7 +70,8 @@ class Change:
         """(episodes,) returns; tasks that are alike go alike."""
         seed = np.random.SeedSequence(11, spawn_key=(round(100 * delta),))
         policy = self.acting(delta)
-        return self.scale * paired_returns(task, policy, self.episodes, self.horizon, discount=DISCOUNT, seed=seed)
+        found = compare_returns([task], policy, self.episodes, self.horizon, discount=DISCOUNT, seed=seed)
+        return np.asarray(self.scale * found[0])
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Arm(Change):
         for goal in range(len(kinova.GOALS)):
             seed = np.random.SeedSequence(11, spawn_key=(round(100 * delta), goal))
             aim, policy = towards(task, goal), kinova.kinova_policy(goal, delta)
-            found.append(paired_returns(aim, policy, self.episodes, self.horizon, discount=DISCOUNT, seed=seed))
+            found += [*compare_returns([aim], policy, self.episodes, self.horizon, discount=DISCOUNT, seed=seed)]
         return np.asarray(np.mean(found, axis=0))
 
 

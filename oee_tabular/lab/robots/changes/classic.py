@@ -6,12 +6,11 @@ By default a step of the classic tasks is Gymnasium's own (tests/continuous/test
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
-from oee_tabular.continuous.cartpole.dynamics import CartPole
+from oee_tabular.continuous.cartpole import CartPole
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 
 
@@ -54,10 +53,6 @@ class Plain(ContinuousTask):
     """No noise, discretised coordinates that are the state's."""
 
     n_disturbances = 0
-
-    def parameters(self) -> dict[str, Any]:
-        """Every field."""
-        return {name: value for name, value in vars(self).items() if isinstance(value, float)}
 
 
 @dataclass(frozen=True)

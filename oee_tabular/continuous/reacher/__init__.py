@@ -1,1 +1,0 @@
-"""Reacher with longer or shorter links (the paper's Section VI.C): its dynamics, its expert, a linear model of it."""
