@@ -123,9 +123,11 @@ def test_without_any_weight_no_bias_is_bounded():
 
 
 def test_frequencies_stand_in_for_the_behaviour_policy():
-    mdp = FiniteMDP(np.full((1, 2, 1), 1.0), np.array([[2.0, 5.0]]), [1.0], 0.9)
-    log = Transitions([0, 0, 0, 0], [0, 1, 0, 0], [0] * 4, [2.0, 5.0, 2.0, 2.0], episode=[0, 1, 2, 3])
-    found = ImportanceSampling(behavior="estimated")(Problem(mdp, log, horizon=1), np.array([[0.5, 0.5]]))
+    mdp = FiniteMDP(np.full((2, 2, 2), 0.5), np.array([[2.0, 5.0], [0.0, 0.0]]), [1.0, 0.0], 0.9)
+    log = Transitions(
+        [0, 0, 0, 0, 1], [0, 1, 0, 0, 1], [0, 0, 0, 1, 0], [2.0, 5.0, 2.0, 2.0, 0.0], episode=[0, 1, 2, 3, 3]
+    )
+    found = ImportanceSampling(behavior="estimated")(Problem(mdp, log, horizon=2), np.full((2, 2), 0.5))
     assert_allclose(found.value, (3 * 2.0 * 0.5 / 0.75 + 5.0 * 0.5 / 0.25) / 4)
 
 

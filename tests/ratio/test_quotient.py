@@ -55,14 +55,16 @@ def test_the_quotient_without_a_box_is_that_of_frequencies():
 def test_data_of_the_simulator():
     """Exact occupancies over the log's longest episode under its estimated policy; samples of the log's size, by the seed."""
     options = {"lower": 0.0, "upper": np.inf, "method": "ratio_of_ratios"}
-    behavior = LOG.counts(3, 2).sum(axis=1).reshape(3, 2)
-    behavior = behavior / behavior.sum(axis=1, keepdims=True)
+    box = {"lower": 0.5, "upper": 1.5, "toward": 1.0}  # without one, the weights of q cancel
     for discount in (None, 0.5):
-        exact = oee.transition_ratio(LOG, SIMULATOR, simulator_data="exact", discount=discount, **options)
-        weighted = SIMULATOR.with_discount(discount or 1.0)
-        q = oee.occupancy(weighted, behavior, horizon=8, of="transition").data
+        exact = oee.transition_ratio(LOG, SIMULATOR, simulator_data="exact", discount=discount, **options | box)
         p = LOG.counts(3, 2, discount=discount).toarray().reshape(-1)
-        moves, pairs = (oee.density_ratio(p.reshape(-1, k).sum(axis=1), q.reshape(-1, k).sum(axis=1)) for k in (1, 3))
+        actions = p.reshape(3, 2, 3).sum(axis=2)
+        behavior, weighted = actions / actions.sum(axis=1, keepdims=True), SIMULATOR.with_discount(discount or 1.0)
+        q = oee.occupancy(weighted, behavior, horizon=8, of="transition").data
+        moves, pairs = (
+            oee.density_ratio(p.reshape(-1, k).sum(axis=1), q.reshape(-1, k).sum(axis=1), **box) for k in (1, 3)
+        )
         assert_allclose(exact.values.data, moves.ratio / np.repeat(pairs.ratio, 3), rtol=1e-9)
     data = oee.sample_episodes(SIMULATOR, POLICY, 200, 8, seed=1)
     given = oee.transition_ratio(LOG, SIMULATOR, simulator_data=data, discount=0.5, **options)
