@@ -109,6 +109,10 @@ def test_the_benchmark_s_page_has_the_saved_runs_numbers():
     )
     three, ten, thirty = (widths["evaluate"] / widths["oee"]).groupby("size").median()
     assert f"Its median width is {three:.2f}, {ten:.2f} and {thirty:.2f} times" in page
+    logs = pd.read_csv(results / "bench_intervals" / "cells.csv").groupby("estimator")[["held", "logs"]].sum()
+    share = 100 * logs["held"] / logs["logs"]
+    assert f"covers the true value in {share['evaluate']:.0f}% of the {logs.logs['evaluate']:.0f} logs" in page
+    assert f"The latter covers in {share['oee']:.0f}%" in page
 
 
 def test_the_landing_page_prints_what_it_shows(capsys):
