@@ -33,7 +33,7 @@ def graph_of(by_name=True):
     graph = {name: set(found.find_modules_directly_imported_by(name)) for name in found.modules}
     for name in graph if by_name else ():
         path = ROOT.joinpath(*name.split("."))
-        text = (path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_text()
+        text = (file if (file := path.with_suffix(".py")).is_file() else path / "__init__.py").read_text()
         graph[name] |= set(BY_NAME.findall(text))
     return graph
 
