@@ -29,7 +29,7 @@ from oee_tabular.simulate import sample_episodes
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """A pair of environments whose truth is exact.
+    """A pair of environments whose truth is exact. Those of the package have at least nine stochastic pairs, ``open_rows``.
 
     Parameters
     ----------
