@@ -21,8 +21,8 @@ from oee_tabular.mdp.naming import NAMELESS, Names
 # entries of a state in the envelope, on average, up to which LU in it is asked (solvers/direct.py)
 WIDEST = 48.0
 
-# x = solve(b, relative): until the residual of x is below ``relative`` times that of 0, which direct solvers need not read; None
-# where the solver gives up
+# x = solve(b, relative): until the residual of x is below ``relative`` times that of 0, which direct solvers need not
+# read; None where the solver gives up
 Solve: TypeAlias = Callable[[Array, float], Array | None]
 
 
