@@ -76,7 +76,7 @@ SUBJECTS = {
         "Check an estimator": (
             "check_estimator", "Verdicts", "Verdict", "LAWS", "CLAIMS", "DEFAULT", "claims_of",
         ),
-        "Beside an oracle": ("compare_with_oracle", "Comparison", "case", "Case", "CASES"),
+        "Beside an oracle": ("compare_with_oracle", "OracleComparison", "case", "Case", "CASES"),
         "Hypothesis strategies": (
             "mdps", "mdp_pairs", "policies", "logs", "horizons", "padded_log", "relabelled_log",
         ),

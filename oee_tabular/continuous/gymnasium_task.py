@@ -23,7 +23,6 @@ from oee_tabular.continuous.task import NO_CHANCE, Chance, ContinuousTask, Moves
 
 FEWEST_AT_ONCE = 16  # states
 LOOKED = 1000  # steps by which usual ranges are found
-N_CHECKED = 200  # recorded steps that are stepped again from their states
 MAX_DRAWS = 64  # in a step
 SAME_STEP = 0.02  # of a coordinate's usual step: a step that is repeated
 FEW = 0.05  # share of steps that may be another (contacts, whose solvers remember): told, not refused
@@ -58,9 +57,11 @@ class GymnasiumTask(ContinuousTask):
     terminates : whether episodes can end before a time limit
     over : function of states (n, d) giving (n,) which are over, for vertices and logs (default: none; steps always ask the
         environment)
+    reward_between : function of (states, action numbers, next states), optional
     parameters : what distinguishes it, written into files
     make_vector : function of n that makes n environments whose ``state`` is (d, n) and which step at once; used where it
         repeats the steps of one, and the environment's own step does not do so with arrays in place of numbers
+    check_steps : how many recorded steps are stepped again from their states; 0: none
 
     Raises
     ------
@@ -105,14 +106,16 @@ class GymnasiumTask(ContinuousTask):
         periodic: tuple[bool, ...] | None = None,
         terminates: bool = True,
         over: Callable[[Array], Any] | None = None,
+        reward_between: Callable[[Array, IntArray, Array], Array] | None = None,
         parameters: dict[str, Any] | None = None,
         make_vector: Callable[[int], Any] | None = None,
+        check_steps: int = 200,
     ) -> None:
         _checks.boolean(terminates, "terminates")
         for name, function in (("make", make), ("get_state", get_state), ("set_state", set_state)):
             _checks.function(function, name)
         self._make, self._get, self._set, self._over = make, get_state, set_state, over
-        self._parameters, self._env = dict(parameters or {}), make()
+        self._reward_between, self._parameters, self._env = reward_between, dict(parameters or {}), make()
         self._env.reset(seed=0)
         state = self.read(self._env)
         if state_names is None:
@@ -148,28 +151,29 @@ class GymnasiumTask(ContinuousTask):
         self.family: Any = None  # of parameters by name makes the task with them; where that is known (Physics)
         self._make_vector = make_vector
         self._at_once: Callable[[GymnasiumTask, Array, IntArray], Moves] | None = None
-        record = self._check_steps(make())
-        ways = [GymnasiumTask._step_arrays] + [GymnasiumTask._step_vector] * (make_vector is not None)
-        self._at_once = next((way for way in ways if self._repeats(way, *record)), None)
-        self.n_disturbances = self._count_draws(*record)
+        if check_steps:
+            record = self._check_steps(make(), _checks.positive_integer(check_steps, "check_steps"))
+            ways = [GymnasiumTask._step_arrays] + [GymnasiumTask._step_vector] * (make_vector is not None)
+            self._at_once = next((way for way in ways if self._repeats(way, *record)), None)
+            self.n_disturbances = self._count_draws(*record)
 
-    def _check_steps(self, env: Any) -> tuple[Array, IntArray]:
+    def _check_steps(self, env: Any, steps: int) -> tuple[Array, IntArray]:
         """Step a record of random actions again from its states, in another order; its (s, a).
 
         What differs is an error, where it is at most a twentieth of the steps a warning.
         """
         env.reset(seed=0)
         rng, generators = np.random.default_rng(0), []
-        numbers = rng.integers(self.n_actions, size=N_CHECKED)
+        numbers = rng.integers(self.n_actions, size=steps)
 
         def choose(state: Array) -> int:
             generators.append(copy.deepcopy(env.unwrapped.np_random))
             return int(numbers[len(generators) - 1])
 
-        states, _, following, reward, _, _ = self.play(env, choose, N_CHECKED)
+        states, _, following, reward, _, _ = self.play(env, choose, steps)
         before, after = np.pad(states, ((0, 0), (0, 1))), np.column_stack([following, reward])  # rewards last
         again = np.empty_like(after)
-        for i in rng.permutation(N_CHECKED):  # in the record's own order what the state lacks would come along
+        for i in rng.permutation(steps):  # in the record's own order what the state lacks would come along
             moved = self.one_by_one(states[i : i + 1], numbers[i : i + 1], generators[i])
             again[i] = np.append(moved.next_state[0], moved.reward)
         size = np.sqrt(((after - before) ** 2).mean(axis=0)) + 1e-9 * (1.0 + np.abs(after).max(axis=0))
@@ -179,7 +183,7 @@ class GymnasiumTask(ContinuousTask):
             k = int((away / size).max(axis=0).argmax())
             text = (
                 "get_state and set_state must have all that decides the next step, and chance must come from np_random: "
-                f"{int(bad.sum())} of {N_CHECKED} steps of {self.name} differ from the record when stepped again from its "
+                f"{int(bad.sum())} of {steps} steps of {self.name} differ from the record when stepped again from its "
                 "states. Read and set the rest as well, such as other bodies' velocities and timers (--task-option "
                 f"state=MODULE:GET,SET); the most in {(*self.state_names, 'the reward')[k]}: {away[:, k].max():.3g}, where a "
                 f"step moves it by {size[k]:.3g}"
@@ -210,6 +214,10 @@ class GymnasiumTask(ContinuousTask):
         except (AttributeError, IndexError, TypeError, ValueError):
             return 0
         return max(chance.used for chance in chances)
+
+    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
+        """The function that was given, if one was."""
+        return None if self._reward_between is None else self._reward_between(states, actions, next_states)
 
     def with_environment(
         self, make: Callable[[], Any], make_vector: Callable[[int], Any] | None, parameters: dict[str, Any]

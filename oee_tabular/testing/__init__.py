@@ -28,14 +28,14 @@ from typing import TYPE_CHECKING, Any
 
 from oee_tabular.testing.cases import CASES, Case, case, padded_log, relabelled_log
 from oee_tabular.testing.conformance import CLAIMS, DEFAULT, LAWS, Verdict, Verdicts, check_estimator, claims_of
-from oee_tabular.testing.oracles import Comparison, compare_with_oracle
+from oee_tabular.testing.oracles import OracleComparison, compare_with_oracle
 
 if TYPE_CHECKING:
     from oee_tabular.testing.strategies import horizons, logs, mdp_pairs, mdps, policies
 
 _STRATEGIES = ("horizons", "logs", "mdp_pairs", "mdps", "policies")
 __all__ = [
-    "CASES", "CLAIMS", "DEFAULT", "LAWS", "Case", "Comparison", "Verdict", "Verdicts", "case", "check_estimator",
+    "CASES", "CLAIMS", "DEFAULT", "LAWS", "Case", "OracleComparison", "Verdict", "Verdicts", "case", "check_estimator",
     "claims_of", "compare_with_oracle", "horizons", "logs", "mdp_pairs", "mdps", "padded_log", "policies",
     "relabelled_log",
 ]  # fmt: skip

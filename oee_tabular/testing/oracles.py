@@ -27,7 +27,7 @@ from oee_tabular.testing.subject import name_of
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class OracleComparison:
     """What repetitions of an estimator gave, beside what is exact; prints as a table.
 
     Attributes
@@ -42,7 +42,7 @@ class Comparison:
 
     Examples
     --------
-    >>> found = Comparison("mine", 1.0, None, 4.0, 100, "episodes", values=np.array([0.8, 1.0, 1.2, 1.4]))
+    >>> found = OracleComparison("mine", 1.0, None, 4.0, 100, "episodes", values=np.array([0.8, 1.0, 1.2, 1.4]))
     >>> round(found.bias, 4), round(found.variance, 4), round(found.inefficiency, 4)  # 100 * variance / 4
     (0.1, 0.0667, 1.6667)
     """
@@ -143,7 +143,7 @@ def compare_with_oracle(
     repetitions: int = 200,
     seed: int = 0,
     horizon: int | None = None,
-) -> Comparison:
+) -> OracleComparison:
     """Run an estimator on independent logs of the target, and put it beside what is known exactly.
 
     Parameters
@@ -160,7 +160,7 @@ def compare_with_oracle(
 
     Returns
     -------
-    Comparison
+    OracleComparison
         Bias, variance and root-mean-square error with their Monte Carlo standard errors, J_target, the estimator's limit, and
         the bound: for episodes ``trajectory_efficiency_bound``, which includes the chance of the first state and takes time
         as part of the state, so that an estimator that knows the initial distribution or pools the steps may be below it; for
@@ -218,7 +218,7 @@ def compare_with_oracle(
         values += [float(estimate.value)] if estimate.status == "ok" else []
         statuses += [estimate.status] if estimate.status != "ok" else []
     limit = getattr(own.function, "limit", None)
-    return Comparison(
+    return OracleComparison(
         estimator=name_of(own.function),
         truth=policy_value(target, pi, horizon=horizon),
         limit=None if limit is None else float(limit(simulator, target, pi, horizon=horizon, **data)),

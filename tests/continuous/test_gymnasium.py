@@ -138,9 +138,9 @@ def test_what_does_not_step_as_one_does_is_not_used():
         assert task.steps_at_once == (gravity == 9.8)
 
 
-def task_of(make, low=(-9.0,), high=(9.0,), names=("place",), n_actions=2):
+def task_of(make, low=(-9.0,), high=(9.0,), names=("place",), n_actions=2, **options):
     """Of an environment whose state is ``unwrapped.state``."""
-    return GymnasiumTask(make, state_names=names, actions=range(n_actions), low=low, high=high)
+    return GymnasiumTask(make, state_names=names, actions=range(n_actions), low=low, high=high, **options)
 
 
 class Place(gymnasium.Env):
@@ -196,6 +196,10 @@ def test_a_state_that_does_not_decide_the_next_one_is_refused():
         task_of(lambda: Remembering(np.random.default_rng(0).random))
     with pytest.warns(UserWarning, match=r": [1-9] of 200 steps of environment differ from the record"):
         task_of(Walled)
+    with pytest.raises(ValueError, match=r"\d+ of 50 steps of environment"):
+        task_of(Remembering, check_steps=50)
+    paid = task_of(Remembering, check_steps=0, reward_between=lambda s, a, following: (following - s)[:, 0])
+    assert_array_equal(paid.reward_between(np.zeros((2, 1)), np.zeros(2, dtype=int), np.ones((2, 1))), [1.0, 1.0])
 
 
 class Tank(Place):
