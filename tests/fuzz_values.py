@@ -90,7 +90,7 @@ def holders(target, simulator, policies, log, zeta, problem, moves):
         *results(values, problem, policies, target, simulator),
     ]
     return {type(value).__name__: value for value in values} | {
-        "testing.OracleComparison": oee.testing.compare_with_oracle(
+        "OracleComparison": oee.testing.compare_with_oracle(
             oee.estimators.ModelBased(), (simulator, target), uniform, n=20, data_distribution=uniform / 9, repetitions=2
         )
     }  # fmt: skip
