@@ -1,4 +1,4 @@
-"""What users run: intervals, a million states, counts, starts, small calls; rollouts; the ratio programs.
+"""What users run: intervals, estimates, reports, a million states, counts, starts, small calls; rollouts; the ratio programs.
 
 Peers: DuckDB for the same sums, ``import numpy, scipy.sparse`` for a start, plain numpy with row sums and ``isfinite`` for
 small calls, a numba loop for rollouts, cvxpy with Clarabel for the ratio programs.
@@ -8,7 +8,6 @@ import resource
 import subprocess
 import sys
 import tempfile
-import time
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +18,8 @@ from speed import compare, row
 from values import form
 
 import oee_tabular as oee
+from oee_tabular.estimators import OffEnvironment
+from oee_tabular.ratio import dual, statements
 from oee_tabular.tasks import gridworld, gridworld_expert
 
 MAIN = "from oee_tabular.cli import main; main({!r})"
@@ -26,22 +27,22 @@ IMPORTS = "import numpy, scipy.sparse"
 HORIZON = 200  # of rollouts
 
 
-def intervals(*, quick):
+def intervals(most):
     """The likelihood interval from 100 000 transitions of the simulator itself, of a policy that is mostly its best."""
     cases = {"grid 30": (gridworld(30, 0.1), None), "random graph 1000": (mdps.garnet(1000), None)}
-    if not quick:
-        cases |= {"grid 100": (gridworld(100, 0.1), None), "random graph 10000": (mdps.garnet(10_000), None)}
-        cases |= {"grid 45, horizon 500": (gridworld(45, 0.1), 500)}
+    cases |= {"grid 100": (gridworld(100, 0.1), None), "random graph 10000": (mdps.garnet(10_000), None)}
+    cases |= {"grid 45, horizon 500": (gridworld(45, 0.1), 500)}
     for name, (simulator, horizon) in cases.items():
-        log = mdps.draw_log(simulator, 100_000)
-        policy = oee.mix(oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.8)
-        call = partial(oee.interval, oee.Problem(simulator, log, horizon=horizon), policy)
-        yield from compare("main job", f"interval, {name}", {"ours": call})
+        if simulator.n_states <= most:
+            log = mdps.draw_log(simulator, 100_000)
+            policy = oee.mix(oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.8)
+            call = partial(oee.interval, oee.Problem(simulator, log, horizon=horizon), policy)
+            yield from compare("main job", f"interval, {name}", {"ours": call})
 
 
-def counts(*, quick):
+def counts(most):
     """Counts of a parquet file and of a tenth of it, ours and DuckDB's sums; 10^9 are projected from the slope."""
-    n, simulator = 10**5 if quick else 10**7, mdps.garnet(1000)
+    n, simulator = min(10**7, 50 * most), mdps.garnet(1000)
     sums = "state, action, next_state, terminated, count(*), sum(reward), min(reward), max(reward)"
 
     def duckdb():
@@ -54,10 +55,7 @@ def counts(*, quick):
         files = [Path(folder) / f"{size}.parquet" for size in (n // 10, n)]
         for file, size in zip(files, (n // 10, n), strict=True):
             mdps.draw_log(simulator, size).save(file)
-        ours = {
-            "ours, a tenth": partial(oee.Transitions.open, files[0]),
-            "ours": partial(oee.Transitions.open, files[1]),
-        }
+        ours = {name: partial(oee.Transitions.open, file) for name, file in zip(("ours, a tenth", "ours"), files)}  # noqa: B905
         rows = list(compare("main job", f"counts of {n} transitions", ours, {"DuckDB": duckdb}, seconds=3.0))
     yield from rows
     if rows:
@@ -65,9 +63,9 @@ def counts(*, quick):
         yield row("main job", "counts of 10^9 transitions", "ours", 1e9 * slope, note="projected")
 
 
-def small_calls(*, quick, n=4, actions=2, discount=0.9):
+def small_calls(most):
     """FiniteMDP and policy_value of four states."""
-    rng = np.random.default_rng(0)
+    n, actions, discount, rng = 4, 2, 0.9, np.random.default_rng(0)
     p, r = rng.dirichlet(np.ones(n), (n, actions)), rng.normal(size=(n, actions))
     first, policy = np.full(n, 1 / n), np.full((n, actions), 1 / actions)
     mdp = oee.FiniteMDP(p, r, first, discount)
@@ -106,7 +104,7 @@ def write_files(folder, simulator, log, policy):
     return [part for name, file in files.items() for part in (f"--{name[:-4]}", file)]
 
 
-def starts(*, quick):
+def starts(most):
     """A new interpreter to the end of a first command."""
     grid, target = gridworld(10, 0.1), gridworld(10, 0.25)
     policy = oee.mix(gridworld_expert(10), oee.uniform_policy(grid), 0.7)
@@ -119,26 +117,60 @@ def starts(*, quick):
         }
         imports = {IMPORTS: lambda: partial(start, IMPORTS)}
         for name, code in programs.items():
-            yield from compare("start", name, {"ours": partial(start, code)}, imports, seconds=1.0 if quick else 6.0)
+            yield from compare("start", name, {"ours": partial(start, code)}, imports, seconds=6.0)
 
 
-def millions(*, quick):
+def millions(most):
     """``oee evaluate --quick`` at 10^6 states with 10^5 transitions, from files."""
-    side = 100 if quick else 1_000
+    side = 1_000 if most >= 10**6 else 40
     grid, graph = gridworld(side, 0.1), mdps.garnet(side**2)
     expert = oee.mix(gridworld_expert(side), oee.uniform_policy(grid), 0.8)
     for name, simulator, target, policy in (
         ("grid", grid, gridworld(side, 0.3), expert),
         ("random graph", graph, graph, oee.uniform_policy(graph)),
     ):
+        case = f"evaluate --quick, {name} of {side**2} states"
         with tempfile.TemporaryDirectory() as folder:
             own = write_files(folder, simulator, mdps.draw_log(target, 10**5), policy)
-            ours = {"ours": partial(start, MAIN.format(["evaluate", *own, "--quick"]))}
-            yield from compare("main job", f"evaluate --quick, {name} of {side**2} states", ours, seconds=0.0)
-        most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9
-        yield row(
-            "main job", f"most memory up to the {name} of {side**2} states", "ours", np.nan, note=f"{most:.1f} GB"
-        )
+            call = partial(start, MAIN.format(["evaluate", *own, "--quick"]))
+            yield from compare("main job", case, {"ours": call}, seconds=0.0)
+        size = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024 / 1e9
+        yield row("main job", case, "most memory so far", np.nan, note=f"{size:.1f} GB")
+
+
+def small_estimates(most):
+    """The default estimate of MDPs of 4 and 30 states from 200 transitions, beside maximum likelihood in numpy."""
+    for n in (4, 30):
+        simulator, target = mdps.garnet(n, entries=4), mdps.garnet(n, entries=4, seed=0)
+        policy, log = oee.uniform_policy(simulator), mdps.draw_log(target, 200)
+        prior, m = simulator.transitions.toarray(), simulator.n_actions
+
+        def likelihood(log=log, n=n, m=m, prior=prior, simulator=simulator):
+            counts = np.bincount((log.state * m + log.action) * n + log.next_state, minlength=n * m * n).reshape(-1, n)
+            sums = counts.sum(axis=1, keepdims=True)
+            model = np.where(sums > 0, counts / np.maximum(sums, 1), prior).reshape(n, m, n).mean(axis=1)
+            return simulator.initial @ np.linalg.solve(np.eye(n) - 0.99 * model, simulator.rewards.mean(axis=1))
+
+        call = partial(OffEnvironment(), oee.Problem(simulator, log), policy)
+        peers = {"numpy, maximum likelihood": lambda call=likelihood: call}
+        yield from compare("OffEnvironment", f"{n} states", {"ours": call}, peers, repeat=5)
+
+
+def reports(most):
+    """A report of several policies, quick and with intervals, and the page of one."""
+    n = min(2_500, most)
+    simulator = mdps.garnet(n)
+    problem, best = oee.Problem(simulator, mdps.draw_log(simulator, 10 * n)), oee.optimal_policy(simulator)
+    mixed = {f"policy {k}": oee.mix(best, oee.uniform_policy(simulator), k / 20) for k in range(1, 21)}
+    some = {name: mixed[name] for name in list(mixed)[:5]}
+    evaluation = oee.evaluate(problem, mixed["policy 1"], seed=0, quick=True)
+    calls = {
+        "20 policies, quick": partial(oee.evaluate, problem, mixed, seed=0, quick=True),
+        "5 policies": partial(oee.evaluate, problem, some, seed=0),
+        "page": evaluation.to_html,
+    }
+    for name, call in calls.items():
+        yield from compare("reports", f"{name}, {n} states", {"ours": call})
 
 
 # ---- rollouts: seconds for a transition
@@ -163,10 +195,11 @@ def plain_loop(indptr, indices, sums, rewards, discount, terminal, n, horizon, r
     return steps, returns
 
 
-def rollouts(*, quick):
+def rollouts(most):
     """Episodes of 200 steps under the uniform policy; the loop draws s' from the policy's chain in place of (a, s')."""
-    for size in (30,) if quick else (10, 30, 100):
-        yield from roll_out(gridworld(size, 0.3), f"a transition, grid {size}", 2000 if quick else 20_000)
+    for size in (10, 30, 100):
+        if size**2 <= most:
+            yield from roll_out(gridworld(size, 0.3), f"a transition, grid {size}", 20_000)
 
 
 def roll_out(grid, name, n):
@@ -197,49 +230,15 @@ def roll_out(grid, name, n):
 # ---- the ratio programs
 
 
-def ratio(*, quick):
-    """Random problems; the structured solver against cvxpy + Clarabel; large programs."""
-    yield solve_random_problems(200 if quick else 20_000)
-    for size in (10,) if quick else (10, 20, 40):
+def ratio(most):
+    """The structured solver against cvxpy + Clarabel; large programs."""
+    for size in (10, 20, 40):
         yield from compare_solvers(size)
-    if not quick:
-        yield from solve_large()
-
-
-def solve_random_problems(n):
-    """Scales 1e-6 to 1e6, zeros on both sides, boxes 1e-4 to 1e4, ridges of all sizes towards 0, 1 and 2.
-
-    ``error``: the largest gap over max(1, |objective|, |multiplier|), the terms of a problem's dual value.
-    """
-    start, rng, gaps, sums, failed = time.process_time(), np.random.default_rng(0), [], [], 0
-    for _ in range(n):
-        size = int(rng.integers(1, 60))
-        p, q = (rng.integers(0, 4, size) * 10 ** rng.uniform(-6, 6, size) for _ in range(2))
-        options = {
-            "lower": 10 ** rng.uniform(-4, 0) if rng.random() < 0.7 else None,
-            "upper": 10 ** rng.uniform(0, 4),
-            "ridge": float(rng.choice([0.0, 10 ** rng.uniform(-8, 4)])),
-            "toward": [None, 0.0, 1.0, 2.0][int(rng.integers(4))],
-            "normalized": bool(rng.random() < 0.8),
-            "loss": "kl" if rng.random() < 0.8 else "chi2",
-        }
-        if p.sum() == 0 or q.sum() == 0:
-            continue
-        try:
-            fit = oee.density_ratio(p, q, **options)
-        except ValueError:
-            failed += 1
-            continue
-        gaps.append(fit.gap / max(1.0, abs(fit.objective), abs(fit.normalizer)))
-        sums += [abs(q / q.sum() @ fit.ratio - 1.0)] if options["normalized"] else []
-    note = f"{len(gaps)} solved, {failed} failed; largest error of sum q g {max(sums):.1e}"
-    return row("ratio", f"{n} random problems", "ours", time.process_time() - start, max(gaps), note)
+    yield from solve_large()
 
 
 def compare_solvers(size, n=100_000):
     """Counts of the target and exact probabilities of the simulator on the gridworld's triples."""
-    from oee_tabular.ratio import dual, statements
-
     simulator, target = gridworld(size, 0.3), gridworld(size, 0.1)
     log = oee.sample_episodes(target, oee.uniform_policy(target), 20 + n // 400, 1000, seed=0)
     probability, starts = simulator.transitions.data, simulator.transitions.indptr.astype(np.int64)
@@ -257,9 +256,9 @@ def compare_solvers(size, n=100_000):
         yield from compare("ratio", name, {"ours": partial(dual.solve_rows, *program)}, clarabel)
 
 
-def fit_cells(*, quick):
+def fit_cells(most):
     """Large programs beside ``numpy.log(p / q)``."""
-    rng, n = np.random.default_rng(0), 10**4 if quick else 10**6
+    rng, n = np.random.default_rng(0), 10**6
     p, q = rng.integers(1, 6, n).astype(float), rng.integers(1, 5, n).astype(float)
     once = {"numpy.log(p / q)": lambda: lambda: np.log(p / q)}
     for options in ({}, {"lower": 0.1, "upper": 2.0}, {"ridge": 0.1}, {"ridge": 0.1, "toward": 1.0, "upper": 5.0}):
@@ -269,8 +268,6 @@ def fit_cells(*, quick):
 
 def solve_large():
     """10^7 triples, normalised by rows, in memory."""
-    from oee_tabular.ratio import dual
-
     rng = np.random.default_rng(0)
     x, y = (rng.dirichlet(np.ones(4), 10**7 // 4).reshape(-1) for _ in range(2))
     program = dual.Coordinates(x, y, *np.zeros((2, 10**7))), 0.01, 10.0, np.arange(0, 10**7 + 1, 4)

@@ -1,4 +1,4 @@
-"""The MDPs of the benchmarks: random graphs, dense rows, lattices, rings, chains, queues, layers."""
+"""The MDPs of the benchmarks: random graphs, dense rows, rings, chains, queues, layers."""
 
 import numpy as np
 from scipy import sparse
@@ -22,16 +22,6 @@ def dense(n, actions=2, discount=0.99):
     rows = rng.random((n * actions, n))
     rows /= rows.sum(axis=1, keepdims=True)
     return oee.FiniteMDP(sparse.csr_array(rows), rng.normal(size=(n, actions)), np.full(n, 1 / n), discount)
-
-
-def lattice(side, discount=0.99, slip=0.2):
-    """A torus in three dimensions: six actions, which slip to a neighbour that is drawn."""
-    states, n = np.arange(side**3).reshape(side, side, side), side**3
-    ahead = np.stack([np.roll(states, step, axis).reshape(-1) for axis in range(3) for step in (1, -1)], axis=1)
-    chances = np.tile(slip / 6 + (1 - slip) * np.eye(6), (n, 1, 1)).reshape(-1)
-    columns = np.repeat(ahead[:, None], 6, axis=1).reshape(-1)
-    matrix = sparse.csr_array((chances, columns, np.arange(0, 36 * n + 1, 6)), shape=(6 * n, n))
-    return oee.FiniteMDP(matrix, np.random.default_rng(0).normal(size=(n, 6)), np.full(n, 1 / n), discount)
 
 
 def fixed_policy(mdp, seed=3):

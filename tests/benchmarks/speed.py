@@ -1,10 +1,10 @@
 """Speed against every peer and against an earlier state of the package: a table in Markdown.
 
-    pip install quantecon pypardiso mdpsolver jax duckdb pyarrow
+    pip install quantecon pypardiso mdpsolver duckdb pyarrow
     git worktree add ../before c81a0ed
     PYTHONPATH=. python tests/benchmarks/speed.py [TASK ...] [--before ../before] [--quick]
 
-A task is a name in TASKS; those of SUMMARY without one. It yields rows, most of them by ``compare``: programs that take turns.
+A task is a name in TASKS; all without one. It yields rows, most of them by ``compare``: programs that take turns.
 ``--before`` runs our own programs of the same cases in another checkout, too, in a process of its own that takes its turns.
 Times are user and system seconds, those of child processes included, with one BLAS thread: medians, the first run apart.
 ``error`` is what an answer misses. A peer that is not installed, or fails, is said.
@@ -27,15 +27,12 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-SUMMARY = {
-    "small_calls": "jobs", "small_estimates": "summary", "solve": "summary", "plan_graphs": "values", "occupy": "summary",
-    "rollouts": "jobs", "fit_cells": "jobs", "intervals": "jobs", "reports": "summary", "starts": "jobs", "counts": "jobs",
-    "millions": "jobs",
+TASKS = {
+    "small_calls": "jobs", "small_estimates": "jobs", "solve": "values", "plan": "values", "occupy": "values",
+    "rollouts": "jobs", "fit_cells": "jobs", "intervals": "jobs", "reports": "jobs", "starts": "jobs", "counts": "jobs",
+    "millions": "jobs", "memory": "values", "horizon": "values", "ratio": "jobs",
 }  # fmt: skip
-TASKS = SUMMARY | {
-    "values": "values", "regimes": "values", "horizon": "values", "planning": "values",
-    "graphs": "values", "ratio": "jobs",
-}  # fmt: skip
+QUICK = 2_000  # states of the largest problem with --quick
 LEAST, MOST = 3, 200  # times that a program is timed
 BEFORE = "before: "  # a program of ours in the other checkout
 
@@ -135,36 +132,16 @@ def compare(task, case, ours, peers=None, *, miss=None, repeat=1, seconds=0.5, u
 
 
 def markdown(rows):
-    """A line for each case and program of ours: our time, the state before, the best peer's time, the others', and errors."""
-    cases = {}
-    for new in rows:
-        cases.setdefault((new["task"], new["case"]), []).append(new)
-    yield "| task | case | ours (s) | ours / before | error | best peer (s) | error | peer / ours | others / ours |"
-    yield "|" + "---|" * 9
-    for (task, case), found in cases.items():
-        times = {r["program"]: r["seconds"] for r in found if r["seconds"] == r["seconds"]}
-        own = [r for r in found if r["program"].startswith("ours")]
-        peers = sorted((r for r in found if not r["program"].startswith(("ours", BEFORE))), key=lambda r: r["seconds"])
-        for ours in own:
-            ratios = {name: f"{seconds / ours['seconds']:.3g}" for name, seconds in times.items()}
-            before = times.get(BEFORE + ours["program"])
-            name = f"{case} {ours['program'].removeprefix('ours').strip(', ')}".strip()
-            cells = [
-                name,
-                f"{ours['seconds']:.3g}",
-                before and f"{ours['seconds'] / before:.2f}",
-                f"{ours['error']:.1g}",
-            ]
-            best = next((r for r in peers if r["program"] in times), None)
-            cells += ["", "", ""] if best is None else [
-                f"{best['program']} {best['seconds']:.3g}", f"{best['error']:.1g}", ratios[best["program"]]
-            ]  # fmt: skip
-            others = [
-                f"{r['program']} {ratios[r['program']]}" for r in peers if r["program"] in times and r is not best
-            ]
-            others += [f"{r['program']}: {r['note']}" for r in found if r["note"]]
-            cells = ["" if cell in (None, "nan") else cell for cell in cells]
-            yield f"| {task} | {' | '.join(cells)} | {'; '.join(others)} |"
+    """A line for each program; the last ratio is its time over that of our program (of the same name, or the first)."""
+    yield "| task | case | program | seconds | error | time / ours | note |"
+    yield "|" + "---|" * 7
+    for r in rows:
+        case = {o["program"]: o["seconds"] for o in rows if (o["task"], o["case"]) == (r["task"], r["case"])}
+        first = next((program for program in case if program.startswith("ours")), None)
+        ours = case.get(r["program"].removeprefix(BEFORE) if r["program"].startswith(BEFORE) else first, np.nan)
+        yield "| {task} | {case} | {program} | {seconds:.3g} | {error:.1g} | {0:.3g} | {note} |".format(
+            r["seconds"] / ours, **r
+        )
 
 
 def main():
@@ -172,16 +149,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tasks", nargs="*", choices=[*TASKS, []], default=[], metavar="TASK")
     parser.add_argument("--before", type=Path, help="another checkout of the package")
-    parser.add_argument("--quick", action="store_true", help="small cases only")
+    parser.add_argument("--quick", action="store_true", help=f"problems of at most {QUICK} states")
     parser.add_argument("--answer", action="store_true", help=argparse.SUPPRESS)
     options, rows = parser.parse_args(), []
-    tasks = options.tasks or list(SUMMARY)
+    tasks = options.tasks or list(TASKS)
     Other.is_self = options.answer
     if options.before:
         Other.begin(options.before, [*tasks, *["--quick"] * options.quick])
     with threadpool_limits(limits=1):
         for task in tasks:
-            for new in getattr(importlib.import_module(TASKS[task]), task)(quick=options.quick):
+            for new in getattr(importlib.import_module(TASKS[task]), task)(QUICK if options.quick else 10**9):
                 rows.append(new)
                 print(f"  {new['task']} | {new['case']} | {new['program']}: {new['seconds']:.3g} s", file=sys.stderr)
     if not Other.is_self:
