@@ -14,7 +14,7 @@ from oee_tabular.estimators import Problem
 from oee_tabular.exact import reweight
 from oee_tabular.mdp.naming import Names
 from oee_tabular.ratio import Conditional
-from oee_tabular.ratio.arguments import Box
+from oee_tabular.ratio.dual import Box
 
 NOTHING = "More transitions would not narrow it."
 

@@ -28,7 +28,7 @@ from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.mdp.policies import split_policies
 from oee_tabular.ratio import transition_ratio
-from oee_tabular.ratio.arguments import check_box
+from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.support import refuse_unsupported
 
 

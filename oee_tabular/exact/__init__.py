@@ -40,7 +40,6 @@ from oee_tabular.exact.efficiency import (
     trajectory_efficiency_bound,
 )
 from oee_tabular.exact.finite import policy_values_by_horizon
-from oee_tabular.exact.linear import LinearSolution, solve_policy_system
 from oee_tabular.exact.moments import (
     doubly_robust_moments,
     policy_is_moments,
@@ -51,7 +50,14 @@ from oee_tabular.exact.occupancy import occupancy, transition_gradient
 from oee_tabular.exact.planning import optimal_policy
 from oee_tabular.exact.recursions import Moments
 from oee_tabular.exact.reweighted import Model, ReweightedModel, reweight
-from oee_tabular.exact.values import action_values, evaluate_policy, policy_value, state_values
+from oee_tabular.exact.values import (
+    LinearSolution,
+    action_values,
+    evaluate_policy,
+    policy_value,
+    solve_policy_system,
+    state_values,
+)
 from oee_tabular.exact.walks import weight_growth, weight_moments
 
 __all__ = [

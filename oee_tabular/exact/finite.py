@@ -18,7 +18,7 @@ from numba import njit
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
-from oee_tabular.exact._policy_rows import average_rewards, transpose_rows
+from oee_tabular.exact._system import average_rewards, transpose_rows
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import Kernel, as_readonly, average_rows_of, policy_system, rows_of
 from oee_tabular.mdp import check_policy

@@ -14,10 +14,9 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact.finite import gradient_to_horizon, visits
-from oee_tabular.exact.linear import solve
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import drop_states, policy_system, recurrent_states
-from oee_tabular.exact.values import policy_rewards, state_values
+from oee_tabular.exact.values import policy_rewards, solve, state_values
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 

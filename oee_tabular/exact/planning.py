@@ -15,7 +15,7 @@ from numba import njit
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.exact import _graph
+from oee_tabular.exact import _system
 from oee_tabular.exact.solvers.direct import EnvelopeLU
 from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
 from oee_tabular.exact.values import action_values, finite_values, infinite_values
@@ -83,7 +83,7 @@ def is_narrow(mdp: FiniteMDP) -> bool:
     if mdp.n_states <= 100:
         return False
     rows = rows_of(mdp.csr)  # those of a state side by side lead wherever its actions do
-    if _graph.expands(Kernel(as_readonly(rows.indptr[:: mdp.n_actions]), rows.indices, rows.data, 1.0)):
+    if _system.expands(Kernel(as_readonly(rows.indptr[:: mdp.n_actions]), rows.indices, rows.data, 1.0)):
         return False
     return EnvelopeLU(is_narrow=True).suits(policy_system(mdp, uniform_policy(mdp)))
 

@@ -17,8 +17,8 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular._threads import dot
 from oee_tabular.exact import _moments
-from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.system import DivergentKernelError, as_readonly, exponent
+from oee_tabular.exact.values import solve_policy_system
 from oee_tabular.exact.walks import Walk, radius_of
 from oee_tabular.mdp.horizons import SHORT_HORIZON, limit_horizon
 

@@ -14,7 +14,7 @@ from scipy.sparse import csgraph
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
-from oee_tabular.exact import _graph, _policy_rows
+from oee_tabular.exact import _system
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp.naming import NAMELESS, Names
 
@@ -94,7 +94,7 @@ class System:
     @cached_property
     def row_sums(self) -> tuple[float, float, float]:
         """Of K the smallest, the largest with its rounding, and half way between them, without rounding."""
-        smallest, largest, middle = _policy_rows.range_of_sums(self.kernel, float(self.n_roundings))
+        smallest, largest, middle = _system.range_of_sums(self.kernel, float(self.n_roundings))
         return smallest, largest, middle
 
     @property
@@ -107,17 +107,17 @@ class System:
     @cached_property
     def back(self) -> Csr:
         """K transposed."""
-        return Csr(*map(as_readonly, _policy_rows.transpose_rows(*self.kernel[:3], self.n_states)))
+        return Csr(*map(as_readonly, _system.transpose_rows(*self.kernel[:3], self.n_states)))
 
     @cached_property
     def expands(self) -> bool:
         """Whether a few steps lead almost everywhere in the graph."""
-        return bool(_graph.expands(self.kernel))
+        return bool(_system.expands(self.kernel))
 
     @cached_property
     def order(self) -> tuple[Any, Any]:
         """The states in breadth-first order along the rows, and each one's place."""
-        return tuple(_graph.breadth_first(self.kernel, NO_ROWS, np.inf))
+        return tuple(_system.breadth_first(self.kernel, NO_ROWS, np.inf))
 
     @cached_property
     def envelope(self) -> tuple[Any, ...] | None:
@@ -129,9 +129,9 @@ class System:
         if len(self.kernel.indices) > (2.0 * WIDEST + 1.0) * self.n_states:  # an envelope has half of them at least
             return None
         for along_both in (False, True):
-            _, place = _graph.breadth_first(self.kernel, self.back, WIDEST) if along_both else self.order
+            _, place = _system.breadth_first(self.kernel, self.back, WIDEST) if along_both else self.order
             if len(place):
-                order, first, starts = _graph.find_envelope(self.kernel, place)
+                order, first, starts = _system.find_envelope(self.kernel, place)
                 if starts[-1] <= WIDEST * self.n_states:
                     return place, order, first, starts
         return None
@@ -151,7 +151,7 @@ def average_rows(rows: Csr, policy: Array) -> Csr:
 def average_rows_of(states: Any, rows: Csr, policy: Array, number: Any, n_entries: int) -> Csr:
     """The same of these states, those that follow under a new number less 1; they have ``n_entries`` in all."""
     room = np.empty(n_entries, dtype=np.uint32), np.empty(n_entries)
-    averaged = Csr(*_policy_rows.average_rows(rows, np.ascontiguousarray(policy), states, number, *room))
+    averaged = Csr(*_system.average_rows(rows, np.ascontiguousarray(policy), states, number, *room))
     for part in averaged:
         part.flags.writeable = False  # so that sweeps are compiled for one kind of array
     return averaged
@@ -197,7 +197,7 @@ def drop_states(system: System, dropped: BoolArray) -> System:
 
 def exponent(numbers: Array) -> int:
     """That of the largest number, where its square may leave the range of floats; else 0."""
-    largest = float(_policy_rows.largest_magnitude(np.ascontiguousarray(numbers, dtype=np.float64).reshape(-1)))
+    largest = float(_system.largest_magnitude(np.ascontiguousarray(numbers, dtype=np.float64).reshape(-1)))
     return 0 if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf else int(np.frexp(largest)[1])
 
 

@@ -9,11 +9,11 @@ policy's discounted time in the pairs, unnormalised, the gradient of J is G(x, s
     {J(P') : sum_x n_x KL(phat_x || P'_x) <= chi^2_1 / 2},   rows without data anything that simulator or box allow,
 
 at the confidence asked for as n grows; P'_i = phat_i / (1 + e_x - tau G_i / n_x) at an end. ``Interval.sampling`` beside it
-takes rows without data as estimated. ``shared``: the same where rows share parameters (a tie, features).
+takes rows without data as estimated. ``shared_ends``: the same where rows share parameters (a tie, features).
 
 *Large samples* (``asymptotic``): Var J = sum_x Var_phat(G_x) / n_x, or resamples; rows without data are the simulator's.
 
-*Guaranteed* (``robust``, ``_robust``): P'_x in {KL(phat_x || P'_x) <= epsilon_x, nu P <= P' <= mu P} for all x at once, at any
+*Guaranteed* (``robust``): P'_x in {KL(phat_x || P'_x) <= epsilon_x, nu P <= P' <= mu P} for all x at once, at any
 sample size, and V = sum_a pi max_{P'_x} P'_x (r + gamma V). ``value_range`` has the box alone, Assumption V.1.
 
 *Comparison* (``comparison``): Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), and one rule, ``Comparison.decide``, for the

@@ -12,7 +12,7 @@ from math import log1p
 import numpy as np
 from numba import njit
 
-from oee_tabular.inference._robust import greedy_row
+from oee_tabular.inference.robust import greedy_row
 
 # an ascent's numbers, as records: their fields are attributes without numba too; ``value`` is J of its rows and ``reference``
 # that of the frequencies, ``change`` the last step's

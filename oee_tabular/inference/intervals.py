@@ -23,10 +23,9 @@ from oee_tabular.inference.evidence import (
     require_squares,
     unrecorded_share,
 )
-from oee_tabular.inference.likelihood import likelihood_ends
+from oee_tabular.inference.likelihood import likelihood_ends, shared_directions, shared_ends
 from oee_tabular.inference.margins import outside_margin
 from oee_tabular.inference.robust import extreme_value, find_contradictions, radii, require_end
-from oee_tabular.inference.shared import shared_directions, shared_ends
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.plots import plot_intervals
 
@@ -145,8 +144,8 @@ def interval(
         support. It limits "likelihood" in unrecorded pairs and "robust" in all; the log is tested against it in each recorded
         pair, weakly: ``radius`` at ``confidence``, shared by all pairs
     tie, features : as in ``transition_ratio``, one of them: the likelihood interval of the model in which transitions of one
-        key, or along features, differ from the simulator alike, and nothing else does (``inference.shared``). It is narrower
-        if the assumption is true and may miss the value if it is not
+        key, or along features, differ from the simulator alike, and nothing else does (``inference.likelihood``). It is
+        narrower if the assumption is true and may miss the value if it is not
     radius : of the balls: "independent" (fixed counts), "anytime" (random counts, as in episodes), "auto": anytime for a log
         with episodes
     resample, n_bootstrap, seed : what the percentile bootstrap resamples ("transitions" or "episodes"), how often, its seed

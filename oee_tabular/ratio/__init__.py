@@ -35,13 +35,12 @@ From counts to zeta
 Where to find it
 ----------------
 transition     ``transition_ratio``: zeta from a log by any method; ``true_ratio``: zeta of two MDPs
-density        ``density_ratio``: the program for two distributions; ``dual`` and ``_dual`` solve it, ``_certificate`` judges
+density        ``density_ratio``: the program for two distributions; ``dual`` checks and solves it, ``_certificate`` judges
 statements     every program as cvxpy states it: the reference, and Clarabel for linear and kernel classes
 conditional, linear, ties, quotient, joint    one method each; ``method`` is what they have in common
-features       features of transitions, kernels by pivoted Cholesky; ``tabled`` reads them from data frames
-sgd, network, trained    Algorithm 1 on tables; the paper's networks (extra ``neural``)
+features       features of transitions, also from data frames; kernels by pivoted Cholesky
+sgd, network   Algorithm 1 on tables; the paper's networks (extra ``neural``)
 prior          what ``Conditional`` shrinks to, and how strongly
-arguments      checks of p and q, of the box and of lambda
 support        no ratio without support: transitions to which the simulator gives probability 0
 result         zeta with its certificate, its standard error and its one-step correction
 

@@ -1,4 +1,6 @@
-"""Duality gaps of separable programs, from the program as it is stated; shares no code with what solves it.
+"""Duality gaps of separable programs, from the program as it is stated.
+
+This file shares no code with what solves the programs (``dual``, ``joint``).
 
 With the multipliers fixed, the Lagrangian of an entry is b g - p log g + a/2 g^2 up to a constant, and its least value over
 the box has a closed form. The gap is the sum of what the handed-over g is above those, a sum of terms that are none of them

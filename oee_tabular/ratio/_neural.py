@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import os
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,7 +20,9 @@ import optax
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._progress import progress_bar
 from oee_tabular.mdp.rows import Rows
-from oee_tabular.ratio.network import Network
+
+if TYPE_CHECKING:
+    from oee_tabular.ratio.network import Network
 
 EVERY = 100  # iterations between two looks at the held-out risk
 N_CELLS_AT_ONCE = 2**16  # evaluated together

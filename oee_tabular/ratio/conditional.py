@@ -19,15 +19,14 @@ from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, csr_on_pattern, row_of_entry
 from oee_tabular.mdp.rows import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
-from oee_tabular.ratio.arguments import check_box, check_ridge
+from oee_tabular.ratio.dual import check_box, check_ridge
 from oee_tabular.ratio.features import count_rank, feature_array
 from oee_tabular.ratio.method import Method, Population, RatioInput
-from oee_tabular.ratio.network import Network, check_network
+from oee_tabular.ratio.network import Network, check_network, fit_rows
 from oee_tabular.ratio.prior.directions import add_values, make_directions, own_directions, values_in
 from oee_tabular.ratio.prior.ridge import Tilt, fit_ridge
 from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, kinds_of_rows, meaning
 from oee_tabular.ratio.result import Influence, TransitionRatio
-from oee_tabular.ratio.trained import fit_rows
 
 Ridge = float | str | Callable[[float], float]
 SMALLEST = np.finfo(float).tiny  # in place of a weight of 0

@@ -2,18 +2,70 @@
 
     minimise  sum_x q g - p log g + A/2 (g - c)^2   subject to  lower <= g <= upper,  sum_x q g = sum_x q    (eq. 3.7)
 
-in each row. The kernels solve q g - p log g - pull g + a/2 g^2; gaps are those of the program as stated (``_certificate``).
+in each row. The loops solve q g - p log g - pull g + a/2 g^2. With the multiplier eta of the equality and m = 1 + eta (m
+itself is iterated on: near m = 0 nothing cancels) each coordinate has the closed form of ``coordinate``, and the miss sum_x q
+(g_x(m) - 1) is nonincreasing in m: a bracketed root, by Newton's method. Where a = 0 it is Newton's in 1/m, in which the miss
+is linear as long as the same entries are inside the box. Gaps are those of the program as stated (``_certificate``).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
+from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular.ratio import _certificate, _dual
-from oee_tabular.ratio.arguments import Box
+from oee_tabular.ratio import _certificate
+
+
+class Box(NamedTuple):
+    """Checked bounds nu <= g <= mu of a ratio, infinite where not given."""
+
+    lower: float
+    upper: float
+
+
+def check_box(lower: object, upper: object, *, normalized: bool, names: tuple[str, str] = ("lower", "upper")) -> Box:
+    """The bounds of a ratio as floats; errors for a box that is empty or, where g is normalised, excludes 1."""
+    nu = 0.0 if lower is None else _checks.number_in(lower, names[0], 0.0, np.inf)
+    mu = np.inf if upper is None else _checks.number_in(upper, names[1], 0.0, np.inf, infinite=True)
+    if nu > mu:
+        raise ValueError(f"{names[0]} must not exceed {names[1]}; they are {nu:g} and {mu:g}")
+    if mu == 0.0:
+        raise ValueError(f"{names[1]} must be positive: the logarithm of the ratio is part of the objective; it is 0")
+    if normalized and not nu <= 1.0 <= mu:
+        raise ValueError(
+            f"the box [{', '.join(names)}] must contain 1 for sum q g = 1 to be possible; it is [{nu:g}, {mu:g}]"
+        )
+    return Box(nu, mu)
+
+
+def check_ridge(value: object, n: float) -> float:
+    """lambda_n as a finite nonnegative number: given, or a function of the sample size."""
+    name = f"ridge({n:g})" if callable(value) else "ridge"
+    return _checks.number_in(value(n) if callable(value) else value, name, 0.0, np.inf)
+
+
+def check_weights(p: object, q: object) -> tuple[Array, Array]:
+    """Return p and q, counts or probabilities of the same cells, nonnegative and each with a positive sum."""
+    weights = [_checks.float_array(value, name, ndim=1) for value, name in ((p, "p"), (q, "q"))]
+    for array, name in zip(weights, ("p", "q"), strict=True):
+        _checks.require_nonnegative(array, name)
+        with np.errstate(over="ignore"):
+            total = float(array.sum())
+        if not 0.0 < total < np.inf:
+            raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
+    if len(weights[0]) != len(weights[1]):
+        raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
+    return weights[0], weights[1]
+
+
+def check_distributions(p: object, q: object) -> tuple[Array, Array]:
+    """Return p and q, counts or probabilities of the same cells, each scaled to sum to 1."""
+    p_weights, q_weights = check_weights(p, q)
+    return p_weights / p_weights.sum(), q_weights / q_weights.sum()
 
 
 class Coordinates(NamedTuple):
@@ -41,13 +93,13 @@ class Coordinates(NamedTuple):
         """sum curvature/2 (g - center)^2."""
         return 0.5 * float(self.curvature @ (g - self.center) ** 2) if self.curvature.any() else 0.0
 
-    def kernel_form(self, lower: float, upper: float) -> _dual.Form:
+    def kernel_form(self, lower: float, upper: float) -> Form:
         """q g - p log g - pull g + a/2 g^2, equal to the program up to a constant."""
         pull = self.curvature * self.center
         if self.squares:
             pull, a = self.p + pull + self.q, self.q + self.curvature
-            return _dual.Form(np.zeros_like(self.p), self.q, a, pull, float(lower), float(upper))
-        return _dual.Form(self.p, self.q, self.curvature, pull, float(lower), float(upper))
+            return Form(np.zeros_like(self.p), self.q, a, pull, float(lower), float(upper))
+        return Form(self.p, self.q, self.curvature, pull, float(lower), float(upper))
 
 
 class RowSolution(NamedTuple):
@@ -72,13 +124,13 @@ def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
     """
     rows, m = indptr.astype(np.int64), np.empty(len(indptr) - 1)
     ratio, below, above = np.empty((3, len(program.p)))
-    _dual.solve_rows(program.kernel_form(lower, upper), rows, ratio, below, above, m)
+    fill_rows(program.kernel_form(lower, upper), rows, ratio, below, above, m)
     return RowSolution(ratio, m, row_gaps(program, ratio, m, lower, upper, rows), below, above)
 
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
     """The minimiser without the equality, in closed form."""
-    return np.asarray(_dual.solve_free(program.kernel_form(lower, upper)))
+    return np.asarray(fill_free(program.kernel_form(lower, upper)))
 
 
 def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, upper: float, indptr: IntArray) -> Array:
@@ -93,3 +145,135 @@ def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, uppe
 def objective(g: Array, program: Coordinates) -> float:
     """The program's value."""
     return program.risk(g) + program.penalty(g)
+
+
+TINY = 1e-200  # multipliers nearer to 0 are 0
+ROUNDING = 2.3e-16
+N_STEPS = 4000  # halvings from the largest to the smallest number take 2000
+
+
+class Form(NamedTuple):
+    """The program's arrays (entries,) and its box."""
+
+    p: Any
+    q: Any
+    a: Any
+    pull: Any
+    lower: float
+    upper: float
+
+
+@njit(cache=True, error_model="numpy")
+def coordinate(b, a, p, lower, upper):
+    """argmin of b g - p log g + a/2 g^2 over [lower, upper]; ``lower`` where every point is one."""
+    if p > 0.0:
+        if a > 0.0:
+            root = np.sqrt(b * b + 4.0 * a * p)
+            g = 2.0 * p / (b + root) if b >= 0.0 else (root - b) / (2.0 * a)
+        elif b > 0.0:
+            g = p / b
+        else:
+            g = np.inf
+    elif b >= 0.0:
+        g = 0.0
+    elif a > 0.0:
+        g = -b / a
+    else:
+        g = np.inf
+    return min(max(g, lower), upper)
+
+
+@njit(cache=True, error_model="numpy")
+def minimiser(m, form, x):
+    """g_x(m)."""
+    return coordinate(form.q[x] * m - form.pull[x], form.a[x], form.p[x], form.lower, form.upper)
+
+
+@njit(cache=True, error_model="numpy", inline="always")  # rows are short: a call costs as much as its loop
+def fill_row(m, form, low, high, g):
+    """g_x(m) for the entries low..high; returns sum q (g - 1) and minus its derivative in m."""
+    miss, slope = 0.0, 0.0
+    for x in range(low, high):
+        q, value = form.q[x], minimiser(m, form, x)
+        g[x] = value
+        if q > 0.0:
+            miss += q * (value - 1.0)
+            if form.lower < value < form.upper:
+                mass = q * value  # q^2 / (p / g^2 + a), written so that g^2 cannot underflow
+                curvature = form.p[x] + form.a[x] * value * value
+                if curvature > 0.0:
+                    slope += mass * (mass / curvature)
+    return miss, slope
+
+
+@njit(cache=True, error_model="numpy")
+def solve_row(form, low, high, g, below, above):
+    """Solve one row into ``g``, with the minimisers at the ends of m's bracket, below <= g <= above; returns m.
+
+    Needs lower <= 1 <= upper. The bracket has miss(left) >= 0 >= miss(right); from m = 1 it shrinks by Newton's steps, each a
+    little too long near the root so that both ends come within rounding of it, by doubled steps where it has no end, and by
+    halving. g is the convex combination of the two ends' minimisers that meets the equality, right at jumps too (p = 0 = a).
+    """
+    mass, curved = 0.0, False
+    for x in range(low, high):
+        if form.q[x] > 0.0:
+            mass += form.p[x]
+            curved = curved or form.a[x] > 0.0
+    if mass == 0.0 and not curved and low < high and not form.pull[low:high].any():  # every feasible g is a minimiser
+        for x in range(low, high):
+            g[x] = 1.0 if form.q[x] > 0.0 else minimiser(0.0, form, x)
+        below[low:high], above[low:high] = g[low:high], g[low:high]
+        return 0.0
+    left, right = -np.inf, np.inf
+    if not curved:  # without a bound sum q g >= mass / m; with one all entries are at it once m < 0
+        left = mass if form.upper == np.inf else -TINY
+    m, width, reach = 1.0, 1.0, ROUNDING
+    for step in range(1, N_STEPS):
+        miss, slope = fill_row(m, form, low, high, g)
+        if miss == 0.0:
+            below[low:high], above[low:high] = g[low:high], g[low:high]
+            return m
+        if np.isnan(miss) or (curved and not np.isfinite(miss + slope)):  # numbers that double precision does not hold
+            g[low:high] = np.nan
+            return np.nan
+        if miss > 0.0:
+            left = m
+        else:
+            right = m
+        if right - left <= max(4.0 * reach * abs(m), TINY):
+            break
+        share = miss / (slope * m) if slope > 0.0 else np.nan
+        trial = m / (1.0 - share) if not curved and share < 0.5 else m * (1.0 + share)
+        if abs(share) <= 1e-10:
+            trial += np.copysign(reach * m, miss)
+            reach *= 2.0
+        if not left < trial < right or step % 16 == 0:
+            if right == np.inf or left == -np.inf:  # g has no bound as m falls, or reaches its bounds as it rises
+                trial = left + width if right == np.inf else right - width
+                width *= 2.0
+            else:
+                trial = 0.0 if left < 0.0 < right else 0.5 * (left + right)
+            if not left < trial < right:
+                break
+        m = trial
+    at_left, at_right = fill_row(left, form, low, high, above)[0], fill_row(right, form, low, high, below)[0]
+    share = min(max(-at_right / (at_left - at_right), 0.0), 1.0) if at_left > at_right else 1.0
+    for x in range(low, high):
+        g[x] = below[x] + share * (above[x] - below[x]) if above[x] > below[x] else above[x]
+    return left if share >= 0.5 else right
+
+
+@njit(cache=True, error_model="numpy")
+def fill_rows(form, indptr, g, below, above, m):
+    """Every row by itself: the ratios, what encloses them, and m of each row."""
+    for k in range(len(m)):
+        m[k] = solve_row(form, indptr[k], indptr[k + 1], g, below, above)
+
+
+@njit(cache=True, error_model="numpy")
+def fill_free(form):
+    """Without the equality: m = 1."""
+    g = np.empty(len(form.p))
+    for x in range(len(g)):
+        g[x] = minimiser(1.0, form, x)
+    return g

@@ -5,7 +5,16 @@
                 ratio_lower b <= B <= ratio_upper b  where the ratio has a box of its own,
 
 p, s the target's frequencies of (s, a, s') and (s, a); q = d(s, a) P(s' | s, a), r = d(s, a) the simulator's, whose data enter
-through d(s, a) alone. The constraint says sum_s' P B / b = 1. Each (s, a) is solved by itself (``_joint``).
+through d(s, a) alone. The constraint says sum_s' P B / b = 1.
+
+Each (s, a) is solved by itself, B_x = B(s, a, x) and b together, r = sum_x q_x. With the multiplier theta of the equality and
+a given b, each B_x has the coordinate's closed form (``dual``) in its bounds, and the Lagrangian's least value is convex in b
+with the derivative (envelope theorem)
+
+    (1 - theta) r - s / b + lam b + ratio_lower sum eta - ratio_upper sum xi,
+
+eta and xi the slopes of B at the bounds that move with b: b is a bracketed root, or of closed form without a box. Then
+phi(theta) = sum q B(theta) - r b(theta) is nonincreasing: a bracketed root again.
 """
 
 from __future__ import annotations
@@ -15,11 +24,12 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 
 from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike
-from oee_tabular.ratio import _certificate, _joint, statements
-from oee_tabular.ratio.arguments import Box, check_box, check_ridge
+from oee_tabular.ratio import _certificate, statements
+from oee_tabular.ratio.dual import ROUNDING, Box, check_box, check_ridge, coordinate
 from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
 from oee_tabular.ratio.quotient import check_simulator_data, simulator_weights
 from oee_tabular.ratio.result import TransitionRatio
@@ -92,7 +102,7 @@ class Joint(Method):
                 f"{int(lost.sum())} of them"
             )
         if self.solver == "dual":
-            point = JointPoint(*_joint.solve_all(program))
+            point = JointPoint(*solve_all(program))
             gap = float(_certificate.joint_gaps(program, point).sum())
         else:
             point = statements.solve_joint(program, solver=self.solver)
@@ -111,3 +121,129 @@ class Joint(Method):
             "pairs_without_simulator_data": int(lost.sum()),
         }
         return given.ratio(zeta, self._name, gap, details)
+
+
+NEAR = 1e-12  # relative distance at which a bound that moves and one that does not coincide
+
+
+@njit(cache=True, error_model="numpy")
+def slope_at(x, theta, f, g):
+    """The derivative of the Lagrangian in B_x."""
+    return (1.0 + theta) * f.q[x] + f.lam * g - (f.p[x] / g if f.p[x] > 0.0 else 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def fill_moves(b, theta, f, k, moves):
+    """B_x(theta, b) of row k into ``moves``; returns the derivative of the Lagrangian's least value in b."""
+    lower, upper = max(f.nu, f.ratio_lower * b), min(f.mu, f.ratio_upper * b)
+    slope = f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0)
+    for x in range(f.indptr[k], f.indptr[k + 1]):
+        g = coordinate((1.0 + theta) * f.q[x], f.lam, f.p[x], lower, upper)
+        moves[x] = g
+        if g <= lower and lower > f.nu:
+            slope += f.ratio_lower * max(slope_at(x, theta, f, g), 0.0)
+        elif g >= upper and upper < f.mu:
+            slope += f.ratio_upper * min(slope_at(x, theta, f, g), 0.0)
+    return slope
+
+
+@njit(cache=True, error_model="numpy")
+def minimise(theta, f, k, moves):
+    """B(theta) of row k into ``moves``; returns b(theta) and phi(theta)."""
+    b = coordinate(f.r[k] - theta * f.r[k], f.lam, f.s[k], f.nu, f.mu)
+    if f.ratio_lower > 0.0 or f.ratio_upper < np.inf:
+        left, right, at_left, at_right, step = f.nu, f.mu, np.nan, np.nan, 0
+        b = min(max(1.0, f.nu), f.mu)
+        while 1e-300 < b < 1e300:
+            slope = fill_moves(b, theta, f, k, moves)
+            if slope > 0.0:
+                right, at_right = b, slope
+            else:
+                left, at_left = b, slope
+            b = (left * at_right - right * at_left) / (at_right - at_left)
+            step += 1
+            if left == 0.0 or right == np.inf:
+                b = 0.5 * right if left == 0.0 else 2.0 * left
+            elif not left < b < right or step % 3 == 0:
+                b = left + 0.5 * (right - left)
+            if not left < b < right:
+                break
+    fill_moves(b, theta, f, k, moves)
+    phi = -f.r[k] * b
+    for x in range(f.indptr[k], f.indptr[k + 1]):
+        phi += f.q[x] * moves[x]
+    return b, phi
+
+
+@njit(cache=True, error_model="numpy")
+def solve(f, k, moves, at_left, at_right):
+    """One (s, a): fills B into ``moves``; returns b and theta."""
+    b, phi = minimise(0.0, f, k, moves)
+    n = f.indptr[k + 1] - f.indptr[k]
+    if b < np.inf and abs(phi) <= ROUNDING * (n + 2) * f.r[k] * b:  # equal up to the rounding of the sums themselves
+        return b, 0.0
+    side, left, right, width = np.sign(phi), 0.0, 0.0, 0.5
+    while phi * side > 0.0 and width < 1e300:  # phi(left) >= 0 >= phi(right)
+        left, right = (right, right + width) if side > 0.0 else (left - width, left)
+        width *= 2.0
+        b, phi = minimise(right if side > 0.0 else left, f, k, moves)
+    theta = 0.5 * (left + right)
+    while left < theta < right:
+        b, phi = minimise(theta, f, k, moves)
+        if phi >= 0.0:
+            left = theta
+        if phi <= 0.0:
+            right = theta
+        theta = 0.5 * (left + right)
+    b_left, phi_left = minimise(left, f, k, at_left)
+    b_right, phi_right = minimise(right, f, k, at_right)
+    share = phi_left / (phi_left - phi_right) if phi_left > phi_right else 0.0  # of the right end
+    if not 0.0 <= share <= 1.0:
+        share = 0.0 if phi_left < np.inf else 1.0
+    b = b_left if b_left == b_right or share == 0.0 else b_left + share * (b_right - b_left)
+    for x in range(f.indptr[k], f.indptr[k + 1]):
+        same = at_left[x] == at_right[x] or share == 0.0
+        moves[x] = at_left[x] if same else at_left[x] + share * (at_right[x] - at_left[x])
+    return b, right if share > 0.5 else left
+
+
+@njit(cache=True, error_model="numpy")
+def fill_multipliers(b, theta, f, k, moves, eta, xi):
+    """eta and xi of the bounds on the ratio, for B (``moves``), b and theta.
+
+    Where a moving bound coincides with a fixed one its share of the multiplier is what b's own condition asks for.
+    """
+    rest, loose = f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0), 0.0
+    moving_lower, moving_upper = f.ratio_lower * b > f.nu * (1.0 + NEAR), f.ratio_upper * b < f.mu * (1.0 - NEAR)
+    for x in range(f.indptr[k], f.indptr[k + 1]):
+        eta[x], xi[x], slope = 0.0, 0.0, slope_at(x, theta, f, moves[x])
+        if slope > 0.0 and f.ratio_lower > 0.0 and moves[x] <= f.ratio_lower * b * (1.0 + NEAR):
+            eta[x] = slope
+            pull, moving = f.ratio_lower * slope, moving_lower
+        elif slope < 0.0 and moves[x] >= f.ratio_upper * b * (1.0 - NEAR):
+            xi[x] = -slope
+            pull, moving = f.ratio_upper * slope, moving_upper
+        else:
+            continue
+        if moving:
+            rest += pull
+        else:
+            loose += pull
+    share = min(max(-rest / loose, 0.0), 1.0) if loose != 0.0 else 0.0
+    for x in range(f.indptr[k], f.indptr[k + 1]):
+        if not moving_lower:
+            eta[x] *= share
+        if not moving_upper:
+            xi[x] *= share
+
+
+@njit(cache=True, error_model="numpy")
+def solve_all(f):
+    """Every (s, a) of the program ``f`` by itself: B, b, theta, eta and xi."""
+    n, n_rows = len(f.p), len(f.s)
+    moves, eta, xi, at_left, at_right = np.empty(n), np.zeros(n), np.zeros(n), np.empty(n), np.empty(n)
+    b, theta = np.empty(n_rows), np.empty(n_rows)
+    for k in range(n_rows):
+        b[k], theta[k] = solve(f, k, moves, at_left, at_right)
+        fill_multipliers(b[k], theta[k], f, k, moves, eta, xi)
+    return moves, b, theta, eta, xi

@@ -28,7 +28,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.ratio import _certificate, statements
-from oee_tabular.ratio.arguments import Box, check_box, check_ridge
+from oee_tabular.ratio.dual import Box, check_box, check_ridge
 from oee_tabular.ratio.features import (
     KernelFunction,
     check_kernel,

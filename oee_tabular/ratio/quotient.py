@@ -13,14 +13,13 @@ from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
 from oee_tabular.mdp import check_policy
-from oee_tabular.ratio.arguments import check_box
 from oee_tabular.ratio.density import RatioFit, density_ratio
+from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
-from oee_tabular.ratio.network import Network, check_boxed_network
+from oee_tabular.ratio.network import Network, check_boxed_network, fit_network
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
-from oee_tabular.ratio.trained import fit_network
 from oee_tabular.simulate.logs import episodes_holding
 
 _LONGEST_EPISODE = 1000  # the paper's episodes, where the log does not say how long its own were

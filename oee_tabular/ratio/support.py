@@ -14,7 +14,7 @@ from oee_tabular._checks import Array
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition
-from oee_tabular.ratio.arguments import check_distributions
+from oee_tabular.ratio.dual import check_distributions
 
 LEAST_PROBABILITY = 1e-300  # of a smaller one a ratio overflows
 LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1

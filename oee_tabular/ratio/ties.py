@@ -28,6 +28,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import dual
 from oee_tabular.ratio.dual import Coordinates
+from oee_tabular.ratio.features import keys_in
 from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import TransitionRatio
 
@@ -128,8 +129,6 @@ def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
     if callable(tie):
         tie = tie(*rows.transitions)
     elif is_frame(tie):
-        from oee_tabular.ratio.tabled import keys_in
-
         tie = keys_in(tie, simulator, "tie")
     given = _checks.as_array(tie, "tie")
     if given.shape == (simulator.n_states, simulator.n_actions, simulator.n_states):

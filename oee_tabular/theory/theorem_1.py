@@ -11,7 +11,7 @@ from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.ratio.arguments import check_distributions
+from oee_tabular.ratio.dual import check_distributions
 from oee_tabular.theory.simulation_lemma import Sides, check_box, check_ratio
 
 

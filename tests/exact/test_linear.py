@@ -10,7 +10,7 @@ from structures import STRUCTURES, grid, layered, random_rows
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, exact
-from oee_tabular.exact.linear import solve_policy_system
+from oee_tabular.exact.values import solve_policy_system
 
 
 def rational(matrix, b, gamma):

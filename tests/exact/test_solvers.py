@@ -15,7 +15,6 @@ from structures import STRUCTURES, binary_tree, cycle, grid, layered, random_row
 import oee_tabular as oee
 from oee_tabular import exact
 from oee_tabular.exact import solvers
-from oee_tabular.exact.linear import solve_policy_system
 from oee_tabular.exact.solvers import (
     LAPACK,
     SOLVERS,
@@ -28,6 +27,7 @@ from oee_tabular.exact.solvers import (
     refine,
 )
 from oee_tabular.exact.system import Kernel, System, rows_of
+from oee_tabular.exact.values import solve_policy_system
 
 LAST = SOLVERS[-3:]  # LAPACK, SuperLU, LAPACK of more states
 ITERATIVE = (ValueIteration(), PlainBiCGStab(), BiCGStab())

@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from oee_tabular.inference import _robust as kernel
+from oee_tabular.inference import robust as kernel
 
 
 def random_row(rng, box=True):

@@ -137,7 +137,7 @@ def test_no_feasible_point_is_called_nearer_to_the_minimum_than_it_is(rng, off):
 @pytest.mark.parametrize("ridge", [0.0, 0.1])
 def test_corrupted_rows_are_found_out(monkeypatch, ridge):
     """A kernel that leaves one entry of one row half a percent off."""
-    solve = importlib.import_module("oee_tabular.ratio._dual").solve_rows
+    solve = importlib.import_module("oee_tabular.ratio.dual").fill_rows
 
     def wrong(form, indptr, g, *rest):
         solve(form, indptr, g, *rest)
@@ -145,7 +145,7 @@ def test_corrupted_rows_are_found_out(monkeypatch, ridge):
 
     options = {"prior": "simulator", "lower": 0.01, "upper": 10.0, "ridge": ridge, "toward": 1.0}
     right = oee.transition_ratio(LOG, SIMULATOR, **options).gap
-    monkeypatch.setattr("oee_tabular.ratio._dual.solve_rows", wrong)
+    monkeypatch.setattr("oee_tabular.ratio.dual.fill_rows", wrong)
     assert oee.transition_ratio(LOG, SIMULATOR, **options).gap > 1e-7 > 1e3 * right
 
 

@@ -32,7 +32,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from oee_tabular._checks import Array
-from oee_tabular.exact import _policy_rows
+from oee_tabular.exact import _system
 from oee_tabular.exact.solvers.bicgstab import BiCGStab
 from oee_tabular.exact.solvers.direct import LAPACK, LAST_RESORT, EnvelopeLU, SuperLU
 from oee_tabular.exact.solvers.mixing import PlainBiCGStab, ValueIteration
@@ -115,7 +115,7 @@ def answer(system: System, b: Array, near: Array | None = None, share: float = 0
 def measure(system: System, b: Array, x: Array, method: str) -> Iterate:
     """x and what it misses."""
     n_roundings = float(system.n_roundings)
-    missed, largest, bound, rounding = _policy_rows.residual(system.kernel, system.transpose, b, x, n_roundings)
+    missed, largest, bound, rounding = _system.residual(system.kernel, system.transpose, b, x, n_roundings)
     return Iterate(x, missed, largest, bound, rounding, method)
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit
 
 from oee_tabular._checks import Array
-from oee_tabular.exact._policy_rows import add_entry, multiply, transpose_rows
+from oee_tabular.exact._system import add_entry, multiply, transpose_rows
 from oee_tabular.exact.system import Kernel, Solve, System
 
 FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x

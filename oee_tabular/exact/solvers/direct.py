@@ -19,7 +19,7 @@ from scipy.linalg import lapack
 from scipy.sparse import linalg as sparse_linalg
 
 from oee_tabular._checks import Array
-from oee_tabular.exact import _graph
+from oee_tabular.exact import _system
 from oee_tabular.exact.system import Csr, Solve, System
 
 LAST_RESORT = 3000  # states: 72 MB and a second
@@ -166,8 +166,8 @@ class SuperLU:
         if self.most is None:
             return not system.expands
         rows = Csr(*system.kernel[:3])
-        along_rows = _graph.fills_little(system.kernel, rows, *system.order, self.most)
-        return bool(along_rows and _graph.fills_little(system.kernel, system.back, *system.order, self.most))
+        along_rows = _system.fills_little(system.kernel, rows, *system.order, self.most)
+        return bool(along_rows and _system.fills_little(system.kernel, system.back, *system.order, self.most))
 
     def prepare(self, system: System) -> Solve:
         """Gives up on a singular system, as far as SuperLU sees it."""

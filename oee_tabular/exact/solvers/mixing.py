@@ -26,7 +26,7 @@ from functools import partial
 import numpy as np
 from numba import njit
 
-from oee_tabular.exact._policy_rows import multiply
+from oee_tabular.exact._system import multiply
 from oee_tabular.exact.system import Solve, System
 
 FLOOR = 4e-16  # of the residual relative to x

@@ -11,6 +11,6 @@ is its posterior mean: m where the log has nothing, the frequencies where it has
                 one strength lambda a group by evidence; the certificate of f, and the posterior variance of theta
 ``strength``    kappa of each kind of rows by the marginal likelihood of its counts, or by leave-one-out
 
-``_ridge`` and ``_strength`` are their loops. Everything is convex given lambda and kappa; both are found by evidence, the
+``_ridge`` has the loops of the first two. Everything is convex given lambda and kappa; both are found by evidence, the
 simulator's and then the tilt's. Shapes: counts, P, m (entries,) on the simulator's entries; theta (1 + A, d); kappa (rows,).
 """
