@@ -160,7 +160,7 @@ def fit_network(
         ratio=_checks.freeze(g),
         enclosure=(np.full(len(p), lower), np.full(len(p), upper)),
         objective=value,
-        gap=value - best.dual_bound,
+        gap=max(value - best.dual_bound, 0.0),  # but for rounding
         divergence=float(pk @ np.log(g) - qk @ g + 1.0),
         status=f"trained for {trained.iteration[-1]} iterations",
         trace=_trace(trained, risks, best.objective, best.ratio, (p > 0) | (q > 0)),
