@@ -61,7 +61,7 @@ def _record(options: Options, settings: object, limits: dict[str, Any]) -> Any:
     """Record a log of numbered states, with their names where the file can hold them."""
     from oee_tabular.data import Transitions
     from oee_tabular.simulate import sample_episodes
-    from oee_tabular.simulate.logs import episodes_holding
+    from oee_tabular.simulate.sampler import episodes_holding
     from oee_tabular.tasks import record_episodes
 
     task = task_of(options.environment, options.discount, options.initial)

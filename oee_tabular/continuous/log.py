@@ -22,7 +22,7 @@ from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.files import Columns, Format
-from oee_tabular.data.minari import is_minari, minari_episodes
+from oee_tabular.data.frames import is_minari, minari_episodes
 from oee_tabular.data.rules import COLUMNS, check_array, suggest_columns
 from oee_tabular.data.tables import read_labels
 

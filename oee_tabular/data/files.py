@@ -14,7 +14,7 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Column
-from oee_tabular.data.minari import is_minari, minari_columns, save_minari
+from oee_tabular.data.frames import is_minari, minari_columns, save_minari
 from oee_tabular.data.rules import COLUMNS, MOVE, as_objects, check_table, require_columns, warn_left_out
 from oee_tabular.data.tables import LogFile, Table, count_parquet_rows, open_table, write_parquet
 from oee_tabular.mdp.naming import from_text, to_text

@@ -20,7 +20,7 @@ from oee_tabular.ratio.network import Network, check_boxed_network, fit_network
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
-from oee_tabular.simulate.logs import episodes_holding
+from oee_tabular.simulate.sampler import episodes_holding
 
 _LONGEST_EPISODE = 1000  # the paper's episodes, where the log does not say how long its own were
 

@@ -11,8 +11,8 @@ a policy pi (S, A):
 
 An episode ends with its horizon T, or on entering an absorbing state with reward 0; one that begins there has one step.
 
-    ``sample_episodes``     the episodes as a log                                                  ``logs``
-    ``sample_transitions``  n independent (s, a) ~ d (S, A) with s' ~ P(. | s, a)                  ``logs``
+    ``sample_episodes``     the episodes as a log                                                  ``sampler``
+    ``sample_transitions``  n independent (s, a) ~ d (S, A) with s' ~ P(. | s, a)                  ``sampler``
     ``sample_returns``      of each of n episodes sums alone, weighted by ratios zeta (4.2)        ``returns``
 
 Sums along an episode, with W_0 = 1 and a ratio zeta(s, a, s') for each transition:
@@ -39,7 +39,7 @@ on the calling thread. A step of returns takes less than half of what a plain co
 (`tests/benchmarks/speed.py rollouts`).
 """
 
-from oee_tabular.simulate.logs import sample_episodes, sample_transitions
 from oee_tabular.simulate.returns import SampledReturns, sample_returns
+from oee_tabular.simulate.sampler import sample_episodes, sample_transitions
 
 __all__ = ["SampledReturns", "sample_episodes", "sample_returns", "sample_transitions"]

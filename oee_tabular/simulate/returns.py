@@ -12,8 +12,7 @@ from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
-from oee_tabular.simulate.logs import episode_log
-from oee_tabular.simulate.sampler import draw
+from oee_tabular.simulate.sampler import draw, episode_log
 
 KINDS = ("per_decision", "trajectory")
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import oee_tabular as oee
-from oee_tabular.simulate.logs import episodes_holding
+from oee_tabular.simulate.sampler import episodes_holding
 
 
 def test_seeds_are_what_default_rng_takes():
