@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pandas as pd
-from kernels.files import csv_bytes, write_all
+from kernels.files import write_all
 
 RESULTS = Path(__file__).parents[1] / "notebooks" / "results"
 
@@ -29,16 +29,13 @@ def assert_saved(name, cell, table):
 
 def redraw(names):
     """The figures and pages of the saved tables; all of them without names."""
-    from oee_tabular.lab import output
-    from oee_tabular.lab.experiments.catalogue import EXPERIMENTS, choose
+    from oee_tabular.lab.experiment import files_of
+    from oee_tabular.lab.experiments.catalogue import choose, write_index
 
     for experiment in choose(names, everything=not names):
-        table = saved(experiment.id)
-        summary = output.summary_of(experiment, table)
-        page = output.markdown(experiment.settings(), table, summary).encode()
-        numbers = {"summary.csv": csv_bytes(summary, float_format="%.6g"), "summary.md": page}
-        write_all(RESULTS / experiment.id, numbers | output.figures(experiment, table, summary))
-    output.index(RESULTS, EXPERIMENTS.values())
+        made = files_of(experiment.settings(), saved(experiment.id))
+        write_all(RESULTS / experiment.id, {name: made[name] for name in made if name != "table.csv"})
+    write_index(RESULTS)
 
 
 if __name__ == "__main__":

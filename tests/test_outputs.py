@@ -16,7 +16,7 @@ import pytest
 from helpers import run_command
 
 import oee_tabular as oee
-from oee_tabular.lab.store import LOCK, Store, alone
+from oee_tabular.lab.run import LOCK, Store, alone
 
 GRID = "gridworld:3,slip=.3"
 SAMPLE = f"sample {GRID} --episodes 2 --output"
@@ -199,7 +199,7 @@ def test_names_are_no_formulas_in_a_spreadsheet(tmp_path):
 HOLD = """
 import sys, time
 from pathlib import Path
-from oee_tabular.lab.store import alone
+from oee_tabular.lab.run import alone
 with alone(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)

@@ -60,7 +60,7 @@ def bench(options: Options) -> None:
 
     They are measured on families of environment shift. An interrupted run goes on where it stopped.
     """
-    from oee_tabular.lab.bench.run import bench as run
+    from oee_tabular.lab.bench import bench as run
 
     asked = {name: value for name, value in vars(options).items() if name != "json"}
     lines: list[str] = []

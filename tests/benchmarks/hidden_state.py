@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from oee_tabular.continuous.task import DerivedTask, Moves
 from oee_tabular.data import ContinuousTransitions
-from oee_tabular.lab.robots.changes import classic
+from oee_tabular.lab.experiments import classic
 
 NONE = -99.0  # no command yet
 

@@ -11,24 +11,23 @@ import pytest
 from numpy.testing import assert_allclose
 from saved_results import saved
 
-from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
-from oee_tabular.lab.output import figures, summary_of
-from oee_tabular.lab.registry import Stream
-from oee_tabular.lab.robots import frequencies
-from oee_tabular.lab.robots.cartpole import published_error
-from oee_tabular.lab.robots.cartpole_estimates import (
+from oee_tabular.lab.experiment import Stream, files_of, summary_of
+from oee_tabular.lab.experiments.cartpole import (
     GRAVITIES,
     exact_values,
     fine_values,
     importance_sampling,
-    linear_model,
     off_environment,
     policies_of,
+    published_error,
     simulate_truth,
     target_log,
     true_values,
     truth_table,
 )
+from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
+from oee_tabular.lab.experiments.classic import LinearGaussian
+from oee_tabular.lab.experiments.common import frequencies
 from oee_tabular.tasks import CartPole, cartpole_policy, discretize, monte_carlo_value, record
 
 IDS = ("fig2", "cartpole_resolution", "cartpole_data", "cartpole_choice")
@@ -61,7 +60,7 @@ def test_a_smoke_cell(name):
     assert set(experiment.keys) <= set(summary.columns)
     assert np.isfinite(summary["error_mean"]).all()
     with mpl.rc_context({"figure.max_open_warning": 0}):
-        assert figures(experiment, table, summary)["figure.svg"].startswith(b"<?xml")
+        assert files_of(experiment.settings(smoke=True), table)["figure.svg"].startswith(b"<?xml")
 
 
 def test_the_shipped_truths_are_what_their_function_makes():
@@ -91,7 +90,7 @@ def test_a_million_vertices_in_ten_seconds_and_a_gigabyte():
     code = """
 import time
 from pathlib import Path
-from oee_tabular.lab.robots.cartpole_estimates import exact_values
+from oee_tabular.lab.experiments.cartpole import exact_values
 from oee_tabular.tasks import CartPole, cartpole_policy, discretize
 
 discretize(CartPole(), cells=(4, 4), closure_episodes=0)  # compile
@@ -126,8 +125,9 @@ def test_frequencies_stay_where_the_log_was_never():
 
 def test_the_linear_model_s_values_are_its_own():
     log = target_log("compiled", 15.0, 5000, np.random.default_rng(0))
-    sampled = monte_carlo_value(linear_model(log), cartpole_policy(0.4), 40_000, 100, seed=0, normalized=True)
-    assert abs(fine_values(linear_model(log))[2] - sampled.value) < 4 * sampled.standard_error + 5e-4
+    model = LinearGaussian(CartPole(), log, slice(2, 4))
+    sampled = monte_carlo_value(model, cartpole_policy(0.4), 40_000, 100, seed=0, normalized=True)
+    assert abs(fine_values(model)[2] - sampled.value) < 4 * sampled.standard_error + 5e-4
 
 
 def test_importance_sampling_of_the_log_s_own_policy_is_the_mean_return():

@@ -11,12 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from oee_tabular.continuous.kinova.hand import ideal_hand
 from oee_tabular.lab import experiments
-from oee_tabular.lab.output import summary_of
-from oee_tabular.lab.registry import Stream
-from oee_tabular.lab.robots import changes
-from oee_tabular.lab.robots.changes import classic
-from oee_tabular.lab.robots.changes.cases import CASES, Delayed
-from oee_tabular.lab.robots.kinova import towards
+from oee_tabular.lab.experiment import Stream, summary_of
+from oee_tabular.lab.experiments import changes, classic
+from oee_tabular.lab.experiments.changes import CASES, Delayed
+from oee_tabular.lab.experiments.kinova import towards
 from oee_tabular.tasks import (
     CartPole,
     HistoryTask,

@@ -12,7 +12,7 @@ from oee_tabular.continuous.evaluation import evaluate_continuous
 from oee_tabular.continuous.history import earlier_rows, history_effects
 from oee_tabular.continuous.parameters import fit_parameters, parameters_of
 from oee_tabular.data import ContinuousTransitions
-from oee_tabular.lab.robots.changes import classic
+from oee_tabular.lab.experiments import classic
 from oee_tabular.tasks import CartPole, HistoryTask, ResidualSimulator, Settings, cartpole_policy, record
 
 SIMULATOR = CartPole(10.0)

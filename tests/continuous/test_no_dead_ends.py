@@ -13,7 +13,7 @@ from oee_tabular.continuous.names import continuous_simulator
 from oee_tabular.continuous.rows import refuse_impossible
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
-from oee_tabular.lab.robots.changes import classic
+from oee_tabular.lab.experiments import classic
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.tasks import (
     CartPole,

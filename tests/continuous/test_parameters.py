@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from oee_tabular.continuous.correction import choose_correction
 from oee_tabular.continuous.evaluation import evaluate_continuous
 from oee_tabular.continuous.parameters import parameters_of
-from oee_tabular.lab.robots.changes import classic
+from oee_tabular.lab.experiments import classic
 from oee_tabular.tasks import (
     CartPole,
     Settings,

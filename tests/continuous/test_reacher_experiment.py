@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from oee_tabular.lab.registry import Stream
-from oee_tabular.lab.robots import reacher
-from oee_tabular.lab.robots.reacher import DELTAS, fig3
+from oee_tabular.lab.experiment import Stream
+from oee_tabular.lab.experiments import reacher
+from oee_tabular.lab.experiments.reacher import DELTAS, fig3
 from oee_tabular.tasks import Reacher, VisitedCells, monte_carlo_value, reacher_log, reacher_policy
 
 

@@ -9,7 +9,7 @@ from oee_tabular.continuous.correction import odd_row
 from oee_tabular.continuous.episodes import compare_returns
 from oee_tabular.continuous.regression import FOLDS, Functions, Grams, episode_groups
 from oee_tabular.data import ContinuousTransitions
-from oee_tabular.lab.robots.changes import classic
+from oee_tabular.lab.experiments import classic
 from oee_tabular.tasks import (
     CartPole,
     ContinuousTask,

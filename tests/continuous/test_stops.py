@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from oee_tabular.continuous.scatter import Stops
-from oee_tabular.lab.robots.changes.classic import Plain
+from oee_tabular.lab.experiments.classic import Plain
 from oee_tabular.tasks import HistoryTask, Moves, ResidualSimulator, record
 
 

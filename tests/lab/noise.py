@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from oee_tabular.lab.output import write
-from oee_tabular.lab.registry import Experiment
+from oee_tabular.lab.experiment import Experiment
+from oee_tabular.lab.experiments.catalogue import save
 from oee_tabular.lab.run import run_experiment
 
 
@@ -27,5 +27,5 @@ def experiment(run=noise, **options):
 
 def bytes_of(folder, settings, **options):
     """The files of a run."""
-    write(run_experiment(folder, settings, **options))
+    save(run_experiment(folder, settings, **options))
     return {name: (folder / name).read_bytes() for name in ("table.csv", "summary.csv", "summary.md", "figure.svg")}

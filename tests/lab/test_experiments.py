@@ -14,10 +14,9 @@ from matplotlib.figure import Figure
 from saved_results import RESULTS, assert_saved, saved
 
 from oee_tabular.lab import experiments
+from oee_tabular.lab.experiment import Stream, files_of, set_title, share_legend, summary_of
 from oee_tabular.lab.experiments import catalogue
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
-from oee_tabular.lab.output import figures, set_title, share_legend, summary_of
-from oee_tabular.lab.registry import Stream
 
 DRAWN_BY_NUMPY = {"efficiency"}  # by its multinomial, whose numbers are others from numpy 2.5 on
 IDS = [name for name, experiment in EXPERIMENTS.items() if experiment.group != "continuous"]
@@ -39,7 +38,7 @@ def test_a_smoke_cell(name):
     assert set(experiment.keys) <= set(summary.columns)
     assert np.isfinite(summary[f"{experiment.measures[0]}_mean"]).all()
     with mpl.rc_context({"figure.max_open_warning": 0}):
-        assert figures(experiment, table, summary)["figure.svg"].startswith(b"<?xml")
+        assert files_of(experiment.settings(smoke=True), table)["figure.svg"].startswith(b"<?xml")
     if name in ("lambda_n", "coverage_lake", "efficiency"):
         again, other = (json.dumps(experiment.run(cell, Stream(name, seed, cell))) for seed in (0, 1))
         assert again == json.dumps(rows) != other

@@ -9,11 +9,21 @@ from lab.noise import bytes_of, experiment
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.lab.output import figures, index, pipe_table, set_title, share_legend, summary_of
-from oee_tabular.lab.panels import Panels, listed, percent, reach
+from oee_tabular.lab.experiment import (
+    Panels,
+    files_of,
+    listed,
+    percent,
+    pipe_table,
+    reach,
+    set_title,
+    share_legend,
+    summary_of,
+)
+from oee_tabular.lab.experiments import catalogue
 
 
-def test_the_files_of_an_experiment(tmp_path):
+def test_the_files_of_an_experiment(tmp_path, monkeypatch):
     one = experiment(
         paper=lambda summary: [2.0 if n == 1 else np.nan for n in summary.n], finding=lambda table: "50 < 60"
     )
@@ -39,10 +49,11 @@ def test_the_files_of_an_experiment(tmp_path):
     other = bytes_of(tmp_path / "b", silent.settings(smoke=True, repetitions=1, seed=4))["summary.md"].decode()
     assert "`oee reproduce noise --smoke --seeds 1 --seed 4` (n 1)" in other
     assert "![Noise | and more](figure.png)" in other
-    again = figures(one, table, summary)
+    again = files_of(one.settings(), table)
     assert again["figure.svg"] == files["figure.svg"]
     assert again["figure.png"][:4] == b"\x89PNG"
-    listing = index(tmp_path, [one, experiment(id="not there")]).read_text()
+    monkeypatch.setattr(catalogue, "EXPERIMENTS", {"noise": one, "other": experiment(id="not there")})
+    listing = catalogue.write_index(tmp_path).read_text()
     assert "[Noise | and more](noise/summary.md)" in listing
     assert "not there" not in listing
 

@@ -5,9 +5,9 @@ import pytest
 from lab.noise import experiment
 from numpy.testing import assert_array_equal
 
+from oee_tabular.lab.experiment import Stream
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 from oee_tabular.lab.experiments.common import published, published_at
-from oee_tabular.lab.registry import Stream
 
 CELL = {"n": 1, "case": "a", "repetition": 3}
 

@@ -43,8 +43,9 @@ def test_a_dask_cluster_gives_the_same_files(tmp_path, serial):
 
 
 def test_a_worker_with_other_code_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(running, "code_version", lambda: "0.0.1+other")
-    text = r"a worker must have this version of oee_tabular, .*; it has 0\.0\.1\+other"
+    versions = iter(["0.0.1+here", "0.0.1+other"])
+    monkeypatch.setattr(running, "code_version", lambda: next(versions))
+    text = r"a worker must have this version of oee_tabular, 0\.0\.1\+here; it has 0\.0\.1\+other"
     with pytest.raises(RuntimeError, match=text):
         run_experiment(tmp_path / "a", experiment().settings())
 

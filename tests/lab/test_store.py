@@ -7,9 +7,8 @@ import re
 import pytest
 from lab.noise import bytes_of, experiment
 
-from oee_tabular.lab.output import write
-from oee_tabular.lab.run import run_experiment
-from oee_tabular.lab.store import FILES, LOCK, Store, alone, code_version
+from oee_tabular.lab.experiments.catalogue import save
+from oee_tabular.lab.run import FILES, LOCK, Store, alone, code_version, run_experiment
 
 SETTINGS = experiment().settings()
 
@@ -147,7 +146,7 @@ def test_a_line_that_does_not_fit_is_reported_and_computed_again(folder, name):
     sweep = run_experiment(folder, SETTINGS)
     assert (sweep.computed, sweep.cached, sweep.damaged) == (1, 5, 1)
     assert "lines of cells.jsonl that did not fit and are left out: 1" in str(sweep)
-    write(sweep)
+    save(sweep)
     assert (folder / "table.csv").read_bytes() == expected
     assert run_experiment(folder, SETTINGS).damaged == 0
 
@@ -158,14 +157,14 @@ def test_a_file_without_a_line_that_fits(folder, content):
     (folder / "cells.jsonl").write_bytes(content)
     with pytest.raises(ValueError, match="lacks 6 of 6 cells; run the experiment again"):
         Store(folder, SETTINGS).table()
-    write(run_experiment(folder, SETTINGS))
+    save(run_experiment(folder, SETTINGS))
     assert (folder / "table.csv").read_bytes() == expected
 
 
 def test_a_cell_that_is_there_twice_counts_once(folder):
     expected, cells = (folder / "table.csv").read_bytes(), folder / "cells.jsonl"
     cells.write_text(cells.read_text() * 2)
-    write(run_experiment(folder, SETTINGS))
+    save(run_experiment(folder, SETTINGS))
     assert (folder / "table.csv").read_bytes() == expected
     assert len(cells.read_text().splitlines()) == 6
 
@@ -204,5 +203,5 @@ def test_a_link_that_comes_while_cells_are_computed(tmp_path):
     store = run_experiment(tmp_path / "b", SETTINGS)
     (tmp_path / "b" / "table.csv").symlink_to(precious)
     with pytest.raises(ValueError, match="must be a plain file"):
-        write(store)
+        save(store)
     assert precious.read_text() == "mine"

@@ -14,8 +14,8 @@ import oee_tabular as oee
 from oee_tabular import FiniteMDP
 from oee_tabular.estimators import ModelBased
 from oee_tabular.exact import reweight
+from oee_tabular.lab.experiments.common import frequencies
 from oee_tabular.lab.experiments.values import with_next_rewards_averaged
-from oee_tabular.lab.robots import frequencies
 from oee_tabular.mdp.naming import Names
 
 LOG = oee.Transitions([0, 0, 1], [0, 1, 0], [1, 0, 2], [0.0, 1.0, 1.0])

@@ -1,9 +1,392 @@
-"""A benchmark of estimators of a policy's value in a target environment, on families of shift where the truth is exact."""
+"""A benchmark of estimators of a policy's value in a target environment, on families of shift where the truth is exact.
 
-from oee_tabular.lab.bench.families import Families, families, garnet_worse
+``run`` (and ``oee bench``) takes the cells family x size, a seed each repetition, through the lab's runner. Estimators and
+families are given by name, as MODULE:OBJECT or as objects. A ``Family`` is a pair of environments; ``families`` has the
+package's by name; ``league_of`` makes the ``League`` of a run's rows.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import math
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks, _files
+from oee_tabular._arguments import own_modules, own_object
+from oee_tabular._checks import PolicyLike, Seed
+from oee_tabular._sparse import row_sums
+from oee_tabular._workers import time_limit
+from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
+from oee_tabular.estimators.base import UNEXPLAINED
+from oee_tabular.estimators.functions import as_estimator
+from oee_tabular.estimators.names import named_estimators
+from oee_tabular.estimators.names import names as estimator_names
+from oee_tabular.estimators.off_environment import NORMAL
+from oee_tabular.exact import efficiency_bound, occupancy
+from oee_tabular.lab.bench.adapters import PEERS, Peer
+from oee_tabular.lab.bench.families import HELD, Families, families, garnet_worse
 from oee_tabular.lab.bench.families_chains import tandem
-from oee_tabular.lab.bench.family import Family
-from oee_tabular.lab.bench.league import League, league_of
-from oee_tabular.lab.bench.run import run
+from oee_tabular.lab.bench.family import Family, check_seed
+from oee_tabular.lab.bench.league import LIKELIHOOD, SIMULATOR, League, league_of
+from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Stream
+from oee_tabular.lab.run import Store, alone, run_and_write, run_experiment
+from oee_tabular.testing.command import own_estimator
 
 __all__ = ["Families", "Family", "League", "families", "garnet_worse", "league_of", "run", "tandem"]
+
+SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
+SEEDS = 40
+TIMEOUT = 600.0  # seconds of an estimate
+REFERENCES: Mapping[str, Estimator] = {LIKELIHOOD: ModelBased(fallback="simulator"), SIMULATOR: Simulator()}
+
+
+def run(
+    estimators: object = ("oee", "model-based"),
+    *,
+    families: object = None,
+    sizes: object = SIZES,
+    seeds: int = SEEDS,
+    seed: int = 0,
+    timeout: float = TIMEOUT,
+    jobs: int = 1,
+    dask: str | None = None,
+    output: Any = None,
+    fresh: bool = False,
+    progress: bool = False,
+) -> League:
+    """Measure estimators on families of environment shift where the truth is exact.
+
+    Each cell is a family and a size of its logs; each seed of a cell another log (and, where a family has random parts,
+    another pair). Two references are always measured on the same logs: maximum likelihood with the simulator in unobserved
+    pairs, and the simulator's value.
+
+    Parameters
+    ----------
+    estimators : names as in ``oee evaluate --estimators``, "evaluate" (the value and interval that ``oee.evaluate`` prints),
+        "scope-rl:NAME", "offline-rl-ope:NAME", "module:object", estimators; one or several, or a mapping name -> one of these
+    families : None (``families()``), names of its, "module:function", a function of the seed (or without parameters) that
+        makes a mapping name -> Family, or such a mapping
+    sizes : transitions per stochastic state-action pair (one with more than one next state in the simulator)
+    seeds : logs of each cell
+    seed : the first one, from 0; a seed's rows are the same in any run
+    timeout : seconds that an estimate may take; one that takes longer is a row with that reason (not on Windows, nor on dask)
+    jobs : processes on this machine; -1: one a core
+    dask : address of a dask scheduler; the cells go there instead
+    output : folder that keeps finished cells: an interrupted run goes on; None: nothing is kept
+    fresh : empty the folder first
+    progress : whether a bar is shown
+
+    Returns
+    -------
+    League
+        ``table`` (a row for each seed), ``cells`` (over the seeds), ``league`` (over the cells).
+
+    Raises
+    ------
+    ValueError
+        Bad arguments; a family that cannot be made. What an estimator raises is a row with its reason.
+
+    Notes
+    -----
+    Cost: families x sizes x seeds x the estimators' time. The same bits in every mode, but for ``seconds`` (process time).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> found = oee.bench.run("oee", families=["machine", "queue25"], sizes=[3], seeds=4)
+    >>> found.league["estimator"].tolist(), len(found.table)
+    (['maximum-likelihood', 'simulator', 'oee'], 24)
+    """
+    _checks.boolean(fresh, "fresh")
+    _checks.boolean(progress, "progress")
+    settings = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed, timeout=timeout)
+    with tempfile.TemporaryDirectory() if output is None else nullcontext(output) as folder, alone(Path(folder)):
+        store = run_experiment(Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress)
+    return league_of(store.table().drop(columns="repetition"))
+
+
+def plan(
+    estimators: object,
+    *,
+    families: object = None,
+    sizes: Any = SIZES,
+    seeds: int = SEEDS,
+    seed: int = 0,
+    timeout: float = TIMEOUT,
+) -> RunSettings:
+    """Check the arguments of ``run`` and make every family once: settings of an experiment of the lab's kind."""
+    count, first = _checks.positive_integer(seeds, "seeds"), check_seed(seed)
+    limit = _checks.number_in(timeout, "timeout", 0.0, 1e6, open_ends=True)
+    chosen = choose_estimators(estimators)
+    source, names = choose_families(families, first)
+    values = [sizes] if np.isscalar(sizes) else list(sizes)
+    numbers = sorted({_checks.number_in(value, "sizes", 0.0, np.inf) for value in values})
+    if not numbers or numbers[0] <= 0:
+        raise ValueError(
+            "sizes must be positive numbers of transitions per stochastic state-action pair, at least one; "
+            f"got {_checks.show(sizes)}"
+        )
+    experiment = Experiment(
+        id="bench", title="Estimators on families of environment shift", group="bench",
+        axes={"family": names, "size": tuple(numbers)}, repetitions=count,
+        run=functools.partial(
+            measure_cell, estimators={name: name for name in REFERENCES} | chosen, source=source, timeout=limit
+        ),
+        keys=("family", "size", "estimator"), measures=(), draw=lambda table, summary, figure: None,
+    )  # fmt: skip
+    label = "the package's" if source is None else source if isinstance(source, str) else "given"
+    asked = {"estimators": list(chosen), "families": label} | ({} if limit == TIMEOUT else {"timeout": limit})
+    return RunSettings(experiment, experiment.axes, count, first, asked, modules_of([*chosen.values(), source]))
+
+
+def measure_cell(
+    cell: Cell, stream: Stream, *, estimators: Mapping[str, Any], source: Any, timeout: float
+) -> list[Row]:
+    """One seed of family x size, every estimator on its log; the seed of the family is the run's first plus the repetition."""
+    seed, name, size = stream.seed + int(cell["repetition"]), str(cell["family"]), float(cell["size"])
+    family = find_family(source, name, seed)
+    own = Stream(stream.experiment, seed, {"family": name, "size": size})
+    problem = family.problem(family.size(size), own.generator(use="log"))
+    kind = "held" if name in HELD or source is not None else "tuned"
+    facts = {"seed": seed, "families": kind, **facts_of(family, problem)}
+    seeds = {key: int(own.sequence(use=key).generate_state(1)[0]) for key in estimators}
+    return [
+        {**facts, "estimator": key, **measure(key, given, family, problem, seeds[key], timeout)}
+        for key, given in estimators.items()
+    ]
+
+
+def facts_of(family: Family, problem: Problem) -> Row:
+    """What is known exactly about a log: truth, the share of the policy's time that it covers, efficiency bound / n."""
+    n, horizon = len(problem.log), family.horizon
+    is_endless = horizon is None and family.target.discount == 1.0
+    time = occupancy(family.target, family.policy, horizon=family.length if is_endless else horizon)
+    time = np.where(family.target.absorbing()[:, None], 0.0, time)
+    observed = row_sums(problem.counts).reshape(time.shape) > 0
+    bound = math.inf
+    if not is_endless:
+        bound = efficiency_bound(family.target, family.policy, family.data_distribution, horizon=horizon)
+    return {
+        "n": n,
+        "open_rows": family.open_rows,
+        "identical": family.identical,
+        "truth": family.truth,
+        "covered": float(time[observed].sum() / time.sum()) if time.sum() > 0 else 1.0,
+        "bound": bound / n if math.isfinite(bound) else math.nan,
+    }
+
+
+def measure(name: str, given: object, family: Family, problem: Problem, seed: int, timeout: float) -> Row:
+    """What one estimator gives on one log: value, error, interval, seconds, status; what it raises is its status.
+
+    The interval is the reported one, else value +- 1.96 standard errors, else none.
+    """
+    row: Row = dict.fromkeys(("value", "error", "standard_error", "lower", "upper", "interval", "seconds"), math.nan)
+    row |= {"interval": "", "status": "ok"}
+    start = time.process_time()
+    try:
+        with warnings.catch_warnings(), time_limit(timeout):
+            warnings.simplefilter("ignore")
+            estimate = as_estimator(estimator_of(name, given, family))(problem, family.policy, seed=seed)
+        seconds, value = time.process_time() - start, float(estimate.value)
+        if not math.isfinite(value):
+            is_explained = estimate.status not in ("ok", UNEXPLAINED)
+            return row | {"seconds": seconds, "status": estimate.status if is_explained else f"the value is {value}"}
+        error = math.nan if estimate.standard_error is None else float(estimate.standard_error)
+        lower, upper, method = value - NORMAL * error, value + NORMAL * error, "value +- 1.96 standard errors"
+        if estimate.interval is not None:
+            lower, upper = (float(end) for end in estimate.interval)
+            method = str(estimate.diagnostics.get("interval_method", "reported"))
+        elif not math.isfinite(error):
+            lower, upper, method = math.nan, math.nan, ""
+    except Exception as failure:
+        return row | {"status": f"{type(failure).__name__}: {failure}"}
+    return row | {"value": value, "error": value - family.truth, "standard_error": error, "lower": lower,
+                  "upper": upper, "interval": method, "seconds": seconds, "status": estimate.status}  # fmt: skip
+
+
+def split(text: str) -> list[str]:
+    """The words between commas."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+# ---- estimators
+
+
+def choose_estimators(given: Any) -> dict[str, Any]:
+    """Name -> spec or estimator, each looked up once, of what ``run`` takes; ValueError for one that is none."""
+    if isinstance(given, str):
+        given = split(given)
+    elif not isinstance(given, Mapping | Sequence):
+        given = [given]
+    chosen: dict[str, Any] = {}
+    for key, item in given.items() if isinstance(given, Mapping) else [(None, item) for item in given]:
+        if not isinstance(item, str) and not callable(item):
+            raise ValueError(f"estimators must be names, MODULE:OBJECT or callables; got {_checks.show(item)}")
+        name = item if isinstance(item, str) else str(getattr(item, "__name__", type(item).__name__))
+        name = name if key is None else str(key)
+        while key is None and name in chosen and not isinstance(item, str):
+            name += "'"
+        if name in chosen:
+            raise ValueError(f"estimators must have different names; {name!r} is there twice")
+        if name in REFERENCES and item != name:
+            raise ValueError(f"estimators must not be called {name!r}, which is a reference; {_checks.show(item)} is")
+        if isinstance(item, str) and item not in (*REFERENCES, *estimator_names(needs_target=True)):
+            look_up_estimator(item)
+        chosen[name] = item
+    if not chosen:
+        raise ValueError("estimators must name at least one; it is empty")
+    return chosen
+
+
+def estimator_of(name: str, given: Any, family: Family) -> Any:
+    """The estimator of that name on a family; an oracle is told its target."""
+    if name in REFERENCES or not isinstance(given, str):
+        return REFERENCES.get(name, given)
+    if given in estimator_names(needs_target=True):
+        return named_estimators([given], family.target)[given]
+    return look_up_estimator(given)
+
+
+@functools.lru_cache(maxsize=64)
+def look_up_estimator(spec: str) -> Any:
+    """The estimator of a name, of PEER:NAME or of MODULE:OBJECT."""
+    module, _, name = spec.partition(":")
+    if module in PEERS:
+        peer = Peer(module, name)
+        peer.load()  # a missing library is said at once
+        return peer
+    if name:
+        with own_modules():
+            return own_estimator(spec)
+    return evaluate_as_printed if spec == "evaluate" else next(iter(named_estimators([spec]).values()))
+
+
+def evaluate_as_printed(problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
+    """What ``oee.evaluate`` prints: its value of ``oee`` and the interval beside it."""
+    from oee_tabular.report import evaluate
+
+    report = evaluate(problem, {"policy": policy}, estimators=["oee"], confidence=0.95, seed=seed)
+    return report.results[0].estimate
+
+
+# ---- families
+
+
+def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
+    """The source of what a user gave, and the names; every family of the first seed is made: a bad one is told at once.
+
+    Raises
+    ------
+    ValueError
+        An unknown name; what is no mapping of families; a family that cannot be made (its name and why).
+    """
+    if isinstance(given, str) and ":" not in given:
+        given = split(given)
+    if given is None:
+        names = tuple(families(seed))
+    elif isinstance(given, str | Mapping) or not isinstance(given, Iterable):
+        names = tuple(families_at(given, seed))
+    else:
+        given, names = None, tuple(dict.fromkeys(given))
+    if not names:
+        raise ValueError("families must name at least one; it is empty")
+    for name in names:
+        find_family(given, name, seed)
+    return given, names
+
+
+def find_family(source: Any, name: str, seed: int) -> Family:
+    """One family; ValueError where it is missing, is no Family or cannot be made."""
+    every = families_at(source, seed)
+    if name not in every:
+        missing = f"families must have {name!r} at every seed; at seed {seed} it is missing"
+        raise ValueError(every.missing(name) if isinstance(every, Families) else missing)
+    family = every[name]
+    if not isinstance(family, Family):
+        raise ValueError(f"family {name!r} must be a Family; it is a {type(family).__name__}")
+    return family
+
+
+def families_at(source: Any, seed: int) -> Mapping[str, Family]:
+    """The families of one seed; those that have a name are made once a process."""
+    if source is None or isinstance(source, str):
+        return _named_families(source, seed)
+    if not isinstance(source, Mapping):
+        _checks.function(source, "families")
+        source = source(seed) if inspect.signature(source).parameters else source()
+    if not isinstance(source, Mapping) or not all(isinstance(name, str) for name in source):
+        raise ValueError(f"families must make a mapping name -> Family; they make a {type(source).__name__}")
+    return source
+
+
+@functools.lru_cache(maxsize=128)
+def _named_families(spec: str | None, seed: int) -> Mapping[str, Family]:
+    if spec is None:
+        return families(seed, large=True)
+    with own_modules():
+        return families_at(own_object(spec, "families", "my_package.mine:families"), seed)
+
+
+def modules_of(objects: Sequence[object]) -> tuple[str, ...]:
+    """The modules that hold a user's own objects: their files are part of what the results depend on."""
+    modules = set()
+    for item in objects:
+        name = str(getattr(item, "__module__", "") or type(item).__module__)
+        if isinstance(item, str):
+            module, colon, _ = item.partition(":")
+            name = module if colon and module not in PEERS else ""
+        if name.split(".")[0] not in ("", "oee_tabular", "__main__", "builtins"):
+            modules.add(name)
+    return tuple(sorted(modules))
+
+
+# ---- the command
+
+
+def bench(
+    *,
+    estimators: str,
+    sizes: str | None,
+    seeds: int,
+    seed: int,
+    families: str | None,
+    timeout: float,
+    output: Path,
+    say: Callable[[str], None],
+    **options: Any,
+) -> None:
+    """One run; bad arguments, families that cannot be made and folders with other settings are refused before it begins."""
+    _files.local(output)
+    try:
+        numbers = SIZES if sizes is None else [float(word) for word in split(sizes)]
+    except ValueError:
+        raise ValueError(
+            f"--sizes must be numbers with commas between them, 0.3,1,3; got {_checks.show(sizes)}"
+        ) from None
+    settings = plan(estimators, families=families, sizes=numbers, seeds=seeds, seed=seed, timeout=timeout)
+    source = families if families is not None and ":" in families else None
+    given = {"sizes": (sizes, None), "seeds": (seeds, SEEDS), "seed": (seed, 0), "families": (families, None),
+             "timeout": (timeout, TIMEOUT)}  # fmt: skip
+    words = [f" --{name} {value}" for name, (value, default) in given.items() if value != default]
+
+    def write(store: Store) -> None:
+        league = league_of(store.table().drop(columns="repetition"))
+        about = {name: find_family(source, name, seed).about for name in map(str, settings.axes["family"])}
+        league.save(output, about=about, command=f"oee bench --estimators {estimators}{''.join(words)}")
+        say(f"{league}\n")
+
+    run_and_write(output, settings, write, say=say, progress=sys.stderr.isatty(), **options)
+    own = families_at(None, seed)
+    for sentence in own.left_out.values() if families is None and isinstance(own, Families) else ():
+        say(sentence)

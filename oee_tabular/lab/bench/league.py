@@ -25,8 +25,8 @@ import pandas as pd
 
 from oee_tabular import _files
 from oee_tabular._checks import Array, BoolArray
-from oee_tabular.lab.output import draw_bytes, pipe_table
-from oee_tabular.lab.store import refuse_links
+from oee_tabular.lab.experiment import draw_bytes, pipe_table
+from oee_tabular.lab.run import refuse_links
 from oee_tabular.plots.style import DIVERGING, INK, disable_math, series, shorten
 
 LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"  # the references

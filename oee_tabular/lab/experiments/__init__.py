@@ -1,4 +1,9 @@
-"""The experiments on numbered states, and the catalogue of all that ``oee reproduce`` runs."""
+"""The experiments of ``oee reproduce``: the paper's figures and more, on numbered states and on its robots.
+
+``values`` and ``zeta`` hold those of the paper's grid and of toy text, ``sureness`` those of intervals and plans;
+``cartpole``, ``reacher`` and ``kinova`` (a simulated stand-in) those of the robots, ``changes`` what nobody tuned for;
+``catalogue`` has all by id. Here is what notebooks call.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +13,8 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _checks
+from oee_tabular.lab.experiment import RunSettings, Stream
 from oee_tabular.lab.experiments.common import published
-from oee_tabular.lab.registry import RunSettings, Stream
 
 __all__ = ["load_saved_table", "published", "table"]
 
@@ -66,11 +71,11 @@ def table(name: str, *, repetitions: int = 1, seed: int = 0, **axes: object) -> 
 
     (experiment,) = choose([name])
     chosen = dict(experiment.axes)
-    for axis, values in axes.items():
+    for axis, given in axes.items():
         if axis not in chosen:
             raise ValueError(f"axes must be among {', '.join(chosen)}; got {axis!r}")
         own = {value: value for value in chosen[axis]}  # 1000.0 is the same cell as 1000
-        chosen[axis] = tuple(own.get(x, x) for x in np.atleast_1d(np.asarray(values)).tolist())
+        chosen[axis] = tuple(own.get(x, x) for x in np.atleast_1d(np.asarray(given)).tolist())
     cells = RunSettings(experiment, chosen, _checks.positive_integer(repetitions, "repetitions"), seed).cells()
     rows = [(cell, row) for cell in cells for row in experiment.run(cell, Stream(name, seed, cell))]
     return pd.DataFrame([{**cell, **row} for cell, row in rows])

@@ -10,23 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from oee_tabular import _files
-from oee_tabular.lab import output as out
-from oee_tabular.lab.experiments import programs, sureness, toy_text, values, zeta
-from oee_tabular.lab.registry import Experiment
-from oee_tabular.lab.robots import cartpole, kinova, reacher
-from oee_tabular.lab.robots.changes import changes, residual_coverage
-from oee_tabular.lab.run import require_modules, run_and_write
-from oee_tabular.lab.store import Store, refuse_links
+from oee_tabular.lab.experiment import Experiment, files_of
+from oee_tabular.lab.experiments import cartpole, changes, kinova, reacher, sureness, values, zeta
+from oee_tabular.lab.run import Store, refuse_links, require_modules, run_and_write
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.id: experiment
     for experiment in (
-        zeta.fig1a, values.fig1bcd, values.estimands, values.horizon, values.data_policy, programs.rate, programs.renyi,
-        programs.misspecified, programs.normalisation, programs.lambda_n, zeta.networks,
-        toy_text.frozen_lake, toy_text.taxi, toy_text.cliff_walking,
+        zeta.fig1a, values.fig1bcd, values.estimands, values.horizon, values.data_policy, zeta.rate, zeta.renyi,
+        zeta.misspecified, zeta.normalisation, zeta.lambda_n, zeta.networks,
+        values.frozen_lake, values.taxi, values.cliff_walking,
         sureness.coverage, sureness.coverage_lake, sureness.efficiency, sureness.collection, sureness.ranking,
         cartpole.fig2, cartpole.cartpole_resolution, cartpole.cartpole_data, cartpole.cartpole_choice, reacher.fig3,
-        kinova.table1, changes, residual_coverage,
+        kinova.table1, changes.changes, changes.residual_coverage,
     )
 }  # fmt: skip
 
@@ -94,8 +90,25 @@ def reproduce(
         for settings in every:
             Store(folder / settings.experiment.id, settings)
     for settings in every:
-        progress = sys.stderr.isatty()
-        run_and_write(folder / settings.experiment.id, settings, out.write, say=say, progress=progress, **options)
-    say(f"Index: {out.index(folder, EXPERIMENTS.values())}")
+        target, progress = folder / settings.experiment.id, sys.stderr.isatty()
+        run_and_write(target, settings, save, say=say, progress=progress, **options)
+    say(f"Index: {write_index(folder)}")
     for reason in missing:
         say(f"Left out: {reason}")
+
+
+def save(store: Store) -> None:
+    """Write the files of an experiment, all or none."""
+    store.save(files_of(store.settings, store.table()))
+
+
+def write_index(output: Path) -> Path:
+    """Write ``index.md`` of all experiments that have results in the folder."""
+    parts = ["# Results"]
+    for experiment in EXPERIMENTS.values():
+        if (output / experiment.id / "summary.md").is_file():
+            title, folder = experiment.title, experiment.id
+            parts += [f"## [{title}]({folder}/summary.md)", f"![{title}]({folder}/figure.png)", experiment.caption]
+    refuse_links(output, ["index.md"])
+    _files.write_all(output, {"index.md": ("\n\n".join(parts) + "\n").encode()})
+    return output / "index.md"

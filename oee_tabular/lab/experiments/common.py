@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular._checks import Array
-from oee_tabular.lab.panels import Panels
+from oee_tabular._sparse import row_sums
+from oee_tabular.lab.experiment import Panels
 from oee_tabular.tasks import gridworld, gridworld_policy
 
 HORIZON, LONGEST = 200, 1000  # rewards of a value, steps of a recorded episode
@@ -88,3 +92,38 @@ def rmse(errors: ArrayLike) -> float:
 
 ErrorPanels = functools.partial(Panels, log=True, slope=-0.5, axes={"xscale": "log"})  # against n
 RmsePanels = functools.partial(ErrorPanels, "error", how=rmse, ylabel="RMSE of (1 - discount) J")
+
+
+# ---- the robots
+
+
+def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
+    """The log's own rows n(s, a, s') / n(s, a); a pair that was never recorded stays where it is."""
+    total = row_sums(counts)
+    unseen = np.flatnonzero(total == 0)
+    staying = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen // n_actions)), shape=counts.shape)
+    return sparse.csr_array(sparse.diags_array(1.0 / np.where(total > 0, total, 1.0)) @ counts + staying)
+
+
+def distance_between(first: pd.DataFrame, second: pd.DataFrame) -> float:
+    """The mean |difference| of two of the paper's curves; nan where they have no points in common."""
+    both = first.merge(second, on="x")
+    return float((both["mean_x"] - both["mean_y"]).abs().mean()) if len(both) else float("nan")
+
+
+def mark_paper(ax: Any, figure: str, setting: str, markers: Mapping[str, tuple[str, str]]) -> None:
+    """What the paper published, series -> (name, marker); its expert is lost, so its points need not lie on our lines."""
+    for series, (name, marker) in markers.items():
+        points = published(figure, setting, series)
+        if len(points):
+            label = f"the paper's {name}"
+            ax.plot(points.x, points["mean"], ls="none", marker=marker, mfc="none", color="0.35", label=label)
+
+
+def select_deltas(table: pd.DataFrame, deltas: Iterable[float]) -> pd.DataFrame:
+    """A row for each policy, with delta, value, truth and error, of columns value_0.1, truth_0.1, ...; for figures."""
+    parts = [
+        table.assign(delta=delta, value=table[f"value_{delta:g}"], truth=table[f"truth_{delta:g}"]) for delta in deltas
+    ]
+    found = pd.concat(parts)
+    return found.assign(error=(found.value - found.truth).abs())

@@ -14,9 +14,8 @@ from oee_tabular.design.programs import collection_mdp
 from oee_tabular.estimators import ModelBased, OffEnvironment
 from oee_tabular.exact import policy_value, ratio_of_ratios_variance
 from oee_tabular.lab.bench.families import HELD, families
+from oee_tabular.lab.experiment import Cell, Panels, Row, Stream, experiment, listed, panels, percent
 from oee_tabular.lab.experiments.common import SMALL_SCALE, RmsePanels, grids, signed_error, small_grids
-from oee_tabular.lab.panels import Panels, listed, panels, percent
-from oee_tabular.lab.registry import Cell, Row, Stream, experiment
 from oee_tabular.mdp import mix, uniform_policy
 from oee_tabular.plots import plot_intervals
 from oee_tabular.report import contest

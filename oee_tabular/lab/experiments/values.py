@@ -1,32 +1,36 @@
-"""fig1bcd: the value of three policies by every estimator; and what products, horizons and data policies do to it.
+"""The value of policies by every estimator, and what products, horizons and data policies do to it; toy text.
 
-On the paper's grid: slip 0.3 simulated, 0.1 real, T = 200, one reward r(s, a, s') everywhere.
+On the paper's grid (fig1bcd, estimands, horizon, data_policy): slip 0.3 simulated, 0.1 real, T = 200, one reward r(s, a, s')
+everywhere. On Gymnasium's toy text: FrozenLake, Taxi in the rain and with faults, CliffWalking; five policies, valued and
+ranked.
 """
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
 import oee_tabular as oee
+from oee_tabular._checks import Array
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.estimators import OffEnvironment, Oracle
 from oee_tabular.estimators.names import NAMED
-from oee_tabular.lab.experiments.common import DELTAS, HORIZON, MEAN_ERROR, SCALE, grids, sample_log, sample_pool
-from oee_tabular.lab.panels import Panels, listed
-from oee_tabular.lab.registry import Cell, Row, Stream, experiment
-from oee_tabular.tasks import gridworld, gridworld_policy
+from oee_tabular.lab.experiment import Cell, Experiment, Panels, Row, Stream, experiment, listed
+from oee_tabular.lab.experiments import common
+from oee_tabular.lab.experiments.common import DELTAS, HORIZON, SCALE, grids, sample_log, sample_pool
+from oee_tabular.tasks import gridworld, gridworld_policy, named_task
 
 N_ROLLOUTS = 100  # of the products
-BY_MODEL = {  # curves, and their names in ``oee evaluate``
+ESTIMATORS = {  # curves, and their names in ``oee evaluate``
     "simulator": "simulator", "OEE, exact": "oee", "OEE, product": "oee-product", "oracle, exact": "oracle",
-    "oracle, product": "oracle-product", "model-based": "model-based",
+    "oracle, product": "oracle-product", "model-based": "model-based", "IS": "is", "PDIS": "pdis", "WIS": "wis",
+    "doubly robust": "dr", "marginalised": "marginalized", "WIS, per decision": "wpdis",
 }  # fmt: skip
-BY_POLICY = {
-    "IS": "is", "PDIS": "pdis", "WIS": "wis", "doubly robust": "dr", "marginalised": "marginalized",
-}  # fmt: skip
+BY_MODEL, BY_POLICY = [*ESTIMATORS][:6], [*ESTIMATORS][6:11]  # ratios of dynamics, and of policies
 
 
 def plot_group(names: list[str], title: str, **options: Any) -> Panels:
@@ -36,27 +40,16 @@ def plot_group(names: list[str], title: str, **options: Any) -> Panels:
         return table[table.estimator.isin(names)]
 
     def choose_n(table: pd.DataFrame) -> pd.DataFrame:
-        own = choose(table[table.n <= 3162])
-        largest: pd.DataFrame = own[own.n == own.n.max()]
-        return largest
+        return choose(table[table.n == table.n[table.n <= 3162].max()])
 
     values = Panels(
         "value", "estimator", "delta", title=f"{title}: values at the paper's n", only=choose_n, bands=True,
         xlabel="delta: the policy is delta expert + (1 - delta) uniform", ylabel="(1 - discount) J",
         extra={"true value": "truth"}, axes={"ylim": (-2.5, 0.1)},
     )  # fmt: skip
+    errors: dict[str, Any] = {"log": True, "axes": {"xscale": "log"}, "ylabel": common.MEAN_ERROR, "only": choose}
     beside = [values, *options.pop("beside", ())]
-    return Panels(
-        "error",
-        "estimator",
-        title=f"{title}: errors",
-        only=choose,
-        log=True,
-        axes={"xscale": "log"},
-        ylabel=MEAN_ERROR,
-        beside=beside,
-        **options,
-    )
+    return Panels("error", "estimator", title=f"{title}: errors", beside=beside, **errors, **options)
 
 
 BELOW = plot_group(["OEE, exact", *BY_POLICY], "Ratios of policies")
@@ -65,7 +58,7 @@ BELOW = plot_group(["OEE, exact", *BY_POLICY], "Ratios of policies")
 @experiment(
     "Figure 1b, c, d: the value of three policies in the real grid", axes={"n": (1000, 3162, 10_000, 31_623)},
     keys=("n", "delta", "estimator"), measures=("error", "value"),
-    draw=plot_group([*BY_MODEL], "Ratios of dynamics", beside=[BELOW, *BELOW.beside], columns=2, size=(6.4, 4.2)),
+    draw=plot_group(BY_MODEL, "Ratios of dynamics", beside=[BELOW, *BELOW.beside], columns=2, size=(6.4, 4.2)),
 )  # fmt: skip
 def fig1bcd(settings: Cell, stream: Stream) -> list[Row]:
     """10 x 10 grid; a log of n transitions of the uniform policy. Means over the seeds, values with their range. Above: ratios
@@ -87,8 +80,8 @@ def fig1bcd(settings: Cell, stream: Stream) -> list[Row]:
         for name, zeta in (("OEE, product", fitted), ("oracle, product", oee.true_ratio(target, simulator))):
             moments = oee.weighted_return_moments(simulator, zeta, policy, horizon=HORIZON)
             facts[name] = {"exact_sd": SCALE * float(np.sqrt(moments.variance / N_ROLLOUTS))}
-        for name, kind in (BY_MODEL | BY_POLICY).items():
-            value = SCALE * NAMED[kind](target)(problem, policy, seed=rollouts).value
+        for name in (*BY_MODEL, *BY_POLICY):
+            value = SCALE * NAMED[ESTIMATORS[name]](target)(problem, policy, seed=rollouts).value
             row = {"delta": delta, "estimator": name, "value": value, "truth": truth, "error": abs(value - truth)}
             rows.append(row | facts.get(name, {}))
     return rows
@@ -173,12 +166,6 @@ def horizon(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
-CURVES = {
-    "simulator": "simulator", "OEE, exact": "oee", "model-based": "model-based", "PDIS": "pdis",
-    "WIS, per decision": "wpdis",
-}  # fmt: skip
-
-
 @experiment(
     "Importance sampling is good only near the policy that made the data",
     axes={"delta": (0.5, 0.9), "behavior_delta": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)},
@@ -186,7 +173,7 @@ CURVES = {
     measures=("error", "effective_sample_size", "pdis_exact_sd"),
     draw=Panels(
         "error", "estimator", "behavior_delta", by=("delta",), xlabel="delta of the policy that recorded the log",
-        ylabel=MEAN_ERROR, extra={"PDIS: exact sd": "pdis_exact_sd"}, log=True, axes={"ylim": (1e-3, 1e3)},
+        ylabel=common.MEAN_ERROR, extra={"PDIS: exact sd": "pdis_exact_sd"}, log=True, axes={"ylim": (1e-3, 1e3)},
         beneath=lambda ax, rows: ax.axvline(rows.delta.iloc[0], color="grey", lw=0.8, ls=":"),  # the same policy
     ),
 )  # fmt: skip
@@ -205,9 +192,114 @@ def data_policy(settings: Cell, stream: Stream) -> list[Row]:
     variance = oee.policy_is_moments(target, behavior, policy, horizon=HORIZON).variance / episodes
     facts = {"pdis_exact_sd": SCALE * float(np.sqrt(variance)), "episodes": episodes}
     rows = []
-    for name, kind in CURVES.items():
-        result = NAMED[kind]()(problem, policy)
+    for name in ("simulator", "OEE, exact", "model-based", "PDIS", "WIS, per decision"):
+        result = NAMED[ESTIMATORS[name]]()(problem, policy)
         size = result.diagnostics.get("effective_sample_size", np.nan)
         error = {"error": abs(SCALE * (result.value - truth)), "effective_sample_size": size}
         rows.append({"distance": distance, "estimator": name, **error, **facts})
     return rows
+
+
+# ---- toy text
+
+LAKE, TAXI_RAIN = "FrozenLake-v1:map_name=8x8,success_rate=", "Taxi-v4:is_rainy=true,rainy_probability="
+CLIFF = "CliffWalking-v1"
+# simulator, target, discount; random actions that give the simulator support; those of the target, which its log does not show
+CASES: dict[str, tuple[str, str, float, float, float]] = {
+    "slippery FrozenLake": (f"{LAKE}1/3", f"{LAKE}0.6", 0.99, 0.0, 0.0),
+    "rain": (f"{TAXI_RAIN}0.8", f"{TAXI_RAIN}0.6", 0.95, 0.0, 0.0),
+    "random-action faults": ("Taxi-v4", "Taxi-v4", 0.95, 0.05, 0.2),
+    "slippery cliff": (CLIFF, f"{CLIFF}:is_slippery=true", 0.95, 0.1, 0.0),
+}
+
+
+@functools.lru_cache(maxsize=4)
+def make_case(case: str) -> tuple[oee.FiniteMDP, oee.FiniteMDP, dict[str, Array]]:
+    """Simulator, target, and five policies of which the simulator may mistake the order: each mixed with the uniform one."""
+    *names, discount, noise, faults = CASES[case]
+    simulator, target = (named_task(name, discount=discount).mdp for name in names)
+    simulator = simulator.with_action_noise(noise) if noise else simulator
+    target = target.with_action_noise(faults) if faults else target
+    best, cautious, ideal = map(oee.optimal_policy, (simulator, simulator.with_action_noise(0.3), target))
+    shares = {
+        "simulator's optimum, 90%": (best, 0.9),
+        "simulator's optimum, 60%": (best, 0.6),
+        "cautious (optimum under 30% noise), 90%": (cautious, 0.9),
+        "target's optimum, 90%": (ideal, 0.9),
+        "target's optimum, 60%": (ideal, 0.6),
+    }
+    uniform = oee.uniform_policy(simulator)
+    return simulator, target, {name: oee.mix(policy, uniform, share) for name, (policy, share) in shares.items()}
+
+
+def record(case: str, behavior: Array, n: int, generator: np.random.Generator) -> oee.Transitions:
+    """n transitions by stepping Gymnasium's environment; faults replace the action by a random one before it is executed."""
+    from gymnasium.wrappers import TransformAction
+
+    _, name, discount, _, faults = CASES[case]
+    make: Any = named_task(name, discount=discount).environment
+    environment = make()
+    actions = environment.action_space
+
+    def fail(action: Any) -> Any:  # the log keeps the action that was chosen
+        return int(generator.integers(actions.n)) if generator.random() < faults else action
+
+    stepped = TransformAction(environment, fail, actions) if faults else environment
+    log = oee.record_episodes(stepped, behavior, n_transitions=n, seed=generator)
+    environment.close()
+    return log
+
+
+def compute_values(settings: Cell, stream: Stream) -> list[Row]:
+    """FrozenLake: success rate 1/3 simulated, 0.6 real. Rain: the taxi goes where it is sent with probability 0.8 simulated,
+    0.6 real. Faults: a random action is executed with probability 0.2. The simulators of faults (5%) and of the cliff (10%)
+    have random actions for the support that a ratio needs. The log is recorded with 50% of the simulator's optimum. Means over
+    five policies and the seeds; tau is that of their order, regret what choosing the best estimate loses.
+    """
+    case = settings["case"]
+    simulator, target, policies = make_case(case)
+    behavior = oee.mix(oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.5)
+    log = record(case, behavior, settings["n"], stream.generator())
+    # the same transition pays -1 or -100 on the cliff
+    rewards: Any = "log" if case == "slippery cliff" else "simulator"
+    problem = oee.Problem(simulator, log, behavior_policy=behavior, rewards=rewards)
+    truths = np.array([oee.policy_value(target, policy) for policy in policies.values()])
+    rows = []
+    for name in ("simulator", "OEE, exact", "model-based", "WIS, per decision", "doubly robust"):
+        estimator = NAMED[ESTIMATORS[name]]()
+        values = np.array([estimator(problem, policy, seed=0).value for policy in policies.values()])
+        order: Row = {
+            "kendall_tau": float(stats.kendalltau(values, truths).statistic),
+            "regret": float(truths.max() - truths[int(np.argmax(values))]),
+        }
+        for policy, value, truth in zip(policies, values, truths, strict=True):
+            own = {"estimator": name, "policy": policy, "value": value, "truth": truth, "error": abs(value - truth)}
+            rows.append(own | order)
+    return rows
+
+
+RANKING = Panels(
+    "kendall_tau",
+    "estimator",
+    ylabel="Kendall's tau with the true order",
+    axes={"xscale": "log", "ylim": (-1.05, 1.05)},
+)
+ERRORS = common.ErrorPanels(
+    "error", "estimator", by=("case",), ylabel="mean |error| (discounted sum of rewards)", beside=[RANKING], columns=2
+)
+
+
+def make_experiment(name: str, title: str, *cases: str) -> Experiment:
+    """The experiment of these cases."""
+    return Experiment(
+        name, title, axes={"case": cases, "n": (1000, 3162, 10_000, 31_623)}, group="gymnasium",
+        run=compute_values, keys=("case", "n", "policy", "estimator"), measures=("error", "kendall_tau", "regret"),
+        draw=ERRORS, finding=ERRORS.find,
+    )  # fmt: skip
+
+
+frozen_lake = make_experiment(
+    "frozen_lake", "FrozenLake 8 x 8: the ice is less slippery than simulated", "slippery FrozenLake"
+)
+taxi = make_experiment("taxi", "Taxi: rain, and random-action faults", "rain", "random-action faults")
+cliff_walking = make_experiment("cliff_walking", "CliffWalking: dry simulator, slippery cliff", "slippery cliff")

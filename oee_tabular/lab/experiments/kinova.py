@@ -21,10 +21,8 @@ from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.exact import policy_value
-from oee_tabular.lab.experiments.common import published_table
-from oee_tabular.lab.panels import panels, percent, reach
-from oee_tabular.lab.registry import Cell, Row, Stream, experiment
-from oee_tabular.lab.robots import frequencies
+from oee_tabular.lab.experiment import Cell, Row, Stream, experiment, panels, percent, reach
+from oee_tabular.lab.experiments.common import frequencies, published_table
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio, transition_ratio
 from oee_tabular.simulate import sample_episodes

@@ -19,10 +19,9 @@ from oee_tabular.continuous.reacher import Reacher, reacher_log, reacher_policy
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exact import policy_value
-from oee_tabular.lab.experiments.common import published
-from oee_tabular.lab.panels import Panels, reach
-from oee_tabular.lab.registry import Cell, Row, Stream, experiment
-from oee_tabular.lab.robots import LinearGaussian, distance_between, frequencies, mark_paper, select_deltas
+from oee_tabular.lab.experiment import Cell, Panels, Row, Stream, experiment, reach
+from oee_tabular.lab.experiments.classic import LinearGaussian
+from oee_tabular.lab.experiments.common import distance_between, frequencies, mark_paper, published, select_deltas
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
 

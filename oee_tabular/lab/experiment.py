@@ -1,0 +1,383 @@
+"""Experiments as data: settings, a function from one cell of them to rows; tables, figures and pages made of the rows.
+
+The cells are the product of the axes and the repetitions. ``run(cell, stream)`` returns the rows of one cell; all its random
+numbers come from ``stream``, which knows the cell and the seed alone. A cell's rows are therefore the same bits in any process,
+in any order, in the full sweep and in its smoke subset. Tables and figures read the rows only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import itertools
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from oee_tabular import _files
+from oee_tabular.plots import plot_curves
+from oee_tabular.plots.style import INK
+
+Scalar = float | int | str | bool
+Cell = Mapping[str, Any]  # name -> Scalar
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """The random numbers of a cell: ``numpy.random.SeedSequence(seed, spawn_key=(words, repetition))``.
+
+    The words are a digest of the experiment's id, of the settings named (all of the cell's by default; cells that name the
+    same ones share their random numbers) and of what they are for (``use``): numbers for different uses are independent.
+    """
+
+    experiment: str
+    seed: int
+    cell: Cell
+
+    def sequence(self, *names: str, use: str = "") -> np.random.SeedSequence:
+        """The seed sequence of the named settings of the cell; of all without names."""
+        settings = {name: self.cell[name] for name in names or self.cell if name != "repetition"}
+        text = json.dumps([self.experiment, settings, *([use] if use else [])], sort_keys=True)
+        words = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], dtype=">u4")
+        key = (*(int(word) for word in words), int(self.cell.get("repetition", 0)))
+        return np.random.SeedSequence(self.seed, spawn_key=key)
+
+    def generator(self, *names: str, use: str = "") -> np.random.Generator:
+        """A new generator of ``sequence(*names, use=use)``; the same call gives the same numbers again."""
+        return np.random.default_rng(self.sequence(*names, use=use))
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One figure or table.
+
+    Attributes
+    ----------
+    id, title : as in ``oee reproduce ID``; the title is that of the summary
+    axes : name -> values; repetitions : seeds of each cell of the axes
+    smoke : name -> values of a smoke run, of one seed; the first of an axis that is not named
+    run : (cell, stream) -> rows; the cell's own settings are added to each row. Its docstring is the caption
+    keys : columns that tell the points of the summary apart; measures : numbers that are averaged over the repetitions, the
+        first being what the experiment is about
+    draw : (table, summary, figure) -> None
+    finding : table -> what its rows show, in their own numbers, a line: the figure's title
+    paper : summary -> the paper's number for each of its rows (nan: none published)
+    group : "gridworld" | "gymnasium" | "sureness" | "continuous" | "bench"
+    requires : modules that the cells import and that an installation may lack; extra : what installs them, where it is not
+        called as the module is
+    """
+
+    id: str
+    title: str
+    axes: Mapping[str, tuple[Scalar, ...]]
+    run: Callable[[Cell, Stream], list[Row]]
+    keys: tuple[str, ...]
+    measures: tuple[str, ...]
+    draw: Callable[[pd.DataFrame, pd.DataFrame, Any], None]
+    finding: Callable[[pd.DataFrame], str] = lambda table: ""
+    repetitions: int = 10
+    smoke: Mapping[str, tuple[Scalar, ...]] = field(default_factory=dict)
+    paper: Callable[[pd.DataFrame], Any] | None = None
+    group: str = "gridworld"
+    requires: tuple[str, ...] = ()
+    extra: str = ""
+
+    @property
+    def caption(self) -> str:
+        """What the figure shows, in which units."""
+        return " ".join((self.run.__doc__ or "").split())
+
+    def settings(self, *, smoke: bool = False, repetitions: int | None = None, seed: int = 0) -> RunSettings:
+        """The full sweep, or its smoke subset; ``repetitions`` instead of the experiment's own."""
+        first = {name: values[:1] for name, values in self.axes.items()}
+        axes = {**self.axes, **first, **self.smoke} if smoke else self.axes
+        return RunSettings(self, axes, repetitions or (1 if smoke else self.repetitions), seed)
+
+
+def experiment(title: str, *, draw: Any, **options: Any) -> Callable[[Callable[[Cell, Stream], list[Row]]], Experiment]:
+    """Make the function below an experiment of its name; without ``finding``, that of ``draw``, which is ``Panels``."""
+    options = {"finding": getattr(draw, "find", None), **options}
+    return lambda run: Experiment(id=run.__name__, title=title, run=run, draw=draw, **options)
+
+
+@dataclass(frozen=True, eq=False)
+class RunSettings:
+    """What a results folder is made from.
+
+    ``asked`` are settings that are no axes (JSON's types): results of others are not taken for these. ``modules`` are a
+    user's modules that the cells run: their files are part of the code.
+    """
+
+    experiment: Experiment
+    axes: Mapping[str, tuple[Scalar, ...]]
+    repetitions: int
+    seed: int
+    asked: Mapping[str, Any] = field(default_factory=dict)
+    modules: tuple[str, ...] = ()
+
+    def cells(self) -> list[Cell]:
+        """Every cell, in the order of the table."""
+        axes = {**self.axes, "repetition": range(self.repetitions)}
+        return [dict(zip(axes, point, strict=True)) for point in itertools.product(*axes.values())]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a JSON file."""
+        axes = {name: list(values) for name, values in self.axes.items()}
+        own = {"experiment": self.experiment.id, "axes": axes, "repetitions": self.repetitions, "seed": self.seed}
+        return own | ({"asked": dict(self.asked)} if self.asked else {})
+
+
+# ---- figures as data
+
+SIZE = (4.8, 3.9)  # of a panel, inches
+
+
+@dataclass(frozen=True)
+class Panels:
+    """Curves of a table against one of its columns, in a panel for each group of its rows: a figure of an experiment.
+
+    Attributes
+    ----------
+    y, x : columns; a point is the mean over the rows of an x (the seeds)
+    curves : the column that tells the curves apart; None: there are those of ``extra`` alone
+    by : columns that tell the groups apart
+    title : of a panel, with columns of ``by`` in braces; None: their names and values
+    xlabel, ylabel : with units
+    extra : name -> another column of y, over all rows
+    how : what a point is over the rows, as pandas' ``agg`` takes it
+    bands : whether the smallest and the largest row of each point are shown
+    only : rows -> those that are drawn
+    log : whether y is logarithmic; what is not positive is left out
+    slope : of a line in logarithmic axes through the first curve's first point; None: none
+    beneath : (ax, rows) -> draws first what is no curve of the table
+    axes : further settings, as ``Axes.set`` takes them
+    beside : further panels for each group, whose ``by``, ``columns`` and ``size`` are this one's
+    columns : panels side by side, None: all; size : of a panel, inches
+    """
+
+    y: str
+    curves: str | None = None
+    x: str = "n"
+    by: tuple[str, ...] = ()
+    title: str | None = None
+    xlabel: str = "transitions of the target, n"
+    ylabel: str = ""
+    extra: Mapping[str, str] = field(default_factory=dict)
+    how: str | Callable[[Any], float] = "mean"
+    bands: bool = False
+    only: Callable[[pd.DataFrame], pd.DataFrame] = lambda rows: rows
+    log: bool = False
+    slope: float | None = None
+    beneath: Callable[[Any, pd.DataFrame], object] | None = None
+    axes: Mapping[str, Any] = field(default_factory=dict)
+    beside: Sequence[Panels] = ()
+    columns: int | None = None
+    size: tuple[float, float] = SIZE
+
+    def __call__(self, table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
+        """Draw a panel for each group, and those beside it."""
+        groups: list[Any] = list(table.groupby(list(self.by), sort=False)) if self.by else [((), table)]
+        parts = [(panel, rows, key) for key, rows in groups for panel in (self, *self.beside)]
+        named = ", ".join(f"{name} = {{{name}}}" for name in self.by)
+        titles = [
+            (named if panel.title is None else panel.title).format(**dict(zip(self.by, key, strict=True)))
+            for panel, _, key in parts
+        ]
+        axes = panels(figure, titles, columns=self.columns, size=self.size)
+        for (panel, rows, _), ax in zip(parts, axes, strict=True):
+            panel._draw(panel.only(rows), ax)
+
+    def find(self, table: pd.DataFrame) -> str:
+        """The three lowest curves at the largest x: "RMSE at n = 31623: 0.0041 (default), 0.012 (simulator)"."""
+        rows = self.only(table)
+        last = rows[self.x].max()
+        values = rows[rows[self.x] == last].groupby(self.curves)[self.y].agg(self.how).sort_values()
+        return f"{self.ylabel} at {self.x} = {last:g}: {listed(values.head(3))}"
+
+    def _draw(self, rows: pd.DataFrame, ax: Any) -> None:
+        by_x = rows.groupby(self.x)
+        curves = {name: by_x[column].mean() for name, column in self.extra.items()}
+        bands = {}
+        if self.curves is not None:
+            own = rows.groupby([self.x, self.curves], sort=False)[self.y]
+            points, low, high = (own.agg(how).unstack().sort_index() for how in (self.how, "min", "max"))  # noqa: PD010
+            names = rows[self.curves].unique()
+            curves = {str(name): points[name] for name in names} | curves
+            bands = {str(name): (low[name], high[name]) for name in names if self.bands}
+        where = np.sort(rows[self.x].unique())
+        if self.log:
+            curves = {name: y.where(y > 0) for name, y in curves.items()}
+        if self.beneath is not None:
+            self.beneath(ax, rows)
+        if self.slope is not None:
+            add_slope(ax, where, next(iter(curves.values())).to_numpy(), self.slope)
+        plot_curves(where, curves, ax, bands=bands, xlabel=self.xlabel, ylabel=self.ylabel)
+        ax.set(**{"yscale": "log" if self.log else "linear"} | dict(self.axes))
+
+
+def add_slope(ax: Any, n: Any, errors: Any, slope: float) -> None:
+    """Add a line of this slope in logarithmic axes, from the first error."""
+    label = f"slope {slope:g}"
+    ax.plot(n, errors[0] * (n / n[0]) ** slope, color=INK, lw=1.0, ls=":", zorder=0, label=label)
+
+
+def panels(
+    figure: Any, names: Sequence[Any], *, columns: int | None = None, size: tuple[float, float] = SIZE
+) -> list[Any]:
+    """Titled axes side by side, each of ``size`` inches."""
+    across = len(names) if columns is None else min(columns, len(names))
+    down = -(-len(names) // across)
+    figure.set_size_inches(size[0] * across, size[1] * down)
+    axes = list(np.ravel(figure.subplots(down, across, squeeze=False)))
+    for ax, name in zip(axes, names, strict=False):
+        ax.set_title(str(name), fontsize="medium")
+    for ax in axes[len(names) :]:
+        ax.set_visible(False)
+    return axes[: len(names)]
+
+
+# ---- what a table shows, in its own numbers: the words of the figures' titles
+
+
+def number(x: float) -> str:
+    """Two digits, as people write them.
+
+    >>> number(0.00412), number(31.4), number(612.0), number(3.2e7)
+    ('0.0041', '31', '612', '3.2e+07')
+    """
+    return f"{x:.0f}" if 10.0 <= abs(x) < 1e5 else f"{x:.2g}"
+
+
+def percent(share: float) -> str:
+    """A share, in per cent.
+
+    >>> percent(0.9761), percent(0.0041)
+    ('98%', '0.41%')
+    """
+    return f"{number(100.0 * share)}%"
+
+
+def reach(values: Iterable[float], write: Callable[[float], str] = number) -> str:
+    """From the smallest to the largest.
+
+    >>> reach([0.5, 0.1, 0.3]), reach([0.5])
+    ('0.1 to 0.5', '0.5')
+    """
+    ordered = sorted(values)
+    return " to ".join(dict.fromkeys([write(ordered[0]), write(ordered[-1])]))
+
+
+def listed(values: pd.Series[float], write: Callable[[float], str] = number) -> str:
+    """Each value with its name, in their order: "0.01 (default), 0.2 (simulator)"."""
+    return ", ".join(f"{write(x)} ({name})" for name, x in values.items())
+
+
+# ---- what is written of the rows
+
+TITLE_SIZE = 12.0  # points at most
+
+
+def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
+    """Mean, sd, standard error of the measures and number of seeds at each point; the paper's number, and ours / paper."""
+    grouped = table.groupby(list(experiment.keys), sort=False, dropna=False)
+    parts: list[Any] = [grouped.size().rename("seeds")]
+    for measure in experiment.measures:
+        columns = [f"{measure}_{name}" for name in ("mean", "sd", "se")]
+        parts.append(grouped[measure].agg(["mean", "std", "sem"]).set_axis(columns, axis=1))
+    summary: pd.DataFrame = pd.concat(parts, axis=1).reset_index()
+    if experiment.paper is not None:
+        summary["paper"] = experiment.paper(summary)
+        summary["ours / paper"] = summary[f"{experiment.measures[0]}_mean"] / summary["paper"]
+    return summary
+
+
+def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
+    """What is made of the rows of a sweep, by the names of the files; the same bytes for the same table."""
+    experiment = settings.experiment
+    summary, finding = summary_of(experiment, table), experiment.finding(table)
+
+    def draw(figure: Any) -> None:
+        experiment.draw(table, summary, figure)
+        share_legend(figure)
+        set_title(figure, finding)
+
+    return {
+        "table.csv": _files.csv_bytes(table),
+        "summary.csv": _files.csv_bytes(summary, float_format="%.6g"),
+        "summary.md": page(settings, finding, summary).encode(),
+        **{f"figure.{kind}": content for kind, content in draw_bytes(draw, salt=experiment.id).items()},
+    }
+
+
+def draw_bytes(draw: Callable[[Any], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")) -> dict[str, bytes]:
+    """The bytes of the figure that ``draw`` makes, by kind, without a date."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    metadata: dict[str, object] = {"svg": {"Date": None}, "png": {"Software": None}}
+    contents = {}
+    with mpl.rc_context({"svg.hashsalt": salt, "svg.fonttype": "none"}):
+        figure = Figure(layout="constrained")
+        draw(figure)
+        for kind in kinds:
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=kind, dpi=110, metadata=metadata[kind])
+            contents[kind] = buffer.getvalue()
+    return contents
+
+
+def share_legend(figure: Any) -> None:
+    """One legend below the panels instead of one in each, where one panel has the series of all and more than three."""
+    drawn = [ax for ax in figure.axes if ax.get_legend() is not None]
+    entries = [dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True)) for ax in drawn]
+    most: dict[str, Any] = max(entries, key=len, default={})
+    if len(most) <= 3 or any(entry.keys() - most.keys() for entry in entries):
+        return
+    for ax in drawn:
+        ax.legend().remove()
+    columns = min(max(1, int(figure.get_figwidth() * 11 / (max(map(len, most)) + 8))), len(most))
+    figure.legend(list(most.values()), list(most), loc="outside lower center", ncols=columns, fontsize="small")
+
+
+def set_title(figure: Any, text: str) -> None:
+    """The title of a whole figure: one line, in letters small enough for its width."""
+    if text:
+        title = figure.suptitle(text, fontsize=TITLE_SIZE)
+        title.set_parse_math(False)
+        width = title.get_window_extent().width
+        title.set_fontsize(TITLE_SIZE * min(1.0, 0.98 * figure.bbox.width / width))
+
+
+def page(settings: RunSettings, finding: str, summary: pd.DataFrame) -> str:
+    """The summary as markdown: its title, the figure with what it shows, how it was made, the numbers."""
+    experiment = settings.experiment
+    is_full = settings.as_dict()["axes"] == experiment.settings().as_dict()["axes"]
+    command = f"oee reproduce {experiment.id}{'' if is_full else ' --smoke'} --seeds {settings.repetitions}"
+    command += f" --seed {settings.seed}" if settings.seed else ""
+    axes = "; ".join(f"{name} {', '.join(map(str, values))}" for name, values in settings.axes.items())
+    parts = [
+        f"# {experiment.title}",
+        f"![{finding or experiment.title}](figure.png)",
+        experiment.caption,
+        f"`{command}` ({axes}); every seed is in table.csv.",
+        pipe_table(summary),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def pipe_table(frame: pd.DataFrame) -> str:
+    """A markdown table."""
+
+    def text(value: object) -> str:
+        if isinstance(value, float):
+            return "" if np.isnan(value) else f"{value:.4g}"
+        return str(value).replace("|", "\\|")
+
+    rows: list[Iterable[object]] = [frame.columns, *frame.itertuples(index=False, name=None)]
+    lines = ["| " + " | ".join(map(text, row)) + " |" for row in rows]
+    return "\n".join([lines[0], "|" + "---|" * len(frame.columns), *lines[1:]])
