@@ -1,12 +1,16 @@
 """The site as README's command builds it: formulas and pictures page by page, in a real Chromium at two widths."""
 
+import dataclasses
+import importlib
+import inspect
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import nbformat
 import pytest
-from browsing import axe, browser, opened, violations  # noqa: F401
+from browsing import opened, violations
 from saved_notebook import NOTEBOOKS
 
 CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.S | re.M)
@@ -63,7 +67,7 @@ def test_no_page_shows_a_dollar_or_lacks_its_notebooks_link(site):
 
 
 @pytest.mark.parametrize("width", [1280, 400])
-def test_every_page_in_a_browser(site, browser, axe, width):  # noqa: F811
+def test_every_page_in_a_browser(site, browser, axe, width):
     for k, (name, path) in enumerate(sorted(site.items())):
         scheme = ("light", "dark")[k % 2]
         page, heard, asked = opened(browser, path.as_uri(), width, scheme)
@@ -79,3 +83,74 @@ def test_every_page_in_a_browser(site, browser, axe, width):  # noqa: F811
         if name in KINDS:
             assert violations(axe, page) == [], name
         page.context.close()
+
+
+# ---- the site: every public name by subject, every attribute under its own name, every command and option
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def maker():
+    """The modules that make the site's pages."""
+    sys.path.insert(0, str(ROOT / "notebooks"))
+    made = {name: importlib.import_module(name) for name in ("docstrings", "subjects")}
+    yield made
+    sys.path.remove(str(ROOT / "notebooks"))
+    for name in made:
+        sys.modules.pop(name, None)
+
+
+def test_every_public_name_is_listed_once_by_subject(maker):
+    subjects = maker["subjects"]
+    for module, headings in subjects.SUBJECTS.items():
+        names = [name for group in headings.values() for name in group]
+        assert len(names) == len(set(names)), module
+        assert set(names) >= subjects.public(module), module
+        loaded = importlib.import_module(f"oee_tabular.{module}")
+        assert all(hasattr(loaded, name) for name in names), module
+
+
+def shown(maker, value):
+    """A class's docstring as the site sets it: the fields that napoleon makes of it."""
+    napoleon = pytest.importorskip("sphinx.ext.napoleon")
+    lines = maker["docstrings"].plain(inspect.cleandoc(value.__doc__).splitlines())
+    config = napoleon.Config(napoleon_use_ivar=True, napoleon_use_param=False)
+    return str(napoleon.NumpyDocstring("\n".join(lines), config, what="class", obj=value, name=value.__name__))
+
+
+def test_every_attribute_has_an_entry_of_its_own(maker):
+    checked = 0
+    for module, headings in maker["subjects"].SUBJECTS.items():
+        loaded = importlib.import_module(f"oee_tabular.{module}")
+        for name in (name for group in headings.values() for name in group):
+            value = getattr(loaded, name)
+            if not (inspect.isclass(value) and dataclasses.is_dataclass(value)) or "Attributes\n" not in value.__doc__:
+                continue
+            text = shown(maker, value)
+            own = {field.name for field in dataclasses.fields(value) if not field.name.startswith("_")}
+            inherited = {field for base in value.__mro__[1:] for field in getattr(base, "__dataclass_fields__", ())}
+            told = value.__doc__.split("Attributes\n")[1]
+            for field in own - inherited:
+                if re.search(rf"\b{field}\b", told):
+                    assert f":ivar {field}:" in text or f"**{field}**" in text, (name, field)
+                    checked += 1
+    assert checked > 150
+
+
+def test_the_reference_of_commands_has_every_option(monkeypatch):
+    pytest.importorskip("sphinx")
+    monkeypatch.syspath_prepend(str(ROOT / "notebooks"))
+    import typer
+
+    from oee_tabular.cli import app
+
+    conf = importlib.import_module("conf")
+    text = conf.commands()
+    assert text.startswith("# The commands\n")
+    for name, command in typer.main.get_command(app).commands.items():
+        part = text.split(f"## `oee {name}`\n")[1].split("\n## ")[0]
+        for option in command.params:
+            if option.opts[0].startswith("-"):
+                assert f"`{option.opts[0]}" in part, (name, option.name)
+    for module in ("conf", "docstrings", "subjects", "dependencies"):
+        sys.modules.pop(module, None)

@@ -2,6 +2,7 @@
 
 import inspect
 
+import fuzz_files
 import numpy as np
 import pytest
 from fuzz_calls import arguments_of, call, functions, fuzz, is_called, judged
@@ -62,3 +63,12 @@ def test_every_yes_or_no_is_true_or_false(known):
 )
 def test_a_bad_function_is_detected(function, kind):
     assert judged(function, {"mdp": "raw"}, ["mdp"])[0] == kind
+
+
+# ---- a short run of ``fuzz_files.py``: files that are broken in every way that it knows
+@pytest.mark.filterwarnings("ignore")
+def test_broken_files_are_refused_with_a_sentence(tmp_path):
+    number, outcomes, failures = fuzz_files.fuzz(seed=1, seconds=10, folder=tmp_path)
+    assert not [one for one in failures if "death" in str(one) or "hang" in str(one)]
+    assert number > 100
+    assert outcomes["refused"] > outcomes["finite"] > 0

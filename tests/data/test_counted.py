@@ -1,10 +1,12 @@
 """Counts in place of a log: what they hold, their file."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from kernels.files import DIGEST, KIND, save_npz
 from numpy.testing import assert_array_equal
 
+import oee_tabular as oee
 from oee_tabular import TransitionCounts, Transitions
 from oee_tabular.data.counts import Recording
 
@@ -76,3 +78,87 @@ def test_a_file_that_has_changed_is_refused(tmp_path):
     LOG.save(tmp_path / "log.npz")
     with pytest.raises(ValueError, match=r"must hold a counted log .* it holds a log of numbered states"):
         TransitionCounts.load(tmp_path / "log.npz")
+
+
+# ---- logs that hold names, streamed: matched to the simulator's, in memory of the counts
+ROOMS, HEADINGS = ("hall", ("room", 2), "dock", "über,all"), ("go", "stay")
+
+
+def named_simulator():
+    rows = np.full((4, 2, 4), 0.25)
+    return oee.FiniteMDP(rows, np.zeros(4), 0, 0.9, state_names=ROOMS, action_names=HEADINGS)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".npz"])
+@pytest.mark.parametrize("actions", ["names", "numbers"])
+def test_logs_of_names_are_counted_by_the_simulators(tmp_path, ending, actions):
+    simulator = named_simulator()
+    if actions == "numbers":
+        simulator = simulator.with_names(ROOMS)
+    log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 40, 10, seed=0)
+    columns = log.columns()
+    for label in ("state", "next_state"):
+        columns[label] = [ROOMS[s] for s in columns[label]]
+    if actions == "names":
+        columns["action"] = [HEADINGS[a] for a in columns["action"]]
+    Transitions(**columns).save(tmp_path / f"named{ending}")
+    log.save(tmp_path / "numbers.npz")
+    found = Transitions.open(tmp_path / f"named{ending}", simulator=simulator)
+    plain = Transitions.open(tmp_path / "numbers.npz")
+    for name in ("state", "action", "next_state", "count", "reward_sum"):
+        assert_array_equal(getattr(found, name), getattr(plain, name))
+    assert found.sample.state_names is None
+    assert oee.Problem(simulator, found).observed.sum() == 400
+
+
+def test_a_dictionary_of_names(tmp_path):
+    frame = pd.DataFrame({"state": ["hall", "dock"], "action": ["go", "go"], "next_state": ["dock", "hall"]})
+    frame.astype("category").to_parquet(tmp_path / "log.parquet")
+    assert Transitions.open(tmp_path / "log.parquet", simulator=named_simulator()).state.tolist() == [0, 2]
+
+
+def test_numbers_after_names_and_names_that_come_late(tmp_path):
+    (tmp_path / "a.csv").write_text("state,action,next_state\n0,go,2\n3,stay,0\n")
+    (tmp_path / "b.csv").write_text("state,action,next_state\nhall,go,dock\n")
+    found = Transitions.open([tmp_path / "a.csv", tmp_path / "b.csv"], simulator=named_simulator())
+    assert (found.state.tolist(), found.count.tolist()) == ([0, 3], [2.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("row", "text"),
+    [
+        (
+            "hal,go,dock",
+            r"log\.csv': state\[1\] must be one of the simulator's names; it is 'hal' \(did you mean 'hall'\?\)",
+        ),
+        ("hall,jump,dock", r"log\.csv': action\[1\] must be one of the simulator's names; it is 'jump' \("),
+        ("hall,go,", r"log\.csv': next_state\[1\] must have a value; it has none"),
+        ("hall,go,7", r"log\.csv': next_state\[1\] must be one of the simulator's names; it is 7"),
+    ],
+)
+def test_names_that_the_simulator_has_not(tmp_path, row, text):
+    path = tmp_path / "log.csv"
+    path.write_text(f"state,action,next_state\nhall,stay,hall\n{row}\n")
+    with pytest.raises(ValueError, match=text):
+        Transitions.open(path, simulator=named_simulator())
+    dropped = Transitions.open(path, simulator=named_simulator(), bad_rows="drop")
+    assert (dropped.recording.dropped, len(dropped)) == (1, 1)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_episodes_may_be_called_by_texts(tmp_path, ending):
+    simulator = named_simulator()
+    log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 20, 7, seed=0)
+    frame = pd.DataFrame(log.columns()).assign(episode=[f"run {k} of May" for k in log.episode])
+    path = tmp_path / f"log{ending}"
+    (frame.to_csv if ending == ".csv" else frame.to_parquet)(path, index=False)
+    assert_array_equal(Transitions.load(path).episode, log.episode)
+    assert_array_equal(Transitions(**frame.to_dict("list")).episode, log.episode)
+    found = Transitions.open(path)
+    assert (found.recording.episodes, found.recording.shortest, found.recording.longest) == (20, 7, 7)
+    assert found.sample.n_episodes == 20
+    swapped = pd.concat([frame.iloc[:7], frame.iloc[14:21], frame.iloc[:7]])
+    (swapped.to_csv if ending == ".csv" else swapped.to_parquet)(path, index=False)
+    for read in (Transitions.load, Transitions.open):
+        with pytest.raises(ValueError, match=r"episode must (keep the rows of an episode together|.*begins again)"):
+            read(path)

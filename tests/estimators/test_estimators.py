@@ -2,11 +2,23 @@
 
 import numpy as np
 from estimators.four_states import BEHAVIOR, POLICY, environments, recorded_problem, reweighted_zeta
-from numpy.testing import assert_allclose
+from helpers import dense
+from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular import Problem, Transitions, exact
-from oee_tabular.estimators import ImportanceSampling, ModelBased, OffEnvironment, Oracle
+from oee_tabular import FiniteMDP, Problem, Transitions, exact
+from oee_tabular.estimators import (
+    DoublyRobust,
+    DualDice,
+    ImportanceSampling,
+    Magic,
+    Marginalized,
+    ModelBased,
+    OffEnvironment,
+    Oracle,
+    Simulator,
+)
+from oee_tabular.estimators.names import default_names, named_estimators
 
 
 def grids(size=5, **options):
@@ -100,3 +112,99 @@ def test_ratios_by_name_get_what_the_problem_knows():
     expected = oee.transition_ratio(shares, simulator, method="joint", simulator_data="exact", behavior_policy=BEHAVIOR)
     limit = OffEnvironment("joint").limit(simulator, target, POLICY, behavior_policy=BEHAVIOR)
     assert_allclose(limit, oee.policy_value(exact.reweight(simulator, expected), POLICY), rtol=1e-9)
+
+
+# ---- short names, bad options, and which estimators a problem's data allow
+def test_short_names_and_what_they_stand_for():
+    _, target = environments()
+    expected = [
+        Simulator(), OffEnvironment(), OffEnvironment(evaluation="monte_carlo"),
+        OffEnvironment(evaluation="monte_carlo", self_normalized=True),
+        OffEnvironment(evaluation="monte_carlo", weighting="trajectory"), OffEnvironment(ratio="ratio_of_ratios"),
+        ModelBased(), ImportanceSampling(kind="trajectory"), ImportanceSampling(kind="trajectory", self_normalized=True),
+        ImportanceSampling(), ImportanceSampling(self_normalized=True), DoublyRobust(), DoublyRobust(weights="beta"),
+        DoublyRobust(data="rollouts"), DoublyRobust(data="episodes"), DoublyRobust(data="episodes", self_normalized=True),
+        Magic(), Marginalized(), DualDice(), Oracle(target), Oracle(target, evaluation="monte_carlo"),
+    ]  # fmt: skip
+    names = [
+        "simulator", "oee", "oee-product", "oee-product-sn", "oee-trajectory", "ratio-of-ratios", "model-based", "is", "wis",
+        "pdis", "wpdis", "dr", "dr-beta", "dr-rollouts", "dr-episodes", "wdr", "magic", "marginalized", "dualdice", "oracle",
+        "oracle-product",
+    ]  # fmt: skip
+    named = named_estimators(names, target)
+    assert {name: repr(estimator) for name, estimator in named.items()} == dict(
+        zip(names, map(repr, expected), strict=True)
+    )
+
+
+def test_names_that_people_type():
+    ragged = oee.testing.case("ragged")
+    assert named_estimators(["fqe", "oee", "model-based"]) == named_estimators(["model-based", "oee"])
+    problem = ragged.problem(20, seed=0)
+    rows = [oee.evaluate(problem, ragged.policy, estimators=name).records() for name in ("fqe", ["dm"], "model-based")]
+    assert rows[0] == rows[1] == rows[2]
+
+
+def test_the_default_estimators_and_what_is_left_out():
+    simulator, target = environments()
+    log = oee.sample_episodes(target, BEHAVIOR, 5, 6, seed=1)
+    bare = Transitions(**{k: v for k, v in log.columns().items() if k != "behavior_probability"})
+    basic = ["simulator", "oee", "model-based"]
+    assert default_names(Problem(simulator, log)) == ([*basic, "pdis", "wpdis"], [])
+    assert default_names(Problem(simulator, bare, behavior_policy=BEHAVIOR)) == ([*basic, "pdis", "wpdis"], [])
+    unknown = "Importance sampling is left out: the behaviour policy is not known."
+    assert default_names(Problem(simulator, bare)) == (basic, [unknown])
+    bag = log.draw(5, seed=0)
+    assert default_names(Problem(simulator, bag)) == (
+        basic,
+        ["Importance sampling is left out: the log has no episodes."],
+    )
+    assert default_names(Problem(simulator, bag, episodes=log)) == ([*basic, "pdis", "wpdis"], [])
+
+
+# ---- the log's frequencies as a model: fallbacks, rewards, standard error
+def test_models_of_the_log_use_the_simulator_s_rewards():
+    """r(s, a, s') on the moves seen and on staying, which "stay" makes up; the row's mean where staying has no reward."""
+    simulator, _ = environments(3)
+    problem = Problem(simulator, Transitions([0, 0, 1], [0, 0, 1], [1, 2, 1]))
+    own = dense(simulator)[1]
+    stay = ModelBased().model(problem)
+    rows, pay = dense(stay)
+    assert_allclose(rows[0, 0], [0, 0.5, 0.5, 0])
+    assert_allclose(rows[1, 0], [0, 1, 0, 0])
+    assert_allclose(pay[0, 0, 1:3], own[0, 0, 1:3])
+    assert_allclose(pay[1, 0, 1], own[1, 0, 1])
+    assert_allclose(pay[1, 1, 1], own[1, 1, 1])
+    rows, undefined = dense(simulator)[0], own.copy()
+    rows[1, 0], undefined[1, 0, 1] = [0.5, 0.0, 0.5, 0.0], np.nan
+    without = FiniteMDP(rows, undefined, simulator.initial, simulator.discount)
+    moved = ModelBased().model(Problem(without, Transitions([0, 0, 1], [0, 0, 1], [1, 2, 1])))
+    assert_allclose(dense(moved)[1][1, 0, 1], without.rewards[1, 0])
+    other = ModelBased("simulator").model(problem)
+    assert_allclose(dense(other)[0][1, 0], dense(simulator)[0][1, 0])
+    assert_allclose(dense(other)[1][1, 0], own[1, 0])
+    assert_array_equal(other.terminal_state, simulator.terminal_state)
+    assert_array_equal(other.initial, simulator.initial)
+    assert other.discount == simulator.discount
+
+
+def test_models_keep_states_that_nothing_enters_and_where_termination_leads():
+    rows = np.array([[[0.5, 0.5]], [[0.5, 0.5]]])
+    pay = np.arange(4.0).reshape(2, 1, 2)
+    simulator = FiniteMDP(rows, pay, [0, 1], 0.9, terminal_state=[1, 1])
+    problem = Problem(simulator, Transitions([1, 0], [0, 0], [0, 0]))
+    for fallback in ("stay", "simulator"):
+        model = ModelBased(fallback).model(problem)
+        assert_array_equal(model.terminal_state, [1, 1])
+        assert_allclose(oee.state_values(model, np.ones((2, 1))), [0.0, 2.0], atol=1e-12)
+    once = ModelBased()(Problem(simulator, Transitions([1, 0, 0], [0, 0, 0], [0, 0, 1])), np.ones((2, 1)))
+    assert once.standard_error > 0  # of state 0 alone: a row seen once shows no spread
+
+
+def test_one_record_is_enough_where_there_is_one_next_state():
+    """State 0 leads to 1 for sure, and was left once; state 1 may stay or end, and was left once: its variance is unknown."""
+    rows = np.array([[[0.0, 1.0, 0.0]], [[0.0, 0.5, 0.5]], [[0.0, 0.0, 1.0]]])
+    simulator = FiniteMDP(rows, [1.0, 1.0, 0.0], [1, 0, 0], 0.5)
+    found = ModelBased("simulator")(Problem(simulator, Transitions([0, 1], [0, 0], [1, 2])), np.ones((3, 1)))
+    assert_allclose(found.diagnostics["single_share"], 1 / 3)  # of the time before the end: 1 in state 0, .5 in state 1
+    assert_allclose(found.measured, 2 / 3)

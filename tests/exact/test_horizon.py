@@ -1,14 +1,16 @@
 """Finite horizons: light cone, forward sums and plain sweeps give one answer, that of the definition."""
 
 import numpy as np
-from helpers import random_mdp, random_policy, rngs
-from hypothesis import given
+import pytest
+from helpers import BEHAVIOR, POLICY, environments, random_mdp, random_policy, ratio_of, rngs
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import exact
+from oee_tabular import FiniteMDP, exact
+from oee_tabular.exact import weight_growth, weight_moments
 
 horizons = st.integers(1, 9)
 
@@ -112,3 +114,132 @@ def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
         states = model.transitions.T @ share
     found = exact.transition_gradient(model, policy, horizon=steps, values_of=valued)
     assert_allclose(found, expected, rtol=0, atol=1e-11 * max(1.0, np.abs(expected).max()))
+
+
+# ---- merged sweeps are those of a policy in time; each step and state has its own share of the variance
+def check_in_time(mdp, zeta, policy, behavior, horizon):
+    """A policy for each step that is always the same: entry by entry what the merged sweeps give."""
+    calls = [
+        lambda pi, **options: oee.return_moments(mdp, pi, **options),
+        lambda pi, **options: oee.weighted_return_moments(mdp, zeta, pi, **options),
+        lambda pi, **options: oee.weighted_return_moments(mdp, zeta, pi, self_normalized=True, **options),
+        lambda pi, **options: oee.policy_is_moments(mdp, behavior, pi, **options),
+        lambda pi, **options: oee.policy_is_moments(mdp, behavior, pi, self_normalized=True, **options),
+    ]
+    for call in calls:
+        merged, timed = (call(pi, horizon=horizon, sources=True) for pi in (policy, np.stack([policy] * horizon)))
+        for name in ("mean", "variance", "bias", "by_step", "by_state"):
+            one, two = getattr(merged, name), getattr(timed, name)
+            scale = max(1.0, np.abs(two).max(), abs(timed.mean) ** 2)
+            assert_allclose(one, two, rtol=1e-9, atol=1e-12 * scale, err_msg=name)
+
+
+@pytest.mark.large
+@settings(max_examples=60)
+@given(rngs)
+def test_merged_sweeps_are_those_of_a_policy_in_time(rng):
+    """Strips that fill and that do not."""
+    mdp = random_mdp(rng, n_states=int(rng.integers(1, 90)), n_actions=int(rng.integers(1, 5)))
+    zeta = oee.true_ratio(random_mdp(rng, like=mdp), mdp)
+    check_in_time(mdp, zeta, random_policy(rng, mdp), random_policy(rng, mdp, zeros=0.0), int(rng.integers(1, 7)))
+
+
+@pytest.mark.large
+@settings(max_examples=15)
+@given(rngs)
+def test_rings_and_rows_of_very_different_lengths(rng):
+    """A ring's entries lead to consecutive states; in the other, one state leads everywhere, the rest to three."""
+    n, n_actions = int(rng.integers(70, 200)), 2
+    for is_ring in (True, False):
+        transitions = np.zeros((n, n_actions, n))
+        for step in rng.choice(np.arange(-5, 40), 3, replace=False):
+            following = (np.arange(n) + step) % n if is_ring else rng.integers(0, n, n)
+            transitions[np.arange(n), :, following] += rng.gamma(0.3, size=(n, n_actions)) + 1e-9
+        if not is_ring:
+            transitions[n // 2] = 1.0
+        transitions /= transitions.sum(axis=2, keepdims=True)
+        mdp = oee.FiniteMDP(transitions, rng.normal(size=(n, n_actions, n)), np.full(n, 1 / n), 0.9)
+        policy, behavior = (rng.dirichlet(np.ones(n_actions), n) for _ in range(2))
+        check_in_time(mdp, ratio_of(rng, mdp), policy, behavior, 4)
+
+
+@pytest.mark.parametrize("form", [1, 2, 3])
+@pytest.mark.parametrize("weights", ["none", "moves", "actions"])
+def test_an_infinite_sum_has_the_shares_of_a_long_one(form, weights):
+    simulator, target = environments(form)
+
+    def moments(**options):
+        if weights == "none":
+            return oee.return_moments(simulator, POLICY, sources=True, **options)
+        if weights == "moves":
+            zeta = oee.true_ratio(target, simulator)
+            return oee.weighted_return_moments(simulator, zeta, POLICY, sources=True, **options)
+        return oee.policy_is_moments(simulator, BEHAVIOR, POLICY, sources=True, **options)
+
+    endless, long = moments(), moments(horizon=120)
+    assert_allclose(endless.mean, long.mean, rtol=1e-10)
+    assert_allclose(endless.variance, long.variance, rtol=1e-10)
+    assert_allclose(endless.by_state, long.by_state, rtol=1e-9)
+    assert endless.by_step is None
+    assert endless.bias == 0.0
+    assert_allclose(endless.variance - endless.by_state.sum(), long.by_step[0], rtol=1e-9)
+
+
+# ---- weights along a walk: how fast they grow, and where they stand still
+KINDS = ("per_decision", "trajectory")
+
+
+@pytest.mark.parametrize("n", [3, 400, 401, 450])
+def test_growth_of_large_and_small_chains(n):
+    """A ring with zeta = 2: E W_t^2 = 4^t at every size; without weight minus infinity."""
+    ring = sparse.csr_array((np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n))
+    mdp = FiniteMDP(ring, np.ones(n), np.full(n, 1 / n), 0.9)
+    ones = np.ones((n, 1))
+    assert_allclose(weight_growth(mdp, ring * 2.0, ones), np.log(4.0), rtol=1e-9)
+    assert_allclose(weight_growth(mdp, ring * 0.5, ones), np.log(0.25), rtol=1e-9)
+    assert weight_growth(mdp, ring * 0.0, ones) == -np.inf
+    first, second = weight_moments(mdp, ring * 2.0, ones, horizon=3)
+    assert_allclose(first, [1, 2, 4, 8])
+    assert_allclose(second, [1, 4, 16, 64])
+
+
+def test_an_infinite_sum_of_states_that_are_never_entered():
+    """The last state is only a start: no column of the weighted kernel, and yet a row."""
+    mdp = FiniteMDP(
+        np.array([[[0.5, 0.5, 0.0]], [[0.5, 0.5, 0.0]], [[1.0, 0.0, 0.0]]]), [1.0, 2.0, 5.0], [0, 0, 1], 0.5
+    )
+    endless, long = (oee.return_moments(mdp, np.ones((3, 1)), horizon=h, sources=True) for h in (None, 60))
+    assert_allclose((endless.mean, endless.variance), (long.mean, long.variance), rtol=1e-12)
+    assert_allclose(endless.by_state, long.by_state, rtol=1e-12)
+    assert weight_growth(mdp, oee.true_ratio(mdp, mdp), np.ones((3, 1))) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("self_normalized", [False, True])
+def test_ratios_of_transitions_in_absorbing_states_do_not_count(kind, self_normalized):
+    simulator = oee.tasks.gridworld(3, 0.3)
+    zeta = oee.true_ratio(oee.tasks.gridworld(3, 0.2), simulator).values.copy()
+    other = zeta.copy()
+    over = np.repeat(simulator.absorbing(), simulator.n_actions)
+    other.data[over[np.repeat(np.arange(zeta.shape[0]), np.diff(zeta.indptr))]] = 1.7
+    assert (other.data == 1.7).sum() == simulator.n_actions
+    policy = oee.tasks.gridworld_expert(3)
+    one, two = (
+        exact.weighted_return_moments(simulator, z, policy, kind=kind, horizon=6, self_normalized=self_normalized)
+        for z in (zeta, other)
+    )
+    assert (one.mean, one.variance) == (two.mean, two.variance)
+    assert_array_equal(*(weight_moments(simulator, z, policy, horizon=6) for z in (zeta, other)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_without_any_weight_nothing_is_left_to_divide_by(kind):
+    chain = FiniteMDP(np.full((2, 1, 2), 0.5), [1.0, 2.0], [1, 0], 0.9)
+    nothing = sparse.csr_array(np.zeros((2, 2)))
+    with pytest.warns(UserWarning, match="all weights of a step are 0"):
+        found = oee.weighted_return_moments(
+            chain, nothing, np.ones((2, 1)), kind=kind, horizon=2, self_normalized=True, sources=True
+        )
+    assert np.isnan([found.mean, found.variance, found.bias]).all()
+    plain = oee.weighted_return_moments(chain, nothing, np.ones((2, 1)), kind=kind, horizon=2)
+    assert (plain.mean, plain.variance, plain.bias) == ((1.0 if kind == "per_decision" else 0.0), 0.0, 0.0)

@@ -1,15 +1,22 @@
 """What errors show of values, and how many workers there are, whom no Ctrl-C reaches."""
 
+import math
+import re
 import subprocess
 import sys
 import time
 
 import numpy as np
 import pytest
+from helpers import rngs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import _checks, _workers
+from oee_tabular import _checks, _printing, _progress, _workers
+from oee_tabular._sparse import align, canonical, find
 from oee_tabular.lab.run import _hold_interrupts
 
 GRID = oee.tasks.gridworld(3, 0.3)
@@ -68,3 +75,80 @@ def test_workers_are_not_interrupted_themselves():
         inside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     outside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert (inside.stdout, outside.stdout) == ("True\n", "False\n")
+
+
+# ---- numbers, intervals and tables in text
+@settings(max_examples=300)
+@given(st.floats(-1e12, 1e12), st.floats(1e-9, 1e6))
+def test_ends_have_digits_until_their_width_shows(lower, width):
+    upper = lower + width
+    form = _printing.spec(lower, upper)
+    shown = float(f"{upper:{form}}") - float(f"{lower:{form}}")
+    if width > 1e-11 * max(abs(lower), abs(upper)):
+        assert_allclose(shown, upper - lower, rtol=0.11)
+
+
+@pytest.mark.parametrize(
+    ("ends", "text"),
+    [
+        ((-11023.4, -11022.9), "[-11023.40, -11022.90]"),
+        ((-18.92, 4.857), "[-18.92, 4.86]"),
+        ((3.0, 3.0), "[3.000, 3.000]"),
+        ((0.0, 0.0), "[0, 0]"),
+        ((1.5e20, 1.5003e20), "[1.50000e+20, 1.50030e+20]"),
+        ((-math.inf, 2.0), "[-inf, 2]"),
+    ],
+)
+def test_intervals_in_text(ends, text):
+    assert _printing.interval(*ends) == text
+
+
+def test_names_are_escaped_in_tables():
+    table = _printing.table(["<h>"], [["<c>"]], caption="<t>", below=["<s>"])
+    assert not any(mark in table for mark in ("<h>", "<c>", "<t>", "<s>"))
+    assert "&lt;x&gt;" in _printing.text("<x>", "<y>")
+
+
+# ---- slow steps are told on stderr
+def test_slow_steps_are_reported_once_on_stderr(capsys, monkeypatch):
+    monkeypatch.setattr(_progress, "SECONDS", 0.02)
+    told = ""
+
+    def wait_for(word):
+        nonlocal told
+        for _ in range(500):
+            captured = capsys.readouterr()
+            assert captured.out == ""
+            told += captured.err
+            if word in told:
+                return
+            time.sleep(0.02)
+        raise AssertionError("not told")
+
+    _progress.report_step("nobody listens")
+    with _progress.show_steps():
+        _progress.report_step("a first step")
+        with _progress.show_steps():
+            wait_for("first")
+        _progress.report_step("a second step")
+        wait_for("second")
+        time.sleep(0.1)
+    told += capsys.readouterr().err
+    assert re.sub(r"\d+ s", "N s", told).splitlines() == ["oee: N s: a first step", "oee: N s: a second step"]
+
+
+# ---- one matrix on the pattern of another
+@given(rngs)
+def test_values_on_another_pattern(rng):
+    """As dense arrays say; the other pattern may be the same."""
+    shape = tuple(rng.integers(1, 9, size=2))
+    table = np.where(rng.random(shape) < rng.random(), rng.random(shape), 0)
+    other = table if rng.random() < 0.2 else rng.permuted(table, axis=1)
+    source, pattern = (canonical(sparse.csr_array(each), drop_zeros=False) for each in (table, other))
+    values, stored = align(source, pattern)
+    there = np.nonzero(other)
+    assert_array_equal(values, table[there])
+    assert_array_equal(stored, table[there] != 0)
+    place, is_found = find(source, *there)
+    assert_array_equal(is_found, stored)
+    assert_array_equal(source.data[place[stored]], values[stored])

@@ -1,13 +1,19 @@
 """Names of states and actions: checked, kept by whatever makes an MDP of the same states, found again, and spoken."""
 
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from helpers import ACTIONS, ROWS, STATES
+from helpers import ACTIONS, ROWS, STATES, random_mdp, rngs
+from hypothesis import given
 from numpy.testing import assert_array_equal
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP
+from oee_tabular.mdp import displacements
 from oee_tabular.mdp.naming import Names, name_text, number_of, numbers_of
+from oee_tabular.testing import case
 
 
 def three(**changes):
@@ -87,3 +93,106 @@ def test_sentences_speak_names():
         oee.Problem(spaced, oee.Transitions([1], [0], [2])), [0] * 3, estimators=["oee"]
     ).uncertainty.next
     assert "action “call in” in state “day shift” first (never recorded)." in advice
+
+
+# ---- coordinates of states: their forms, and the displacements that transitions from different states share
+PLACES = np.array([[0.5, -1.0], [2.0, 3.0], [7.0, 7.0]])
+
+
+def placed(layout=PLACES):
+    """0 goes on or stays, 1 goes on, 2 is closed."""
+    rows = np.array([[[0.25, 0.75, 0.0]], [[0.0, 0.0, 1.0]], [[0.0, 0.0, 1.0]]])
+    return FiniteMDP(rows, np.ones((3, 1)), [1, 0, 0], 0.9, layout=layout)
+
+
+def test_one_number_or_several_a_state():
+    assert_array_equal(placed(layout=[1, 5, 2]).layout, [[1.0], [5.0], [2.0]])
+    assert_array_equal(placed().layout, PLACES)
+    assert placed().layout.dtype == np.float64
+    assert placed(layout=None).layout is None
+
+
+def test_a_grids_shape():
+    chain = FiniteMDP(np.eye(6)[:, None], np.zeros(6), 0, 0.9, layout=(2, 3))
+    assert chain.layout.tolist() == [[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]]
+    assert chain.with_layout((np.int64(3), 2)).layout[-1].tolist() == [2, 1]
+    grid = oee.tasks.gridworld(3, 0.3)
+    assert_array_equal(grid.layout, [divmod(s, 3) for s in range(9)])
+    assert_array_equal(grid.with_layout((3, 3)).layout, grid.layout)
+    log = oee.Transitions([0, 1], [0, 0], [1, 2], [0.0, 1.0], terminated=[0, 1])
+    assert FiniteMDP.from_log(log, layout=(1, 3)).layout.tolist() == [[0, 0], [0, 1], [0, 2]]
+    two = FiniteMDP(np.eye(2)[:, None], np.zeros(2), 0, 0.9)
+    assert two.with_layout((2, 1)).layout.tolist() == [[0, 0], [1, 0]]
+    assert two.with_layout((5, 7)).layout.tolist() == [[5], [7]]  # places of two states
+
+
+def test_coordinates_in_names_are_a_layout_where_none_is_given(tmp_path):
+    named = placed(layout=None).with_names([(0, 0.5), (1, 0.5), (1, -2)])
+    assert_array_equal(named.layout, [[0, 0.5], [1, 0.5], [1, -2]])
+    named.save(tmp_path / "named.npz")
+    assert_array_equal(FiniteMDP.load(tmp_path / "named.npz").layout, named.layout)
+    assert_array_equal(pickle.loads(pickle.dumps(named)).with_discount(0.5).layout, named.layout)
+    assert_array_equal(named.with_names([(7,), (8,), (9,)]).layout, [[7], [8], [9]])
+    assert_array_equal(named.with_layout(PLACES).layout, PLACES)  # a given one comes first
+    assert_array_equal(named.with_layout(PLACES).with_layout(None).layout, named.layout)
+    longer, text, digits = [(0, 0), (0, 1), (0, 1, 2)], [(0, 0), (0, 1), "dock"], [(0,), ("1",), (2,)]
+    for names in (longer, text, digits, [(0, (1,)), (1, (1,)), (2, (1,))], [(10**400,), (1,), (2,)], "abc"):
+        assert named.with_names(list(names)).layout is None
+
+
+def test_other_numbers_of_the_states_take_layout_and_names_along():
+    pair = case("ragged")
+    names = [f"s{k}" for k in range(pair.simulator.n_states)]
+    order = np.roll(np.arange(len(names)), 1)
+    simulator = pair.simulator.with_layout(10 * np.arange(len(names))).with_names(names)
+    renamed = replace(pair, simulator=simulator, target=pair.target.with_layout(None)).relabelled(
+        order, np.arange(simulator.n_actions)
+    )
+    assert_array_equal(renamed.simulator.layout[order], simulator.layout)
+    assert [renamed.simulator.state_names[k] for k in order] == names
+    assert renamed.target.layout is None
+
+
+# ---------------------------------------------------------------- displacements
+
+
+def list_displacements(mdp, places):
+    """(displacement -> sum of P, displacement of each entry), entry by entry."""
+    mass, each, matrix = {}, [], mdp.transitions
+    for row in range(matrix.shape[0]):
+        for j in range(matrix.indptr[row], matrix.indptr[row + 1]):
+            step = places[matrix.indices[j]] - places[row // mdp.n_actions]
+            each.append(tuple(float(x) for x in np.round(step, 9) + 0.0))
+            mass[each[-1]] = mass.get(each[-1], 0.0) + matrix.data[j]
+    return mass, each
+
+
+@given(rngs)
+def test_displacements_against_entry_by_entry(rng):
+    mdp = random_mdp(rng)
+    places = rng.integers(0, 3, size=(mdp.n_states, int(rng.integers(1, 4)))) / 10.0  # .3 - .2 is not .1
+    for found, expected in (
+        (displacements(mdp.with_layout(places)), places),
+        (displacements(mdp.with_layout(places + 1.0), layout=places), places),
+        (displacements(mdp), np.arange(mdp.n_states)[:, None]),
+    ):
+        kinds, kind = found
+        mass, each = list_displacements(mdp, expected)
+        assert [tuple(kinds[k]) for k in kind] == each
+        assert [tuple(row) for row in kinds] == sorted(mass, key=lambda d: (-round(mass[d], 9), d))
+        assert kind.dtype == np.int64
+
+
+def test_masses_that_differ_by_rounding_alone_are_equal():
+    """One step ahead has .1 + .2, more than .3 in its last digit; one step back has .3 and comes first, as the smaller."""
+    mdp = FiniteMDP([[[0.9, 0.1, 0]], [[0, 0.8, 0.2]], [[0, 0.3, 0.7]]], np.zeros(3), [1, 0, 0], 0.9)
+    assert 0.1 + 0.2 > 0.3
+    assert_array_equal(displacements(mdp)[0], [[0], [-1], [1]])
+
+
+def test_no_minus_zero_and_no_two_of_one():
+    kinds, kind = displacements(placed(layout=[0.3, 0.3 + 1e-10, 0.3 - 1e-10]))
+    assert kinds.tolist() == [[0.0]]
+    assert_array_equal(kind, np.zeros(4))
+    assert not np.signbit(kinds).any()
+    assert len(displacements(placed(layout=[0.3, 0.3 + 2e-9, 0.3]))[0]) == 3
