@@ -85,18 +85,6 @@ def test_the_values_by_horizon_are_those_of_each(rng, steps, stationary):
     assert_allclose(np.diff(found), paid, rtol=0, atol=1e-11 * max(1.0, np.abs(found).max()))
 
 
-def test_only_what_is_reached_in_time_is_read():
-    """From state 3 of a line, two moves: states 3, 4, 5 and their numbers; what lies beyond may be anything."""
-    size, steps = 50, 3
-    moves = sparse.eye_array(size, k=1, format="lil")
-    moves[size - 1, size - 1] = 1.0
-    initial = np.eye(size)[3]
-    line = oee.FiniteMDP(moves.tocsr(), np.arange(size, dtype=float), initial, 0.5)
-    policy = np.ones((size, 1))
-    assert np.flatnonzero(exact.occupancy(line, policy, horizon=steps)).tolist() == [3, 4, 5]
-    assert exact.policy_values_by_horizon(line, policy, horizon=steps).tolist() == [0.0, 3.0, 5.0, 6.25]
-
-
 @given(rngs, st.one_of(st.none(), st.integers(1, 5)))
 def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
     """sum_t gamma^t alpha_t (r + gamma V'_t+1) on the other model's entries, alpha of the first, V' of the other."""
