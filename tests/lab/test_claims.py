@@ -54,17 +54,18 @@ def test_our_networks_reach_the_published_curve():
         f"{afresh.iloc[-1]:.2f} times at the last point"
     ) in PAGES
     assert f"with a log of n simulated transitions {span(recorded, '.2f')} times" in PAGES
-    assert (share < 1.5).all(axis=None)
+    assert (afresh < 1.2).all()
+    assert (recorded < 1.9).all()
 
 
 def test_the_parts_of_the_networks_error():
     """Each part is nonnegative within its standard error, and that of sampling falls with n."""
     parts = saved("networks").dropna(subset="sampling").groupby(["simulator", "n"])
     for name in ("approximation", "sampling", "optimisation"):
-        assert (parts[name].mean() >= -parts[name].sem()).all()
+        assert (parts[name].mean() >= -parts[name].sem() - 1e-15).all()
     sampling = parts.sampling.mean().reset_index().pivot_table(index="simulator", columns="n", values="sampling")
     assert (sampling.diff(axis=1).iloc[:, 1:] < 0).all(axis=None)
-    assert parts.approximation.max().max() < 1e-20
+    assert parts.approximation.max().max() < 1e-15
     total = parts[["approximation", "sampling", "optimisation"]].mean().sum(axis=1)
     assert (parts.excess.mean() < total).all()
 
