@@ -50,7 +50,7 @@ def is_own(spec: str) -> bool:
     module, colon, rest = spec.partition(":")
     if not colon or module in FINITE or not all(part.isidentifier() for part in module.split(".")):
         return False
-    from oee_tabular.continuous.names import CONTINUOUS
+    from oee_tabular.continuous.command import CONTINUOUS
 
     first = rest.split(",")[0]
     return module not in CONTINUOUS and bool(first) and "=" not in first and isinstance(arguments(first)[0][0], str)

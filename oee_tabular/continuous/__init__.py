@@ -2,12 +2,12 @@
 
 A wing: it imports the core, and nothing of the core imports it but on use, for the names that ``oee_tabular.tasks``, ``data``
 and ``report`` show. A task is a ``ContinuousTask`` (task); a log of it is ``ContinuousTransitions`` (log); a
-``ResidualSimulator`` (residual) is a task corrected by a log, a ``LinearModel`` (linear_model) one learned from it, both again
-tasks; ``discretize`` (discretization) makes a FiniteMDP with the way from states to its numbers, on a grid or on cells of
-visited states; a ``ContinuousSimulator`` (simulator) is a task with the configuration by which
-logs are evaluated (evaluation, row by row: rows; on cells: cell_rows), and has a name on the command line (names; Gymnasium's
-environments: gymnasium_named). Each of ``cartpole``, ``reacher`` and ``kinova`` has its dynamics and its expert
-(kinova's controller is in ``kinova.hand``); the paper's experiments with them are in ``lab.robots``.
+``ResidualSimulator`` (residual) is a task corrected by a log, a ``LinearModel`` (regression) one learned from it, both again
+tasks; ``discretize`` (discretization) makes a FiniteMDP with the way from states to its numbers (discretized), on a grid or on
+cells of visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with the configuration by which logs are
+evaluated (evaluation, row by row: rows), and has a name on the command line (command; Gymnasium's environments:
+gymnasium_named). Each of ``cartpole``, ``reacher`` and ``kinova`` has its dynamics and its expert (kinova's controller and logs
+are in ``gen3``); the paper's experiments with them are in ``lab.robots``.
 """
 
 from __future__ import annotations
@@ -17,23 +17,25 @@ from typing import Any
 
 _MODULES = {
     "cartpole": ("CartPole", "cartpole_policy", "train_expert"),
-    "discretization": ("Discretization", "GridInterpolation", "VisitedCells", "discretize", "visited_states"),
+    "correction": ("ParameterFit", "fit_parameters"),
+    "discretization": ("GridInterpolation", "VisitedCells", "discretize", "visited_states"),
+    "discretized": ("Discretization",),
     "episodes": ("MonteCarlo", "monte_carlo_value", "record", "resimulate"),
     "evaluation": ("evaluate_continuous",),
     "gymnasium_named": ("gymnasium_simulator",),
     "gymnasium_task": ("GymnasiumTask",),
     "history": ("HistoryTask",),
-    "kinova.arm": ("KinovaArm",),
-    "kinova.hand": ("KinovaHand", "fit_hand", "hand_log", "kinova_policy", "load_kinova_log", "record_goals"),
-    "linear_model": ("LinearModel",),
+    "kinova": (
+        "KinovaArm", "KinovaHand", "fit_hand", "hand_log", "kinova_policy", "load_kinova_log", "record_goals",
+    ),
     "log": ("ContinuousTransitions",),
     "reacher": ("Reacher", "reacher_log", "reacher_policy"),
-    "parameters": ("ParameterFit", "fit_parameters"),
+    "regression": ("LinearModel",),
     "residual": ("ResidualSimulator",),
     "rows": ("corrected_value",),
     "simulator": ("ContinuousSimulator", "Settings"),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),
-}
+}  # fmt: skip
 _EXPORTS = {name: module for module, names in _MODULES.items() for name in names}  # imported on first use
 
 

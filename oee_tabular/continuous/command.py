@@ -1,12 +1,21 @@
-"""The command for continuous tasks: their options, policies and logs from specifications and files."""
+"""Continuous simulators by name, and the command for them: their options, policies and logs from specifications and files.
+
+A task of ours is one line in ``CONTINUOUS``: its name, ``cartpole:gravity=10``, and a function that makes a
+``ContinuousSimulator`` of the arguments, with the configuration that logs are evaluated by. Gymnasium's environments are named
+by their ids, ``Pendulum-v1:g=9`` (``gymnasium_named``). What is slow to import is imported where it is used: every command
+imports this module.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular._arguments import literal, named_specs
+from oee_tabular._arguments import literal, named_specs, parse_spec
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.log import ContinuousTransitions
@@ -14,18 +23,128 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.task import StatePolicy
     from oee_tabular.report import Report
 
+MAX_COMMANDS = 100  # of a log, which are then the actions of a Gymnasium environment
+KINOVA_RUNS = 250  # of Monte Carlo: some thousand commands a second
 TASK_OPTIONS = ("outside", "strict", "calibration", "floor", "simulations", "state", "actions")
+
+
+def cartpole(**parameters: Any) -> ContinuousSimulator:
+    """CartPole under a gravity, by the configuration that ``oee reproduce fig2`` uses for every target.
+
+    On cells: (theta, theta') on 32 x 32 vertices, looked at in the log's own places, floor 0.001, zeta from soft counts with
+    prior "simulator" and strength 0.01, calibrated by the ratio. The whole state (``form=full``) has 1000 visited cells.
+    """
+    from oee_tabular.continuous.cartpole import CartPole, cartpole_policy
+    from oee_tabular.continuous.simulator import ContinuousSimulator
+
+    task = CartPole(**parameters)
+    strength = 1.0 if task.form == "full" else 0.01
+    return ContinuousSimulator(
+        "cartpole", task, cartpole_policy(0.0), horizon=100, floor=1e-3,
+        ratio={"prior": "simulator", "strength": strength},
+        policies=tuple(cartpole_policy(delta) for delta in (0.0, 0.3, 0.6, 1.0)),
+    )  # fmt: skip
+
+
+def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
+    """Reacher with links of a length; ``reward_length`` is the length by which the target's reward finds the fingertip.
+
+    On cells: 3000 at the log's own states; the simulator is the average over lengths times .5, .7, 1, 1.4 and 2 (floor 0.8,
+    *not* the plain one); zeta with prior "simulator" and strength 0.1, not calibrated: on figure 3's two targets that did harm.
+    """
+    from oee_tabular import _checks
+    from oee_tabular.continuous.reacher import Reacher, reacher_policy
+    from oee_tabular.continuous.simulator import ContinuousSimulator
+
+    make = Reacher.tamed if _checks.boolean(tamed, "tamed") else Reacher
+    return ContinuousSimulator(
+        "reacher", make(**parameters), reacher_policy(0.0), horizon=25 if tamed else 100, floor=0.8,
+        ratio={"prior": "simulator", "strength": 0.1}, calibration="none", episodes=10_000,
+        policies=tuple(reacher_policy(delta) for delta in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)),
+    )  # fmt: skip
+
+
+def kinova(*, form: str = "arm", **parameters: Any) -> ContinuousSimulator:
+    """A simulated stand-in for the Gen3 that moves its hand to a goal: it is not the robot. MuJoCo is needed.
+
+    Parameters of ``tasks.kinova.KinovaArm``, whose logs have its 27 coordinates; ``form=hand``: logs of the hand's position
+    (x, y, z) alone, as a real arm's would be (``tasks.kinova.hand_log`` makes them), against a model of the hand fitted to the
+    simulated arm. On cells: defensive (a tenth of the transitions half or one and a half times as far), zeta tied over
+    displacements, calibrated by the difference.
+    """
+    from oee_tabular import _checks
+    from oee_tabular.continuous.gen3 import kinova_policy
+    from oee_tabular.continuous.kinova import KinovaArm, fit_hand
+    from oee_tabular.continuous.simulator import ContinuousSimulator
+
+    _checks.one_of(form, "form", ("arm", "hand"))
+    arm = KinovaArm(**parameters)
+    return ContinuousSimulator(
+        "kinova", fit_hand(arm) if form == "hand" else arm, kinova_policy(arm.goal), horizon=25, floor=0.1,
+        ratio={"strength": 3.0}, calibration="difference", episodes=KINOVA_RUNS if form == "arm" else 10_000,
+    )  # fmt: skip
+
+
+CONTINUOUS: Mapping[str, Callable[..., ContinuousSimulator]] = {
+    "cartpole": cartpole,
+    "reacher": reacher,
+    "kinova": kinova,
+}
 
 
 def is_continuous(spec: str | None) -> bool:
     """Whether ``spec`` names a continuous task."""
-    from oee_tabular.tasks.specs import is_numbered
-
-    if spec is None or is_numbered(spec):
+    name = (spec or "").partition(":")[0]
+    if spec is None or name == "gridworld" or Path(spec).suffix.lower() == ".npz":
         return False
-    from oee_tabular.continuous import names
+    if name in CONTINUOUS:
+        return True
+    from oee_tabular.continuous.gymnasium_named import is_continuous_id
 
-    return names.is_continuous(spec)
+    return is_continuous_id(spec)
+
+
+def continuous_simulator(spec: str, *, state: str | None = None, actions: object = None) -> ContinuousSimulator:
+    """The continuous simulator that ``spec`` names, ``NAME`` or ``NAME:key=value,...``.
+
+    Parameters
+    ----------
+    spec : a name in ``CONTINUOUS`` or the id of a Gymnasium environment, and parameters of its task
+    state, actions : of a Gymnasium environment; see ``gymnasium_simulator``
+
+    Raises
+    ------
+    ValueError
+        An unknown name, arguments that the task does not take, or values that it refuses.
+
+    Examples
+    --------
+    >>> continuous_simulator("cartpole:gravity=15,noise=0").task.parameters()
+    {'gravity': 15, 'noise': 0, 'form': 'angle'}
+    """
+    name = spec.partition(":")[0]
+    if name not in CONTINUOUS:
+        from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
+
+        if not is_continuous(spec):
+            raise ValueError(
+                f"spec must begin with one of {', '.join(CONTINUOUS)}, or with a Gymnasium id whose states are no numbers; "
+                f"got {spec!r}"
+            )
+        return gymnasium_simulator(spec, state=state, actions=actions)
+    for option, given in (("state", state), ("actions", actions)):
+        if given is not None:
+            raise ValueError(
+                f"--task-option {option} must be left out for {name}, which is no Gymnasium environment; it is {given!r}"
+            )
+    _, keywords = parse_spec(spec)
+    make = CONTINUOUS[name]
+    try:
+        inspect.signature(make).bind(**keywords)
+        found = make(**keywords)
+    except TypeError as error:
+        raise ValueError(f"simulator {spec!r} does not take these arguments: {error}") from None
+    return replace(found, name=spec)
 
 
 def task_options(given: list[str] | None, known: Sequence[str] = TASK_OPTIONS) -> dict[str, Any]:
@@ -72,31 +191,42 @@ def evaluate_files(
 
     ``options``: by ``task_options``; ``grid``: by ``read_grid``; ``common``: what ``evaluate_continuous`` takes.
     """
+    import numpy as np
+
     from oee_tabular.continuous.evaluation import evaluate_continuous
-    from oee_tabular.continuous.gymnasium_named import is_continuous_id
     from oee_tabular.continuous.log import ContinuousTransitions
-    from oee_tabular.continuous.names import continuous_simulator
-    from oee_tabular.continuous.simulator import Settings, commands_of
+    from oee_tabular.continuous.simulator import Settings
+    from oee_tabular.mdp.policies import read_policy_array
 
     recorded = ContinuousTransitions.load(log)
     state, actions = options.get("state"), options.get("actions")
-    is_registered = is_continuous_id(spec)
-    if actions is None and is_registered:
-        actions = commands_of(recorded)
+    is_gymnasium = spec.partition(":")[0] not in CONTINUOUS
+    if is_gymnasium and actions is None and recorded.action.ndim == 2:
+        commands = np.unique(recorded.action, axis=0)
+        actions = commands.tolist() if len(commands) <= MAX_COMMANDS else None
     simulator = continuous_simulator(spec, state=state, actions=actions)
-    if simulator.task.actions.ndim == 2 and recorded.action.ndim == 1 and actions is None and is_registered:
+    if is_gymnasium and actions is None and simulator.task.actions.ndim == 2 and recorded.action.ndim == 1:
         raise ValueError(
             f"--task-option actions must be given for {simulator.task.name}, whose actions are commands: the log has their "
             "numbers alone"
         )
     if target is not None and not is_continuous(target):
         raise ValueError(f"--target must be a continuous task as the simulator is; got {target!r}")
+    if policy is None and simulator.expert is None:
+        raise ValueError(
+            f"--policy must be given for {simulator.task.name}, which has no expert: uniform or MODULE:FUNCTION"
+        )
+    policies: dict[str, Any] = {}
+    for label, source in named_specs(policy or ["expert"]).items():
+        is_on_cells = grid is not None and Path(source).suffix.lower() in (".npy", ".npz")
+        read = read_policy_array if is_on_cells else partial(_find_policy, simulator=simulator)
+        policies[label] = read(source, name="--policy")
     settings = {name: value for name, value in options.items() if name not in ("state", "actions", "simulations")}
     return evaluate_continuous(
         simulator,
         recorded,
-        _policies(policy, simulator, grid is not None),
-        settings=Settings(grid=grid, **settings, episodes=options.get("simulations")),
+        policies,
+        settings=Settings(grid=grid, episodes=options.get("simulations"), **settings),
         behavior=None if behavior is None else _find_policy(behavior, simulator, "--behavior"),
         target=None if target is None else continuous_simulator(target, state=state, actions=actions).task,
         facts={"simulator_name": spec, "log_name": ", ".join(log)},
@@ -107,30 +237,12 @@ def evaluate_files(
 def record_log(spec: str, policy: str, options: dict[str, Any], **limits: Any) -> ContinuousTransitions:
     """A log of the continuous task that ``spec`` names; actions that are commands are written as such."""
     from oee_tabular.continuous.log import ContinuousTransitions
-    from oee_tabular.continuous.names import continuous_simulator
 
     simulator = continuous_simulator(spec, **options)
     log = simulator.record(_find_policy(policy, simulator, "policy"), **limits)
     if simulator.task.actions.ndim == 1:
         return log
     return ContinuousTransitions(**(log.columns() | {"action": simulator.task.actions[log.action]}))
-
-
-def _policies(specs: list[str] | None, simulator: ContinuousSimulator, has_grid: bool) -> dict[str, Any]:
-    """Policies from NAME=SPEC or SPEC, the expert where there are none; with a grid an array is one of its cells."""
-    from oee_tabular.mdp.policies import read_policy_array
-
-    if specs is None and simulator.expert is None:
-        raise ValueError(
-            f"--policy must be given for {simulator.task.name}, which has no expert: uniform or MODULE:FUNCTION"
-        )
-    found: dict[str, Any] = {}
-    for label, source in named_specs(specs or ["expert"]).items():
-        is_array = has_grid and Path(source).suffix.lower() in (".npy", ".npz")
-        found[label] = (
-            read_policy_array(source, "--policy") if is_array else _find_policy(source, simulator, "--policy")
-        )
-    return found
 
 
 def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:

@@ -1,7 +1,7 @@
 """``evaluate`` for a continuous simulator and a log of continuous states.
 
 The rows (``rows``) are functions of a policy, in the order of what they may be trusted for (``evaluate_continuous``); where a
-grid is asked for, a finite problem joins them (``cell_rows``). What the cells cannot take is said, and the other rows stand.
+grid is asked for, a finite problem joins them (``rows.OnCells``). What the cells cannot take is said, and the other rows stand.
 """
 
 from __future__ import annotations
@@ -13,17 +13,24 @@ from functools import cache, partial
 from typing import Any, Literal
 
 import numpy as np
+from scipy import sparse
 
 from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
 from oee_tabular._threads import one_thread
-from oee_tabular.continuous.cell_rows import NoCellsError, add_features, name_loss, on_cells
-from oee_tabular.continuous.correction import choose_correction, describe_flaw, difference
+from oee_tabular.continuous.correction import (
+    ParameterFit,
+    choose_correction,
+    describe_flaw,
+    difference,
+    fit_parameters,
+    parameters_of,
+)
 from oee_tabular.continuous.episodes import MonteCarlo
-from oee_tabular.continuous.linear_model import LinearModel
+from oee_tabular.continuous.history import consecutive
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.parameters import ParameterFit, fit_parameters, parameters_of
-from oee_tabular.continuous.rows import Rollouts, Row, describe_simulated, refuse_impossible, sampling_rows
+from oee_tabular.continuous.regression import LinearModel
+from oee_tabular.continuous.rows import NoCellsError, OnCells, Rollouts, Row, refuse_impossible
 from oee_tabular.continuous.simulator import (
     CommandPolicy,
     ContinuousSimulator,
@@ -32,9 +39,11 @@ from oee_tabular.continuous.simulator import (
     as_simulator,
 )
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, require_log_of
+from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import named_estimators
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.report.evaluation import evaluate, group_findings, number_notes
 from oee_tabular.report.results import Report, Result
 from oee_tabular.report.uncertainty import Uncertainty, choose_interval
@@ -96,7 +105,7 @@ def evaluate_continuous(
 
     Examples
     --------
-    >>> from oee_tabular.continuous.names import continuous_simulator
+    >>> from oee_tabular.continuous.command import continuous_simulator
     >>> simulator, target = (continuous_simulator(f"cartpole:gravity={g}") for g in (10, 15))
     >>> log = target.record(target.policy("mix:0.7"), n_transitions=2000, seed=0)
     >>> few = Settings(episodes=2000)
@@ -129,7 +138,7 @@ def evaluate_continuous(
         numbered = ContinuousTransitions(**columns)
         if chosen.grid is not None:
             try:
-                cells = on_cells(simulator, numbered, chosen, steps, discount, seed)
+                cells = OnCells(simulator, numbered, chosen, steps, discount, seed)
             except NoCellsError as reason:
                 warnings.warn(f"The rows on the grid are left out: {reason}", stacklevel=2)
     messages = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
@@ -152,12 +161,8 @@ def evaluate_continuous(
     episodes = simulator.episodes if chosen.episodes is None else chosen.episodes
     stream = _checks.seed_sequence(seed, (10**6,))
     rollouts = Rollouts(steps, discount, episodes, stream, simulator.refits, simulator.refit_paths)
-    scale = 1.0 - discount if options.get("normalized") else 1.0
     simulate = cache(partial(rollouts.value, simulator.task))
-
-    def simulated_row(policy: StatePolicy) -> Estimate:
-        return describe_simulated(simulate(policy), is_headline=not correction.is_trusted)
-
+    scale = 1.0 - discount if options.get("normalized") else 1.0
     low, high = correction.plain.rewards
     bounds = 0.0 if low >= 0.0 else -np.inf, 0.0 if high <= 0.0 else np.inf
 
@@ -165,12 +170,16 @@ def evaluate_continuous(
         """No value of another sign than the rewards of the log, and of the simulator's own steps from there, have."""
         return refuse_impossible(rollouts.estimate(learned, policy, status), *bounds, steps, scale)
 
+    def simulated_row(policy: StatePolicy) -> Estimate:
+        return _describe_simulated(simulate(policy), is_headline=not correction.is_trusted)
+
     wanted, left_out = _choose_estimators(names, numbered, has_cells=cells is not None)
     wants_oee, plain_status = OffEnvironment() in wanted.values(), describe_flaw(correction.plain)
     rows: dict[str, Row] = {} if correction.is_trusted else {SIMULATOR: simulated_row}
     if wants_oee:
-        corrected_row = partial(learned_row, correction.learned, correction.status)
-        rows[correction.name] = lambda policy: corrected_row(correction.policy(policy))
+        rows[correction.name] = lambda policy: learned_row(
+            correction.learned, correction.status, correction.policy(policy)
+        )
         rows["oee (residual)"] = partial(learned_row, correction.plain, plain_status)
     sampling = {name: e for name, e in wanted.items() if isinstance(e, ImportanceSampling)}
     others: dict[str, Row] = {}
@@ -179,7 +188,7 @@ def evaluate_continuous(
     others |= sampling_rows(sampling, numbered, simulator.task.n_actions, steps, discount) | {SIMULATOR: simulated_row}
     last: dict[str, Row] = {}
     if target is not None:
-        last["target (continuous)"] = lambda policy: describe_simulated(rollouts.value(target, policy))
+        last["target (continuous)"] = lambda policy: _describe_simulated(rollouts.value(target, policy))
     change = difference(correction.plain if correction.fit is not None and not correction.steps else correction.learned)
     first = tuple(filter(None, (correction.advice(is_auto=history == "auto"), correction.reason, change)))
     caveat = "" if correction.is_trusted else f"No correction can be trusted, because {correction.status}."
@@ -204,19 +213,62 @@ def evaluate_continuous(
 
     every = on_tables(rows)
     if wants_oee and kind != "none":
-        every["oee (calibrated)"] = cells.calibrated(simulate_table, numbered, kind, scale)
+        every["oee (calibrated)"] = cells.calibrated(simulate_table, kind, scale)
     finite = {name: estimator for name, estimator in wanted.items() if name not in sampling}
     every |= on_tables(others) | cells.others(finite) | on_tables(last)
     report = evaluate(cells.problem, tables, estimators=every, facts=cells.facts | facts, **options)
-    messages.append(name_loss(cells.model, simulate_table, tables, steps))
+    messages.append(cells.describe_loss(simulate_table, tables))
     uncertainty = replace(
         report.uncertainty,
-        next=add_features(report.uncertainty.next, cells.model),
+        next=cells.add_features(report.uncertainty.next),
         distance=(*first, *report.uncertainty.distance),
         caveat=caveat,
     )
-    texts = tuple(add_features(text, cells.model) for text in (*report.warnings, *messages))
+    texts = tuple(map(cells.add_features, (*report.warnings, *messages)))
     return replace(report, warnings=texts, uncertainty=uncertainty)
+
+
+def sampling_rows(
+    wanted: Mapping[str, Estimator], log: ContinuousTransitions, n_actions: int, horizon: int, discount: float
+) -> dict[str, Row]:
+    """Importance sampling by name, on the episodes of a log whose actions are numbers.
+
+    Row i of the log is state i; whatever is done there, the row that follows in its episode comes, or the end, state n. What
+    follows a truncated episode is not known; it is not the end.
+    """
+    if not wanted:
+        return {}
+    n = len(log)
+    before, after = consecutive(log)
+    following = np.append(np.where(log.terminated, n, 0), n)
+    following[before] = after
+    entries = np.ones((n + 1) * n_actions), np.repeat(following, n_actions), np.arange((n + 1) * n_actions + 1)
+    kernel = sparse.csr_array(entries, shape=((n + 1) * n_actions, n + 1))
+    rewards = np.zeros(n + 1) if log.reward is None else np.append(log.reward, 0.0)
+    mdp = FiniteMDP(kernel, rewards, np.full(n + 1, 1.0 / (n + 1)), discount)
+    columns: dict[str, Any] = log.columns() | {"state": np.arange(n), "next_state": following[:n]}
+    columns["truncated"] = ~np.isin(np.arange(n), before) & ~log.terminated
+    if log.reward is None:  # there is nothing to average
+        columns |= {"episode": None, "timestep": None}
+    problem = Problem(mdp, Transitions(**columns), horizon=horizon)
+
+    def weigh(estimator: Estimator, policy: StatePolicy) -> Estimate:
+        table = check_probabilities(policy, log.state, n_actions)
+        return estimator(problem, np.vstack([table, np.full(n_actions, 1.0 / n_actions)]))
+
+    return {name: partial(weigh, estimator) for name, estimator in wanted.items()}
+
+
+def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:
+    """A value in the simulator (or the target) itself: no estimate from the log.
+
+    ``is_headline`` where no correction can be trusted; the rollouts' noise is no interval to speak of then.
+    """
+    error, facts = (
+        None if is_headline else mc.standard_error,
+        {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes},
+    )
+    return Estimate(mc.value, error, diagnostics=facts, is_headline=is_headline, is_from_log=not is_headline)
 
 
 def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:

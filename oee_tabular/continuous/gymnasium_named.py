@@ -11,6 +11,7 @@ How a state is read and set is found: classic control keeps it in ``unwrapped.st
 from __future__ import annotations
 
 import inspect
+import itertools
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -22,10 +23,12 @@ from oee_tabular import _checks
 from oee_tabular._arguments import own_module, own_modules, own_object, parse_spec
 from oee_tabular._checks import Array
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
-from oee_tabular.continuous.simulator import SLOW, ContinuousSimulator, action_set, as_simulator
+from oee_tabular.continuous.simulator import SLOW, ContinuousSimulator, as_simulator
 from oee_tabular.tasks.toy_text import environment_exists
 
 OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")  # MODULE:EnvId-v0
+N_LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
+MAX_COMMANDS = 1000
 HORIZON = 1000  # where the environment has no limit
 HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE
 # fields of a MuJoCo model whose elements have names: the kind of the name, and how many there are
@@ -179,6 +182,56 @@ def _describe_mujoco(model: Any) -> dict[str, Any]:
 
     periodic = tuple(i in turns for i in range(len(names)))
     return {"get_state": get, "set_state": write, "state_names": names, "periodic": periodic}
+
+
+def action_set(space: Any, given: Any = None) -> Array:
+    """(A,) numbers of a Discrete space, or (A, k) commands of a Box.
+
+    Parameters
+    ----------
+    space : Gymnasium's Discrete or Box
+    given : of a Box, how many levels each coordinate has, evenly from low to high (None: 9 of one coordinate, 5 of two,
+        else 3); or the levels themselves, (m,); or the commands, (A, k)
+
+    Raises
+    ------
+    ValueError
+        Another space; levels of an endless range; actions of a Discrete space; commands outside the space.
+
+    Examples
+    --------
+    >>> from gymnasium.spaces import Box
+    >>> action_set(Box(-2.0, 2.0, (1,)), 3).tolist()
+    [[-2.0], [0.0], [2.0]]
+    """
+    if hasattr(space, "n"):
+        if given is not None:
+            raise ValueError(
+                f"actions must be left out where the environment has {space}; they are {_checks.show(given)}"
+            )
+        return np.asarray(int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64)
+    if len(getattr(space, "shape", None) or ()) != 1 or not hasattr(space, "low"):
+        raise ValueError(f"env.action_space must be Discrete, or a Box of vectors; it is {space}")
+    k = space.shape[0]
+    count = N_LEVELS.get(k, 3) if given is None else given
+    if isinstance(count, int):
+        n = _checks.positive_integer(count, "actions")
+        if not np.isfinite([space.low, space.high]).all():
+            raise ValueError(f"actions must be given for {space}, whose range has no end: levels such as [-1,0,1]")
+        levels = [np.linspace(low, high, n) for low, high in zip(space.low, space.high, strict=True)]
+    else:
+        levels = [_checks.float_array(count, "actions", ndim=(1, 2))] * k
+    if levels[0].ndim == 2:
+        table = levels[0]
+    elif np.prod([float(len(each)) for each in levels]) > MAX_COMMANDS:
+        text = f"{len(levels[0])} levels of {k} coordinates are more"
+        raise ValueError(f"actions must be at most {MAX_COMMANDS} in all; {text}")
+    else:
+        table = np.array(list(itertools.product(*levels)))
+    for i, row in enumerate(table):
+        if not space.contains(row.astype(space.dtype)):
+            raise ValueError(f"actions[{i}] must be in {space}; it is {row.tolist()}")
+    return table
 
 
 class Physics:

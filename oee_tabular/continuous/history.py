@@ -24,6 +24,7 @@ FOLDS = 4
 MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state
 MIN_ROWS, MAX_ROWS, MAX_SLOW_ROWS = 200, 20_000, 3000  # by which the test is made; slow: of tasks that step one by one
 N_NEIGHBORS = 4  # whose mean residual is what (s, a) itself explains
+NUMBERS = ("", "one step", "two steps", "three steps", "four steps", "five steps")
 CLIP = 8.0  # root mean squares: what rows at contacts count at most
 SURE = 4.0  # standard errors over rows of what is explained: fewer than 16 rows cannot make it
 
@@ -233,6 +234,19 @@ def history_effects(
             (lag, kind), share = max(shares.items(), key=lambda item: item[1][k])
             best[k] = HistoryEffect(float(whole[k]), lag, kind, float(share[k]), float(whole[k] ** 0.5 * size[k]))
     return best
+
+
+def hidden_state(learned: Any) -> str:
+    """Which earlier action or residual matters to a ``ResidualSimulator``, and by how much; "" where the state is Markov."""
+    hidden = sorted((c for c in learned.coordinates if c.hidden), key=lambda c: -c.history.lag_r_squared)
+    if not hidden:
+        return ""
+    effect = hidden[0].history
+    same = [c.name for c in hidden if (c.history.lag, c.history.of) == (effect.lag, effect.of)]
+    text = f"the {effect.of} of {NUMBERS[effect.lag]} ago explains {effect.lag_r_squared:.0%} of the residual in "
+    text += " and ".join([", ".join(same[:-1]), same[-1]] if len(same) > 1 else same)
+    more = f" (the last {NUMBERS[MAX_LAG].split()[0]} actions and residuals together: {effect.r_squared:.0%})"
+    return text + more if effect.r_squared > effect.lag_r_squared + 0.05 else text
 
 
 def _mean_near(

@@ -1,32 +1,98 @@
-"""Ridge regression on nested classes of functions of (s, a), chosen for each target by held-out error over episodes.
+"""Regressions on a log's steps: nested classes of functions of (s, a) for a correction, and a linear model of the log alone.
 
-    G[group, a] = sum over the group's rows of action a of (phi, y) (phi, y)^T
+Ridge regression chooses for each target the class by held-out error over episodes (``Grams``). All that fits, held-out errors
+and refits on resampled episodes need is
 
-is all that fits, held-out errors and refits on resampled episodes need: with weights k over groups, the coefficients of a
-class C are w = (sum_g k_g G_CC + ridge)^-1 sum_g k_g G_Cy, and the squared error on a group is y'y - 2 w'G_Cy + w'G_CC w.
+    G[group, a] = sum over the group's rows of action a of (phi, y) (phi, y)^T;
+
+with weights k over groups, the coefficients of a class C are w = (sum_g k_g G_CC + ridge)^-1 sum_g k_g G_Cy, and the squared
+error on a group is y'y - 2 w'G_Cy + w'G_CC w.
 """
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numba import njit
 from scipy import linalg
+from scipy.special import ndtr
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.continuous import _regression
-from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular._threads import one_thread
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.scatter import draw_rows
+from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest
 
+ROWS = 256  # at a time, in a kernel: their inputs stay in the nearest cache
 BLOCK = 4096  # rows at a time
 FOLDS = 4
 LARGEST = 48e6  # bytes of the Gram matrices
 FOURIER = 128  # random frequencies
 PAIRS = 24  # inputs whose products are functions too
 RIDGES = (1e-3, 1e-5, 1e-9)  # of a column's mean square
+N_GROUPS = 40  # of whole episodes, by which a linear model is resampled
 EQUAL = 1e-10  # shares of a target's mean square that are no difference
+
+
+@njit(cache=True)
+def _predict(x, commands, d, actions, order, kept, limits, first, second, frequencies, phases, w, ends):
+    """(n, k) values g_k = sum_j w[a, j, k] phi_j of a regression, kept within ``ends`` (2, k).
+
+        phi_j = z[first_j] z[second_j],  j < q,    phi_j = cos(sum_i z_i frequency_ij + phase_j)
+
+    over z = (1, inputs kept within what was logged and standardised). A row is summed in the order of j, whatever rows stand
+    beside it, so its bits depend on nothing else; the inner loops run over rows of one action, side by side in the processor's
+    registers. Inputs are x (n, .), the command of each action, d (n, .); ``order`` sorts rows by action, ``kept`` numbers the
+    inputs that are used, ``limits`` (4, m) are the least and the most of each, its centre and 1 over its scale.
+    """
+    n, m, q = len(x), len(kept), len(first)
+    n_x, n_c, k = x.shape[1], commands.shape[1], w.shape[2]
+    found = np.zeros((n, k))
+    z, phi, total = np.ones((m + 1, ROWS)), np.empty(ROWS), np.empty((k, ROWS))
+    begin = 0
+    while begin < n:
+        a = actions[order[begin]]
+        size = 1
+        while size < ROWS and begin + size < n and actions[order[begin + size]] == a:
+            size += 1
+        for i in range(m):
+            j = kept[i]
+            for r in range(size):
+                row = order[begin + r]
+                value = x[row, j] if j < n_x else commands[a, j - n_x] if j < n_x + n_c else d[row, j - n_x - n_c]
+                z[i + 1, r] = (min(max(value, limits[0, i]), limits[1, i]) - limits[2, i]) * limits[3, i]
+        total[:] = 0.0
+        for j in range(w.shape[1]):
+            if not w[a, j].any():
+                continue
+            if j < q:
+                left, right = z[first[j]], z[second[j]]
+                for r in range(size):
+                    phi[r] = left[r] * right[r]
+            else:
+                phi[:size] = phases[j - q]
+                for i in range(m):
+                    c, left = frequencies[i, j - q], z[i + 1]
+                    for r in range(size):
+                        phi[r] += c * left[r]
+                for r in range(size):
+                    phi[r] = math.cos(phi[r])
+            for t in range(k):
+                c, part = w[a, j, t], total[t]
+                if c != 0.0:
+                    for r in range(size):
+                        part[r] += c * phi[r]
+        for r in range(size):
+            for t in range(k):
+                found[order[begin + r], t] = min(max(total[t, r], ends[0, t]), ends[1, t])
+        begin += size
+    return found
 
 
 class Functions:
@@ -101,9 +167,10 @@ class Functions:
         """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends`` (2, k): compiled, O(n p k)."""
         q, inputs = min(w.shape[1], len(self._first)), (self._task.smooth(states), displacement)
         x, d = (np.require(each, requirements=["C", "W"]) for each in inputs)  # so that one kernel takes all
-        a = np.require(actions, np.int64, ["C", "W"])
-        functions = self._first[:q], self._second[:q], self._frequencies, self._phases
-        return np.asarray(_regression.predict(x, self._commands, d, a, self._kept, self._limits, *functions, w, ends))
+        a, order = np.require(actions, np.int64, ["C", "W"]), np.argsort(actions.astype(np.int16), kind="stable")
+        rows, functions = (x, self._commands, d, a, order), (self._first[:q], self._second[:q])
+        waves = self._frequencies, self._phases
+        return np.asarray(_predict(*rows, self._kept, self._limits, *functions, *waves, w, ends))
 
 
 @dataclass(frozen=True)
@@ -149,19 +216,19 @@ class Grams:
 
     def solve(self, gram: Array, columns: IntArray, target: slice, ridge: float, per_action: bool) -> Array:
         """(A, p, targets) the coefficients from a weighted sum over groups; an action without rows has the pooled ones."""
-        pooled = self._solve(gram.sum(axis=0), columns, target, ridge)
-        each = [self._solve(g, columns, target, ridge) if per_action and g[0, 0] > 0 else pooled for g in gram]
-        return np.stack(each)
-
-    def _solve(self, gram: Array, columns: IntArray, target: slice, ridge: float) -> Array:
-        right = gram[columns, self.p :][:, target]
-        if len(columns) == 0:
-            return right
         size = np.sqrt(np.maximum(self.mean_square[columns], 1e-300))
-        scaled = gram[np.ix_(columns, columns)] / np.outer(size, size)
-        scaled[np.diag_indices_from(scaled)] += max(ridge, 1e-9) * max(float(gram[0, 0]), 1.0)
-        factor = linalg.cho_factor(scaled, check_finite=False)
-        return np.asarray(linalg.cho_solve(factor, right / size[:, None], check_finite=False) / size[:, None])
+
+        def solve_one(gram: Array) -> Array:
+            right = gram[columns, self.p :][:, target]
+            if len(columns) == 0:
+                return right
+            scaled = gram[np.ix_(columns, columns)] / np.outer(size, size)
+            scaled[np.diag_indices_from(scaled)] += max(ridge, 1e-9) * max(float(gram[0, 0]), 1.0)
+            factor = linalg.cho_factor(scaled, check_finite=False)
+            return np.asarray(linalg.cho_solve(factor, right / size[:, None], check_finite=False) / size[:, None])
+
+        pooled = solve_one(gram.sum(axis=0))
+        return np.stack([solve_one(g) if per_action and g[0, 0] > 0 else pooled for g in gram])
 
     def choose(self) -> list[Fit]:
         """For each target the simplest class whose held-out error is within a standard error (over groups) of the best.
@@ -182,7 +249,18 @@ class Grams:
             tried += [(name, *option, error) for option, error in zip(options, errors, strict=True)]
         tried.sort(key=lambda c: (len(self.nested[c[0]]) * (n_actions if c[1] else 1), -c[2]))
         every = np.array([errors for _, _, _, errors in tried])  # (tried, groups, targets)
-        return [self._choose_for(tried, every[:, :, k], k) for k in range(self.k)]
+        fits = []
+        for k in range(self.k):
+            errors, whole = every[:, :, k], self.g[:, :, self.p + k, self.p + k].sum()
+            excess = errors - errors[errors.sum(axis=1).argmin()]
+            tolerance = np.sqrt(n_groups) * excess.std(axis=1) + EQUAL * whole
+            best = int(np.argmax(excess.sum(axis=1) <= tolerance))
+            gain = errors[0] - errors[best]  # the first is g = 0
+            error = float(np.sqrt(n_groups) * gain.std())
+            t = float(gain.sum()) / error if error > 0 else (np.inf if gain.sum() > 0 else 0.0)
+            name, per_action, ridge, _ = tried[best]
+            fits.append(Fit(name, per_action, ridge, self.nested[name], np.empty(0), float(errors[best].sum()), t))
+        return self.refit(fits)
 
     def held_out_errors(
         self, columns: IntArray, options: list[tuple[bool, float]], fold: IntArray, grams: list[Array]
@@ -202,28 +280,11 @@ class Grams:
                 errors[i, inside] = np.maximum(error, 0.0)
         return errors
 
-    def _choose_for(self, tried: list[tuple[str, bool, float, Array]], errors: Array, target: int) -> Fit:
-        """Of the classes that were tried, with ``errors`` (tried, groups), the first that is as good as the best."""
-        n_groups, whole = len(self.g), self.g[:, :, self.p + target, self.p + target].sum()
-        excess = errors - errors[errors.sum(axis=1).argmin()]
-        tolerance = np.sqrt(n_groups) * excess.std(axis=1) + EQUAL * whole
-        k = int(np.argmax(excess.sum(axis=1) <= tolerance))
-        gain = errors[0] - errors[k]  # the first is g = 0
-        error = float(np.sqrt(n_groups) * gain.std())
-        t = float(gain.sum()) / error if error > 0 else (np.inf if gain.sum() > 0 else 0.0)
-        name, per_action, ridge, _ = tried[k]
-        fit = Fit(name, per_action, ridge, self.nested[name], np.empty(0), float(errors[k].sum()), t)
-        return self._refit(fit, target, self.g.sum(axis=0))
-
-    def _refit(self, fit: Fit, target: int, gram: Array) -> Fit:
-        of_target = slice(target, target + 1)
-        w = self.solve(gram, fit.columns, of_target, fit.ridge, fit.per_action)
-        return replace(fit, coefficients=w[:, :, 0])
-
-    def refit(self, fits: Sequence[Fit], weights: Array) -> list[Fit]:
-        """The same classes fitted to groups with these weights: a bootstrap's."""
-        gram = np.tensordot(weights, self.g, axes=1)
-        return [self._refit(fit, k, gram) for k, fit in enumerate(fits)]
+    def refit(self, fits: Sequence[Fit], weights: Array | None = None) -> list[Fit]:
+        """The same classes fitted to all groups, or to groups with these weights: a bootstrap's."""
+        gram = self.g.sum(axis=0) if weights is None else np.tensordot(weights, self.g, axes=1)
+        ways = [(fit.columns, slice(k, k + 1), fit.ridge, fit.per_action) for k, fit in enumerate(fits)]
+        return [replace(fit, coefficients=self.solve(gram, *way)[:, :, 0]) for fit, way in zip(fits, ways, strict=True)]
 
 
 def episode_groups(episode: IntArray | None, n: int, width: int, n_actions: int) -> IntArray:
@@ -243,3 +304,94 @@ def draw_groups(n_groups: int, seed: Any) -> Array:
     """(n_groups,) how often a bootstrap draws each group, with replacement."""
     drawn = _checks.generator(seed).integers(n_groups, size=n_groups)
     return np.bincount(drawn, minlength=n_groups).astype(np.float64)
+
+
+class LinearModel(DerivedTask):
+    """The task with steps linear in its smooth coordinates, fitted to a log: what a corrected simulator must beat.
+
+        s' = s + B_a (1, x(s)) + e,    B_a by least squares on the log's transitions of action a,
+
+    x the task's ``smooth`` coordinates (cosine and sine of angles), e a whole row's residual drawn from the log's transitions
+    of the same action. The simulator says only where episodes begin, where they end and what the rewards are.
+
+    Parameters
+    ----------
+    task : ContinuousTask, for its rewards, ends and beginnings
+    log : ContinuousTransitions of the target
+
+    Attributes
+    ----------
+    coefficients : (A, p, d) B_a; an action that was never recorded has those of all transitions
+    residuals : (n, d) what they leave over
+
+    Raises
+    ------
+    ValueError
+        A log of other states than the task's, or of actions that it has not.
+
+    Notes
+    -----
+    Next states stay within those that were logged, for a linear model's own may run away. Rewards are ``reward_between``'s, or
+    else those of the simulator's own step from (s, a). O(n p^2).
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole, cartpole_policy, record
+    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=2000, max_steps=100, seed=0)
+    >>> model = LinearModel(CartPole(10.0), log)
+    >>> model.residuals.shape, bool(np.abs(model.residuals).max() < 0.02)
+    ((2000, 4), True)
+    """
+
+    def __init__(self, task: ContinuousTask, log: ContinuousTransitions) -> None:
+        super().__init__(_checks.instance(task, ContinuousTask, "task"), f"linear model of a log of {task.name}")
+        require_log_of(task, log)
+        self.n_disturbances = 1
+        self._actions, periods = log.action_numbers(task.actions), find_periods(task, log.next_state)
+        self._x, self._y = self._inputs(log.state), shortest(log.next_state - log.state, periods)
+        low, high = log.next_state.min(axis=0), log.next_state.max(axis=0)
+        self._limits = np.where(periods > 0, [[-np.inf], [np.inf]], [low, high])  # an angle may go round
+        self._group = np.arange(len(log)) * min(N_GROUPS, len(log)) // len(log)  # none of them empty
+        if log.episode is not None and len(np.unique(log.episode)) >= N_GROUPS:
+            self._group = np.unique(log.episode, return_inverse=True)[1] % N_GROUPS
+        self._fit(np.ones(len(log)))
+
+    def _inputs(self, states: Array) -> Array:
+        return np.column_stack([np.ones(len(states)), self.task.smooth(states)])
+
+    def _fit(self, weights: Array) -> None:
+        """Least squares with these weights of the rows, by which residuals are drawn."""
+        self.coefficients = np.empty((self.n_actions, self._x.shape[1], self._y.shape[1]))
+        self._pools = []
+        for a in range(self.n_actions):
+            rows = np.flatnonzero((self._actions == a) & (weights > 0))
+            if len(rows) <= self._x.shape[1]:
+                rows = np.arange(len(weights))
+            root = np.sqrt(weights[rows])[:, None]
+            self.coefficients[a] = np.linalg.lstsq(root * self._x[rows], root * self._y[rows])[0]
+            self._pools.append((rows, np.cumsum(weights[rows])))
+        self.residuals = self._y - np.einsum("np,npk->nk", self._x, self.coefficients[self._actions])
+
+    def resampled(self, seed: Any = None) -> LinearModel:
+        """The same of a bootstrap's log: groups of whole episodes drawn with replacement."""
+        again = copy.copy(self)
+        again._fit(draw_groups(int(self._group.max()) + 1, seed)[self._group])
+        return again
+
+    @one_thread
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One step; the disturbance chooses the residual."""
+        actions, x, uniform = np.asarray(actions, dtype=np.int64), self._inputs(states), ndtr(disturbance[:, 0])
+        following = np.array(states, dtype=np.float64)
+        for a in np.unique(actions):
+            at = np.flatnonzero(actions == a)
+            following[at] += x[at] @ self.coefficients[a] + self.residuals[draw_rows(self._pools[a], uniform[at])]
+        following = np.clip(following, *self._limits)
+        reward = self.task.reward_between(states, actions, following)
+        if reward is None:
+            reward = self.task.noiseless_step(states, actions).reward
+        return Moves(following, reward, self.task.terminated(following) & self.terminates)
+
+    def parameters(self) -> dict[str, Any]:
+        """The task's, and how many transitions the model is fitted to."""
+        return self.task.parameters() | {"linear_model_of_moves": len(self.residuals)}

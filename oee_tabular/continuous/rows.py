@@ -1,41 +1,50 @@
 """The rows of a continuous task's report: functions of a policy that give an ``Estimate`` of J = E[sum_{t<T} gamma^t r_t].
 
-Three are Monte Carlo in a task (``Rollouts``): the simulator, the simulator corrected by the log's residuals, a linear model of
-the log; of the last two the error counts the rollouts and the log, see ``corrected_value``. The fourth is importance sampling
-on the log's own episodes, with the policy's probabilities in the log's own states: every row of the log is a state of its own.
+Monte Carlo in a task (``Rollouts``): the simulator, the simulator corrected by the log's residuals, a linear model of the log;
+of the last two the error counts the rollouts and the log, see ``corrected_value``. Importance sampling on the log's own
+episodes, with the policy's probabilities in the log's own states: every row of the log is a state of its own.
+
+On cells (``OnCells``): the simulator is discretised at the log's own places, with the small defensive share of its
+configuration; the log becomes numbered transitions and soft counts on the same cells; zeta is fitted to the soft counts. Beside
+the raw value stands the calibrated one, by the simulator without the defensive share.
 """
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy import sparse
 from scipy.special import stdtrit
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Seed
+from oee_tabular._sparse import row_sums
 from oee_tabular._threads import one_thread
 from oee_tabular.continuous.correction import describe_flaw
 from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_carlo_value
-from oee_tabular.continuous.history import consecutive
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities
+from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
+from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 from oee_tabular.data import Transitions
-from oee_tabular.estimators import Estimate, Estimator, Problem
-from oee_tabular.estimators.findings import Finding
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem, Simulator, calibrate
+from oee_tabular.estimators.base import IN_VALUES_UNIT
+from oee_tabular.estimators.findings import Finding, missing_support
+from oee_tabular.exact import policy_value
+from oee_tabular.ratio import transition_ratio, uncovered_share
 
 MAX_BEYOND = 0.02  # share of a policy's transitions beyond the log's range: more is said
+MAX_LEFT_OUT = 0.01  # share of the log's transitions without support that the rows on the cells may leave out
 QUANTILE = 1.96  # of the intervals that estimators set themselves
 BEYOND = (
     "{} of the policy's transitions start outside the range of the recorded states. The correction is a guess there, and no "
     "interval counts its error."
 )
+CALIBRATED_FAR = "calibration changes the value by {}. Rely on the corrected simulator instead."
 
 Row: TypeAlias = Callable[[StatePolicy], Estimate]
 
@@ -62,7 +71,6 @@ class Rollouts:
     def _stream(self, *key: int) -> np.random.SeedSequence:
         return np.random.SeedSequence(self.seed.entropy, spawn_key=(*self.seed.spawn_key, *key))
 
-    @one_thread
     def value(self, task: ContinuousTask, policy: StatePolicy) -> MonteCarlo:
         """J of the policy in the task."""
         seed = np.random.default_rng(self._stream())
@@ -72,7 +80,6 @@ class Rollouts:
         n, seed = min(n, self.paths, self.episodes), self._stream(1)
         return compare_returns(tasks, policy, n, self.horizon, discount=self.discount, seed=seed)
 
-    @one_thread
     def estimate(self, learned: Any, policy: StatePolicy, status: str = "ok") -> Estimate:
         """J in a task learned from the log, with the error of the log and of the rollouts.
 
@@ -83,12 +90,12 @@ class Rollouts:
         policy : of the task's states
         status : why the value is not to be relied on, and then has no error; "ok"
         """
-        mc = self.value(learned, policy)
-        facts = _count_rollouts(mc)
+        mc, is_ok, is_corrected = self.value(learned, policy), status == "ok", isinstance(learned, ResidualSimulator)
+        facts: dict[str, Any] = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
         error: float | None = None
         interval: tuple[float, float] | None = None
         findings: tuple[Finding, ...] = ()
-        if status == "ok":
+        if is_ok:
             rngs = map(np.random.default_rng, self._stream(2).spawn(self.refits))
             returns = self._returns([learned, *map(learned.resampled, rngs)], policy, self.paths)
             of_log = float((returns[1:] - returns[0]).mean(axis=1).std(ddof=1))
@@ -99,42 +106,24 @@ class Rollouts:
                 "standard_error_of": "log and rollouts", "refits": self.refits, "standard_error_of_the_log": of_log,
                 "interval_method": "refits",
             }  # fmt: skip
-        is_corrected = isinstance(learned, ResidualSimulator)
         if is_corrected:
-            share = self._share_beyond(learned, policy)
+            counts = np.zeros(2)
+
+            def watch(states: Array) -> Array:
+                counts[:] += learned.beyond(states).sum(), len(states)
+                return policy(states)
+
+            self._returns([learned], watch, 200)
+            share = float(counts[0] / counts[1])
             explained = ", ".join(f"{c.name} {c.explained:.3g}" for c in learned.coordinates if c.kind != "zero")
             facts |= {"explained": explained, "beyond_log": share}
             findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),) * (share > MAX_BEYOND)
-        is_first = is_corrected and status == "ok"
         return Estimate(
-            mc.value, error, interval, facts, status, findings, is_normal=status == "ok", is_headline=is_first
+            mc.value, error, interval, facts, status, findings, is_normal=is_ok, is_headline=is_corrected and is_ok
         )
 
-    def _share_beyond(self, learned: ResidualSimulator, policy: StatePolicy) -> float:
-        """Share of the policy's transitions that begin beyond what the log has seen."""
-        counts = np.zeros(2)
 
-        def watch(states: Array) -> Array:
-            counts[:] += learned.beyond(states).sum(), len(states)
-            return policy(states)
-
-        self._returns([learned], watch, 200)
-        return float(counts[0] / counts[1])
-
-
-def _count_rollouts(mc: MonteCarlo) -> dict[str, Any]:
-    return {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
-
-
-def describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:
-    """A value in the simulator (or the target) itself: no estimate from the log.
-
-    ``is_headline`` where no correction can be trusted; the rollouts' noise is no interval to speak of then.
-    """
-    error, facts = None if is_headline else mc.standard_error, _count_rollouts(mc)
-    return Estimate(mc.value, error, diagnostics=facts, is_headline=is_headline, is_from_log=not is_headline)
-
-
+@one_thread
 def corrected_value(
     corrected: ResidualSimulator,
     policy: StatePolicy,
@@ -211,32 +200,173 @@ def refuse_impossible(estimate: Estimate, lowest: float, highest: float, horizon
     )
 
 
-def sampling_rows(
-    wanted: Mapping[str, Estimator], log: ContinuousTransitions, n_actions: int, horizon: int, discount: float
-) -> dict[str, Row]:
-    """Importance sampling by name, on the episodes of a log whose actions are numbers.
+class NoCellsError(ValueError):
+    """The cells cannot take the log; its text is the sentence that a report says in place of their rows."""
 
-    Row i of the log is state i; whatever is done there, the row that follows in its episode comes, or the end, state n. What
-    follows a truncated episode is not known; it is not the end.
+
+class OnCells:
+    """What does not depend on the policies: a simulator and a log on cells, and the ratio between the two.
+
+    Parameters
+    ----------
+    simulator, log : the simulator, and the log, whose actions are numbers
+    settings : where the cells lie (``grid``), and what is done with what lies outside of them
+    horizon, discount, seed : of the values, of the numbers of the log's states
+
+    Attributes
+    ----------
+    model : Discretization
+    problem : the log on the cells
+    facts : for the report
+
+    Raises
+    ------
+    NoCellsError
+        Too many transitions have no support.
+    ValueError
+        Settings that do not fit; states outside the cells, where ``settings.outside`` is "error".
     """
-    if not wanted:
-        return {}
-    n = len(log)
-    before, after = consecutive(log)
-    following = np.append(np.where(log.terminated, n, 0), n)
-    following[before] = after
-    entries = np.ones((n + 1) * n_actions), np.repeat(following, n_actions), np.arange((n + 1) * n_actions + 1)
-    kernel = sparse.csr_array(entries, shape=((n + 1) * n_actions, n + 1))
-    rewards = np.zeros(n + 1) if log.reward is None else np.append(log.reward, 0.0)
-    mdp = FiniteMDP(kernel, rewards, np.full(n + 1, 1.0 / (n + 1)), discount)
-    columns: dict[str, Any] = log.columns() | {"state": np.arange(n), "next_state": following[:n]}
-    columns["truncated"] = ~np.isin(np.arange(n), before) & ~log.terminated
-    if log.reward is None:  # there is nothing to average
-        columns |= {"episode": None, "timestep": None}
-    problem = Problem(mdp, Transitions(**columns), horizon=horizon)
 
-    def weigh(estimator: Estimator, policy: StatePolicy) -> Estimate:
-        table = check_probabilities(policy, log.state, n_actions)
-        return estimator(problem, np.vstack([table, np.full(n_actions, 1.0 / n_actions)]))
+    def __init__(
+        self, simulator: ContinuousSimulator, log: ContinuousTransitions, settings: Settings, horizon: int, discount: float,
+        seed: Seed,
+    ) -> None:  # fmt: skip
+        floor = simulator.floor if settings.floor is None else _checks.number_in(settings.floor, "floor", 0.0, 1.0)
+        cells = None if settings.grid == "auto" else settings.grid
+        self.model = model = simulator.discretize(log, cells=cells, floor=floor, discount=discount)
+        counts, where = model.counts(log, outside=settings.outside), model.cells.extent()
+        encoded = model.encode(log, seed=_checks.seed_sequence(seed, (10**6 + 1,)), outside=settings.outside)
+        # rewards differ within a cell: they are held against the task's own steps, not against the cells' means
+        bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
+        kept, share = model.supported(counts)
+        if kept.nnz == 0 or (share > MAX_LEFT_OUT and settings.outside != "drop"):
+            ways = [] if floor > 0.0 else ["a defensive share (--task-option floor=0.001)"]
+            ways += ["a coarser grid (--grid NxM)", "without those transitions (--task-option outside=drop)"]
+            more = f", with a defensive share of {floor:g}" if floor > 0.0 else ""
+            raise NoCellsError(
+                f"the log must stay where the simulator has probability: {share:.2g} of its transitions have none on "
+                f"{where}{more}, and no ratio exists there. Ways out: {', '.join(ways[:-1])}, or {ways[-1]}"
+            )
+        if share > 0.0:
+            most = int((row_sums(counts) - row_sums(kept)).argmax()) // model.task.n_actions
+            warnings.warn(
+                f"{share:.2g} of the log's transitions have no probability in the simulator on {where}; the rows on the cells "
+                f"leave them out. Most of them begin at state {most}",
+                stacklevel=2,
+            )
+        episodes = encoded if encoded.episode is not None else None
+        self.problem = Problem(model.mdp, bag, horizon=horizon, counts=kept, episodes=episodes)
+        tie = model.displacement_ties() if model.task.is_translation_invariant else None
+        self._zeta = transition_ratio(kept, model.mdp, tie=tie, **simulator.ratio)
+        largest = float(self._zeta.values.data.max())
+        uncovered = uncovered_share(kept, model.plain)
+        self._support = {"uncovered_mass": uncovered, "largest_zeta": largest, "d_inf": float(np.log(largest))}
+        self.facts: dict[str, Any] = {
+            "simulator": self._describe(simulator.name),
+            "log": f"{len(log)} transitions of {log.n_state}-dimensional states; encoded: {encoded.describe()}",
+            "grid": where,
+            "floor": floor,
+            "ratio": ({} if tie is None else {"tie": "displacements"}) | dict(simulator.ratio),
+            "rows_left_out": len(log) - len(encoded),
+            "moves_left_out": share,
+            "closure_error": model.diagnostics["closure_error"],
+            **self._support,
+        }
+        paid = [model.mdp.rewards.min(), model.mdp.rewards.max()]
+        if log.reward is not None:
+            paid += [log.reward.min(), log.reward.max()]
+        if log.terminated.any() or model.mdp.absorbing().any():  # after an end nothing is paid
+            paid.append(0.0)
+        number = float(np.sum(discount ** np.arange(horizon)))
+        self._bounds = float(min(paid)) * number, float(max(paid)) * number
 
-    return {name: partial(weigh, estimator) for name, estimator in wanted.items()}
+    def _describe(self, name: str) -> str:
+        """The simulator on cells, in one line of a report."""
+        model, support = self.model, self._support
+        places = "" if model.task.is_translation_invariant else ", looked at in the log's own places"
+        text = f"{name} on {model.cells.extent()}{places}: {model.mdp!r}"
+        if floor := model.metadata["floor"]:
+            own, others = model.metadata["parameters"], model.metadata["others"]
+            differing = [", ".join(f"{k}={v:.3g}" for k, v in other.items() if own.get(k) != v) for other in others]
+            other = f"one of {'; '.join(differing)}" if others else "a transition of the log"
+            text += f"; defensive: with probability {floor:g} a step is {other} (plain: without)"
+        error, noise = (model.diagnostics[f"closure_{what}"] for what in ("error", "standard_error"))
+        return text + (
+            f"; closure error of the uniform policy {error:+.1%} (+-{noise:.1%}); uncovered mass "
+            f"{support['uncovered_mass']:.2g}, largest zeta {support['largest_zeta']:.3g} (D_inf {support['d_inf']:.2g} nats)"
+        )
+
+    def plain(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
+        """The simulator on the cells without its defensive share: exact."""
+        return Estimate(policy_value(self.model.plain, policy, horizon=self.problem.horizon))
+
+    def raw(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
+        """Off-environment evaluation on the cells, and how far its ratio has support."""
+        found = OffEnvironment(self._zeta)(self.problem, policy, seed=seed)
+        missing = missing_support(*self._support.values())
+        return replace(found, diagnostics=found.diagnostics | self._support, findings=(*found.findings, *missing))
+
+    def calibrated(self, simulate: Callable[[Array], MonteCarlo], kind: str, scale: float) -> Estimator:
+        """The raw value calibrated by ``simulate(policy)``, Monte Carlo's; not beyond what the rewards can sum to."""
+
+        def row(problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
+            below = self.plain(problem, policy).value
+            found = calibrated_row(self.raw(problem, policy), simulate(policy), below, kind, scale)
+            return refuse_impossible(found, *self._bounds, self.problem.horizon or 0, scale)
+
+        return row
+
+    def others(self, wanted: Mapping[str, Estimator]) -> dict[str, Estimator]:
+        """Of finite estimators by name the rows without calibration; oee's is last."""
+        rows: dict[str, Estimator] = {}
+        for name, estimator in wanted.items():
+            if estimator != OffEnvironment():
+                rows[name] = estimator
+            if isinstance(estimator, Simulator) and self.model.mdp is not self.model.plain:
+                rows["simulator (plain)"] = self.plain
+        return rows | ({"oee on the grid": self.raw} if OffEnvironment() in wanted.values() else {})
+
+    def describe_loss(self, simulate: Callable[[Array], MonteCarlo], tables: Mapping[str, Array]) -> str:
+        """By how much the cells change the simulator's own values, which no interval counts."""
+        values = {name: simulate(table).value for name, table in tables.items()}
+        changes = ", ".join(
+            f"{self.plain(self.problem, tables[name]).value - value:+.3g} of {value:.3g} ({name})"
+            for name, value in values.items()
+        )
+        return (
+            "standard errors and intervals count the log's noise and not the error of the cells. The cells change the "
+            f"simulator's own value by {changes}, and may change another environment's by more"
+        )
+
+    def add_features(self, text: str) -> str:
+        """A warning with the features of the states that it numbers."""
+        model = self.model
+
+        def place(match: re.Match[str]) -> str:
+            points = model.points[model.places.point_cell == int(match[1])]  # none, where it is over
+            if len(points) == 0:
+                return match[0]
+            at = zip(model.task.feature_names, model.task.features(points).mean(axis=0), strict=True)
+            return f"{match[0]} ({', '.join(f'{name}={value:.3g}' for name, value in at)})"
+
+        return re.sub(r"\bstate (\d+)", place, text)
+
+
+def calibrated_row(raw: Estimate, outside: MonteCarlo, below: float, kind: str, scale: float) -> Estimate:
+    """The raw value times J_continuous / J_discretised of the simulator, or plus their difference, in a row of its own."""
+    found = calibrate(
+        raw, discretised=below, continuous=outside.value, continuous_error=outside.standard_error, kind=kind
+    )
+    value, error = (found.diagnostics[f"calibrated_{what}"] for what in ("value", "standard_error"))
+    raw_only = IN_VALUES_UNIT | {"row_sum_error", "calibrated_value", "calibrated_standard_error"}
+    facts = {name: x for name, x in found.diagnostics.items() if name not in raw_only}
+    told = list(found.findings)
+    apart, own = abs(raw.value - value), abs(outside.value - below)
+    if apart > 1.01 * own + 2.0 * outside.standard_error:  # calibration takes out more than was put in
+        figure = f"{apart * scale:.3g}, and the cells change the simulator's own value by {own * scale:.3g} alone"
+        told.append(Finding("calibrated far", apart * scale, CALIBRATED_FAR, figure))
+    ends = None if found.interval is None or error is None else (value - QUANTILE * error, value + QUANTILE * error)
+    return replace(
+        found, value=value, standard_error=error, interval=ends, diagnostics=facts | {"interval_method": "calibrated"},
+        findings=tuple(told), model_value=None, is_normal=True, is_from_log=True, is_from_episodes=False, is_headline=False,
+    )  # fmt: skip

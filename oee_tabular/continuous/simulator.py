@@ -6,7 +6,6 @@ commands or numbers of actions in place of probabilities (``as_probabilities``).
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,72 +15,11 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._checks import Array
-from oee_tabular.continuous.discretization import Discretization, VisitedCells, discretize
+from oee_tabular.continuous.discretization import VisitedCells, discretize
+from oee_tabular.continuous.discretized import Discretization
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import BadPolicy, ContinuousTask, StatePolicy, ask_policy
-
-N_LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
-MAX_COMMANDS = 1000
-MAX_COMMANDS_OF_LOG = 100  # of a log, which are then the actions
-
-
-def action_set(space: Any, given: Any = None) -> Array:
-    """(A,) numbers of a Discrete space, or (A, k) commands of a Box.
-
-    Parameters
-    ----------
-    space : Gymnasium's Discrete or Box
-    given : of a Box, how many levels each coordinate has, evenly from low to high (None: 9 of one coordinate, 5 of two,
-        else 3); or the levels themselves, (m,); or the commands, (A, k)
-
-    Raises
-    ------
-    ValueError
-        Another space; levels of an endless range; actions of a Discrete space; commands outside the space.
-
-    Examples
-    --------
-    >>> from gymnasium.spaces import Box
-    >>> action_set(Box(-2.0, 2.0, (1,)), 3).tolist()
-    [[-2.0], [0.0], [2.0]]
-    """
-    if hasattr(space, "n"):
-        if given is not None:
-            raise ValueError(
-                f"actions must be left out where the environment has {space}; they are {_checks.show(given)}"
-            )
-        return np.asarray(int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64)
-    if len(getattr(space, "shape", None) or ()) != 1 or not hasattr(space, "low"):
-        raise ValueError(f"env.action_space must be Discrete, or a Box of vectors; it is {space}")
-    k = space.shape[0]
-    count = N_LEVELS.get(k, 3) if given is None else given
-    if isinstance(count, int):
-        n = _checks.positive_integer(count, "actions")
-        if not np.isfinite([space.low, space.high]).all():
-            raise ValueError(f"actions must be given for {space}, whose range has no end: levels such as [-1,0,1]")
-        levels = [np.linspace(low, high, n) for low, high in zip(space.low, space.high, strict=True)]
-    else:
-        levels = [_checks.float_array(count, "actions", ndim=(1, 2))] * k
-    if levels[0].ndim == 2:
-        table = levels[0]
-    elif np.prod([float(len(each)) for each in levels]) > MAX_COMMANDS:
-        text = f"{len(levels[0])} levels of {k} coordinates are more"
-        raise ValueError(f"actions must be at most {MAX_COMMANDS} in all; {text}")
-    else:
-        table = np.array(list(itertools.product(*levels)))
-    for i, row in enumerate(table):
-        if not space.contains(row.astype(space.dtype)):
-            raise ValueError(f"actions[{i}] must be in {space}; it is {row.tolist()}")
-    return table
-
-
-def commands_of(log: ContinuousTransitions) -> Any:
-    """The log's own commands where they are few; None where the log has numbers, or more commands than a set should have."""
-    if log.action.ndim == 1:
-        return None
-    commands = np.unique(log.action, axis=0)
-    return commands.tolist() if len(commands) <= MAX_COMMANDS_OF_LOG else None
 
 
 def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
@@ -181,7 +119,7 @@ class ContinuousSimulator:
 
     Examples
     --------
-    >>> from oee_tabular.continuous.names import continuous_simulator
+    >>> from oee_tabular.continuous.command import continuous_simulator
     >>> simulator = continuous_simulator("cartpole:gravity=10")
     >>> simulator.task.gravity, simulator.horizon, simulator.policy("mix:0.5")(np.zeros((1, 4))).round(2).tolist()
     (10, 100, [[0.52, 0.48]])

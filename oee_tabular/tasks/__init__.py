@@ -12,22 +12,19 @@ from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_te
 if TYPE_CHECKING:  # the rest is the wing's, imported on use
     # fmt: off
     # isort: off
-    from oee_tabular.continuous.cartpole import CartPole
-    from oee_tabular.continuous.cartpole import cartpole_policy, train_expert
-    from oee_tabular.continuous.discretization import Discretization, GridInterpolation, VisitedCells, discretize
-    from oee_tabular.continuous.discretization import visited_states
+    from oee_tabular.continuous.cartpole import CartPole, cartpole_policy, train_expert
+    from oee_tabular.continuous.correction import ParameterFit, fit_parameters
+    from oee_tabular.continuous.discretization import GridInterpolation, VisitedCells, discretize, visited_states
+    from oee_tabular.continuous.discretized import Discretization
     from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
     from oee_tabular.continuous.history import HistoryTask
-    from oee_tabular.continuous.kinova.arm import KinovaArm
-    from oee_tabular.continuous.kinova.hand import KinovaHand, fit_hand
-    from oee_tabular.continuous.kinova.hand import hand_log, kinova_policy, load_kinova_log, record_goals
-    from oee_tabular.continuous.linear_model import LinearModel
-    from oee_tabular.continuous.parameters import ParameterFit, fit_parameters
-    from oee_tabular.continuous.reacher import Reacher
-    from oee_tabular.continuous.reacher import reacher_log, reacher_policy
+    from oee_tabular.continuous.kinova import KinovaArm, KinovaHand, fit_hand
+    from oee_tabular.continuous.gen3 import hand_log, kinova_policy, load_kinova_log, record_goals
+    from oee_tabular.continuous.reacher import Reacher, reacher_log, reacher_policy
+    from oee_tabular.continuous.regression import LinearModel
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.rows import corrected_value
     from oee_tabular.continuous.simulator import ContinuousSimulator, Settings

@@ -1,6 +1,6 @@
 """Simulators by name, as on the command line: ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8``, ``file.npz``.
 
-Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.names``, which is imported where one may be named.
+Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.command``, which is imported where one may be named.
 """
 
 from __future__ import annotations
@@ -52,11 +52,6 @@ class NamedTask:
     discretization: Any = None
 
 
-def is_numbered(spec: str) -> bool:
-    """Whether ``spec`` is a file or one of ``FINITE``: of numbered states, whatever Gymnasium knows, which is slow to ask."""
-    return Path(spec).suffix.lower() == ".npz" or spec.partition(":")[0] in FINITE
-
-
 def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     """The task that ``spec`` names.
 
@@ -95,7 +90,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
             raise ValueError(f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}") from None
         size = bound.arguments["size"]
         return NamedTask(spec, gridworld(*bound.args, **bound.kwargs), lambda: gridworld_expert(size), grid=size)
-    wing = importlib.import_module("oee_tabular.continuous.names")
+    wing = importlib.import_module("oee_tabular.continuous.command")
     if wing.is_continuous(spec):
         simulator = wing.continuous_simulator(spec)
         model = simulator.discretize(**({"discount": 0.99} | given))

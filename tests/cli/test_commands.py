@@ -14,7 +14,7 @@ from oee_tabular.cli import app
 
 COMMANDS = typer.main.get_command(app).commands
 SAMPLE = "sample gridworld:3,slip=0.1 --output"
-SLOW = {"cvxpy", "pandas", "pyarrow", "gymnasium", "matplotlib", "oee_tabular.testing", "oee_tabular.continuous.names"}
+SLOW = {"cvxpy", "pandas", "pyarrow", "gymnasium", "matplotlib", "oee_tabular.testing", "oee_tabular.continuous.task"}
 
 
 def test_nothing_slow_is_imported_without_need(folder):

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.continuous.kinova.hand import ideal_hand
+from oee_tabular.continuous.kinova import ideal_hand
 from oee_tabular.lab import experiments
 from oee_tabular.lab.experiment import Stream, summary_of
 from oee_tabular.lab.experiments import changes, classic

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.continuous.names import continuous_simulator
+from oee_tabular.continuous.command import continuous_simulator
 from oee_tabular.estimators import calibrate
 from oee_tabular.report import Settings, evaluate_continuous
 from oee_tabular.tasks import (

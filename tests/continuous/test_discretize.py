@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.continuous.discretization import Grid, GridInterpolation, VisitedCells, discretize
-from oee_tabular.continuous.discretization.places import gauss_hermite
+from oee_tabular.continuous.cells import Grid, gauss_hermite
+from oee_tabular.continuous.discretization import GridInterpolation, VisitedCells, discretize
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import (
     CartPole,

@@ -6,11 +6,10 @@ from benchmarks.hidden_state import Cogging, Delay, Lag, RandomActions, SensorNo
 from continuous.test_residual import Line, line_log
 from numpy.testing import assert_allclose, assert_array_equal
 
-from oee_tabular.continuous.correction import choose_correction, describe_history, hidden_state
+from oee_tabular.continuous.correction import choose_correction, describe_history, fit_parameters, parameters_of
 from oee_tabular.continuous.episodes import compare_returns
 from oee_tabular.continuous.evaluation import evaluate_continuous
-from oee_tabular.continuous.history import earlier_rows, history_effects
-from oee_tabular.continuous.parameters import fit_parameters, parameters_of
+from oee_tabular.continuous.history import earlier_rows, hidden_state, history_effects
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.experiments import classic
 from oee_tabular.tasks import CartPole, HistoryTask, ResidualSimulator, Settings, cartpole_policy, record

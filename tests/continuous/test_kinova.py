@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from oee_tabular.continuous.kinova.dynamics import HOME, STEP, end_effector, resolved_rates
+from oee_tabular.continuous.gen3 import HOME, STEP, end_effector, resolved_rates
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import kinova
 
@@ -30,7 +30,7 @@ def test_resolved_rates_move_the_hand_as_asked():
 
 def test_mujoco_agrees_with_the_kinematics():
     mujoco = needs_mujoco()
-    from oee_tabular.continuous.kinova.dynamics import arm_xml
+    from oee_tabular.continuous.gen3 import arm_xml
 
     model = mujoco.MjModel.from_xml_string(arm_xml())
     data = mujoco.MjData(model)

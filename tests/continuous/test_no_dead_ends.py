@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from oee_tabular.continuous.cell_rows import calibrated_row
+from oee_tabular.continuous.command import continuous_simulator
 from oee_tabular.continuous.correction import difference
 from oee_tabular.continuous.episodes import MonteCarlo
-from oee_tabular.continuous.names import continuous_simulator
-from oee_tabular.continuous.rows import refuse_impossible
+from oee_tabular.continuous.rows import calibrated_row, refuse_impossible
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.estimators import Estimate
 from oee_tabular.lab.experiments import classic

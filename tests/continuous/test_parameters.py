@@ -6,9 +6,8 @@ import pytest
 from benchmarks.hidden_state import Cogging, RandomActions
 from numpy.testing import assert_allclose
 
-from oee_tabular.continuous.correction import choose_correction
+from oee_tabular.continuous.correction import choose_correction, parameters_of
 from oee_tabular.continuous.evaluation import evaluate_continuous
-from oee_tabular.continuous.parameters import parameters_of
 from oee_tabular.lab.experiments import classic
 from oee_tabular.tasks import (
     CartPole,

@@ -32,13 +32,13 @@ from scipy import sparse
 from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cartpole import PAPER_NOISE, CartPole, cartpole_policy
-from oee_tabular.continuous.discretization import Discretization, GridInterpolation, VisitedCells, discretize
+from oee_tabular.continuous.command import continuous_simulator
+from oee_tabular.continuous.discretization import GridInterpolation, VisitedCells, discretize
+from oee_tabular.continuous.discretized import Discretization
 from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record
-from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
+from oee_tabular.continuous.evaluation import sampling_rows
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.names import continuous_simulator
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.rows import sampling_rows
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.estimators import ImportanceSampling
 from oee_tabular.exact import policy_value
@@ -122,7 +122,7 @@ def target_log(kind: str, gravity: float, n: int, generator: np.random.Generator
     """n moves by delta = ``behavior``; kind "compiled" (our dynamics, the paper's noise) or "gymnasium" (stepped, no noise)."""
     policy = cartpole_policy(behavior)
     if kind == "gymnasium":
-        task: Any = gymnasium_simulator(f"CartPole-v1:gravity={gravity}").task
+        task: Any = continuous_simulator(f"CartPole-v1:gravity={gravity}").task
         return task.record(policy, n_transitions=n, max_steps=HORIZON, seed=generator)
     return record(CartPole(gravity), policy, n_transitions=n, max_steps=HORIZON, seed=generator)
 

@@ -18,9 +18,9 @@ from oee_tabular.continuous.cartpole import CartPole, cartpole_policy
 from oee_tabular.continuous.discretization import discretize
 from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_carlo_value, record
 from oee_tabular.continuous.history import HistoryTask
-from oee_tabular.continuous.linear_model import LinearModel
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.reacher import reacher_policy
+from oee_tabular.continuous.regression import LinearModel
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.rows import corrected_value
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy

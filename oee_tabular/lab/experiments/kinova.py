@@ -16,7 +16,8 @@ import pandas as pd
 
 from oee_tabular._checks import Array
 from oee_tabular.continuous import kinova
-from oee_tabular.continuous.discretization import Discretization, discretize
+from oee_tabular.continuous.discretization import discretize
+from oee_tabular.continuous.discretized import Discretization
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator

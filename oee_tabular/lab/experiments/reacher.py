@@ -13,7 +13,8 @@ import pandas as pd
 from scipy import sparse
 
 from oee_tabular._checks import Array
-from oee_tabular.continuous.discretization import Discretization, VisitedCells, discretize
+from oee_tabular.continuous.discretization import VisitedCells, discretize
+from oee_tabular.continuous.discretized import Discretization
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.reacher import Reacher, reacher_log, reacher_policy
 from oee_tabular.continuous.residual import ResidualSimulator

@@ -1,4 +1,19 @@
-"""Where a continuous task is stepped (``Places``), and the two ways to choose it.
+"""Continuous tasks as finite MDPs: ``discretize``, on a grid or on cells of visited states.
+
+States s in R^d with features phi(s), cells j = 1, ..., N with weights w_j(phi) that sum to 1 over j, and pairs x_k at which
+the task is stepped (``cells.Places``):
+
+    P(j | i, a) = sum_k W_{(i,a),k} E_xi[w_j(phi(f(x_k, xi)))],     r(i, a) = sum_k W_{(i,a),k} E_xi[r(x_k, xi)],
+    pi(a | i) = mean of pi(a | s) over the states of cell i
+
+Another task stepped at the same places has the same states; a ratio between the two differs from 1 by their dynamics alone.
+A log becomes soft counts n(i, a, j) = sum over its rows of w_i(s) w_j(s') (``Discretization.counts``) or numbered transitions
+drawn by these weights (``encode``), so that the ratio of the target's and the simulator's transitions is a matrix as it is for
+any finite MDP. Where episodes can end, one absorbing state that pays nothing, the last, stands for all that is over.
+
+What is exact: the mean of a step on a grid, and rewards r(s, a) at the places. What is lost is measured (``closure_error``):
+the value of a policy on the cells minus its Monte Carlo value in the task. No interval covers that error; ``calibrate`` takes
+out the part that the simulator has itself.
 
 ``GridInterpolation``, up to a few dimensions: the Markov chain approximation of Munos and Moore [1]. The mean of a step is
 exact, and its variance too large by f (1 - f) h^2 a step and coordinate, which is why a grid must be fine compared with the
@@ -20,9 +35,9 @@ References: [1] R. Munos and A. Moore, Variable resolution discretization in opt
 
 from __future__ import annotations
 
-import itertools
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,147 +45,27 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular._progress import progress_bar
-from oee_tabular._sparse import canonical, csr_on_pattern, row_of_entry, row_sums
-from oee_tabular.continuous.discretization.cells import Grid, VoronoiCells, indicator
+from oee_tabular._checks import Array
+from oee_tabular._threads import one_thread
+from oee_tabular.continuous.cells import (
+    Grid,
+    Places,
+    VoronoiCells,
+    average_of_pairs,
+    each_action,
+    indicator,
+    spread_over_pairs,
+)
+from oee_tabular.continuous.discretized import Discretization, uniform_policy_of
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states
-from oee_tabular.mdp import FiniteMDP
+from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states, require_log_of
 
-PLACES_AT_A_TIME = 250_000  # bounds the memory
 N_LLOYD = 3  # iterations for the centres of cells
 POINTS_OF_A_BOX = 4  # along each axis, where a state is the box around its vertex
-
-
-@dataclass(frozen=True, eq=False)
-class Places:
-    """Cells, the state-action pairs that are stepped, and how a row is the mean of them.
-
-    Attributes
-    ----------
-    cells : Grid or VoronoiCells, where the numbered states lie
-    states, actions : (m, d), (m,) the pairs that are stepped
-    averages : csr (n_cells * A, m), W; None where pair k is row k
-    points, point_cell : (p, d), (p,) states that stand for the cells: policies and costs are means over them
-    noise_points : Gauss-Hermite points of each disturbance; None: the stepped task's
-    seed : of one draw of the disturbances for each pair, in place of those points; None: no draws
-    """
-
-    cells: Any
-    states: Array
-    actions: IntArray
-    averages: sparse.csr_array | None
-    points: Array
-    point_cell: IntArray
-    noise_points: int | None = None
-    seed: int | None = None
-
-    def mean(self, values: Array) -> Array:
-        """(n_cells, ...) the mean over each cell of values (p, ...), one for each point."""
-        p = len(self.point_cell)
-        matrix = sparse.csr_array((np.ones(p), (self.point_cell, np.arange(p))), shape=(self.cells.n_cells, p))
-        return np.asarray(((matrix @ values).T / np.diff(matrix.indptr)).T)
-
-    def weights(self, task: ContinuousTask, states: Array, ended: BoolArray) -> sparse.csr_array:
-        """(n, S) how states are shared out among the numbered ones; what has ended lies in the absorbing state, the last."""
-        inner = self.cells.weights(task.features(states))
-        if not task.terminates:
-            return inner
-        inner = sparse.csr_array(sparse.diags_array(np.where(ended, 0.0, 1.0)) @ inner)
-        last = sparse.csr_array(ended[:, None].astype(np.float64))
-        return canonical(sparse.hstack([inner, last]), drop_zeros=True)
-
-    def simulate(self, task: ContinuousTask, initial: Array, discount: float) -> FiniteMDP:
-        """The FiniteMDP of a task that is stepped at these places."""
-        rng = None if self.seed is None else np.random.default_rng(self.seed)
-        parts = progress_bar("stepping", range(0, len(self.states), PLACES_AT_A_TIME))
-        blocks = [self._step(task, slice(low, low + PLACES_AT_A_TIME), rng) for low in parts]
-        matrix = sparse.csr_array(sparse.vstack([block for block, _ in blocks], format="csr"))
-        paid = np.concatenate([rewards for _, rewards in blocks])
-        if self.averages is not None:
-            matrix, paid = sparse.csr_array(self.averages @ matrix), np.asarray(self.averages @ paid)
-        paid = paid.reshape(-1, task.n_actions)
-        if task.terminates:
-            last = np.eye(1, matrix.shape[1], matrix.shape[1] - 1)
-            stay = sparse.csr_array(np.repeat(last, task.n_actions, axis=0))
-            matrix = sparse.csr_array(sparse.vstack([matrix, stay], format="csr"))
-            paid = np.concatenate([paid, np.zeros((1, task.n_actions))])
-        return self.finite_mdp(task, matrix, paid, initial, discount)
-
-    def finite_mdp(self, task: ContinuousTask, matrix: Any, paid: Array, initial: Array, discount: float) -> FiniteMDP:
-        """The FiniteMDP of rows, which are normalised, and rewards r(s, a).
-
-        Rewards of a task with ``reward_terms`` are those of the cells' mean terms, r(i, a, j): they telescope on cells as they
-        do in the task. Taken transition by transition, their mean error would add up.
-        """
-        matrix = canonical(matrix, drop_zeros=True)
-        rows, rewards = row_of_entry(matrix), paid
-        matrix = csr_on_pattern(matrix, matrix.data / row_sums(matrix)[rows], own=True)
-        terms = task.reward_terms(self.points)
-        if terms is not None:
-            mean, (state, action) = self.mean(terms), np.divmod(rows, task.n_actions)
-            between = task.reward_of(mean[state], action, mean[matrix.indices])
-            first = between[matrix.indptr[:-1]]
-            is_of_pair = np.array_equal(between, first[rows])
-            rewards = first.reshape(paid.shape) if is_of_pair else csr_on_pattern(matrix, between)
-        return FiniteMDP(matrix, rewards, initial, discount)
-
-    def _step(
-        self, task: ContinuousTask, part: slice, rng: np.random.Generator | None
-    ) -> tuple[sparse.csr_array, Array]:
-        """Where some of the pairs lead, and what they pay, on average over the disturbances."""
-        states, actions = self.states[part], self.actions[part]
-        if rng is None:
-            points = task.noise_points if self.noise_points is None else self.noise_points
-            nodes, chances = gauss_hermite(points, task.n_disturbances)
-            draws = [np.broadcast_to(node, (len(states), len(node))) for node in nodes]
-        else:
-            draws, chances = [rng.standard_normal((len(states), task.n_disturbances))], np.ones(1)
-        gone = task.terminated(states)
-        total: Any = 0.0
-        paid = np.zeros(len(states))
-        for disturbance, chance in zip(draws, chances, strict=True):
-            moved = task.moves(states, actions, disturbance)
-            bad = np.flatnonzero(~np.isfinite(moved.next_state).all(axis=1))
-            if bad.size:
-                raise ValueError(
-                    f"task must step to finite states; from {states[bad[0]].tolist()} under action {actions[bad[0]]} it "
-                    f"steps to {moved.next_state[bad[0]].tolist()}"
-                )
-            ended = moved.terminated & task.end_shows(moved.next_state) | gone
-            total = total + chance * self.weights(task, moved.next_state, ended)
-            paid += chance * np.where(gone, 0.0, moved.reward)
-        return sparse.csr_array(total), paid
-
-
-def gauss_hermite(points: int, n: int) -> tuple[Array, Array]:
-    """Nodes (m, n) and weights (m,) that average over N(0, I_n): exact for polynomials of degree 2 points - 1.
-
-    >>> nodes, weights = gauss_hermite(3, 2)
-    >>> round(float(weights @ nodes[:, 0] ** 4), 12), len(nodes)
-    (3.0, 9)
-    """
-    line, chance = np.polynomial.hermite_e.hermegauss(_checks.positive_integer(points, "noise_points"))
-    nodes, weights = (np.array(list(itertools.product(x, repeat=n))) for x in (line, chance / chance.sum()))
-    return nodes, weights.prod(axis=1)
-
-
-def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
-    """Each state under each action, in rows s*A + a."""
-    return np.repeat(states, task.n_actions, axis=0), np.tile(np.arange(task.n_actions), len(states))
-
-
-def spread_over_pairs(start: sparse.csr_array, actions: IntArray, n_actions: int) -> sparse.csr_array:
-    """(n, S * A) the weights (n, S) of states that are left by actions (n,), in the columns of the pairs s*A + a."""
-    pairs = start.indices.astype(np.int64) * n_actions + np.repeat(actions, np.diff(start.indptr))
-    return sparse.csr_array((start.data, pairs, start.indptr), shape=(len(actions), start.shape[1] * n_actions))
-
-
-def average_of_pairs(weights: sparse.csr_array) -> sparse.csr_array:
-    """(S * A, m) W, of the weights (m, S * A) that stepped pairs have in the numbered ones."""
-    return sparse.csr_array(sparse.diags_array(1.0 / weights.sum(axis=0)) @ weights.T)
+DEFAULT_VERTICES = {1: 201, 2: 41, 3: 15}  # along each feature, by how many there are
+DEFAULT_CELLS = 1000  # above
+TOLERANCE = 0.05  # of the closure error: beyond it is warned about
 
 
 @dataclass(frozen=True)
@@ -361,3 +256,126 @@ def visited_states(
         for (task, policy), stream in zip(pairs, _checks.generator(seed).spawn(len(pairs)), strict=True)
     ]
     return np.concatenate(found)[:size]
+
+
+@one_thread
+def discretize(
+    task: ContinuousTask,
+    log: ContinuousTransitions | None = None,
+    *,
+    cells: Any = None,
+    floor: float = 0.0,
+    others: Sequence[ContinuousTask] | None = None,
+    policies: Sequence[StatePolicy] = (),
+    discount: float = 0.99,
+    closure_episodes: int = 2000,
+    seed: Any = 0,
+) -> Discretization:
+    """A continuous task as a FiniteMDP on numbered states, so that ratios are matrices there too.
+
+    Parameters
+    ----------
+    task : ContinuousTask, the simulator
+    log : ContinuousTransitions of the target, at whose states and actions the task is stepped (its next states are used for a
+        ``floor`` alone)
+    cells : where the states lie: (n_1, ..., n_k) vertices along each feature or ``GridInterpolation``; a number of cells or
+        ``VisitedCells``; another Discretization, whose states and places are taken; None: the task's own, or a grid up to three
+        features and 1000 visited cells above
+    floor : with this probability a step is another one: one of the ``others``; where there are none, one of the log's that the
+        task gives no probability (``FiniteMDP.with_support_of``). A *defensive* simulator, which gives probability to what the
+        target may do. It is another simulator: results made with it say so (``metadata``), and ``plain`` is the one without
+    others : the task under other parameters, which should bracket the target's: a ratio is at most K / floor wherever the
+        target lies in the convex hull of the K others. None: the task's own ``others()``
+    policies : those whose states the cells must serve, functions of states (n, d) giving probabilities (n, A); none: uniform
+    discount : of the MDP, in [0, 1]
+    closure_episodes : of the uniform policy, by which what discretising costs is measured; 0: not measured
+    seed : of visited states and random disturbances
+
+    Raises
+    ------
+    ValueError
+        Cells that do not fit the task's features; a task whose step leaves the finite numbers; a log of other states; a floor
+        without a log and without others.
+
+    Warns
+    -----
+    UserWarning
+        Where the closure error is beyond 5%.
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import CartPole, cartpole_policy, record
+    >>> log = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=2000, max_steps=100, seed=0)
+    >>> model = discretize(CartPole(10.0), log, cells=(32, 32), floor=0.001)
+    >>> model.mdp
+    FiniteMDP(1025 states, 2 actions, 12337 transitions, rewards r(s, a), discount 0.99)
+    >>> model.supported(model.counts(log))[1]
+    0.0
+    """
+    _checks.instance(task, ContinuousTask, "task")
+    share = _checks.number_in(floor, "floor", 0.0, 1.0)
+    if log is not None:
+        require_log_of(task, log)
+    process = task.on_features()
+    mixed = list(process.others()) if others is None else [other.on_features() for other in others]
+    if share > 0.0 and not mixed:
+        _checks.number_in(floor, "floor", 0.0, 1.0, open_ends=True)
+        if log is None:
+            raise ValueError(f"floor must be 0 without a log, for {task.name} has no others; it is {floor}")
+    if isinstance(cells, Discretization):
+        places = cells.places
+    else:
+        visiting = list(policies) or [uniform_policy_of(task)]
+        chosen, k = process.default_cells if cells is None else cells, len(process.feature_names)
+        if chosen is None:
+            chosen = (DEFAULT_VERTICES[k],) * k if k in DEFAULT_VERTICES else DEFAULT_CELLS
+        if not isinstance(chosen, GridInterpolation | VisitedCells):
+            is_number = isinstance(chosen, int | np.integer)
+            chosen = VisitedCells(int(chosen)) if is_number else GridInterpolation(chosen)
+        places = chosen.places(process, log if process is task else None, mixed, visiting, seed)
+    if share == 0.0 and others is None:
+        mixed = []
+    starts, mass = process.initial_points()
+    inner = places.cells.weights(process.features(starts)).T @ mass
+    initial = np.append(inner / inner.sum(), np.zeros(int(process.terminates)))
+    simulators = tuple(places.simulate(each, initial, discount) for each in (process, *mixed))
+    metadata: dict[str, Any] = {
+        "task": task.name,
+        "parameters": task.parameters(),
+        "features": list(task.feature_names),
+    }
+    metadata |= {"cells": places.cells.extent(), "floor": share, "others": [other.parameters() for other in mixed]}
+    model = Discretization(simulators[0], process, places, simulators, metadata)
+    if closure_episodes:
+        model = _measure_closure(model, _checks.positive_integer(closure_episodes, "closure_episodes"))
+    model = replace(model, task=task)
+    if share == 0.0:
+        return model
+    if mixed:
+        return model.mixture([1.0 - share, *[share / len(mixed)] * len(mixed)])
+    assert log is not None
+    with warnings.catch_warnings(action="ignore"):  # whoever encodes the log is told
+        counts = model.counts(log, outside="nearest")
+    return replace(model, mdp=model.plain.with_support_of(counts, share))
+
+
+def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
+    """With the uniform policy's closure error, and a warning where it is beyond the tolerance and Monte Carlo's own error."""
+    error, noise = model.closure_error(n_episodes=n_episodes)
+    if abs(error) > TOLERANCE + 2.0 * noise:
+        text = (
+            f"{model.cells.extent()} is too coarse for the steps of {model.task.name}: the uniform policy's value on it has a "
+            f"closure error of {error:+.1%} (+-{noise:.1%}) against Monte Carlo"
+        )
+        if isinstance(model.cells, Grid):
+            task, grid, some = model.task, model.cells, slice(None, None, max(1, len(model.places.states) // 2000))
+            states, actions = model.places.states[some], model.places.actions[some]
+            moved = task.moves(states, actions, np.zeros((len(states), task.n_disturbances)))
+            length = np.abs(task.features(moved.next_state) - task.features(states))
+            period = np.where(grid.periodic, grid.high - grid.low, np.inf)
+            median = np.median(np.minimum(length, np.abs(period - length)) / grid.spacing, axis=0)
+            steps = ", ".join(f"{name} {step:.2g}" for name, step in zip(task.feature_names, median, strict=True))
+            text += f"; the median step, in spacings: {steps}. A step well below 1 is smeared out by interpolation: take more "
+            text += "points there"
+        warnings.warn(text, stacklevel=4)
+    return replace(model, diagnostics={"closure_error": error, "closure_standard_error": noise})

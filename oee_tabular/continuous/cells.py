@@ -1,0 +1,257 @@
+"""Where numbered states lie among a task's features: on the vertices of a ``Grid``, or in ``VoronoiCells`` around centres.
+
+Both share a point out among their cells with weights that sum to 1: the 2^k vertices around it, so that its mean is kept, or
+the one cell that it lies in. They say which points lie outside of what they describe.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._progress import progress_bar
+from oee_tabular._sparse import canonical, csr_on_pattern, row_of_entry, row_sums
+from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.mdp import FiniteMDP
+
+
+def indicator(numbers: IntArray, n: int) -> sparse.csr_array:
+    """(len(numbers), n) rows with a 1 in the column of their number."""
+    size = len(numbers)
+    return sparse.csr_array((np.ones(size), numbers, np.arange(size + 1)), shape=(size, n))
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The vertices of a regular grid, numbered in C order.
+
+    ``shape`` vertices from ``low`` to ``high`` along each coordinate; along a periodic one ``high`` is ``low`` again.
+    """
+
+    low: Array
+    high: Array
+    shape: tuple[int, ...]
+    periodic: tuple[bool, ...]
+
+    @property
+    def n_cells(self) -> int:
+        """The number of vertices."""
+        return math.prod(self.shape)
+
+    @property
+    def spacing(self) -> Array:
+        """(k,) distance between neighbouring vertices."""
+        parts = np.array(self.shape) - np.where(self.periodic, 0, 1)
+        return np.asarray((self.high - self.low) / parts)
+
+    def indices(self) -> IntArray:
+        """(n_cells, k) the place of each vertex along each coordinate."""
+        return np.stack(np.unravel_index(np.arange(self.n_cells), self.shape), axis=1)
+
+    def vertices(self) -> Array:
+        """(n_cells, k) where the vertices lie."""
+        return np.asarray(self.low + self.indices() * self.spacing)
+
+    def weights(self, features: Array) -> sparse.csr_array:
+        """(n, n_cells) multilinear weights on the 2^k vertices around each point; points outside go to the nearest inside."""
+        n, shape = len(features), np.array(self.shape)
+        place = (features - self.low) / self.spacing
+        place = np.where(self.periodic, place % shape, np.clip(place, 0.0, shape - 1.0))
+        corner = np.minimum(place.astype(np.int64), shape - np.where(self.periodic, 1, 2))
+        fraction = place - corner
+        numbers, weights = np.zeros((n, 1), dtype=np.int64), np.ones((n, 1))
+        for axis, size in enumerate(self.shape):
+            both = (corner[:, axis, None] + [0, 1]) % size
+            share = np.stack([1.0 - fraction[:, axis], fraction[:, axis]], axis=1)
+            numbers = (size * numbers[:, :, None] + both[:, None]).reshape(n, -1)
+            weights = (weights[:, :, None] * share[:, None]).reshape(n, -1)
+        starts = np.arange(n + 1) * weights.shape[1]
+        parts = (weights.ravel(), numbers.ravel(), starts)
+        return canonical(sparse.csr_array(parts, shape=(n, self.n_cells)), drop_zeros=True)
+
+    def outside(self, features: Array) -> BoolArray:
+        """(n,) which points lie beyond the faces."""
+        room = 1e-9 * self.spacing
+        beyond = (features < self.low - room) | (features > self.high + room)
+        return np.asarray((beyond & ~np.array(self.periodic)).any(axis=1))
+
+    def extent(self) -> str:
+        """Shape and range, in words."""
+        ranges = " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(self.low, self.high, strict=True))
+        return f"the {' x '.join(map(str, self.shape))} grid on {ranges}"
+
+
+@dataclass(frozen=True, eq=False)
+class VoronoiCells:
+    """The cells of ``centres`` (n, k) under the distance |x - y| / scale, with the largest distance that was observed."""
+
+    centres: Array
+    scale: Array
+    radius: float
+
+    @cached_property
+    def _tree(self) -> Any:
+        return cKDTree(self.centres / self.scale)
+
+    @property
+    def n_cells(self) -> int:
+        """The number of centres."""
+        return len(self.centres)
+
+    def nearest(self, features: Array) -> tuple[IntArray, Array]:
+        """The cell of each point, and its distance from the centre."""
+        distance, number = self._tree.query(features / self.scale)
+        return np.asarray(number, dtype=np.int64), np.asarray(distance)
+
+    def weights(self, features: Array) -> sparse.csr_array:
+        """(n, n_cells) 1 in the point's cell."""
+        return indicator(self.nearest(features)[0], self.n_cells)
+
+    def outside(self, features: Array) -> BoolArray:
+        """(n,) which points are farther from every centre than any visited state was."""
+        return np.asarray(self.nearest(features)[1] > self.radius)
+
+    def extent(self) -> str:
+        """Number of cells and reach, in words."""
+        return f"the {self.n_cells} cells of visited states (reach {self.radius:.3g})"
+
+
+PLACES_AT_A_TIME = 250_000  # bounds the memory
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Cells, the state-action pairs that are stepped, and how a row is the mean of them.
+
+    Attributes
+    ----------
+    cells : Grid or VoronoiCells, where the numbered states lie
+    states, actions : (m, d), (m,) the pairs that are stepped
+    averages : csr (n_cells * A, m), W; None where pair k is row k
+    points, point_cell : (p, d), (p,) states that stand for the cells: policies and costs are means over them
+    noise_points : Gauss-Hermite points of each disturbance; None: the stepped task's
+    seed : of one draw of the disturbances for each pair, in place of those points; None: no draws
+    """
+
+    cells: Any
+    states: Array
+    actions: IntArray
+    averages: sparse.csr_array | None
+    points: Array
+    point_cell: IntArray
+    noise_points: int | None = None
+    seed: int | None = None
+
+    def mean(self, values: Array) -> Array:
+        """(n_cells, ...) the mean over each cell of values (p, ...), one for each point."""
+        p = len(self.point_cell)
+        matrix = sparse.csr_array((np.ones(p), (self.point_cell, np.arange(p))), shape=(self.cells.n_cells, p))
+        return np.asarray(((matrix @ values).T / np.diff(matrix.indptr)).T)
+
+    def weights(self, task: ContinuousTask, states: Array, ended: BoolArray) -> sparse.csr_array:
+        """(n, S) how states are shared out among the numbered ones; what has ended lies in the absorbing state, the last."""
+        inner = self.cells.weights(task.features(states))
+        if not task.terminates:
+            return inner
+        inner = sparse.csr_array(sparse.diags_array(np.where(ended, 0.0, 1.0)) @ inner)
+        last = sparse.csr_array(ended[:, None].astype(np.float64))
+        return canonical(sparse.hstack([inner, last]), drop_zeros=True)
+
+    def simulate(self, task: ContinuousTask, initial: Array, discount: float) -> FiniteMDP:
+        """The FiniteMDP of a task that is stepped at these places."""
+        rng = None if self.seed is None else np.random.default_rng(self.seed)
+        parts = progress_bar("stepping", range(0, len(self.states), PLACES_AT_A_TIME))
+        blocks = [self._step(task, slice(low, low + PLACES_AT_A_TIME), rng) for low in parts]
+        matrix = sparse.csr_array(sparse.vstack([block for block, _ in blocks], format="csr"))
+        paid = np.concatenate([rewards for _, rewards in blocks])
+        if self.averages is not None:
+            matrix, paid = sparse.csr_array(self.averages @ matrix), np.asarray(self.averages @ paid)
+        paid = paid.reshape(-1, task.n_actions)
+        if task.terminates:
+            last = np.eye(1, matrix.shape[1], matrix.shape[1] - 1)
+            stay = sparse.csr_array(np.repeat(last, task.n_actions, axis=0))
+            matrix = sparse.csr_array(sparse.vstack([matrix, stay], format="csr"))
+            paid = np.concatenate([paid, np.zeros((1, task.n_actions))])
+        return self.finite_mdp(task, matrix, paid, initial, discount)
+
+    def finite_mdp(self, task: ContinuousTask, matrix: Any, paid: Array, initial: Array, discount: float) -> FiniteMDP:
+        """The FiniteMDP of rows, which are normalised, and rewards r(s, a).
+
+        Rewards of a task with ``reward_terms`` are those of the cells' mean terms, r(i, a, j): they telescope on cells as they
+        do in the task. Taken transition by transition, their mean error would add up.
+        """
+        matrix = canonical(matrix, drop_zeros=True)
+        rows, rewards = row_of_entry(matrix), paid
+        matrix = csr_on_pattern(matrix, matrix.data / row_sums(matrix)[rows], own=True)
+        terms = task.reward_terms(self.points)
+        if terms is not None:
+            mean, (state, action) = self.mean(terms), np.divmod(rows, task.n_actions)
+            between = task.reward_of(mean[state], action, mean[matrix.indices])
+            first = between[matrix.indptr[:-1]]
+            is_of_pair = np.array_equal(between, first[rows])
+            rewards = first.reshape(paid.shape) if is_of_pair else csr_on_pattern(matrix, between)
+        return FiniteMDP(matrix, rewards, initial, discount)
+
+    def _step(
+        self, task: ContinuousTask, part: slice, rng: np.random.Generator | None
+    ) -> tuple[sparse.csr_array, Array]:
+        """Where some of the pairs lead, and what they pay, on average over the disturbances."""
+        states, actions = self.states[part], self.actions[part]
+        if rng is None:
+            points = task.noise_points if self.noise_points is None else self.noise_points
+            nodes, chances = gauss_hermite(points, task.n_disturbances)
+            draws = [np.broadcast_to(node, (len(states), len(node))) for node in nodes]
+        else:
+            draws, chances = [rng.standard_normal((len(states), task.n_disturbances))], np.ones(1)
+        gone = task.terminated(states)
+        total: Any = 0.0
+        paid = np.zeros(len(states))
+        for disturbance, chance in zip(draws, chances, strict=True):
+            moved = task.moves(states, actions, disturbance)
+            bad = np.flatnonzero(~np.isfinite(moved.next_state).all(axis=1))
+            if bad.size:
+                raise ValueError(
+                    f"task must step to finite states; from {states[bad[0]].tolist()} under action {actions[bad[0]]} it "
+                    f"steps to {moved.next_state[bad[0]].tolist()}"
+                )
+            ended = moved.terminated & task.end_shows(moved.next_state) | gone
+            total = total + chance * self.weights(task, moved.next_state, ended)
+            paid += chance * np.where(gone, 0.0, moved.reward)
+        return sparse.csr_array(total), paid
+
+
+def gauss_hermite(points: int, n: int) -> tuple[Array, Array]:
+    """Nodes (m, n) and weights (m,) that average over N(0, I_n): exact for polynomials of degree 2 points - 1.
+
+    >>> nodes, weights = gauss_hermite(3, 2)
+    >>> round(float(weights @ nodes[:, 0] ** 4), 12), len(nodes)
+    (3.0, 9)
+    """
+    line, chance = np.polynomial.hermite_e.hermegauss(_checks.positive_integer(points, "noise_points"))
+    nodes, weights = (np.array(list(itertools.product(x, repeat=n))) for x in (line, chance / chance.sum()))
+    return nodes, weights.prod(axis=1)
+
+
+def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
+    """Each state under each action, in rows s*A + a."""
+    return np.repeat(states, task.n_actions, axis=0), np.tile(np.arange(task.n_actions), len(states))
+
+
+def spread_over_pairs(start: sparse.csr_array, actions: IntArray, n_actions: int) -> sparse.csr_array:
+    """(n, S * A) the weights (n, S) of states that are left by actions (n,), in the columns of the pairs s*A + a."""
+    pairs = start.indices.astype(np.int64) * n_actions + np.repeat(actions, np.diff(start.indptr))
+    return sparse.csr_array((start.data, pairs, start.indptr), shape=(len(actions), start.shape[1] * n_actions))
+
+
+def average_of_pairs(weights: sparse.csr_array) -> sparse.csr_array:
+    """(S * A, m) W, of the weights (m, S * A) that stepped pairs have in the numbered ones."""
+    return sparse.csr_array(sparse.diags_array(1.0 / weights.sum(axis=0)) @ weights.T)

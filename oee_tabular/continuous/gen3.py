@@ -1,0 +1,296 @@
+"""The Gen3: where its hand is, the joint rates that move it, its controller, and its logs as logs of the hand's position.
+
+A command in {-1, 0, 1}^3 asks for 0.1 m/s along the axes of the base during 0.2 s. Resolved rates turn it into a moving
+reference of the joints, and position servos follow that. Where the hand is needs NumPy alone:
+
+    T(q) = prod_k Trans(p_k) Rot_x(r_k) Rot_z(q_k),      dq = J^T (J J^T + lambda^2 I)^-1 (v, 0)
+
+The offsets p_k (m) and r_k (rad) are read from gen3.xml, the file that MuJoCo simulates: there is one set of numbers.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import os
+from dataclasses import dataclass, replace
+from importlib import resources
+from typing import Any, Self
+from xml.etree import ElementTree
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular.continuous.episodes import record
+from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.continuous.task import ContinuousTask
+
+N_JOINTS = 7
+N_ARM_STATES = 27  # position 3, angles, speeds and references 7 each, the last command 3
+HOME = np.array([0.0, 0.26179939, np.pi, -2.26892803, 0.0, 0.95993109, 1.57079633])  # rad, the usual resting pose
+DAMPING = 0.02  # lambda: keeps joint speeds finite near singular poses
+
+
+def arm_xml() -> str:
+    """The MJCF of the stand-in: published geometry, masses, inertias and limits; assumed armature and servo gains."""
+    return resources.files("oee_tabular.continuous").joinpath("gen3.xml").read_text()
+
+
+@functools.cache
+def _chain() -> tuple[Array, Array]:
+    """Offsets (8, 3) in m and turns about x (8,) in rad: seven joints and the end effector."""
+    bodies = [body.attrib for body in ElementTree.fromstring(arm_xml()).iter("body") if "euler" in body.attrib]
+    offsets, turns = ([[float(x) for x in body[name].split()] for body in bodies] for name in ("pos", "euler"))
+    return np.array(offsets), np.array(turns)[:, 0]
+
+
+def _frames(joints: Array) -> tuple[Array, Array, Array]:
+    """Joint origins (n, 7, 3), joint axes (n, 7, 3) and the end effector (n, 3)."""
+    offsets, turns = _chain()
+    n = len(joints)
+    place = np.zeros((n, 3))
+    x, y, z = (np.broadcast_to(row, (n, 3)) for row in np.eye(3))
+    origins, axes = np.empty((n, N_JOINTS, 3)), np.empty((n, N_JOINTS, 3))
+    for k in range(N_JOINTS + 1):
+        p, c, s = offsets[k], np.cos(turns[k]), np.sin(turns[k])
+        place = place + p[0] * x + p[1] * y + p[2] * z
+        y, z = c * y + s * z, c * z - s * y
+        if k < N_JOINTS:
+            origins[:, k], axes[:, k] = place, z
+            c, s = np.cos(joints[:, k, None]), np.sin(joints[:, k, None])
+            x, y = c * x + s * y, c * y - s * x
+    return origins, axes, place
+
+
+def end_effector(joints: Array) -> Array:
+    """(n, 3) position of the end effector in m, in the frame of the base, at joint angles (n, 7) in rad.
+
+    Examples
+    --------
+    >>> end_effector(HOME[None]).round(4).tolist()
+    [[0.4567, 0.0014, 0.4337]]
+    """
+    angles = _checks.float_array(joints, "joints")
+    if angles.ndim != 2 or angles.shape[1] != N_JOINTS:
+        raise ValueError(f"joints must have shape (n, {N_JOINTS}), angles in rad; it has shape {angles.shape}")
+    _checks.require_finite(angles, "joints")
+    return _frames(angles)[2]
+
+
+def resolved_rates(joints: Array, velocity: Array) -> Array:
+    """(n, 7) joint speeds in rad/s that move the end effector with ``velocity`` (n, 3) m/s and do not turn it.
+
+    Damped least squares on the 6-row Jacobian; O(n).
+    """
+    origins, axes, place = _frames(joints)
+    linear = np.cross(axes, place[:, None, :] - origins)
+    jacobian = np.concatenate([linear, axes], axis=2).transpose(0, 2, 1)
+    twist = np.concatenate([velocity, np.zeros_like(velocity)], axis=1)[:, :, None]
+    square = jacobian @ jacobian.transpose(0, 2, 1) + DAMPING**2 * np.eye(6)
+    rates = jacobian.transpose(0, 2, 1) @ np.linalg.solve(square, twist)
+    return np.asarray(rates[:, :, 0])
+
+
+SPEED = 0.1  # m/s along each axis
+PERIOD = 0.2  # s between commands
+STEP = SPEED * PERIOD  # m: how far a command should move the hand
+COMMANDS = freeze(np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3))))
+CENTER = freeze(end_effector(HOME[None])[0])
+DEAD_BAND = 0.75 * STEP  # m: an arm that moves up to 1.5 times as far as asked does not hunt about its goal
+GOALS = freeze(CENTER + np.array([  # m: whole steps from home, about 0.23 m, each in another direction
+    [0.16, 0.18, 0.08], [0.14, -0.18, 0.06], [-0.12, 0.18, 0.12], [-0.10, -0.16, -0.12], [0.18, 0.06, -0.14],
+]))  # fmt: skip
+REACH = np.array([0.24, 0.24, 0.20])  # m on either side of home: what the finite MDP covers
+
+
+def goal_number(goal: object) -> int:
+    """``goal`` as a row number of GOALS."""
+    if isinstance(goal, bool) or not isinstance(goal, int | np.integer) or not 0 <= goal < len(GOALS):
+        raise ValueError(f"goal must be in 0..{len(GOALS) - 1}, a row of GOALS; it is {_checks.show(goal)}")
+    return int(goal)
+
+
+class HandTask(ContinuousTask):
+    """What the arm and the model of its hand share: 27 commands, the position (x, y, z) as the feature, and the cost of it."""
+
+    actions = COMMANDS
+    feature_names = ("x", "y", "z")
+    feature_low = freeze(CENTER - REACH)
+    feature_high = freeze(CENTER + REACH)
+    periodic = (False,) * 3
+    terminates = False
+    is_translation_invariant = True
+    default_cells = tuple((2 * np.round(REACH / STEP) + 1).astype(int).tolist())  # vertices a command's step apart
+    goal: int
+
+    def features(self, states: Array) -> Array:
+        """The measured position: the first three coordinates."""
+        return np.ascontiguousarray(states[:, :3])
+
+    def towards(self, goal: int) -> Self:
+        """The same with another goal."""
+        return replace(self, goal=goal)  # type: ignore[type-var]
+
+    def costs(self, states: Array) -> Array:
+        """(n,) r(x) = -|x - goal| in m."""
+        return np.asarray(-np.linalg.norm(states[:, :3] - GOALS[self.goal], axis=1))
+
+    def reward_terms(self, states: Array) -> Array:
+        """(n, 1) the costs."""
+        return self.costs(states)[:, None]
+
+    def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
+        """The cost of the state before the transition."""
+        return before[:, 0]
+
+
+@dataclass(frozen=True)
+class KinovaPolicy:
+    """pi_delta = delta * uniform + (1 - delta) * the proportional controller, a function of states giving (n, 27).
+
+    The controller commands sign(goal_i - x_i) along each axis that is off by more than the dead band of 0.015 m. It looks at
+    the first three coordinates of a state alone, the measured position in m: it is the same for the arm and for its model.
+
+    Parameters
+    ----------
+    goal : 0..4, a row of GOALS
+    delta : share of random commands, in [0, 1]
+
+    Examples
+    --------
+    >>> COMMANDS[kinova_policy(0)(CENTER[None]).argmax()].tolist()  # from home: forward along x, y and z
+    [1.0, 1.0, 1.0]
+    >>> kinova_policy(0, delta=0.27)(CENTER[None]).max().round(3).item()
+    0.74
+    """
+
+    goal: int = 0
+    delta: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "goal", goal_number(self.goal))
+        _checks.number_in(self.delta, "delta", 0.0, 1.0)
+
+    def __call__(self, states: Array) -> Array:
+        """(n, 27) probabilities of the commands."""
+        apart = GOALS[self.goal] - states[:, :3]
+        command = np.where(np.abs(apart) > DEAD_BAND, np.sign(apart), 0.0).astype(np.int64) + 1
+        table = np.full((len(states), len(COMMANDS)), self.delta / len(COMMANDS))
+        table[np.arange(len(states)), command @ np.array([9, 3, 1])] += 1.0 - self.delta
+        return table
+
+
+kinova_policy = KinovaPolicy
+
+
+FARTHEST = 1.3  # m: beyond the reach of a Gen3
+
+
+MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
+
+
+HORIZON = 25  # commands of a run
+
+
+def record_goals(
+    arm: HandTask, *, n_runs: int = 10, delta: float = 0.0, horizon: int = HORIZON, seed: Any = None
+) -> ContinuousTransitions:
+    """``n_runs`` runs to each of the five goals under ``kinova_policy(goal, delta)``, by default the paper's 50 trajectories.
+
+    Parameters
+    ----------
+    arm : KinovaArm, which needs MuJoCo, or KinovaHand; its own goal is not used
+    n_runs : to each goal; goal g has the episodes g n_runs to (g + 1) n_runs - 1, and the rewards of its goal
+    delta : share of random commands, in [0, 1]
+    horizon : commands of a run
+    seed : the same seed gives the same bits
+
+    Examples
+    --------
+    >>> log = record_goals(ideal_hand(1.4), n_runs=1, seed=0)  # no arm, only commands that move it too far
+    >>> len(log), log.n_state, int(log.truncated.sum())
+    (125, 3, 5)
+    """
+    runs = _checks.positive_integer(n_runs, "n_runs")
+    steps = _checks.positive_integer(horizon, "horizon")
+    rng = _checks.generator(seed)
+    parts = [
+        record(arm.towards(g), kinova_policy(g, delta), n_episodes=runs, max_steps=steps, seed=rng)
+        for g in range(len(GOALS))
+    ]
+    return ContinuousTransitions.concatenate(parts)
+
+
+def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> ContinuousTransitions:
+    """The same transitions with the hand's position (n, 3) in m as the state, and commands in {-1, 0, 1}^3.
+
+    Parameters
+    ----------
+    log : states of 3 coordinates (position, m), 7 (joint angles, rad) or 27 (the stand-in's own)
+    speed : m/s that a command of 1 stands for, where the log's actions are velocities; None: they are numbers of the 27
+        commands, or their directions
+
+    Positions beyond 1.3 m and angles beyond 8 pi (millimetres, degrees?) are errors.
+
+    Examples
+    --------
+    >>> joints = ContinuousTransitions([HOME], [[0.0, 0.0, 0.1]], [HOME])
+    >>> found = hand_log(joints, speed=0.1)
+    >>> found.state.round(3).tolist(), found.action.tolist()
+    ([[0.457, 0.001, 0.434]], [[0.0, 0.0, 1.0]])
+    """
+    _checks.instance(log, ContinuousTransitions, "log")
+    columns: dict[str, Any] = log.columns()
+    for name in ("state", "next_state"):
+        columns[name] = _positions(columns[name], name)
+    if speed is not None:
+        scale = _checks.number_in(speed, "speed", 0.0, np.inf, open_ends=True)
+        if log.action.ndim != 2:
+            raise ValueError("speed must be None where log.action has numbers of commands; it is not None")
+        columns["action"] = log.action / scale
+    if columns["action"].ndim == 2 and columns["action"].shape[1] != COMMANDS.shape[1]:
+        raise ValueError(f"log.action must have 3 coordinates, along x, y, z; it has {columns['action'].shape[1]}")
+    return ContinuousTransitions(**columns)
+
+
+def load_kinova_log(path: str | os.PathLike[str], *, speed: float | None = None) -> ContinuousTransitions:
+    """``hand_log`` of a file: .csv, .parquet, .npz, or a Minari folder or id with continuous observations.
+
+    Parameters
+    ----------
+    path : of a file whose name ends in .csv, .parquet or .npz; else a Minari folder or id
+    speed : m/s that a command of 1 stands for, see ``hand_log``
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> log = ContinuousTransitions([[0.4, 0.0, 0.4]], [[1.0, 0.0, 0.0]], [[0.43, 0.0, 0.4]], episode=[0])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log.save(folder + "/arm.csv")
+    ...     load_kinova_log(folder + "/arm.csv")
+    ContinuousTransitions(1 transitions of 3-dimensional states in 1 episodes: 0 terminated, 1 truncated;
+                          actions are 3-dimensional commands)
+    """
+    found = ContinuousTransitions.load(path)
+    try:
+        return hand_log(found, speed=speed)
+    except ValueError as error:
+        raise ValueError(f"{os.fspath(path)!r}: {error}") from None
+
+
+def _positions(states: Array, name: str) -> Array:
+    """(n, 3) the positions of the hand, which must be possible ones."""
+    width = states.shape[1]
+    if width not in (3, N_JOINTS, N_ARM_STATES):
+        raise ValueError(
+            f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles) or {N_ARM_STATES} (the stand-in's "
+            f"state); it has {width}"
+        )
+    is_angles = width == N_JOINTS
+    limit, what = (MOST_TURNS, "joint angles in rad") if is_angles else (FARTHEST, "positions in m")
+    array = states if is_angles else np.array(states[:, :3])
+    for place in np.argwhere(np.abs(array) > limit):
+        where = _checks.place(f"log.{name}", tuple(place))
+        raise ValueError(f"{where} must be within +-{limit:.4g}: {what}; it is {array[tuple(place)]:g}")
+    return end_effector(array) if is_angles else array

@@ -1,0 +1,309 @@
+"""The paper's robot, a Kinova Gen3 that moves its hand to five goals (Section VI.D, Table I), as a simulated stand-in.
+
+**It is not the robot, and its target is not reality**: no data of the arm was ever published. ``KinovaArm`` simulates it with
+MuJoCo (extra ``mujoco``) from the manufacturer's published geometry and masses, with assumed servos; the same arm with another
+``velocity_scale``, latency, payload, friction, gain or encoder noise plays the target. Payload, gain and friction change the
+value by less than 1 %, since the servos are stiff and gravity is compensated; what a task of Cartesian commands notices is how
+far a command moves the hand. ``hand_log`` and ``load_kinova_log`` take what a real arm would log.
+
+    simulator = discretize(KinovaArm(), floor=0.1)                         a FiniteMDP of the hand's position
+    log = record_goals(KinovaArm(velocity_scale=1.4), n_runs=10, seed=0)   50 trajectories of T = 25
+    counts, uncovered = simulator.supported(simulator.counts(log))
+    zeta = oee_tabular.transition_ratio(counts, simulator.mdp, tie=simulator.displacement_ties(), strength=3.0)
+
+Without MuJoCo everything imports; what simulates the arm raises an ImportError that names the extra.
+
+``KinovaHand`` is the arm as a process of its hand's position alone,
+
+    x' = x + D_a(x) + L_a xi,     D_a(x) = B_a (1, z, z z^T),   z = (x - x_home) / reach
+
+The displacement D_a of a command is fitted by least squares to what the arm does from states that it visits (its joints as
+they then are, moving or at rest), under every command; L_a L_a^T is the covariance of what is left: mostly whether the hand
+was moving already. This closes the process over 3 of 27 coordinates; what that costs is measured by Monte Carlo of the arm
+itself, which stands beside the discretised values wherever they are shown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from oee_tabular import _checks
+from oee_tabular._checks import Array, IntArray
+from oee_tabular._threads import one_thread
+from oee_tabular.continuous.cells import each_action
+from oee_tabular.continuous.episodes import record
+from oee_tabular.continuous.gen3 import (
+    CENTER,
+    COMMANDS,
+    GOALS,
+    HOME,
+    HORIZON,
+    N_JOINTS,
+    PERIOD,
+    REACH,
+    SPEED,
+    STEP,
+    HandTask,
+    KinovaPolicy,
+    arm_xml,
+    end_effector,
+    goal_number,
+    hand_log,
+    kinova_policy,
+    load_kinova_log,
+    record_goals,
+    resolved_rates,
+)
+from oee_tabular.continuous.task import Moves
+
+__all__ = [
+    "COMMANDS", "GOALS", "HOME", "HORIZON", "STAND_IN", "KinovaArm", "KinovaHand", "KinovaPolicy", "end_effector", "fit_hand",
+    "hand_log", "ideal_hand", "kinova_policy", "load_kinova_log", "record_goals",
+]  # fmt: skip
+
+FACTORS = (0.5, 1.5)  # on the displacements of the other hands of the defensive simulator
+WIDER = 2.0  # its scatter beside the simulator's
+EXPLORED = (0.0, 0.3, 0.6, 1.0)  # deltas of the policies whose states are looked at
+
+
+@dataclass(frozen=True, eq=False)
+class KinovaHand(HandTask):
+    """The position of the (simulated) arm's hand as a process of its own; made by ``fit_hand``.
+
+    Attributes
+    ----------
+    coefficients : (27, 10, 3) in m, of 1, z and the products of z, for each command
+    scatter : (27, 3, 3) in m, L_a: what the position alone does not tell
+    starts : (n, 3) in m, positions at which episodes begin
+    source : the arm's parameters
+    goal : row of GOALS; r(x) = -|x - goal|
+    noise_points : Gauss-Hermite points of the scatter on a grid
+    name : says that it is a stand-in
+
+    Examples
+    --------
+    >>> hand = ideal_hand(1.4, scatter=0.0)
+    >>> shift = hand.moves(CENTER[None], np.array([26]), np.zeros((1, 3))).next_state[0] - CENTER
+    >>> (shift / STEP).round(3).tolist()
+    [1.4, 1.4, 1.4]
+    """
+
+    state_names = ("x", "y", "z")
+    n_disturbances = 3
+
+    coefficients: Array
+    scatter: Array
+    starts: Array
+    source: dict[str, Any]
+    goal: int = 0
+    noise_points: int = 1
+    name: str = field(default="Kinova hand (simulated stand-in)", init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "goal", goal_number(self.goal))
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One command: O(n)."""
+        chosen = np.asarray(actions, dtype=np.int64)
+        shift = np.empty((len(states), 3))
+        for a in range(len(COMMANDS)):
+            rows = chosen == a
+            shift[rows] = basis(states[rows]) @ self.coefficients[a] + disturbance[rows] @ self.scatter[a].T
+        return Moves(states + shift, self.costs(states), np.zeros(len(states), dtype=np.bool_))
+
+    def others(self) -> tuple[KinovaHand, ...]:
+        """Hands that go half and one and a half times as far, with twice the scatter: a target may lie between."""
+        return tuple(
+            replace(
+                self, coefficients=factor * self.coefficients, scatter=WIDER * self.scatter, noise_points=2,
+                source=self.source | {"scaled": factor, "scatter": WIDER},
+            )
+            for factor in FACTORS
+        )  # fmt: skip
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """Some of ``starts``."""
+        return np.asarray(self.starts[rng.integers(len(self.starts), size=n)])
+
+    def initial_points(self) -> tuple[Array, Array]:
+        """``starts``, equally likely."""
+        return self.starts, np.full(len(self.starts), 1.0 / len(self.starts))
+
+    def parameters(self) -> dict[str, Any]:
+        """Those of the arm that it was fitted to."""
+        return self.source | {"goal": self.goal}
+
+
+def ideal_hand(scale: float = 1.0, *, scatter: float = 0.05) -> KinovaHand:
+    """A hand that every command moves by ``scale`` steps, with a scatter of ``scatter`` steps, without MuJoCo."""
+    coefficients = np.zeros((len(COMMANDS), 10, 3))
+    coefficients[:, 0] = _checks.number_in(scale, "scale", 0.0, 3.0) * STEP * COMMANDS
+    spread = _checks.number_in(scatter, "scatter", 0.0, 1.0) * STEP * np.eye(3)
+    source = {"ideal": True, "scale": scale, "scatter": scatter}
+    return KinovaHand(coefficients, np.broadcast_to(spread, (len(COMMANDS), 3, 3)), CENTER[None], source)
+
+
+def basis(states: Array) -> Array:
+    """(n, 10): 1, z, and the products of z, in units of the workspace; held fixed outside of it."""
+    z = np.clip((states - CENTER) / REACH, -1.0, 1.0)
+    x, y, w = z.T
+    return np.stack([np.ones(len(z)), x, y, w, x * x, y * y, w * w, x * y, x * w, y * w], axis=1)
+
+
+@one_thread
+def fit_hand(arm: HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
+    """D_a and L_a from ``n_states`` states that the arm visits, each stepped under all 27 commands.
+
+    Parameters
+    ----------
+    arm : KinovaArm, which needs MuJoCo; or a KinovaHand, to see what the fit finds of a hand that is known
+    n_states : how many states are stepped, at most; 27 n_states commands of the arm, some seconds by default
+    seed : the same seed gives the same bits
+
+    Examples
+    --------
+    >>> found = fit_hand(ideal_hand(1.4, scatter=0.0), n_states=100)
+    >>> (found.coefficients[26, 0] / STEP).round(3).tolist(), found.coefficients.shape
+    ([1.4, 1.4, 1.4], (27, 10, 3))
+    """
+    wanted = _checks.positive_integer(n_states, "n_states")
+    rng = _checks.generator(seed)
+    each = max(1, -(-wanted // (25 * len(GOALS) * len(EXPLORED)))) + 1
+    visited = [
+        record(arm.towards(g), kinova_policy(g, delta), n_episodes=each, max_steps=25, seed=rng).state
+        for g in range(len(GOALS))
+        for delta in EXPLORED
+    ]
+    states = rng.permutation(np.concatenate(visited))[:wanted]
+    rows, actions = each_action(arm, states)
+    arrival = arm.step(rows, actions, rng).next_state[:, :3]
+    shifts = (arrival - rows[:, :3]).reshape(len(states), len(COMMANDS), 3)
+    known = basis(states[:, :3])
+    coefficients = np.stack([np.linalg.lstsq(known, shifts[:, a])[0] for a in range(len(COMMANDS))])
+    left = shifts - np.einsum("nk,akd->nad", known, coefficients)
+    spread = np.einsum("nai,naj->aij", left, left) / max(1, len(states) - known.shape[1])
+    scatter = np.linalg.cholesky(spread + 1e-14 * np.eye(3))
+    starts = arm.initial_states(2000, rng)[:, :3]
+    return KinovaHand(coefficients, scatter, starts, arm.parameters(), arm.goal)
+
+
+TICKS = 10  # updates of the joint reference in a period
+FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)  # s, kv / kp: servos damp the speed's error
+START = 0.01  # rad: how exactly the arm returns to its home pose
+JOINT_STATES = tuple(f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, N_JOINTS + 1))
+AT_A_TIME = 2048  # states whose trajectories MuJoCo returns in one array
+LIMITS = {
+    "velocity_scale": (0.0, 3.0), "latency": (0.0, PERIOD), "payload": (0.0, 4.0), "friction": (0.0, 9.0),
+    "gain": (0.05, 5.0), "encoder_noise": (0.0, 0.1),
+}  # fmt: skip
+STAND_IN = "simulated stand-in, not a robot"
+
+
+@dataclass(frozen=True)
+class KinovaArm(HandTask):
+    """The simulated Gen3 that moves its hand to a goal; a stand-in for the paper's robot.
+
+        r(s) = -|x - goal| in m,  27 commands of 0.2 s,  x the measured position of the hand
+
+    Parameters
+    ----------
+    goal : 0..4, a row of GOALS
+    velocity_scale : what a commanded speed is multiplied with; 1.4 is the reference mismatch
+    latency : s, in [0, 0.2]: for so long a period begins with the command of the one before
+    payload : kg at the end effector, not compensated
+    friction : N m of dry friction in each joint
+    gain : factor on the servos' stiffness and damping
+    encoder_noise : rad, standard deviation of each joint's reading from which the position is computed
+
+    Notes
+    -----
+    A state has 27 coordinates: the measured position (3), joint angles (7), speeds (7) and references (7), and the last
+    command (3). Only the position is a feature. 40 steps of MuJoCo a command: some thousand commands a second.
+
+    Examples
+    --------
+    >>> arm = KinovaArm(velocity_scale=1.4)
+    >>> arm.n_actions, arm.n_state, arm.actions[26].tolist()
+    (27, 27, [1.0, 1.0, 1.0])
+    >>> arm.parameters()["data"]
+    'simulated stand-in, not a robot'
+    """
+
+    state_names = ("x", "y", "z", *JOINT_STATES, "command_x", "command_y", "command_z")
+    n_disturbances = N_JOINTS
+
+    goal: int = 0
+    velocity_scale: float = 1.0
+    latency: float = 0.0
+    payload: float = 0.0
+    friction: float = 0.0
+    gain: float = 1.0
+    encoder_noise: float = 5e-4
+    name: str = field(default="Kinova Gen3 (simulated stand-in)", init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "goal", goal_number(self.goal))
+        for name, (low, high) in LIMITS.items():
+            _checks.number_in(getattr(self, name), name, low, high)
+
+    def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
+        """One command from each state: 40 steps of MuJoCo each."""
+        joints, speeds, reference, before = np.split(states[:, 3:], [7, 14, 21], axis=1)
+        command = COMMANDS[np.asarray(actions, dtype=np.int64)]
+        late = self.latency / PERIOD * TICKS
+        references = np.empty((len(states), TICKS, N_JOINTS))
+        for tick in range(TICKS):
+            share = min(1.0, max(0.0, tick + 1.0 - late))  # of this tick in which the new command is in force
+            velocity = self.velocity_scale * SPEED * (share * command + (1.0 - share) * before)
+            rates = resolved_rates(reference, velocity)
+            reference = reference + PERIOD / TICKS * rates
+            references[:, tick] = reference + FEED_FORWARD * rates
+        joints, speeds = self._follow(joints, speeds, references)
+        seen = end_effector(joints + self.encoder_noise * disturbance)
+        following = np.concatenate([seen, joints, speeds, reference, command], axis=1)
+        return Moves(following, self.costs(states), np.zeros(len(states), dtype=np.bool_))
+
+    def initial_states(self, n: int, rng: np.random.Generator) -> Array:
+        """At rest near the home pose, N(0, 0.01^2) rad in each joint."""
+        joints = HOME + START * rng.standard_normal((n, N_JOINTS))
+        seen = end_effector(joints + self.encoder_noise * rng.standard_normal((n, N_JOINTS)))
+        return np.concatenate([seen, joints, np.zeros((n, N_JOINTS)), joints, np.zeros((n, 3))], axis=1)
+
+    def on_features(self) -> KinovaHand:
+        """The hand's position as a process of its own."""
+        return fit_hand(self)
+
+    def parameters(self) -> dict[str, Any]:
+        """All of them, and that this is no robot."""
+        return {"data": STAND_IN} | {name: getattr(self, name) for name in ("goal", *LIMITS)}
+
+    def _follow(self, joints: Array, speeds: Array, references: Array) -> tuple[Array, Array]:
+        """Angles and speeds after the servos have followed references (n, TICKS, 7)."""
+        try:
+            import mujoco
+        except ImportError:
+            raise ImportError("mujoco is not installed: pip install 'oee-tabular[mujoco]'") from None
+        from mujoco import rollout
+
+        model = mujoco.MjModel.from_xml_string(arm_xml())
+        hand = model.body("end_effector").id
+        model.body_mass[hand] += self.payload
+        model.body_inertia[hand] += 0.4 * self.payload * 0.05**2  # a ball of 5 cm
+        model.dof_frictionloss[:] = self.friction
+        model.actuator_gainprm[:, 0] *= self.gain
+        model.actuator_biasprm[:, 1:3] *= self.gain
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        data = mujoco.MjData(model)
+        steps = round(PERIOD / TICKS / model.opt.timestep)
+        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        start = np.zeros((len(joints), size))  # time, angles, speeds, then what this model leaves empty
+        start[:, 1 : 1 + N_JOINTS], start[:, 1 + N_JOINTS : 1 + 2 * N_JOINTS] = joints, speeds
+        found = np.empty((len(joints), 2 * N_JOINTS))
+        for low in range(0, len(joints), AT_A_TIME):
+            part = slice(low, low + AT_A_TIME)
+            states, _ = rollout.rollout(model, data, start[part], np.repeat(references[part], steps, axis=1))
+            found[part] = states[:, -1, 1 : 1 + 2 * N_JOINTS]
+        return found[:, :N_JOINTS], found[:, N_JOINTS:]
