@@ -20,9 +20,9 @@ Counts are sufficient for values, ratios, tests and intervals. ``Transitions.ope
 memory of the counts, with a sample of whole episodes for importance sampling.
 
 - ``transitions.py``, ``columns.py``: the class ``Transitions``, and what every log has
-- ``frames.py``: data frames of any library (narwhals), episodes as lists of steps, names
+- ``frames.py``: data frames of any library (narwhals), episodes as lists of steps, names, Minari data sets
 - ``rules.py``: the labels of columns and what each must hold, for arrays, tables and counts
-- ``files.py``: npz, and which files a path, a pattern or a folder names; ``minari.py``: Minari data sets
+- ``files.py``: npz, and which files a path, a pattern or a folder names
 - ``tables.py``: CSV and parquet, in pieces
 - ``counts.py``: the class ``TransitionCounts``; ``sums.py``: sums over the transitions of each (s, a, s')
 - ``counting.py``: one file as counts; ``opening.py``: several, and whatever a log may be given as

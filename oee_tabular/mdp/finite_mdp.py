@@ -345,7 +345,7 @@ class FiniteMDP:
         """The MDP of the frequencies of a Gymnasium environment that can only be stepped.
 
         Episodes go to the nearest state-action pair with too few samples, by value iteration on the transitions so far
-        (``mdp.explorer``), until every action of every state reached has been taken ``samples_per_pair`` times; an
+        (``mdp.empirical``), until every action of every state reached has been taken ``samples_per_pair`` times; an
         episode that cannot lead there is ended by ``env.reset``. Observations that are not Discrete (tuples, integer arrays,
         texts) become the states' names. States that no episode reached are absorbing with reward 0. ``sampling`` keeps the
         numbers of samples: intervals widen by it.

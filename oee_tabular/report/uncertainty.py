@@ -39,7 +39,7 @@ class Premises:
 
     ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities, which narrows likelihood and guaranteed
     intervals. ``tie`` or ``features`` (as in ``transition_ratio``) add a row with the interval of their own model
-    (``inference.shared``).
+    (``inference.likelihood``).
     """
 
     lower_ratio: float | None = None
