@@ -16,7 +16,7 @@ import typer
 from typer.core import TyperCommand
 
 from oee_tabular import _progress
-from oee_tabular.cli import files, studies, values
+from oee_tabular.cli import files, values
 from oee_tabular.cli.options import ARGUMENTS, GROUPS, say
 
 
@@ -67,7 +67,7 @@ app = typer.Typer(
 )
 for command in (
     values.evaluate, values.compare, values.plan, files.sample, files.policy, files.export, files.counts, files.info,
-    studies.reproduce, studies.bench, studies.check,
+    values.reproduce, values.bench, values.check,
 ):  # fmt: skip
     app.command(cls=Command)(command)
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from pathlib import Path
 from typing import Any
 
+import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files
-from oee_tabular.cli.inputs import write_array
+from oee_tabular._checks import positive_integer
+from oee_tabular.cli.inputs import describe_new, policy_of, task_of, write_array
 from oee_tabular.cli.options import Options, answer, with_options
-from oee_tabular.cli.simulators import policy_of, task_of
 from oee_tabular.continuous.command import is_continuous, record_log, task_options
 
 
@@ -36,8 +39,6 @@ def sample(options: Options) -> None:
     A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states. States and actions
     stand there by name where the simulator has names; a Minari folder has numbers.
     """
-    from oee_tabular._checks import positive_integer
-
     if (options.transitions is None) == (options.episodes is None):
         raise ValueError("one of --transitions and --episodes must be given")
     for name in ("transitions", "episodes", "horizon"):
@@ -59,10 +60,7 @@ def sample(options: Options) -> None:
 
 def _record(options: Options, settings: object, limits: dict[str, Any]) -> Any:
     """Record a log of numbered states, with their names where the file can hold them."""
-    from oee_tabular.data import Transitions
-    from oee_tabular.simulate import sample_episodes
     from oee_tabular.simulate.sampler import episodes_holding
-    from oee_tabular.tasks import record_episodes
 
     task = task_of(options.environment, options.discount, options.initial)
     if settings:
@@ -70,16 +68,16 @@ def _record(options: Options, settings: object, limits: dict[str, Any]) -> Any:
     policy, mdp, steps = policy_of(options.policy, task, "policy"), task.mdp, options.horizon or 1000
     if task.environment is not None and options.initial is None:  # which reset() does not take
         environment = task.environment()
-        log = record_episodes(environment, policy, max_steps=steps, **limits)
+        log = oee.record_episodes(environment, policy, max_steps=steps, **limits)
         environment.close()
     elif options.episodes is not None:
-        log = sample_episodes(mdp, policy, options.episodes, steps, seed=options.seed)
+        log = oee.sample_episodes(mdp, policy, options.episodes, steps, seed=options.seed)
     else:
         n = options.transitions
         log = episodes_holding(mdp, policy, n, steps, seed=options.seed).first(n)
     if options.output.suffix == "":  # a Minari data set holds numbers
         return log
-    return Transitions(**log.columns(), state_names=mdp.state_names, action_names=mdp.action_names)
+    return oee.Transitions(**log.columns(), state_names=mdp.state_names, action_names=mdp.action_names)
 
 
 @with_options("""
@@ -95,11 +93,10 @@ Output:
 def policy(options: Options) -> None:
     """Write a policy of a simulator to a file."""
     table = policy_of(options.spec, task_of(options.simulator, options.discount), "policy")
-    name = _name_of(options.output)
-    write_array(options.output, table)
     n_states, n_actions = table.shape
-    record = {"file": str(options.output), "states": n_states, "actions": n_actions}
-    answer(f"{name}: policy of {n_states} states and {n_actions} actions", record, options.json)
+    text = f"{describe_new(options.output)}: policy of {n_states} states and {n_actions} actions"
+    write_array(options.output, table)
+    answer(text, {"file": str(options.output), "states": n_states, "actions": n_actions}, options.json)
 
 
 @with_options("""
@@ -122,10 +119,10 @@ def export(options: Options) -> None:
     task = task_of(options.simulator, options.discount, initial, options.samples_per_pair)
     mdp = task.mdp.with_action_noise(noise) if noise else task.mdp
     saved = mdp if noise or initial is not None or task.discretization is None else task.discretization
-    name = _name_of(output)
+    text = f"{describe_new(output)}: {saved!r}"
     saved.save(output)
     sizes = {"states": mdp.n_states, "actions": mdp.n_actions, "transitions": mdp.transitions.nnz}
-    answer(f"{name}: {saved!r}", {"file": str(output), "discount": mdp.discount} | sizes, options.json)
+    answer(text, {"file": str(output), "discount": mdp.discount} | sizes, options.json)
 
 
 @with_options("""
@@ -146,14 +143,10 @@ def counts(options: Options) -> None:
 
     The file appears when all are counted.
     """
-    import sys
-
-    from oee_tabular.data import Transitions
-
     _files.new_file(options.output, "--output", overwrite=options.overwrite)
     asked = {name: getattr(options, name) for name in ("bad_rows", "kept_moves", "output", "jobs", "dask")}
     simulator = None if options.simulator is None else task_of(options.simulator).mdp
-    counted = Transitions.open(options.log, simulator=simulator, progress=sys.stderr.isatty(), **asked)
+    counted = oee.Transitions.open(options.log, simulator=simulator, progress=sys.stderr.isatty(), **asked)
     reasons = counted.recording.reasons
     text = "\n".join([f"{options.output}: {counted.describe()}", *(f"dropped: {reason}" for reason in reasons)])
     record = {"file": str(options.output), "moves": counted.summary()["transitions"], "dropped": reasons}
@@ -174,9 +167,7 @@ def info(options: Options) -> None:
 
 def describe_files(files: list[str]) -> tuple[str, str]:
     """Say what kind of thing a file, a data set or the files of a log hold, and what it is in words."""
-    from oee_tabular.continuous.log import ContinuousTransitions, holds_states
-    from oee_tabular.data import TransitionCounts, Transitions
-    from oee_tabular.mdp import FiniteMDP
+    from oee_tabular.continuous.log import holds_states
 
     file, path = files[0], Path(_files.local(files[0]))
     if (path / "report.json").is_file():
@@ -189,18 +180,18 @@ def describe_files(files: list[str]) -> tuple[str, str]:
     has_parts = path.is_dir() and any(part.suffix in (".csv", ".parquet", ".npz") for part in path.iterdir())
     is_single = len(files) == 1 and not is_pattern and not has_parts
     if is_single and holds_states(file):
-        return "continuous_transitions", _describe_states(ContinuousTransitions.load(file))
+        return "continuous_transitions", _describe_states(oee.ContinuousTransitions.load(file))
     if not is_single or path.suffix.lower() not in (".npz", ".npy"):
-        return "transitions", repr(Transitions.load(files))
+        return "transitions", repr(oee.Transitions.load(files))
     arrays = _files.read_npz(file)
     kind = _files.npz_kind(arrays)
     if kind == "transitions":
-        return kind, repr(Transitions.load(file))
+        return kind, repr(oee.Transitions.load(file))
     if kind == "transition_counts":
-        counted = TransitionCounts.load(file)
+        counted = oee.TransitionCounts.load(file)
         return kind, "\n".join([repr(counted), *(f"dropped: {reason}" for reason in counted.recording.reasons)])
     if kind == "finite_mdp":
-        return kind, _describe_mdp(FiniteMDP.load(file), file, arrays)
+        return kind, _describe_mdp(oee.FiniteMDP.load(file), file, arrays)
     return "arrays", "\n".join(_describe_array(name, array) for name, array in arrays.items())
 
 
@@ -213,8 +204,6 @@ def _describe_states(log: Any) -> str:
 
 
 def _describe_mdp(mdp: Any, file: str, arrays: dict[str, Any]) -> str:
-    import json
-
     n_over = int(mdp.absorbing().sum())
     text = f"{mdp!r}\nexpected rewards r(s, a) {mdp.rewards.min():g} to {mdp.rewards.max():g}, "
     text += f"{n_over} state{'s' * (n_over != 1)} in which an episode is over"
@@ -229,8 +218,3 @@ def _describe_array(name: str, array: Any) -> str:
     is_policy = array.ndim == 2 and array.dtype.kind == "f" and bool((abs(array.sum(axis=1) - 1) < 1e-8).all())
     what = f"policy of {array.shape[0]} states and {array.shape[1]} actions" if is_policy else "array"
     return f"{what} ({name!r}): {array.dtype} of shape {array.shape}"
-
-
-def _name_of(output: Path) -> str:
-    """Return the file's name, and whether something stands there that will be replaced."""
-    return f"{output}{' (replaced)' if output.exists() else ''}"

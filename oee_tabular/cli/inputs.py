@@ -1,51 +1,197 @@
-"""What the command's words mean: a log, a problem, and what is known of the target, from specifications and files."""
+"""What the command's words mean: simulators, policies, problems and what is known of the target, from words and files.
+
+Simulators are what ``tasks.named_task`` knows, or one's own, MODULE:OBJECT or MODULE:ENV-ID.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import difflib
+import io
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from oee_tabular._arguments import literal
+import numpy as np
+
+import oee_tabular as oee  # whose rooms are imported on use
+from oee_tabular import _files, _progress
+from oee_tabular._arguments import arguments, literal, named_specs, own_module, own_modules, own_object
+from oee_tabular._checks import Array
 from oee_tabular.cli.options import Options
-from oee_tabular.cli.simulators import policy_of, task_of
-
-if TYPE_CHECKING:
-    from oee_tabular._checks import Array
-    from oee_tabular.estimators import Problem
-    from oee_tabular.mdp import FiniteMDP
-    from oee_tabular.tasks import NamedTask
 
 
-def refuse(options: Options, names: Iterable[str], rule: str) -> None:
-    """Raise a ValueError for the first of these options that has another value than its default."""
-    for name in names:
-        value = getattr(options, name)
-        if value not in (None, 0.0, "refuse", "simulator"):
-            raise ValueError(f"--{name.replace('_', '-')} {rule.format(value)}")
+def task_of(
+    spec: str, discount: float | None = None, initial: str | None = None, samples: int | None = None
+) -> oee.tasks.NamedTask:
+    """The task that ``spec`` names, with another discount or first state; ``samples`` of each (s, a) where it is stepped."""
+    _progress.report_step(f"reading the simulator {spec}")
+    if is_own(spec) or samples is not None:
+        with own_modules():
+            make = _maker(spec)
+            made = make()
+            mdp = _as_mdp(made, spec, 0.99 if discount is None else discount, samples)
+        if discount is not None and made is mdp:
+            mdp = mdp.with_discount(discount)
+        stepped = None if isinstance(made, oee.FiniteMDP) else make
+        task = oee.tasks.NamedTask(spec, mdp, lambda: oee.optimal_policy(mdp), stepped)
+    else:
+        task = oee.tasks.named_task(spec, discount=discount)
+    if initial is None:
+        return task
+    start = int(initial) if initial.strip().lstrip("-").isdigit() else initial  # no name reads as a number
+    return replace(task, mdp=task.mdp.with_initial(start))
+
+
+def is_own(spec: str) -> bool:
+    """Whether ``spec`` is MODULE:OBJECT or MODULE:ENV-ID: words on both sides of the colon, the first a module's name."""
+    from oee_tabular.tasks.specs import FINITE
+
+    module, colon, rest = spec.partition(":")
+    if not colon or module in FINITE or not all(part.isidentifier() for part in module.split(".")):
+        return False
+    from oee_tabular.continuous.command import CONTINUOUS
+
+    first = rest.split(",")[0]
+    return module not in CONTINUOUS and bool(first) and "=" not in first and isinstance(arguments(first)[0][0], str)
+
+
+def _maker(spec: str) -> Callable[[], Any]:
+    """What makes the MDP or environment of "module:Object,key=value", "module:Id-v0,key=value" or "Id-v0:key=value"."""
+    module, _, rest = spec.partition(":")
+    positional, keywords = arguments(rest)
+    if not is_own(spec):
+        return partial(oee.tasks.make_environment, module, **keywords)
+    name, *positional = positional
+    if not all(part.isidentifier() for part in name.split(".")):
+        own_module(module)  # which registers the environment
+        return partial(oee.tasks.make_environment, name, **keywords)
+    made = own_object(f"{module}:{name}", "the simulator", "my_package.mine:MySimulator")
+
+    def make() -> Any:
+        try:
+            return made(*positional, **keywords) if callable(made) else made
+        except Exception as error:
+            raise ValueError(f"simulator {spec!r} cannot be made; it raises {type(error).__name__}: {error}") from error
+
+    return make
+
+
+def _as_mdp(made: Any, spec: str, discount: float, samples: int | None) -> oee.FiniteMDP:
+    """A FiniteMDP itself; an environment by its table, or by being stepped."""
+    if isinstance(made, oee.FiniteMDP):
+        return made
+    if isinstance(made, oee.tasks.ContinuousTask):
+        raise ValueError(
+            f"simulator {spec!r} is a ContinuousTask, which Python takes: "
+            "tasks.evaluate_continuous(task, log, policies, horizon=...); a command takes a registered MODULE:EnvId-v0"
+        )
+    space = getattr(made, "observation_space", None)
+    if space is not None and not hasattr(space, "n") and getattr(space, "shape", None):
+        raise ValueError(
+            f"simulator {spec!r} has states that are vectors: register the environment (gymnasium.register) and name it by "
+            f"its id, {spec.partition(':')[0]}:EnvId-v0"
+        )
+    if not hasattr(made, "step") or not hasattr(made, "reset"):
+        raise ValueError(
+            f"simulator {spec!r} must be a FiniteMDP or a Gymnasium environment, or a class or function that makes one; found "
+            f"{type(made).__name__}"
+        )
+    if samples is not None:
+        return oee.FiniteMDP.from_env(made, samples_per_pair=samples, seed=0, discount=discount)
+    if not hasattr(made.unwrapped, "P"):
+        raise ValueError(
+            f"simulator {spec!r} has no table P, so that it can only be sampled: oee export {spec} --samples-per-pair 100 "
+            "--output simulator.npz writes it by its frequencies"
+        )
+    return oee.FiniteMDP.from_gymnasium(made, discount)
+
+
+def policies_of(specs: list[str] | None, task: oee.tasks.NamedTask) -> dict[str, Any]:
+    """Policies from NAME=SPEC or SPEC; optimal where there are none."""
+    return {name: policy_of(spec, task, "--policy") for name, spec in named_specs(specs or ["optimal"]).items()}
+
+
+def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
+    """The policy that ``spec`` names, in the MDP of ``task``."""
+    from oee_tabular.data.tables import csv_frame
+    from oee_tabular.mdp import check_policy
+    from oee_tabular.mdp.policies import read_policy_array
+
+    _progress.report_step(f"reading the policy {spec}")
+    mdp, suffix = task.mdp, Path(spec).suffix.lower()
+    if spec in ("uniform", "optimal"):
+        return oee.uniform_policy(mdp) if spec == "uniform" else oee.optimal_policy(mdp)
+    if spec == "expert":
+        return check_policy(task.expert(), mdp)
+    if spec.startswith("mix:"):
+        try:
+            weight = float(spec.removeprefix("mix:"))
+        except ValueError:
+            raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
+        return oee.mix(check_policy(task.expert(), mdp), oee.uniform_policy(mdp), weight)
+    label = f"{name} {spec!r}"
+    if suffix == ".csv":
+        return check_policy(_policy_by_state(csv_frame(spec), mdp, repr(spec)), mdp, name=label)
+    if suffix in (".npy", ".npz"):
+        return check_policy(read_policy_array(spec, name), mdp, name=label)
+    if is_own(spec):
+        with own_modules():
+            return check_policy(own_object(spec, name, "my_package.mine:policy"), mdp, name=label)
+    close = difflib.get_close_matches(spec.lower(), ["uniform", "optimal", "expert", "mix:0.5"], n=1)
+    raise ValueError(
+        f"{name} must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz or .csv file; got {spec!r}"
+        + (f" (did you mean {close[0]!r}?)" if close else "")
+    )
+
+
+def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any]:
+    """Read a table with the columns state, action (and probability), or state and one for each action."""
+    from oee_tabular.mdp.naming import numbers_of
+
+    labels, known = list(frame.columns), {*numbers_of(mdp.action_names or ()), *range(mdp.n_actions)}
+    actions = {label: int(label) if label.isdigit() else label for label in labels if label != "state"}
+    is_wide = "action" not in labels
+    if "state" not in labels or not actions or (is_wide and not known.issuperset(actions.values())) or frame.empty:
+        raise ValueError(
+            f"{name} must have the columns state and action, with probability or without, or state and one for each action, "
+            f"and at least one row; it has {', '.join(labels)} and {len(frame)} rows"
+        )
+    keys = ["state", "action"] if "probability" in labels else ["state"]
+    twice = frame[frame.duplicated(keys)]
+    if len(twice):
+        place = ", ".join(f"{key} {twice.iloc[0][key]}" for key in keys)
+        raise ValueError(f"{name} must have one row for each {' and '.join(keys)}; {place} has two")
+    if is_wide:
+        frame = frame.rename(columns=actions).melt("state", var_name="action", value_name="probability")
+    elif "probability" not in labels:
+        return dict(zip(frame["state"], frame["action"], strict=True))
+    try:
+        numbers = frame["probability"].astype(float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must have numbers as probabilities; {error}") from None
+    policy: dict[Any, Any] = {}
+    for state, action, number in zip(frame["state"], frame["action"], numbers, strict=True):
+        policy.setdefault(state, {})[action] = number
+    return policy
 
 
 def write_array(path: Path, array: Array) -> None:
     """A .npy file, which appears whole or not at all."""
-    import io
-
-    import numpy as np
-
-    from oee_tabular import _files
-
     content = io.BytesIO()  # written to a file itself, an array loses the system's words for a full disk
     np.save(content, array, allow_pickle=False)
     with _files.whole_file(path, (".npy",)) as handle:
         handle.write(content.getbuffer())
 
 
-def read_problem(options: Options) -> tuple[NamedTask, Problem]:
-    """Read the simulator, and the problem with the log's files."""
-    from oee_tabular import _progress
-    from oee_tabular.data import Transitions, read_log
-    from oee_tabular.estimators import Problem
+def describe_new(path: Path) -> str:
+    """The name of a file that is to be written, and whether something stands there that it replaces."""
+    return f"{path}{' (replaced)' if path.exists() else ''}"
 
+
+def read_problem(options: Options) -> tuple[oee.tasks.NamedTask, oee.Problem]:
+    """Read the simulator, and the problem with the log's files."""
     log, noise, impossible = options.log, options.action_noise, options.impossible
     task = task_of(options.simulator, options.discount, options.initial)
     if noise:
@@ -58,15 +204,15 @@ def read_problem(options: Options) -> tuple[NamedTask, Problem]:
             f"--impossible must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got {impossible!r}"
         )
     _progress.report_step(f"reading the log {', '.join(log)}")
-    recorded = read_log(log[0] if len(log) == 1 else log, model)
+    recorded = oee.data.read_log(log[0] if len(log) == 1 else log, model)
     if is_share:
-        is_log = isinstance(recorded, Transitions)
+        is_log = isinstance(recorded, oee.Transitions)
         model = model.with_support_of(recorded if is_log else recorded.counts(model.n_states, model.n_actions), epsilon)
         impossible = "refuse"
     more: dict[str, Any] = {"rewards": options.rewards} if hasattr(options, "rewards") else {}
     if getattr(options, "behavior", None) is not None:
         more["behavior_policy"] = policy_of(options.behavior, task, "--behavior")
-    return task, Problem(model, recorded, horizon=options.horizon, impossible=impossible, **more)
+    return task, oee.Problem(model, recorded, horizon=options.horizon, impossible=impossible, **more)
 
 
 def read_box(text: str | None) -> dict[str, float | None]:
@@ -84,14 +230,13 @@ def read_box(text: str | None) -> dict[str, float | None]:
     return {"lower_ratio": lower, "upper_ratio": upper}
 
 
-def read_entries(path: Path, name: str, simulator: FiniteMDP) -> tuple[Any, str]:
+def read_entries(path: Path, name: str, simulator: oee.FiniteMDP) -> tuple[Any, str]:
     """Features, or keys of a tie, on ``simulator.transitions.data``, and what they are.
 
     A .csv has a transition a row: columns state, action, next_state (numbers, or the simulator's names), and one for each
     feature, 0 in transitions that are not in the file, or one of keys. A .npy holds (entries,) or (S, A, S), features with a
     last axis more; what a dense one has where P is 0 is not looked at.
     """
-    from oee_tabular import _files
     from oee_tabular.data.rules import MOVE
     from oee_tabular.data.tables import csv_frame
     from oee_tabular.mdp.rows import Rows

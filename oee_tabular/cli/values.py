@@ -1,16 +1,18 @@
-"""The commands of values: of policies, which of them is best, what to record next."""
+"""The commands of values (of policies, which of them is best, what to record next) and of studies (figures, bench, laws)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import typer
 
+import oee_tabular as oee  # whose rooms are imported on use
+from oee_tabular import _files, _progress
 from oee_tabular._arguments import literal, named_specs
-from oee_tabular.cli.inputs import read_box, read_entries, read_problem, refuse, write_array
-from oee_tabular.cli.options import Options, answer, with_options
-from oee_tabular.cli.simulators import policies_of, task_of
+from oee_tabular.cli.inputs import policies_of, read_box, read_entries, read_problem, task_of, write_array
+from oee_tabular.cli.options import Options, answer, say, with_options
 from oee_tabular.continuous.command import evaluate_files, is_continuous, read_grid, task_options
 
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
@@ -57,14 +59,12 @@ def evaluate(options: Options) -> None:
 
     It takes a simulator and a log of the target; without arguments, it evaluates the paper's 10 x 10 grid.
     """
-    from oee_tabular.report import check_output, check_page
-
     if options.output is not None:
-        check_output(options.output)
+        oee.report.check_output(options.output)
     title, _, name = (options.report or "").rpartition("=")
     page = Path(name) if name else None
     if options.report is not None:
-        check_page(page or Path(options.report))
+        oee.report.check_page(page or Path(options.report))
     report = _evaluate(options)
     answer(
         report.to_text(all=options.all, verbose=options.verbose), report.to_dict() if options.json else {}, options.json
@@ -79,10 +79,16 @@ def evaluate(options: Options) -> None:
         typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in old else str(path) for path in new)}")
 
 
+def refuse(options: Options, names: tuple[str, ...], rule: str) -> None:
+    """Raise a ValueError for the first of these options that has another value than its default."""
+    for name in names:
+        value = getattr(options, name)
+        if value not in (None, 0.0, "refuse", "simulator"):
+            raise ValueError(f"--{name.replace('_', '-')} {rule.format(value)}")
+
+
 def _evaluate(options: Options) -> Any:
     """Make the report of the problem that the options describe: of files, of a continuous task, or the paper's."""
-    from oee_tabular.report import evaluate as evaluate_problem
-
     simulator, log, discount = options.simulator, options.log, options.discount
     settings, grid = task_options(options.task_option), read_grid(options.grid)
     wants = {"--task-option": settings, "--grid": grid is not None, "--fit": options.fit}
@@ -97,12 +103,9 @@ def _evaluate(options: Options) -> Any:
     common |= {"guaranteed": options.guaranteed is True, "quick": options.guaranteed is False}
     common |= {"estimators": None if names is None else [*filter(None, names)], "normalized": bool(options.normalized)}
     if simulator is None and not log:
-        from oee_tabular.estimators import Problem
-        from oee_tabular.tasks import embedded_default
-
         refuse(options, ("behavior", "target", *OF_FILES), "needs --simulator and --log")
-        default = embedded_default(seed=options.seed, discount=0.99 if discount is None else discount)
-        problem = Problem(
+        default = oee.tasks.embedded_default(seed=options.seed, discount=0.99 if discount is None else discount)
+        problem = oee.Problem(
             default.simulator, default.log, horizon=default.horizon if options.horizon is None else options.horizon,
             rewards=options.rewards, episodes=default.episodes, behavior_policy=default.behavior_policy,
         )  # fmt: skip
@@ -110,7 +113,7 @@ def _evaluate(options: Options) -> Any:
         if options.policy is not None:
             policies = policies_of(options.policy, task_of("gridworld:10,slip=0.3", discount))
         common["normalized"] = options.normalized is not False
-        return evaluate_problem(problem, policies, target=default.target, **common)
+        return oee.evaluate(problem, policies, target=default.target, **common)
     if simulator is None or not log:
         there, lacking = ("log", "simulator") if log else ("simulator", "log")
         raise ValueError(f"--{lacking} must be given with --{there} (record a log with: oee sample)")
@@ -127,7 +130,7 @@ def _evaluate(options: Options) -> Any:
     target = None
     if options.target is not None:
         target = task_of(options.target, task.mdp.discount, options.initial).mdp
-    return evaluate_problem(problem, policies_of(options.policy, task), facts=facts, target=target, **known, **common)
+    return oee.evaluate(problem, policies_of(options.policy, task), facts=facts, target=target, **known, **common)
 
 
 def _read_known(options: Options, task: Any) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -168,7 +171,6 @@ def compare(options: Options) -> None:
 
     It prints differences with their intervals and P(best), or says that the log cannot tell.
     """
-    from oee_tabular.report import contest
     from oee_tabular.report.tables import render_comparison
 
     if is_continuous(options.simulator):
@@ -183,7 +185,7 @@ def compare(options: Options) -> None:
     known = read_box(options.box)
     task, problem = read_problem(options)
     policies = policies_of(options.policy, task)
-    report = contest(problem, policies, confidence=options.confidence, quick=options.quick, **known)
+    report = oee.report.contest(problem, policies, confidence=options.confidence, quick=options.quick, **known)
     warnings = [str(finding) for finding in problem.findings]
     text = "\n".join([render_comparison(report), *([""] if warnings else []), *warnings])
     rows = report.comparison()
@@ -217,9 +219,6 @@ def plan(options: Options) -> None:
 
     It prints a behaviour policy, and the width of each value's interval before and after.
     """
-    from oee_tabular import _files, _progress
-    from oee_tabular.design import plan_data_collection
-
     output, free = options.output, options.free
     if output is not None:
         _files.new_file(output, "--output", overwrite=options.overwrite)
@@ -228,7 +227,7 @@ def plan(options: Options) -> None:
     task, problem = read_problem(options)
     policies = policies_of(options.policy, task)
     _progress.report_step(f"plan for {options.transitions} transitions")
-    made = plan_data_collection(
+    made = oee.plan_data_collection(
         problem, policies, n=options.transitions, sampling="free" if free else "behavior",
         confidence=options.confidence, **asked,
     )  # fmt: skip
@@ -237,3 +236,99 @@ def plan(options: Options) -> None:
         write_array(output, made.distribution if free else made.behavior_policy)
         text += f"\n{output}: {'shares of the pairs, (S, A), that sum to 1' if free else 'policy to record with'}"
     answer(text, record, options.json)
+
+
+# ---- studies
+
+
+@with_options("""
+Input:
+experiments* ID...  Ids or groups; --list shows them.
+--all  Every experiment.
+--list  List the experiments and stop.
+--smoke  A small subset of each sweep, into OUTPUT/smoke.
+Value:
+--seeds N  Repetitions of each cell, instead of the experiment's own.
+--seed --jobs=-1 --dask
+Output:
+--output=results FOLDER  Folder for ID/table.csv, summary.md, figure.svg, ... and index.md.
+--fresh  Empty the experiments' folders first.
+--json  Print JSON instead, with version, lines.
+""")
+def reproduce(options: Options) -> None:
+    """Reproduce the paper's figures, and more.
+
+    An interrupted run goes on where it stopped.
+    """
+    from oee_tabular.lab.experiments import catalogue
+
+    names = ("smoke", "seeds", "seed", "jobs", "dask", "output", "fresh")
+    asked = {name: getattr(options, name) for name in names}
+    chosen = options.experiments or []
+    if options.list:
+        _tell(lambda say: say(catalogue.listing()), options.json)
+    else:
+        _tell(lambda say: catalogue.reproduce(chosen, everything=options.all, say=say, **asked), options.json)
+
+
+def _tell(run: Callable[[Callable[[str], None]], None], as_json: bool) -> None:
+    """Run what says lines as it goes on, or says them in one JSON object at the end."""
+    lines: list[str] = []
+    run(lines.append if as_json else say)
+    if as_json:
+        answer("", {"lines": "\n".join(lines).split("\n")}, True)
+
+
+@with_options("""
+Input:
+--estimators=oee,model-based NAME,...  Comma-separated: evaluate (as printed), MODULE:OBJECT, scope-rl:NAME,
+  offline-rl-ope:NAME, {ESTIMATORS}.
+--families NAME,...  Comma-separated, or MODULE:FUNCTION of your own (none: all).
+Value:
+--sizes N,...  Transitions of each stochastic state-action pair, comma-separated (none: 0.3,1,3,10,30).
+--seeds=40 N  Logs of each family and size.
+--timeout=600 SECONDS  Time that an estimate may take: one that takes longer is a row with that reason.
+--seed --jobs=-1 --dask
+Output:
+--output=results/bench FOLDER  Folder for table.csv, cells.csv, league.csv, league.md, league.tex, profile.png, ...
+--fresh  Empty the folder first.
+--json  Print JSON instead, with version, lines.
+""")
+def bench(options: Options) -> None:
+    """Measure estimators where the truth is exact.
+
+    They are measured on families of environment shift. An interrupted run goes on where it stopped.
+    """
+    from oee_tabular.lab.bench import bench as run
+
+    asked = {name: value for name, value in vars(options).items() if name != "json"}
+    _tell(lambda say: run(**asked, say=say), options.json)
+
+
+@with_options("""
+Input:
+estimator! MODULE:OBJECT  An estimator, or what makes one without arguments.
+Value:
+--seed
+--repetitions=8 N  Logs of each statistical comparison, at least 3: with more, smaller biases are found.
+--timeout=60 SECONDS  Time that each law may take: an estimator that takes longer breaks it.
+Output:
+--json  Print JSON instead, with version, estimator, passed, seed, laws.
+""")
+def check(options: Options) -> None:
+    """Check an estimator of yours against the laws.
+
+    It runs in a process of its own. The exit code is 0 if the laws that it claims hold, else 1. Where it is 0, the last line is
+    "all laws hold", or names the default laws that the estimator does not claim.
+    """
+    from oee_tabular.testing import command
+
+    asked = {name: getattr(options, name) for name in ("seed", "repetitions", "timeout")}
+    _progress.report_step(f"laws of estimators, on {options.estimator}")
+    verdicts = command.check(options.estimator, **asked)
+    laws = [{"law": v.law, "outcome": v.outcome, "text": v.text, "example": v.example} for v in verdicts.values()]
+    record = {"estimator": verdicts.estimator, "passed": verdicts.passed, "seed": options.seed, "laws": laws}
+    last = f"\n{verdicts.conclusion}" if verdicts.passed else ""
+    answer(f"{verdicts}{last}", record, options.json)
+    if not verdicts.passed:
+        raise typer.Exit(1)
