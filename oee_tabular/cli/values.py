@@ -321,11 +321,11 @@ def check(options: Options) -> None:
     It runs in a process of its own. The exit code is 0 if the laws that it claims hold, else 1. Where it is 0, the last line is
     "all laws hold", or names the default laws that the estimator does not claim.
     """
-    from oee_tabular.testing import command
+    from oee_tabular.testing.conformance import check_module
 
     asked = {name: getattr(options, name) for name in ("seed", "repetitions", "timeout")}
     _progress.report_step(f"laws of estimators, on {options.estimator}")
-    verdicts = command.check(options.estimator, **asked)
+    verdicts = check_module(options.estimator, **asked)
     laws = [{"law": v.law, "outcome": v.outcome, "text": v.text, "example": v.example} for v in verdicts.values()]
     record = {"estimator": verdicts.estimator, "passed": verdicts.passed, "seed": options.seed, "laws": laws}
     last = f"\n{verdicts.conclusion}" if verdicts.passed else ""

@@ -1,6 +1,6 @@
 """Tools for those who write estimators: laws that they must satisfy, exact comparisons, Hypothesis strategies.
 
-``check_estimator`` runs an estimator through the laws (``protocol_laws``, ``laws``) on the pairs of ``cases``;
+``check_estimator`` runs an estimator through the ``laws`` on the pairs of ``cases``;
 ``compare_with_oracle`` shows its bias, variance and error beside exact limits and bounds (``oracles``); ``mdps``, ``policies``,
 ``mdp_pairs``, ``horizons`` and ``logs`` draw problems (``strategies``; they need hypothesis: ``pip install '.[testing]'``).
 
@@ -27,8 +27,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular.testing.cases import CASES, Case, case, padded_log, relabelled_log
-from oee_tabular.testing.conformance import CLAIMS, DEFAULT, LAWS, Verdict, Verdicts, check_estimator, claims_of
+from oee_tabular.testing.conformance import LAWS, check_estimator
 from oee_tabular.testing.oracles import OracleComparison, compare_with_oracle
+from oee_tabular.testing.subject import CLAIMS, DEFAULT, Verdict, Verdicts, claims_of
 
 if TYPE_CHECKING:
     from oee_tabular.testing.strategies import horizons, logs, mdp_pairs, mdps, policies

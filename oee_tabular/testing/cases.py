@@ -283,3 +283,25 @@ def case(name: str) -> Case:
     simulator = pair.make(pair.simulator if bare == name else pair.target, discount)
     policy, behavior = np.array(pair.policy), np.array(pair.behavior)
     return Case(name, simulator, pair.make(pair.target, discount), policy, behavior, horizon, steps)
+
+
+def odd_cases() -> Iterator[Case]:
+    """One state, one action, discounts 0 and 1, one reward, nothing random, actions that are never recorded."""
+    single = FiniteMDP([[[1.0]]], [2.0], [1.0], 0.5)
+    fork = [[[0.5, 0.5], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]]  # half the starts are terminal
+    leave = FiniteMDP(fork, [[1.0, 3.0], [0.0, 0.0]], [0.5, 0.5], 1.0)
+    certain = FiniteMDP([[[0.0, 1.0]], [[1.0, 0.0]]], [1.0, -1.0], [1.0, 0.0], 0.9)
+    first, even, one = [[1.0, 0.0]] * 2, [[0.5, 0.5]] * 2, [[1.0]]
+    rows: list[tuple[str, FiniteMDP, Any, Any, int | None, int]] = [  # policy, behaviour, horizon, steps
+        ("one state", single, one, one, 3, 3),
+        ("one state", single, one, one, None, 60),
+        ("discount 0", leave.with_discount(0.0), first, even, None, 5),
+        ("discount 1", leave, first, even, 4, 4),
+        ("discount 1", leave, even, even, None, 40),
+        ("one reward", leave, first, even, 1, 3),
+        ("nothing random", certain, one * 2, one * 2, 4, 4),
+        ("an action never recorded", leave, even, first, 4, 4),
+        ("no episode of the policy's", leave, [[0.0, 1.0], [1.0, 0.0]], first, 4, 4),
+    ]
+    for name, mdp, policy, behavior, horizon, steps in rows:
+        yield Case(name, mdp, mdp, np.array(policy), np.array(behavior), horizon, steps)

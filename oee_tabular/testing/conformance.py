@@ -1,19 +1,30 @@
-"""``check_estimator``: an estimator, ours or a user's, against the laws of estimators, with a verdict on each."""
+"""``check_estimator``: an estimator, ours or a user's, against the laws of estimators, with a verdict on each.
+
+``check_module`` is ``oee check module:object``: the laws in a process of their own, which may hang, exit or be killed. What
+happens to the process is a verdict like any other.
+"""
 
 from __future__ import annotations
 
-import difflib
 import inspect
-import textwrap
+import multiprocessing
+import os
+import signal
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
 from typing import Any
 
-from oee_tabular import _checks, _printing
+from oee_tabular import _checks
+from oee_tabular._arguments import module_and_path, own_modules, own_object
+from oee_tabular._workers import end_with_parent
+from oee_tabular.estimators import Simulator
 from oee_tabular.estimators.functions import as_estimator
-from oee_tabular.testing import laws, protocol_laws
+from oee_tabular.testing import laws
 from oee_tabular.testing.cases import case
-from oee_tabular.testing.subject import Broken, Subject, name_of
+from oee_tabular.testing.subject import Broken, Subject, Verdict, Verdicts, claims_of, name_of
 
 
 @dataclass(frozen=True)
@@ -36,10 +47,10 @@ class Law:
 LAWS: Mapping[str, Law] = {
     check.__name__: Law(check, frozenset(claims.split()))
     for check, claims in (
-        (protocol_laws.well_formed, ""),
-        (protocol_laws.input_unchanged, ""),
-        (protocol_laws.reproducible, ""),
-        (protocol_laws.support, ""),
+        (laws.well_formed, ""),
+        (laws.input_unchanged, ""),
+        (laws.reproducible, ""),
+        (laws.support, ""),
         (laws.limit, ""),
         (laws.consistent, "consistent"),
         (laws.ragged, "consistent"),
@@ -50,123 +61,9 @@ LAWS: Mapping[str, Law] = {
         (laws.shift, "shift"),
         (laws.padding, "padding"),
         (laws.after_end, "after_end"),
-        (protocol_laws.seeds, ""),
+        (laws.seeds, ""),
     )
 }
-CLAIMS: Mapping[str, str] = {
-    "consistent": "its value tends to J_target as the log (and its rollouts) grow, where the log's behaviour has support",
-    "unbiased": "its mean over logs is J_target at every number of episodes",
-    "identical": "it is right where the target is the simulator (part of consistent)",
-    "relabelling": "names of states and actions do not matter where the states keep their places (layout)",
-    "scale": "rewards a r give a J, to 1e-8, from the same log and seed",
-    "shift": "rewards r + b give J + b sum gamma^t, to 1e-8, from the same log and seed, nothing being absorbing",
-    "padding": "rows in an absorbing state after the end of an episode change nothing",
-    "after_end": "padding, whatever actions those rows have",
-    "random": "other seeds may give other values; without this word they must give the same bits",
-    "finite": "it answers problems with a horizon; claimed without infinite, those alone",
-    "infinite": "it answers problems without a horizon; claimed without finite, those alone",
-}
-DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The outcome of one law.
-
-    Attributes
-    ----------
-    law : its name, a key of ``LAWS``
-    outcome : "holds", "fails", "raises" or "not claimed"; of ``oee check`` also "exits" (the process ended), "hangs" and
-        "not run" (after three laws that hang)
-    text : the numbers found
-    example : how to see it again
-
-    Examples
-    --------
-    >>> from oee_tabular.estimators import Simulator
-    >>> verdict = check_estimator(Simulator(), claims=["consistent"], laws=["consistent"])["consistent"]
-    >>> verdict.outcome, verdict.text
-    ('fails', 'ragged (horizon 6, discount 0.9): its limit is not J_target: 7.969194231, expected 10.06961735 (off by 2.1)')
-    """
-
-    law: str
-    outcome: str
-    text: str
-    example: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Verdicts(Mapping[str, Verdict]):
-    """A verdict for each law; prints as a table, ``verdicts["shift"]`` is one of them.
-
-    Attributes
-    ----------
-    estimator : its name
-    claims : the words by which laws were chosen
-    seed : of the logs
-    verdicts : law -> Verdict
-
-    Examples
-    --------
-    >>> from oee_tabular.estimators import Simulator
-    >>> verdicts = check_estimator(Simulator(), claims=["consistent", "scale"], laws=["consistent", "scale"])
-    >>> verdicts.passed, verdicts.broken, len(verdicts)
-    (False, ('consistent',), 2)
-    """
-
-    estimator: str
-    claims: frozenset[str]
-    seed: int
-    verdicts: Mapping[str, Verdict]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every law that is owed or claimed holds."""
-        return not self.broken
-
-    @property
-    def broken(self) -> tuple[str, ...]:
-        """The laws that do not hold though they are owed or claimed."""
-        kept = ("holds", "not claimed", "not run")
-        return tuple(law for law, verdict in self.verdicts.items() if verdict.outcome not in kept)
-
-    @property
-    def conclusion(self) -> str:
-        """Which laws are broken; else that all hold, and what others claim by default and this one does not."""
-        if self.broken:
-            return f"broken laws: {', '.join(self.broken)}"
-        if left := sorted(DEFAULT - self.claims):
-            return f"all laws hold that it claims; it does not claim {', '.join(left)}"
-        return "all laws hold"
-
-    def __getitem__(self, law: str) -> Verdict:
-        return self.verdicts[law]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.verdicts)
-
-    def __len__(self) -> int:
-        return len(self.verdicts)
-
-    def __str__(self) -> str:
-        outcomes = [verdict.outcome for verdict in self.verdicts.values()]
-        n_kept, n_idle, n_left = (outcomes.count(word) for word in ("holds", "not claimed", "not run"))
-        kept = f"{n_kept} law{' holds' if n_kept == 1 else 's hold'}"
-        summary = f"{kept}, {len(self.broken)} broken, {n_idle} not claimed"
-        summary += f", {n_left} not run" if n_left else ""
-        lines = [f"{self.estimator}: {'passed' if self.passed else 'NOT PASSED'} ({summary}; seed {self.seed})"]
-        lines.append(f"claims: {', '.join(sorted(self.claims)) or 'none'}")
-        for verdict in self.verdicts.values():
-            example = f"see it: {verdict.example}" if verdict.example and verdict.outcome != "holds" else ""
-            body = [*textwrap.wrap(verdict.text, 92), *textwrap.wrap(example, 92), ""]
-            lines.append(f"{verdict.law:16}{verdict.outcome:12}{body[0]}".rstrip())
-            lines += [" " * 28 + line for line in body[1:-1]]
-        return "\n".join(lines)
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        return _printing.text(self, "Laws of estimators")
 
 
 def check_estimator(
@@ -263,42 +160,132 @@ def check_law(name: str, subject: Subject) -> Verdict:
         return Verdict(name, broken.outcome, broken.text, broken.example)
 
 
-def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[str]:
-    """What an estimator claims: the words that say which laws it owes.
+# ---- in a process of its own
 
-    ``claims``, else the estimator's own ``claims`` (a collection of words, or a method that returns one), else ``DEFAULT``.
+EXAMPLE = "my_package.mine:MyEstimator"
+LONGEST = 1e6  # seconds; operating systems wait for little more
+PREPARING = 3600.0  # seconds that compilation and import of this package may take: no fault of the estimator's
+MOST_HANGS = 3  # laws that may hang before the rest is left
+
+
+def check_module(spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60.0) -> Verdicts:
+    """Import an estimator, from the current directory or what is installed, in a process of its own, and check it there.
+
+    A law that ends the process, or takes longer than ``timeout`` seconds, is broken; another process goes on with the next law,
+    until three laws have hung: the others are then "not run".
 
     Parameters
     ----------
-    estimator : any object
-    claims : words of ``CLAIMS``, or None
+    spec : "module:object"; the object is an estimator, a function (problem, policy[, seed]), or what makes one of these
+        without arguments
+    seed, repetitions : as in ``check_estimator``
+    timeout : seconds that a law may take, and the import; an estimator that takes longer, or ends its process, breaks the law
 
     Raises
     ------
     ValueError
-        A word that is none of ``CLAIMS`` (with the nearest one).
-
-    Examples
-    --------
-    >>> from oee_tabular.estimators import Simulator
-    >>> sorted(claims_of(Simulator()) - DEFAULT)
-    ['after_end', 'identical', 'padding', 'shift']
-    >>> claims_of(lambda problem, policy, *, seed=None: None) == DEFAULT
-    True
+        A spec of another form, no such module or object, a module that cannot be imported, or ends the process or takes longer
+        when it is, an object that is no estimator.
     """
-    words: Any = claims
-    name = "claims"
-    if claims is None:
-        name = f"{type(estimator).__name__}.claims"
+    check_numbers(seed, repetitions)
+    seconds = _checks.number_in(timeout, "timeout", 0.0, LONGEST, open_ends=True)
+    module_and_path(spec, "the estimator", EXAMPLE)
+    verdicts: dict[str, Verdict] = {}
+    n_hangs = 0
+    while (left := [name for name in LAWS if name not in verdicts]) and n_hangs < MOST_HANGS:
+        with _process(spec, seed, repetitions, left) as answer:
+            answer(PREPARING)
+            try:
+                title, claims = answer(seconds)
+            except Ended as ended:
+                raise ValueError(f"{spec!r} cannot be imported: {ended.text}") from None
+            for name in left:
+                try:
+                    verdicts[name] = answer(seconds)
+                except Ended as ended:
+                    example = f"check_estimator(..., laws=[{name!r}], seed={seed})"
+                    verdicts[name] = Verdict(name, ended.outcome, ended.text, example)
+                    n_hangs += ended.outcome == "hangs"
+                    break
+    for name in left:
+        is_claimed = LAWS[name].is_claimed(claims)
+        verdicts[name] = Verdict(name, *(("not run", f"{MOST_HANGS} laws hang") if is_claimed else ("not claimed", "")))
+    return Verdicts(title, claims, seed, verdicts)
+
+
+class Ended(Exception):
+    """The process gives no answer: an outcome, "exits" or "hangs", and how."""
+
+    def __init__(self, outcome: str, text: str) -> None:
+        super().__init__(text)
+        self.outcome, self.text = outcome, text
+
+
+@contextmanager
+def _process(spec: str, seed: int, repetitions: int, laws: list[str]) -> Iterator[Callable[[float], Any]]:
+    """A process that checks the laws, as a function: seconds -> its next answer, or ``Ended``. It is killed on leaving."""
+    context = multiprocessing.get_context("spawn")
+    reader, writer = context.Pipe(duplex=False)
+    process = context.Process(target=_run, args=(writer, spec, seed, repetitions, laws))
+    process.start()
+    writer.close()
+
+    def answer(seconds: float) -> Any:
+        message: Any = ""
+        end, title = time.monotonic() + seconds, ""
+        while isinstance(message, str):  # the title of a case that is begun
+            title = f"{message}: " if message else ""
+            if not reader.poll(max(end - time.monotonic(), 0.0)):
+                raise Ended("hangs", f"{title}no answer within {seconds:g} s (--timeout gives it more)")
+            try:
+                message = reader.recv()
+            except (EOFError, OSError):
+                process.join(5.0)
+                raise Ended("exits", f"{title}{_describe_end(process.exitcode)}") from None
+        if isinstance(message, ValueError):
+            raise message
+        return message
+
+    try:
+        yield answer
+    finally:
+        with suppress(ProcessLookupError, PermissionError, AttributeError):  # none left; on Windows, no groups
+            os.killpg(process.pid or 0, signal.SIGKILL)  # with those that it has started
+        process.kill()
+        process.join()
+        process.close()
+        reader.close()
+
+
+def _describe_end(code: int | None) -> str:
+    if code is None:
+        return "the process closes its connection"
+    if code >= 0:
+        return f"the process ends, with exit code {code}"
+    with suppress(ValueError):
+        return f"the process is killed by {signal.Signals(-code).name}"
+    return f"the process is killed by signal {-code}"
+
+
+def _run(answers: Connection, spec: str, seed: int, repetitions: int, laws: list[str]) -> None:
+    """What the process does: it says that it is ready, what the estimator is or why there is none, and each verdict."""
+    if hasattr(os, "setsid"):
+        os.setsid()  # a group, with what the estimator starts
+    end_with_parent(os.getppid(), with_group=True)
+    check_estimator(Simulator(), repetitions=3)  # compiles what laws need: the seconds are not the estimator's
+    answers.send(None)  # ready
+    with own_modules():
         try:
-            words = getattr(estimator, "claims", None)
-            words = words() if callable(words) else words
+            subject = make_subject(own_estimator(spec), seed, repetitions)
         except Exception as error:
-            raise ValueError(f"{name} must be a collection of words; it raises {error!r}") from None
-        if words is None:
-            return DEFAULT
-    words = _checks.collection(words, name, "a collection of words")
-    for word in words:
-        near = difflib.get_close_matches(str(word), CLAIMS, n=1)
-        _checks.one_of(word, name, tuple(CLAIMS), f" (did you mean {near[0]!r}?)" if near else "")
-    return frozenset(words)
+            text = str(error) if isinstance(error, ValueError) else f"{spec!r} raises {type(error).__name__}: {error}"
+            answers.send(ValueError(text))
+            return
+        answers.send((subject.name, subject.claims))
+        for name in laws:
+            answers.send(check_law(name, replace(subject, report=answers.send)))
+
+
+def own_estimator(spec: str) -> Any:
+    """The estimator of "module:object", or what a class or function there makes without arguments."""
+    return as_estimator(own_object(spec, "the estimator", EXAMPLE), repr(spec)).function

@@ -1,13 +1,15 @@
-"""The estimator under check: every call of it becomes a value or a ``Broken``, never a crash."""
+"""The estimator under check: what it claims, its verdicts; every call of it becomes a value or a ``Broken``, never a crash."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
+import difflib
 import random
+import textwrap
 import warnings
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import wraps
@@ -15,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
@@ -22,6 +25,164 @@ from oee_tabular.estimators.base import UNEXPLAINED
 from oee_tabular.estimators.functions import AnswerError, as_estimator, is_number
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.testing.cases import Case, case
+
+CLAIMS: Mapping[str, str] = {
+    "consistent": "its value tends to J_target as the log (and its rollouts) grow, where the log's behaviour has support",
+    "unbiased": "its mean over logs is J_target at every number of episodes",
+    "identical": "it is right where the target is the simulator (part of consistent)",
+    "relabelling": "names of states and actions do not matter where the states keep their places (layout)",
+    "scale": "rewards a r give a J, to 1e-8, from the same log and seed",
+    "shift": "rewards r + b give J + b sum gamma^t, to 1e-8, from the same log and seed, nothing being absorbing",
+    "padding": "rows in an absorbing state after the end of an episode change nothing",
+    "after_end": "padding, whatever actions those rows have",
+    "random": "other seeds may give other values; without this word they must give the same bits",
+    "finite": "it answers problems with a horizon; claimed without infinite, those alone",
+    "infinite": "it answers problems without a horizon; claimed without finite, those alone",
+}
+DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
+
+
+def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[str]:
+    """What an estimator claims: the words that say which laws it owes.
+
+    ``claims``, else the estimator's own ``claims`` (a collection of words, or a method that returns one), else ``DEFAULT``.
+
+    Parameters
+    ----------
+    estimator : any object
+    claims : words of ``CLAIMS``, or None
+
+    Raises
+    ------
+    ValueError
+        A word that is none of ``CLAIMS`` (with the nearest one).
+
+    Examples
+    --------
+    >>> from oee_tabular.estimators import Simulator
+    >>> sorted(claims_of(Simulator()) - DEFAULT)
+    ['after_end', 'identical', 'padding', 'shift']
+    >>> claims_of(lambda problem, policy, *, seed=None: None) == DEFAULT
+    True
+    """
+    words: Any = claims
+    name = "claims"
+    if claims is None:
+        name = f"{type(estimator).__name__}.claims"
+        try:
+            words = getattr(estimator, "claims", None)
+            words = words() if callable(words) else words
+        except Exception as error:
+            raise ValueError(f"{name} must be a collection of words; it raises {error!r}") from None
+        if words is None:
+            return DEFAULT
+    words = _checks.collection(words, name, "a collection of words")
+    for word in words:
+        near = difflib.get_close_matches(str(word), CLAIMS, n=1)
+        _checks.one_of(word, name, tuple(CLAIMS), f" (did you mean {near[0]!r}?)" if near else "")
+    return frozenset(words)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The outcome of one law.
+
+    Attributes
+    ----------
+    law : its name, a key of ``LAWS``
+    outcome : "holds", "fails", "raises" or "not claimed"; of ``oee check`` also "exits" (the process ended), "hangs" and
+        "not run" (after three laws that hang)
+    text : the numbers found
+    example : how to see it again
+
+    Examples
+    --------
+    >>> from oee_tabular.estimators import Simulator
+    >>> from oee_tabular.testing import check_estimator
+    >>> verdict = check_estimator(Simulator(), claims=["consistent"], laws=["consistent"])["consistent"]
+    >>> verdict.outcome, verdict.text
+    ('fails', 'ragged (horizon 6, discount 0.9): its limit is not J_target: 7.969194231, expected 10.06961735 (off by 2.1)')
+    """
+
+    law: str
+    outcome: str
+    text: str
+    example: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdicts(Mapping[str, Verdict]):
+    """A verdict for each law; prints as a table, ``verdicts["shift"]`` is one of them.
+
+    Attributes
+    ----------
+    estimator : its name
+    claims : the words by which laws were chosen
+    seed : of the logs
+    verdicts : law -> Verdict
+
+    Examples
+    --------
+    >>> from oee_tabular.estimators import Simulator
+    >>> from oee_tabular.testing import check_estimator
+    >>> verdicts = check_estimator(Simulator(), claims=["consistent", "scale"], laws=["consistent", "scale"])
+    >>> verdicts.passed, verdicts.broken, len(verdicts)
+    (False, ('consistent',), 2)
+    """
+
+    estimator: str
+    claims: frozenset[str]
+    seed: int
+    verdicts: Mapping[str, Verdict]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every law that is owed or claimed holds."""
+        return not self.broken
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """The laws that do not hold though they are owed or claimed."""
+        kept = ("holds", "not claimed", "not run")
+        return tuple(law for law, verdict in self.verdicts.items() if verdict.outcome not in kept)
+
+    @property
+    def conclusion(self) -> str:
+        """Which laws are broken; else that all hold, and what others claim by default and this one does not."""
+        if self.broken:
+            return f"broken laws: {', '.join(self.broken)}"
+        if left := sorted(DEFAULT - self.claims):
+            return f"all laws hold that it claims; it does not claim {', '.join(left)}"
+        return "all laws hold"
+
+    def __getitem__(self, law: str) -> Verdict:
+        return self.verdicts[law]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.verdicts)
+
+    def __len__(self) -> int:
+        return len(self.verdicts)
+
+    def __str__(self) -> str:
+        outcomes = [verdict.outcome for verdict in self.verdicts.values()]
+        n_kept, n_idle, n_left = (outcomes.count(word) for word in ("holds", "not claimed", "not run"))
+        kept = f"{n_kept} law{' holds' if n_kept == 1 else 's hold'}"
+        summary = f"{kept}, {len(self.broken)} broken, {n_idle} not claimed"
+        summary += f", {n_left} not run" if n_left else ""
+        lines = [f"{self.estimator}: {'passed' if self.passed else 'NOT PASSED'} ({summary}; seed {self.seed})"]
+        lines.append(f"claims: {', '.join(sorted(self.claims)) or 'none'}")
+        for verdict in self.verdicts.values():
+            example = f"see it: {verdict.example}" if verdict.example and verdict.outcome != "holds" else ""
+            body = [*textwrap.wrap(verdict.text, 92), *textwrap.wrap(example, 92), ""]
+            lines.append(f"{verdict.law:16}{verdict.outcome:12}{body[0]}".rstrip())
+            lines += [" " * 28 + line for line in body[1:-1]]
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return _printing.text(self, "Laws of estimators")
 
 
 class Broken(Exception):

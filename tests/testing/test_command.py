@@ -9,7 +9,7 @@ import pytest
 from helpers import run_command
 
 from oee_tabular._arguments import own_modules
-from oee_tabular.testing.command import own_estimator
+from oee_tabular.testing.conformance import own_estimator
 
 MINE = """
 import os, signal, subprocess, sys, time, traceback

@@ -40,7 +40,7 @@ from oee_tabular.lab.bench.family import Family, check_seed
 from oee_tabular.lab.bench.league import LIKELIHOOD, SIMULATOR, League, league_of
 from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.run import Store, alone, run_and_write, run_experiment
-from oee_tabular.testing.command import own_estimator
+from oee_tabular.testing.conformance import own_estimator
 
 __all__ = ["Families", "Family", "League", "families", "garnet_worse", "league_of", "run", "tandem"]
 
