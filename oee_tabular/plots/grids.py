@@ -1,15 +1,21 @@
-"""Maps of a gridworld's states: values, ratios, what the log has recorded, where a policy goes."""
+"""Maps of the states that lie on a grid: values, ratios, what the log has recorded, where a policy goes.
+
+A ``Map`` says where the states lie: the cells of a grid, from the layout of an MDP or from its transitions.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular._checks import Array, BoolArray, IntArray
+from oee_tabular._sparse import row_of_entry
+from oee_tabular.mdp import FiniteMDP
 from oee_tabular.plots import style
-from oee_tabular.plots.maps import Map, as_map
 from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
 
 if TYPE_CHECKING:
@@ -17,6 +23,161 @@ if TYPE_CHECKING:
 
 N_VECTOR_CELLS = 1600  # up to which each cell of a map is a shape of its own; beyond, the map is an image
 N_TEXT_CELLS = 12  # rows and columns up to which cells can hold text
+SPARSEST = 0.02  # share of a map's cells that are states, at least: places that are further apart make no map
+CLOSE = 1e-6  # of a cell, by which a place may miss its middle
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """Cells of a grid, row 0 on top, and the states in them; what ``plot_grid`` and its like take for a shape.
+
+    Attributes
+    ----------
+    rows, columns : the coordinates of the rows and of the columns, as they are written on the axes
+    cell : (S,) where each state is, row * columns + column; -1 for one that is not drawn
+
+    Examples
+    --------
+    >>> print(Map.of_shape(2, 3).spread([1, 2, 3, 4, 5, 6]))
+    [1. 2. 3. 4. 5. 6.]
+    >>> print(Map((0.0, 1.0), (0.0,), np.array([1])).spread([7]))
+    [nan  7.]
+    """
+
+    rows: tuple[float, ...]
+    columns: tuple[float, ...]
+    cell: IntArray
+
+    @classmethod
+    def of_shape(cls, rows: int, columns: int) -> Map:
+        """A state in each cell, numbered row * columns + column."""
+        shape = _checks.positive_integer(rows, "rows"), _checks.positive_integer(columns, "columns")
+        _checks.require_memory(shape[0] * shape[1], "rows", shape)
+        return cls(tuple(range(shape[0])), tuple(range(shape[1])), np.arange(shape[0] * shape[1]))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return len(self.rows), len(self.columns)
+
+    def spread(self, values: Any) -> Array:
+        """(rows * columns,) of (S,): what is in each cell, nan where no state is."""
+        given = _checks.float_array(values, "values", ndim=1)
+        if len(given) != len(self.cell):
+            raise ValueError(f"values must have {len(self.cell)} entries, one a state; it has {len(given)}")
+        cells = np.full(len(self.rows) * len(self.columns), np.nan)
+        cells[self.cell[self.cell >= 0]] = given[self.cell >= 0]
+        return cells
+
+    def place(self, state: int) -> tuple[float, float] | None:
+        """The coordinates of a state's row and column; None where it is not drawn."""
+        if not _checks.is_integer(state) or not 0 <= state < len(self.cell):
+            raise ValueError(f"state must be an integer from 0 to {len(self.cell) - 1}; got {_checks.show(state)}")
+        if self.cell[state] < 0:
+            return None
+        row, column = divmod(int(self.cell[state]), len(self.columns))
+        return self.rows[row], self.columns[column]
+
+
+def map_of(mdp: FiniteMDP) -> Map | None:
+    """The map of an MDP whose states lie on a grid, or None.
+
+    ``mdp.layout`` of two columns, (row, column), with even steps puts the states there; holes stay blank. A state that is
+    over and lies where another does is not drawn. Without such a layout: ``detect_grid``.
+
+    Parameters
+    ----------
+    mdp : FiniteMDP
+
+    Notes
+    -----
+    None where two states that can be left share a place, and where fewer than one cell in fifty is a state. O(S log S + nnz).
+
+    Examples
+    --------
+    >>> import oee_tabular as oee
+    >>> corner = oee.FiniteMDP(np.full((3, 1, 3), 1 / 3), [0, 0, 1], 0, 0.9, state_names=[(0, 0), (0, 1), (1, 1)])
+    >>> map_of(corner).shape, map_of(corner).spread([5, 6, 7])
+    ((2, 2), array([ 5.,  6., nan,  7.]))
+    """
+    layout = _checks.instance(mdp, FiniteMDP, "mdp").layout
+    if layout is not None and layout.shape[1] == 2:
+        result = _from_places(layout, mdp.closed())
+        if result is not None:
+            return result
+    shape = detect_grid(mdp)
+    return None if shape is None else Map.of_shape(*shape)
+
+
+def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
+    """The map of places on a grid with even steps, from the least coordinate to the largest; None where there is none."""
+    coordinates, numbers = [], []
+    for place in layout.T:
+        distinct = np.unique(place)
+        gaps = np.diff(distinct)
+        gaps = gaps[gaps > CLOSE * np.abs(distinct).max()]
+        step = float(gaps.min()) if len(gaps) else 1.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            at = (place - distinct[0]) / step
+            number = np.rint(at)
+            is_even = (number < len(layout) / SPARSEST) & (np.abs(at - number) <= CLOSE)
+        if not is_even.all():
+            return None
+        coordinates.append(tuple((distinct[0] + step * np.arange(int(number.max()) + 1)).tolist()))
+        numbers.append(number.astype(np.int64))
+    (rows, columns), (row, column) = coordinates, numbers
+    if len(layout) < SPARSEST * len(rows) * len(columns):
+        return None
+    cell = row * len(columns) + column
+    order = np.argsort(is_over, kind="stable")  # those that can be left come first
+    is_hidden = np.ones(len(cell), dtype=np.bool_)
+    is_hidden[order[np.unique(cell[order], return_index=True)[1]]] = False
+    return None if (is_hidden & ~is_over).any() else Map(rows, columns, np.where(is_hidden, -1, cell))
+
+
+def as_map(shape: tuple[int, int] | Map) -> Map:
+    """A map, or that of (rows, columns); ValueError for anything else."""
+    if isinstance(shape, Map):
+        return shape
+    try:
+        rows, columns = shape
+    except (TypeError, ValueError):
+        raise ValueError(f"shape must be (rows, columns); got {_checks.show(shape)}") from None
+    return Map.of_shape(_checks.positive_integer(rows, "shape[0]"), _checks.positive_integer(columns, "shape[1]"))
+
+
+def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
+    """(rows, columns) of a gridworld whose states are numbered row * columns + column, or None where it is none.
+
+    A gridworld's transitions stay, go to the neighbour on the left or right (never around an edge), or to the one above or
+    below; a jump back to a first state (as from CliffWalking's cliff) is allowed. O(nnz).
+
+    Parameters
+    ----------
+    mdp : FiniteMDP
+
+    Examples
+    --------
+    >>> from oee_tabular.tasks import gridworld
+    >>> detect_grid(gridworld(5, slip=0.1))
+    (5, 5)
+    """
+    matrix = _checks.instance(mdp, FiniteMDP, "mdp").transitions
+    start = row_of_entry(matrix) // mdp.n_actions
+    step = matrix.indices.astype(np.int64) - start
+    counted = (mdp.initial[matrix.indices] == 0) | (np.abs(step) <= 1)
+    sizes = np.unique(np.abs(step[counted]))
+    long = sizes[sizes > 1]
+    if len(long) != 1:
+        return None
+    width = int(long[0])
+    around = (start // width != matrix.indices // width) & (np.abs(step) == 1) & counted
+    if 1 not in sizes or around.any() or mdp.n_states % width or mdp.n_states == width:
+        return None
+    return mdp.n_states // width, width
+
+
+# ---- pictures
 
 
 def plot_grid(
@@ -195,14 +356,12 @@ def plot_occupancy(
 def _write(ax: Axes, mesh: Any, cells: Any, places: Map, words: Sequence[str]) -> None:
     """Write words into cells, black on light shades and white on dark ones."""
     shades = mesh.to_rgba(cells).reshape(-1, 4)[:, :3] @ [0.2126, 0.7152, 0.0722]
+    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8.0 if cells.shape[1] <= 8 else 7.2}
     for cell, word in zip(places.cell, words, strict=False):
-        if cell < 0 or not word:
-            continue
-        color = INK if np.ma.getmaskarray(cells).flat[cell] else "#000000" if shades[cell] > 0.45 else "#ffffff"
-        row, column = divmod(int(cell), cells.shape[1])
-        size = 8.0 if cells.shape[1] <= 8 else 7.2
-        text = ax.text(column + 0.5, row + 0.5, word, ha="center", va="center", fontsize=size, color=color)
-        disable_math([text])
+        if cell >= 0 and word:
+            color = INK if np.ma.getmaskarray(cells).flat[cell] else "#000000" if shades[cell] > 0.45 else "#ffffff"
+            row, column = divmod(int(cell), cells.shape[1])
+            disable_math([ax.text(column + 0.5, row + 0.5, word, color=color, **style)])
 
 
 def _count_text(count: float) -> str:

@@ -49,11 +49,6 @@ def series(k: int) -> dict[str, Any]:
     return style | {"markerfacecolor": "none"} if again else style
 
 
-def marks(k: int) -> dict[str, Any]:
-    """The k-th series as marks without a line."""
-    return series(k) | {"linestyle": "none"}
-
-
 def places(names: Sequence[str]) -> list[int]:
     """The series of each name: its own for one of ``ESTIMATORS``, in every picture; others take what is left, in order.
 

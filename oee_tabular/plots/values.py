@@ -131,7 +131,8 @@ def plot_intervals(
     labels = np.insert(np.array([*map(shorten, names)], dtype=object), starts, group[starts])
     ax = style.check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
     for k, series in enumerate(style.places(names)):
-        _draw_interval(ax, y[k], value[k], np.clip([low[k], high[k]], *span), span, style.marks(series))
+        marks = style.series(series) | {"linestyle": "none"}
+        _draw_interval(ax, y[k], value[k], np.clip([low[k], high[k]], *span), span, marks)
     for start, end in zip(starts, [*starts[1:], len(names)], strict=False):
         x, top = exact.get(group[start], math.nan), y[start] - 1
         if left <= x <= right:
