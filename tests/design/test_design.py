@@ -309,6 +309,27 @@ def test_over_a_horizon_the_sum_over_time_stands_inside_the_variance(discount):
     own = costs_of(Dense(simulator), policies["one"], 4)
     assert_allclose(plan.costs["policy"], own, rtol=1e-9)
     assert_allclose(plan.expected_standard_error[1], np.sqrt(own).sum() / np.sqrt(50), rtol=1e-9)  # Neyman's
+    assert plan.allocation.sum() == 50
+    assert (np.abs(plan.allocation - 50 * plan.distribution) < 1).all()
+    planned = oee.plan_data_collection(
+        simulator, policies["one"], n=50, horizon=4, model="simulator", sampling="behavior"
+    )
+    assert_allclose(planned.restart, 0.25 if discount == 1.0 else 0.2)  # 1 / T, or 1 - discount
+
+
+@given(rngs)
+@few
+def test_a_bound_by_lagrange_holds_at_any_multipliers(rng):
+    mdp = random_mdp(rng)
+    world, n_pairs = collection_mdp(mdp, 0.3), mdp.n_states * mdp.n_actions
+    program = programs.Program(rng.uniform(0, 1, (2, n_pairs)), np.full(n_pairs, 0.1), world)
+    flow, right = program.equations()
+    v, share = rng.normal(size=mdp.n_states), rng.uniform()
+    prices = flow.T @ v
+    program.costs[:, prices.argmin()] = 0.0  # where it is free to record there is nothing to learn
+    bound = program.lower_bound(np.array([share, 1 - share]), prices, float(right @ v))
+    q = oee.occupancy(world, random_policy(rng, mdp)).reshape(-1)
+    assert bound <= programs.sum_variances(program.costs, program.base, q).max() + 1e-9
 
 
 @pytest.mark.parametrize(("lower", "upper"), [(0.5, 2.0), (0.0, 1.05), (0.9, 4.0)])
