@@ -173,7 +173,7 @@ def test_the_ends_are_the_extremes_over_the_set(rng):
             for x in starts
         ]
         farthest = min(sign * value(e.x) for e in ends if risk(e.x) <= limit + 1e-6)
-        assert sign * end <= farthest + 1e-4 * found.width
+        assert -1e-4 * found.width <= farthest - sign * end <= 0.05 * found.width  # SLSQP may fall short
 
 
 def test_a_tie_is_features_that_are_indicators_of_its_keys():
