@@ -227,6 +227,23 @@ def test_a_value_that_rests_on_the_prior_against_the_log_says_so():
     assert told
 
 
+def test_a_change_beyond_two_standard_errors_goes_on_to_maximum_likelihood():
+    """To the nearer, the one-step value, up to two; from four on to the other."""
+    simulator, target = oee.tasks.gridworld(4, 0.1), oee.tasks.gridworld(4, 0.3)
+    log, nearer = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 600, seed=0), []
+    for strength in (3.0, 10.0, 30.0):
+        ratio = oee.ratio.Conditional(prior="simulator", strength=strength)
+        facts = OffEnvironment(ratio)(oee.Problem(simulator, log), oee.tasks.gridworld_policy(4, 0.9)).diagnostics
+        first, second = (facts[f"{name}_value"] - facts["model_value"] for name in ("one_step", "maximum_likelihood"))
+        error = facts["one_step_standard_error"] ** 2 - facts["unseen_standard_error"] ** 2
+        apart = np.sqrt(error - facts["standard_error_if_centre_fits"] ** 2)
+        nearer.append(abs(first) / apart)
+        change = first + np.clip((nearer[-1] - 2) / 2, 0, 1) * (second - first)
+        assert_allclose(facts["one_step_distance"], abs(change) / apart, rtol=1e-6)
+    assert second < first < 0
+    assert 2 < nearer[0] < nearer[1] < 4 < nearer[2]
+
+
 def test_without_noise_nothing_is_moved():
     """Rows with one successor: no change, no error."""
     simulator = oee.FiniteMDP(sparse.csr_array([[0.0, 1.0], [0.0, 1.0]]), [1.0, 0.0], [1.0, 0.0], 0.9)
