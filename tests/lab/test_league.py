@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
+from scipy import stats
 
-from oee_tabular.lab.bench.league import league_of
+from oee_tabular.lab.bench.league import ERRORS, floor, league_of
 
 ML, SIM = "maximum-likelihood", "simulator"
 FACTS = {"families": "held", "identical": False, "covered": 1.0, "bound": 0.01, "truth": 5.0, "status": "ok"}
@@ -146,3 +147,22 @@ def test_the_pictures_show_every_cell():
     found.sizes(sizes)
     points = {bars.get_label(): bars.lines[0].get_ydata().item() for bars in sizes.axes[0].containers}
     assert points["mine"] == pytest.approx(20.0)  # sqrt(.1 * 40) over .1
+
+
+def test_the_floor_against_the_least_favourable_prior():
+    """Mirror ascent on the prior; its Bayes rule bounds the least worst ratio from below, its worst ratio from above."""
+    errors = np.union1d(np.arange(0.0, 10.01, 0.1), ERRORS)
+    scale = np.maximum(np.minimum(errors, 1.0), 0.5)
+    x = np.linspace(-18.0, 18.0, 1501)
+    here, mirrored = (stats.norm.pdf(x - sign * errors[:, None]) for sign in (1.0, -1.0))
+    prior = np.full(len(errors), 1.0 / len(errors))
+    for k in range(600):
+        weights = prior / scale**2
+        rule = (weights * errors) @ (here - mirrored) / (weights @ (here + mirrored))
+        squares = ((rule - errors[:, None]) ** 2 * here).sum(axis=1) * (x[1] - x[0]) / scale**2
+        least, worst = np.sqrt(prior @ squares), np.sqrt(squares.max())
+        prior = prior * np.exp(0.5 / np.sqrt(1.0 + k / 50.0) * (squares - squares.max()))
+        prior /= prior.sum()
+    assert 1.22 < least < worst < 1.23
+    assert_allclose(floor(ERRORS), np.sqrt(squares)[np.isin(errors, ERRORS)], rtol=0.01)
+    assert floor(np.array([7.0, -7.0])).tolist() == [1.224, 1.224]

@@ -42,14 +42,6 @@ def floor(slip: Any = SIMULATED) -> FiniteMDP:
     return FiniteMDP(transitions, 0.2 * (ROW + COLUMN - 14.0).ravel(), normalize(np.append(np.ones(63), 0.0)), 0.98)
 
 
-def floor_wind() -> Family:
-    """A gust carries the robot up a row, whatever it does."""
-    simulator = floor()
-    gust = simulator.transitions[np.arange(64 * 4) // 4 * 4 + 1]
-    about = "A wind blows along one direction, in a fifth of the steps; the simulator has none."
-    return pair(about, simulator, 0.8 * simulator.transitions + 0.2 * gust)
-
-
 def one_way_grid() -> Family:
     """The paper's grid from its corner with a log of its expert alone: much of what the policy does is never recorded."""
     simulator, target = (gridworld(6, slip, discount=0.97) for slip in (0.3, 0.15))
@@ -168,7 +160,10 @@ FLOORS: dict[str, Maker] = {
         "Every other cell of the floor is more slippery than simulated.", floor(),
         floor(np.where((ROW + COLUMN) % 2, 0.4, SIMULATED)), recorded=0.9,
     ),
-    "floor_wind": floor_wind,
+    "floor_wind": lambda: pair(
+        "A wind blows along one direction, in a fifth of the steps; the simulator has none.", floor(),
+        0.8 * floor().transitions + 0.2 * floor().transitions[np.arange(64 * 4) // 4 * 4 + 1],  # a row up, whatever it does
+    ),
     "floor_identical": lambda: pair("The simulator of the floor is right.", floor(), floor()),
 }  # fmt: skip
 GARNETS: dict[str, Maker] = {
@@ -214,16 +209,9 @@ TOY_TEXT: dict[str, Maker] = {
 }  # fmt: skip
 
 
-TABLES = (
-    chains.FIRST,
-    FLOORS,
-    GARNETS,
-    TOY_TEXT,
-    chains.TRADES,
-    {"one_way_grid": one_way_grid},
-    SHIFTS,
-)
-MADE: Mapping[str, Maker] = {name: make for table in TABLES for name, make in table.items()}
+MADE: Mapping[str, Maker] = {
+    **chains.FIRST, **FLOORS, **GARNETS, **TOY_TEXT, **chains.TRADES, "one_way_grid": one_way_grid, **SHIFTS
+}  # fmt: skip
 LARGE: Mapping[str, Maker] = {"tandem45": lambda: chains.tandem(45), **LARGE_GARNETS}
 HELD = (  # whose results nobody saw while the default was chosen
     "blend_with_stranger", "epidemic_superspreading", "low_rank", "lucky_queue", "predator_prey", "random_yield",
@@ -284,12 +272,12 @@ class Families(Mapping[str, Family]):
         return f"family must be one of {', '.join(self._makers)}; got {_checks.show(name)}{hint}"
 
     def _make(self, name: str) -> Family:
-        maker = self._makers[name]
         words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], dtype=">u4")  # of the name alone
         try:
-            if not inspect.signature(maker).parameters:
-                return _make_fixed(maker)
-            return maker(np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=words.tolist())))
+            if not inspect.signature(self._makers[name]).parameters:
+                return _make_fixed(self._makers[name])
+            stream = np.random.SeedSequence(self.seed, spawn_key=words.tolist())
+            return self._makers[name](np.random.default_rng(stream))
         except ValueError as error:
             raise ValueError(f"family {name!r}: {error}") from error
 

@@ -45,14 +45,6 @@ FEW = 10  # logs of a family, below which its coverage is not called the worst
 NORMAL = 1.959963984540054
 
 
-def score(table: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The cells of a run's rows, and the league."""
-    groups = table.groupby(["family", "size"], sort=False)
-    cells = pd.DataFrame([row for key, part in groups for row in _cell_rows(key, part)])
-    league = [_league_row(part) for _, part in cells.groupby(["families", "estimator"], sort=False)]
-    return cells, pd.DataFrame(league)
-
-
 def wide(frame: pd.DataFrame, index: Any, values: str, columns: Any = "estimator") -> pd.DataFrame:
     """A column for each estimator, or for each value of other ``columns``."""
     return frame.pivot(index=index, columns=columns, values=values)  # noqa: PD010 (the other one drops what is nan)
@@ -106,7 +98,7 @@ def _ratios(squares: Array, eff: Array) -> dict[str, float]:
         "low": float(np.quantile(ratio[1:], LOW, method="lower")),
         "b": float(simulator[0] / unit),
         "floor": float(floor(simulator[0] / unit)),
-        "over_likelihood": float(_divide(rmse[:1], likelihood[:1])[0]),
+        "over_likelihood": float(_divide(rmse, likelihood)[0]),
         "over_eff": float(rmse[0] / unit),
     }
 
@@ -369,4 +361,7 @@ def league_of(table: pd.DataFrame) -> League:
     >>> league_of(pd.DataFrame(rows)).cells[["estimator", "ratio"]].round(3).values.tolist()
     [['maximum-likelihood', 1.0], ['simulator', 2.0], ['mine', 0.5]]
     """
-    return League(table, *score(table))
+    groups = table.groupby(["family", "size"], sort=False)
+    cells = pd.DataFrame([row for key, part in groups for row in _cell_rows(key, part)])
+    league = [_league_row(part) for _, part in cells.groupby(["families", "estimator"], sort=False)]
+    return League(table, cells, pd.DataFrame(league))

@@ -42,7 +42,6 @@ class Change:
 
     Attributes
     ----------
-    task : its name
     simulator, target : the target's states may have more coordinates after the simulator's; the log has the simulator's
     policy : share of random actions -> policy
     sizes : moves of a log
@@ -53,7 +52,6 @@ class Change:
     behavior : share of random actions of the policy that recorded the log
     """
 
-    task: str
     simulator: ContinuousTask
     target: ContinuousTask
     policy: Callable[[float], StatePolicy]
@@ -117,34 +115,31 @@ class Delayed(HistoryTask):
         return moved
 
 
-def _cartpole(**changes: Any) -> Change:
-    return replace(_CARTPOLE, target=classic.ChangedCartPole(**({"gravity": 10.0} | changes)))
-
-
-def _noisy(**changes: object) -> Change:
-    return replace(_cartpole(**changes), episodes=10_000)  # other noise is not the truth's: more of it is left
+def _cartpole(episodes: int = 4000, **changes: Any) -> Change:
+    target = classic.ChangedCartPole(**({"gravity": 10.0} | changes))
+    return replace(_CARTPOLE, target=target, episodes=episodes)
 
 
 _CARTPOLE = Change(
-    "CartPole", CartPole(10.0), CartPole(10.0), cartpole_policy, sizes=(3000, 80_000), deltas=CARTPOLE_DELTAS,
-    horizon=100, episodes=4000, scale=1.0 - DISCOUNT, grid=(32, 32),
+    CartPole(10.0), CartPole(10.0), cartpole_policy, sizes=(3000, 80_000), deltas=CARTPOLE_DELTAS,
+    horizon=100, scale=1.0 - DISCOUNT, grid=(32, 32),
 )  # fmt: skip
-_PENDULUM = Change("Pendulum", classic.Pendulum(), classic.Pendulum(), classic.swinging, grid=(41, 41))
-_CAR = Change("MountainCar", classic.MountainCar(), classic.MountainCar(), classic.rocking, grid=(40, 40))
-_ACROBOT = Change("Acrobot", classic.Acrobot(), classic.Acrobot(), classic.pumping, horizon=500)
-_CHAIN = Change("Chain", classic.Chain(), classic.Chain(), classic.braking, sizes=(20_000, 150_000), horizon=100)
+_PENDULUM = Change(classic.Pendulum(), classic.Pendulum(), classic.swinging, grid=(41, 41))
+_CAR = Change(classic.MountainCar(), classic.MountainCar(), classic.rocking, grid=(40, 40))
+_ACROBOT = Change(classic.Acrobot(), classic.Acrobot(), classic.pumping, horizon=500)
+_CHAIN = Change(classic.Chain(), classic.Chain(), classic.braking, sizes=(20_000, 150_000), horizon=100)
 
 
 def _reacher(length: float) -> Change:
     return Change(
-        "Reacher", Even(0.1, length), Even(length), reacher_policy, sizes=(150_000,), deltas=REACHER_DELTAS,
+        Even(0.1, length), Even(length), reacher_policy, sizes=(150_000,), deltas=REACHER_DELTAS,
         horizon=100, episodes=1000, behavior=0.5,
     )  # fmt: skip
 
 
 def _arm(name: str) -> Change:
     return Arm(
-        "Kinova", arm_of("simulator"), arm_of(name), functools.partial(kinova.kinova_policy, 0), sizes=(1250,),
+        arm_of("simulator"), arm_of(name), functools.partial(kinova.kinova_policy, 0), sizes=(1250,),
         deltas=(0.0, 0.3), horizon=kinova.HORIZON, episodes=100,
     )  # fmt: skip
 
@@ -159,8 +154,9 @@ CASES: dict[str, Change] = {
     "CartPole, friction": _cartpole(joint=2e-4, cart=0.05),
     "CartPole, wind": _cartpole(push=0.5),
     "CartPole, unchanged": _cartpole(),
-    "CartPole, noise 0.03": _noisy(gusts=0.03),
-    "CartPole, all at once": _noisy(gravity=11.3, pole=1.3, force=0.8, joint=2e-4, cart=0.05, gusts=0.03),
+    # other noise is not the truth's: more of it is left
+    "CartPole, noise 0.03": _cartpole(10_000, gusts=0.03),
+    "CartPole, all at once": _cartpole(10_000, gravity=11.3, pole=1.3, force=0.8, joint=2e-4, cart=0.05, gusts=0.03),
     "CartPole, delay": replace(_CARTPOLE, target=Delayed(CartPole(10.0))),
     "Pendulum, mass, gravity": replace(_PENDULUM, target=classic.Pendulum(mass=1.2, gravity=11.0)),
     "Pendulum, length": replace(_PENDULUM, target=classic.Pendulum(length=1.15)),
@@ -193,9 +189,6 @@ def known(name: str, delta: float, *, simulator: bool = False) -> Array:
     """(episodes,) returns in the target, or in the simulator."""
     case = CASES[name]
     return case.returns(case.simulator if simulator else case.target, delta)
-
-
-WITHOUT_LINEAR = ("Kinova",)  # 27 coordinates and 27 commands in 1250 moves
 
 
 def _row(case: Change, estimator: str, name: str, found: list[Array]) -> Row:
@@ -273,7 +266,7 @@ def changes(settings: Cell, stream: Stream) -> list[Row]:
     if hidden:
         whole = HistoryTask(case.simulator)
         tasks[HISTORY] = ResidualSimulator(whole, whole.log(log), seed=0)
-    if name.split(",")[0] not in WITHOUT_LINEAR:
+    if not name.startswith("Kinova"):  # 27 coordinates and 27 commands in 1250 moves
         tasks[LINEAR] = LinearModel(case.simulator, log)
     rows = [_row(case, SIMULATOR, name, [known(name, d, simulator=True) for d in case.deltas])]
     rows += [_row(case, what, name, [case.returns(task, d) for d in case.deltas]) for what, task in tasks.items()]

@@ -131,19 +131,15 @@ def published_numbers(summary: pd.DataFrame) -> list[float]:
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Value against delta for each length (at the largest n), and the paper's points."""
+    """Value against delta for each length (at the largest n), and the paper's points, of its own expert and targets."""
+    markers = {name: (name, marker) for name, marker in zip(("true_value", *PUBLISHED.values()), "xo^s", strict=True)}
     shown = (WEIGHTED, RESIDUAL, MODEL, OWN_REWARD, SIMULATOR, UNKNOWN)
     own = table[(table.n == table.n.max()) & table.series.isin(shown)]
     Panels(
         "value", "series", "delta", ("length",), "links of {length:g} m", "delta: share of random actions",
-        "value (discounted sum of 100 rewards)", extra={"true value": "truth"}, bands=True, beneath=mark, size=(6.4, 4.4),
+        "value (discounted sum of 100 rewards)", extra={"true value": "truth"}, bands=True, size=(6.4, 4.4),
+        beneath=lambda ax, rows: mark_paper(ax, "reacher", setting_of(rows.length.iloc[0]), markers),
     )(select_deltas(own, DELTAS), summary, figure)  # fmt: skip
-
-
-def mark(ax: Any, rows: pd.DataFrame) -> None:
-    """The paper's points for this length, of its own expert and targets."""
-    markers = {name: (name, marker) for name, marker in zip(("true_value", *PUBLISHED.values()), "xo^s", strict=True)}
-    mark_paper(ax, "reacher", setting_of(rows.length.iloc[0]), markers)
 
 
 def finding(table: pd.DataFrame) -> str:

@@ -19,7 +19,7 @@ from oee_tabular.lab.experiments.common import SMALL_SCALE, RmsePanels, grids, s
 from oee_tabular.mdp import mix, uniform_policy
 from oee_tabular.plots import plot_intervals
 from oee_tabular.report import contest
-from oee_tabular.tasks import gridworld_policy, named_task
+from oee_tabular.tasks import gridworld_policy
 
 POLICY = gridworld_policy(5, 0.5)  # that is evaluated on the small grids
 
@@ -202,12 +202,6 @@ def coverage(settings: Cell, stream: Stream) -> list[Row]:
     return rows
 
 
-@functools.cache
-def lakes() -> list[oee.FiniteMDP]:
-    """FrozenLake 8 x 8, success rate 1/3 simulated, 0.6 real."""
-    return [named_task(f"FrozenLake-v1:map_name=8x8,success_rate={rate}", discount=0.99).mdp for rate in ("1/3", "0.6")]
-
-
 def draw_lake(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
     """A hundred of the intervals; those that miss have another colour."""
     (ax,) = panels(figure, ["the first 100 logs"], size=(5.6, 5.6))
@@ -226,7 +220,8 @@ def coverage_lake(settings: Cell, stream: Stream) -> list[Row]:
     """FrozenLake 8 x 8, 1/3 simulated, 0.6 real; 20 000 transitions of a policy that is optimal with probability 0.49,
     the policy evaluated 0.7. The default 95% interval (profile likelihood) without a box.
     """
-    simulator, target = lakes()
+    lake = families()["frozen_lake"]
+    simulator, target = lake.simulator, lake.target
     best, uniform = oee.optimal_policy(target), oee.uniform_policy(target)
     policy, behavior = oee.mix(best, uniform, 0.7), oee.mix(best, uniform, 0.49)
     log = oee.sample_episodes(target, behavior, 700, 100, seed=stream.generator()).first(20_000)
