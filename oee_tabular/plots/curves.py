@@ -14,7 +14,8 @@ from oee_tabular.plots.style import INK, check_axes, check_texts, disable_math, 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SPACE = 1.25  # between two names, in letters' heights
+LABEL_SIZE = 8.0  # points, of names at the ends of lines
+SPACE = 1.25  # between two of them, in letters' heights
 
 
 def plot_curves(
@@ -24,7 +25,6 @@ def plot_curves(
     *,
     bands: Mapping[str, tuple[object, object]] | None = None,
     truth: object = None,
-    truth_label: str = "true value",
     xlabel: str = "parameter",
     ylabel: str = "value (discounted sum of rewards)",
 ) -> Axes:
@@ -36,7 +36,7 @@ def plot_curves(
     curves : name -> (k,); nan where there is no value
     ax : matplotlib Axes; None makes them
     bands : name -> (lower, upper), each (k,): quantiles, or an interval's ends
-    truth, truth_label : None, a number, or (k,); its name in the legend
+    truth : None, a number, or (k,)
     xlabel, ylabel : with units
 
     Examples
@@ -47,7 +47,7 @@ def plot_curves(
     ['oee', 'true value']
     """
     where, drawn = _check_curves(x, curves, "x", "curves")
-    check_texts(truth_label=truth_label, xlabel=xlabel, ylabel=ylabel)
+    check_texts(xlabel=xlabel, ylabel=ylabel)
     ends = {}
     for name, pair in _checks.instance(bands or {}, Mapping, "bands").items():
         if name not in drawn:
@@ -66,7 +66,7 @@ def plot_curves(
         if name in ends:
             ax.fill_between(where, ends[name][0], ends[name][1], color=series(k)["color"], alpha=0.18, lw=0)
     if line is not None:
-        ax.plot(where, line, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1, label=truth_label)
+        ax.plot(where, line, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1, label="true value")
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
     ax.grid(visible=True)
@@ -177,7 +177,7 @@ def _check_like(values: object, where: Array, name: str) -> Array:
     return array
 
 
-def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
+def label_ends(ax: Axes) -> Axes:
     """Write each line's name to the right of the axes, at the height of its last point and in its colour; no legend.
 
     Names that would overlap are moved apart, no more than it takes. To be called last: limits and scales stay as they are.
@@ -185,7 +185,6 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
     Parameters
     ----------
     ax : with lines that have labels
-    fontsize : in points, below 100
 
     Examples
     --------
@@ -197,7 +196,6 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
     """
     from scipy.optimize import isotonic_regression
 
-    _checks.number_in(fontsize, "fontsize", 0.0, 100.0, open_ends=True)
     ax = check_axes(ax)
     ends = []
     for line in ax.get_lines():
@@ -212,13 +210,12 @@ def label_ends(ax: Axes, *, fontsize: float = 8.0) -> Axes:
         # heights at least a step apart in the same order, nearest to these (least squares): what is left of the steps
         # may not fall
         order = np.argsort(heights, kind="stable")
-        steps = SPACE * fontsize * ax.figure.dpi / (72.0 * ax.get_window_extent().height) * np.arange(len(order))
+        steps = SPACE * LABEL_SIZE * ax.figure.dpi / (72.0 * ax.get_window_extent().height) * np.arange(len(order))
         heights[order] = isotonic_regression(heights[order] - steps).x + steps
-        style: dict[str, Any] = {"transform": ax.transAxes, "fontsize": fontsize, "va": "center"}
+        style: dict[str, Any] = {"transform": ax.transAxes, "fontsize": LABEL_SIZE, "va": "center"}
         for (line, _), height in zip(ends, heights, strict=True):
             ax.text(1.02, height, str(line.get_label()), color=line.get_color(), **style)
     disable_math(ax.texts)
-    legend = ax.get_legend()
-    if legend is not None:
+    if (legend := ax.get_legend()) is not None:
         legend.remove()
     return ax

@@ -182,7 +182,8 @@ BAD = {
     "a seed without": ({"families": lambda seed: {} if seed else {"odd": MACHINE}, "seeds": 2},
                        "families must have 'odd' at every seed; at seed 1 it is missing"),
     "outside the support": ({"families": "own:outside"}, "family 'bent': target must stay in .* gives probability 0 to .*s="),
-    "sizes": ({"sizes": [0]}, r"sizes must be positive numbers of transitions per .*, at least one; got \[0\]"),
+    "sizes": ({"sizes": [0]}, r"sizes must be in \(0, inf\); it is 0"),
+    "no sizes": ({"sizes": []}, "sizes must name at least one; it is empty"),
     "size's type": ({"sizes": ["x"]}, "sizes must be a number; got 'x'"),
     "seeds": ({"seeds": 0}, "seeds must be a positive integer; it is 0"),
     "seed": ({"seed": -1}, "seed must be an integer from 0; got -1"),
@@ -220,7 +221,7 @@ def test_the_command(tmp_path, capsys, here):
     [
         (("--seed", -1), "(?s)--seed.*(greater than or equal to 0|x>=0)"),
         (("--sizes", "1;3"), "--sizes must be numbers with commas between them, 0.3,1,3; got '1;3'"),
-        (("--sizes", "-1"), r"sizes must be in \[0, inf\); it is -1"),
+        (("--sizes", "-1"), r"sizes must be in \(0, inf\); it is -1"),
     ],
 )
 def test_bad_commands(arguments, text, tmp_path, capsys):
