@@ -87,7 +87,7 @@ def test_the_simulator_is_the_one_with_action_noise(run):
     noisy = GRID.with_action_noise(0.1)
     np.save("keys.npy", np.arange(noisy.transitions.nnz))
     np.save("other.npy", np.arange(oee.tasks.gridworld(3, 0.0).transitions.nnz))
-    words = "evaluate --simulator gridworld:3,slip=0.0 --log log.csv --action-noise 0.1 --json --tie"
+    words = "evaluate --simulator gridworld:3,slip=0.0 --log log.csv --action-noise 0.1 --quick --json --tie"
     assert f"keys.npy ({noisy.transitions.nnz} keys)" in run(words, "keys.npy")
     assert f"must have shape ({noisy.transitions.nnz},)" in run(words, "other.npy", code=2)
 
