@@ -89,14 +89,11 @@ class CartPole(ContinuousTask):
         x, x_dot, theta, theta_dot = np.asarray(states, dtype=np.float64).T
         cosine, sine = np.cos(theta), np.sin(theta)
         temp = (force + POLE_MASS * HALF_LENGTH * np.square(theta_dot) * sine) / TOTAL_MASS
-        theta_acc = (self.gravity * sine - cosine * temp) / (
-            HALF_LENGTH * (4.0 / 3.0 - POLE_MASS * np.square(cosine) / TOTAL_MASS)
-        )
+        inertia = HALF_LENGTH * (4.0 / 3.0 - POLE_MASS * np.square(cosine) / TOTAL_MASS)
+        theta_acc = (self.gravity * sine - cosine * temp) / inertia
         x_acc = temp - POLE_MASS * HALF_LENGTH * theta_acc * cosine / TOTAL_MASS
-        following = np.stack(
-            [x + TAU * x_dot, x_dot + TAU * x_acc, theta + TAU * theta_dot, theta_dot + TAU * theta_acc], axis=1
-        )
-        following += self.noise * disturbance
+        steps = x + TAU * x_dot, x_dot + TAU * x_acc, theta + TAU * theta_dot, theta_dot + TAU * theta_acc
+        following = np.stack(steps, axis=1) + self.noise * disturbance
         return Moves(following, np.ones(len(states)), self.terminated(following))
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
@@ -116,9 +113,7 @@ class CartPole(ContinuousTask):
 
     def end_shows(self, states: Array) -> BoolArray:
         """The end of the track does not show in (theta, theta')."""
-        if self.form == "full":
-            return super().end_shows(states)
-        return np.asarray(np.abs(states[:, 2]) > ANGLE_LIMIT)
+        return np.asarray((np.abs(states[:, 2]) > ANGLE_LIMIT) | (self.form == "full"))
 
     def features(self, states: Array) -> Array:
         """(theta, theta'), or the whole state."""
@@ -136,10 +131,7 @@ class CartPole(ContinuousTask):
 
 
 SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])  # theta in units of its limit, theta' in rad/s, the constant
-SPREAD, SMALLEST_SPREAD = (
-    2.0,
-    0.05,
-)  # standard deviation of the first Gaussian, and its floor later, in units of ``SCALE``
+SPREAD, SMALLEST_SPREAD = 2.0, 0.05  # deviation of the first Gaussian, and its floor later, in units of ``SCALE``
 EXPERT_SEED = 2346
 EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)  # what train_expert() returns
 

@@ -74,8 +74,7 @@ class Grid:
             share = np.stack([1.0 - fraction[:, axis], fraction[:, axis]], axis=1)
             numbers = (size * numbers[:, :, None] + both[:, None]).reshape(n, -1)
             weights = (weights[:, :, None] * share[:, None]).reshape(n, -1)
-        starts = np.arange(n + 1) * weights.shape[1]
-        parts = (weights.ravel(), numbers.ravel(), starts)
+        parts = weights.ravel(), numbers.ravel(), np.arange(n + 1) * weights.shape[1]
         return canonical(sparse.csr_array(parts, shape=(n, self.n_cells)), drop_zeros=True)
 
     def outside(self, features: Array) -> BoolArray:
@@ -153,9 +152,8 @@ class Places:
 
     def mean(self, values: Array) -> Array:
         """(n_cells, ...) the mean over each cell of values (p, ...), one for each point."""
-        p = len(self.point_cell)
-        matrix = sparse.csr_array((np.ones(p), (self.point_cell, np.arange(p))), shape=(self.cells.n_cells, p))
-        return np.asarray(((matrix @ values).T / np.diff(matrix.indptr)).T)
+        matrix = indicator(self.point_cell, self.cells.n_cells)
+        return np.asarray(((matrix.T @ values).T / matrix.sum(axis=0)).T)
 
     def weights(self, task: ContinuousTask, states: Array, ended: BoolArray) -> sparse.csr_array:
         """(n, S) how states are shared out among the numbered ones; what has ended lies in the absorbing state, the last."""
@@ -177,8 +175,7 @@ class Places:
             matrix, paid = sparse.csr_array(self.averages @ matrix), np.asarray(self.averages @ paid)
         paid = paid.reshape(-1, task.n_actions)
         if task.terminates:
-            last = np.eye(1, matrix.shape[1], matrix.shape[1] - 1)
-            stay = sparse.csr_array(np.repeat(last, task.n_actions, axis=0))
+            stay = indicator(np.full(task.n_actions, matrix.shape[1] - 1), matrix.shape[1])
             matrix = sparse.csr_array(sparse.vstack([matrix, stay], format="csr"))
             paid = np.concatenate([paid, np.zeros((1, task.n_actions))])
         return self.finite_mdp(task, matrix, paid, initial, discount)
@@ -213,8 +210,7 @@ class Places:
         else:
             draws, chances = [rng.standard_normal((len(states), task.n_disturbances))], np.ones(1)
         gone = task.terminated(states)
-        total: Any = 0.0
-        paid = np.zeros(len(states))
+        total, paid = 0.0, np.zeros(len(states))
         for disturbance, chance in zip(draws, chances, strict=True):
             moved = task.moves(states, actions, disturbance)
             bad = np.flatnonzero(~np.isfinite(moved.next_state).all(axis=1))

@@ -108,34 +108,30 @@ class GridInterpolation:
         object.__setattr__(self, "shape", shape)
         _checks.number_in(self.vertex_weight, "vertex_weight", 0.0, np.inf)
 
-    def grid(self, task: ContinuousTask) -> Grid:
-        """The grid for the features of ``task``."""
+    def places(self, task: ContinuousTask, log: ContinuousTransitions | None, *others: object) -> Places:
+        """The vertices under each action and, at a log, the log's own states and actions."""
         k = len(task.feature_names)
         if len(self.shape) != k:
             raise ValueError(
                 f"shape must have {k} numbers, one for each feature of {task.name} ({', '.join(task.feature_names)}); "
                 f"it is {self.shape}"
             )
-        low = _checks.float_array(task.feature_low if self.low is None else self.low, "low")
-        high = _checks.float_array(task.feature_high if self.high is None else self.high, "high")
+        ends = task.feature_low if self.low is None else self.low, task.feature_high if self.high is None else self.high
+        low, high = (_checks.float_array(end, name) for end, name in zip(ends, ("low", "high"), strict=True))
         for name, end in (("low", low), ("high", high)):
             if end.shape != (k,):
                 raise ValueError(f"{name} must have shape ({k},); it has shape {end.shape}")
             _checks.require_finite(end, name)
         for axis in np.flatnonzero(low >= high):
             raise ValueError(f"high[{axis}] must be above low[{axis}], {low[axis]}; it is {high[axis]}")
-        return Grid(low, high, self.shape, task.periodic)
-
-    def places(self, task: ContinuousTask, log: ContinuousTransitions | None, *others: object) -> Places:
-        """The vertices under each action and, at a log, the log's own states and actions."""
-        grid = self.grid(task)
+        grid = Grid(low, high, self.shape, task.periodic)
         points, cell = task.embed(grid.vertices()), np.arange(grid.n_cells)
         states, actions = each_action(task, points)
         averages = None
         if task.is_translation_invariant:
             line = (np.arange(POINTS_OF_A_BOX) + 0.5) / POINTS_OF_A_BOX - 0.5
-            box = np.stack(np.meshgrid(*[line] * len(self.shape), indexing="ij"), axis=-1).reshape(-1, len(self.shape))
-            points = task.embed((grid.vertices()[:, None] + box * grid.spacing).reshape(-1, len(self.shape)))
+            box = np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1).reshape(-1, k)
+            points = task.embed((grid.vertices()[:, None] + box * grid.spacing).reshape(-1, k))
             cell = np.repeat(cell, len(box))
         elif log is not None:
             own, chosen = check_states(task, log.state, "log.state"), log.action_numbers(task.actions)
@@ -322,16 +318,16 @@ def discretize(
         _checks.number_in(floor, "floor", 0.0, 1.0, open_ends=True)
         if log is None:
             raise ValueError(f"floor must be 0 without a log, for {task.name} has no others; it is {floor}")
-    if isinstance(cells, Discretization):
-        places = cells.places
+    chosen, k = process.default_cells if cells is None else cells, len(process.feature_names)
+    if chosen is None:
+        chosen = (DEFAULT_VERTICES[k],) * k if k in DEFAULT_VERTICES else DEFAULT_CELLS
+    if not isinstance(chosen, Discretization | GridInterpolation | VisitedCells):
+        is_number = isinstance(chosen, int | np.integer)
+        chosen = VisitedCells(int(chosen)) if is_number else GridInterpolation(chosen)
+    if isinstance(chosen, Discretization):
+        places = chosen.places
     else:
         visiting = list(policies) or [uniform_policy_of(task)]
-        chosen, k = process.default_cells if cells is None else cells, len(process.feature_names)
-        if chosen is None:
-            chosen = (DEFAULT_VERTICES[k],) * k if k in DEFAULT_VERTICES else DEFAULT_CELLS
-        if not isinstance(chosen, GridInterpolation | VisitedCells):
-            is_number = isinstance(chosen, int | np.integer)
-            chosen = VisitedCells(int(chosen)) if is_number else GridInterpolation(chosen)
         places = chosen.places(process, log if process is task else None, mixed, visiting, seed)
     if share == 0.0 and others is None:
         mixed = []
@@ -339,21 +335,18 @@ def discretize(
     inner = places.cells.weights(process.features(starts)).T @ mass
     initial = np.append(inner / inner.sum(), np.zeros(int(process.terminates)))
     simulators = tuple(places.simulate(each, initial, discount) for each in (process, *mixed))
-    metadata: dict[str, Any] = {
-        "task": task.name,
-        "parameters": task.parameters(),
-        "features": list(task.feature_names),
-    }
-    metadata |= {"cells": places.cells.extent(), "floor": share, "others": [other.parameters() for other in mixed]}
+    metadata = {
+        "task": task.name, "parameters": task.parameters(), "features": list(task.feature_names),
+        "cells": places.cells.extent(), "floor": share, "others": [other.parameters() for other in mixed],
+    }  # fmt: skip
     model = Discretization(simulators[0], process, places, simulators, metadata)
     if closure_episodes:
         model = _measure_closure(model, _checks.positive_integer(closure_episodes, "closure_episodes"))
     model = replace(model, task=task)
     if share == 0.0:
         return model
-    if mixed:
+    if mixed or log is None:
         return model.mixture([1.0 - share, *[share / len(mixed)] * len(mixed)])
-    assert log is not None
     with warnings.catch_warnings(action="ignore"):  # whoever encodes the log is told
         counts = model.counts(log, outside="nearest")
     return replace(model, mdp=model.plain.with_support_of(counts, share))
@@ -370,8 +363,8 @@ def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
         if isinstance(model.cells, Grid):
             task, grid, some = model.task, model.cells, slice(None, None, max(1, len(model.places.states) // 2000))
             states, actions = model.places.states[some], model.places.actions[some]
-            moved = task.moves(states, actions, np.zeros((len(states), task.n_disturbances)))
-            length = np.abs(task.features(moved.next_state) - task.features(states))
+            moved = task.noiseless_step(states, actions).next_state
+            length = np.abs(task.features(moved) - task.features(states))
             period = np.where(grid.periodic, grid.high - grid.low, np.inf)
             median = np.median(np.minimum(length, np.abs(period - length)) / grid.spacing, axis=0)
             steps = ", ".join(f"{name} {step:.2g}" for name, step in zip(task.feature_names, median, strict=True))

@@ -83,8 +83,6 @@ class Discretization:
         """The number of the absorbing state in which episodes end, None where they do not."""
         return self.cells.n_cells if self.task.terminates else None
 
-    # ---- policies and values --------------------------------------------------------------------------------------
-
     def policy(self, policy: StatePolicy | Array, name: str = "policy") -> Array:
         """(S, A) a policy function in each state: its mean over the points of the cell; uniform where it is over.
 
@@ -126,8 +124,6 @@ class Discretization:
         scale = max(abs(mc.value), mc.deviation, np.finfo(float).tiny)
         return (value - mc.value) / scale, mc.standard_error / scale
 
-    # ---- mixtures of simulators -----------------------------------------------------------------------------------
-
     def mixture(self, weights: Sequence[float] | Array) -> Discretization:
         """The same states with sum_k w_k P_k over ``simulators``: another simulator, and ``metadata`` says so.
 
@@ -135,15 +131,13 @@ class Discretization:
         """
         shares = _checks.distribution(weights, "weights", (len(self.simulators),))
         used = [(share, part) for share, part in zip(shares, self.simulators, strict=True) if share > 0.0]
-        matrix = sum(share * part.transitions for share, part in used)
         rewards = np.sum([share * part.rewards for share, part in used], axis=0)
-        plain = self.plain
-        return replace(self, mdp=self.places.finite_mdp(self.task, matrix, rewards, plain.initial, plain.discount))
+        return replace(self, mdp=self.with_transitions(sum(share * part.transitions for share, part in used), rewards))
 
-    def with_transitions(self, transitions: sparse.csr_array) -> FiniteMDP:
-        """Other transitions on the same states with the task's rewards, wherever they lead."""
-        plain = self.plain
-        return self.places.finite_mdp(self.task, transitions, plain.rewards, plain.initial, plain.discount)
+    def with_transitions(self, transitions: sparse.csr_array, rewards: Array | None = None) -> FiniteMDP:
+        """Other transitions on the same states with the task's rewards (or these), wherever they lead."""
+        paid, plain = self.plain.rewards if rewards is None else rewards, self.plain
+        return self.places.finite_mdp(self.task, transitions, paid, plain.initial, plain.discount)
 
     @one_thread
     def fit_weights(self, counts: sparse.csr_array) -> Array:
@@ -167,8 +161,6 @@ class Discretization:
             share /= share.sum(axis=1, keepdims=True)
             weights = entries.data @ share / entries.data.sum()
         return np.asarray(weights)
-
-    # ---- logs -----------------------------------------------------------------------------------------------------
 
     def encode_states(self, states: object, *, seed: Any = None, outside: str = "error") -> IntArray:
         """(n,) the number of each state.
@@ -205,9 +197,8 @@ class Discretization:
         """
         kept, actions, ended = self._select_rows(log, outside)
         draws: Any = (None, None)
-        same = np.zeros(0, dtype=np.int64)  # rows whose next state is the next row's state
-        if kept.episode is not None:
-            same = np.flatnonzero(kept.episode[1:] == kept.episode[:-1])
+        episode = np.arange(len(kept)) if kept.episode is None else kept.episode
+        same = np.flatnonzero(episode[1:] == episode[:-1])  # rows whose next state is the next row's state
         if seed is not None:
             draws = _checks.generator(seed).random((len(kept), 2)).T
             draws[1, same] = draws[0, same + 1]
@@ -226,16 +217,15 @@ class Discretization:
         rows are: w_j(vertex_i + phi(s') - phi(s)).
         """
         kept, actions, ended = self._select_rows(log, outside)
-        n_states, n_actions = self.mdp.n_states, self.task.n_actions
-        if self.task.is_translation_invariant:
-            before, after = self.task.features(kept.state), self.task.features(kept.next_state)
-            number = _pick(self.cells.weights(before), None)
-            start = indicator(number, n_states)
-            arrival = self.cells.weights(self.cells.vertices()[number] + after - before)
+        task, cells = self.task, self.cells
+        if task.is_translation_invariant:
+            before, after = task.features(kept.state), task.features(kept.next_state)
+            number = _pick(cells.weights(before), None)
+            start, arrival = indicator(number, cells.n_cells), cells.weights(cells.vertices()[number] + after - before)
         else:
-            start = self.places.weights(self.task, kept.state, np.zeros_like(ended))
-            arrival = self.places.weights(self.task, kept.next_state, ended)
-        return canonical(spread_over_pairs(start, actions, n_actions).T @ arrival, drop_zeros=True)
+            start = self.places.weights(task, kept.state, np.zeros_like(ended))
+            arrival = self.places.weights(task, kept.next_state, ended)
+        return canonical(spread_over_pairs(start, actions, task.n_actions).T @ arrival, drop_zeros=True)
 
     def supported(self, counts: sparse.csr_array) -> tuple[sparse.csr_array, float]:
         """The counts that lie where ``mdp`` has probability, and the share of those that do not: to be reported with it."""
@@ -272,32 +262,30 @@ class Discretization:
         _checks.one_of(outside, "outside", OUTSIDE)
         task, actions = self.task, log.action_numbers(self.task.actions)
         ended = log.terminated | task.terminated(log.next_state)
-        if not task.terminates:
-            for row in np.flatnonzero(log.terminated):
-                raise ValueError(f"log.terminated[{row}] must be False: episodes of {task.name} do not end; it is True")
-        else:
-            before = np.flatnonzero(task.terminated(log.state))
-            if before.size:
-                raise ValueError(
-                    f"log.state[{before[0]}] must be a state in which {task.name} goes on; it is over in "
-                    f"{log.state[before[0]].tolist()} ({before.size} such rows in all)"
-                )
-            hidden = np.flatnonzero(ended & ~task.end_shows(log.next_state))
-            if hidden.size:
-                warnings.warn(
-                    f"log.terminated: {hidden.size} of {int(ended.sum())} ends do not show in the features "
-                    f"({', '.join(task.feature_names)}); the first, row {hidden[0]}, leads to "
-                    f"{log.next_state[hidden[0]].tolist()}. They are taken as truncated, the process going on",
-                    stacklevel=3,
-                )
-            ended[hidden] = False
+        for row in () if task.terminates else np.flatnonzero(log.terminated):
+            raise ValueError(f"log.terminated[{row}] must be False: episodes of {task.name} do not end; it is True")
+        before = np.flatnonzero(task.terminated(log.state))
+        if before.size and task.terminates:
+            raise ValueError(
+                f"log.state[{before[0]}] must be a state in which {task.name} goes on; it is over in "
+                f"{log.state[before[0]].tolist()} ({before.size} such rows in all)"
+            )
+        hidden = np.flatnonzero(ended & ~task.end_shows(log.next_state) & task.terminates)
+        if hidden.size:
+            warnings.warn(
+                f"log.terminated: {hidden.size} of {int(ended.sum())} ends do not show in the features "
+                f"({', '.join(task.feature_names)}); the first, row {hidden[0]}, leads to "
+                f"{log.next_state[hidden[0]].tolist()}. They are taken as truncated, the process going on",
+                stacklevel=3,
+            )
+        ended[hidden] = False
         gone = self._outside(log.state, np.zeros_like(ended), "log.state", outside)
         gone |= self._outside(log.next_state, ended, "log.next_state", outside)
-        if outside == "drop" and gone.any():
-            if gone.all():
-                raise ValueError("outside must not be 'drop' where every row is outside; nothing would be left")
-            return log.select(~gone), actions[~gone], ended[~gone]
-        return log, actions, ended
+        if outside != "drop" or not gone.any():
+            return log, actions, ended
+        if gone.all():
+            raise ValueError("outside must not be 'drop' where every row is outside; nothing would be left")
+        return log.select(~gone), actions[~gone], ended[~gone]
 
     def _outside(self, states: Array, ended: BoolArray, name: str, outside: str) -> BoolArray:
         """Which states that are not over lie outside the cells: an error or a warning that counts them."""
@@ -306,15 +294,16 @@ class Discretization:
         rows = np.flatnonzero(gone)
         if rows.size:
             at = zip(self.task.feature_names, features[rows[0]], strict=True)
-            place = ", ".join(f"{feature}={value:.4g}" for feature, value in at)
-            text = f"{name} must be inside {self.cells.extent()}: {rows.size} of {len(states)} rows are not"
-            text += f"; the first, row {rows[0]}, is at {place}"
+            text = (
+                f"{name} must be inside {self.cells.extent()}: {rows.size} of {len(states)} rows are not; the first, row "
+                f"{rows[0]}, is at {', '.join(f'{feature}={value:.4g}' for feature, value in at)}. "
+            )
             if outside == "error":
                 raise ValueError(
-                    f"{text}. A wider grid, or outside='nearest' or 'drop' (--task-option outside=), takes them"
+                    f"{text}A wider grid, or outside='nearest' or 'drop' (--task-option outside=), takes them"
                 )
             done = "left out" if outside == "drop" else "moved to the nearest place inside"
-            warnings.warn(f"{text}. They are {done}", stacklevel=4)
+            warnings.warn(f"{text}They are {done}", stacklevel=4)
         return np.asarray(gone)
 
 

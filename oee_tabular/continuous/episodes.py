@@ -101,14 +101,9 @@ def monte_carlo_value(
 
 
 def compare_returns(
-    tasks: Sequence[ContinuousTask],
-    policy: StatePolicy,
-    n: int,
-    horizon: int,
-    *,
-    discount: float,
+    tasks: Sequence[ContinuousTask], policy: StatePolicy, n: int, horizon: int, *, discount: float,
     seed: np.random.SeedSequence,
-) -> Array:
+) -> Array:  # fmt: skip
     """(len(tasks), n) returns whose random numbers belong to the episode and the step: tasks that are alike go alike.
 
     By the difference of two tasks' returns their values are compared with a small part of Monte Carlo's own error. All begin
@@ -124,13 +119,12 @@ def compare_returns(
         actions = _choose(check_probabilities(policy, states, tasks[0].n_actions), uniform[alive % n])
         following, ended = np.empty_like(states), np.zeros(len(states), dtype=np.bool_)
         ends = np.searchsorted(alive, n * np.arange(len(tasks) + 1))
-        for task, low, high in zip(tasks, ends[:-1], ends[1:], strict=True):
-            if low == high:
-                continue
-            here, xi = slice(low, high), disturbance[alive[low:high] % n, : task.n_disturbances]
-            moved = task.moves(states[here], actions[here], xi)
-            following[here], ended[here] = moved.next_state, moved.terminated
-            total[alive[here]] += discount**t * moved.reward
+        for task, here in zip(tasks, map(slice, ends[:-1], ends[1:]), strict=True):
+            if here.start < here.stop:
+                xi = disturbance[alive[here] % n, : task.n_disturbances]
+                moved = task.moves(states[here], actions[here], xi)
+                following[here], ended[here] = moved.next_state, moved.terminated
+                total[alive[here]] += discount**t * moved.reward
         alive, states = alive[~ended], following[~ended]
         if alive.size == 0:
             break
@@ -174,10 +168,9 @@ def record(
         raise ValueError("one of n_transitions and n_episodes must be given")
     _checks.instance(task, ContinuousTask, "task")
     steps = _checks.positive_integer(max_steps, "max_steps")
-    if n_episodes is not None:
+    if n_transitions is None:
         streams = _streams(seed, _checks.positive_integer(n_episodes, "n_episodes"))
         return ContinuousTransitions.concatenate([_episodes(task, policy, size, steps, rng) for rng, size in streams])
-    assert n_transitions is not None
     rows = _checks.positive_integer(n_transitions, "n_transitions")
     _checks.require_memory(8.0 * rows, "n_transitions", rows)
     parts: list[ContinuousTransitions] = []
@@ -191,8 +184,7 @@ def _streams(seed: Any, n: int) -> list[tuple[np.random.Generator, int]]:
     """Generators for CHUNK episodes each, spawned from ``seed``."""
     _checks.require_memory(9.0 * n, "n_episodes", n)
     sizes = [min(CHUNK, n - low) for low in range(0, n, CHUNK)]
-    children = _checks.generator(seed).spawn(len(sizes))
-    return list(zip(children, sizes, strict=True))
+    return list(zip(_checks.generator(seed).spawn(len(sizes)), sizes, strict=True))
 
 
 def _walk(

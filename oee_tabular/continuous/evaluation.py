@@ -120,8 +120,7 @@ def evaluate_continuous(
     if not _checks.instance(policies, Mapping, "policies", "mapping from names to policies"):
         raise ValueError("policies must hold at least one; it is empty")
     facts, seed = dict(_checks.instance(options.pop("facts", None) or {}, Mapping, "facts")), options.get("seed")
-    if target is not None:
-        _checks.instance(target, ContinuousTask, "target")
+    _checks.instance(simulator.task if target is None else target, ContinuousTask, "target")
     names = None if estimators is None else _names(estimators, "estimators")
     fit = fit if fit is None or isinstance(fit, ParameterFit) else _names(fit, "fit")
     kind = simulator.calibration if chosen.calibration is None else chosen.calibration
@@ -198,17 +197,17 @@ def evaluate_continuous(
         report = _report_rows(functions, rows | others | last, steps, discount, about, **options)
         uncertainty = Uncertainty(distance=first, caveat=caveat)
         return replace(report, warnings=(*report.warnings, *messages), uncertainty=uncertainty)
-    known = {table.tobytes(): functions[name] for name, table in tables.items()}
+    known = {
+        table.tobytes(): functions[name] for name, table in tables.items()
+    }  # policies by their tables on the cells
 
     def simulate_table(table: Array) -> MonteCarlo:
         return simulate(known[np.asarray(table).tobytes()])
 
+    def evaluate_row(row: Row, problem: Problem, table: Array, *, seed: Seed = None) -> Estimate:
+        return row(known[np.asarray(table).tobytes()])
+
     def on_tables(rows: Mapping[str, Row]) -> dict[str, Estimator]:
-        """Rows as estimators, of policies that are known by their tables on the cells."""
-
-        def evaluate_row(row: Row, problem: Problem, table: Array, *, seed: Seed = None) -> Estimate:
-            return row(known[np.asarray(table).tobytes()])
-
         return {name: partial(evaluate_row, row) for name, row in rows.items()}
 
     every = on_tables(rows)
@@ -285,7 +284,7 @@ def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
 
 def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:
     """Where the log's rewards are not the task's r(s, a, s'); "" where they are, or where either is unknown."""
-    known = None if log.reward is None else task.reward_between(log.state, log.action, log.next_state)
+    known = task.reward_between(log.state, log.action, log.next_state)
     if log.reward is None or known is None:
         return ""
     distance = np.abs(log.reward - known)

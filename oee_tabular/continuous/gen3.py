@@ -242,8 +242,7 @@ def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> Conti
     """
     _checks.instance(log, ContinuousTransitions, "log")
     columns: dict[str, Any] = log.columns()
-    for name in ("state", "next_state"):
-        columns[name] = _positions(columns[name], name)
+    columns |= {name: _positions(columns[name], name) for name in ("state", "next_state")}
     if speed is not None:
         scale = _checks.number_in(speed, "speed", 0.0, np.inf, open_ends=True)
         if log.action.ndim != 2:

@@ -133,14 +133,13 @@ def _register(spec: str) -> str:
 
 
 def _parse_state(state: str) -> dict[str, Any]:
-    first, comma, second = state.partition(",")
-    if not comma:
+    names, module = [name.strip() for name in state.split(",", 1)], state.partition(":")[0]
+    if len(names) < 2:
         raise ValueError(f"--task-option state must be like my_module:get,set, two functions; got {state!r}")
-    module = first.partition(":")[0]
     with own_modules():
         get, write = (
             own_object(name if ":" in name else f"{module}:{name}", "--task-option state", "my_module:get,set")
-            for name in (first.strip(), second.strip())
+            for name in names
         )
     return {"get_state": get, "set_state": write}
 
@@ -218,20 +217,20 @@ def action_set(space: Any, given: Any = None) -> Array:
         n = _checks.positive_integer(count, "actions")
         if not np.isfinite([space.low, space.high]).all():
             raise ValueError(f"actions must be given for {space}, whose range has no end: levels such as [-1,0,1]")
-        levels = [np.linspace(low, high, n) for low, high in zip(space.low, space.high, strict=True)]
+        levels = list(np.linspace(space.low, space.high, n).T)
     else:
         levels = [_checks.float_array(count, "actions", ndim=(1, 2))] * k
-    if levels[0].ndim == 2:
-        table = levels[0]
-    elif np.prod([float(len(each)) for each in levels]) > MAX_COMMANDS:
-        text = f"{len(levels[0])} levels of {k} coordinates are more"
-        raise ValueError(f"actions must be at most {MAX_COMMANDS} in all; {text}")
-    else:
+    n_levels, table = len(levels[0]), np.asarray(levels[0])
+    if table.ndim == 1:
+        if float(n_levels) ** k > MAX_COMMANDS:
+            raise ValueError(
+                f"actions must be at most {MAX_COMMANDS} in all; {n_levels} levels of {k} coordinates are more"
+            )
         table = np.array(list(itertools.product(*levels)))
     for i, row in enumerate(table):
         if not space.contains(row.astype(space.dtype)):
             raise ValueError(f"actions[{i}] must be in {space}; it is {row.tolist()}")
-    return table
+    return np.asarray(table)
 
 
 class Physics:
@@ -258,10 +257,10 @@ class Physics:
         if not rest:
             return
         env = self.make()
-        elements, known = _elements(env.unwrapped), _numbers_of(env.unwrapped)
+        inner, elements, known = env.unwrapped, _elements(env.unwrapped), _numbers_of(env.unwrapped)
         for key, value in rest.items():
-            holders = (env.unwrapped.model, env.unwrapped.model.opt) if elements else ()
-            if not hasattr(env.unwrapped, key) and (key in elements or any(hasattr(each, key) for each in holders)):
+            holders = (inner.model, inner.model.opt) if elements else ()
+            if not hasattr(inner, key) and (key in elements or any(hasattr(each, key) for each in holders)):
                 self._fields[key] = value
                 continue
             if key not in known:
@@ -283,12 +282,11 @@ class Physics:
                 raise ValueError(
                     f"{next(iter(self._constants))} must be an argument of {self.identifier}, which is made by a function"
                 )
-            constants = self._constants
 
             def hold(env: object, name: str, value: object) -> None:
-                object.__setattr__(env, name, constants.get(name, value))
+                object.__setattr__(env, name, self._constants.get(name, value))
 
-            members = {**constants, "__setattr__": hold, "__module__": owner.__module__}
+            members = self._constants | {"__setattr__": hold, "__module__": owner.__module__}
             owner = type(owner.__name__, (owner,), members)
         try:
             env = owner(**arguments)
@@ -316,9 +314,8 @@ class Physics:
     def known(self) -> dict[str, float]:
         """Name -> number, as it is: arguments, constants, and elements of a MuJoCo model (body_mass.pole)."""
         env = self.make()
-        inner = env.unwrapped
-        found = {name: p.default for name, p in self._takes.items()} | _numbers_of(inner) | self.given
-        found |= {name: values[0] for name, values in _elements(inner).items()}
+        found = {name: p.default for name, p in self._takes.items()} | _numbers_of(env.unwrapped) | self.given
+        found |= {name: values[0] for name, values in _elements(env.unwrapped).items()}
         env.close()
         return {name: float(value) for name, value in found.items() if _is_number(value)}
 

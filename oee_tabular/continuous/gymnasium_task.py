@@ -137,7 +137,7 @@ class GymnasiumTask(ContinuousTask):
                 raise ValueError(
                     f"actions[{number}] must be in {self._env.action_space}; it is {self.actions[number].tolist()}"
                 )
-        found = self._find_ranges(make()) if low is None or high is None else (None, None)
+        found = self._find_ranges(make()) if low is None or high is None else (low, high)
         for name, own, given in zip(("low", "high"), found, (low, high), strict=True):
             end = _checks.float_array(own if given is None else given, name)
             if end.shape != state.shape:
@@ -219,13 +219,10 @@ class GymnasiumTask(ContinuousTask):
         """The function that was given, if one was."""
         return None if self._reward_between is None else self._reward_between(states, actions, next_states)
 
-    def with_environment(
-        self, make: Callable[[], Any], make_vector: Callable[[int], Any] | None, parameters: dict[str, Any]
-    ) -> GymnasiumTask:
+    def with_environment(self, make: Callable[[], Any], make_vector: Any, parameters: dict[str, Any]) -> GymnasiumTask:
         """The same task of another environment of the kind, not checked again."""
         again = copy.copy(self)
-        again._make, again._env, again._parameters = make, make(), parameters
-        again._make_vector = make_vector
+        again._make, again._env, again._make_vector, again._parameters = make, make(), make_vector, parameters
         again._env.reset(seed=0)
         return again
 
@@ -272,9 +269,7 @@ class GymnasiumTask(ContinuousTask):
         envs.reset(seed=0)
         envs.np_random, envs.state = NO_CHANCE, states.T.copy()
         _, reward, over, _, _ = envs.step(self.commands[actions].astype(envs.action_space.dtype))
-        return Moves(
-            np.array(envs.state.T, dtype=np.float64), np.asarray(reward, dtype=np.float64), over.astype(np.bool_)
-        )
+        return Moves(np.array(envs.state.T, dtype=np.float64), np.asarray(reward, np.float64), over.astype(np.bool_))
 
     def one_by_one(self, states: Array, actions: IntArray, rng: np.random.Generator | Sequence[Chance]) -> Moves:
         """Each state put into the environment by itself; random numbers are one generator's, or each its own."""
@@ -305,9 +300,7 @@ class GymnasiumTask(ContinuousTask):
         """By the function ``over``."""
         return super().terminated(states) if self._over is None else np.asarray(self._over(states), dtype=np.bool_)
 
-    def play(
-        self, env: Any, choose: Callable[[Array], int], n: int, limit: int | None = None
-    ) -> tuple[NDArray[Any], ...]:
+    def play(self, env: Any, choose: Callable[[Array], int], n: int, limit: Any = None) -> tuple[NDArray[Any], ...]:
         """Step an environment that was reset as any program would, never setting its state, n times; then close it.
 
         Columns: state, action number, next state, reward, whether it is over, and whether the environment cut the episode,
@@ -343,8 +336,10 @@ class GymnasiumTask(ContinuousTask):
         ``policy`` is a function of states (n, d) giving probabilities (n, A). Episodes are truncated after ``max_steps``, the
         last one where the log ends.
         """
-        rows = _checks.positive_integer(n_transitions, "n_transitions")
-        steps = _checks.positive_integer(max_steps, "max_steps")
+        rows, steps = (
+            _checks.positive_integer(n_transitions, "n_transitions"),
+            _checks.positive_integer(max_steps, "max_steps"),
+        )
         rng, env, known = _checks.generator(seed), self._make(), []
         env.reset(seed=int(rng.integers(2**31)))
         env.unwrapped.reset()

@@ -77,7 +77,7 @@ class HistoryTask(DerivedTask):
                 f"steps must be less than the longest episode's transitions; no row of the log has {self.steps} before it"
                 + (": log.episode is not given, and no row begins where another ends" if log.episode is None else "")
             )
-        codes = np.vstack([np.eye(self.n_actions), np.zeros(self.n_actions)])  # the last: no action
+        codes = np.eye(self.n_actions + 1, self.n_actions)  # the last: no action
         last = codes[np.where(earlier >= 0, actions[earlier], -1)].reshape(len(log), -1)
         states = np.column_stack([log.state, last])
         columns = {"state": states, "next_state": self._append_action(states, actions, log.next_state)}

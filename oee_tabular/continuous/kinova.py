@@ -116,13 +116,10 @@ class KinovaHand(HandTask):
 
     def others(self) -> tuple[KinovaHand, ...]:
         """Hands that go half and one and a half times as far, with twice the scatter: a target may lie between."""
-        return tuple(
-            replace(
-                self, coefficients=factor * self.coefficients, scatter=WIDER * self.scatter, noise_points=2,
-                source=self.source | {"scaled": factor, "scatter": WIDER},
-            )
-            for factor in FACTORS
-        )  # fmt: skip
+        wider = replace(self, scatter=WIDER * self.scatter, noise_points=2)
+        sources = [self.source | {"scaled": factor, "scatter": WIDER} for factor in FACTORS]
+        parts = [factor * self.coefficients for factor in FACTORS]
+        return tuple(replace(wider, coefficients=c, source=s) for c, s in zip(parts, sources, strict=True))
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Some of ``starts``."""

@@ -44,10 +44,7 @@ class VectorFormat(Format):
         """One column for each coordinate."""
         flat: Columns = {}
         for name, column in columns.items():
-            if column.ndim == 1:
-                flat[name] = column
-            else:
-                flat |= {f"{name}_{k}": column[:, k] for k in range(column.shape[1])}
+            flat |= {name: column} if column.ndim == 1 else {f"{name}_{k}": part for k, part in enumerate(column.T)}
         return flat
 
     def from_table(self, flat: Columns, name: str) -> Columns:
@@ -55,8 +52,7 @@ class VectorFormat(Format):
         columns: Columns = {}
         parts: dict[str, dict[int, NDArray[Any]]] = {}
         for label, column in flat.items():
-            match = NUMBERED.fullmatch(label)
-            if match:
+            if match := NUMBERED.fullmatch(label):
                 parts.setdefault(match[1], {})[int(match[2])] = column
             else:
                 columns[label] = column
@@ -176,10 +172,8 @@ class ContinuousTransitions(LogColumns):
         if self.episode is not None:
             text += f" in {len(np.unique(self.episode))} episodes"
         text += f": {int(self.terminated.sum())} terminated, {int(self.truncated.sum())} truncated"
-        if self.action.ndim == 1:
-            text += f"; actions 0..{self.action.max()}"
-        else:
-            text += f"; actions are {self.action.shape[1]}-dimensional commands"
+        commands = f" are {self.action.shape[-1]}-dimensional commands"
+        text += f"; actions{f' 0..{self.action.max()}' if self.action.ndim == 1 else commands}"
         if self.reward is not None:
             text += f"; rewards {self.reward.min():g} to {self.reward.max():g}"
         return f"ContinuousTransitions({text})"
@@ -253,8 +247,6 @@ def _vectors(value: object, name: str) -> Array:
 
 def _actions(value: object) -> NDArray[Any]:
     array = _checks.as_array(value, "action")
-    if array.ndim == 2:
-        return _vectors(array, "action")
-    if array.ndim != 1:
+    if array.ndim not in (1, 2):
         raise ValueError(f"action must have shape (n,) (numbers) or (n, k) (commands); it has shape {array.shape}")
-    return check_array(array, "action")
+    return check_array(array, "action") if array.ndim == 1 else _vectors(array, "action")

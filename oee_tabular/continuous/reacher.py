@@ -134,8 +134,7 @@ class Reacher(ContinuousTask):
             _checks.number_in(getattr(self, name), name, 0.0, np.inf)
         _checks.number_in(self.timestep, "timestep", 0.0, np.inf, open_ends=True)
         _checks.positive_integer(self.substeps, "substeps")
-        fastest = 4.0 if self.damping > 0 else 40.0
-        high = np.array([1.0, 1.0, STOP, fastest, fastest])
+        high = np.array([1.0, 1.0, STOP, *[4.0 if self.damping > 0 else 40.0] * 2])
         object.__setattr__(self, "feature_low", freeze(-high))
         object.__setattr__(self, "feature_high", freeze(high))
 
@@ -195,8 +194,9 @@ class Reacher(ContinuousTask):
         return np.asarray(np.hypot(*(fingertip(states, length) - np.array(self.target)).T))
 
     def reward_terms(self, states: Array) -> Array:
-        """(n, 4) the distance, the two speeds, and being at the stop."""
-        return np.column_stack([self.distance(states), np.abs(states[:, 2:]), at_stop(states)])
+        """(n, 4) the distance, the two speeds, and 1 where the elbow is within 1 % of its stop, where Bullet's Reacher pays."""
+        at_stop = np.abs(np.abs(states[:, 1]) / STOP - 1.0) < 0.01
+        return np.column_stack([self.distance(states), np.abs(states[:, 2:]), at_stop])
 
     def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
         """(n,) the paper's reward."""
@@ -210,15 +210,11 @@ class Reacher(ContinuousTask):
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """At rest, at any angle of the shoulder; the elbow within a quarter turn."""
-        states = np.zeros((n, 4))
-        states[:, 0] = rng.uniform(-3.14, 3.14, n)
-        states[:, 1] = rng.uniform(-1.57, 1.57, n)
-        return states
+        return np.column_stack([rng.uniform(-3.14, 3.14, n), rng.uniform(-1.57, 1.57, n), np.zeros((n, 2))])
 
     def smooth(self, states: Array) -> Array:
         """Both angles by cosine and sine."""
-        angles = states[:, :2]
-        return np.column_stack([np.cos(angles), np.sin(angles), states[:, 2:]])
+        return np.column_stack([np.cos(states[:, :2]), np.sin(states[:, :2]), states[:, 2:]])
 
     def features(self, states: Array) -> Array:
         """(cos q1, sin q1, q2, w1, w2)."""
@@ -231,11 +227,6 @@ class Reacher(ContinuousTask):
     def parameters(self) -> dict[str, Any]:
         """Every parameter."""
         return {own.name: getattr(self, own.name) for own in fields(self) if own.init} | {"target": list(self.target)}
-
-
-def at_stop(states: Array) -> Array:
-    """(n,) 1 where the elbow is within 1 % of its stop: where Bullet's Reacher pays its cost."""
-    return np.asarray(np.abs(np.abs(states[:, 1]) / STOP - 1.0) < 0.01, dtype=np.float64)
 
 
 def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -169,8 +168,6 @@ class ResidualSimulator(DerivedTask):
         self.n_disturbances = task.n_disturbances + int(self._scatter.drawn.any())
         self.coordinates = self._describe(log, actions, is_smooth, is_free)
 
-    # ---- what the log says ---------------------------------------------------------------------------------------------
-
     def _fit(
         self, log: ContinuousTransitions, actions: IntArray, own: Moves, is_free: BoolArray, rng: np.random.Generator
     ) -> BoolArray:
@@ -202,8 +199,7 @@ class ResidualSimulator(DerivedTask):
 
     def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
         """(n, m) what g depends on besides (s, a), ``free`` the simulator's next states without its stops."""
-        steps = self.task.displacements(states, actions, free)
-        return np.column_stack([shortest(step, self._periods) for step in steps])
+        return np.column_stack([shortest(d, self._periods) for d in self.task.displacements(states, actions, free)])
 
     def _is_outlying(self, left: Array) -> BoolArray:
         """(n,) rows with a residual far beyond the others', where they are few: contacts, stops."""
@@ -213,8 +209,8 @@ class ResidualSimulator(DerivedTask):
         is_far &= is_far.mean(axis=0) <= MAX_OUTLYING
         return np.asarray(is_far.any(axis=1) & (is_far.any(axis=1).mean() <= MAX_OUTLYING))
 
-    def _set_fits(self, fits: Sequence[Fit]) -> None:
-        self.fits, self._is_zero = list(fits), not any(len(fit.columns) for fit in fits)
+    def _set_fits(self, fits: list[Fit]) -> None:
+        self.fits, self._is_zero = fits, not any(len(fit.columns) for fit in fits)
         self._coefficients = self._functions.stack(fits)
 
     def _correction(self, states: Array, actions: IntArray, free: Array) -> Array:
@@ -228,7 +224,7 @@ class ResidualSimulator(DerivedTask):
         self, log: ContinuousTransitions, actions: IntArray, is_smooth: BoolArray, is_free: BoolArray
     ) -> tuple[Coordinate, ...]:
         """One ``Coordinate`` each; rows that g was not fitted to count by what it leaves of them."""
-        scatter, left = self._scatter, root_mean_square(self.left_over)
+        scatter, left, residual = self._scatter, root_mean_square(self.left_over), root_mean_square(self.residuals)
         squares, rough = (self.residuals**2).sum(axis=0), (self.left_over[~is_smooth] ** 2).sum(axis=0)
         moved = shortest(log.next_state - log.state, self._periods).std(axis=0)
         displaced = np.append(moved, 0.0 if log.reward is None else log.reward.std())[: len(left)]
@@ -238,21 +234,20 @@ class ResidualSimulator(DerivedTask):
                 self.task, log, actions, self.left_over, self._group, is_smooth=is_smooth, is_free=is_free,
                 least=SMALL * displaced,
             )  # fmt: skip
-        residual = root_mean_square(self.residuals)
         return tuple(
             Coordinate(
                 name, fit.kind, fit.per_action, fit.t_statistic, float(scatter.spread[k]), float(residual[k]),
                 float(left[k]), float(displaced[k]),
                 float(1.0 - (fit.error + rough[k]) / squares[k]) if squares[k] > 0 else 0.0,
-                scatter.source(k), effects[k] if scatter.drawn[k] else HistoryEffect(),
+                "simulator" if scatter.own[k] else "log" if scatter.drawn[k] else "none",
+                effects[k] if scatter.drawn[k] else HistoryEffect(),
             )
             for k, (name, fit) in enumerate(zip((*self.state_names, "reward"), self.fits, strict=False))
         )  # fmt: skip
 
     def resampled(self, seed: Any = None) -> ResidualSimulator:
         """The same corrected by a bootstrap's log: groups of whole episodes drawn with replacement, g of the same classes."""
-        weights = draw_groups(len(self._grams.g), seed)
-        again = copy.copy(self)
+        weights, again = draw_groups(len(self._grams.g), seed), copy.copy(self)
         again._set_fits(self._grams.refit(self.fits, weights))
         again._scatter = self._scatter.reweighted(weights[self._group[self._is_free]])
         return again
@@ -274,10 +269,8 @@ class ResidualSimulator(DerivedTask):
 
     def beyond(self, states: Array) -> BoolArray:
         """(n,) states with a feature outside the range of the log's, where no data support g."""
-        features = self.task.features(states)
-        return np.asarray(((features < self._range[0]) | (features > self._range[1])).any(axis=1))
-
-    # ---- the task ------------------------------------------------------------------------------------------------------
+        features, (low, high) = self.task.features(states), self._range
+        return np.asarray(((features < low) | (features > high)).any(axis=1))
 
     @one_thread
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
@@ -295,7 +288,12 @@ class ResidualSimulator(DerivedTask):
         if self._wraps.any() or np.isfinite(self._stops.bounds).any():
             following = np.where(following != own.next_state, self._clip(following), following)
         self._stops.hold(following)
-        ends = self._is_terminal(following, own.terminated)
+        ends = own.terminated
+        if self.terminates and self._knows_ends:
+            ends = self.task.terminated(following)
+        elif self.terminates:
+            every = np.arange(len(self._known_ends))
+            ends = self._known_ends[self._neighbors.find(following, every, key=None)]
         return Moves(following, self._reward(states, actions, following, ends, own, added), ends)
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
@@ -310,14 +308,6 @@ class ResidualSimulator(DerivedTask):
         inside = np.clip(following, *self._stops.bounds)
         turned = self._start + (inside - self._start) % np.where(self._wraps, self._periods, 1.0)
         return np.where(self._wraps, turned, inside)
-
-    def _is_terminal(self, following: Array, own: BoolArray) -> BoolArray:
-        if not self.terminates:
-            return own
-        if self._knows_ends:
-            return self.task.terminated(following)
-        every = np.arange(len(self._known_ends))
-        return np.asarray(self._known_ends[self._neighbors.find(following, every, key=None)])
 
     def _reward(
         self, states: Array, actions: IntArray, following: Array, ends: BoolArray, own: Moves, added: Array

@@ -22,6 +22,12 @@ from oee_tabular.continuous.task import ContinuousTask, Moves, shortest
 MIN_ROWS = 5  # that end at exactly the extreme of a coordinate: a stop
 MAX_SHARE = 0.5  # of rows at stops, beyond which they are values like others
 SHARES_BACK = 2.0 ** np.arange(-5, 1)  # of the longest displacement: from so far back a step is free of a stop
+N_NEIGHBORS = 8  # rows near by, from which one is drawn
+MIN_EXPLAINED = 0.02  # share of a residual, or of its size, that its neighbours explain: it is drawn from them
+N_JUDGED = 3000  # rows at which that is judged
+N_SIMULATED = 5000  # steps by which the simulator's own noise is known
+SKEWED = 5.0  # standard errors between the means of two scatters: they are not the same
+ROUNDING = 1e-9  # of a displacement's deviation
 
 
 class Stops:
@@ -136,18 +142,8 @@ def _group_stops(stops: Array, values: Array) -> dict[tuple[int, int], tuple[Int
     return held
 
 
-N_NEIGHBORS = 8  # rows near by, from which one is drawn
-MIN_EXPLAINED = 0.02  # share of a residual, or of its size, that its neighbours explain: it is drawn from them
-N_JUDGED = 3000  # rows at which that is judged
-N_SIMULATED = 5000  # steps by which the simulator's own noise is known
-SKEWED = 5.0  # standard errors between the means of two scatters: they are not the same
-ROUNDING = 1e-9  # of a displacement's deviation
-
-Pool = tuple[IntArray, Array]  # rows, and the running sum of their weights
-
-
-def draw_rows(pool: Pool, uniform: Array) -> IntArray:
-    """Rows by the quantile ``uniform`` of their weights."""
+def draw_rows(pool: tuple[IntArray, Array], uniform: Array) -> IntArray:
+    """Rows by the quantile ``uniform`` of their weights; ``pool``: rows, and the running sum of their weights."""
     rows, running = pool
     place = np.searchsorted(running, uniform * running[-1], side="right")
     return np.asarray(rows[np.minimum(place, len(rows) - 1)])
@@ -215,7 +211,12 @@ class Scatter:
         self._rows = [np.flatnonzero(self._actions == a) for a in range(task.n_actions)]
         self._neighbors, self._near = Neighbors(task, log.state[is_free]), None
         if self.drawn.any():
-            near = self._find_near(log.state[is_free])
+            near = np.empty((len(e), N_NEIGHBORS + 1), dtype=np.int64)  # of the same action, itself among them
+            for a, rows in enumerate(self._rows):
+                if len(rows):
+                    k = min(N_NEIGHBORS + 1, len(rows))
+                    found = self._neighbors.find(log.state[is_free][rows], rows, k, key=a).reshape(len(rows), k)
+                    near[rows] = found[:, np.resize(np.arange(k), N_NEIGHBORS + 1)]  # repeated where there are fewer
             if self._is_local(near, rng.permutation(len(e))[:N_JUDGED]):
                 order = np.argsort(self._order[near[:, :N_NEIGHBORS]], axis=1, kind="stable")
                 self._near = np.take_along_axis(near, order, axis=1)
@@ -226,20 +227,6 @@ class Scatter:
         """Whether it is drawn from rows near by."""
         return self._near is not None
 
-    def source(self, k: int) -> str:
-        """Where coordinate k's noise is taken from."""
-        return "simulator" if self.own[k] else "log" if self.drawn[k] else "none"
-
-    def _find_near(self, states: Array) -> IntArray:
-        """(n, N_NEIGHBORS + 1) rows of the same action near each row, itself among them; repeated where there are fewer."""
-        near = np.empty((len(states), N_NEIGHBORS + 1), dtype=np.int64)
-        for a, rows in enumerate(self._rows):
-            if len(rows):
-                k = min(N_NEIGHBORS + 1, len(rows))
-                found = self._neighbors.find(states[rows], rows, k, key=a).reshape(len(rows), k)
-                near[rows] = found[:, np.resize(np.arange(k), N_NEIGHBORS + 1)]
-        return near
-
     def _is_local(self, near: IntArray, some: IntArray) -> bool:
         """Whether the residuals of the rows near by, or their sizes, explain some of a row's."""
         some = some[np.bincount(self._actions)[self._actions[some]] > N_NEIGHBORS]
@@ -248,9 +235,12 @@ class Scatter:
         is_self = near[some] == some[:, None]
         others = np.take_along_axis(near[some], np.argsort(is_self, axis=1, kind="stable")[:, :N_NEIGHBORS], axis=1)
         one, eight = self._e[some][:, self.drawn], self._e[others][:, :, self.drawn]
-        pairs = ((one, eight.mean(axis=1)), (np.abs(one), np.abs(eight).mean(axis=1)))
-        least = max(MIN_EXPLAINED, 9.0 / len(some))
-        return any(_squared_correlation(x[:, i], y[:, i]) > least for x, y in pairs for i in range(one.shape[1]))
+        for x, y in ((one, eight.mean(axis=1)), (np.abs(one), np.abs(eight).mean(axis=1))):
+            x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+            both = (x * x).sum(axis=0) * (y * y).sum(axis=0)
+            if ((x * y).sum(axis=0) ** 2 > max(MIN_EXPLAINED, 9.0 / len(some)) * both).any():
+                return True
+        return False
 
     def _set_weights(self, weights: Array) -> None:
         """Of each action its rows in order with these weights; of an action without rows, all."""
@@ -285,9 +275,3 @@ class Scatter:
 def root_mean_square(values: Array) -> Array:
     """Of each column."""
     return np.asarray(np.sqrt((values**2).mean(axis=0)))
-
-
-def _squared_correlation(x: Array, y: Array) -> float:
-    x, y = x - x.mean(), y - y.mean()
-    both = float((x * x).sum() * (y * y).sum())
-    return float((x * y).sum()) ** 2 / both if both > 0 else 0.0

@@ -16,7 +16,7 @@ from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._checks import Array
 from oee_tabular.continuous.discretization import VisitedCells, discretize
-from oee_tabular.continuous.discretized import Discretization
+from oee_tabular.continuous.discretized import Discretization, uniform_policy_of
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import BadPolicy, ContinuousTask, StatePolicy, ask_policy
@@ -56,10 +56,9 @@ class CommandPolicy:
         weights, commands = self._play(states)
         if commands is None:
             return 0.0, 0.0
-        inside = np.clip(commands, self.actions.min(axis=0), self.actions.max(axis=0))
-        squares = weights @ (self.actions**2).sum(axis=1) + (inside * (inside - 2.0 * weights @ self.actions)).sum(
-            axis=1
-        )
+        actions = self.actions
+        inside = np.clip(commands, actions.min(axis=0), actions.max(axis=0))
+        squares = weights @ (actions**2).sum(axis=1) + (inside * (inside - 2.0 * weights @ actions)).sum(axis=1)
         return float(np.sqrt(max(0.0, squares.mean()))), float((commands != inside).any(axis=1).mean())
 
     def _play(self, states: Array) -> tuple[Array, Array | None]:
@@ -145,7 +144,7 @@ class ContinuousSimulator:
         """
         expert = self.expert
         if spec == "uniform":
-            return _mix(None, 0.0, self.task.n_actions)
+            return uniform_policy_of(self.task)
         if expert is not None and spec == "expert":
             return expert
         if expert is not None and spec.startswith("mix:"):
@@ -153,8 +152,9 @@ class ContinuousSimulator:
                 weight = float(spec.removeprefix("mix:"))
             except ValueError:
                 raise ValueError(f"{name} must be like mix:0.5; got {_checks.show(spec)}") from None
-            weight = _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0)
-            return _mix(expert, weight, self.task.n_actions)
+            _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0)
+            uniform = (1.0 - weight) / self.task.n_actions
+            return lambda states: weight * np.asarray(expert(states), dtype=np.float64) + uniform
         if ":" not in spec or spec.startswith("mix:"):
             own = "uniform" if expert is None else "uniform, expert, mix:WEIGHT"
             raise ValueError(
@@ -164,20 +164,15 @@ class ContinuousSimulator:
             return as_probabilities(own_object(spec, name, "my_module:policy"), self.task.actions)
 
     def discretize(
-        self,
-        log: ContinuousTransitions | None = None,
-        *,
-        cells: Any = None,
-        floor: float = 0.0,
-        discount: float = 0.99,
+        self, log: ContinuousTransitions | None = None, *, cells: Any = None, **options: Any
     ) -> Discretization:
-        """The finite MDP of the task, plain or defensive, looked at where the log was; see ``tasks.discretize``."""
+        """The finite MDP of the task, looked at where the log was; ``floor`` and ``discount`` as in ``tasks.discretize``."""
         chosen = self.task.default_cells if cells is None else cells
         if isinstance(chosen, int):
             chosen = VisitedCells(chosen, max_steps=self.horizon)
         return discretize(
-            self.task, log, cells=chosen, floor=floor, policies=self.policies, discount=discount,
-            closure_episodes=2000 if self.task.steps_at_once else 500,
+            self.task, log, cells=chosen, policies=self.policies,
+            closure_episodes=2000 if self.task.steps_at_once else 500, **options,
         )  # fmt: skip
 
     def record(self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any) -> ContinuousTransitions:
@@ -189,24 +184,9 @@ def as_simulator(task: ContinuousTask, horizon: int | None, **options: Any) -> C
     """A task as a simulator, configured as a Gymnasium environment is but for ``options``; ``horizon`` of its episodes."""
     if horizon is None:
         raise ValueError(f"horizon must be given for {task.name}, which has no time limit of its own; it is None")
-    own: dict[str, Any] = {
-        "name": task.name,
-        "expert": None,
-        "floor": 1e-3,
-        "ratio": {"prior": "simulator", "strength": 0.01},
-    }
-    own |= {"calibration": "difference"} | ({} if task.steps_at_once else SLOW)
-    return ContinuousSimulator(task=task, horizon=horizon, **(own | options))
-
-
-def _mix(expert: StatePolicy | None, weight: float, n_actions: int) -> StatePolicy:
-    """The expert with probability ``weight``, else uniform."""
-
-    def policy(states: Array) -> Array:
-        uniform = np.full((len(states), n_actions), (1.0 - weight) / n_actions)
-        return uniform if expert is None else weight * np.asarray(expert(states), dtype=np.float64) + uniform
-
-    return policy
+    ratio, speed = {"prior": "simulator", "strength": 0.01}, {} if task.steps_at_once else SLOW
+    own: dict[str, Any] = {"name": task.name, "floor": 1e-3, "ratio": ratio, "calibration": "difference", **speed}
+    return ContinuousSimulator(task=task, expert=None, horizon=horizon, **(own | options))
 
 
 @dataclass(frozen=True)

@@ -271,13 +271,10 @@ class Chance:
     def _draw(self, size: Any, *bounds: Any) -> Any:
         """N(0, 1) of this size, or of the bounds' own shape; a number where that is none."""
         shape = np.broadcast_shapes(*map(np.shape, bounds)) if size is None else size
-        n = int(np.prod(shape))
-        if self.used + n > len(self._xi):
-            raise IndexError(
-                f"a step must draw at most {len(self._xi)} random numbers, as when it was recorded; it draws more"
-            )
-        found = self._xi[self.used : self.used + n].reshape(shape)
-        self.used += n
+        end, most = self.used + int(np.prod(shape)), len(self._xi)
+        if end > most:
+            raise IndexError(f"a step must draw at most {most} random numbers, as when it was recorded; it draws more")
+        found, self.used = self._xi[self.used : end].reshape(shape), end
         return found.copy() if found.ndim else float(found)
 
     def standard_normal(self, size: Any = None) -> Any:
@@ -328,11 +325,9 @@ def ask_policy(policy: Callable[[Array], Any], states: Array) -> Any:
 def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> Array:
     """What a policy function says for ``states``: (n, A), rows that sum to 1."""
     _checks.function(policy, "policy")
-    table = _checks.float_array(ask_policy(policy, states), "policy(states)")
-    if table.shape != (len(states), n_actions):
-        raise ValueError(
-            f"policy(states) must have shape {(len(states), n_actions)} for {len(states)} states; it has shape {table.shape}"
-        )
+    table, n = _checks.float_array(ask_policy(policy, states), "policy(states)"), len(states)
+    if table.shape != (n, n_actions):
+        raise ValueError(f"policy(states) must have shape {(n, n_actions)} for {n} states; it has shape {table.shape}")
     _checks.require_nonnegative(table, "policy(states)")
     _checks.require_sums_to_one(table.sum(axis=1), "policy(states)")
     return table
@@ -340,10 +335,9 @@ def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> A
 
 def find_periods(task: ContinuousTask, states: Array) -> Array:
     """(d,) the period of coordinates that are angles, 0 of others: where the features of these states are the states."""
-    periodic, periods = np.array(task.periodic, dtype=np.bool_), np.zeros(task.n_state)
-    if task.n_state == len(periodic) and periodic.any() and np.array_equal(task.features(states), states):
-        periods[periodic] = np.subtract(task.feature_high, task.feature_low)[periodic]
-    return periods
+    if task.n_state != len(task.periodic) or not np.array_equal(task.features(states), states):
+        return np.zeros(task.n_state)
+    return np.where(task.periodic, np.subtract(task.feature_high, task.feature_low), 0.0)
 
 
 def shortest(differences: Array, periods: Array) -> Array:
@@ -351,5 +345,4 @@ def shortest(differences: Array, periods: Array) -> Array:
     if not periods.any():
         return differences
     each = periods[: differences.shape[1]]
-    turns = np.where(each > 0, np.round(differences / np.where(each > 0, each, 1.0)), 0.0)
-    return np.asarray(differences - each * turns)
+    return np.asarray(differences - each * np.round(differences / np.where(each > 0, each, np.inf)))
