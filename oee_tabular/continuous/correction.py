@@ -29,7 +29,7 @@ from scipy.optimize import least_squares
 
 from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.history import MAX_LAG, HistoryTask, hidden_state
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator

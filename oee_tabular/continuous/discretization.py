@@ -46,7 +46,7 @@ from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.cells import (
     Grid,
     Places,

@@ -15,8 +15,8 @@ from scipy import sparse
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
+from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import canonical, row_of_entry
-from oee_tabular._threads import one_thread
 from oee_tabular.continuous.cells import Grid, Places, indicator, spread_over_pairs
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions

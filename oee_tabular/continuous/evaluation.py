@@ -17,7 +17,7 @@ from scipy import sparse
 
 from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.correction import (
     ParameterFit,
     choose_correction,

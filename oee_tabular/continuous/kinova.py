@@ -32,7 +32,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.cells import each_action
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.gen3 import (

@@ -24,7 +24,7 @@ from scipy.special import ndtr
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.scatter import draw_rows
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest

@@ -24,7 +24,7 @@ from scipy.special import ndtr
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, Seed
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.history import HistoryEffect, history_effects
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import Fit, Functions, Grams, draw_groups, episode_groups

@@ -22,8 +22,8 @@ from scipy.special import stdtrit
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Seed
+from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_sums
-from oee_tabular._threads import one_thread
 from oee_tabular.continuous.correction import describe_flaw
 from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular import _checks, _workers
+from oee_tabular import _checks, _parallel
 from oee_tabular._checks import Column
 from oee_tabular.data.counting import LARGEST, Limits, Sample, count_file
 from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
@@ -86,7 +86,7 @@ def open_log(
 
     files = find_log_files(path)
     calls = ((file, plain_name(file, files), limits) for file in files)
-    results = _workers.each(count_file, calls, len(files), jobs=jobs, dask=dask)
+    results = _parallel.each(count_file, calls, len(files), jobs=jobs, dask=dask)
     shown = tqdm(results, "counting", len(files), unit="file", disable=not progress)
     sums: list[dict[str, Column]] = []
     recording, sample = Recording(by_episodes=False), Sample()

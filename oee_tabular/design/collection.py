@@ -9,8 +9,8 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
+from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_sums
-from oee_tabular._threads import one_thread
 from oee_tabular.design.advice import next_pairs
 from oee_tabular.design.costs import row_costs
 from oee_tabular.design.plan import Outlook, Plan

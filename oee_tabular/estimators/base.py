@@ -12,8 +12,8 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
+from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_variances
-from oee_tabular._threads import one_thread
 from oee_tabular.estimators.findings import WEIGHTLESS, Finding, from_diagnostics
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.exact import ReweightedModel, reweight

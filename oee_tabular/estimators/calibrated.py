@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.estimators.base import Estimate
 
 KINDS = ("ratio", "difference")

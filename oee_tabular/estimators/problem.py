@@ -50,7 +50,7 @@ class Problem:
         Importance sampling and the paper's ratio of ratios use the log. Tests and intervals need whole counts.
     impossible : "refuse" | "drop"
         Transitions of the log with simulator probability 0 are an error, or left out of ``counts``. Likelihood
-        and guaranteed intervals then let them lead anywhere (``inference.margins``).
+        and guaranteed intervals then let them lead anywhere (``inference.asymptotic``).
 
     Terminated transitions in ``log`` are redirected to the simulator's terminal states; ``counts`` is csr,
     without dropped transitions.

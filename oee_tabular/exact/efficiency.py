@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
+from oee_tabular._parallel import dot, one_thread
 from oee_tabular._sparse import align, row_of_entry, row_sums, row_variances
-from oee_tabular._threads import dot, one_thread
 from oee_tabular.exact.finite import values_to_go
 from oee_tabular.exact.occupancy import occupancy, transition_gradient
 from oee_tabular.exact.system import policy_kernel

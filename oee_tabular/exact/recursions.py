@@ -14,8 +14,8 @@ import numpy as np
 
 from oee_tabular import _printing
 from oee_tabular._checks import Array
+from oee_tabular._parallel import dot
 from oee_tabular._sparse import row_sums
-from oee_tabular._threads import dot
 from oee_tabular.exact import _moments
 from oee_tabular.exact.system import DivergentKernelError, as_readonly, exponent
 from oee_tabular.exact.values import solve_policy_system

@@ -19,7 +19,7 @@ sample size, and V = sum_a pi max_{P'_x} P'_x (r + gamma V). ``value_range`` has
 *Comparison* (``comparison``): Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), and one rule, ``Comparison.decide``, for the
 ranking, P(best) and every sentence about it.
 
-*What the simulator may lack* (``margins``): the variance of a simulator that was made of samples, and to first order what
+*What the simulator may lack* (``asymptotic``): the variance of a simulator that was made of samples, and to first order what
 transitions outside its support may change. ``changes``: kl(phat(A), P'(A)) <= epsilon_x bounds from below how far P' is from P.
 
 ``evidence`` reads counts, box and policy once for all of these. The theorems (``oee_tabular.theory``) and plans

@@ -1,19 +1,42 @@
 """Large-sample errors of the maximum-likelihood model: covariances by the delta method, and the bootstrap.
 
-Source: B. Efron and R. Tibshirani, An Introduction to the Bootstrap, 1993.
+An interval is widened for transitions outside the simulator's support, and for a simulator that was made of samples itself.
+
+Of the transitions from (s, a) the target may make a share q_sa that the simulator rules out, to any state at all:
+
+    q_sa = f / (m + n)          Good and Turing's estimate of the probability of transitions never met [1]: m samples of the
+                                simulator and n of the log, f of them met once; 1 in a row without any, which was filled in
+         + k / (k + n)          k transitions of the log dropped as impossible (``Problem(impossible="drop")``)
+
+To first order, at the maximum-likelihood model with D_sa the discounted time in (s, a), they take or add at most
+
+    sum_sa D_sa q_sa |extreme over all states and rewards of r + gamma V - E_p (r + gamma V)|
+
+(with a horizon the sum goes over steps too, V having those that are left). That is a band and no bound: where q is large,
+transitions that lead to where q is large again may lead further. A simulator's own sampling (``FiniteMDP.from_env``,
+``from_log``) adds the variance
+
+    Var_mu(V) / m_starts + sum_sa,s' (D_sa p_s')^2 Var(mean reward of the transition).
+
+Source: [1] I. Good, The population frequencies of species and the estimation of population parameters, Biometrika 40, 1953.
+
+The bootstrap: B. Efron and R. Tibshirani, An Introduction to the Bootstrap, 1993.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, Seed
-from oee_tabular._sparse import find
+from oee_tabular._sparse import align, find
 from oee_tabular.estimators import Problem
-from oee_tabular.exact import policy_value, transition_gradient
+from oee_tabular.exact import occupancy, policy_value, state_values, transition_gradient
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.inference.likelihood import PolicyRows, value_of_rows
+from oee_tabular.mdp.horizons import horizon_length, total_discount
 
 FEWEST_EPISODES = 10
 
@@ -65,3 +88,80 @@ def bootstrap_values(problem: Problem, evidence: Evidence, *, by: str, n_bootstr
         else:
             values[b] = policy_value(evidence.with_rows(p), evidence.policy, horizon=evidence.horizon)
     return values
+
+
+class Margin(NamedTuple):
+    """J of the frequencies, the variance that the simulator's sampling adds, and what the band takes and adds."""
+
+    value: float
+    variance: float
+    down: float
+    up: float
+    diagnostics: dict[str, float]
+
+    def widen(self, lower: float, upper: float, z: float) -> tuple[float, float]:
+        """The ends for this simulator, from those for one that is known and rules nothing out wrongly."""
+        spread = z * np.sqrt(self.variance)
+        low = self.value - float(np.hypot(max(self.value - lower, 0.0), spread)) - self.down
+        return low, self.value + float(np.hypot(max(upper - self.value, 0.0), spread)) + self.up
+
+
+def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
+    """None where the simulator is known and nothing was dropped."""
+    sampling = problem.simulator.sampling
+    if sampling is None and not problem.dropped.any():
+        return None
+    policy, horizon, fitted, rows = evidence.policy, evidence.horizon, evidence.fitted, evidence.rows
+    share = occupancy(fitted, policy, horizon=horizon).reshape(-1)
+    unmet, variance = np.zeros(len(share)), 0.0
+    if sampling is not None:
+        initial, values = evidence.model.initial, state_values(fitted, policy, horizon=horizon)
+        unmet = _unmet_share(evidence, sampling.pairs)
+        variance = max(float(initial @ values**2) - float(initial @ values) ** 2, 0.0) / sampling.starts
+        if sampling.reward_error is not None:
+            time = total_discount(fitted.discount, horizon) * share
+            each, _ = align(sampling.reward_error, evidence.model.transitions)
+            variance += float((rows.spread(time) * evidence.phat) ** 2 @ each)
+    dropped = problem.dropped / np.maximum(problem.dropped + evidence.n, 1.0)
+    down, up = _band(evidence, np.minimum(unmet + dropped, 1.0))
+    facts: dict[str, float] = {}
+    if sampling is not None:
+        facts = {"unmet_share": float(share @ unmet), "sampling_error": float(np.sqrt(variance))}
+    if problem.dropped.any():
+        facts |= {"dropped_moves": float(problem.dropped.sum()), "dropped_share": float(share @ dropped)}
+    return Margin(policy_value(fitted, policy, horizon=horizon), variance, down, up, facts)
+
+
+def _unmet_share(evidence: Evidence, pairs: Array) -> Array:
+    """(S*A,) Good and Turing's estimate in each row; ``pairs`` are the simulator's samples, inf where it is known."""
+    rows, known, samples = evidence.rows, ~np.isfinite(pairs), np.where(np.isfinite(pairs), pairs, 0.0)
+    simulated = rows.spread(samples) * evidence.model.transitions.data
+    number = np.rint(simulated) + rows.spread(evidence.n) * evidence.phat
+    once, total = rows.sums((np.abs(number - 1.0) < 0.5).astype(float)), samples + evidence.n
+    share = np.where(total > 0, np.minimum(once / np.maximum(total, 1.0), 1.0), 1.0)
+    return np.where(known, 0.0, share)
+
+
+def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
+    """What a share q (S*A,) of transitions to any state takes and adds, to first order."""
+    policy, fitted, gamma = evidence.policy, evidence.fitted, evidence.fitted.discount
+    if evidence.horizon is None:
+        time = occupancy(fitted, policy).reshape(-1) / (1.0 - gamma)
+        down, up = time @ (q[:, None] * _reach(evidence, state_values(fitted, policy)))
+        return float(down), float(up)
+    values, beyond = np.zeros(len(policy)), np.zeros((len(policy), 2))
+    for _ in range(horizon_length(evidence.horizon, fitted)):
+        ahead = q[:, None] * _reach(evidence, values) + gamma * (fitted.transitions @ beyond)
+        beyond = np.einsum("sa,sak->sk", policy, ahead.reshape(*policy.shape, 2))
+        values = (policy * (fitted.rewards + gamma * (fitted.transitions @ values).reshape(policy.shape))).sum(axis=1)
+    down, up = fitted.initial @ beyond
+    return float(down), float(up)
+
+
+def _reach(evidence: Evidence, values: Array) -> Array:
+    """(S*A, 2) by how much the worst and the best r + gamma V of any transition differ from the row's own mean."""
+    rewards, gamma = evidence.model.reward_data, evidence.model.discount
+    rewards_or_0 = np.zeros(1) if rewards is None else rewards  # r(s, a) is the row's own wherever the transition leads
+    mean = evidence.rows.mean(evidence.phat, gamma * values[evidence.rows.arrival] + rewards_or_0)
+    worst, best = gamma * values.min() + rewards_or_0.min(), gamma * values.max() + rewards_or_0.max()
+    return np.asarray(np.maximum(np.column_stack([mean - worst, best - mean]), 0.0))

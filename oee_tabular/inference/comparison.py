@@ -13,14 +13,13 @@ from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, Seed
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.inference.asymptotic import bootstrap_values, value_covariances
+from oee_tabular.inference.asymptotic import bootstrap_values, outside_margin, value_covariances
 from oee_tabular.inference.evidence import Evidence, gather, require_squares
 from oee_tabular.inference.intervals import Interval
-from oee_tabular.inference.margins import outside_margin
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.plots import plot_intervals

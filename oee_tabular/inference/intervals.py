@@ -10,10 +10,10 @@ import numpy as np
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import PolicyLike, Seed
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.exact import policy_value
-from oee_tabular.inference.asymptotic import bootstrap_values, value_covariances
+from oee_tabular.inference.asymptotic import bootstrap_values, outside_margin, value_covariances
 from oee_tabular.inference.evidence import (
     Evidence,
     describe_rows,
@@ -24,7 +24,6 @@ from oee_tabular.inference.evidence import (
     unrecorded_share,
 )
 from oee_tabular.inference.likelihood import likelihood_ends, shared_directions, shared_ends
-from oee_tabular.inference.margins import outside_margin
 from oee_tabular.inference.robust import extreme_value, find_contradictions, radii, require_end
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.plots import plot_intervals
@@ -161,8 +160,8 @@ def interval(
     problems each; bootstrap n_bootstrap evaluations. ``promised`` in a likelihood interval's diagnostics is a first-order bound
     on how far models in the set may lie beyond its ends, 0 at convergence. If a Problem dropped impossible transitions,
     "likelihood" and "robust" let them lead anywhere (to first order), and the others are refused. All intervals widen for a
-    sampled simulator's uncertainty in first states, rewards and unsampled transitions (``inference.margins``; ``unmet_share``:
-    the time that the latter may take). ``sampling`` includes neither.
+    sampled simulator's uncertainty in first states, rewards and unsampled transitions (``inference.asymptotic``;
+    ``unmet_share``: the time that the latter may take). ``sampling`` includes neither.
 
     Examples
     --------

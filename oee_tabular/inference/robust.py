@@ -36,7 +36,7 @@ from scipy import special
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._threads import dot
+from oee_tabular._parallel import dot
 from oee_tabular.exact import evaluate_policy, state_values
 from oee_tabular.exact.system import policy_system, recurrent_states
 from oee_tabular.inference.evidence import Evidence

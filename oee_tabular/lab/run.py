@@ -33,8 +33,8 @@ import pandas as pd
 from oee_tabular import _files
 from oee_tabular._arguments import own_modules
 from oee_tabular._checks import show
+from oee_tabular._parallel import backend, parallel
 from oee_tabular._progress import progress_bar
-from oee_tabular._workers import backend, parallel
 from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Scalar, Stream
 
 PACKAGE = Path(__file__).parents[1]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, Seed
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.dual import Box, check_box, check_ridge, check_weights
 from oee_tabular.ratio.features import KernelFunction, class_features

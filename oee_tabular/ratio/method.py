@@ -11,8 +11,8 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, PolicyLike, Seed
+from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
-from oee_tabular._threads import one_thread
 from oee_tabular.data import Transitions
 from oee_tabular.exact import Model, policy_value
 from oee_tabular.mdp import FiniteMDP, check_policy

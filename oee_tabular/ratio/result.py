@@ -12,8 +12,8 @@ from scipy import sparse
 
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray
+from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import align, canonical, check_csr, csr_on_pattern, row_of_entry, row_sums
-from oee_tabular._threads import one_thread
 from oee_tabular.exact.system import exponent
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows

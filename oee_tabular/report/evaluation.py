@@ -10,7 +10,7 @@ import numpy as np
 
 from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import Estimator, Problem
 from oee_tabular.estimators.findings import FEW_WEIGHTED, MADE_FROM_LOG, WEIGHTLESS, Finding
 from oee_tabular.estimators.functions import as_estimator

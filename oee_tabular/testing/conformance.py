@@ -19,7 +19,7 @@ from typing import Any
 
 from oee_tabular import _checks
 from oee_tabular._arguments import module_and_path, own_modules, own_object
-from oee_tabular._workers import end_with_parent
+from oee_tabular._parallel import end_with_parent
 from oee_tabular.estimators import Simulator
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.testing import laws

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import oee_tabular as oee
+from oee_tabular.inference.asymptotic import outside_margin
 from oee_tabular.inference.evidence import gather
-from oee_tabular.inference.margins import outside_margin
 from oee_tabular.mdp.empirical import Sampling
 
 PI = np.full((4, 2), 0.5)

@@ -10,8 +10,8 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular.estimators.findings import moves_dropped
 from oee_tabular.inference import compare_policies
+from oee_tabular.inference.asymptotic import outside_margin
 from oee_tabular.inference.evidence import gather
-from oee_tabular.inference.margins import outside_margin
 
 S, A, STRAYS, EACH = 4, 2, (0, 3), 3.0
 

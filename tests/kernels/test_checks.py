@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular import _checks, _printing, _progress, _workers
+from oee_tabular import _checks, _parallel, _printing, _progress
 from oee_tabular._sparse import align, canonical, find
 from oee_tabular.lab.run import _hold_interrupts
 
@@ -65,7 +65,7 @@ def test_control_characters_are_visible(text):
 
 @pytest.mark.parametrize(("jobs", "cells", "most"), [(1000, 3, 3), (2, 3, 2), (2, 1, 2), (1, 5, 1)])
 def test_no_more_jobs_than_cells_but_one_cell_has_a_process_of_its_own(jobs, cells, most):
-    assert _workers.parallel(cells, jobs, None).n_jobs == most
+    assert _parallel.parallel(cells, jobs, None).n_jobs == most
 
 
 def test_workers_are_not_interrupted_themselves():

@@ -12,7 +12,7 @@ from test_threads import blas_threads
 from threadpoolctl import threadpool_limits
 
 import oee_tabular as oee
-from oee_tabular._threads import dot, one_thread
+from oee_tabular._parallel import dot, one_thread
 
 
 def test_one_thread_inside_and_as_many_as_before_afterwards():
@@ -53,7 +53,7 @@ FORKS = """
 import os, threading
 import scipy.linalg
 from threadpoolctl import threadpool_info, threadpool_limits
-from oee_tabular._threads import one_thread
+from oee_tabular._parallel import one_thread
 
 def threads():
     return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}

@@ -52,7 +52,7 @@ def test_a_worker_with_other_code_is_refused(tmp_path, monkeypatch):
 
 def test_dask_that_does_not_answer_or_is_not_installed(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("oee_tabular._workers.CONNECT", 1.0)
+    monkeypatch.setattr("oee_tabular._parallel.CONNECT", 1.0)
     start, settings, address = time.perf_counter(), experiment().settings(), "tcp://127.0.0.1:9"
     with pytest.raises(OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"):
         run_experiment(tmp_path / "a", settings, dask=address)

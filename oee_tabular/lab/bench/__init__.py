@@ -24,8 +24,8 @@ import numpy as np
 from oee_tabular import _checks, _files
 from oee_tabular._arguments import own_modules, own_object
 from oee_tabular._checks import PolicyLike, Seed
+from oee_tabular._parallel import time_limit
 from oee_tabular._sparse import row_sums
-from oee_tabular._workers import time_limit
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
 from oee_tabular.estimators.base import UNEXPLAINED
 from oee_tabular.estimators.functions import as_estimator

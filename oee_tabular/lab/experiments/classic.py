@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
-from oee_tabular._threads import ONE_THREAD
+from oee_tabular._parallel import ONE_THREAD
 from oee_tabular.continuous.cartpole import CartPole
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, StatePolicy
