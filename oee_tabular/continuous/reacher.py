@@ -92,7 +92,7 @@ class Reacher(ContinuousTask):
     -----
     A step is deterministic, O(n substeps). Episodes begin at rest, q1 uniform in [-3.14, 3.14], q2 in
     [-1.57, 1.57]; they do not end. Features are (cos q1, sin q1, q2, w1, w2).
-    Checked against MuJoCo, which knows no drag, with ``inertia="capsule"``: see tests/continuous/test_reacher.py.
+    Checked against MuJoCo, which knows no drag, with ``inertia="capsule"``: see tests/continuous/test_tasks.py.
 
     Examples
     --------

@@ -198,10 +198,3 @@ def test_a_corrected_value_holds_the_truth():
     before = monte_carlo_value(case.simulator, case.acting(0.4), 20_000, 100, seed=1).value
     assert found.interval[0] < truth < found.interval[1] < before
     assert found.status == "ok"
-
-
-def test_a_corrected_value_of_what_is_not_markov():
-    case = CASES["CartPole, delay"]
-    corrected = ResidualSimulator(case.simulator, case.log(1500, 0), seed=0)
-    found = corrected_value(corrected, case.acting(0.4), 100, 20, refits=2, paths=20, seed=0)
-    assert "hidden state" in found.status

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular.continuous.cells import Grid, gauss_hermite
+from oee_tabular.continuous.cells import Grid
 from oee_tabular.continuous.discretization import GridInterpolation, VisitedCells, discretize
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import (
@@ -98,16 +98,6 @@ def test_a_circle_closes():
     weights = grid.weights(np.array([[0.75 * np.pi], [-1.25 * np.pi], [2.75 * np.pi]])).toarray()
     assert_allclose(weights, [[0.5, 0, 0, 0.5]] * 3, atol=1e-12)
     assert not grid.outside(np.array([[99.0]])).any()
-
-
-@given(st.integers(1, 6), st.integers(1, 3))
-def test_gauss_hermite_integrates_polynomials(points, n):
-    nodes, weights = gauss_hermite(points, n)
-    assert_allclose(weights.sum(), 1.0)
-    double_factorial = 1.0
-    for degree in range(0, 2 * points, 2):
-        assert_allclose(weights @ nodes[:, 0] ** degree, double_factorial, rtol=1e-10)
-        double_factorial *= degree + 1
 
 
 # ---------------------------------------------------------------- models on grids

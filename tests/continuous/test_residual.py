@@ -1,4 +1,4 @@
-"""A simulator corrected by a log: against own truths, and its parts against plain numpy."""
+"""A simulator corrected by a log: against own truths, its parts against plain numpy, and the stops that it finds."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 import oee_tabular as oee
 from oee_tabular.continuous.correction import odd_row
 from oee_tabular.continuous.episodes import compare_returns
-from oee_tabular.continuous.regression import FOLDS, Functions, Grams, episode_groups
+from oee_tabular.continuous.regression import Functions, Grams, episode_groups
+from oee_tabular.continuous.scatter import Stops
 from oee_tabular.data import ContinuousTransitions
 from oee_tabular.lab.experiments import classic
+from oee_tabular.lab.experiments.classic import Plain
 from oee_tabular.tasks import (
     CartPole,
     ContinuousTask,
+    HistoryTask,
     Moves,
     ResidualSimulator,
     cartpole_policy,
@@ -241,15 +244,6 @@ def test_noise_that_depends_on_the_place_is_drawn_near_by():
         assert_allclose((moved - states).std(), right, rtol=0.2)
 
 
-def test_a_wall_in_the_log_holds():
-    target = Line(lambda s, a: 0.05 + 0 * s, wall=1.0)
-    corrected = ResidualSimulator(Line(wall=1.0), line_log(target, 800), seed=0)
-    assert_array_equal(corrected._stops.bounds[:, 0], [-1.0, 1.0])
-    rng = np.random.default_rng(0)
-    moved = corrected.step(rng.uniform(-1, 1, (500, 1)), rng.integers(2, size=500), rng).next_state
-    assert np.abs(moved).max() <= 1.0
-
-
 def test_an_action_that_was_never_logged_has_the_others_correction():
     log = line_log(Line(lambda s, a: 0.1 + 0 * s, noise=0.02))
     corrected = ResidualSimulator(Line(), log.select(log.action == 0), seed=0)
@@ -262,15 +256,6 @@ def test_a_handful_of_transitions(n):
     corrected = ResidualSimulator(CartPole(10.0), cartpole_log(CartPole(15.0), n), seed=0)
     value = monte_carlo_value(corrected, cartpole_policy(0.3), 200, 100, seed=0, normalized=True).value
     assert 0.0 < value < 0.64
-
-
-def test_same_seed_same_bits():
-    log = cartpole_log(CARTPOLES["all"], 600)
-    values = [
-        monte_carlo_value(ResidualSimulator(CartPole(10.0), log, seed=s), cartpole_policy(0.5), 50, 100, seed=0).value
-        for s in (3, 3)
-    ]
-    assert values[0] == values[1]
 
 
 def test_everything_goes_on_from_there():
@@ -326,25 +311,6 @@ def regression(n=300, seed=0):
     targets = np.column_stack([states[:, 0] * actions + rng.normal(size=n) / 10, np.cos(3 * states[:, 0])])
     arguments = states, actions, displacement
     return Functions(Line(), *arguments, rng), arguments, targets, np.arange(n) % 9, np.arange(n) % 7 > 0
-
-
-@pytest.mark.parametrize("per_action", [False, True])
-def test_held_out_errors_are_those_of_least_squares(per_action, monkeypatch):
-    monkeypatch.setattr("oee_tabular.continuous.regression.BLOCK", 5)
-    functions, arguments, targets, group, used = regression()
-    grams = Grams(functions, arguments, targets, group, used)
-    columns, actions = functions.nested["quadratic, displacement"], arguments[1]
-    phi, fold = functions(*arguments)[:, columns], np.arange(9) % FOLDS
-    others = [np.tensordot((fold != f).astype(float), grams.g, axes=1) for f in range(FOLDS)]
-    found = grams.held_out_errors(columns, [(False, 1e-3), (per_action, 1e-9)], fold, others)[1]
-    right = np.zeros((9, 2))
-    for g in range(9):
-        for a in (0, 1):
-            train = used & (fold[group] != fold[g]) & ((actions == a) | (not per_action))
-            w = np.linalg.lstsq(phi[train], targets[train])[0]
-            at = used & (group == g) & (actions == a)
-            right[g] += ((targets[at] - phi[at] @ w) ** 2).sum(axis=0)
-    assert_allclose(found, right, rtol=1e-4)
 
 
 def test_values_are_sums_of_functions_row_by_row():
@@ -414,3 +380,148 @@ def test_a_row_on_which_every_value_rests_is_named():
         ResidualSimulator(CartPole(10.0), ContinuousTransitions(**(columns | {"next_state": following})), seed=0)
     )
     assert said.startswith(" Row 799 of the log alone makes 100% of the unexplained residual in theta_dot (by 50")
+
+
+# ---------------------------------------------------------------- stops
+
+
+class Cart(Plain):
+    """Pushed between two walls: who gets there stands still, and loses a share of what else turns."""
+
+    name = "Cart"
+    state_names = feature_names = ("place", "speed", "spin")
+    actions = np.array([-1.0, 1.0])
+    feature_low, feature_high = np.full(3, -2.0), np.full(3, 2.0)
+    periodic, terminates = (False,) * 3, False
+
+    def __init__(self, force=1.0, wall=1.0, loss=0.5):
+        self.force, self.wall, self.loss = force, wall, loss
+
+    def moves(self, states, actions, disturbance):
+        speed = states[:, 1] + 0.1 * self.force * self.actions[actions]
+        place = states[:, 0] + 0.1 * speed
+        over = np.abs(place) >= self.wall
+        spin = 0.95 * states[:, 2] - over * self.loss * speed
+        place, speed = np.clip(place, -self.wall, self.wall), np.where(over, 0.0, speed)
+        following = np.stack([place, speed, spin], axis=1)
+        return Moves(following, -(place**2), np.zeros(len(states), dtype=np.bool_))
+
+    def initial_states(self, n, rng):
+        return rng.uniform(-0.7, 0.7, (n, 3))
+
+
+def evenly(states):
+    return np.full((len(states), 2), 0.5)
+
+
+def one_step(target, simulator, n=6000):
+    """Errors of the simulator and of the corrected one on new moves of the target, and where the two are stopped."""
+    log = record(target, evenly, n_transitions=n, max_steps=25, seed=0)
+    corrected = ResidualSimulator(simulator, log, seed=0)
+    new = record(target, evenly, n_transitions=4000, max_steps=25, seed=1)
+    actions, xi = new.action_numbers(target.actions), np.zeros((4000, corrected.n_disturbances))
+    right, own = new.next_state, simulator.moves(new.state, actions, xi).next_state
+    found = corrected.moves(new.state, actions, xi).next_state
+    stopped = np.abs(right[:, 0]) == 1.0, np.abs(own[:, 0]) == 1.0
+    return np.abs(own - right), np.abs(found - right), stopped, corrected
+
+
+@pytest.mark.parametrize("force", [0.5, 2.0])
+def test_a_stop_is_the_corrected_step_s_not_the_simulator_s(force):
+    before, after, (there, here), _ = one_step(Cart(force), Cart())
+    assert (there != here).sum() > 20
+    assert (after[there | here, :2].max(axis=1) > 1e-6).mean() < 0.1  # those that just come to the wall
+    assert before[there != here, 1].max() > 0.5
+    assert after[~there & ~here].max() < 1e-6  # free steps know nothing of the walls
+
+
+def test_what_is_lost_at_a_stop_pushes_the_others_as_the_log_says():
+    _, after, (there, _), corrected = one_step(Cart(0.8, loss=0.25), Cart(loss=0.5))
+    for push in corrected._stops.pushes.values():
+        assert_allclose(push, [[0.0, 0.0, -0.25]], atol=1e-6)
+    assert np.quantile(after[there, 2], 0.9) < 1e-6
+
+
+def test_an_unchanged_task_keeps_its_own_stops_to_the_bit():
+    _, after, (there, _), corrected = one_step(Cart(), Cart(), n=2000)
+    assert there.any()
+    assert not after.any()
+    assert not any(c.differs for c in corrected.coordinates)
+
+
+def test_who_rests_at_a_stop_scatters_nobody_else_less():
+    class Shaken(Cart):
+        n_disturbances = 1
+
+        def moves(self, states, actions, disturbance):
+            shaken = np.array(states)
+            shaken[:, 2] += 0.05 * disturbance[:, 0] * (np.abs(states[:, 0]) < 1.0)
+            return super().moves(shaken, actions, disturbance)
+
+    def to_the_right(states):
+        return np.tile([0.1, 0.9], (len(states), 1))
+
+    log = record(Shaken(0.8), to_the_right, n_transitions=4000, max_steps=25, seed=0)
+    corrected = ResidualSimulator(Cart(), log, seed=0)
+    assert 0.2 < (np.abs(log.next_state[:, 0]) == 1.0).mean() < 0.5
+    states = np.zeros((4000, 3))
+    moved = corrected.step(states, np.ones(4000, dtype=np.int64), np.random.default_rng(0)).next_state
+    assert_allclose(moved[:, 2].std(), 0.95 * 0.05, rtol=0.06)
+
+
+def test_a_stop_of_another_place():
+    _, after, _, corrected = one_step(Cart(0.8, wall=0.95), Cart())
+    assert_array_equal(corrected._stops.target[:, 0], [-0.95, 0.95])
+    assert_array_equal(corrected._stops.own[:, 0], [-1.0, 1.0])
+    assert np.median(after.max(axis=1)) < 1e-4
+
+
+# ---------------------------------------------------------------- what is a stop
+
+
+def found(following, own=None, is_angle=None):
+    no_angles = np.zeros(following.shape[1], dtype=bool)
+    own, angles = following if own is None else own, no_angles if is_angle is None else np.array(is_angle)
+    return Stops(np.zeros_like(following), following, own, angles)
+
+
+def moved(wall=1.0, still=True, n=2000):
+    rng = np.random.default_rng(0)
+    values = rng.normal(scale=0.6, size=(n, 2))
+    over = np.abs(values[:, 0]) >= wall
+    values[over, 0] = np.sign(values[over, 0]) * wall
+    values[over & still, 1] = 0.0
+    return values
+
+
+def test_a_limit_that_holds_nothing_else_is_a_bound():
+    assert found(moved()).held == {(0, 0): ([1], [0.0]), (1, 0): ([1], [0.0])}
+    limit = found(moved(still=False))
+    assert_array_equal(limit.bounds[:, 0], [-1.0, 1.0])
+    assert np.isinf(limit.target).all()
+    assert not limit.held
+
+
+def test_angles_and_numbers_have_no_stops():
+    assert np.isinf(found(moved(), is_angle=[True, False]).target).all()
+    few = np.round(moved(), 1)
+    few[np.abs(few[:, 0]) == 1.0, 1] = 0.0
+    assert np.isinf(found(few).target).all()
+    many = moved(wall=0.2)  # most rows are at the walls
+    assert np.isinf(found(many).target).all()
+
+
+def test_the_simulator_s_stop_is_the_target_s_where_the_log_does_not_pass_it():
+    short = 0.9 * moved(wall=2.0).clip(-1.0, 1.0) - 1e-3 * np.arange(2000)[:, None] / 2000
+    assert_array_equal(found(short, own=moved()).target[:, 0], [-1.0, 1.0])
+    passing = found(moved(wall=5.0), own=moved())
+    assert np.isinf(passing.target).all()
+    assert_array_equal(passing.own[:, 0], [-1.0, 1.0])
+
+
+def test_the_last_action_is_no_stop():
+    whole = HistoryTask(Cart())
+    log = whole.log(record(Cart(0.8), evenly, n_transitions=2000, max_steps=25, seed=0))
+    stops = ResidualSimulator(whole, log, seed=0)._stops
+    assert np.isfinite(stops.target[:, 0]).all()
+    assert np.isinf(stops.target[:, 3:]).all()

@@ -1,3 +1,7 @@
+"""CartPole, Reacher and the simulated stand-in of the Gen3: dynamics, policies, logs."""
+
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -5,13 +9,122 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy import sparse
 from scipy.integrate import solve_ivp
 
+import oee_tabular as oee
+from oee_tabular.continuous.cartpole import ANGLE_LIMIT, EXPERT
+from oee_tabular.continuous.gen3 import HOME, STEP, end_effector, resolved_rates
 from oee_tabular.continuous.reacher import STOP, fingertip, joint_angles, link_bodies
+from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import (
+    CartPole,
     Reacher,
+    cartpole_policy,
+    discretize,
+    gymnasium_simulator,
+    kinova,
+    monte_carlo_value,
     reacher_policy,
+    record,
+    resimulate,
+    train_expert,
 )
+
+
+@pytest.mark.parametrize("gravity", [7.5, 9.8, 15.0])
+def test_one_step_is_gymnasium_s_to_the_last_bit(gravity):
+    rng = np.random.default_rng(0)
+    states = rng.uniform([-2.45, -3, -0.22, -4], [2.45, 3, 0.22, 4], (3000, 4))
+    actions = rng.integers(0, 2, 3000)
+    theirs = gymnasium_simulator(f"CartPole-v1:gravity={gravity}").task.step(states, actions, rng)
+    ours = CartPole(gravity, noise=0.0).step(states, actions, rng)
+    assert_array_equal(ours.next_state, theirs.next_state)
+    assert_array_equal(ours.terminated, theirs.terminated)
+    assert_array_equal(ours.reward, theirs.reward)
+
+
+@given(st.floats(0, 30), st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_laws_of_cartpole_s_step(gravity, seed):
+    """Mirror symmetry; the angle does not see the cart; gravity enters linearly; noise is added at the end."""
+    rng = np.random.default_rng(seed)
+    states = rng.uniform(-0.2, 0.2, (20, 4))
+    actions = rng.integers(0, 2, 20)
+    xi = rng.standard_normal((20, 4))
+    task = CartPole(gravity, noise=0.01)
+    moved = task.moves(states, actions, xi)
+    assert_allclose(task.moves(-states, 1 - actions, -xi).next_state, -moved.next_state, rtol=0, atol=1e-15)
+    elsewhere = states + np.array([1.0, 0.3, 0.0, 0.0])
+    assert_array_equal(task.moves(elsewhere, actions, xi).next_state[:, 2:], moved.next_state[:, 2:])
+    still = CartPole(gravity, noise=0.0).moves(states, actions, xi).next_state
+    assert_allclose(moved.next_state - still, 0.01 * xi, rtol=0, atol=1e-14)
+    none, twice = (CartPole(g, 0.0).moves(states, actions, xi).next_state for g in (0.0, 2 * gravity))
+    assert_allclose(none + twice, 2 * still, rtol=0, atol=1e-12)
+
+
+def test_the_failing_step_has_a_reward_too():
+    """A pole that never falls is worth 1 - 0.99^100 = 0.633967658726771 (the paper's ceiling)."""
+    falling = np.array([[0.0, 0.0, ANGLE_LIMIT - 1e-3, 1.0], [0.0, 0.0, 0.0, 0.0]])
+    moved = CartPole().moves(falling, np.array([1, 1]), np.zeros((2, 4)))
+    assert_array_equal(moved.terminated, [True, False])
+    assert_array_equal(moved.reward, [1.0, 1.0])
+    model = discretize(CartPole(), cells=(20, 20), closure_episodes=0)
+    assert_array_equal(model.mdp.rewards[:-1], 1.0)
+    assert_array_equal(model.mdp.rewards[-1], 0.0)
+    stands = model.mdp.with_transitions(sparse.kron(sparse.eye_array(model.mdp.n_states), np.ones((2, 1)), "csr"))
+    ceiling = oee.policy_value(stands, oee.uniform_policy(stands), horizon=100, normalized=True)
+    assert_allclose(ceiling, 0.633967658726771, rtol=1e-12)
+
+
+def test_the_shipped_expert_is_the_trained_one():
+    assert train_expert() == EXPERT
+    assert train_expert(seed=1) == train_expert(seed=1) != EXPERT
+
+
+def test_cartpole_s_policies():
+    states = record(CartPole(), cartpole_policy(0.5), n_transitions=200, max_steps=100, seed=0).state
+    expert, uniform = cartpole_policy(0.0)(states), cartpole_policy(1.0)(states)
+    assert_array_equal(uniform, 0.5)
+    assert_allclose(cartpole_policy(0.3)(states), 0.3 * uniform + 0.7 * expert)
+    firm = cartpole_policy(0.0, deterministic=True)(states)
+    assert_array_equal(firm[:, 1], expert[:, 1] > 0.5)
+    right = 1 / (1 + np.exp(-(EXPERT[0] * states[:, 2] + EXPERT[1] * states[:, 3] + EXPERT[2])))
+    assert_allclose(expert[:, 1], right)
+
+
+def test_records_say_what_happened():
+    log = record(CartPole(noise=0.0), cartpole_policy(0.3), n_episodes=40, max_steps=30, seed=0)
+    assert_array_equal(log.reward, 1.0)
+    starts = np.flatnonzero(log.timestep == 0)
+    assert len(starts) == 40
+    lengths = np.diff(np.append(starts, len(log)))
+    assert lengths.max() == 30
+    ends = np.append(starts[1:], len(log)) - 1
+    assert_array_equal(log.terminated[ends] ^ log.truncated[ends], True)
+    assert_array_equal(np.abs(log.next_state[:, 2]) > ANGLE_LIMIT, log.terminated)
+    again = resimulate(CartPole(noise=0.0), log)
+    assert_array_equal(again.next_state, log.next_state)
+    chosen = cartpole_policy(0.3)(log.state)[np.arange(len(log)), log.action]
+    assert_allclose(log.behavior_probability, chosen)
+    assert abs((log.action == 1).mean() - cartpole_policy(0.3)(log.state)[:, 1].mean()) < 0.05
+
+
+def test_the_same_seed_gives_the_same_bits():
+    one, two, other = (
+        record(CartPole(), cartpole_policy(0.3), n_transitions=3000, max_steps=100, seed=s) for s in (1, 1, 2)
+    )
+    assert_array_equal(one.next_state, two.next_state)
+    assert not np.array_equal(one.next_state, other.next_state)
+    # a shorter log is the beginning of a longer one
+    short = record(CartPole(), cartpole_policy(0.3), n_transitions=1000, max_steps=100, seed=1)
+    assert_array_equal(short.state, one.state[:1000])
+    values = [monte_carlo_value(CartPole(), cartpole_policy(0.3), 5000, 100, seed=4) for _ in range(2)]
+    assert values[0] == values[1]
+
+
+# ---------------------------------------------------------------- Reacher
+
 
 LENGTHS = [0.05, 0.1, 0.2]
 seeds = st.integers(0, 2**32 - 1)
@@ -54,7 +167,7 @@ def test_small_steps_converge_to_the_equations_of_motion():
 
 @given(seeds, st.sampled_from(LENGTHS), st.booleans())
 @settings(max_examples=20)
-def test_laws_of_a_step(seed, length, tamed):
+def test_laws_of_reacher_s_step(seed, length, tamed):
     """Mirror images, the shoulder's angle as a mere rotation, 2 pi, and the elbow's stop."""
     rng = np.random.default_rng(seed)
     arm = Reacher.tamed(length) if tamed else Reacher(length)
@@ -104,7 +217,7 @@ def test_kinematics_by_hand():
         assert_allclose(fingertip(np.array([[q1, q2, 0, 0]]), 0.1)[0], target, atol=1e-12)
 
 
-def test_the_reward_by_hand():
+def test_reacher_s_reward_by_hand():
     """100 (drop in distance) - .01 sum |a| (1 + |w'|) - .1 at the stop: action 8 has both levels at 2/3."""
     task = Reacher(0.1, target=(0.31, 0.0))
     states = np.array([[0.0, 0.0, 0.0, 0.0]])
@@ -167,7 +280,7 @@ def _tip(mujoco, model, data):
     return data.body("fingertip").xpos[:2]
 
 
-def test_policies():
+def test_reacher_s_policies():
     states = states_of(np.random.default_rng(0), 50)
     expert, random = reacher_policy(0.0)(states), reacher_policy(1.0)(states)
     assert_array_equal(np.sort(expert, axis=1)[:, :-1], 0.0)
@@ -176,3 +289,78 @@ def test_policies():
     there = np.array([[*joint_angles((0.1, 0.1)), 0.0, 0.0]])
     assert reacher_policy(0.0)(there)[0, 4] == 1.0  # no torque at rest on the target
     assert_array_equal(reacher_policy(0.2)(states + np.array([2 * np.pi, 0, 0, 0])), reacher_policy(0.2)(states))
+
+
+# ---------------------------------------------------------------- the arm
+
+
+def needs_mujoco():
+    return pytest.importorskip("mujoco", reason="needs the extra: pip install 'oee-tabular[mujoco]'")
+
+
+def test_the_kinematics_of_the_fact_table():
+    assert_allclose(end_effector(np.zeros((1, 7)))[0], [0.0, -0.02485, 1.18739], atol=1e-5)
+    assert_allclose(end_effector(HOME[None])[0], [0.4567, 0.00135, 0.4337], atol=5e-5)
+
+
+def test_resolved_rates_move_the_hand_as_asked():
+    joints = HOME + 0.1 * np.random.default_rng(0).standard_normal((5, 7))
+    velocity = np.array([[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1], [0.1, -0.1, 0.1], [0, 0, 0]])
+    moved = (end_effector(joints + 1e-6 * resolved_rates(joints, velocity)) - end_effector(joints)) / 1e-6
+    assert_allclose(moved, velocity, atol=4e-3)  # what the damping takes
+
+
+def test_mujoco_agrees_with_the_kinematics():
+    mujoco = needs_mujoco()
+    from oee_tabular.continuous.gen3 import arm_xml
+
+    model = mujoco.MjModel.from_xml_string(arm_xml())
+    data = mujoco.MjData(model)
+    assert_allclose(model.body_mass.sum(), 8.188, atol=1e-3)
+    for joints in HOME + np.random.default_rng(1).standard_normal((5, 7)):
+        data.qpos[:] = joints
+        mujoco.mj_kinematics(model, data)
+        assert_allclose(data.site_xpos[0], end_effector(joints[None])[0], atol=1e-12)
+
+
+def test_a_command_moves_the_hand_by_a_step_and_the_target_by_more():
+    needs_mujoco()
+    rng = np.random.default_rng(0)
+    for scale in (1.0, 1.4):
+        arm = kinova.KinovaArm(velocity_scale=scale, encoder_noise=0.0)
+        state = arm.initial_states(27, rng)
+        moved = arm.moves(state, np.arange(27), np.zeros((27, 7))).next_state[:, :3] - state[:, :3]
+        assert_allclose(moved / STEP, scale * kinova.COMMANDS, atol=0.12)
+
+
+def test_latency_keeps_the_last_command():
+    needs_mujoco()
+    arm = kinova.KinovaArm(latency=0.2, encoder_noise=0.0)
+    state = arm.initial_states(1, np.random.default_rng(0))
+    moved = arm.moves(state, np.array([26]), np.zeros((1, 7)))
+    assert np.abs(moved.next_state[0, :3] - state[0, :3]).max() < 0.1 * STEP
+    again = arm.moves(moved.next_state, np.array([13]), np.zeros((1, 7)))
+    assert (again.next_state[0, :3] - moved.next_state[0, :3] > 0.8 * STEP).all()
+
+
+def test_a_log_of_a_real_arm(tmp_path):
+    pytest.importorskip("pyarrow", reason="needs the extra: pip install 'oee-tabular[parquet]'")
+    joints = np.stack([HOME, HOME + 0.01, HOME + 0.02])
+    log = ContinuousTransitions(joints[:2], [[0.1, 0, 0], [0, 0, -0.1]], joints[1:], episode=[0, 0])
+    for ending in ("csv", "parquet", "npz"):
+        log.save(tmp_path / f"arm.{ending}")
+        found = kinova.load_kinova_log(tmp_path / f"arm.{ending}", speed=0.1)
+        assert_allclose(found.state, end_effector(joints[:2]))
+        assert found.action_numbers(kinova.COMMANDS, strict=True).tolist() == [22, 12]
+
+
+def test_without_mujoco_everything_imports_and_says_which_extra():
+    code = (
+        "import sys; sys.modules['mujoco'] = None\n"
+        "import oee_tabular.lab.experiments.kinova\n"
+        "from oee_tabular.tasks import kinova\n"
+        "try:\n    kinova.record_goals(kinova.KinovaArm(), n_runs=1)\n"
+        "except ImportError as error:\n    print(error)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "mujoco is not installed: pip install 'oee-tabular[mujoco]'"
