@@ -27,39 +27,21 @@ sum_s' |K - P'| = E_P |zhat - zeta|. Theorem V.2 (eq. 5.3) is false as stated (`
 
 A horizon T means the rewards at t = 0..T-1, as everywhere in this package; Theorem V.2's own sum runs over t = 0..T. A reward
 r(s, a) at t rests on t transitions, a reward r(s, a, s') on t + 1: (A), (B), (C) count transitions, and are larger by one step
-in the second case. The simulation lemma (``simulation_lemma``) is an equality for any nonnegative K:
+in the second case. The simulation lemma (``theorem_2``) is an equality for any nonnegative K:
 
     J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>.
 """
 
-from oee_tabular.theory.bounds import (
-    kl_path_bound,
-    kl_path_sides,
-    normalised_bound,
-    normalised_sides,
-    path_kl,
-    unnormalised_bound,
-    unnormalised_sides,
-)  # fmt: skip
-from oee_tabular.theory.simulation_lemma import Sides, SimulationLemma, simulation_lemma
-from oee_tabular.theory.theorem_1 import (
-    EstimationCounterexample,
-    estimation_bound,
-    estimation_sides,
-    excess_risk,
-    renyi_divergence,
-    squared_error_sides,
-    sup_error_bound,
-    universal_constant_counterexample,
-)  # fmt: skip
-from oee_tabular.theory.theorem_2 import (
-    corrected_value_error_bound,
-    ratio_error_bound,
-    ratio_error_sides,
-    value_bound_counterexample,
-    value_error_bound,
-    value_error_sides,
-)  # fmt: skip
+# isort: off
+from oee_tabular.theory.bounds import kl_path_bound, kl_path_sides, normalised_bound, normalised_sides, path_kl
+from oee_tabular.theory.bounds import unnormalised_bound, unnormalised_sides
+from oee_tabular.theory.theorem_1 import EstimationCounterexample, Sides, estimation_bound, estimation_sides
+from oee_tabular.theory.theorem_1 import excess_risk, renyi_divergence, squared_error_sides, sup_error_bound
+from oee_tabular.theory.theorem_1 import universal_constant_counterexample
+from oee_tabular.theory.theorem_2 import SimulationLemma, corrected_value_error_bound, ratio_error_bound
+from oee_tabular.theory.theorem_2 import ratio_error_sides, simulation_lemma, value_bound_counterexample
+from oee_tabular.theory.theorem_2 import value_error_bound, value_error_sides
+# isort: on
 
 __all__ = [
     "EstimationCounterexample", "Sides", "SimulationLemma", "corrected_value_error_bound", "estimation_bound",

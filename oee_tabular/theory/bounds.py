@@ -18,8 +18,8 @@ from oee_tabular.exact.reweighted import Model
 from oee_tabular.exact.system import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
-from oee_tabular.theory.simulation_lemma import Sides, check_pair, forward_distributions
-from oee_tabular.theory.theorem_1 import divergence_terms
+from oee_tabular.theory.theorem_1 import Sides, divergence_terms
+from oee_tabular.theory.theorem_2 import check_pair, forward_distributions
 
 N_TERMS, NEGLIGIBLE = 100_000, 1e-12  # infinite sums: terms that are added up, and the discount^t where that ends
 

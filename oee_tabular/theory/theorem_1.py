@@ -1,4 +1,4 @@
-"""Theorem V.1 of the paper, on the error of the ratio g = p/q, beside what is true; divergences and excess risks."""
+"""Both sides of a statement; Theorem V.1 of the paper, on the error of g = p/q, beside what is true; divergences and risks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,37 @@ from scipy import special
 from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular.ratio.dual import check_distributions
-from oee_tabular.theory.simulation_lemma import Sides, check_box, check_ratio
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Both sides of an inequality ``left <= right``, each as it was computed (no tolerance).
+
+    Attributes
+    ----------
+    left, right : float, inf allowed
+
+    Examples
+    --------
+    >>> sides = Sides(3.0, 2.0)
+    >>> sides.holds, sides.ratio
+    (False, 1.5)
+    """
+
+    left: float
+    right: float
+
+    @property
+    def holds(self) -> bool:
+        """left <= right."""
+        return self.left <= self.right
+
+    @property
+    def ratio(self) -> float:
+        """left / right: above 1 where the inequality fails, by that factor; 0 where left is 0."""
+        if self.left == 0.0:
+            return 0.0
+        return self.left / self.right if self.right > 0.0 else math.inf
 
 
 def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
@@ -269,3 +299,18 @@ def _check_same_length(g: Array, p: Array) -> None:
 def _ratio(p: Array, q: Array) -> Array:
     """p/q: inf where q = 0 < p, and 1 where p = q = 0 (nothing depends on it)."""
     return np.divide(p, q, out=np.where(p > 0.0, np.inf, 1.0), where=q > 0.0)
+
+
+def check_box(nu: float, mu: float) -> tuple[float, float]:
+    """nu in (0, 1) and mu > 1, or ValueError."""
+    lower = _checks.number_in(nu, "nu", 0.0, 1.0, open_ends=True)
+    return lower, _checks.number_in(mu, "mu", 1.0, math.inf, open_ends=True)
+
+
+def check_ratio(value: object, name: str, nu: float, mu: float) -> Array:
+    """The values of a g as an array, or ValueError where one is outside [nu, mu]."""
+    array = _checks.float_array(value, name, ndim=1)
+    bad = np.flatnonzero(~((array >= nu) & (array <= mu)))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] must be in [nu, mu] = [{nu:g}, {mu:g}]; it is {array[bad[0]]}")
+    return array
