@@ -7,7 +7,7 @@ tasks; ``discretize`` (discretization) makes a FiniteMDP with the way from state
 cells of visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with the configuration by which logs are
 evaluated (evaluation, row by row: rows), and has a name on the command line (command; Gymnasium's environments:
 gymnasium_named). Each of ``cartpole``, ``reacher`` and ``kinova`` has its dynamics and its expert (kinova's controller and logs
-are in ``gen3``); the paper's experiments with them are in ``lab.robots``.
+are in ``gen3``); the paper's experiments with them are in ``lab.experiments``.
 """
 
 from __future__ import annotations

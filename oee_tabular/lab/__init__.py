@@ -1,8 +1,7 @@
-"""What measures and reproduces: the bench, the paper's experiments and more, the robots' studies.
+"""What measures and reproduces: the bench, and the experiments of the paper and more, on numbered states and on its robots.
 
-The core never imports it. An ``Experiment`` (registry) is a function from a cell of its settings to rows; one runner (run)
-computes cells, on this machine or on a cluster; one store (store) keeps them; table, page and figure are made of them
-(output, panels).
+The core never imports it. An ``Experiment`` (``experiment``) is a function from a cell of its settings to rows; tables, pages
+and figures are made of the rows. One runner (``run``) computes cells, here or on a cluster, and keeps them in a folder.
 """
 
-__all__ = ["bench", "experiments", "robots"]
+__all__ = ["bench", "experiments"]
