@@ -33,29 +33,20 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
 from oee_tabular._parallel import one_thread
+from oee_tabular.continuous import gen3
 from oee_tabular.continuous.cells import each_action
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.gen3 import (
-    CENTER,
     COMMANDS,
     GOALS,
     HOME,
     HORIZON,
-    N_JOINTS,
-    PERIOD,
-    REACH,
-    SPEED,
-    STEP,
-    HandTask,
     KinovaPolicy,
-    arm_xml,
     end_effector,
-    goal_number,
     hand_log,
     kinova_policy,
     load_kinova_log,
     record_goals,
-    resolved_rates,
 )
 from oee_tabular.continuous.task import Moves
 
@@ -70,7 +61,7 @@ EXPLORED = (0.0, 0.3, 0.6, 1.0)  # deltas of the policies whose states are looke
 
 
 @dataclass(frozen=True, eq=False)
-class KinovaHand(HandTask):
+class KinovaHand(gen3.HandTask):
     """The position of the (simulated) arm's hand as a process of its own; made by ``fit_hand``.
 
     Attributes
@@ -86,8 +77,8 @@ class KinovaHand(HandTask):
     Examples
     --------
     >>> hand = ideal_hand(1.4, scatter=0.0)
-    >>> shift = hand.moves(CENTER[None], np.array([26]), np.zeros((1, 3))).next_state[0] - CENTER
-    >>> (shift / STEP).round(3).tolist()
+    >>> shift = hand.moves(gen3.CENTER[None], np.array([26]), np.zeros((1, 3))).next_state[0] - gen3.CENTER
+    >>> (shift / gen3.STEP).round(3).tolist()
     [1.4, 1.4, 1.4]
     """
 
@@ -103,7 +94,7 @@ class KinovaHand(HandTask):
     name: str = field(default="Kinova hand (simulated stand-in)", init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "goal", goal_number(self.goal))
+        object.__setattr__(self, "goal", gen3.goal_number(self.goal))
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One command: O(n)."""
@@ -137,21 +128,21 @@ class KinovaHand(HandTask):
 def ideal_hand(scale: float = 1.0, *, scatter: float = 0.05) -> KinovaHand:
     """A hand that every command moves by ``scale`` steps, with a scatter of ``scatter`` steps, without MuJoCo."""
     coefficients = np.zeros((len(COMMANDS), 10, 3))
-    coefficients[:, 0] = _checks.number_in(scale, "scale", 0.0, 3.0) * STEP * COMMANDS
-    spread = _checks.number_in(scatter, "scatter", 0.0, 1.0) * STEP * np.eye(3)
+    coefficients[:, 0] = _checks.number_in(scale, "scale", 0.0, 3.0) * gen3.STEP * COMMANDS
+    spread = _checks.number_in(scatter, "scatter", 0.0, 1.0) * gen3.STEP * np.eye(3)
     source = {"ideal": True, "scale": scale, "scatter": scatter}
-    return KinovaHand(coefficients, np.broadcast_to(spread, (len(COMMANDS), 3, 3)), CENTER[None], source)
+    return KinovaHand(coefficients, np.broadcast_to(spread, (len(COMMANDS), 3, 3)), gen3.CENTER[None], source)
 
 
 def basis(states: Array) -> Array:
     """(n, 10): 1, z, and the products of z, in units of the workspace; held fixed outside of it."""
-    z = np.clip((states - CENTER) / REACH, -1.0, 1.0)
+    z = np.clip((states - gen3.CENTER) / gen3.REACH, -1.0, 1.0)
     x, y, w = z.T
     return np.stack([np.ones(len(z)), x, y, w, x * x, y * y, w * w, x * y, x * w, y * w], axis=1)
 
 
 @one_thread
-def fit_hand(arm: HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
+def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
     """D_a and L_a from ``n_states`` states that the arm visits, each stepped under all 27 commands.
 
     Parameters
@@ -163,7 +154,7 @@ def fit_hand(arm: HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand
     Examples
     --------
     >>> found = fit_hand(ideal_hand(1.4, scatter=0.0), n_states=100)
-    >>> (found.coefficients[26, 0] / STEP).round(3).tolist(), found.coefficients.shape
+    >>> (found.coefficients[26, 0] / gen3.STEP).round(3).tolist(), found.coefficients.shape
     ([1.4, 1.4, 1.4], (27, 10, 3))
     """
     wanted = _checks.positive_integer(n_states, "n_states")
@@ -190,17 +181,17 @@ def fit_hand(arm: HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand
 TICKS = 10  # updates of the joint reference in a period
 FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)  # s, kv / kp: servos damp the speed's error
 START = 0.01  # rad: how exactly the arm returns to its home pose
-JOINT_STATES = tuple(f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, N_JOINTS + 1))
+JOINT_STATES = tuple(f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, gen3.N_JOINTS + 1))
 AT_A_TIME = 2048  # states whose trajectories MuJoCo returns in one array
 LIMITS = {
-    "velocity_scale": (0.0, 3.0), "latency": (0.0, PERIOD), "payload": (0.0, 4.0), "friction": (0.0, 9.0),
+    "velocity_scale": (0.0, 3.0), "latency": (0.0, gen3.PERIOD), "payload": (0.0, 4.0), "friction": (0.0, 9.0),
     "gain": (0.05, 5.0), "encoder_noise": (0.0, 0.1),
 }  # fmt: skip
 STAND_IN = "simulated stand-in, not a robot"
 
 
 @dataclass(frozen=True)
-class KinovaArm(HandTask):
+class KinovaArm(gen3.HandTask):
     """The simulated Gen3 that moves its hand to a goal; a stand-in for the paper's robot.
 
         r(s) = -|x - goal| in m,  27 commands of 0.2 s,  x the measured position of the hand
@@ -230,7 +221,7 @@ class KinovaArm(HandTask):
     """
 
     state_names = ("x", "y", "z", *JOINT_STATES, "command_x", "command_y", "command_z")
-    n_disturbances = N_JOINTS
+    n_disturbances = gen3.N_JOINTS
 
     goal: int = 0
     velocity_scale: float = 1.0
@@ -242,7 +233,7 @@ class KinovaArm(HandTask):
     name: str = field(default="Kinova Gen3 (simulated stand-in)", init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "goal", goal_number(self.goal))
+        object.__setattr__(self, "goal", gen3.goal_number(self.goal))
         for name, (low, high) in LIMITS.items():
             _checks.number_in(getattr(self, name), name, low, high)
 
@@ -250,13 +241,13 @@ class KinovaArm(HandTask):
         """One command from each state: 40 steps of MuJoCo each."""
         joints, speeds, reference, before = np.split(states[:, 3:], [7, 14, 21], axis=1)
         command = COMMANDS[np.asarray(actions, dtype=np.int64)]
-        late = self.latency / PERIOD * TICKS
-        references = np.empty((len(states), TICKS, N_JOINTS))
+        late = self.latency / gen3.PERIOD * TICKS
+        references = np.empty((len(states), TICKS, gen3.N_JOINTS))
         for tick in range(TICKS):
             share = min(1.0, max(0.0, tick + 1.0 - late))  # of this tick in which the new command is in force
-            velocity = self.velocity_scale * SPEED * (share * command + (1.0 - share) * before)
-            rates = resolved_rates(reference, velocity)
-            reference = reference + PERIOD / TICKS * rates
+            velocity = self.velocity_scale * gen3.SPEED * (share * command + (1.0 - share) * before)
+            rates = gen3.resolved_rates(reference, velocity)
+            reference = reference + gen3.PERIOD / TICKS * rates
             references[:, tick] = reference + FEED_FORWARD * rates
         joints, speeds = self._follow(joints, speeds, references)
         seen = end_effector(joints + self.encoder_noise * disturbance)
@@ -265,9 +256,9 @@ class KinovaArm(HandTask):
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """At rest near the home pose, N(0, 0.01^2) rad in each joint."""
-        joints = HOME + START * rng.standard_normal((n, N_JOINTS))
-        seen = end_effector(joints + self.encoder_noise * rng.standard_normal((n, N_JOINTS)))
-        return np.concatenate([seen, joints, np.zeros((n, N_JOINTS)), joints, np.zeros((n, 3))], axis=1)
+        joints = HOME + START * rng.standard_normal((n, gen3.N_JOINTS))
+        seen = end_effector(joints + self.encoder_noise * rng.standard_normal((n, gen3.N_JOINTS)))
+        return np.concatenate([seen, joints, np.zeros((n, gen3.N_JOINTS)), joints, np.zeros((n, 3))], axis=1)
 
     def on_features(self) -> KinovaHand:
         """The hand's position as a process of its own."""
@@ -285,7 +276,7 @@ class KinovaArm(HandTask):
             raise ImportError("mujoco is not installed: pip install 'oee-tabular[mujoco]'") from None
         from mujoco import rollout
 
-        model = mujoco.MjModel.from_xml_string(arm_xml())
+        model = mujoco.MjModel.from_xml_string(gen3.arm_xml())
         hand = model.body("end_effector").id
         model.body_mass[hand] += self.payload
         model.body_inertia[hand] += 0.4 * self.payload * 0.05**2  # a ball of 5 cm
@@ -294,13 +285,13 @@ class KinovaArm(HandTask):
         model.actuator_biasprm[:, 1:3] *= self.gain
         mujoco.mj_setConst(model, mujoco.MjData(model))
         data = mujoco.MjData(model)
-        steps = round(PERIOD / TICKS / model.opt.timestep)
+        steps = round(gen3.PERIOD / TICKS / model.opt.timestep)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         start = np.zeros((len(joints), size))  # time, angles, speeds, then what this model leaves empty
-        start[:, 1 : 1 + N_JOINTS], start[:, 1 + N_JOINTS : 1 + 2 * N_JOINTS] = joints, speeds
-        found = np.empty((len(joints), 2 * N_JOINTS))
+        start[:, 1 : 1 + gen3.N_JOINTS], start[:, 1 + gen3.N_JOINTS : 1 + 2 * gen3.N_JOINTS] = joints, speeds
+        found = np.empty((len(joints), 2 * gen3.N_JOINTS))
         for low in range(0, len(joints), AT_A_TIME):
             part = slice(low, low + AT_A_TIME)
             states, _ = rollout.rollout(model, data, start[part], np.repeat(references[part], steps, axis=1))
-            found[part] = states[:, -1, 1 : 1 + 2 * N_JOINTS]
-        return found[:, :N_JOINTS], found[:, N_JOINTS:]
+            found[part] = states[:, -1, 1 : 1 + 2 * gen3.N_JOINTS]
+        return found[:, : gen3.N_JOINTS], found[:, gen3.N_JOINTS :]

@@ -234,8 +234,7 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
 
     cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)); a ValueError for a target out of the arm's reach.
     """
-    x, y = _checks.float_array(target, "target")
-    far = length + RADIUS
+    (x, y), far = _checks.float_array(target, "target"), length + RADIUS
     bend = (x * x + y * y - length**2 - far**2) / (2.0 * length * far)
     if not -1.0 <= bend <= 1.0:
         raise ValueError(

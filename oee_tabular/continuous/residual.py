@@ -317,9 +317,9 @@ class ResidualSimulator(DerivedTask):
         if known is not None:
             return known
         reward = own.reward + added[:, -1] if added.shape[1] > self.n_state else own.reward.copy()
-        is_other = ends != own.terminated
-        for end in (False, True) if is_other.any() else ():
-            rows, alike = np.flatnonzero(is_other & (ends == end)), np.flatnonzero(self._known_ends == end)
+        for end in (False, True):
+            rows = np.flatnonzero((ends == end) & (own.terminated != end))
+            alike = np.flatnonzero(self._known_ends == end)
             if len(rows) and len(alike):
                 reward[rows] = self._known_rewards[self._neighbors.find(following[rows], alike, key=end)]
         return reward
@@ -351,13 +351,10 @@ def other_units(task: ContinuousTask, log: ContinuousTransitions, actions: IntAr
 
     plain = miss(np.ones(d))
     is_missed, least, text = plain > MISSED, plain.sum(), ""
-    pairs = itertools.combinations_with_replacement(range(d), 2) if is_missed.any() else ()
-    for columns in sorted(pairs, key=lambda pair: pair[0] != pair[1]):  # one column first
-        for unit, factor in UNITS.items():
-            factors = np.ones(d)
-            factors[list(columns)] = factor
-            missed = miss(factors)
-            if (is_missed & (missed < MET)).any() and missed.sum() < least:
-                names = " and ".join(task.state_names[k] for k in dict.fromkeys(columns))
-                least, text = missed.sum(), f"{names} ({unit})"
+    pairs = [(k,) for k in range(d)] + list(itertools.combinations(range(d), 2))
+    for columns, (unit, factor) in itertools.product(pairs if is_missed.any() else (), UNITS.items()):
+        missed = miss(np.where(np.isin(np.arange(d), columns), factor, 1.0))
+        if (is_missed & (missed < MET)).any() and missed.sum() < least:
+            names = " and ".join(task.state_names[k] for k in columns)
+            least, text = missed.sum(), f"{names} ({unit})"
     return text

@@ -171,11 +171,11 @@ def corrected_value(
     """
     _checks.instance(corrected, ResidualSimulator, "corrected")
     _checks.function(policy, "policy")
-    steps = _checks.positive_integer(horizon, "horizon")
-    episodes, n_refits = _checks.positive_integer(n_episodes, "n_episodes"), _checks.positive_integer(refits, "refits")
+    numbers = {"horizon": horizon, "n_episodes": n_episodes, "refits": refits, "paths": paths}
+    steps, episodes, n_refits, each = (_checks.positive_integer(value, name) for name, value in numbers.items())
     if n_refits < 2:
         raise ValueError(f"refits must be at least 2, for a variance; got {refits}")
-    each, gamma = _checks.positive_integer(paths, "paths"), _checks.number_in(discount, "discount", 0.0, 1.0)
+    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     rollouts = Rollouts(steps, gamma, episodes, _checks.seed_sequence(seed, ()), n_refits, each)
     return rollouts.estimate(corrected, policy, describe_flaw(corrected))
 
