@@ -3,7 +3,6 @@
 import warnings
 from dataclasses import replace
 
-import gymnasium
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,10 +17,10 @@ from oee_tabular.data import ContinuousTransitions
 from oee_tabular.tasks import (
     CartPole,
     ContinuousTask,
-    GymnasiumTask,
     Moves,
     Reacher,
     cartpole_policy,
+    gymnasium_simulator,
     kinova,
     reacher_policy,
     record,
@@ -85,11 +84,6 @@ def test_weights_are_a_distribution_that_keeps_the_point(grid, seed):
     assert_allclose(grid.weights(grid.vertices()).toarray(), np.eye(grid.n_cells), atol=1e-12)
     assert not grid.outside(points).any()
     assert grid.outside(grid.high + 1e-3 * (grid.high - grid.low) + 0 * points).all()
-
-
-def test_bilinear_by_hand():
-    grid = Grid(np.zeros(2), np.ones(2), (2, 2), (False, False))
-    assert_allclose(grid.weights(np.array([[0.25, 0.5]])).toarray(), [[0.375, 0.375, 0.125, 0.125]])
 
 
 def test_a_circle_closes():
@@ -411,15 +405,9 @@ def test_costs_and_policies_are_means_over_a_box():
 # ---------------------------------------------------------------- a task that is not ours
 
 
-def pendulum(**changes):
-    options = {"state_names": ("angle", "speed"), "actions": [[-2.0], [0.0], [2.0]], "low": [-np.pi, -8.0],
-               "high": [np.pi, 8.0], "periodic": (True, False), "terminates": False}  # fmt: skip
-    return GymnasiumTask(lambda: gymnasium.make("Pendulum-v1"), **(options | changes))
-
-
 def test_pendulum_through_gymnasium():
     """The grid's value of a policy against stepping Gymnasium itself."""
-    task = pendulum()
+    task = gymnasium_simulator("Pendulum-v1", actions=3).task
     model = discretize(task, cells=(61, 61), **QUICK)
     assert model.over is None
     assert model.mdp.n_states == 61 * 61

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.continuous.gymnasium_named import action_set, gymnasium_simulator, gymnasium_spec, is_continuous_id
+from oee_tabular.continuous.gymnasium_named import action_set, gymnasium_simulator, gymnasium_spec
 from oee_tabular.continuous.simulator import as_probabilities
 from oee_tabular.continuous.task import Chance, check_probabilities
 from oee_tabular.report import Settings, evaluate_continuous
@@ -468,12 +468,6 @@ def test_a_log_of_other_commands_or_states(run, mine):
         assert all(text in said for text in texts)
     said = run("evaluate --simulator Pendulum-v1 --log log.csv --task-option=actions=3", code=2)
     assert "--policy must be given for Pendulum-v1" in said
-
-
-def test_which_ids_are_continuous():
-    assert is_continuous_id("Pendulum-v1:g=9")
-    assert not is_continuous_id("FrozenLake-v1")
-    assert not is_continuous_id("Nothing-v1")
 
 
 # ---------------------------------------------------------------- more dimensions than a grid has

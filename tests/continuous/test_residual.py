@@ -86,7 +86,7 @@ def test_an_unchanged_target_is_the_simulator_to_the_last_bit():
 
 
 def test_pendulum():
-    """The environment's steps are Gymnasium's (test_changes.py)."""
+    """The environment's steps are Gymnasium's (test_experiments.py)."""
     target, simulator = classic.Pendulum(mass=1.2, gravity=11.0), classic.Pendulum()
     log = record(target, classic.swinging(0.3), n_transitions=4000, max_steps=200, seed=0)
     corrected = ResidualSimulator(simulator, log, seed=0)

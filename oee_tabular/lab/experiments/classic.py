@@ -1,6 +1,6 @@
 """Tasks of the experiments: classic control with every parameter free, masses on springs, linear-Gaussian models of a log.
 
-By default a step of the classic tasks is Gymnasium's own (tests/continuous/test_changes.py); CartPole has the paper's noise.
+By default a step of the classic tasks is Gymnasium's (tests/continuous/test_experiments.py); CartPole has the paper's noise.
 """
 
 from __future__ import annotations
