@@ -117,6 +117,8 @@ def test_policies_from_files(run, folder):
         made = np.load("made.npy")
         assert (made.argmax(axis=1) == ACTIONS).all()
         assert_allclose(made.max(axis=1), 0.75 if file == "long.csv" else 1.0)
+    said = run("policy sim.npz array.npy --output made.npy")
+    assert said == "made.npy (replaced): policy of 9 states and 4 actions\n"
 
 
 @pytest.mark.parametrize(
