@@ -66,7 +66,7 @@ class Experiment:
         first being what the experiment is about
     draw : (table, summary, figure) -> None
     finding : table -> what its rows show, in their own numbers, a line: the figure's title
-    paper : summary -> the paper's number for each of its rows (nan: none published)
+    paper : row of the summary -> the paper's number (nan: none published)
     group : "gridworld" | "gymnasium" | "sureness" | "continuous" | "bench"
     requires : modules that the cells import and that an installation may lack; extra : what installs them, where it is not
         called as the module is
@@ -82,7 +82,7 @@ class Experiment:
     finding: Callable[[pd.DataFrame], str] = lambda table: ""
     repetitions: int = 10
     smoke: Mapping[str, tuple[Scalar, ...]] = field(default_factory=dict)
-    paper: Callable[[pd.DataFrame], Any] | None = None
+    paper: Callable[[Any], float] | None = None
     group: str = "gridworld"
     requires: tuple[str, ...] = ()
     extra: str = ""
@@ -291,7 +291,7 @@ def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
         parts.append(grouped[measure].agg(["mean", "std", "sem"]).set_axis(columns, axis=1))
     summary: pd.DataFrame = pd.concat(parts, axis=1).reset_index()
     if experiment.paper is not None:
-        summary["paper"] = experiment.paper(summary)
+        summary["paper"] = [experiment.paper(row) for row in summary.to_dict("records")]
         summary["ours / paper"] = summary[f"{experiment.measures[0]}_mean"] / summary["paper"]
     return summary
 

@@ -78,9 +78,7 @@ def test_the_papers_numbers():
 
 
 def test_the_files_of_an_experiment(tmp_path, monkeypatch):
-    one = experiment(
-        paper=lambda summary: [2.0 if n == 1 else np.nan for n in summary.n], finding=lambda table: "50 < 60"
-    )
+    one = experiment(paper=lambda row: 2.0 if row["n"] == 1 else np.nan, finding=lambda table: "50 < 60")
     files = bytes_of(tmp_path / "noise", one.settings())
     table = pd.read_csv(tmp_path / "noise" / "table.csv")
     summary = summary_of(one, table)

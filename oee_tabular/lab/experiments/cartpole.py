@@ -232,14 +232,6 @@ def published_error(gravity: float, estimator: str) -> float:
     return float("nan") if name is None else distance_between(published("cartpole", setting, name), right)
 
 
-def published_numbers(summary: pd.DataFrame) -> list[float]:
-    """At the paper's gravities and n, for the target with its noise."""
-    return [
-        published_error(gravity, name) if kind == "compiled" and n == PAPERS_N else float("nan")
-        for kind, gravity, n, name in summary[["target", "gravity", "n", "estimator"]].itertuples(index=False)
-    ]
-
-
 def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
     """Values and errors at each delta, under each gravity, of the largest logs of the compiled target."""
     own = table[(table.target == "compiled") & (table.n == table.n.max())]
@@ -281,7 +273,11 @@ def smallest(table: pd.DataFrame, column: str) -> pd.Series[float]:
     axes={"target": ("compiled", "gymnasium"), "gravity": GRAVITIES, "n": (10_000, PAPERS_N)},
     smoke={"gravity": (15.0,), "n": (10_000,)},
     keys=("target", "gravity", "n", "estimator"), measures=("error",),
-    draw=draw_figure_2, finding=finding_2, paper=published_numbers,
+    draw=draw_figure_2, finding=finding_2,
+    paper=lambda row: (  # for the target with its noise
+        published_error(row["gravity"], row["estimator"])
+        if (row["target"], row["n"]) == ("compiled", PAPERS_N) else float("nan")
+    ),
 )  # fmt: skip
 def fig2(settings: Cell, stream: Stream) -> list[Row]:
     """Values are (1 - discount) times the discounted sum of 100 rewards, at most 0.634, of delta uniform + (1 - delta)

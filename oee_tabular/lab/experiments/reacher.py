@@ -120,14 +120,14 @@ def setting_of(length: Any) -> str:
     return f"link_length_ratio={float(length) / SIMULATED}"
 
 
-def published_numbers(summary: pd.DataFrame) -> list[float]:
+def published_error(row: Row) -> float:
     """The mean over delta of |curve - true value| of the same curve in the paper's figure; nan where it was not published."""
-    return [
-        distance_between(*(published("reacher", setting_of(length), each) for each in (PUBLISHED[name], "true_value")))
-        if name in PUBLISHED and int(n) == N_PAPER
-        else np.nan
-        for length, n, name in zip(summary["length"], summary["n"], summary["series"], strict=True)
-    ]
+    if row["series"] not in PUBLISHED or row["n"] != N_PAPER:
+        return np.nan
+    curves = (
+        published("reacher", setting_of(row["length"]), name) for name in (PUBLISHED[row["series"]], "true_value")
+    )
+    return distance_between(*curves)
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
@@ -156,7 +156,7 @@ def finding(table: pd.DataFrame) -> str:
     "Figure 3: the value of Reacher's policies on longer and on shorter arms", group="continuous",
     axes={"length": (0.2, 0.05), "n": (15_000, N_PAPER)}, smoke={"n": (15_000,)},
     keys=("length", "n", "series"), measures=("error", "uncovered"),
-    draw=draw, finding=finding, paper=published_numbers,
+    draw=draw, finding=finding, paper=published_error,
 )  # fmt: skip
 def fig3(settings: Cell, stream: Stream) -> list[Row]:
     """Discounted sums of 100 rewards of delta uniform + (1 - delta) expert; the simulator's links are 0.1 m, the target at a

@@ -34,19 +34,16 @@ FITS: dict[str, dict[str, Any]] = {  # options of ``transition_ratio``
 }
 
 
-def errors_of_paper(summary: pd.DataFrame) -> list[float]:
-    """The error of the paper's networks for each row of a summary; their data are the uniform policy's."""
-    rows = summary if "grid" in summary else summary.assign(data="uniform", grid=10)
-    return [
-        common.published_at("fig1a", f"grid={grid}", "mean_absolute_error_of_zeta", n) if data == "uniform" else np.nan
-        for data, grid, n in zip(rows["data"], rows["grid"], rows["n"], strict=True)
-    ]
+def error_of_paper(row: Any) -> float:
+    """The error of the paper's networks where a row of a table or summary is; their data are the uniform policy's."""
+    is_published, grid = row.get("data", "uniform") == "uniform", f"grid={row.get('grid', 10)}"
+    return common.published_at("fig1a", grid, "mean_absolute_error_of_zeta", row["n"]) if is_published else np.nan
 
 
 def draw_published(ax: Any, rows: pd.DataFrame) -> None:
     """The paper's networks, where they were published."""
     points = rows.drop_duplicates("n").sort_values("n")
-    errors = errors_of_paper(points)
+    errors = [error_of_paper(row) for row in points.to_dict("records")]
     if np.isfinite(errors).any():
         ax.plot(points.n, errors, color=INK, marker="x", lw=1.2, label="paper's networks")
 
@@ -59,7 +56,7 @@ ZetaPanels = functools.partial(
 @experiment(
     "Figure 1a: error of the ratio of transition probabilities against sample size",
     axes={"data": tuple(DATA), "grid": (10, 20, 40), "n": HALF_DECADES},
-    keys=("data", "grid", "n", "estimator"), measures=("error",), paper=errors_of_paper,
+    keys=("data", "grid", "n", "estimator"), measures=("error",), paper=error_of_paper,
     draw=ZetaPanels("estimator", by=("data", "grid"), columns=3),
 )  # fmt: skip
 def fig1a(settings: Cell, stream: Stream) -> list[Row]:
@@ -140,7 +137,7 @@ EXCESS = common.ErrorPanels(  # approximation is 0 but for rounding
 @experiment(
     "Figure 1a with our own networks, and what their error is made of",
     axes={"simulator": ("sampled afresh", RECORDED), "n": HALF_DECADES}, repetitions=3,
-    keys=("simulator", "n", "fit"), measures=("error", "excess", *PARTS), paper=errors_of_paper,
+    keys=("simulator", "n", "fit"), measures=("error", "excess", *PARTS), paper=error_of_paper,
     draw=ZetaPanels(
         "fit", by=("simulator",), only=lambda rows: rows[rows.fit != NAMES["best"]], beside=[EXCESS], columns=2
     ),
