@@ -5,57 +5,111 @@ PYTHONPATH=. python tests/saved_notebook.py 00 05    these
 """
 
 import base64
+import contextlib
+import importlib
 import io
 import os
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-import nbclient
+import matplotlib
 import nbformat
 from PIL import Image
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("[0-9]*.ipynb"))
+SERVE = "--serve"
 
 
-def run(path, folder):
-    """Run a notebook in a folder; give it with its outputs, without times, versions and what goes to stderr."""
-    book = nbformat.read(path, as_version=4)
-    stored = {"kernelspec": book.metadata.kernelspec, "language_info": {"name": "python"}}
-    client = nbclient.NotebookClient(book, timeout=600, record_timing=False, resources={"metadata": {"path": folder}})
-    client.execute(env=os.environ | {"MPLBACKEND": "module://matplotlib_inline.backend_inline"})
-    book.metadata = nbformat.from_dict(stored)
+@contextlib.contextmanager
+def notebook_runner():
+    """A function (path, folder) that runs a notebook in a folder and gives it with its outputs.
+
+    It runs in a process of its own, a fork of one that has imported what all notebooks import and nothing else.
+    """
+    environment = os.environ | {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with (
+        tempfile.TemporaryDirectory() as results,
+        subprocess.Popen([sys.executable, __file__, SERVE], env=environment, **pipes) as server,
+    ):
+
+        def run(path, folder):
+            result = Path(results) / path.name
+            print(path, folder, result, sep="\t", file=server.stdin, flush=True)
+            assert server.stdout.readline() == "0\n", f"{path.name} failed, as its process said"
+            return nbformat.read(result, as_version=4)
+
+        yield run
+        server.stdin.close()
+
+
+def serve():
+    """Fork for each line of stdin; print how the fork ended."""
+    for module in ("IPython", "matplotlib.pyplot", "pandas", "oee_tabular.plots", "oee_tabular.testing.exercises"):
+        importlib.import_module(module)
+
+    for line in sys.stdin:
+        path, folder, result = line.rstrip("\n").split("\t")
+        if not (pid := os.fork()):
+            os.dup2(2, 1)
+            os.chdir(folder)
+            nbformat.write(execute(nbformat.read(path, as_version=4)), result)
+            os._exit(0)
+        print(os.waitpid(pid, 0)[1], flush=True)
+
+
+def execute(book):
+    """The notebook with its outputs, without times, versions and what goes to stderr."""
+    from IPython.core import displayhook, displaypub
+    from IPython.core.interactiveshell import InteractiveShell
+    from IPython.utils.capture import capture_output
+    from matplotlib_inline.backend_inline import configure_inline_support
+    from traitlets.config import Config
+
+    shown = []
+
+    class Hook(displayhook.DisplayHook):
+        def __call__(self, result=None):
+            if result is not None and not self.quiet():
+                shown.append(nbformat.v4.new_output("execute_result", data=self.compute_format_data(result)[0]))
+
+    class Publisher(displaypub.DisplayPublisher):
+        def publish(self, data, *_, **__):
+            shown.append(nbformat.v4.new_output("display_data", data=data))
+
+    class Shell(InteractiveShell):
+        displayhook_class, display_pub_class = Hook, Publisher
+
+    shell = Shell.instance(config=Config(HistoryManager={"enabled": False}))
+    matplotlib.interactive(True)
+    configure_inline_support(shell, os.environ["MPLBACKEND"])
+    sys.path.insert(0, "")
     for cell in book.cells:
         if cell.cell_type == "code":
-            cell.execution_count = None
-            cell.outputs = join_streams([output for output in cell.outputs if output.get("name") != "stderr"])
-            for output in cell.outputs:
-                strip(output)
+            with capture_output(display=False) as captured:
+                result = shell.run_cell(cell.source, store_history=True)
+            if not result.success:
+                print(captured.stdout, captured.stderr, file=sys.stderr)
+                os._exit(1)
+            printed = [nbformat.v4.new_output("stream", text=captured.stdout)] if captured.stdout else []
+            cell.execution_count, cell.outputs = None, [*printed, *shown]
+            for output in shown:
+                compress(output.data)
+            shown.clear()
+    book.metadata = nbformat.from_dict({"kernelspec": book.metadata.kernelspec, "language_info": {"name": "python"}})
     return book
 
 
-def join_streams(outputs):
-    """Join what is printed in several pieces, which depend on the machine's load."""
-    joined = []
-    for output in outputs:
-        if joined and output.output_type == joined[-1].output_type == "stream":
-            joined[-1].text += output.text
-        else:
-            joined.append(output)
-    return joined
-
-
-def strip(output):
-    """Take the count, metadata and the rarest colours of a picture from an output."""
-    if output.output_type != "stream":
-        output.metadata = nbformat.from_dict({})
-    if "execution_count" in output:
-        output.execution_count = None
-    if picture := output.get("data", {}).get("image/png"):
+def compress(data):
+    """Take the rarest colours of a picture from an output."""
+    if picture := data.get("image/png"):
         small = io.BytesIO()
-        image = Image.open(io.BytesIO(base64.b64decode(picture))).convert("RGB")
+        encoded = picture if isinstance(picture, bytes) else base64.b64decode(picture)
+        image = Image.open(io.BytesIO(encoded)).convert("RGB")
         image.quantize(256, dither=Image.Dither.NONE).save(small, "png", optimize=True)
-        output.data["image/png"] = base64.b64encode(small.getvalue()).decode()
+        data["image/png"] = base64.b64encode(small.getvalue()).decode()
 
 
 def texts(book):
@@ -70,8 +124,11 @@ def text_of(output):
     return "" if "image/png" in output.data else output.data["text/plain"]
 
 
-if __name__ == "__main__":
-    for path in NOTEBOOKS:
-        if path.name[:2] in sys.argv[1:] or len(sys.argv) == 1:
-            with tempfile.TemporaryDirectory() as folder:
-                nbformat.write(run(path, folder), path)
+if __name__ == "__main__" and SERVE in sys.argv:
+    serve()
+elif __name__ == "__main__":
+    with notebook_runner() as run:
+        for path in NOTEBOOKS:
+            if path.name[:2] in sys.argv[1:] or len(sys.argv) == 1:
+                with tempfile.TemporaryDirectory() as folder:
+                    nbformat.write(run(path, folder), path)

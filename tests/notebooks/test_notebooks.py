@@ -9,7 +9,7 @@ import nbformat
 import numpy as np
 import pytest
 from answers import CASES
-from saved_notebook import NOTEBOOKS, run, texts
+from saved_notebook import NOTEBOOKS, notebook_runner, texts
 from test_pages import run as run_blocks
 
 import oee_tabular as oee
@@ -39,7 +39,13 @@ def pictures(book):
     ]
 
 
-def test_the_stored_outputs_are_those_of_running_it_alone(path, stored, tmp_path):
+@pytest.fixture(scope="module")
+def run():
+    with notebook_runner() as runner:
+        yield runner
+
+
+def test_the_stored_outputs_are_those_of_running_it_alone(path, stored, tmp_path, run):
     """To be stored again where it is meant to say something else: ``python tests/saved_notebook.py``."""
     found = run(path, tmp_path)
     assert list(tmp_path.iterdir()) == []
