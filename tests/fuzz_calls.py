@@ -210,10 +210,10 @@ def shown(value):
         return type(value).__name__
 
 
-def fuzz(seed, seconds, calls=None, rooms=None):
+def fuzz(seed, seconds, calls=None, rooms=None, first=0):
     """Counts by kind, and what was wrong: (kind, call, text). The time of the first call, which compiles, is not counted."""
-    child, counts, wrong, k, end = Child(90.0, attack, seed, rooms), Counter(), [], 0, float("inf")
-    while time.monotonic() < end and (calls is None or k < calls):
+    child, counts, wrong, k, end = Child(90.0, attack, seed, rooms), Counter(), [], first, float("inf")
+    while time.monotonic() < end and (calls is None or k < first + calls):
         answer = child.ask(k)
         said, kind, text = (f"[{k}]", answer, "") if isinstance(answer, str) else answer
         end = min(end, time.monotonic() + seconds)

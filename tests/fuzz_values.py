@@ -27,6 +27,7 @@ class Raises:
         return "no"
 
 
+@functools.cache
 def valid_values():
     """A value for every argument that has one name in all functions."""
     simulator, target = (oee.tasks.gridworld(SIZE, slip=slip) for slip in (0.3, 0.1))
