@@ -81,19 +81,16 @@ def test_a_function_s_mdp_and_one_that_is_sampled(run):
     assert_allclose(sampled.transitions.toarray()[1], [0.25, 0.75, 0.0], atol=0.1)
 
 
-@pytest.mark.parametrize(
-    ("spec", "text"),
-    [
-        ("own_worlds:nothing", "has no object 'nothing' (it has Corridor, broken, named, north_then_east, unsure)"),
-        ("own_worlds:number", "or a Gymnasium environment, or a class or function that makes one; found int"),
-        ("own_worlds:broken", "'own_worlds:broken' cannot be made; it raises KeyError: 'gone'"),
-        ("own_worlds:named,slop=1", "cannot be made; it raises TypeError"),
-        ("not_a_module:Thing", "module 'not_a_module' cannot be found, neither in "),
-        ("own_worlds:OwnCorridor-v7", "near: OwnCorridor-v0"),
-        ("own_worlds:Corridor,table=False", "export own_worlds:Corridor,table=False --samples-per-pair 100"),
-        ("Unheard-v0", "(your own: module:Class or module:EnvId-v0)"),
-    ],
-)
+@pytest.mark.parametrize(("spec", "text"), [
+    ("own_worlds:nothing", "has no object 'nothing' (it has Corridor, broken, named, north_then_east, unsure)"),
+    ("own_worlds:number", "or a Gymnasium environment, or a class or function that makes one; found int"),
+    ("own_worlds:broken", "'own_worlds:broken' cannot be made; it raises KeyError: 'gone'"),
+    ("own_worlds:named,slop=1", "cannot be made; it raises TypeError"),
+    ("not_a_module:Thing", "module 'not_a_module' cannot be found, neither in "),
+    ("own_worlds:OwnCorridor-v7", "near: OwnCorridor-v0"),
+    ("own_worlds:Corridor,table=False", "export own_worlds:Corridor,table=False --samples-per-pair 100"),
+    ("Unheard-v0", "(your own: module:Class or module:EnvId-v0)"),
+])  # fmt: skip
 def test_what_is_no_simulator(run, spec, text):
     assert text in run("export", spec, "--output made.npz", code=2)
 
@@ -121,25 +118,22 @@ def test_policies_from_files(run, folder):
     assert said == "made.npy (replaced): policy of 9 states and 4 actions\n"
 
 
-@pytest.mark.parametrize(
-    ("table", "text"),
-    [
-        ("state,act\nr0c0,n", "must have the columns state and action, with probability or without, or state and one"),
-        ("place,action\nr0c0,n", "it has place, action and 1 rows"),
-        ("state,action\n", "and 0 rows"),
-        ("state,action\nr0c0,north", "must be one of the MDP's names; it is 'north'"),
-        ("state,action\nr0c9,n", "state must be one of the MDP's names; it is 'r0c9' (did you mean 'r0c"),
-        ("state,action\nr0c0,n\nr0c0,e", "must have one row for each state; state r0c0 has two"),
-        ("state,n,e,s,w\nr0c0,1,0,0,0\nr0c0,1,0,0,0", "must have one row for each state; state r0c0 has two"),
-        ("state,action\nr0c0,n", "must have every state that is not terminal; state r0c1 is not there (7 such"),
-        ("state,action,probability\nr0c0,n,0.4", "it sums to 0.4"),
-        ("state,action,probability\nr0c0,n,much", "must have numbers as probabilities; could not convert string"),
-        (
-            "state,action,probability\nr0c0,n,.5\nr0c0,n,.5",
-            "one row for each state and action; state r0c0, action n has",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("table", "text"), [
+    ("state,act\nr0c0,n", "must have the columns state and action, with probability or without, or state and one"),
+    ("place,action\nr0c0,n", "it has place, action and 1 rows"),
+    ("state,action\n", "and 0 rows"),
+    ("state,action\nr0c0,north", "must be one of the MDP's names; it is 'north'"),
+    ("state,action\nr0c9,n", "state must be one of the MDP's names; it is 'r0c9' (did you mean 'r0c"),
+    ("state,action\nr0c0,n\nr0c0,e", "must have one row for each state; state r0c0 has two"),
+    ("state,n,e,s,w\nr0c0,1,0,0,0\nr0c0,1,0,0,0", "must have one row for each state; state r0c0 has two"),
+    ("state,action\nr0c0,n", "must have every state that is not terminal; state r0c1 is not there (7 such"),
+    ("state,action,probability\nr0c0,n,0.4", "it sums to 0.4"),
+    ("state,action,probability\nr0c0,n,much", "must have numbers as probabilities; could not convert string"),
+    (
+        "state,action,probability\nr0c0,n,.5\nr0c0,n,.5",
+        "one row for each state and action; state r0c0, action n has",
+    ),
+])  # fmt: skip
 def test_tables_that_are_no_policy(run, folder, table, text):
     (folder / "pi.csv").write_text(table)
     assert text in run("policy sim.npz pi.csv --output made.npy", code=2)

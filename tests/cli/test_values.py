@@ -65,14 +65,11 @@ def test_action_noise_is_part_of_what_is_reported(run, folder):
     assert json.loads(run(words, "--action-noise 0.3 --json"))["facts"]["action_noise"] == 0.3
 
 
-@pytest.mark.parametrize(
-    ("flag", "text"),
-    [
-        ("--guaranteed --estimators oee --policy uniform", "guaranteed at any sample size is"),
-        ("--all --quick --policy mix:0.5", "wpdis"),
-        ("--verbose --quick --policy mix:0.5", "max weight"),
-    ],
-)
+@pytest.mark.parametrize(("flag", "text"), [
+    ("--guaranteed --estimators oee --policy uniform", "guaranteed at any sample size is"),
+    ("--all --quick --policy mix:0.5", "wpdis"),
+    ("--verbose --quick --policy mix:0.5", "max weight"),
+])  # fmt: skip
 def test_more_is_printed_where_it_is_asked_for(run, folder, flag, text):
     plain, more = (" ".join(run("evaluate", DATA, flags).split()) for flags in (flag.partition(" ")[2], flag))
     assert text in more
@@ -200,14 +197,11 @@ def test_plan_takes_what_its_function_takes(run, folder):
     assert_allclose(found["policies"][0]["width"], plan.to_dict()["policies"][0]["width"], rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        ("0", "--transitions must be a positive integer; it is 0"),
-        ("5 --plan-option restarts=0.1", "got 'restarts=0.1' (did you mean restart=VALUE?)"),
-        ("5 --plan-option restart", "--plan-option must be NAME=VALUE, NAME one of model, optimistic, restart,"),
-        ("5 --plan-option restart=2", "--plan-option restart must be in (0, 1); it is 2"),
-    ],
-)
+@pytest.mark.parametrize(("words", "text"), [
+    ("0", "--transitions must be a positive integer; it is 0"),
+    ("5 --plan-option restarts=0.1", "got 'restarts=0.1' (did you mean restart=VALUE?)"),
+    ("5 --plan-option restart", "--plan-option must be NAME=VALUE, NAME one of model, optimistic, restart,"),
+    ("5 --plan-option restart=2", "--plan-option restart must be in (0, 1); it is 2"),
+])  # fmt: skip
 def test_what_is_no_plan(run, folder, words, text):
     assert text in run(f"plan {DATA} --transitions", words, code=2)

@@ -216,14 +216,11 @@ def test_the_command(tmp_path, capsys, here):
     assert "holds results of other settings: seed 0 there, 3 asked" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (("--seed", -1), "(?s)--seed.*(greater than or equal to 0|x>=0)"),
-        (("--sizes", "1;3"), "--sizes must be numbers with commas between them, 0.3,1,3; got '1;3'"),
-        (("--sizes", "-1"), r"sizes must be in \(0, inf\); it is -1"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "text"), [
+    (("--seed", -1), "(?s)--seed.*(greater than or equal to 0|x>=0)"),
+    (("--sizes", "1;3"), "--sizes must be numbers with commas between them, 0.3,1,3; got '1;3'"),
+    (("--sizes", "-1"), r"sizes must be in \(0, inf\); it is -1"),
+])  # fmt: skip
 def test_bad_commands(arguments, text, tmp_path, capsys):
     assert run_command("bench", "--families", "machine", *arguments, "--output", tmp_path / "new") == 2
     assert re.search(text, capsys.readouterr().err)

@@ -127,17 +127,14 @@ def test_a_smoke_run_writes_everything_and_goes_on(tmp_path, capsys):
     assert "1 cells computed" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (("fig1",), r"experiment must be one of fig1a, .*; got 'fig1'; nearest: fig1a"),
-        ((), "one experiment or more must be given, or --all; there are fig1a"),
-        (("fig1a", "--all"), "--all must be given without ids; got fig1a"),
-        (("fig1a", "--seeds", 0), "--seeds must be at least 1; got 0"),
-        (("fig1a", "--seed", -1), "(?s)--seed.*(greater than or equal to 0|x>=0)"),
-        (("estimands", "--smoke", "--jobs", 0), "jobs must be a positive number, or -1 for one a core; got 0"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "text"), [
+    (("fig1",), r"experiment must be one of fig1a, .*; got 'fig1'; nearest: fig1a"),
+    ((), "one experiment or more must be given, or --all; there are fig1a"),
+    (("fig1a", "--all"), "--all must be given without ids; got fig1a"),
+    (("fig1a", "--seeds", 0), "--seeds must be at least 1; got 0"),
+    (("fig1a", "--seed", -1), "(?s)--seed.*(greater than or equal to 0|x>=0)"),
+    (("estimands", "--smoke", "--jobs", 0), "jobs must be a positive number, or -1 for one a core; got 0"),
+])  # fmt: skip
 def test_bad_calls(arguments, text, tmp_path, capsys):
     assert run_command("reproduce", *arguments, "--output", tmp_path / "new") == 2
     assert re.search(text, capsys.readouterr().err)
