@@ -37,6 +37,10 @@ START = 0.05
 FORCE, TAU = 10.0, 0.02  # N, s
 POLE_MASS, HALF_LENGTH, TOTAL_MASS = 0.1, 0.5, 0.1 + 1.0  # kg, m, kg
 PAPER_NOISE = 1e-4
+SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])  # theta in units of its limit, theta' in rad/s, the constant
+SPREAD, SMALLEST_SPREAD = 2.0, 0.05  # deviation of the first Gaussian, and its floor later, in units of ``SCALE``
+EXPERT_SEED = 2346
+EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)  # what train_expert() returns
 
 
 @dataclass(frozen=True)
@@ -128,12 +132,6 @@ class CartPole(ContinuousTask):
     def parameters(self) -> dict[str, Any]:
         """Gravity, noise and form."""
         return {"gravity": self.gravity, "noise": self.noise, "form": self.form}
-
-
-SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])  # theta in units of its limit, theta' in rad/s, the constant
-SPREAD, SMALLEST_SPREAD = 2.0, 0.05  # deviation of the first Gaussian, and its floor later, in units of ``SCALE``
-EXPERT_SEED = 2346
-EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)  # what train_expert() returns
 
 
 @dataclass(frozen=True)

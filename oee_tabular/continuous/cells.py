@@ -23,6 +23,8 @@ from oee_tabular._sparse import canonical, csr_on_pattern, row_of_entry, row_sum
 from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.mdp import FiniteMDP
 
+PLACES_AT_A_TIME = 250_000  # bounds the memory
+
 
 def indicator(numbers: IntArray, n: int) -> sparse.csr_array:
     """(len(numbers), n) rows with a 1 in the column of their number."""
@@ -122,9 +124,6 @@ class VoronoiCells:
     def extent(self) -> str:
         """Number of cells and reach, in words."""
         return f"the {self.n_cells} cells of visited states (reach {self.radius:.3g})"
-
-
-PLACES_AT_A_TIME = 250_000  # bounds the memory
 
 
 @dataclass(frozen=True, eq=False)

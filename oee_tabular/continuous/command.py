@@ -15,6 +15,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from oee_tabular import _checks
 from oee_tabular._arguments import literal, named_specs, parse_spec
 
 if TYPE_CHECKING:
@@ -52,7 +55,6 @@ def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
     On cells: 3000 at the log's own states; the simulator is the average over lengths times .5, .7, 1, 1.4 and 2 (floor 0.8,
     *not* the plain one); zeta with prior "simulator" and strength 0.1, not calibrated: on figure 3's two targets that did harm.
     """
-    from oee_tabular import _checks
     from oee_tabular.continuous.reacher import Reacher, reacher_policy
     from oee_tabular.continuous.simulator import ContinuousSimulator
 
@@ -72,7 +74,6 @@ def kinova(*, form: str = "arm", **parameters: Any) -> ContinuousSimulator:
     simulated arm. On cells: defensive (a tenth of the transitions half or one and a half times as far), zeta tied over
     displacements, calibrated by the difference.
     """
-    from oee_tabular import _checks
     from oee_tabular.continuous.gen3 import kinova_policy
     from oee_tabular.continuous.kinova import KinovaArm, fit_hand
     from oee_tabular.continuous.simulator import ContinuousSimulator
@@ -149,8 +150,6 @@ def continuous_simulator(spec: str, *, state: str | None = None, actions: object
 
 def task_options(given: list[str] | None, known: Sequence[str] = TASK_OPTIONS) -> dict[str, Any]:
     """The values of ``--task-option NAME=VALUE`` by name; what is not given is the task's own."""
-    from oee_tabular import _checks
-
     options: dict[str, Any] = dict(named_specs(given or [], "--task-option", known))
     for name in {"strict", "floor", "simulations", "actions"} & set(options):
         options[name] = literal(options[name], f"--task-option {name}")
@@ -191,8 +190,6 @@ def evaluate_files(
 
     ``options``: by ``task_options``; ``grid``: by ``read_grid``; ``common``: what ``evaluate_continuous`` takes.
     """
-    import numpy as np
-
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.log import ContinuousTransitions
     from oee_tabular.continuous.simulator import Settings

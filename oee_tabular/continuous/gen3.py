@@ -29,6 +29,9 @@ from oee_tabular.continuous.task import ContinuousTask
 N_JOINTS = 7
 N_ARM_STATES = 27  # position 3, angles, speeds and references 7 each, the last command 3
 HOME = np.array([0.0, 0.26179939, np.pi, -2.26892803, 0.0, 0.95993109, 1.57079633])  # rad, the usual resting pose
+FARTHEST = 1.3  # m: beyond the reach of a Gen3
+MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
+HORIZON = 25  # commands of a run
 DAMPING = 0.02  # lambda: keeps joint speeds finite near singular poses
 
 
@@ -182,15 +185,6 @@ class KinovaPolicy:
 
 
 kinova_policy = KinovaPolicy
-
-
-FARTHEST = 1.3  # m: beyond the reach of a Gen3
-
-
-MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
-
-
-HORIZON = 25  # commands of a run
 
 
 def record_goals(

@@ -58,6 +58,16 @@ __all__ = [
 FACTORS = (0.5, 1.5)  # on the displacements of the other hands of the defensive simulator
 WIDER = 2.0  # its scatter beside the simulator's
 EXPLORED = (0.0, 0.3, 0.6, 1.0)  # deltas of the policies whose states are looked at
+TICKS = 10  # updates of the joint reference in a period
+FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)  # s, kv / kp: servos damp the speed's error
+START = 0.01  # rad: how exactly the arm returns to its home pose
+JOINT_STATES = tuple(f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, gen3.N_JOINTS + 1))
+AT_A_TIME = 2048  # states whose trajectories MuJoCo returns in one array
+LIMITS = {
+    "velocity_scale": (0.0, 3.0), "latency": (0.0, gen3.PERIOD), "payload": (0.0, 4.0), "friction": (0.0, 9.0),
+    "gain": (0.05, 5.0), "encoder_noise": (0.0, 0.1),
+}  # fmt: skip
+STAND_IN = "simulated stand-in, not a robot"
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,18 +186,6 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> Kinov
     scatter = np.linalg.cholesky(spread + 1e-14 * np.eye(3))
     starts = arm.initial_states(2000, rng)[:, :3]
     return KinovaHand(coefficients, scatter, starts, arm.parameters(), arm.goal)
-
-
-TICKS = 10  # updates of the joint reference in a period
-FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)  # s, kv / kp: servos damp the speed's error
-START = 0.01  # rad: how exactly the arm returns to its home pose
-JOINT_STATES = tuple(f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, gen3.N_JOINTS + 1))
-AT_A_TIME = 2048  # states whose trajectories MuJoCo returns in one array
-LIMITS = {
-    "velocity_scale": (0.0, 3.0), "latency": (0.0, gen3.PERIOD), "payload": (0.0, 4.0), "friction": (0.0, 9.0),
-    "gain": (0.05, 5.0), "encoder_noise": (0.0, 0.1),
-}  # fmt: skip
-STAND_IN = "simulated stand-in, not a robot"
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,9 @@ from oee_tabular.data.frames import is_minari, minari_episodes
 from oee_tabular.data.rules import COLUMNS, check_array, suggest_columns
 from oee_tabular.data.tables import read_labels
 
+# the columns of a log that is recorded by stepping
+RECORDED = ("state", "action", "next_state", "reward", "terminated", "truncated", "episode", "behavior_probability")
+CHAIN_TOLERANCE = 1e-6  # relative: float32 copies of one state are the same state
 NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")
 
 
@@ -112,11 +115,6 @@ def holds_states(path: str | os.PathLike[str]) -> bool:
         return False
     first = next(iter(minari_episodes(name)), None)
     return first is not None and np.asarray(first.observations).ndim == 2
-
-
-# the columns of a log that is recorded by stepping
-RECORDED = ("state", "action", "next_state", "reward", "terminated", "truncated", "episode", "behavior_probability")
-CHAIN_TOLERANCE = 1e-6  # relative: float32 copies of one state are the same state
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

@@ -21,6 +21,8 @@ from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import BadPolicy, ContinuousTask, StatePolicy, ask_policy
 
+SLOW = {"episodes": 2000, "refit_paths": 200, "refits": 10}  # of tasks that step one state at a time
+
 
 def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
     """A policy that may say, for states (n, d), probabilities (n, A), action numbers (n,) or commands (n, k).
@@ -94,9 +96,6 @@ def _interpolate_weights(commands: Array, actions: Array) -> Array:
         weights = (weights[:, :, None] * own[:, None, :]).reshape(len(commands), -1)
     place = [np.searchsorted(each, column) for column, each in zip(actions.T, levels, strict=True)]
     return np.asarray(weights[:, np.ravel_multi_index(tuple(place), shape)])
-
-
-SLOW = {"episodes": 2000, "refit_paths": 200, "refits": 10}  # of tasks that step one state at a time
 
 
 @dataclass(frozen=True)

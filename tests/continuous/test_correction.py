@@ -105,6 +105,17 @@ def test_a_delay_is_named_and_its_history_kept(steps):
     assert abs(value(chosen.learned) - value(target)) < 0.05 * abs(value(SIMULATOR) - value(target))
 
 
+def test_what_history_explains_is_no_effect_below_the_least():
+    log = log_of(Delay(SIMULATOR, 1), 2000)
+    left = ResidualSimulator(SIMULATOR, log, seed=0).left_over
+    every, group = np.ones(len(log), dtype=np.bool_), log.episode % 40
+    for share, is_effect in ((0.5, True), (2.0, False)):
+        effect = history_effects(
+            SIMULATOR, log, log.action, left, group, is_smooth=every, is_free=every, least=share * left.std(axis=0)
+        )[3]
+        assert (effect.r_squared > 0.5) == (effect.part > 0.0) == is_effect
+
+
 def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
     """Half of the residual is the last action's, the rest noise, of which a row tells nothing to itself."""
     log = line_log(Line(noise=0.1), 4000)
