@@ -10,7 +10,7 @@ from hypothesis import settings
 
 collect_ignore = ["benchmarks"]  # run by hand, from their own folder; they import each other and peers
 
-settings.register_profile("dev", deadline=None, max_examples=60)
+settings.register_profile("dev", deadline=None, max_examples=30)
 settings.register_profile("ci", deadline=None, max_examples=100, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 

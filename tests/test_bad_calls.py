@@ -189,7 +189,7 @@ RULES = {  # of an argument's name: what is given, and the rule, whichever publi
     "floor": [(1.5, "must be in [0, 1]")], "path": [(3, "must be "), ("a\0", "must be text"), (None, "must be ")],
     "slip": [(1.1, "must be in [0, 1]")], "weight_of_a": [(2, "must be in [0, 1]")],
     "discretised": [(np.inf, "must be finite")], "continuous_error": BOUND,
-    "eta": BOUND, "reward_bound": [(np.inf, "must be finite")], "order": [(0, "must be positive")],
+    "eta": BOUND, "reward_bound": [(np.inf, "must be finite")], "order": [(0, "must be positive"), ("x", "must be a number")],
     "constant": [(0.0, "must be in (0, inf)")], "p_min": [(2.0, "must be in [0, 1]")], "gravity": BOUND,
     "noise": [(np.nan, "must be in [0, inf)")], "gear": BOUND, "timestep": [(0.0, "must be in (0, inf)")],
     "reward_length": [(0.0, "must be in (0, inf)")], "velocity_scale": [(-1.0, "must be in [0, 3]")],
