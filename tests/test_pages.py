@@ -72,6 +72,7 @@ def test_every_how_to_runs(heading, tmp_path, monkeypatch, capsys):
 
 def test_the_page_of_an_estimator_of_one_s_own(tmp_path, monkeypatch, capsys):
     """Its first block is the file that its commands read."""
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # workers would import and load for as long as they work
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(BLOCK.search(PAGES["own_estimator"])[2])
     run(runnable("own_estimator"), capsys)

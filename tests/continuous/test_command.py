@@ -62,7 +62,8 @@ def test_from_a_simulator_s_name_to_a_calibrated_value(run):
     assert_allclose(raw["d_inf"], np.log(raw["largest_zeta"]))
     assert abs(calibrated["value"] - rows["target (continuous)"]["value"]) < 0.05
     assert json.loads(report)["facts"]["uncovered_mass"] < 0.01
-    assert run(words, "--json") == report
+    few = by_row(run(words.replace("simulator,oee,model-based", "simulator"), "--json"))
+    assert all(row == rows[name] | {"notes": row["notes"]} for name, row in few.items())
 
 
 def test_the_files_of_a_task(run):
