@@ -141,7 +141,7 @@ class Program:
         cost, kappa = weights @ self.costs, prices + shift
         with np.errstate(divide="ignore", invalid="ignore"):  # where nothing is gained q is 0, the price inf or not
             q = np.where(cost > kappa * self.base**2, np.sqrt(cost / kappa) - self.base, 0.0)
-            terms = np.where(cost > 0.0, cost / (self.base + q), 0.0) + np.where(q > 0.0, kappa * q, 0.0)
+            terms = np.where(cost > 0.0, cost / (self.base + q), 0.0) + np.where(kappa * q > 0.0, kappa * q, 0.0)
         return float(terms.sum()) - level - shift
 
 
