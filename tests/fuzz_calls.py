@@ -44,6 +44,9 @@ ALIASES = {  # words of the command line, which the same errors serve
 BLANK = ("row_changes", "monte_carlo_value", "spread")  # nan where a row was never recorded, or from one episode
 
 
+OF_THE_ARM = {"fit_hand", "record_goals", "hand_log", "load_kinova_log", "KinovaHand"}
+
+
 def is_called(value):
     """Whether people call it: a function, or a class that is not abstract."""
     return inspect.isfunction(value) or (
@@ -57,6 +60,8 @@ def functions(known, rooms=None):
     every = {}
     for room in rooms or modules:
         for name in filter(lambda name: is_called(getattr(modules[room], name)), modules[room].__all__):
+            if name in OF_THE_ARM - {*known["own"]}:
+                continue  # without MuJoCo
             value = getattr(modules[room], name)
             key = name if every.get(name, value) is value else f"{room}.{name}"  # two classes of one name
             every[key] = value

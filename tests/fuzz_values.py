@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import importlib.util
 import tempfile
 from decimal import Decimal
 from fractions import Fraction
@@ -189,21 +190,15 @@ def own_values(known):
         "run": {"estimators": "model-based", "families": ["machine"], "sizes": [3], "seeds": 1, "jobs": 1},
         "Finding.sentence": {"figure": "x"},         "Comparison.bounds": {"one": "uniform", "other": "expert"},
     }  # fmt: skip
-    return files | plots_values(known) | task_values(known) | own
+    return files | plots_values(known) | task_values(known) | arm_values() | own
 
 
 def task_values(known):
     """Arguments of what makes and records continuous tasks."""
-    arm, cartpole = oee.tasks.KinovaArm(0), known["task"]
-    hand = oee.tasks.fit_hand(arm, n_states=20)
-    goals = oee.tasks.record_goals(arm, n_runs=1, horizon=3, seed=0)
-    goals.save(path := Path(tempfile.mkdtemp()) / "arm.npz")
-    driver = oee.tasks.cartpole_policy(0.5)
+    cartpole, driver = known["task"], oee.tasks.cartpole_policy(0.5)
     ends = [2.4, 3.0, 0.21, 3.2]
     return {
         "train_expert": {"iterations": 1, "population": 2, "elite": 1, "episodes": 1, "horizon": 3},
-        "fit_hand": {"arm": arm, "n_states": 20},
-        "record_goals": {"arm": arm, "n_runs": 1, "horizon": 3}, "hand_log": {"log": goals}, "load_kinova_log": {"path": path},
         "reacher_log": {"task": oee.tasks.Reacher(), "n": 20, "max_steps": 10}, "discretize": {"log": None, "cells": (3, 3),
         "closure_episodes": 0}, "visited_states": {"tasks": [cartpole], "policies": [driver], "n": 5, "max_steps": 3},
         "fit_parameters": {"task_of": oee.tasks.CartPole, "start": {"gravity": 10.0}, "log": known["continuous_log"]},
@@ -212,8 +207,22 @@ def task_values(known):
                             "n_episodes": 20, "horizon": 5, "refits": 2, "paths": 5},
         "GymnasiumTask": {"make": make_cartpole, "state_names": ("x", "x_dot", "theta", "theta_dot"), "actions": [0, 1],
                           "low": [-end for end in ends], "high": ends, "get_state": get_state, "set_state": set_state},
-        "KinovaHand": {name: getattr(hand, name) for name in ("coefficients", "scatter", "starts", "source")},
         "GridInterpolation": {"shape": (3, 3)}, "VisitedCells": {"n_cells": 5}, "padded_log": {"actions": [0]},
+    }  # fmt: skip
+
+
+def arm_values():
+    """Arguments of what moves the arm; none without MuJoCo."""
+    if importlib.util.find_spec("mujoco") is None:
+        return {}
+    arm = oee.tasks.KinovaArm(0)
+    hand = oee.tasks.fit_hand(arm, n_states=20)
+    goals = oee.tasks.record_goals(arm, n_runs=1, horizon=3, seed=0)
+    goals.save(path := Path(tempfile.mkdtemp()) / "arm.npz")
+    return {
+        "fit_hand": {"arm": arm, "n_states": 20}, "record_goals": {"arm": arm, "n_runs": 1, "horizon": 3},
+        "hand_log": {"log": goals}, "load_kinova_log": {"path": path},
+        "KinovaHand": {name: getattr(hand, name) for name in ("coefficients", "scatter", "starts", "source")},
     }  # fmt: skip
 
 

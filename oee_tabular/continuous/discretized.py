@@ -212,13 +212,13 @@ class Discretization:
     def counts(self, log: ContinuousTransitions, *, outside: str = "error") -> sparse.csr_array:
         """Soft counts n(s, a, s') = sum over rows of w_s(state) w_s'(next_state): csr of shape (S*A, S).
 
-        The mean of ``encode(...).counts(...)`` over draws, without their noise. Arguments and errors as there. Where a command
-        moves the features alike everywhere, a transition is carried to the vertex i of its box, and spread as the simulator's
-        rows are: w_j(vertex_i + phi(s') - phi(s)).
+        The mean of ``encode(...).counts(...)`` over draws, without their noise. Arguments and errors as there. On a grid, where
+        a command moves the features alike everywhere, a transition is carried to the vertex i of its box, and spread as the
+        simulator's rows are: w_j(vertex_i + phi(s') - phi(s)).
         """
         kept, actions, ended = self._select_rows(log, outside)
         task, cells = self.task, self.cells
-        if task.is_translation_invariant:
+        if task.is_translation_invariant and isinstance(cells, Grid):
             before, after = task.features(kept.state), task.features(kept.next_state)
             number = _pick(cells.weights(before), None)
             start, arrival = indicator(number, cells.n_cells), cells.weights(cells.vertices()[number] + after - before)

@@ -238,7 +238,8 @@ def history_effects(
 
 def hidden_state(learned: Any) -> str:
     """Which earlier action or residual matters to a ``ResidualSimulator``, and by how much; "" where the state is Markov."""
-    hidden = sorted((c for c in learned.coordinates if c.hidden), key=lambda c: -c.history.lag_r_squared)
+    hidden = [c for c in learned.coordinates if c.hidden]
+    hidden.sort(key=lambda c: -round(c.history.lag_r_squared, 6))  # of equal ones, to rounding, in the task's order
     if not hidden:
         return ""
     effect = hidden[0].history

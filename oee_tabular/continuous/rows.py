@@ -24,6 +24,7 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_sums
+from oee_tabular.continuous.cells import Grid
 from oee_tabular.continuous.correction import describe_flaw
 from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
@@ -256,7 +257,8 @@ class OnCells:
             )
         episodes = encoded if encoded.episode is not None else None
         self.problem = Problem(model.mdp, bag, horizon=horizon, counts=kept, episodes=episodes)
-        tie = model.displacement_ties() if model.task.is_translation_invariant else None
+        is_tied = model.task.is_translation_invariant and isinstance(model.cells, Grid)
+        tie = model.displacement_ties() if is_tied else None
         self._zeta = transition_ratio(kept, model.mdp, tie=tie, **simulator.ratio)
         largest = float(self._zeta.values.data.max())
         uncovered = uncovered_share(kept, model.plain)
