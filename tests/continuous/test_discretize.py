@@ -389,9 +389,9 @@ def test_tied_counts_recover_the_target_s_displacement():
 
 
 def test_the_hand_on_visited_cells_counts_transitions_where_they_are():
-    log = kinova.record_goals(kinova.ideal_hand(1.4), n_runs=2, delta=0.3, seed=0)
+    log = kinova.record_goals(kinova.ideal_hand(), n_runs=2, delta=0.3, seed=0)
     cells = VisitedCells(40, n_simulated=300, n_stepped=300, max_steps=25)
-    model = discretize(kinova.ideal_hand(), cells=cells, floor=0.1, **QUICK)
+    model = discretize(kinova.ideal_hand(), log, cells=cells, **QUICK)
     assert_allclose((model.counts(log) - model.encode(log).counts(*model.mdp.rewards.shape)).data, 0.0, atol=1e-12)
 
 
