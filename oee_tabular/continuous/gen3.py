@@ -202,6 +202,7 @@ def record_goals(
 
     Examples
     --------
+    >>> from oee_tabular.continuous.kinova import ideal_hand
     >>> log = record_goals(ideal_hand(1.4), n_runs=1, seed=0)  # no arm, only commands that move it too far
     >>> len(log), log.n_state, int(log.truncated.sum())
     (125, 3, 5)
