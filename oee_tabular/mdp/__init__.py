@@ -30,7 +30,7 @@ Every array is checked once, on input, with errors that name argument, place, ru
 ``naming``            names of states and actions, and their numbers
 ``gymnasium_table``   outcomes of actions as the arrays of an MDP; the P of a toy-text environment
 ``empirical``         n(s, a, s') / n(s, a) of a log or an environment, how many samples there are of each pair, and the
-                      variance of mean rewards; ``explorer`` steps to pairs with few samples
+                      variance of mean rewards; ``Explorer`` steps to pairs with few samples
 ``rows``              sums, means and exponential tilts over the rows of P; displacements
 ``files``             the arrays of an npz file
 ``horizons``          how many steps of a horizon a discount leaves visible

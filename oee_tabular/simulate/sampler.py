@@ -1,6 +1,4 @@
-"""The one engine of sampling (4.2): episodes by alias tables, as sums along them and as the transitions that they take;
-and the logs that are made of these.
-"""
+"""The one engine of sampling (4.2) and its logs: episodes by alias tables, as sums along them and as their transitions."""
 
 from __future__ import annotations
 
