@@ -543,7 +543,7 @@ plot_ratio([1, -1], (1, 2))  ->  values[1] must be nonnegative
 plot_ratio([np.nan], (1, 1))  ->  values must hold at least one finite number
 plot_coverage([1, -1], (1, 2))  ->  counts[1] must be nonnegative
 plot_coverage([1, 1], (1, 2), over=[True])  ->  over must have 2 entries
-plot_occupancy([1, 0], (1, 2), unseen=[True])  ->  unseen must have 2 entries
+plot_occupancy([1, 0], (1, 2), unrecorded=[True])  ->  unrecorded must have 2 entries
 plot_occupancy([np.nan], (1, 1))  ->  time must hold at least one finite number
 plot_states([], [])  ->  time must hold at least one state
 plot_states([np.nan], [1])  ->  time[0] must be finite

@@ -159,7 +159,7 @@ def test_coverage_crosses_out_what_was_never_recorded(ax):
 
 
 def test_occupancy_is_in_percent(ax):
-    plots.plot_occupancy([0.5, 0.4996, 0.0004, 0.0], (2, 2), ax, unseen=[0, 1, 0, 0], over=[0, 0, 0, 1])
+    plots.plot_occupancy([0.5, 0.4996, 0.0004, 0.0], (2, 2), ax, unrecorded=[0, 1, 0, 0], over=[0, 0, 0, 1])
     assert words(ax) == ["50", "end"]  # a crossed state has no number under its cross
     assert "%" in ax.figure.axes[1].get_ylabel()
     drawn(plots.plot_occupancy(np.zeros(4), (2, 2), Figure().subplots()))

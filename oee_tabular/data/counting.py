@@ -85,7 +85,7 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
         columns = form.to_table(Transitions.load(file.path).columns())
         table = Table(list(columns), list(columns), [Piece(columns, np.arange(len(columns["state"])), {})])
     count = _FileCount(file.path, limits, name)
-    if not (file.suffix == ".parquet" and {"episode", "truncated"}.isdisjoint(table.known) and count.add_groups(table)):
+    if not (file.suffix == ".parquet" and {"episode", "timestep"}.isdisjoint(table.known) and count.add_groups(table)):
         for piece in table.pieces:
             count.add(piece)
     sample = count.draw_episodes() if count.n_rows else Sample()
@@ -118,20 +118,19 @@ class _FileCount:
         if groups is None:
             return False
         for label in table.known:
-            if label in KEY:
+            if label in (*KEY, "truncated"):
                 groups[label], fault = self._check(groups[label], label)
                 has_all = True
             else:
-                ends = np.concatenate([groups[f"{label}_min"], groups[f"{label}_max"]])
+                ends = np.concatenate([groups[f"{label}_min"], groups[f"{label}_max"]])  # texts have another order
                 fault = self._check(ends, label)[1]
-                has_all = label == "reward" or bool((groups[f"{label}_count"] == groups["count"]).all())
-                has_all &= not ends.dtype.hasobject  # texts have another order
+                has_all = label == "reward" or (groups[f"{label}_count"] == groups["count"]).all()
+                has_all &= not ends.dtype.hasobject
             if fault is not None or not has_all:
                 return False
-        if "reward" in table.known:
-            if (np.isnan(groups["reward_max"]) & (groups["reward_count"] > 0)).any():
-                return False  # a reward that is nan is missing, and DuckDB adds it
-            groups["reward_sum"] = np.nan_to_num(groups["reward_sum"])
+        if "reward" in table.known and (np.isnan(groups["reward_max"]) & (groups["reward_count"] > 0)).any():
+            return False  # a reward that is nan is missing, and DuckDB adds it
+        self.n_truncated = int(groups["count"][groups["truncated"]].sum()) if "truncated" in groups else 0
         add_sums(self.sums, groups)
         return True
 

@@ -134,7 +134,7 @@ class Plan:
         return max(now), max(after)
 
     @property
-    def unvisited(self) -> int:
+    def unrecorded(self) -> int:
         """The number of pairs that matter to a policy and were never recorded."""
         return int(np.sum((self.counts == 0) & (np.max(list(self.costs.values()), axis=0) > 0)))
 
@@ -227,8 +227,8 @@ class Plan:
         lines += ["largest shares: " + ", ".join(shares), self.advice]
         if len(self.next_pairs) > 1:
             lines.append(f"then one transition each: {', '.join(describe(s, a) for s, a in self.next_pairs[1:])}")
-        if self.unvisited:
-            lines.append(f"state-action pairs that matter and were never recorded: {self.unvisited}")
+        if self.unrecorded:
+            lines.append(f"state-action pairs that matter and were never recorded: {self.unrecorded}")
         if self.optimistic.any():
             lines.append(f"pairs that the model makes deterministic (worst variance assumed): {self.optimistic.sum()}")
         close = f"solver: {self.solver}; at most {100 * self.gap:.2g}% from the best plan"

@@ -29,7 +29,7 @@ UNEXPLAINED = "the value is not finite: beyond the largest float, or not a numbe
 
 IN_VALUES_UNIT = frozenset({  # diagnostics that are values, or errors of values: (1 - discount) multiplies them as well
     "simulator_value", "model_value", "one_step_value", "maximum_likelihood_value", "replaced_value", "refused_value",
-    "second_calibration_value", "truncation_bias_bound", "error_bound", "one_step_standard_error", "unseen_standard_error",
+    "second_calibration_value", "truncation_bias_bound", "error_bound", "one_step_standard_error", "unrecorded_standard_error",
     "standard_error_if_centre_fits", "standard_error_of_the_log",
 })  # fmt: skip
 
@@ -49,7 +49,7 @@ class Estimate:
         instead, where there is one. ``diagnostics["interval_method"]`` names the interval.
     diagnostics : numbers and strings
         If they apply: ``effective_sample_size``, ``largest_weight``, ``coverage`` (share of the
-        policy's discounted time in recorded pairs), ``fallback_share`` (the rest), ``row_sum_error``,
+        policy's discounted time in recorded pairs), ``unrecorded_share`` (the rest), ``row_sum_error``,
         ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs).
     status : "ok", or the problem and a remedy
     findings : warnings, which a report prints
@@ -197,9 +197,9 @@ def coverage(problem: Problem, shares: Array, counts: Array) -> dict[str, Any]:
     longest = np.argsort(-missed, axis=None, kind="stable")[:3]
     pairs = [divmod(int(k), shares.shape[1]) for k in longest if missed.flat[k] > 0]
     return {
-        "unseen": "; ".join(problem.simulator.names.pair(s, a) for s, a in pairs),
+        "unrecorded": "; ".join(problem.simulator.names.pair(s, a) for s, a in pairs),
         "coverage": 1.0 - share,
-        "fallback_share": share,
+        "unrecorded_share": share,
         "effective_sample_size": float(d.sum()) ** 2 / spread if spread > 0 else 0.0,
     }
 

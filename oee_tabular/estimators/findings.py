@@ -84,17 +84,17 @@ def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None
     """What the diagnostics of any estimate have to say, ``error`` its standard error."""
     findings: list[Finding] = []
     has_source = facts.get("standard_error_of") is not None
-    unseen, single = facts.get("fallback_share", 0.0), facts.get("single_share", 0.0)
-    if unseen > MIN_SHARE:
+    unrecorded, single = facts.get("unrecorded_share", 0.0), facts.get("single_share", 0.0)
+    if unrecorded > MIN_SHARE:
         is_tied = "n_keys" in facts
-        is_bare = error is not None and "unseen_standard_error" not in facts
+        is_bare = error is not None and "unrecorded_standard_error" not in facts
         text = "in this estimator's own model the policy spends {} of its discounted time in unrecorded state-action pairs."
         if is_tied:
             text += " Transitions of the same key elsewhere stand for them."
         elif is_bare:
             text += " The standard error ignores them. Above 10% there is no interval."
         alone = f"{text[:-1]}, so there is no interval." if has_source and not is_tied and not is_bare else None
-        findings.append(Finding("coverage", unseen, text, f"{unseen:.0%}", alone))
+        findings.append(Finding("coverage", unrecorded, text, f"{unrecorded:.0%}", alone))
     if single > MIN_SHARE:
         alone = (
             "the policy spends {} of its discounted time in state-action pairs with one recorded transition. Their variance "

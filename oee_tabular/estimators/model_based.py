@@ -103,11 +103,11 @@ class ModelBased(TabularEstimator):
 
     def _fill_rows(self, base: FiniteMDP, rows: sparse.csr_array) -> FiniteMDP:
         """``base`` with these rows, and the fallback's where they are 0."""
-        size, unseen = rows.shape[0], np.flatnonzero(row_sums(rows) == 0)
+        size, empty = rows.shape[0], np.flatnonzero(row_sums(rows) == 0)
         if self.fallback == "simulator":
-            rest = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen)), shape=(size, size)) @ base.transitions
+            rest = sparse.csr_array((np.ones(len(empty)), (empty, empty)), shape=(size, size)) @ base.transitions
         else:
-            rest = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen // base.n_actions)), shape=rows.shape)
+            rest = sparse.csr_array((np.ones(len(empty)), (empty, empty // base.n_actions)), shape=rows.shape)
         matrix = sparse.csr_array(rows + rest)
         rewards: object = base.rewards
         if base.transition_rewards is not None:

@@ -230,7 +230,7 @@ def _move(exact: Estimate, ml_value: float | None, zeta: TransitionRatio, gradie
     change = 0.0 if ml_value is None else change_to_log(step.change, ml_value - exact.value, s)
     rest = min(abs(change), threshold(s, se_fit) * s)
     share_moved = 1.0 - rest / abs(change) if change else 0.0
-    value, error = exact.value + share_moved * change, float(np.hypot(step.standard_error, step.unseen))
+    value, error = exact.value + share_moved * change, float(np.hypot(step.standard_error, step.unrecorded))
     diagnostics = {
         "standard_error_of": "log",
         "standard_error_if_centre_fits": se_fit,
@@ -238,7 +238,7 @@ def _move(exact: Estimate, ml_value: float | None, zeta: TransitionRatio, gradie
         "model_value": exact.value,
         "one_step_value": exact.value + step.change,
         "one_step_standard_error": error,
-        "unseen_standard_error": step.unseen,
+        "unrecorded_standard_error": step.unrecorded,
         "one_step_distance": abs(change) / s if s > 0 else 0.0,
         "moved": share_moved,
     }

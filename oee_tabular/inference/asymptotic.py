@@ -128,7 +128,7 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     if sampling is not None:
         facts = {"unmet_share": float(share @ unmet), "sampling_error": float(np.sqrt(variance))}
     if problem.dropped.any():
-        facts |= {"dropped_moves": float(problem.dropped.sum()), "dropped_share": float(share @ dropped)}
+        facts |= {"dropped_transitions": float(problem.dropped.sum()), "dropped_share": float(share @ dropped)}
     return Margin(policy_value(fitted, policy, horizon=horizon), variance, down, up, facts)
 
 

@@ -75,7 +75,7 @@ class Comparison:
     probability_best : (k,) P(best): the probability that the policy has the largest value, under the values' joint normal
         distribution (or the bootstrap's); ``decide`` gives it only where the log covers the policies
     covariance : (k, k) of the values
-    unseen_share : (k,) in [0, 1], the share of each policy's discounted time in states that can be left that is in
+    unrecorded_share : (k,) in [0, 1], the share of each policy's discounted time in states that can be left that is in
         unrecorded stochastic pairs or in dropped transitions
     confidence : of ``lower`` and ``upper``, each by itself
 
@@ -96,7 +96,7 @@ class Comparison:
     upper: Array
     probability_best: Array
     covariance: Array
-    unseen_share: Array
+    unrecorded_share: Array
     confidence: float
 
     def decide(
@@ -130,7 +130,7 @@ class Comparison:
         is_sure = (
             self.probability_best.max() > level if not is_one else self.probability_best[place(candidates[0])] > level
         )
-        says = self.unseen_share.max() <= 1.0 - ENOUGH and (are_equal or is_sure == is_one)
+        says = self.unrecorded_share.max() <= 1.0 - ENOUGH and (are_equal or is_sure == is_one)
         best = {name: float(self.probability_best[place(name)]) if says else None for name in order}
         if not is_one:
             return Decision(tuple(candidates), are_equal, best, None)
@@ -157,7 +157,7 @@ class Comparison:
             if ours is None or theirs is None
             else (ours.lower - theirs.upper, ours.upper - theirs.lower)
         )
-        if max(self.unseen_share[[i, j]]) > 1.0 - ENOUGH:
+        if max(self.unrecorded_share[[i, j]]) > 1.0 - ENOUGH:
             return separate
         paired = float(self.lower[i, j]), float(self.upper[i, j])
         return min(
@@ -236,7 +236,7 @@ def compare_policies(
     Dropped transitions, and a simulator that was sampled, widen each difference by the most that they can change either value;
     P(best) ignores them.
 
-    Unrecorded pairs are as simulated in the values. If a policy spends much of its time there (``unseen_share``), a target
+    Unrecorded pairs are as simulated in the values. If a policy spends much of its time there (``unrecorded_share``), a target
     that differs there in one direction can change its value by more than the variance shows.
 
     Examples
@@ -295,7 +295,7 @@ def compare_policies(
         difference + half + outside.T,
         best[order],
         covariance,
-        np.array([_unseen_share(problem, evidences[i]) for i in order]),
+        np.array([_unrecorded_share(problem, evidences[i]) for i in order]),
         level,
     )
 
@@ -308,7 +308,7 @@ def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
     return named
 
 
-def _unseen_share(problem: Problem, evidence: Evidence) -> float:
+def _unrecorded_share(problem: Problem, evidence: Evidence) -> float:
     time = time_in_pairs(evidence.fitted, evidence.policy, evidence.horizon)
     dropped, never = problem.dropped, (evidence.n == 0) & evidence.open_rows
     unknown = np.where(never, 1.0, dropped / np.maximum(dropped + evidence.n, 1.0))

@@ -47,9 +47,9 @@ class Interval:
     confidence : the level asked for; at least that for "robust", asymptotically for the others; 1 of a ``value_range``
     method : "likelihood", "delta", "bootstrap" or "robust"; "likelihood under the tie" or "... under the features"; "range" of
         a ``value_range``
-    diagnostics : plain numbers: ``unvisited_share``, of the policy's discounted time in pairs never recorded,
-        ``unvisited_rows``, the number of such pairs that the policy reaches, and those of the method; if impossible transitions
-        were dropped, their number (``dropped_moves``) and estimated share of the policy's time (``dropped_share``)
+    diagnostics : plain numbers: ``unrecorded_share``, of the policy's discounted time in stochastic pairs never recorded,
+        ``unrecorded_pairs``, how many of them the policy reaches, and those of the method; if impossible transitions were
+        dropped, their number (``dropped_transitions``) and estimated share of the policy's time (``dropped_share``)
     status : "ok", or the contradiction between the log and the assumed box
     sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone. If the policy reaches
         recorded pairs only and no transition was dropped, the interval itself, before a sampled simulator widens it;
@@ -194,7 +194,7 @@ def interval(
     kind = ("anytime" if problem.log.by_episodes else "independent") if radius == "auto" else radius
     z, margin = NormalDist().inv_cdf(0.5 + level / 2.0), outside_margin(problem, evidence)
     unrecorded = _count_unrecorded(evidence)
-    facts: dict[str, Any] = {"unvisited_share": unrecorded_share(evidence), "unvisited_rows": unrecorded}
+    facts: dict[str, Any] = {"unrecorded_share": unrecorded_share(evidence), "unrecorded_pairs": unrecorded}
     facts |= {} if margin is None else margin.diagnostics
     wrong = find_contradictions(evidence, level, kind) if evidence.has_box else np.zeros(0)
     if wrong.size:

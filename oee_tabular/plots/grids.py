@@ -323,17 +323,17 @@ def plot_occupancy(
     shape: tuple[int, int] | Map,
     ax: Axes | None = None,
     *,
-    unseen: object = None,
+    unrecorded: object = None,
     over: object = None,
     label: str = "share of the policy's discounted time (%)",
 ) -> Axes:
-    """Draw where a policy spends its time; ``unseen`` states are crossed out.
+    """Draw where a policy spends its time; ``unrecorded`` states are crossed out.
 
     Parameters
     ----------
     time : (S,) shares that sum to at most 1
     shape, ax, label : as in ``plot_grid``
-    unseen : (S,) mask of states to cross out
+    unrecorded : (S,) mask of states to cross out
     over : (S,) mask of terminal states (left blank, "end")
 
     Examples
@@ -346,7 +346,7 @@ def plot_occupancy(
 
     places = as_map(shape)
     is_over = _check_mask(over, places, "over")
-    crossed = _check_mask(unseen, places, "unseen") & ~is_over
+    crossed = _check_mask(unrecorded, places, "unrecorded") & ~is_over
     share = np.where(is_over, np.nan, 100.0 * _check_states(time, places, "time"))
     most = float(np.max(share, where=np.isfinite(share), initial=0.0))
     text = ["end" if e else "" if c else _percent_text(s) for s, e, c in zip(share, is_over, crossed, strict=True)]

@@ -174,13 +174,13 @@ class OneStep:
     ----------
     change : what to add to the value
     standard_error : of the corrected value, sqrt(sum over recorded rows of Var(gradient) / n), variances under zeta P
-    unseen : what unrecorded pairs may add to it: sqrt(sum of Var(gradient)), each as of one transition
+    unrecorded : what unrecorded pairs may add to it: sqrt(sum of Var(gradient)), each as of one transition
     change_error : of the change alone, sqrt(sum (1 - share)^2 Var(gradient) / n)
     """
 
     change: float
     standard_error: float
-    unseen: float
+    unrecorded: float
     change_error: float
 
 

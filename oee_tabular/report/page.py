@@ -194,10 +194,10 @@ class Portrait:
         """How many of their pairs the log does not have."""
         return int((self.changes.counts[~self.over] == 0).sum())
 
-    def unseen(self, policy: str) -> Array:
+    def unrecorded(self, policy: str) -> Array:
         """(S,) the part of each state's time in unrecorded pairs."""
-        unseen: Array = np.where(self.changes.counts > 0, 0.0, self.time[policy]).sum(axis=1)
-        return unseen
+        unrecorded: Array = np.where(self.changes.counts > 0, 0.0, self.time[policy]).sum(axis=1)
+        return unrecorded
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
@@ -227,8 +227,8 @@ class Portrait:
         """Where a policy goes, on the map or as a ranking of states."""
         time = self.time[policy]
         if self.map is not None:
-            crossed = self.unseen(policy) > NOTABLE
-            return plots.plot_occupancy(time.sum(axis=1), self.map, ax, unseen=crossed, over=self.over)
+            crossed = self.unrecorded(policy) > NOTABLE
+            return plots.plot_occupancy(time.sum(axis=1), self.map, ax, unrecorded=crossed, over=self.over)
         names = None if self.names.states is None else [self.names.state(s) for s in range(len(time))]
         return plots.plot_states(time, self.changes.counts, ax, names=names)
 

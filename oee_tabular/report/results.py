@@ -131,7 +131,7 @@ class Report:
             alone = (r for r in self.results if r.policy == policy and not r.estimate.is_from_log)
             simulator = next(map(self._record, alone), {})
             likelihood = self.uncertainty.intervals.get(policy, {}).get(LIKELIHOOD)
-            unrecorded = 0 if likelihood is None else int(likelihood.diagnostics.get("unvisited_rows", 0))
+            unrecorded = 0 if likelihood is None else int(likelihood.diagnostics.get("unrecorded_pairs", 0))
             answers.append(
                 Answer(
                     policy, row["estimator"], row["value"], row["lower"], row["upper"], row["interval_method"],
@@ -232,7 +232,7 @@ class Report:
                 | self._in_unit(sampling_columns(known.get(policy)))
                 | {
                     "probability_best": decision.probability_best[policy],
-                    "unseen_share": float(compared.unseen_share[compared.names.index(policy)]),
+                    "unrecorded_share": float(compared.unrecorded_share[compared.names.index(policy)]),
                     "less_by": None if row is best else less,
                     "less_by_lower": min(lower, less) if has_ends else None,
                     "less_by_upper": max(upper, less) if has_ends else None,

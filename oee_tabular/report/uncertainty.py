@@ -303,8 +303,8 @@ def _describe(intervals: Mapping[str, Interval], coverage: float | None, scale: 
     quoted = intervals[LIKELIHOOD]
     if quoted.status != "ok":
         return f"{quoted.status}."
-    dropped = bool(quoted.diagnostics.get("dropped_moves", 0.0))
-    unrecorded = int(quoted.diagnostics["unvisited_rows"])
+    dropped = bool(quoted.diagnostics.get("dropped_transitions", 0.0))
+    unrecorded = int(quoted.diagnostics["unrecorded_pairs"])
     sentences = [text.worst_case(unrecorded, None if coverage is None else 1.0 - coverage, dropped=dropped)]
     if quoted.sampling is not None and quoted.width > MUCH_WIDER * (quoted.sampling[1] - quoted.sampling[0]):
         lower, upper = (end * scale for end in quoted.sampling)

@@ -91,8 +91,9 @@ def small_calls(most):
 
 
 def start(code):
-    """Run ``code`` in a new interpreter, which imports what this one imports."""
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    """Run ``code`` in a new interpreter, which imports what this one imports: -c looks into the folder where it is run."""
+    folder = Path(oee.__file__).parents[1]
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, cwd=folder)
 
 
 def write_files(folder, simulator, log, policy):

@@ -134,7 +134,7 @@ def test_compare_says_which_or_that_it_cannot(run, folder):
     assert (first["policy"], second["policy"]) == compared.names
     assert (second["lower"], second["upper"]) == (sure.lower, sure.upper)
     assert second["probability_best"] == compared.probability_best[1]
-    assert first["unseen_share"] == compared.unseen_share[0]
+    assert first["unrecorded_share"] == compared.unrecorded_share[0]
     (apart,) = found["differences"]
     assert (apart["policy"], apart["than"], apart["difference"]) == ("any", "best", second["value"] - first["value"])
     assert (apart["lower"], apart["upper"]) == (compared.lower[1, 0], compared.upper[1, 0])

@@ -157,13 +157,27 @@ def test_what_is_summed_and_what_is_left_out(tmp_path, ending):
         assert_array_equal(getattr(found, name), expected)
 
 
-def test_a_text_between_others_in_parquet_without_episodes(tmp_path):
-    chance = ["0.1", "0.1x", "0.9"]  # least and largest are numbers
-    pd.DataFrame({"state": 0, "action": 0, "next_state": 0, "behavior_probability": chance}).to_parquet(
-        tmp_path / "a.parquet"
-    )
-    with pytest.raises(ValueError, match=r"behavior_probability\[1\] must be in \[0, 1\]; it is '0\.1x'"):
+@pytest.mark.parametrize(
+    ("name", "values", "rule"),  # of each, the least and the largest are right
+    [
+        ("behavior_probability", ["0.1", "0.1x", "0.9"], r"must be in \[0, 1\]; it is '0\.1x'"),
+        ("truncated", [0.0, 0.5, 1.0], r"must be a boolean .*; it is 0\.5"),
+        ("timestep", [0.0, 0.5, 1.0], r"must be an integer; it is 0\.5"),
+    ],
+)
+def test_a_value_between_others_in_parquet_without_episodes(tmp_path, name, values, rule):
+    pd.DataFrame({"state": 0, "action": 0, "next_state": 0, name: values}).to_parquet(tmp_path / "a.parquet")
+    with pytest.raises(ValueError, match=rf"{name}\[1\] {rule}"):
         Transitions.open(tmp_path)
+
+
+def test_a_parquet_file_without_episodes_is_counted_as_csv_is(tmp_path):
+    frame = frame_of().drop(columns=["episode", "timestep"])
+    frame.to_parquet(tmp_path / "a.parquet")
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    one, other = (Transitions.open(tmp_path / name) for name in ("a.parquet", "a.csv"))
+    same(one, other)
+    assert one.recording.truncated == 2
 
 
 def test_numbers_whose_product_64_bits_do_not_hold(tmp_path):

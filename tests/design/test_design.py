@@ -163,7 +163,7 @@ def test_sequential_use():
     first = plan_data_collection(SIMULATOR, POLICY, n=4000)
     problem = Problem(SIMULATOR, log_of(SIMULATOR, first.allocation))
     second = plan_data_collection(problem, POLICY, n=4000, model="simulator")
-    assert second.unvisited == 0
+    assert second.unrecorded == 0
     assert_allclose(second.expected_width[0], first.expected_width[1], rtol=1e-3)
     assert_allclose(second.expected_width[1], first.expected_width[1] / np.sqrt(2), rtol=1e-3)
     assert_allclose(second.distribution, first.distribution, atol=1e-3)
@@ -180,7 +180,7 @@ def test_rows_that_the_log_lacks_come_first():
     counts[7] = 0
     problem = Problem(SIMULATOR, log_of(SIMULATOR, counts))
     plan = plan_data_collection(problem, POLICY, n=100, model="simulator")
-    assert plan.unvisited == 4
+    assert plan.unrecorded == 4
     assert {s for s, _ in plan.next_pairs[:4]} == {7}
     assert plan.distribution[7].sum() > 0.25
     assert "pairs that matter and were never recorded: 4" in str(plan)

@@ -49,11 +49,11 @@ def test_doubly_robust_on_transitions_row_by_row(form, horizon, weights):
     time[3] = 0.0  # it is over there: nothing to learn
     seen = n.reshape(4, 2) > 0
     share = time[seen].sum() / time.sum()
-    assert_allclose((facts["coverage"], facts["fallback_share"]), (share, 1 - share), atol=1e-12)
+    assert_allclose((facts["coverage"], facts["unrecorded_share"]), (share, 1 - share), atol=1e-12)
     size = time[seen].sum() ** 2 / (time[seen] ** 2 / n.reshape(4, 2)[seen]).sum()
     assert_allclose(facts["effective_sample_size"], size)
     missed = sorted(((-time[s, a], s, a) for s, a in np.argwhere(~seen) if time[s, a] > 0))[:3]
-    assert facts["unseen"] == "; ".join(f"s={s}, a={a}" for _, s, a in missed)
+    assert facts["unrecorded"] == "; ".join(f"s={s}, a={a}" for _, s, a in missed)
 
 
 @pytest.mark.parametrize("form", [2, 3])
@@ -279,7 +279,7 @@ def test_the_saddle_point_pair_by_pair():
     found = Marginalized(features=phi)(problem, POLICY)
     assert_allclose(found.value, np.mean([b * (f @ theta) * r for b, f, _, r in rows]) / 0.1, rtol=1e-10)
     assert_allclose(found.diagnostics["mean_weight"], np.mean([b * (f @ theta) for b, f, _, _ in rows]), rtol=1e-10)
-    assert found.diagnostics["fallback_share"] > 0.02
+    assert found.diagnostics["unrecorded_share"] > 0.02
     assert found.findings[0].kind == "coverage"
 
 

@@ -39,8 +39,8 @@ def test_nothing_to_learn_is_full_coverage():
     """The policy is over at once: its time is all where nothing can be learned."""
     mdp = FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), [1.0, 0.0], [0, 1], 0.9)
     facts = OffEnvironment()(Problem(mdp, Transitions([0], [0], [1])), np.ones((2, 1))).diagnostics
-    assert (facts["coverage"], facts["fallback_share"], facts["effective_sample_size"]) == (1.0, 0.0, 0.0)
-    assert facts["unseen"] == ""
+    assert (facts["coverage"], facts["unrecorded_share"], facts["effective_sample_size"]) == (1.0, 0.0, 0.0)
+    assert facts["unrecorded"] == ""
 
 
 def test_without_a_horizon_at_discount_one():
@@ -216,7 +216,7 @@ def test_a_value_that_rests_on_the_prior_against_the_log_says_so():
     told = []
     for seed in range(30):
         facts = (estimate := estimated(seed, 1.5, 1 + seed % 4)).diagnostics
-        error = facts["one_step_standard_error"] ** 2 - facts["unseen_standard_error"] ** 2
+        error = facts["one_step_standard_error"] ** 2 - facts["unrecorded_standard_error"] ** 2
         apart = np.sqrt(error - facts["standard_error_if_centre_fits"] ** 2)
         distance = abs(estimate.value - facts["maximum_likelihood_value"]) / apart
         words = [str(finding) for finding in estimate.findings if finding.kind == "against"]
@@ -235,7 +235,7 @@ def test_a_change_beyond_two_standard_errors_goes_on_to_maximum_likelihood():
         ratio = oee.ratio.Conditional(prior="simulator", strength=strength)
         facts = OffEnvironment(ratio)(oee.Problem(simulator, log), oee.tasks.gridworld_policy(4, 0.9)).diagnostics
         first, second = (facts[f"{name}_value"] - facts["model_value"] for name in ("one_step", "maximum_likelihood"))
-        error = facts["one_step_standard_error"] ** 2 - facts["unseen_standard_error"] ** 2
+        error = facts["one_step_standard_error"] ** 2 - facts["unrecorded_standard_error"] ** 2
         apart = np.sqrt(error - facts["standard_error_if_centre_fits"] ** 2)
         nearer.append(abs(first) / apart)
         change = first + np.clip((nearer[-1] - 2) / 2, 0, 1) * (second - first)

@@ -27,7 +27,7 @@ def of(value=10.0, error=0.1, **facts):
 
 
 SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, and how it is said
-    "unseen": (lambda x: of(fallback_share=x), 0.02, 0.03,
+    "unseen": (lambda x: of(unrecorded_share=x), 0.02, 0.03,
                "the policy spends 3% of its discounted time in unrecorded state-action pairs."),
     "row sums": (lambda x: of(row_sum_error=x), 1e-3, 2e-3, "the rows of zeta * P miss 1 by up to 0.002; over a horizon"),
     "starts": (findings.foreign_starts, 0.0, 0.01, "1% of the episodes start where the simulator never does. Importance"),

@@ -81,7 +81,7 @@ def test_a_near_tie_stays_open_where_half_of_the_time_is_unrecorded():
         i, j = (found.names.index(name) for name in ("one", "other"))
         inside += found.lower[i, j] <= truth <= found.upper[i, j]
         sure += found.probability_best.max() >= 0.95
-        assert 0.2 < found.unseen_share.min() <= found.unseen_share.max() < 0.8
+        assert 0.2 < found.unrecorded_share.min() <= found.unrecorded_share.max() < 0.8
     assert inside >= 18
     assert sure <= 2  # with the simulator taken for known there: 20, 11 of them wrong, and no interval holds
 
@@ -161,7 +161,7 @@ def test_compared_policies_by_the_variance_of_each_row_with_one_more_transition(
     assert_allclose([found.lower[0, 1], found.upper[0, 1]], gap + spread * stats.norm.ppf([0.025, 0.975]), rtol=1e-7)
     time = model.visits(policies[found.names[0]], horizon)
     time = time if horizon is None else sum(time)
-    assert_allclose(found.unseen_share[0], time[total[:, :, 0] == 0].sum() / time.sum(), rtol=1e-9)
+    assert_allclose(found.unrecorded_share[0], time[total[:, :, 0] == 0].sum() / time.sum(), rtol=1e-9)
 
 
 def test_both_methods_widen_for_what_was_never_recorded():

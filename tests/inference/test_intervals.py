@@ -181,7 +181,7 @@ def test_rows_never_recorded_are_counted_where_they_bear_on_the_value(horizon, d
     pays = np.array([1.0, 1, 1, 1, 0])
     rewards = np.where(rows > 0, pays, 0.0) * np.arange(5)[:, None, None] if by_move else pays
     problem = oee.Problem(oee.FiniteMDP(rows, rewards, 0, discount), oee.Transitions([4], [0], [4]), horizon=horizon)
-    assert oee.interval(problem, np.ones((5, 1))).diagnostics["unvisited_rows"] == bearing
+    assert oee.interval(problem, np.ones((5, 1))).diagnostics["unrecorded_pairs"] == bearing
 
 
 def test_38_unrecorded_rows_are_not_trusted():
@@ -194,8 +194,8 @@ def test_38_unrecorded_rows_are_not_trusted():
     for method in ("likelihood", "robust"):
         found = oee.interval(problem, first, method=method, lower_ratio=0.5, upper_ratio=1.5)
         assert_allclose((found.lower, found.upper), identified, rtol=1e-9)
-        assert found.diagnostics["unvisited_rows"] == 1
-        assert_allclose(found.diagnostics["unvisited_share"], 0.1 / 0.55)  # time in the first state
+        assert found.diagnostics["unrecorded_pairs"] == 1
+        assert_allclose(found.diagnostics["unrecorded_share"], 0.1 / 0.55)  # time in the first state
         everything = oee.interval(problem, first, method=method)
         assert_allclose((everything.lower, everything.upper), (1.0, 10.0), rtol=1e-9)
     delta = oee.interval(problem, first, method="delta")

@@ -72,7 +72,7 @@ def test_the_band_is_first_order_over_all_places(form, horizon):
                     values.append(value_of(moved.reshape(P.shape), pay, policy, horizon))
                 every.append(sign * (values[1] - values[0]) / 1e-6)
             assert_allclose(size, max(0.0, *every), rtol=1e-4, atol=1e-7)
-        assert margin.diagnostics["dropped_moves"] == 2 * EACH
+        assert margin.diagnostics["dropped_transitions"] == 2 * EACH
 
 
 @pytest.mark.parametrize("form", ["r(s, a)", "r(s, a, s')"])
@@ -107,7 +107,7 @@ def test_intervals_widen_by_the_band(method, horizon):
     found, bare = (oee.interval(p, policy, method=method, radius="independent") for p in (problem, kept))
     margin = outside_margin(problem, gather(problem, policy))
     assert_allclose([found.lower, found.upper], [bare.lower - margin.down, bare.upper + margin.up], rtol=1e-9)
-    assert found.diagnostics["dropped_moves"] == 2 * EACH
+    assert found.diagnostics["dropped_transitions"] == 2 * EACH
     assert 0.0 < found.diagnostics["dropped_share"] < 0.2
     assert outside_margin(kept, gather(kept, policy)) is None
 
@@ -164,4 +164,4 @@ def test_what_is_unseen_is_a_share(state, action, following, share):
     simulator = oee.FiniteMDP(rows, [0, 1.0, 2.0], [1.0, 0, 0], 0.9)
     problem = oee.Problem(simulator, oee.Transitions(state, action, following), impossible="drop")
     found = compare_policies(problem, {"one": [0, 0, 0], "other": [0, 0, 0]})
-    assert_allclose(found.unseen_share, share, rtol=1e-12)
+    assert_allclose(found.unrecorded_share, share, rtol=1e-12)

@@ -144,7 +144,13 @@ def test_a_fit_by_blocks_is_that_of_all_rows_at_once(name, monkeypatch):
         monkeypatch.setattr("oee_tabular.ratio.conditional.BLOCK", size)
         fit = oee.transition_ratio(log, simulator, **about, **OPTIONS[name])
         step = fit.one_step(gradient)
-        errors = [fit.log_standard_error(gradient), step.change, step.standard_error, step.unseen, step.change_error]
+        errors = [
+            fit.log_standard_error(gradient),
+            step.change,
+            step.standard_error,
+            step.unrecorded,
+            step.change_error,
+        ]
         found.append(
             [fit.values.data, fit.gap, *fit.details["enclosure"], np.array(errors), fit.maximum_likelihood_rows]
         )

@@ -248,7 +248,7 @@ def test_the_value_its_error_and_its_interval(case, horizon):
     assert_allclose(told["model_value"], value, rtol=1e-9)
     assert_allclose(told["one_step_value"], value + first, rtol=1e-9)
     assert_allclose(told["maximum_likelihood_value"], value + second, rtol=1e-9)
-    assert_allclose(told["unseen_standard_error"], np.sqrt(variance[~seen].sum()), rtol=1e-7, atol=1e-12)
+    assert_allclose(told["unrecorded_standard_error"], np.sqrt(variance[~seen].sum()), rtol=1e-7, atol=1e-12)
     time = model.visits(policy, horizon)
     time = np.where(leaves(base.P), time if horizon is None else sum(time), 0.0)
     assert_allclose(told["coverage"], time[seen].sum() / time.sum(), rtol=1e-9)

@@ -123,7 +123,7 @@ def test_the_one_step_correction_row_by_row():
     assert_allclose(step.change, change, rtol=1e-12)
     assert_allclose(step.standard_error, np.sqrt(variance), rtol=1e-12)
     assert_allclose(step.change_error, np.sqrt(own), rtol=1e-12)
-    assert_allclose(step.unseen, np.sqrt(unseen), rtol=1e-12)
+    assert_allclose(step.unrecorded, np.sqrt(unseen), rtol=1e-12)
 
 
 # ---- methods of ratios as objects: what a name stands for, and limits

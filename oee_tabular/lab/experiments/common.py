@@ -100,8 +100,8 @@ RmsePanels = functools.partial(ErrorPanels, "error", how=rmse, ylabel="RMSE of (
 def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
     """The log's own rows n(s, a, s') / n(s, a); a pair that was never recorded stays where it is."""
     total = row_sums(counts)
-    unseen = np.flatnonzero(total == 0)
-    staying = sparse.csr_array((np.ones(len(unseen)), (unseen, unseen // n_actions)), shape=counts.shape)
+    unrecorded = np.flatnonzero(total == 0)
+    staying = sparse.csr_array((np.ones(len(unrecorded)), (unrecorded, unrecorded // n_actions)), shape=counts.shape)
     return sparse.csr_array(sparse.diags_array(1.0 / np.where(total > 0, total, 1.0)) @ counts + staying)
 
 

@@ -234,7 +234,7 @@ def coverage_lake(settings: Cell, stream: Stream) -> list[Row]:
             "lower": interval.lower,
             "upper": interval.upper,
             "truth": truth,
-            "unvisited_rows": interval.diagnostics["unvisited_rows"],
+            "unrecorded_pairs": interval.diagnostics["unrecorded_pairs"],
         }
     ]
 
