@@ -13,6 +13,7 @@ import pytest
 from browsing import axe, browser, opened, violations  # noqa: F401, fixtures
 from saved_notebook import NOTEBOOKS
 
+ROOT = Path(__file__).parents[1]
 CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.S | re.M)
 FORMULA = re.compile(r"\$\$.+?\$\$|\$[^$]+\$", re.S)
 SHOWN_AS_IT_IS = re.compile(r"<(pre|code|script|style|title)\b.*?</\1>|<(span|div) class=\"math.*?</\2>", re.S)
@@ -32,10 +33,10 @@ EMPTY_PICTURES = "() => [...document.images].filter(e => e.complete && !e.natura
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """{address from the root: path} of every page but the sources."""
+    """{address from the root: path} of every page but the sources, as the README's command makes them."""
     folder = tmp_path_factory.mktemp("site")
-    notebooks = NOTEBOOKS[0].parent
-    subprocess.run([sys.executable, "-m", "sphinx", "-q", "-W", "-E", notebooks, folder], check=True)
+    words = re.search(r"python (-m sphinx -W notebooks) build/site$", (ROOT / "README.md").read_text(), re.M)[1].split()
+    subprocess.run([sys.executable, *words, folder, "-q", "-E"], check=True, cwd=ROOT)
     pages = {str(path.relative_to(folder)): path for path in folder.rglob("*.html")}
     return {name: path for name, path in pages.items() if not name.startswith(("_modules", "_static"))}
 
@@ -90,7 +91,6 @@ def test_every_page_in_a_browser(site, browser, axe):  # noqa: F811
 
 
 # ---- the site: every public name by subject, every attribute under its own name, every command and option
-ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")

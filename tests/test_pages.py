@@ -198,9 +198,3 @@ def test_commands_of_the_readme_run(line, tmp_path, monkeypatch):
 
 def test_every_command_of_the_readme_is_found():
     assert {line.split()[1] for line in COMMANDS} == {"evaluate", "check", "bench", "reproduce"}
-
-
-def test_ci_builds_the_site_as_the_readme_does():
-    line = next(line for line in TEXT.splitlines() if "-m sphinx" in line)
-    built = next(line for line in (README.parent / ".ci" / "run").read_text().splitlines() if "-m sphinx" in line)
-    assert built.replace("-q ", "") == line[line.index("python -m sphinx") :]

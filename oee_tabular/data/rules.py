@@ -146,6 +146,7 @@ def check_column(
     """
     kind = KINDS.get(label, "numbers")
     raw = raw.astype(str) if raw.dtype.kind in "Mm" else raw  # dates are no numbers
+    raw = raw.astype(str).astype(object) if raw.dtype.kind == "b" and kind != "booleans" else raw  # texts, as in CSV
     names = () if label == "episode" else names
     if names is not None and raw.dtype.hasobject:
         first = next((item for item in raw.tolist() if not is_missing(item)), None)

@@ -371,7 +371,7 @@ def test_reacher_from_the_command_line(run):
     """Cells of the log, the averaged lengths as the simulator, the plain one beside it."""
     run("sample reacher:length=0.2,tamed=True --policy mix:0.5 --transitions 5000 --output log.npz")
     words = "evaluate --simulator reacher:length=0.1,reward_length=0.2,tamed=True --log log.npz"
-    chosen = "--grid auto --json --policy mix:0.5 --task-option=simulations="
+    chosen = "--quick --grid auto --json --policy mix:0.5 --task-option=simulations="
     # of 20 000 episodes the ratio of errors is .65; of 4000 it is .57 to .75 by chance
     printed = run(words, f"{chosen}4000 --estimators simulator,oee --target reacher:length=0.2,tamed=True")
     report, value = json.loads(printed), {name: row["value"] for name, row in by_row(printed).items()}
@@ -395,7 +395,7 @@ def test_the_arm_from_the_command_line(run):
     pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'oee-tabular[mujoco]'")
     run("sample kinova:velocity_scale=1.4 --policy expert --episodes 30 --output log.npz")
     printed = run(
-        "evaluate --simulator kinova --log log.npz --policy expert --estimators simulator,oee --grid=13x13x11 --json",
+        "evaluate --simulator kinova --log log.npz --policy expert --estimators simulator,oee --grid=13x13x11 --json --quick",
         "--task-option=simulations=20 --horizon 6 --target kinova:velocity_scale=1.4",
     )
     report, value = json.loads(printed), {name: row["value"] for name, row in by_row(printed).items()}
