@@ -4,6 +4,7 @@ A transition x has numbers phi_x (d,): the columns ``base`` (d_1,), and a one in
 is -1). The parameters are theta (1 + A, d): those of all actions, then those of each action alone. f'' is an arrow (see
 ``ridge``): its blocks are diag(L_0) + sum_a G_a, beside it G_a, and G_a + diag(L_a), L (blocks, d) the penalty, with one row
 where no action has parameters of its own.
+Written in loops, since numba takes 32 s to compile this in array expressions, and 12 s in loops.
 """
 
 from typing import Any, NamedTuple
@@ -141,27 +142,40 @@ def invert_arrow(covariances, penalty):
     The complement is L_0 + sum_a G_a - G_a (G_a + L_a)^-1 G_a = L_0 + sum_a G_a (G_a + L_a)^-1 L_a, which does not cancel.
     """
     n_own, d = len(penalty) - 1, penalty.shape[1]
-    inverse, gain = np.zeros((n_own, d, d)), np.zeros((n_own, d, d))
-    left = np.diag(penalty[0])
-    if n_own == 0:
-        left = left + covariances.sum(axis=0)
-    for action in range(n_own):
-        inverse[action] = np.linalg.inv(covariances[action] + np.diag(penalty[1 + action]))
-        gain[action] = inverse[action] @ covariances[action]
-        left = left + gain[action].T * penalty[1 + action]
-    return inverse, gain, np.linalg.inv(0.5 * (left + left.T))
+    inverse, gain, left = np.empty((n_own, d, d)), np.empty((n_own, d, d)), np.diag(penalty[0])
+    for action in range(len(covariances)):
+        own = covariances[action].copy()
+        if n_own > 0:
+            for i in range(d):
+                own[i, i] += penalty[1 + action, i]
+            inverted = np.linalg.inv(own)
+            own = inverted @ covariances[action]
+        for i in range(d):
+            for j in range(d):
+                if n_own > 0:
+                    inverse[action, i, j], gain[action, i, j] = inverted[i, j], own[i, j]
+                    own[i, j] *= penalty[1 + action, i]
+                left[i, j] += 0.5 * own[i, j]
+                left[j, i] += 0.5 * own[i, j]
+    return inverse, gain, np.linalg.inv(left)
 
 
 @njit(cache=True, nogil=True)
 def solve_arrow(inverses, b):
     """f''^-1 b, both (blocks, d)."""
     inverse, gain, shared = inverses
-    x, right = np.empty(b.shape), b[0].copy()
-    for action in range(len(inverse)):
-        right -= gain[action].T @ b[1 + action]
-    x[0] = shared @ right
-    for action in range(len(inverse)):
-        x[1 + action] = inverse[action] @ b[1 + action] - gain[action] @ x[0]
+    x, right = np.zeros(b.shape), b[0].copy()
+    for action in range(len(gain)):
+        for i in range(len(right)):
+            for j in range(len(right)):
+                right[j] -= gain[action, i, j] * b[1 + action, i]
+    for i in range(len(right)):
+        for j in range(len(right)):
+            x[0, i] += shared[i, j] * right[j]
+    for action in range(len(gain)):
+        for i in range(len(right)):
+            for j in range(len(right)):
+                x[1 + action, i] += inverse[action, i, j] * b[1 + action, j] - gain[action, i, j] * x[0, j]
     return x
 
 
@@ -170,9 +184,14 @@ def invert_diagonal(inverses):
     """(blocks, d) the diagonal of f''^-1."""
     inverse, gain, shared = inverses
     diagonal = np.empty((1 + len(inverse), len(shared)))
-    diagonal[0] = np.diag(shared)
+    for i in range(len(shared)):
+        diagonal[0, i] = shared[i, i]
     for action in range(len(inverse)):
-        diagonal[1 + action] = np.diag(inverse[action]) + (gain[action] @ shared * gain[action]).sum(axis=1)
+        part = gain[action] @ shared
+        for i in range(len(shared)):
+            diagonal[1 + action, i] = inverse[action, i, i]
+            for j in range(len(shared)):
+                diagonal[1 + action, i] += part[i, j] * gain[action, i, j]
     return diagonal
 
 
@@ -182,9 +201,11 @@ def differentiate(columns, model, risk, theta, penalty):
     mass, pulled = risk
     means, covariances = sum_covariances(columns, model, mass, len(pulled))
     gradient = penalty * theta[: len(penalty)]
-    gradient[0] += (means - pulled).sum(axis=0)
-    for action in range(len(penalty) - 1):
-        gradient[1 + action] += means[action] - pulled[action]
+    for action in range(len(pulled)):
+        for j in range(pulled.shape[1]):
+            gradient[0, j] += means[action, j] - pulled[action, j]
+            if len(penalty) > 1:
+                gradient[1 + action, j] += means[action, j] - pulled[action, j]
     return gradient, covariances
 
 
@@ -193,8 +214,26 @@ def penalized_risk(columns, risk, theta, penalty):
     """f, and the rows under the tilt."""
     mass, pulled = risk
     model, log_normalizer = tilt_rows(columns, theta)
-    linear = np.sum(pulled * (theta[:1] + theta[1:]))
-    return np.sum(mass * log_normalizer) - linear + 0.5 * np.sum(penalty * theta[: len(penalty)] ** 2), model
+    value = 0.0
+    for row in range(len(mass)):
+        value += mass[row] * log_normalizer[row]
+    for action in range(len(pulled)):
+        for j in range(pulled.shape[1]):
+            value -= pulled[action, j] * (theta[0, j] + theta[1 + action, j])
+    for block in range(len(penalty)):
+        for j in range(penalty.shape[1]):
+            value += 0.5 * penalty[block, j] * theta[block, j] ** 2
+    return value, model
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def move(columns, risk, theta, penalty, step, length):
+    """theta - length step, and f and the rows there."""
+    moved = theta.copy()
+    for block in range(len(step)):
+        for j in range(step.shape[1]):
+            moved[block, j] -= length * step[block, j]
+    return moved, penalized_risk(columns, risk, moved, penalty)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -204,58 +243,64 @@ def minimise(columns, risk, theta, penalty, tolerance):
     theta, G, and the bound sum f'^2 / (2 L) on f less its minimum.
     """
     value, model = penalized_risk(columns, risk, theta, penalty)
-    last = np.inf
+    last, mass, gap = np.inf, 0.0, 0.0
+    for row in range(len(risk[0])):
+        mass += risk[0][row]
     for _ in range(N_NEWTON):
         gradient, covariances = differentiate(columns, model, risk, theta, penalty)
-        step = np.zeros(theta.shape)
-        step[: len(penalty)] = -solve_arrow(invert_arrow(covariances, penalty), gradient)
-        decrement = -np.sum(gradient * step[: len(penalty)])
-        size = max(1.0, abs(value), np.sum(risk[0]))
+        step = solve_arrow(invert_arrow(covariances, penalty), gradient)
+        decrement, gap = 0.0, 0.0
+        for block in range(len(penalty)):
+            for j in range(penalty.shape[1]):
+                decrement += gradient[block, j] * step[block, j]
+                gap += 0.5 * gradient[block, j] ** 2 / penalty[block, j]
+        size = max(1.0, abs(value), mass)
         if not decrement > tolerance * size or 1e-12 * size > decrement > 0.25 * last:
             break
         last = decrement
         slack = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
-        length = 1.0
-        trial, tilted = penalized_risk(columns, risk, theta + step, penalty)
-        while trial > value - 1e-4 * length * decrement + slack and length > 1e-12:
+        length, trial = 2.0, np.inf
+        while (length == 2.0 or trial > value - 1e-4 * length * decrement + slack) and length > 1e-12:
             length *= 0.5
-            trial, tilted = penalized_risk(columns, risk, theta + length * step, penalty)
+            moved, (trial, tilted) = move(columns, risk, theta, penalty, step, length)
         if length <= 1e-12:
             break
-        theta, value, model = theta + length * step, trial, tilted
-    return theta, covariances, 0.5 * np.sum(gradient**2 / penalty)
+        theta, value, model = moved, trial, tilted
+    return theta, covariances, gap
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_strengths(theta, inverses, penalty, scale, group, n_groups):
     """(2, groups) MacKay's lambda of each group of columns, for all actions and for each action alone."""
     diagonal = invert_diagonal(inverses)
-    told, size = np.zeros((2, n_groups)), np.zeros((2, n_groups))
+    told, size = np.full((2, n_groups), HYPERPRIOR), np.zeros((2, n_groups))
     for block in range(len(penalty)):
         for j in range(len(group)):
             told[min(block, 1), group[j]] += 1.0 - penalty[block, j] * diagonal[block, j]
             size[min(block, 1), group[j]] += (scale[block, j] * theta[block, j]) ** 2
-    strengths = (told + HYPERPRIOR) / np.maximum(size, 1e-300)
-    return np.minimum(np.maximum(strengths, 1.0), LARGEST_STRENGTH)
+    for side in range(2):
+        for k in range(n_groups):
+            told[side, k] = min(max(told[side, k] / max(size[side, k], 1e-300), 1.0), LARGEST_STRENGTH)
+    return told
 
 
 @njit(cache=True, nogil=True)
 def spread_strengths(strengths, scale, group):
     """(blocks, d) L = lambda s^2 of each column."""
-    penalty = scale**2
+    penalty = np.empty(scale.shape)
     for block in range(len(scale)):
         for j in range(len(group)):
-            penalty[block, j] *= strengths[min(block, 1), group[j]]
+            penalty[block, j] = strengths[min(block, 1), group[j]] * scale[block, j] ** 2
     return penalty
 
 
 @njit(cache=True, nogil=True)
 def fit_tilt(columns, risk, theta, strengths, scale, group, n_rounds):
     """theta and the strengths by ``n_rounds`` of MacKay's rule; G and the bound on f less its minimum."""
-    for _ in range(n_rounds):
+    for left in range(n_rounds, -1, -1):
         penalty = spread_strengths(strengths, scale, group)
-        theta, covariances, _ = minimise(columns, risk, theta, penalty, ROUND_TOLERANCE)
-        inverses = invert_arrow(covariances, penalty)
-        strengths = update_strengths(theta, inverses, penalty, scale, group, strengths.shape[1])
-    theta, covariances, gap = minimise(columns, risk, theta, spread_strengths(strengths, scale, group), 1e-24)
+        theta, covariances, gap = minimise(columns, risk, theta, penalty, ROUND_TOLERANCE if left else 1e-24)
+        if left:
+            inverses = invert_arrow(covariances, penalty)
+            strengths = update_strengths(theta, inverses, penalty, scale, group, strengths.shape[1])
     return theta, strengths, covariances, gap
