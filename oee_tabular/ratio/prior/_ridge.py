@@ -227,16 +227,6 @@ def penalized_risk(columns, risk, theta, penalty):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def move(columns, risk, theta, penalty, step, length):
-    """theta - length step, and f and the rows there."""
-    moved = theta.copy()
-    for block in range(len(step)):
-        for j in range(step.shape[1]):
-            moved[block, j] -= length * step[block, j]
-    return moved, penalized_risk(columns, risk, moved, penalty)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def minimise(columns, risk, theta, penalty, tolerance):
     """Newton's method with backtracking, until a step gains less than ``tolerance`` of f or only rounding is left.
 
@@ -260,9 +250,13 @@ def minimise(columns, risk, theta, penalty, tolerance):
         last = decrement
         slack = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
         length, trial = 2.0, np.inf
-        while (length == 2.0 or trial > value - 1e-4 * length * decrement + slack) and length > 1e-12:
+        while trial > value - 1e-4 * length * decrement + slack and length > 1e-12:
             length *= 0.5
-            moved, (trial, tilted) = move(columns, risk, theta, penalty, step, length)
+            moved = theta.copy()
+            for block in range(len(step)):
+                for j in range(step.shape[1]):
+                    moved[block, j] -= length * step[block, j]
+            trial, tilted = penalized_risk(columns, risk, moved, penalty)
         if length <= 1e-12:
             break
         theta, value, model = moved, trial, tilted
