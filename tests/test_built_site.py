@@ -25,7 +25,7 @@ FORMULAS = """() => ({
 WIDE_CODE = """() => [...document.querySelectorAll("pre")]
     .filter(e => e.scrollWidth > e.clientWidth + 1 && !e.closest(".cell_output")).map(e => e.innerText.slice(0, 80))"""
 OUTSIDE = """() => [...document.querySelectorAll("main p, main li, main dt, main h1, main h2, main img, main pre")]
-    .filter(e => e.getClientRects().length && !e.closest("table, .pst-scrollable-table-container"))
+    .filter(e => e.getClientRects().length && !e.closest("table, .pst-scrollable-table-container, .bd-sidebar-secondary"))
     .filter(e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 80))"""
 KINDS = ("index.html", "syllabus.html", "00_will_my_policy_work.html", "04_why_products_explode.html", "api/mdp.html")
 EMPTY_PICTURES = "() => [...document.images].filter(e => e.complete && !e.naturalWidth).map(e => e.src)"

@@ -75,7 +75,7 @@ def _cell_rows(key: Any, part: pd.DataFrame) -> list[dict[str, Any]]:
                 "bias": float(errors[name].mean()),
                 "covered": float(first["covered"].mean()),
                 **_intervals(mine, eff, is_counted),
-                "seconds": float(mine["seconds"].median()),
+                "seconds": float(mine["seconds"].dropna().median()),
             }
         )
     return rows
@@ -125,7 +125,7 @@ def _intervals(mine: pd.DataFrame, eff: Array, is_counted: BoolArray) -> dict[st
         relative = ((upper - lower) / (2.0 * NORMAL * eff))[here & (eff > 0) & np.isfinite(eff)]
         numbers[f"{prefix}logs"] = int(here.sum())
         numbers[f"{prefix}held"] = int((here & mine["truth"].between(lower, upper)).sum())
-        numbers[f"{prefix}width"] = float(relative.median())
+        numbers[f"{prefix}width"] = float(relative.dropna().median())
     return numbers
 
 
@@ -151,9 +151,9 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
         "coverage": float(sums["held"] / (sums["logs"] or math.nan)),
         "worst family": str(share.idxmin()) if len(share) else "",
         "its coverage": float(share.min()),
-        "width": float(cells["width"].median()),
+        "width": float(cells["width"].dropna().median()),
         "coverage of 1.96 se": float(sums["se_held"] / (sums["se_logs"] or math.nan)),
-        "width of 1.96 se": float(cells["se_width"].median()),
+        "width of 1.96 se": float(cells["se_width"].dropna().median()),
         "seconds": float(cells["seconds"].mean()),
         "failed": int(cells["failed"].sum()),
     }
@@ -222,7 +222,8 @@ class League:
         league = self.league.astype(object)
         for column in league.columns[2:]:
             form = "{:.0%}" if column in SHARES else "{:.3g}"
-            league[column] = [form.format(x) if isinstance(x, float) else str(x) for x in league[column].fillna("")]
+            texts = (form.format(x) if isinstance(x, float) else str(x) for x in league[column])
+            league[column] = np.where(league[column].isna(), "", list(texts))
         tables = [
             f"{kind} families\n{part.drop(columns='families').set_index('estimator').T.to_string()}"
             for kind, part in league.groupby("families", sort=False)
@@ -266,8 +267,8 @@ class League:
         for k, (name, own) in enumerate(list(logs.groupby("estimator", sort=False))[:N_CURVES]):
             points = own.groupby("size")["log"].agg(["mean", "sem"])
             shift = 1.0 + 0.02 * (k - N_CURVES / 2)
-            middle, error = np.exp(points["mean"]), points["sem"].fillna(0.0)
-            ends = [middle * -np.expm1(-error), middle * np.expm1(error)]
+            middle, error = np.exp(points["mean"].to_numpy()), points["sem"].fillna(0.0).to_numpy()
+            ends = [(middle * -np.expm1(-error)).tolist(), (middle * np.expm1(error)).tolist()]
             ax.errorbar(points.index * shift, middle, ends, **series(k), ms=5, capsize=2, label=shorten(name))
         ax.set(xscale="log", yscale="log")
         disable_math(ax.legend(fontsize="small", loc="best").get_texts())

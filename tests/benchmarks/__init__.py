@@ -1,0 +1,1 @@
+"""Measurements by hand, and what tests take from them."""
