@@ -146,7 +146,8 @@ def check_column(
     """
     kind = KINDS.get(label, "numbers")
     raw = raw.astype(str) if raw.dtype.kind in "Mm" else raw  # dates are no numbers
-    raw = raw.astype(str).astype(object) if raw.dtype.kind == "b" and kind != "booleans" else raw  # texts, as in CSV
+    if kind != "booleans" and raw.dtype.kind in "bO":  # truth values are texts, as in CSV
+        raw = as_objects([str(item) if isinstance(item, bool | np.bool_) else item for item in raw.tolist()])
     names = () if label == "episode" else names
     if names is not None and raw.dtype.hasobject:
         first = next((item for item in raw.tolist() if not is_missing(item)), None)

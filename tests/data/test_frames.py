@@ -258,6 +258,7 @@ KINDS = {  # of a column's values; a place among them is drawn for the last
     "texts of numbers": lambda k: k.astype(str).astype(object),
     "names": lambda k: np.array(list("abcd"), dtype=object)[k],
     "booleans": lambda k: k > 1,
+    "booleans and nothing": lambda k: np.array([*(k[1:] > 1).tolist(), None], dtype=object),
     "a half": lambda k: np.append(k[1:] + 0.0, 0.5),
     "nothing": lambda k: np.append(k[1:] + 0.0, np.nan),
     "a name that is nothing": lambda k: np.array([*"abcd"[: len(k) - 1], None], dtype=object),
