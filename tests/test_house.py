@@ -1,9 +1,4 @@
-"""The house: who imports whom, floors, the size of each room, and the page that shows them.
-
-    python tests/test_house.py      write the sizes as they are into tests/rooms.txt
-
-A room may shrink. What makes one grow has to make room elsewhere in it, or to say in its commit why the table changes.
-"""
+"""The house: which module imports which, the floors of the subpackages, and the page that shows them."""
 
 import ast
 import re
@@ -14,15 +9,12 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import grimp
-import numpy as np
 import pytest
 
 import oee_tabular
 
 ROOT = Path(oee_tabular.__file__).parents[1]
 TESTS = Path(__file__).parent
-SIZES = TESTS / "rooms.txt"
-LONGEST_FILE = 400  # lines
 FLOORS = 13  # of packages and of files beside them, the command line's first line on top; at most 14 are allowed
 BY_NAME = re.compile(r'import_module\("(oee_tabular[\w.]*)"\)')
 
@@ -104,48 +96,6 @@ def test_what_measures_and_the_wing_are_imported_from_above_alone(room):
     assert {name for name in rooms if f"oee_tabular.{room}" in rooms[name]} == {f"oee_tabular.{name}" for name in above}
 
 
-def measure_rooms():
-    """Room -> (lines, modules)."""
-    sizes = {}
-    for path in sorted((ROOT / "oee_tabular").rglob("*.py")):
-        first, *rest = path.relative_to(ROOT / "oee_tabular").parts
-        room = first.removesuffix(".py") if rest or first == "paper.py" else "(top)"
-        lines, modules = sizes.get(room, (0, 0))
-        sizes[room] = lines + path.read_text().count("\n"), modules + 1
-    return sizes
-
-
-def read_sizes():
-    """Room -> (lines, modules, budget) of ``tests/rooms.txt``."""
-    rows = (line.split() for line in SIZES.read_text().splitlines()[1:])
-    return {room: tuple(map(int, numbers)) for room, *numbers in rows}
-
-
-def write_sizes():
-    """Write the sizes as they are, the largest room first."""
-    budgets, sizes = read_sizes(), measure_rooms()
-    rows = [f"{'room':<12}{'lines':>8}{'modules':>10}{'budget':>8}"]
-    for room, (lines, modules) in sorted(sizes.items(), key=lambda item: -item[1][0]):
-        rows.append(f"{room:<12}{lines:>8}{modules:>10}{budgets.get(room, (0, 0, 0))[2]:>8}")
-    SIZES.write_text("\n".join(rows) + "\n")
-
-
-def test_rooms_do_not_grow():
-    sizes, allowed = measure_rooms(), read_sizes()
-    assert set(sizes) == set(allowed)
-    for room, size in sizes.items():
-        has_grown = np.any(np.array(size) > allowed[room][:2])
-        assert not has_grown, (
-            f"{room} has {size} lines and modules, for {allowed[room][:2]}: make room there, or say why and run "
-            "python tests/test_house.py"
-        )
-
-
-def test_no_file_is_long():
-    long = [path.name for path in (ROOT / "oee_tabular").rglob("*.py") if path.read_text().count("\n") > LONGEST_FILE]
-    assert not long
-
-
 def imported(path):
     """What a file of tests imports of the package, with its modules."""
     for node in ast.walk(ast.parse(path.read_text())):
@@ -161,6 +111,3 @@ def test_tests_import_public_names():
     found = {path.relative_to(TESTS) for path in TESTS.rglob("*.py") if any(map(hidden.match, imported(path)))}
     assert {path.as_posix() for path in found if path.parent.name != "kernels"} == {"testing/test_command.py"}
 
-
-if __name__ == "__main__":
-    write_sizes()
