@@ -20,12 +20,19 @@ import oee_tabular
 project = "oee_tabular"
 author = "The oee_tabular maintainers"
 release = version = oee_tabular.__version__
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx.ext.mathjax", "myst_nb"]
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx.ext.mathjax",
+    "myst_nb",
+]
 root_doc = "index"
 exclude_patterns = ["results", "site"]
 html_static_path = ["site.css", "static"]
 myst_enable_extensions = ["dollarmath", "amsmath"]
-mathjax_path = "mathjax/tex-svg.js"  # MathJax 3.2.2, which is part of the site: no page needs a network
+# MathJax 3.2.2, which is part of the site: no page needs a network
+mathjax_path = "mathjax/tex-svg.js"
 html_css_files = ["site.css"]
 myst_heading_anchors = 2
 html_theme = "pydata_sphinx_theme"
@@ -33,10 +40,15 @@ html_title = "oee_tabular"
 html_show_sourcelink = False
 html_sidebars = {"*": []}  # pages that have none below them: the room is the code's
 html_context = {"default_mode": "auto"}
-html_theme_options = {"show_prev_next": True, "navigation_depth": 2, "header_links_before_dropdown": 4}
+html_theme_options = {
+    "show_prev_next": True,
+    "navigation_depth": 2,
+    "header_links_before_dropdown": 4,
+}
 nb_execution_mode = "off"  # python tests/saved_notebook.py stores the outputs
 nb_merge_streams = True
-suppress_warnings = ["myst.header", "misc.highlighting_failure", "ref.python"]  # fields of one name in several classes
+# fields of one name in several classes
+suppress_warnings = ["myst.header", "misc.highlighting_failure", "ref.python"]
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 napoleon_use_param = False
@@ -45,8 +57,12 @@ napoleon_use_ivar = True
 napoleon_attr_annotations = False
 
 
-# the theme tells the console which colours it took; a page that has nothing to say is silent
-SILENT = 'console.log = (log => (...words) => String(words[0]).startsWith("[PST]") || log(...words))(console.log);'
+# the theme tells the console which colours it took; a page that has nothing to say is
+# silent
+SILENT = (
+    'console.log = (log => (...words) => String(words[0]).startsWith("[PST]") ||'
+    " log(...words))(console.log);"
+)
 
 
 def plain_docstrings(app, what, name, obj, options, lines):
@@ -63,14 +79,19 @@ def describe_pictures(app, doctree):
         if cell:
             code = next(cell.findall(nodes.literal_block)).astext()
             titles = re.findall(r'title(?:\(|=)\s*"([^"]+)"', code)
-            picture["alt"] = "; ".join(titles).replace("$", "") or "The picture that the code above draws"
+            picture["alt"] = (
+                "; ".join(titles).replace("$", "")
+                or "The picture that the code above draws"
+            )
 
 
 def nest_modules(app, page, template, context, doctree):
     """Sphinx's list of sources has lists between its items; they belong to the item before."""
     if page == "_modules/index":
         body = context["body"].replace("</li>\n<ul>", "\n<ul>")
-        context["body"] = body.replace("</ul><li>", "</ul></li>\n<li>").replace("</ul></ul>", "</ul></li></ul>")
+        context["body"] = body.replace("</ul><li>", "</ul></li>\n<li>").replace(
+            "</ul></ul>", "</ul></li></ul>"
+        )
 
 
 def write_api(app):
@@ -79,9 +100,21 @@ def write_api(app):
     folder.mkdir(exist_ok=True)
     for module, headings in subjects.SUBJECTS.items():
         title = f"oee_tabular.{module}"
-        text = [title, "=" * len(title), "", f".. automodule:: {title}", "   :no-members:", ""]
+        text = [
+            title,
+            "=" * len(title),
+            "",
+            f".. automodule:: {title}",
+            "   :no-members:",
+            "",
+        ]
         for heading, names in headings.items():
-            text += [heading, "-" * len(heading), "", *(line for name in names for line in directive(title, name))]
+            text += [
+                heading,
+                "-" * len(heading),
+                "",
+                *(line for name in names for line in directive(title, name)),
+            ]
         write(folder / f"{module}.rst", "\n".join([*text, *short_names(module)]))
     write(folder / "index.md", index())
     write(folder / "commands.md", commands())
@@ -95,7 +128,11 @@ def directive(module, name):
         return [f".. autoclass:: {module}.{name}", "   :members:", ""]
     if callable(value):
         return [f".. autofunction:: {module}.{name}", ""]
-    shown = repr(value) if len(repr(value)) < 300 else f"{type(value).__name__} of {len(value)}"
+    shown = (
+        repr(value)
+        if len(repr(value)) < 300
+        else f"{type(value).__name__} of {len(value)}"
+    )
     return [f".. py:data:: {module}.{name}", "", f"   ``{shown}``", ""]
 
 
@@ -103,18 +140,38 @@ def index():
     """All public names on a page: by subject, each with its link."""
     text = ["# Public names", "", "What `import oee_tabular` gives, by subject.", ""]
     for module, headings in subjects.SUBJECTS.items():
-        first = importlib.import_module(f"oee_tabular.{module}").__doc__.split("\n\n")[0]
-        text += [f"## [{module}]({module}.rst)", "", " ".join(first.replace("``", "`").split()), ""]
+        first = importlib.import_module(f"oee_tabular.{module}").__doc__.split("\n\n")[
+            0
+        ]
+        text += [
+            f"## [{module}]({module}.rst)",
+            "",
+            " ".join(first.replace("``", "`").split()),
+            "",
+        ]
         for heading, names in headings.items():
-            links = ", ".join(f"{{any}}`{name} <oee_tabular.{module}.{name}>`" for name in names)
+            links = ", ".join(
+                f"{{any}}`{name} <oee_tabular.{module}.{name}>`" for name in names
+            )
             text += [f"- *{heading}*: {links}"]
         text.append("")
-    return "\n".join([*text, "```{toctree}", ":hidden:", "", *subjects.SUBJECTS, "```", ""])
+    return "\n".join(
+        [*text, "```{toctree}", ":hidden:", "", *subjects.SUBJECTS, "```", ""]
+    )
 
 
 def commands():
     """The reference of the command, which typer makes from it."""
-    words = [sys.executable, "-m", "typer", "oee_tabular.cli", "utils", "docs", "--name", "oee"]
+    words = [
+        sys.executable,
+        "-m",
+        "typer",
+        "oee_tabular.cli",
+        "utils",
+        "docs",
+        "--name",
+        "oee",
+    ]
     made = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     return made.replace("# `oee`\n", "# The commands\n", 1)
 
@@ -125,7 +182,10 @@ def short_names(module):
         return []
     from oee_tabular.estimators.names import NAMED
 
-    rows = ((f"``{name}``", f"    {docstrings.escaped(named.meaning)}", "") for name, named in NAMED.items())
+    rows = (
+        (f"``{name}``", f"    {docstrings.escaped(named.meaning)}", "")
+        for name, named in NAMED.items()
+    )
     return ["Short names", "-----------", "", *(line for row in rows for line in row)]
 
 

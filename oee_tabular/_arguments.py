@@ -15,7 +15,9 @@ from typing import Any
 from oee_tabular import _checks
 
 
-def named_specs(given: list[str], option: str = "--policy", known: Sequence[str] = ()) -> dict[str, str]:
+def named_specs(
+    given: list[str], option: str = "--policy", known: Sequence[str] = ()
+) -> dict[str, str]:
     """Name -> SPEC from NAME=SPEC, or from SPEC, which is its own name.
 
     ``known``: the names there are, where there are no others; each then needs its value.
@@ -26,7 +28,10 @@ def named_specs(given: list[str], option: str = "--policy", known: Sequence[str]
         if known and (not equals or name not in known):
             near = difflib.get_close_matches(name, known, n=1)
             hint = f" (did you mean {near[0]}=VALUE?)" if near else ""
-            raise ValueError(f"{option} must be NAME=VALUE, NAME one of {', '.join(known)}; got {text!r}{hint}")
+            raise ValueError(
+                f"{option} must be NAME=VALUE, NAME one of {', '.join(known)}; got"
+                f" {text!r}{hint}"
+            )
         if equals and not name:
             raise ValueError(f"{option} must have a name before its '='; got {text!r}")
         if name in specs:
@@ -44,7 +49,10 @@ def parse_spec(spec: str) -> tuple[str, dict[str, Any]]:
     name, _, rest = spec.partition(":")
     positional, keywords = arguments(rest)
     if positional:
-        raise ValueError(f"simulator {spec!r} must give its arguments as key=value; found {positional[0]!r}")
+        raise ValueError(
+            f"simulator {spec!r} must give its arguments as key=value; found"
+            f" {positional[0]!r}"
+        )
     return name, keywords
 
 
@@ -60,7 +68,9 @@ def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
         key, equals, value = part.partition("=")
         if equals and key.strip().isidentifier():
             if key.strip() in keywords:
-                raise ValueError(f"{key.strip()} must be given once; {text!r} has it twice")
+                raise ValueError(
+                    f"{key.strip()} must be given once; {text!r} has it twice"
+                )
             keywords[key.strip()] = literal(value.strip(), key.strip())
         else:
             positional.append(literal(part.strip()))
@@ -116,11 +126,15 @@ def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
     """The two parts of "module:object"; nothing is imported."""
     module_name, colon, path = spec.partition(":")
     if not (colon and module_name and path):
-        raise ValueError(f"{what} must be given as MODULE:OBJECT, {example}; got {_checks.show(spec)}")
+        raise ValueError(
+            f"{what} must be given as MODULE:OBJECT, {example}; got"
+            f" {_checks.show(spec)}"
+        )
     if module_name.endswith(".py") or os.sep in module_name:
         hint = module_name.removesuffix(".py").replace(os.sep, ".").strip(".")
         raise ValueError(
-            f"MODULE must be a module's name, not a file's; got {_checks.show(module_name)} (try {hint}:{path})"
+            "MODULE must be a module's name, not a file's; got"
+            f" {_checks.show(module_name)} (try {hint}:{path})"
         )
     return module_name, path
 
@@ -131,7 +145,11 @@ def own_object(spec: str, what: str, example: str) -> Any:
     result: object = own_module(module_name)
     for name in path.split("."):
         if not hasattr(result, name):
-            public = [key for key, value in vars(result).items() if callable(value) and not key.startswith("_")]
+            public = [
+                key
+                for key, value in vars(result).items()
+                if callable(value) and not key.startswith("_")
+            ]
             known = f" (it has {', '.join(sorted(public)[:8])})" if public else ""
             raise ValueError(f"{module_name!r} has no object {path!r}{known}")
         result = getattr(result, name)
@@ -143,10 +161,19 @@ def own_module(module_name: str) -> ModuleType:
     try:
         return importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        if error.name is not None and (module_name == error.name or module_name.startswith(f"{error.name}.")):
+        if error.name is not None and (
+            module_name == error.name or module_name.startswith(f"{error.name}.")
+        ):
             raise ValueError(
-                f"module {module_name!r} cannot be found, neither in {os.getcwd()} nor installed"
+                f"module {module_name!r} cannot be found, neither in {os.getcwd()} nor"
+                " installed"
             ) from None
-        raise ValueError(f"module {module_name!r} cannot be imported: {type(error).__name__}: {error}") from error
+        raise ValueError(
+            f"module {module_name!r} cannot be imported: {type(error).__name__}:"
+            f" {error}"
+        ) from error
     except (Exception, SystemExit) as error:
-        raise ValueError(f"module {module_name!r} cannot be imported: {type(error).__name__}: {error}") from error
+        raise ValueError(
+            f"module {module_name!r} cannot be imported: {type(error).__name__}:"
+            f" {error}"
+        ) from error

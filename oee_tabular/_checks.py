@@ -22,10 +22,19 @@ IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 Column: TypeAlias = NDArray[Any]  # of a log: numbers, flags or names
 Seed: TypeAlias = (  # what numpy.random.default_rng takes
-    int | np.integer[Any] | Sequence[int] | np.random.SeedSequence | np.random.BitGenerator | np.random.Generator | None
+    int
+    | np.integer[Any]
+    | Sequence[int]
+    | np.random.SeedSequence
+    | np.random.BitGenerator
+    | np.random.Generator
+    | None
 )
-# a policy as people have it (``mdp.check_policy``): probabilities, actions, a mapping by state, a function of a state
-PolicyLike: TypeAlias = ArrayLike | Sequence[object] | Mapping[Any, Any] | Callable[[Any], object]
+# a policy as people have it (``mdp.check_policy``): probabilities, actions, a mapping
+# by state, a function of a state
+PolicyLike: TypeAlias = (
+    ArrayLike | Sequence[object] | Mapping[Any, Any] | Callable[[Any], object]
+)
 
 T = TypeVar("T")
 
@@ -44,7 +53,10 @@ class _Shown(reprlib.Repr):
         self.maxlevel, self.maxstring, self.maxother, self.maxlong = 3, 200, 200, 60
 
     def repr_instance(self, x: Any, level: int) -> str:
-        if hasattr(x, "shape") and (is_sparse(x) or (isinstance(x, np.ndarray) and (x.size > 12 or x.dtype.hasobject))):
+        if hasattr(x, "shape") and (
+            is_sparse(x)
+            or (isinstance(x, np.ndarray) and (x.size > 12 or x.dtype.hasobject))
+        ):
             return f"<{type(x).__name__} of shape {x.shape}, dtype {x.dtype}>"
         return " ".join(super().repr_instance(x, level).split())
 
@@ -68,7 +80,12 @@ def escape_controls(text: str, keep: str = "") -> str:
     if text.isprintable():
         return text
     return "".join(
-        c if c.isprintable() or c in keep or unicodedata.category(c) == "Zs" else repr(c)[1:-1] for c in text
+        (
+            c
+            if c.isprintable() or c in keep or unicodedata.category(c) == "Zs"
+            else repr(c)[1:-1]
+        )
+        for c in text
     )
 
 
@@ -83,21 +100,35 @@ def place(name: str, index: tuple[int, ...]) -> str:
     return f"{name}[{', '.join(str(int(i)) for i in index)}]"
 
 
-def float_array(value: object, name: str, *, ndim: int | tuple[int, ...] | None = None) -> Array:
+def float_array(
+    value: object, name: str, *, ndim: int | tuple[int, ...] | None = None
+) -> Array:
     """``value`` as a new float64 array of finite numbers, or a ValueError that says where it is not one."""
     given: Any = as_array(value, name, "an array of numbers")
     kind = given.dtype.kind
-    is_text = kind in "USMm" or (kind == "O" and any(isinstance(x, str | bytes) for x in given.flat))
+    is_text = kind in "USMm" or (
+        kind == "O" and any(isinstance(x, str | bytes) for x in given.flat)
+    )
     try:
         if is_text or kind not in "biufO":
-            raise TypeError("text or dates" if is_text else "complex numbers" if kind == "c" else f"of {given.dtype}")
+            raise TypeError(
+                "text or dates"
+                if is_text
+                else "complex numbers"
+                if kind == "c"
+                else f"of {given.dtype}"
+            )
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{name} must be an array of numbers; got {type(value).__name__} ({error})") from None
+        raise ValueError(
+            f"{name} must be an array of numbers; got {type(value).__name__} ({error})"
+        ) from None
     allowed = (ndim,) if isinstance(ndim, int) else ndim
     if allowed is not None and array.ndim not in allowed:
         rule = " or ".join(str(n) for n in allowed)
-        raise ValueError(f"{name} must have {rule} dimension(s); it has shape {array.shape}")
+        raise ValueError(
+            f"{name} must have {rule} dimension(s); it has shape {array.shape}"
+        )
     return array
 
 
@@ -108,7 +139,9 @@ def as_array(value: object, name: str, rule: str = "an array") -> NDArray[Any]:
             raise TypeError("a sparse matrix")
         return np.array(value)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{name} must be {rule}; got {type(value).__name__} ({error})") from None
+        raise ValueError(
+            f"{name} must be {rule}; got {type(value).__name__} ({error})"
+        ) from None
 
 
 def require_finite(array: Array, name: str) -> None:
@@ -118,7 +151,8 @@ def require_finite(array: Array, name: str) -> None:
 
 def require_nonnegative(array: Array, name: str) -> None:
     """Every entry is a finite number, none below 0."""
-    if array.size and not (array.min() >= 0 and array.max() < np.inf):  # two passes that make no array
+    # two passes that make no array
+    if array.size and not (array.min() >= 0 and array.max() < np.inf):
         require_finite(array, name)
         _require(array >= 0, array, name, "be nonnegative; it is {}")
 
@@ -128,14 +162,19 @@ def require_sums_to_one(sums: Array, name: str) -> None:
     _require(np.abs(sums - 1.0) <= SUM_TOLERANCE, sums, name, SUM_RULE, "rows")
 
 
-def _require(fine: BoolArray, array: Array, name: str, rule: str, counted: str = "") -> None:
+def _require(
+    fine: BoolArray, array: Array, name: str, rule: str, counted: str = ""
+) -> None:
     """A ValueError that names the first entry of ``array`` that is not ``fine``, and how many such there are."""
     if fine.all():
         return
     bad = np.argwhere(~fine)
     first = tuple(bad[0])  # of a single number the index is empty
     more = f" ({len(bad)} such {counted} in all)" if counted and len(bad) > 1 else ""
-    raise ValueError(f"{place(name, first) if first else name} must {rule.format(array[first])}{more}")
+    raise ValueError(
+        f"{place(name, first) if first else name} must"
+        f" {rule.format(array[first])}{more}"
+    )
 
 
 def scale_if_single(array: Array, given: object) -> Array:
@@ -160,7 +199,13 @@ def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
 
 
 def number_in(
-    value: Any, name: str, low: float, high: float, *, open_ends: bool = False, infinite: bool = False
+    value: Any,
+    name: str,
+    low: float,
+    high: float,
+    *,
+    open_ends: bool = False,
+    infinite: bool = False,
 ) -> float:
     """``value`` as a float in [low, high], or in (low, high); infinity only where it is allowed."""
     try:
@@ -174,8 +219,12 @@ def number_in(
     if np.isinf(number) and not infinite:
         raise ValueError(f"{name} must be finite; it is {number:g}")
     if not inside:
-        left, right = "()" if open_ends else ("[", "]" if infinite or np.isfinite(high) else ")")
-        raise ValueError(f"{name} must be in {left}{low:g}, {high:g}{right}; it is {number:g}")
+        left, right = (
+            "()" if open_ends else ("[", "]" if infinite or np.isfinite(high) else ")")
+        )
+        raise ValueError(
+            f"{name} must be in {left}{low:g}, {high:g}{right}; it is {number:g}"
+        )
     return number
 
 
@@ -186,7 +235,9 @@ def positive_integer(value: Any, name: str) -> int:
             raise TypeError
         number = operator.index(value)
     except TypeError:
-        raise ValueError(f"{name} must be a positive integer; got {show(value)}") from None
+        raise ValueError(
+            f"{name} must be a positive integer; got {show(value)}"
+        ) from None
     if number < 1:
         raise ValueError(f"{name} must be a positive integer; it is {show(number)}")
     if number > LARGEST_INTEGER:
@@ -206,10 +257,14 @@ def boolean(value: object, name: str) -> bool:
     return bool(value)
 
 
-def instance(value: object, kind: type[T] | tuple[type[T], ...], name: str, called: str = "") -> T:
+def instance(
+    value: object, kind: type[T] | tuple[type[T], ...], name: str, called: str = ""
+) -> T:
     """``value``, which is an object of the class ``kind``, or of one of them; ``called``: how the error says it."""
     if not isinstance(value, kind):
-        rule = called or " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
+        rule = called or " or ".join(
+            k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,))
+        )
         article = "" if rule.endswith("s") else "an " if rule[0] in "AEIOU" else "a "
         raise ValueError(f"{name} must be {article}{rule}; got {type(value).__name__}")
     return value
@@ -239,7 +294,9 @@ def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
         raise ValueError(f"{name} must be {rule}; got {type(value).__name__}") from None
 
 
-def require_memory(count: float, name: str, value: object = None, *, size: int = 8) -> None:
+def require_memory(
+    count: float, name: str, value: object = None, *, size: int = 8
+) -> None:
     """``count`` numbers of ``size`` bytes fit into memory: asked before, since a system may grant what it does not have.
 
     A ValueError where the ``value`` of an argument asks for them, else (a file that is read) a MemoryError.
@@ -248,14 +305,22 @@ def require_memory(count: float, name: str, value: object = None, *, size: int =
     if needed <= free:
         return
     if value is None:
-        raise MemoryError(f"{name} needs {needed / 2**30:.3g} GiB of memory; {free / 2**30:.3g} GiB are free")
-    raise ValueError(f"{name} must be small enough for this machine's memory; {value} needs {needed / 2**30:.3g} GiB")
+        raise MemoryError(
+            f"{name} needs {needed / 2**30:.3g} GiB of memory; {free / 2**30:.3g} GiB"
+            " are free"
+        )
+    raise ValueError(
+        f"{name} must be small enough for this machine's memory; {value} needs"
+        f" {needed / 2**30:.3g} GiB"
+    )
 
 
 def free_memory() -> float:
     """Bytes that a process can still take; infinite where the system does not say."""
     with contextlib.suppress(OSError, ValueError, IndexError):
-        return 1024.0 * int(Path("/proc/meminfo").read_text().partition("MemAvailable:")[2].split()[0])
+        return 1024.0 * int(
+            Path("/proc/meminfo").read_text().partition("MemAvailable:")[2].split()[0]
+        )
     return math.inf
 
 
@@ -288,7 +353,10 @@ def _call_numpy(make: Callable[..., T], seed: Any, **options: Any) -> T:
         return make(seed, **options)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         reason = escape_controls(str(error))[:200]
-        raise ValueError(f"seed must be what numpy.random.{make.__name__} takes; got {show(seed)} ({reason})") from None
+        raise ValueError(
+            f"seed must be what numpy.random.{make.__name__} takes; got {show(seed)}"
+            f" ({reason})"
+        ) from None
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:

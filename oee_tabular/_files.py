@@ -38,22 +38,32 @@ _ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 def local(path: str | os.PathLike[str], argument: str = "path") -> str:
     """``path`` as text; ValueError for an address of another machine, which is never opened (``argument``: its name)."""
     if not isinstance(path, str | os.PathLike):
-        raise ValueError(f"{argument} must be a path of a file; got {type(path).__name__}")
+        raise ValueError(
+            f"{argument} must be a path of a file; got {type(path).__name__}"
+        )
     name = os.fspath(path)
     if not isinstance(name, str) or "\0" in name or not name:
-        raise ValueError(f"{argument} must be text, not empty and without a null character; got {_checks.show(name)}")
+        raise ValueError(
+            f"{argument} must be text, not empty and without a null character; got"
+            f" {_checks.show(name)}"
+        )
     if len(name) > LONGEST_PATH:
         raise ValueError(
-            f"{argument} must have at most {LONGEST_PATH} characters; it has {len(name)}: {_checks.show(name)}"
+            f"{argument} must have at most {LONGEST_PATH} characters; it has"
+            f" {len(name)}: {_checks.show(name)}"
         )
     if name == "-":
         raise ValueError(
-            f"{argument} must be a file; '-', standard input or output, is none (--json prints what a command found)"
+            f"{argument} must be a file; '-', standard input or output, is none (--json"
+            " prints what a command found)"
         )
     if re.match(r"(?!minari:)[A-Za-z][A-Za-z0-9+.-]+:/", name) and not os.path.exists(
         name
     ):  # pathlib makes one slash of two
-        raise ValueError(f"{argument} must be a file of this machine; {name!r} is an address, and nothing is fetched")
+        raise ValueError(
+            f"{argument} must be a file of this machine; {name!r} is an address, and"
+            " nothing is fetched"
+        )
     return name
 
 
@@ -61,18 +71,26 @@ def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> Non
     """ValueError where something stands at ``path`` that may not be lost; OSError where no file can be written there."""
     local(path)
     if not overwrite and os.path.lexists(path):
-        raise ValueError(f"{name} must be a new file, or be given with --overwrite; {os.fspath(path)!r} exists already")
+        raise ValueError(
+            f"{name} must be a new file, or be given with --overwrite;"
+            f" {os.fspath(path)!r} exists already"
+        )
     folder = Path(os.path.realpath(path)).parent
-    if Path(path).suffix and folder.is_dir():  # else whoever writes it makes the folder, or says that there is none
+    # else whoever writes it makes the folder, or says that there is none
+    if Path(path).suffix and folder.is_dir():
         try:
             with tempfile.TemporaryFile(dir=folder):
                 pass
         except OSError as error:
-            raise OSError(error.errno, f"cannot be written ({error.strerror})", os.fspath(path)) from None
+            raise OSError(
+                error.errno, f"cannot be written ({error.strerror})", os.fspath(path)
+            ) from None
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> Iterator[IO[bytes]]:
+def whole_file(
+    path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()
+) -> Iterator[IO[bytes]]:
     """A binary file to write, which appears under its name only once it is complete.
 
     The bytes go to a temporary file in the same folder, are flushed to disk and moved over ``path`` in one step; an
@@ -80,12 +98,20 @@ def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> 
     replaced.
     """
     if suffixes and Path(local(path)).suffix.lower() not in suffixes:
-        raise ValueError(f"path must end in {' or '.join(suffixes)}; it is {os.fspath(path)!r}")
+        raise ValueError(
+            f"path must end in {' or '.join(suffixes)}; it is {os.fspath(path)!r}"
+        )
     target = Path(os.path.realpath(local(path)))
     if target.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "must be a file; it is a folder", os.fspath(path))
+        raise IsADirectoryError(
+            errno.EISDIR, "must be a file; it is a folder", os.fspath(path)
+        )
     if target.is_symlink() or (target.exists() and not target.is_file()):
-        raise OSError(errno.EINVAL, "must be a file; it is something else (a loop of links, a device)", os.fspath(path))
+        raise OSError(
+            errno.EINVAL,
+            "must be a file; it is something else (a loop of links, a device)",
+            os.fspath(path),
+        )
     if not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, "no such folder", str(target.parent))
     temporary = target.with_name(f".{target.name:.80}.{uuid.uuid4().hex}.part")
@@ -96,11 +122,18 @@ def whole_file(path: str | os.PathLike[str], suffixes: tuple[str, ...] = ()) -> 
             os.fsync(handle.fileno())
         os.replace(temporary, target)
     except OSError as error:
-        if error.errno is None or error.filename not in (None, str(temporary), temporary):
+        if error.errno is None or error.filename not in (
+            None,
+            str(temporary),
+            temporary,
+        ):
             raise
-        raise OSError(error.errno, f"cannot be written ({error.strerror})", os.fspath(path)) from None
+        raise OSError(
+            error.errno, f"cannot be written ({error.strerror})", os.fspath(path)
+        ) from None
     finally:
-        with contextlib.suppress(OSError):  # a read-only disk says so of what is not there, too
+        # a read-only disk says so of what is not there, too
+        with contextlib.suppress(OSError):
             temporary.unlink()
 
 
@@ -114,7 +147,8 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
                 handle = stack.enter_context(whole_file(folder / name))
                 handle.write(data)
                 handle.flush()
-                os.fsync(handle.fileno())  # a disk is full here, before the first file has its name
+                # a disk is full here, before the first file has its name
+                os.fsync(handle.fileno())
     except BaseException:
         if made:
             folder.rmdir()
@@ -135,7 +169,8 @@ def csv_bytes(frame: Any, **options: Any) -> bytes:
 def _defuse(value: object) -> Any:
     if not isinstance(value, str):
         return value
-    text = "\n".join(value.splitlines()) if "\r" in value else value  # a bare one ends the line, and is not quoted
+    # a bare one ends the line, and is not quoted
+    text = "\n".join(value.splitlines()) if "\r" in value else value
     return f"'{text}" if FORMULA.match(text) else text
 
 
@@ -149,32 +184,45 @@ def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
     return whole.hexdigest()
 
 
-def save_npz(path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+def save_npz(
+    path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]
+) -> None:
     """An npz of plain arrays with their kind of object and their digest; ValueError for arrays of objects.
 
     A zip file protects what its members hold, not their names: one that is damaged may lack some of them.
     """
     for name, array in arrays.items():
-        if array.dtype.hasobject:  # it would be a pickle, which numpy 2.0 cannot be told not to write
-            raise ValueError(f"{name} must be numbers or text; it is an array of objects")
+        # it would be a pickle, which numpy 2.0 cannot be told not to write
+        if array.dtype.hasobject:
+            raise ValueError(
+                f"{name} must be numbers or text; it is an array of objects"
+            )
     with whole_file(path, (".npz",)) as handle:
         stored = {KIND: np.array(kind), **arrays}
         stored[DIGEST] = np.array(digest(stored))
-        # what np.savez_compressed writes; where a disk is full, some of its releases leave their archive open
+        # what np.savez_compressed writes; where a disk is full, some of its releases
+        # leave their archive open
         with zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, array in stored.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, array, allow_pickle=False)
 
 
-def load_npz(path: str | os.PathLike[str], kind: str, *, hint: str = "") -> dict[str, NDArray[Any]]:
+def load_npz(
+    path: str | os.PathLike[str], kind: str, *, hint: str = ""
+) -> dict[str, NDArray[Any]]:
     """The arrays of an npz that holds a ``kind``; a ValueError that says what it holds otherwise."""
     arrays = read_npz(path)
     stored = npz_kind(arrays)
     if stored != kind:
-        holds = f"a {KINDS.get(stored, stored)}" if stored else f"the arrays {_checks.show(', '.join(arrays))}"
+        holds = (
+            f"a {KINDS.get(stored, stored)}"
+            if stored
+            else f"the arrays {_checks.show(', '.join(arrays))}"
+        )
         raise ValueError(
-            f"{os.fspath(path)!r} must hold a {KINDS[kind]}; it holds {holds}{f' ({hint})' if hint else ''}"
+            f"{os.fspath(path)!r} must hold a {KINDS[kind]}; it holds"
+            f" {holds}{f' ({hint})' if hint else ''}"
         )
     return arrays
 
@@ -185,7 +233,9 @@ def parts_of(path: str | os.PathLike[str], what: str) -> Iterator[None]:
     try:
         yield
     except KeyError as error:
-        raise ValueError(f"{os.fspath(path)!r} must hold every part of {what}; {error} is missing") from None
+        raise ValueError(
+            f"{os.fspath(path)!r} must hold every part of {what}; {error} is missing"
+        ) from None
     except (IndexError, OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{os.fspath(path)!r}: {error}") from None
 
@@ -201,21 +251,31 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         try:
             is_zip = handle.read(4) in _ZIP
             members = zipfile.ZipFile(handle).infolist() if is_zip else []
-            size = sum(member.file_size for member in members) if is_zip else os.fstat(handle.fileno()).st_size
+            size = (
+                sum(member.file_size for member in members)
+                if is_zip
+                else os.fstat(handle.fileno()).st_size
+            )
             _checks.require_memory(size, repr(name), size=1)
             handle.seek(0)
             loaded = np.load(handle, allow_pickle=False)
             arrays = dict(loaded) if is_zip else {"array": loaded}
             if not all(isinstance(array, np.ndarray) for array in arrays.values()):
                 raise ValueError("a member is no array")
-        except Exception as error:  # whatever zipfile, zlib, ast and numpy make of bytes that are not theirs
+        except Exception as error:
+            # whatever zipfile, zlib, ast and numpy make of bytes that are not theirs
             if isinstance(error, MemoryError) and repr(name) in str(error):
                 raise
             words = _checks.escape_controls(str(error) or type(error).__name__)
-            raise ValueError(f"{name!r} must be an npz or npy file of plain arrays; {words:.300}") from None
+            raise ValueError(
+                f"{name!r} must be an npz or npy file of plain arrays; {words:.300}"
+            ) from None
     saved = arrays.pop(DIGEST, None)
     if (KIND in arrays or saved is not None) and str(saved) != digest(arrays):
-        raise ValueError(f"{name!r} must hold the arrays that were saved in it; it is damaged, or was edited")
+        raise ValueError(
+            f"{name!r} must hold the arrays that were saved in it; it is damaged, or"
+            " was edited"
+        )
     return arrays
 
 

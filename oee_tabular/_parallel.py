@@ -52,7 +52,9 @@ class _OneThread:
                     import scipy.linalg  # noqa: F401  a BLAS of its own, which must be loaded first
                     from threadpoolctl import ThreadpoolController
 
-                    self.libraries = ThreadpoolController().select(user_api="blas").lib_controllers
+                    self.libraries = (
+                        ThreadpoolController().select(user_api="blas").lib_controllers
+                    )
                 self.before = [library.num_threads or 1 for library in self.libraries]
                 self._set([1] * len(self.before))
             self.n_inside += 1
@@ -65,7 +67,8 @@ class _OneThread:
 
     def _set(self, numbers: list[int]) -> None:
         for library, number in zip(self.libraries or [], numbers, strict=True):
-            # threadpoolctl 3.6 lets only one Python thread set OpenBLAS's number, lest they fight; ours take turns
+            # threadpoolctl 3.6 lets only one Python thread set OpenBLAS's number, lest
+            # they fight; ours take turns
             getattr(library, "_real_set_num_threads", library.set_num_threads)(number)
 
 
@@ -99,14 +102,18 @@ def backend(jobs: int, dask: str | None) -> Iterator[Any]:
         with _connect(dask) as cluster, joblib.parallel_config("dask", pure=False):
             if not cluster.scheduler_info()["workers"]:
                 raise RuntimeError(
-                    "the dask scheduler has no workers; start one with: dask worker ADDRESS --nthreads 1"
+                    "the dask scheduler has no workers; start one with: dask worker"
+                    " ADDRESS --nthreads 1"
                 )
             yield cluster
     elif jobs == 1:
         yield None
     else:
         with joblib.parallel_config(
-            "loky", inner_max_num_threads=1, initializer=end_with_parent, initargs=(os.getpid(),)
+            "loky",
+            inner_max_num_threads=1,
+            initializer=end_with_parent,
+            initargs=(os.getpid(),),
         ):
             yield None
 
@@ -115,7 +122,9 @@ def _connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
-        raise ImportError("--dask needs dask.distributed; in a clone: pip install '.[dask]'") from error
+        raise ImportError(
+            "--dask needs dask.distributed; in a clone: pip install '.[dask]'"
+        ) from error
     try:
         return Client(address, timeout=CONNECT, set_as_default=True)  # type: ignore[no-untyped-call]
     except Exception as error:  # what is not a scheduler may answer anything
@@ -144,11 +153,18 @@ def parallel(number: int, jobs: int, dask: str | None, **options: Any) -> Any:
     import joblib
 
     most = joblib.cpu_count() if jobs == -1 else jobs
-    return joblib.Parallel(n_jobs=-1 if dask else min(most, max(number, 2)), batch_size=1, **options)
+    return joblib.Parallel(
+        n_jobs=-1 if dask else min(most, max(number, 2)), batch_size=1, **options
+    )
 
 
 def each(
-    function: Callable[..., Any], calls: Iterable[tuple[object, ...]], number: int, *, jobs: int, dask: str | None
+    function: Callable[..., Any],
+    calls: Iterable[tuple[object, ...]],
+    number: int,
+    *,
+    jobs: int,
+    dask: str | None,
 ) -> Iterator[Any]:
     """``function(*call)`` of each of the ``number`` calls, in their order; an error is raised in its place."""
     if dask is None and (jobs == 1 or number < 2):
@@ -164,7 +180,10 @@ def each(
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
     """TimeoutError after so many seconds; none outside of a process's main thread and on Windows, which have no alarm."""
-    if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
+    if (
+        not hasattr(signal, "setitimer")
+        or threading.current_thread() is not threading.main_thread()
+    ):
         yield
         return
 

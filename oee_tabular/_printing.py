@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-SUM = "discounted sum of rewards, not normalised"  # what a value is, wherever nothing else is said
+# what a value is, wherever nothing else is said
+SUM = "discounted sum of rewards, not normalised"
 _CELL = "padding:0.15em 0.8em 0.15em 0;text-align:"
 
 
@@ -21,8 +22,11 @@ def spec(lower: float, upper: float) -> str:
     largest, width = max(abs(lower), abs(upper)), upper - lower
     if not math.isfinite(largest) or largest == 0.0:
         return ".4g"
-    first = math.floor(math.log10(largest))  # the places of the first and the last digit
-    last = min(first - 3, math.floor(math.log10(width)) - 1) if width > 0.0 else first - 3
+    # the places of the first and the last digit
+    first = math.floor(math.log10(largest))
+    last = (
+        min(first - 3, math.floor(math.log10(width)) - 1) if width > 0.0 else first - 3
+    )
     last = max(last, first - 14)
     return f"z.{max(-last, 0)}f" if -4 <= first < 7 else f".{first - last}e"
 
@@ -57,7 +61,8 @@ def table(
 
     def line(cells: Sequence[object], tag: str) -> str:
         inside = "".join(
-            f'<{tag} style="{_CELL}{"left" if k < text_columns else "right"}">{escape(str(cell))}</{tag}>'
+            f"<{tag}"
+            f' style="{_CELL}{"left" if k < text_columns else "right"}">{escape(str(cell))}</{tag}>'
             for k, cell in enumerate(cells)
         )
         return f"<tr>{inside}</tr>"

@@ -25,7 +25,11 @@ def progress_bar(title: str, items: Any = None, **options: Any) -> Any:
     """A tqdm bar over ``items`` (or of a ``total``), shown after two seconds, on a terminal alone, gone at the end."""
     from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
-    return tqdm(items, desc=title, **({"disable": None, "delay": SECONDS, "leave": False} | options))
+    return tqdm(
+        items,
+        desc=title,
+        **({"disable": None, "delay": SECONDS, "leave": False} | options),
+    )
 
 
 def report_step(step: str) -> None:
@@ -63,7 +67,9 @@ def _tell_steps(is_done: threading.Event) -> None:
             from tqdm import tqdm  # whose bars stay below the line
 
             last = _step
-            tqdm.write(f"oee: {time.monotonic() - start:.0f} s: {last}", file=sys.stderr)
+            tqdm.write(
+                f"oee: {time.monotonic() - start:.0f} s: {last}", file=sys.stderr
+            )
             sys.stderr.flush()
 
 

@@ -33,48 +33,107 @@ def check_csr(matrix: Any, name: str) -> sparse.csr_array:
     if not sparse.issparse(matrix):
         raise ValueError(f"{name} must be a sparse matrix; got {type(matrix).__name__}")
     if matrix.ndim != 2:
-        raise ValueError(f"{name} must have 2 dimensions when sparse; it has shape {matrix.shape}")
+        raise ValueError(
+            f"{name} must have 2 dimensions when sparse; it has shape {matrix.shape}"
+        )
     if matrix.dtype.kind not in "biuf":
         raise ValueError(f"{name} must be real numbers; they are {matrix.dtype}")
     shape, kind = matrix.shape, matrix.format
     if kind in ("csr", "csc"):
-        csr = csr_from_parts(matrix.data, matrix.indices, matrix.indptr, shape if kind == "csr" else shape[::-1], name)
+        csr = csr_from_parts(
+            matrix.data,
+            matrix.indices,
+            matrix.indptr,
+            shape if kind == "csr" else shape[::-1],
+            name,
+        )
         return csr if kind == "csr" else csr.T.tocsr()
     try:
-        if kind == "dia":  # the constructors of dia_array and coo_array look at their parts
+        # the constructors of dia_array and coo_array look at their parts
+        if kind == "dia":
             matrix = sparse.dia_array((matrix.data, matrix.offsets), shape=shape)
-        elif kind == "lil" and [*map(len, matrix.rows), shape[0]] != [*map(len, matrix.data), len(matrix.rows)]:
+        elif kind == "lil" and [*map(len, matrix.rows), shape[0]] != [
+            *map(len, matrix.data),
+            len(matrix.rows),
+        ]:
             raise ValueError("its rows have not a column for each value")
         entries = matrix.tocoo()
-        return sparse.csr_array(sparse.coo_array((entries.data, entries.coords), shape=shape), dtype=np.float64)
-    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be a sound sparse matrix; its {kind} form is not ({error})") from None
+        return sparse.csr_array(
+            sparse.coo_array((entries.data, entries.coords), shape=shape),
+            dtype=np.float64,
+        )
+    except (
+        AttributeError,
+        IndexError,
+        KeyError,
+        OverflowError,
+        TypeError,
+        ValueError,
+    ) as error:
+        raise ValueError(
+            f"{name} must be a sound sparse matrix; its {kind} form is not ({error})"
+        ) from None
 
 
-def csr_from_parts(data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str) -> sparse.csr_array:
+def csr_from_parts(
+    data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str
+) -> sparse.csr_array:
     """The CSR of these parts; a ValueError, with the part and the place, where they are not those of a matrix."""
-    values, columns, pointers = np.asarray(data), np.asarray(indices), np.asarray(indptr)
+    values, columns, pointers = (
+        np.asarray(data),
+        np.asarray(indices),
+        np.asarray(indptr),
+    )
     for part, array, kinds, rule in (
-        ("data", values, "biuf", "real numbers"), ("indices", columns, "iu", "integers"), ("indptr", pointers, "iu", "integers")
-    ):  # fmt: skip
+        ("data", values, "biuf", "real numbers"),
+        ("indices", columns, "iu", "integers"),
+        ("indptr", pointers, "iu", "integers"),
+    ):
         if array.dtype.kind not in kinds or array.ndim != 1:
-            raise ValueError(f"{name}.{part} must be {rule} of one dimension; they are {array.dtype} of {array.ndim}")
+            raise ValueError(
+                f"{name}.{part} must be {rule} of one dimension; they are {array.dtype}"
+                f" of {array.ndim}"
+            )
     if len(pointers) != shape[0] + 1:
-        raise ValueError(f"{name}.indptr must have {shape[0] + 1} entries, one more than rows; it has {len(pointers)}")
+        raise ValueError(
+            f"{name}.indptr must have {shape[0] + 1} entries, one more than rows; it"
+            f" has {len(pointers)}"
+        )
     if len(values) != len(columns):
-        raise ValueError(f"{name}.data must have a value for each of the {len(columns)} indices; it has {len(values)}")
+        raise ValueError(
+            f"{name}.data must have a value for each of the {len(columns)} indices; it"
+            f" has {len(values)}"
+        )
     if pointers[0] != 0:
         raise ValueError(f"{name}.indptr[0] must be 0; it is {pointers[0]}")
     used = int(pointers[-1])
     for array, part, bad, rule in (
-        (pointers, "indptr", np.r_[False, pointers[1:] < pointers[:-1]], "at least the one before"),
-        (pointers, "indptr", pointers > len(columns), f"at most {len(columns)}, the entries"),
-        (columns, "indices", (columns[:used] < 0) | (columns[:used] >= shape[1]), f"in 0..{shape[1] - 1}"),
+        (
+            pointers,
+            "indptr",
+            np.r_[False, pointers[1:] < pointers[:-1]],
+            "at least the one before",
+        ),
+        (
+            pointers,
+            "indptr",
+            pointers > len(columns),
+            f"at most {len(columns)}, the entries",
+        ),
+        (
+            columns,
+            "indices",
+            (columns[:used] < 0) | (columns[:used] >= shape[1]),
+            f"in 0..{shape[1] - 1}",
+        ),
     ):
         if bad.any():
             k = int(bad.argmax())
             raise ValueError(f"{name}.{part}[{k}] must be {rule}; it is {array[k]}")
-    return sparse.csr_array((values[:used].astype(np.float64, copy=False), columns[:used], pointers), shape=shape)
+    return sparse.csr_array(
+        (values[:used].astype(np.float64, copy=False), columns[:used], pointers),
+        shape=shape,
+    )
 
 
 def freeze_csr(csr: sparse.csr_array) -> sparse.csr_array:
@@ -84,10 +143,14 @@ def freeze_csr(csr: sparse.csr_array) -> sparse.csr_array:
     return csr
 
 
-def csr_on_pattern(pattern: sparse.csr_array, data: Array, *, own: bool = False) -> sparse.csr_array:
+def csr_on_pattern(
+    pattern: sparse.csr_array, data: Array, *, own: bool = False
+) -> sparse.csr_array:
     """The matrix with the entries of ``pattern`` and the values ``data``, copied but where they are its ``own``; zeros stay."""
     values = data if own else np.array(data, dtype=np.float64)
-    return freeze_csr(sparse.csr_array((values, pattern.indices, pattern.indptr), pattern.shape))
+    return freeze_csr(
+        sparse.csr_array((values, pattern.indices, pattern.indptr), pattern.shape)
+    )
 
 
 def row_of_entry(csr: sparse.csr_array) -> IntArray:
@@ -116,35 +179,59 @@ def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
     values = getattr(ratio, "values", ratio)
     if not sparse.issparse(values) or values.shape != pattern.shape:
         found = getattr(values, "shape", type(values).__name__)
-        raise ValueError(f"{name} must be sparse of shape {pattern.shape}, row s*A + a; got {found}")
-    if values.format == "csr" and values.dtype == np.float64 and _has_same_pattern(values, pattern):
+        raise ValueError(
+            f"{name} must be sparse of shape {pattern.shape}, row s*A + a; got {found}"
+        )
+    if (
+        values.format == "csr"
+        and values.dtype == np.float64
+        and _has_same_pattern(values, pattern)
+    ):
         return np.asarray(values.data)
     return align(canonical(check_csr(values, name), drop_zeros=False), pattern)[0]
 
 
-def find(csr: sparse.csr_array, rows: IntArray, columns: IntArray) -> tuple[IntArray, BoolArray]:
+def find(
+    csr: sparse.csr_array, rows: IntArray, columns: IntArray
+) -> tuple[IntArray, BoolArray]:
     """The position in ``csr.data`` of each (row, column), and whether it is stored (position 0 where it is not)."""
-    numbered = sparse.csr_array((np.arange(1, csr.nnz + 1), csr.indices, csr.indptr), csr.shape)
-    number = numbered[rows, columns] if len(rows) else np.zeros(0, dtype=np.int64)  # 0 where nothing is stored
+    numbered = sparse.csr_array(
+        (np.arange(1, csr.nnz + 1), csr.indices, csr.indptr), csr.shape
+    )
+    # 0 where nothing is stored
+    number = numbered[rows, columns] if len(rows) else np.zeros(0, dtype=np.int64)
     return np.maximum(number - 1, 0), number > 0
 
 
 def _has_same_pattern(one: sparse.csr_array, other: sparse.csr_array) -> bool:
     """Whether two have the same entries in the same places."""
-    return all(np.array_equal(getattr(one, part), getattr(other, part)) for part in ("indptr", "indices"))
+    return all(
+        np.array_equal(getattr(one, part), getattr(other, part))
+        for part in ("indptr", "indices")
+    )
 
 
-def align(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[Array, BoolArray]:
+def align(
+    source: sparse.csr_array, pattern: sparse.csr_array
+) -> tuple[Array, BoolArray]:
     """The values of ``source`` on the entries of ``pattern`` (0 where it has none), and where it has one; rows are sorted."""
     if _has_same_pattern(source, pattern):
-        return np.array(source.data, dtype=np.float64), np.ones(pattern.nnz, dtype=np.bool_)
+        return np.array(source.data, dtype=np.float64), np.ones(
+            pattern.nnz, dtype=np.bool_
+        )
     position, stored = find(source, row_of_entry(pattern), pattern.indices)
     values = np.zeros(pattern.nnz)
     values[stored] = source.data[position[stored]]
     return values, stored
 
 
-def align_to(source: sparse.csr_array, pattern: sparse.csr_array) -> tuple[sparse.csr_array, Array]:
+def align_to(
+    source: sparse.csr_array, pattern: sparse.csr_array
+) -> tuple[sparse.csr_array, Array]:
     """``source``, and its values on the entries of ``pattern``; where it has the same entries it takes the pattern's arrays."""
     values = freeze(align(source, pattern)[0])
-    return (csr_on_pattern(pattern, values, own=True) if _has_same_pattern(source, pattern) else source), values
+    return (
+        csr_on_pattern(pattern, values, own=True)
+        if _has_same_pattern(source, pattern)
+        else source
+    ), values

@@ -27,7 +27,7 @@ __all__ = (
     "theorem_2",
     "zeta",
     "zeta_of",
-)  # fmt: skip
+)
 
 
 def J(P, r, S_0, pi, gamma):
@@ -42,7 +42,10 @@ def J(P, r, S_0, pi, gamma):
 def d(P, S_0, pi, gamma):
     """Eq. 3.2: d(s, a) = (1 - gamma) sum_t gamma^t Pr(s_t = s, a_t = a); J = sum d r / (1 - gamma).   -> occupancy"""
     P_pi = np.einsum("sa,sat->st", pi, P)
-    return np.linalg.solve(np.eye(len(P)) - gamma * P_pi.T, (1 - gamma) * S_0)[:, None] * pi
+    return (
+        np.linalg.solve(np.eye(len(P)) - gamma * P_pi.T, (1 - gamma) * S_0)[:, None]
+        * pi
+    )
 
 
 def d_moves(P, S_0, pi, gamma):
@@ -50,7 +53,8 @@ def d_moves(P, S_0, pi, gamma):
     return d(P, S_0, pi, gamma)[:, :, None] * P
 
 
-# Eq. 3.5, importance sampling: E_p[G] = E_q[(p / q) G], for any G, where q > 0 wherever p > 0.   -> policy_is_moments
+# Eq. 3.5, importance sampling: E_p[G] = E_q[(p / q) G], for any G, where q > 0 wherever
+# p > 0.   -> policy_is_moments
 
 
 def risk(g, p, q, lam=0.0):
@@ -73,7 +77,9 @@ def beta(p, q, nu, mu, lam=0.0, normalized=False, accuracy=1e-10, **settings):
     cost = q @ g - p[p > 0] @ cp.log(g[p > 0]) + lam / 2 * cp.sum_squares(g)
     constraints = [g >= nu, g <= mu] + [q @ g == 1] * normalized
     within = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), accuracy)
-    cp.Problem(cp.Minimize(cost), constraints).solve(solver="CLARABEL", **within | settings)
+    cp.Problem(cp.Minimize(cost), constraints).solve(
+        solver="CLARABEL", **within | settings
+    )
     return g.value
 
 
@@ -102,7 +108,9 @@ def J_of_products(zeta, P_tr, r, S_0, pi, gamma, T):
     return total
 
 
-def algorithm_1(D_te, D_tr, shape, nu, mu, lam=0.0, eta=0.1, N=64, iterations=10_000, seed=0):
+def algorithm_1(
+    D_te, D_tr, shape, nu, mu, lam=0.0, eta=0.1, N=64, iterations=10_000, seed=0
+):
     """Algorithm 1 on tables: stochastic gradient descent on eq. 3.7 for both ratios; returns beta(s, a, s'), beta(s, a).
 
     D_te, D_tr: (n, 3) integers s, a, s'; shape: (S, A).   -> ratio.Quotient(normalized=False, solver=ratio.Sgd(...))
@@ -110,10 +118,13 @@ def algorithm_1(D_te, D_tr, shape, nu, mu, lam=0.0, eta=0.1, N=64, iterations=10
     (S, A), draw = shape, np.random.default_rng(seed)
     g_sas, g_sa = np.ones((S, A, S)), np.ones((S, A))
     for _ in range(iterations):
-        for g, width in ((g_sa, 2), (g_sas, 3)):  # lines 1 and 2, then 3 and 4: fresh batches for each
+        # lines 1 and 2, then 3 and 4: fresh batches for each
+        for g, width in ((g_sa, 2), (g_sas, 3)):
             p, q = (np.zeros(g.shape), np.zeros(g.shape))
             for share, D in ((p, D_te), (q, D_tr)):
-                np.add.at(share, tuple(D[draw.integers(len(D), size=N), :width].T), 1 / N)
+                np.add.at(
+                    share, tuple(D[draw.integers(len(D), size=N), :width].T), 1 / N
+                )
             g[...] = np.clip(g - eta * (q - p / g + lam * g), nu, mu)
     return g_sas, g_sa
 

@@ -11,13 +11,21 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 def browser():
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
     if path is None:
-        pytest.skip("no Chromium for the tests of pages; install it (Debian: apt-get install chromium)")
+        pytest.skip(
+            "no Chromium for the tests of pages; install it (Debian: apt-get install"
+            " chromium)"
+        )
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
-        pytest.skip("no Playwright for the tests of pages; install it; in a clone: pip install '.[browser]'")
+        pytest.skip(
+            "no Playwright for the tests of pages; install it; in a clone: pip install"
+            " '.[browser]'"
+        )
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        chromium = playwright.chromium.launch(
+            executable_path=path, args=["--no-sandbox"]
+        )
         yield chromium
         chromium.close()
 
@@ -25,14 +33,18 @@ def browser():
 @pytest.fixture(scope="module")
 def axe():
     return pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="no axe; install it; in a clone: pip install '.[browser]'"
+        "axe_playwright_python.sync_playwright",
+        reason="no axe; install it; in a clone: pip install '.[browser]'",
     ).Axe()
 
 
 def opened(browser, address, width, scheme, **options):
     """(page, what its console says, what it asks for)."""
     context = browser.new_context(
-        viewport={"width": width, "height": 900}, color_scheme=scheme, reduced_motion="reduce", **options
+        viewport={"width": width, "height": 900},
+        color_scheme=scheme,
+        reduced_motion="reduce",
+        **options,
     )
     page = context.new_page()
     heard, asked = [], []
@@ -47,4 +59,6 @@ def violations(axe, page):
     """(rule, where) of what axe finds; it must have looked."""
     result = axe.run(page).response
     assert len(result["passes"]) > 15
-    return [(found["id"], found["nodes"][0]["html"][:200]) for found in result["violations"]]
+    return [
+        (found["id"], found["nodes"][0]["html"][:200]) for found in result["violations"]
+    ]

@@ -1,6 +1,7 @@
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices, several workers: threads only wait for each other
+# small matrices, several workers: threads only wait for each other
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import shlex
 import warnings
@@ -8,10 +9,13 @@ import warnings
 import pytest
 from hypothesis import settings
 
-collect_ignore = ["benchmarks"]  # run by hand, from their own folder; they import each other and peers
+# run by hand, from their own folder; they import each other and peers
+collect_ignore = ["benchmarks"]
 
 settings.register_profile("dev", deadline=None, max_examples=30)
-settings.register_profile("ci", deadline=None, max_examples=100, derandomize=True, print_blob=True)
+settings.register_profile(
+    "ci", deadline=None, max_examples=100, derandomize=True, print_blob=True
+)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 
@@ -38,8 +42,14 @@ def run(capsys, monkeypatch, tmp_path):
         assert (ended.value.code or 0) == code, captured.err
         if code == 0:
             return captured.out
-        told = [line for line in captured.err.splitlines() if not line.startswith("oee: warning: ")]
-        assert told[0].startswith("Usage: ") or (len(told) == 1 and told[0].startswith("oee: "))
+        told = [
+            line
+            for line in captured.err.splitlines()
+            if not line.startswith("oee: warning: ")
+        ]
+        assert told[0].startswith("Usage: ") or (
+            len(told) == 1 and told[0].startswith("oee: ")
+        )
         return captured.err
 
     return run

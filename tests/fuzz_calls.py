@@ -31,17 +31,31 @@ LIMIT = 5.0  # seconds of CPU of a call
 LONGEST = 1500  # characters of a message
 OURS = (ValueError, OSError, ImportError, MemoryError)
 PACKAGE = os.path.dirname(oee.__file__) + os.sep
-CHECKED = ("ContinuousTransitions", "Problem", "Transitions")  # whose arguments have valid values of their own
+# whose arguments have valid values of their own
+CHECKED = ("ContinuousTransitions", "Problem", "Transitions")
 INNER = {  # methods that the package calls, after its checks: of objects of these rooms
-    "tasks": "all", "bench": "all", "testing": "all", "estimators": ("estimate", "fit", "limit_of", "limit_model"),
+    "tasks": "all",
+    "bench": "all",
+    "testing": "all",
+    "estimators": ("estimate", "fit", "limit_of", "limit_model"),
     "ratio": ("limit",),
-}  # fmt: skip
+}
 ALIASES = {  # words of the command line, which the same errors serve
-    "identifier": ("environment",), "spec": ("environment", "simulator"), "policies": ("policy",), "logs": ("log",),
-    "log_or_counts": ("counts",), "policy_a": ("policy_a and policy_b",), "log": ("frame",), "episodes": ("frame",),
-    "matrix": ("count",), "tie": ("frame",), "name": ("folder", "path"), "folder": ("output",),
-}  # fmt: skip
-BLANK = ("row_changes", "monte_carlo_value", "spread")  # nan where a row was never recorded, or from one episode
+    "identifier": ("environment",),
+    "spec": ("environment", "simulator"),
+    "policies": ("policy",),
+    "logs": ("log",),
+    "log_or_counts": ("counts",),
+    "policy_a": ("policy_a and policy_b",),
+    "log": ("frame",),
+    "episodes": ("frame",),
+    "matrix": ("count",),
+    "tie": ("frame",),
+    "name": ("folder", "path"),
+    "folder": ("output",),
+}
+# nan where a row was never recorded, or from one episode
+BLANK = ("row_changes", "monte_carlo_value", "spread")
 
 
 OF_THE_ARM = {"fit_hand", "record_goals", "hand_log", "load_kinova_log", "KinovaHand"}
@@ -50,20 +64,29 @@ OF_THE_ARM = {"fit_hand", "record_goals", "hand_log", "load_kinova_log", "Kinova
 def is_called(value):
     """Whether people call it: a function, or a class that is not abstract."""
     return inspect.isfunction(value) or (
-        inspect.isclass(value) and not inspect.isabstract(value) and not getattr(value, "_is_protocol", False)
+        inspect.isclass(value)
+        and not inspect.isabstract(value)
+        and not getattr(value, "_is_protocol", False)
     )
 
 
 def functions(known, rooms=None):
     """Name -> function, of the public modules, with classes' methods bound to valid objects; none is left out."""
-    modules = {"top": oee} | {name: getattr(oee, name) for name in oee.__all__ if inspect.ismodule(getattr(oee, name))}
+    modules = {"top": oee} | {
+        name: getattr(oee, name)
+        for name in oee.__all__
+        if inspect.ismodule(getattr(oee, name))
+    }
     every = {}
     for room in rooms or modules:
-        for name in filter(lambda name: is_called(getattr(modules[room], name)), modules[room].__all__):
+        for name in filter(
+            lambda name: is_called(getattr(modules[room], name)), modules[room].__all__
+        ):
             if name in OF_THE_ARM - {*known["own"]}:
                 continue  # without MuJoCo
             value = getattr(modules[room], name)
-            key = name if every.get(name, value) is value else f"{room}.{name}"  # two classes of one name
+            # two classes of one name
+            key = name if every.get(name, value) is value else f"{room}.{name}"
             every[key] = value
             if key in known["holders"] and INNER.get(room) != "all":
                 every |= methods(key, value, known["holders"][key], INNER.get(room, ()))
@@ -74,26 +97,52 @@ def methods(name, kind, holder, inner):
     """Public methods, class methods and static methods, and calls, bound to a valid object of the class."""
     bound = {}
     for attribute in dir(kind):
-        named = attribute[0] != "_" or (attribute == "__call__" and not issubclass(kind, type))
+        named = attribute[0] != "_" or (
+            attribute == "__call__" and not issubclass(kind, type)
+        )
         if named and attribute not in inner and callable(getattr(kind, attribute)):
-            static = isinstance(inspect.getattr_static(kind, attribute), classmethod | staticmethod)
-            bound[f"{name}.{attribute}"] = getattr(kind if static else holder, attribute)
+            static = isinstance(
+                inspect.getattr_static(kind, attribute), classmethod | staticmethod
+            )
+            bound[f"{name}.{attribute}"] = getattr(
+                kind if static else holder, attribute
+            )
     return {key: value for key, value in bound.items() if callable(value)}
 
 
 def arguments_of(name, function, known):
     """The arguments of a valid call, by name."""
     own = known["own"].get(name, {})
-    values = dict(own) if any(p.kind is p.VAR_KEYWORD for p in inspect.signature(function).parameters.values()) else {}
-    container = dataclasses.is_dataclass(function) and inspect.isclass(function) and name in known["holders"]
+    values = (
+        dict(own)
+        if any(
+            p.kind is p.VAR_KEYWORD
+            for p in inspect.signature(function).parameters.values()
+        )
+        else {}
+    )
+    container = (
+        dataclasses.is_dataclass(function)
+        and inspect.isclass(function)
+        and name in known["holders"]
+    )
     if container and name not in CHECKED:
-        own = {f.name: getattr(known["holders"][name], f.name) for f in dataclasses.fields(function)} | own
+        own = {
+            f.name: getattr(known["holders"][name], f.name)
+            for f in dataclasses.fields(function)
+        } | own
     for parameter in inspect.signature(function).parameters.values():
-        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD) or parameter.name.startswith("_"):
+        if parameter.kind in (
+            parameter.VAR_POSITIONAL,
+            parameter.VAR_KEYWORD,
+        ) or parameter.name.startswith("_"):
             continue
         if parameter.name in own:
             values[parameter.name] = own[parameter.name]
-        elif parameter.default is not parameter.empty and parameter.name not in ("horizon", "seed"):
+        elif parameter.default is not parameter.empty and parameter.name not in (
+            "horizon",
+            "seed",
+        ):
             values[parameter.name] = parameter.default
         else:
             values[parameter.name] = known[parameter.name]
@@ -103,7 +152,11 @@ def arguments_of(name, function, known):
 def call(function, values):
     """The call, positional-only parameters in their place."""
     kinds = inspect.signature(function).parameters
-    positional = [values[n] for n, p in kinds.items() if p.kind is p.POSITIONAL_ONLY and n in values]
+    positional = [
+        values[n]
+        for n, p in kinds.items()
+        if p.kind is p.POSITIONAL_ONLY and n in values
+    ]
     first = [n for n, p in kinds.items() if p.kind is p.POSITIONAL_ONLY]
     return function(*positional, **{n: v for n, v in values.items() if n not in first})
 
@@ -120,7 +173,9 @@ def has_nan(value, depth=0):
         return any(has_nan(part, depth + 1) for part in value)
     if dataclasses.is_dataclass(value) and depth < 2:
         names = [
-            f.name for f in dataclasses.fields(value) if f.name not in ("diagnostics", "details") and f.name[0] != "_"
+            f.name
+            for f in dataclasses.fields(value)
+            if f.name not in ("diagnostics", "details") and f.name[0] != "_"
         ]
         return getattr(value, "status", "ok") == "ok" and any(
             has_nan(getattr(value, name), depth + 1) for name in names
@@ -135,8 +190,15 @@ def named(message, arguments):
     """
     if isinstance(arguments.get("name"), str) and message.startswith(arguments["name"]):
         return True
-    words = [word for name in arguments for word in (name, *name.split("_or_"), *ALIASES.get(name, ()))]
-    return any(re.search(rf"(?<![a-z]){word}s?(?![a-z])|{word.replace('_', ' ')}", message) for word in words)
+    words = [
+        word
+        for name in arguments
+        for word in (name, *name.split("_or_"), *ALIASES.get(name, ()))
+    ]
+    return any(
+        re.search(rf"(?<![a-z]){word}s?(?![a-z])|{word.replace('_', ' ')}", message)
+        for word in words
+    )
 
 
 def judged(function, values, replaced):
@@ -150,7 +212,11 @@ def judged(function, values, replaced):
     silent = not (
         inspect.isclass(function) or getattr(function, "__name__", "") in BLANK
     )  # a class keeps what it is given
-    if silent and has_nan(result) and not any(issubclass(w.category, UserWarning) for w in caught):
+    if (
+        silent
+        and has_nan(result)
+        and not any(issubclass(w.category, UserWarning) for w in caught)
+    ):
         return "nan", reprlib.repr(result)
     return "accepted", ""
 
@@ -161,7 +227,9 @@ def refusal(error, values, replaced):
     if any(callable(values[name]) for name in replaced):
         return "refused", text  # perhaps the hostile function's own
     last = traceback.extract_tb(error.__traceback__)[-1].filename
-    if not isinstance(error, OURS) or not (last.startswith(PACKAGE) or isinstance(error, OSError | ImportError)):
+    if not isinstance(error, OURS) or not (
+        last.startswith(PACKAGE) or isinstance(error, OSError | ImportError)
+    ):
         return "raw", text
     if len(text) > LONGEST:
         return "long", f"{len(text)} characters: {text}"
@@ -172,7 +240,17 @@ def refusal(error, values, replaced):
     return "nameless", text
 
 
-WRONG = ("nameless", "raw", "long", "control", "nan", "slow", "hang", "death", "invalid")
+WRONG = (
+    "nameless",
+    "raw",
+    "long",
+    "control",
+    "nan",
+    "slow",
+    "hang",
+    "death",
+    "invalid",
+)
 
 
 def make_call(seed, k, every, calls):
@@ -180,7 +258,11 @@ def make_call(seed, k, every, calls):
     rng, names = np.random.default_rng((seed, k)), sorted(every)
     name = names[k % len(names)]
     values = dict(calls[name])
-    replaced = list(rng.permutation(sorted(values))[: 2 if rng.random() < 0.1 else 1]) if k >= len(names) else []
+    replaced = (
+        list(rng.permutation(sorted(values))[: 2 if rng.random() < 0.1 else 1])
+        if k >= len(names)
+        else []
+    )
     for argument in replaced:
         values[argument] = hostile(rng, values[argument])
     return name, values, replaced
@@ -191,25 +273,36 @@ def attack(pipe, seed, rooms):
     os.chdir(tempfile.mkdtemp())
     known = valid_values()
     every = functions(known, rooms)
-    calls = {name: arguments_of(name, function, known) for name, function in every.items()}
+    calls = {
+        name: arguments_of(name, function, known) for name, function in every.items()
+    }
     while True:
         name, values, replaced = make_call(seed, k := pipe.recv(), every, calls)
         begun = time.process_time()
         kind, text = judged(every[name], values, replaced)
-        if time.process_time() - begun > LIMIT:  # the first time it may have been compiled
+        # the first time it may have been compiled
+        if time.process_time() - begun > LIMIT:
             begun = time.process_time()
             judged(every[name], values, replaced)
             kind = "slow" if time.process_time() - begun > LIMIT else kind
         if not replaced and kind != "accepted":
             kind = "invalid"
-        pipe.send((f"[{k}] {name}({', '.join(f'{a}={shown(values[a])}' for a in replaced)})", kind, text))
+        pipe.send(
+            (
+                f"[{k}] {name}({', '.join(f'{a}={shown(values[a])}' for a in replaced)})",
+                kind,
+                text,
+            )
+        )
 
 
 def shown(value):
     """A short text of anything."""
     try:
         return (
-            ascii(reprlib.repr(value).replace("\n", " ")[:120])[1:-1] if np.size(value) < 200 else type(value).__name__
+            ascii(reprlib.repr(value).replace("\n", " ")[:120])[1:-1]
+            if np.size(value) < 200
+            else type(value).__name__
         )
     except Exception:
         return type(value).__name__
@@ -217,7 +310,13 @@ def shown(value):
 
 def fuzz(seed, seconds, calls=None, rooms=None, first=0):
     """Counts by kind, and what was wrong: (kind, call, text). The time of the first call, which compiles, is not counted."""
-    child, counts, wrong, k, end = Child(90.0, attack, seed, rooms), Counter(), [], first, float("inf")
+    child, counts, wrong, k, end = (
+        Child(90.0, attack, seed, rooms),
+        Counter(),
+        [],
+        first,
+        float("inf"),
+    )
     while time.monotonic() < end and (calls is None or k < first + calls):
         answer = child.ask(k)
         said, kind, text = (f"[{k}]", answer, "") if isinstance(answer, str) else answer
@@ -241,9 +340,16 @@ def main():
     if given.only is not None:
         known = valid_values()
         every = functions(known, given.rooms)
-        calls = {name: arguments_of(name, function, known) for name, function in every.items()}
+        calls = {
+            name: arguments_of(name, function, known)
+            for name, function in every.items()
+        }
         name, values, replaced = make_call(given.seed, given.only, every, calls)
-        print(name, {argument: type(values[argument]) for argument in replaced}, flush=True)
+        print(
+            name,
+            {argument: type(values[argument]) for argument in replaced},
+            flush=True,
+        )
         print(shown(call(every[name], values)))
         return 0
     counts, wrong = fuzz(given.seed, given.seconds, given.calls, given.rooms)

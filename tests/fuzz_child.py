@@ -18,7 +18,9 @@ class Child:
     def start(self):
         context = multiprocessing.get_context("spawn")
         self.pipe, other = context.Pipe()
-        self.process = context.Process(target=self.target, args=(other, *self.arguments), daemon=True)
+        self.process = context.Process(
+            target=self.target, args=(other, *self.arguments), daemon=True
+        )
         self.process.start()
         other.close()
         self.wait = START

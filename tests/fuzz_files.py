@@ -26,20 +26,104 @@ import numpy as np
 from fuzz_child import START, Child
 
 HOSTILE = [
-    0, 1, -1, 2, 3, 5, 7, 100, 0.25, 0.5, -0.5, 1e-320, 1e160, 1e300, -1e300, np.nan, np.inf, -np.inf, 2**31, 2**53 + 1,
-    2**62, 2**63 - 1, -(2**63),
-]  # fmt: skip
+    0,
+    1,
+    -1,
+    2,
+    3,
+    5,
+    7,
+    100,
+    0.25,
+    0.5,
+    -0.5,
+    1e-320,
+    1e160,
+    1e300,
+    -1e300,
+    np.nan,
+    np.inf,
+    -np.inf,
+    2**31,
+    2**53 + 1,
+    2**62,
+    2**63 - 1,
+    -(2**63),
+]
 FIELDS = [
-    "", "0", "1", "-1", "1.0", "1.5", "1e3", "nan", "inf", "-inf", "1e400", "9" * 30, "True", "no", '"', '"0,1"', "'", "=1+1",
-    "\x00", "0x10", "1_000", "٣", "1;2", "\t", "  2", "NA", "None", "1970-01-01", "1/3", "é", "\ud7ff", "a" * 200_000,
-]  # fmt: skip
+    "",
+    "0",
+    "1",
+    "-1",
+    "1.0",
+    "1.5",
+    "1e3",
+    "nan",
+    "inf",
+    "-inf",
+    "1e400",
+    "9" * 30,
+    "True",
+    "no",
+    '"',
+    '"0,1"',
+    "'",
+    "=1+1",
+    "\x00",
+    "0x10",
+    "1_000",
+    "٣",
+    "1;2",
+    "\t",
+    "  2",
+    "NA",
+    "None",
+    "1970-01-01",
+    "1/3",
+    "é",
+    "\ud7ff",
+    "a" * 200_000,
+]
 DTYPES = [
-    "f4", "f8", "f2", "i1", "i8", "u8", "?", "c16", "U4", "S3", "M8[s]", "m8[D]", "O", "V8", "i4,f8", ">f8", ">i8", "f16",
-]  # fmt: skip
+    "f4",
+    "f8",
+    "f2",
+    "i1",
+    "i8",
+    "u8",
+    "?",
+    "c16",
+    "U4",
+    "S3",
+    "M8[s]",
+    "m8[D]",
+    "O",
+    "V8",
+    "i4,f8",
+    ">f8",
+    ">i8",
+    "f16",
+]
 SHAPES = [
-    (), (0,), (1,), (2, 1), (1, 1), (0, 3), (3, 0), (2, 2, 2), (4, 4), (10**9,), (10**18,), (10**30,), (-1,), (2**31, 2**31),
-    (2_000_000_000,), ("a",), (1.5,), (True,),
-]  # fmt: skip
+    (),
+    (0,),
+    (1,),
+    (2, 1),
+    (1, 1),
+    (0, 3),
+    (3, 0),
+    (2, 2, 2),
+    (4, 4),
+    (10**9,),
+    (10**18,),
+    (10**30,),
+    (-1,),
+    (2**31, 2**31),
+    (2_000_000_000,),
+    ("a",),
+    (1.5,),
+    (True,),
+]
 
 
 # ---- whole files to begin with
@@ -58,10 +142,19 @@ def originals(folder):
     plain = oee.FiniteMDP(grid.transitions, grid.rewards, grid.initial, 0.9)
     rng = np.random.default_rng(0)
     states = rng.normal(size=(20, 2))
-    continuous = oee.ContinuousTransitions(states, rng.integers(0, 2, 20), states + 0.1, rng.normal(size=20))
+    continuous = oee.ContinuousTransitions(
+        states, rng.integers(0, 2, 20), states + 0.1, rng.normal(size=20)
+    )
     found = {}
-    things = [(log, "log", (".npz", ".csv", ".parquet")), (continuous, "states", (".npz", ".csv", ".parquet"))]
-    for thing, kind, endings in [*things, (grid, "simulator", (".npz",)), (plain, "simulator2", (".npz",))]:
+    things = [
+        (log, "log", (".npz", ".csv", ".parquet")),
+        (continuous, "states", (".npz", ".csv", ".parquet")),
+    ]
+    for thing, kind, endings in [
+        *things,
+        (grid, "simulator", (".npz",)),
+        (plain, "simulator2", (".npz",)),
+    ]:
         for ending in endings:
             path = folder / f"{kind}{ending}"
             thing.save(path)
@@ -70,7 +163,9 @@ def originals(folder):
     found[".npz", "counts"] = (folder / "counts.npz").read_bytes()
     policy = oee.uniform_policy(grid)
     found[".npy", "policy"] = _written(np.save, policy)
-    found[".npz", "policy"] = _written(lambda handle, array: np.savez(handle, policy=array), policy)
+    found[".npz", "policy"] = _written(
+        lambda handle, array: np.savez(handle, policy=array), policy
+    )
     return found
 
 
@@ -109,7 +204,10 @@ def packed(arrays, rng):
     method = pick(rng, [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA])
     with zipfile.ZipFile(buffer, "w", method) as archive:
         for name, array in arrays.items():
-            archive.writestr(f"{name}.npy", array if isinstance(array, bytes) else _written(np.save, array))
+            archive.writestr(
+                f"{name}.npy",
+                array if isinstance(array, bytes) else _written(np.save, array),
+            )
     return buffer.getvalue()
 
 
@@ -117,11 +215,31 @@ def forged(array, rng):
     """The npy of an array with another header."""
     shape = pick(rng, SHAPES) if rng.random() < 0.7 else array.shape
     descr = pick(rng, DTYPES) if rng.random() < 0.5 else array.dtype.str
-    words = [repr({"descr": descr, "fortran_order": bool(rng.random() < 0.3), "shape": shape})] * 4
+    words = [
+        repr(
+            {"descr": descr, "fortran_order": bool(rng.random() < 0.3), "shape": shape}
+        )
+    ] * 4
     words += [
-        pick(rng, ["(" * 3000, "-" * 9000 + "1", "{'a': 1}", "{", "\x00", "'\\d'", "{'shape': (1L,)}", "9" * 5000, ""])
+        pick(
+            rng,
+            [
+                "(" * 3000,
+                "-" * 9000 + "1",
+                "{'a': 1}",
+                "{",
+                "\x00",
+                "'\\d'",
+                "{'shape': (1L,)}",
+                "9" * 5000,
+                "",
+            ],
+        )
     ]
-    header, version = pick(rng, words).encode(), bytes([pick(rng, [1, 1, 1, 2, 3, 0, 9]), 0])
+    header, version = (
+        pick(rng, words).encode(),
+        bytes([pick(rng, [1, 1, 1, 2, 3, 0, 9]), 0]),
+    )
     size = struct.pack("<H" if version[0] == 1 else "<I", len(header) + 1)
     return b"\x93NUMPY" + version + size + header + b"\n" + array.tobytes()
 
@@ -129,17 +247,34 @@ def forged(array, rng):
 def edited_array(array, rng):
     """The same array with one thing changed."""
     kind, flat = rng.integers(6), array.reshape(-1)
-    with np.errstate(all="ignore"), contextlib.suppress(OverflowError, RuntimeError, TypeError, ValueError):
+    with (
+        np.errstate(all="ignore"),
+        contextlib.suppress(OverflowError, RuntimeError, TypeError, ValueError),
+    ):
         if kind == 0 and array.size:
-            changed = array.astype(float) if rng.random() < 0.5 and array.dtype.kind in "biuf" else array.copy()
+            changed = (
+                array.astype(float)
+                if rng.random() < 0.5 and array.dtype.kind in "biuf"
+                else array.copy()
+            )
             changed.flat[rng.integers(changed.size)] = pick(rng, HOSTILE)
             return changed
         if kind == 1:
             return array.astype(pick(rng, [name for name in DTYPES if "," not in name]))
-    return pick(rng, [
-        flat[: rng.integers(array.size + 1)], np.concatenate([flat, flat]), rng.permutation(flat).reshape(array.shape),
-        array[None], np.array(None), np.array(["0.25"] * 3), np.zeros((0, 3)), np.array(np.nan), array.astype("O"),
-    ])  # fmt: skip
+    return pick(
+        rng,
+        [
+            flat[: rng.integers(array.size + 1)],
+            np.concatenate([flat, flat]),
+            rng.permutation(flat).reshape(array.shape),
+            array[None],
+            np.array(None),
+            np.array(["0.25"] * 3),
+            np.zeros((0, 3)),
+            np.array(np.nan),
+            array.astype("O"),
+        ],
+    )
 
 
 def edited_npz(data, rng):
@@ -151,7 +286,19 @@ def edited_npz(data, rng):
         if kind == 0 and len(arrays) > 1:
             del arrays[name]
         elif kind == 1:
-            arrays[pick(rng, ["more", "policy", "layout", "../x", "behavior_probability", "reward"])] = arrays[name]
+            arrays[
+                pick(
+                    rng,
+                    [
+                        "more",
+                        "policy",
+                        "layout",
+                        "../x",
+                        "behavior_probability",
+                        "reward",
+                    ],
+                )
+            ] = arrays[name]
         elif kind == 2:
             arrays[name], arrays[other] = arrays[other], arrays[name]
         elif kind == 3:
@@ -165,15 +312,23 @@ def edited_zip(data, rng):
     """Fields of the zip's own directory: sizes, methods, flags."""
     changed = bytearray(data)
     at = data.rfind(b"PK\x01\x02") if rng.random() < 0.5 else data.find(b"PK\x01\x02")
-    offset, width = pick(rng, [(8, 2), (10, 2), (16, 4), (20, 4), (24, 4), (28, 2), (42, 4)])
-    value = pick(rng, [0, 1, 8, 9, 12, 14, 93, 99, 0xFFFF, 2**31, 2**32 - 1]) & (256**width - 1)
+    offset, width = pick(
+        rng, [(8, 2), (10, 2), (16, 4), (20, 4), (24, 4), (28, 2), (42, 4)]
+    )
+    value = pick(rng, [0, 1, 8, 9, 12, 14, 93, 99, 0xFFFF, 2**31, 2**32 - 1]) & (
+        256**width - 1
+    )
     changed[at + offset : at + offset + width] = value.to_bytes(width, "little")
     return bytes(changed)
 
 
 def bomb(data, rng):
     """A megabyte or so that says that it is many gigabytes."""
-    form = {"descr": "<f8", "fortran_order": False, "shape": (pick(rng, [2_000_000_000, 10**17]),)}
+    form = {
+        "descr": "<f8",
+        "fortran_order": False,
+        "shape": (pick(rng, [2_000_000_000, 10**17]),),
+    }
     header = _written(np.lib.format.write_array_header_1_0, form)
     kind = np.array(pick(rng, ["transitions", "finite_mdp"]))
     return packed({"oee_tabular_kind": kind, "state": header + bytes(10**6)}, rng)
@@ -181,7 +336,11 @@ def bomb(data, rng):
 
 def edited_npy(data, rng):
     array = np.load(io.BytesIO(data))
-    return forged(array, rng) if rng.random() < 0.5 else _written(np.save, edited_array(array, rng))
+    return (
+        forged(array, rng)
+        if rng.random() < 0.5
+        else _written(np.save, edited_array(array, rng))
+    )
 
 
 def edited_csv(data, rng):
@@ -196,17 +355,27 @@ def edited_csv(data, rng):
         elif kind == 2 and len(row) > 1:
             del row[rng.integers(len(row))]
         elif kind == 3:
-            lines[0] = [label.upper() if rng.random() < 0.5 else label for label in lines[0]]
+            lines[0] = [
+                label.upper() if rng.random() < 0.5 else label for label in lines[0]
+            ]
         elif kind == 4:
             lines.insert(rng.integers(len(lines) + 1), [])
         elif kind == 5:
             k = rng.integers(len(lines[0]))
-            lines[1:] = [[*line[:k], pick(rng, FIELDS[:12]), *line[k + 1 :]] for line in lines[1:]]
+            lines[1:] = [
+                [*line[:k], pick(rng, FIELDS[:12]), *line[k + 1 :]]
+                for line in lines[1:]
+            ]
         else:
             lines = [line + [f"x{k}" for k in range(2000)] for line in lines]
-    comma, end = pick(rng, [",", ",", ",", ",", ";", "\t", "|", " "]), pick(rng, ["\n", "\n", "\r\n", "\r"])
+    comma, end = (
+        pick(rng, [",", ",", ",", ",", ";", "\t", "|", " "]),
+        pick(rng, ["\n", "\n", "\r\n", "\r"]),
+    )
     text = end.join(comma.join(line) for line in lines)
-    return text.encode(pick(rng, ["utf-8", "utf-8", "utf-8", "utf-8-sig", "utf-16"]), errors="replace")
+    return text.encode(
+        pick(rng, ["utf-8", "utf-8", "utf-8", "utf-8-sig", "utf-16"]), errors="replace"
+    )
 
 
 def edited_parquet(data, rng):
@@ -217,7 +386,10 @@ def edited_parquet(data, rng):
     table = saved.to_pydict()
     name, other = (str(name) for name in rng.choice(list(table), 2))
     date, number = np.datetime64("2020-01-01", "s"), pick(rng, HOSTILE)
-    value = pick(rng, [number, None, "0.25", b"x", [1, 2], {"a": 1}, True, date, 10**30, "a" * 1000])
+    value = pick(
+        rng,
+        [number, None, "0.25", b"x", [1, 2], {"a": 1}, True, date, 10**30, "a" * 1000],
+    )
     kind, column = rng.integers(5), table[name]
     if kind == 4:
         table[name], table[other] = table[other], table[name]
@@ -233,7 +405,11 @@ def edited_parquet(data, rng):
         except (pa.ArrowException, OverflowError, TypeError, ValueError):
             arrays[label] = pa.array([str(item) for item in values])
     if rng.random() < 0.2:
-        plain = {k: v for k, v in arrays.items() if not (pa.types.is_nested(v.type) or pa.types.is_null(v.type))}
+        plain = {
+            k: v
+            for k, v in arrays.items()
+            if not (pa.types.is_nested(v.type) or pa.types.is_null(v.type))
+        }
         arrays = {label: array.dictionary_encode() for label, array in plain.items()}
     made = pa.table(arrays)
     if rng.random() < 0.1:
@@ -271,12 +447,18 @@ def read_all(pipe):
 def _outcome(read, name):
     try:
         content = read(name)
-        return ("finite" if content is not None else f"not finite: {read.__name__}"), content
+        return (
+            "finite" if content is not None else f"not finite: {read.__name__}"
+        ), content
     except (ValueError, FileNotFoundError) as error:
         text = str(error)
         if any(ord(c) < 32 and c not in "\n\t" for c in text) or len(text) > 1500:
             return f"not printable: {text!a:.300}", ""
-        return ("refused" if Path(name).name in text or name in text else f"nameless: {error}"), ""
+        return (
+            "refused"
+            if Path(name).name in text or name in text
+            else f"nameless: {error}"
+        ), ""
     except MemoryError as error:
         return ("too large" if "needs" in str(error) else f"no size: {error}"), ""
     except Exception:
@@ -285,10 +467,20 @@ def _outcome(read, name):
 
 def _content(columns):
     """A digest of columns by name, or None where a number is not finite."""
-    columns = {name: np.asarray(column) for name, column in columns.items() if column is not None}
-    if not all(np.isfinite(column).all() for column in columns.values() if column.dtype.kind == "f"):
+    columns = {
+        name: np.asarray(column)
+        for name, column in columns.items()
+        if column is not None
+    }
+    if not all(
+        np.isfinite(column).all()
+        for column in columns.values()
+        if column.dtype.kind == "f"
+    ):
         return None
-    return hashlib.sha256(repr([(name, columns[name].tolist()) for name in sorted(columns)]).encode()).hexdigest()
+    return hashlib.sha256(
+        repr([(name, columns[name].tolist()) for name in sorted(columns)]).encode()
+    ).hexdigest()
 
 
 def _readers():
@@ -301,7 +493,8 @@ def _readers():
 
     def log(name):
         loaded = oee.Transitions.load(name)
-        with contextlib.suppress(ValueError):  # it reads well, but may be no log of this grid
+        # it reads well, but may be no log of this grid
+        with contextlib.suppress(ValueError):
             oee.Problem(grid, loaded)
         return _content(loaded.columns())
 
@@ -310,7 +503,9 @@ def _readers():
 
     def counts(name):
         loaded = oee.TransitionCounts.load(name)
-        return _content({**loaded.columns(), "recording": np.array(repr(loaded.recording))})
+        return _content(
+            {**loaded.columns(), "recording": np.array(repr(loaded.recording))}
+        )
 
     def states(name):
         return _content(oee.ContinuousTransitions.load(name).columns())
@@ -321,13 +516,24 @@ def _readers():
         return _content({**loaded.arrays(), "value": value})
 
     def policy(name):
-        return _content({"policy": check_policy(read_policy_array(name, "policy"), grid, name=f"policy {name!r}")})
+        return _content(
+            {
+                "policy": check_policy(
+                    read_policy_array(name, "policy"), grid, name=f"policy {name!r}"
+                )
+            }
+        )
 
     def info(name):
         describe_files([name])
         return ""
 
-    readers = {"log": (log, counted), "counts": (counts, counted), "states": (states,), "policy": (policy,)}
+    readers = {
+        "log": (log, counted),
+        "counts": (counts, counted),
+        "states": (states,),
+        "policy": (policy,),
+    }
     readers |= {"simulator": (simulator,), "simulator2": (simulator,)}
     return {kind: (*reads, info) for kind, reads in readers.items()}
 
@@ -338,7 +544,11 @@ def _readers():
 def fuzz(seed, seconds, folder, most=10**9):
     """(outcomes, failures) of as many files as the time allows, the child's start not counted."""
     folder = Path(folder)
-    sound, rng, child = originals(folder), np.random.default_rng(seed), Child(10.0, read_all)
+    sound, rng, child = (
+        originals(folder),
+        np.random.default_rng(seed),
+        Child(10.0, read_all),
+    )
     outcomes, failures, intact, number = collections.Counter(), [], {}, 0
 
     def read(path, kind):
@@ -361,9 +571,16 @@ def fuzz(seed, seconds, folder, most=10**9):
             path.write_bytes(data := edit(sound[ending, kind], rng))
             found = read(path, kind)
             if is_ours(ending, kind, edit, data):
-                found = {name: _compared(one, intact[ending, kind].get(name)) for name, one in found.items()}
+                found = {
+                    name: _compared(one, intact[ending, kind].get(name))
+                    for name, one in found.items()
+                }
             outcomes.update(outcome.partition(":")[0] for outcome, _ in found.values())
-            bad = {name: one for name, (one, _) in found.items() if one not in ("finite", "refused", "too large")}
+            bad = {
+                name: one
+                for name, (one, _) in found.items()
+                if one not in ("finite", "refused", "too large")
+            }
             if bad:
                 failures.append((str(path), f"{kind} {edit.__name__}", bad))
             else:
@@ -394,12 +611,23 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--files", type=int, default=20_000)
-    parser.add_argument("--keep", type=Path, help="an existing folder for the files that broke something")
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        help="an existing folder for the files that broke something",
+    )
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        number, outcomes, failures = fuzz(given.seed, given.seconds, given.keep or folder, given.files)
-    counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
-    print(f"{number} files, {sum(outcomes.values())} readings: {counts}; {len(failures)} files broke a rule")
+        number, outcomes, failures = fuzz(
+            given.seed, given.seconds, given.keep or folder, given.files
+        )
+    counts = ", ".join(
+        f"{count} {outcome}" for outcome, count in outcomes.most_common()
+    )
+    print(
+        f"{number} files, {sum(outcomes.values())} readings: {counts}; {len(failures)}"
+        " files broke a rule"
+    )
     for path, edit, bad in failures:
         print(f"\n{path} ({edit})")
         for reader, outcome in bad.items():

@@ -36,42 +36,141 @@ def valid_values():
     log = oee.sample_episodes(target, uniform, 20, 20, seed=0)
     zeta = oee.true_ratio(target, simulator)
     even = np.full((9, 4), 1 / 36)
-    g, p, q = np.array([1.0, 0.8, 1.3]), np.array([0.3, 0.4, 0.3]), np.array([0.4, 0.3, 0.3])
+    g, p, q = (
+        np.array([1.0, 0.8, 1.3]),
+        np.array([0.3, 0.4, 0.3]),
+        np.array([0.4, 0.3, 0.3]),
+    )
     problem = oee.Problem(simulator, log, horizon=20)
     cartpole = oee.tasks.CartPole()
-    moves = oee.tasks.record(cartpole, oee.tasks.cartpole_policy(0.5), n_transitions=60, max_steps=30, seed=0)
+    moves = oee.tasks.record(
+        cartpole, oee.tasks.cartpole_policy(0.5), n_transitions=60, max_steps=30, seed=0
+    )
     known = {
-        "mdp": target, "simulator": simulator, "target": target, "model": simulator, "models": target, "values_of": None,
-        "policy": uniform, "behavior_policy": uniform, "policy_a": uniform, "policy_b": expert, "weight_of_a": 0.5,
-        "policies": {"uniform": uniform, "expert": expert}, "zeta": zeta, "ratio": None, "horizon": T, "seed": 0,
-        "distribution": even, "data_distribution": even, "simulator_distribution": even, "n": 50, "n_episodes": 5,
-        "moves": target.transitions, "log": log, "log_or_counts": log, "problem": problem, "episodes": None,
-        "p": p, "q": q, "g": g, "x_p": np.arange(10.0)[:, None], "x_q": np.arange(8.0)[:, None], "k": 1,
-        "pairs": g, "true_moves": g, "true_pairs": g, "mu": 2.0, "nu": 0.5, "error": 0.1, "eta": 0.1, "order": 2.0,
-        "reward_bound": 1.0, "discount": 0.9, "confidence": 0.95, "renyi": 2.0, "constant": 1.0, "p_min": 0.1, "q_min": 0.1,
-        "n_cells": 5, "lower": 0.5, "upper": 2.0, "lower_ratio": None, "upper_ratio": None, "delta": 0.5, "goal": 0,
-        "estimates": g, "truths": p, "epsilon": 0.1, "size": SIZE, "slip": 0.1, "identifier": "FrozenLake-v1",
-        "spec": "gridworld:3,slip=0.3", "state": [0, 1], "action": [1, 0], "next_state": [1, 2], "reward": [0.0, 1.0],
+        "mdp": target,
+        "simulator": simulator,
+        "target": target,
+        "model": simulator,
+        "models": target,
+        "values_of": None,
+        "policy": uniform,
+        "behavior_policy": uniform,
+        "policy_a": uniform,
+        "policy_b": expert,
+        "weight_of_a": 0.5,
+        "policies": {"uniform": uniform, "expert": expert},
+        "zeta": zeta,
+        "ratio": None,
+        "horizon": T,
+        "seed": 0,
+        "distribution": even,
+        "data_distribution": even,
+        "simulator_distribution": even,
+        "n": 50,
+        "n_episodes": 5,
+        "moves": target.transitions,
+        "log": log,
+        "log_or_counts": log,
+        "problem": problem,
+        "episodes": None,
+        "p": p,
+        "q": q,
+        "g": g,
+        "x_p": np.arange(10.0)[:, None],
+        "x_q": np.arange(8.0)[:, None],
+        "k": 1,
+        "pairs": g,
+        "true_moves": g,
+        "true_pairs": g,
+        "mu": 2.0,
+        "nu": 0.5,
+        "error": 0.1,
+        "eta": 0.1,
+        "order": 2.0,
+        "reward_bound": 1.0,
+        "discount": 0.9,
+        "confidence": 0.95,
+        "renyi": 2.0,
+        "constant": 1.0,
+        "p_min": 0.1,
+        "q_min": 0.1,
+        "n_cells": 5,
+        "lower": 0.5,
+        "upper": 2.0,
+        "lower_ratio": None,
+        "upper_ratio": None,
+        "delta": 0.5,
+        "goal": 0,
+        "estimates": g,
+        "truths": p,
+        "epsilon": 0.1,
+        "size": SIZE,
+        "slip": 0.1,
+        "identifier": "FrozenLake-v1",
+        "spec": "gridworld:3,slip=0.3",
+        "state": [0, 1],
+        "action": [1, 0],
+        "next_state": [1, 2],
+        "reward": [0.0, 1.0],
         "count": [3, 1],
-        "transitions": target.transitions, "rewards": np.zeros((9, 4)), "initial": target.initial, "name": "ragged",
-        "kernel": target.transitions[::4], "b": target.initial, "path_divergence": np.array([0.0, 0.1, 0.2]),
-        "estimate": oee.Estimate(1.0, 0.1), "discretised": 1.0, "continuous": 1.2, "new": simulator.transitions,
-        "n_states": 9, "n_actions": 4, "rows": [0, 1], "gradient": np.ones(target.transitions.nnz), "logs": [log, log],
-        "env": oee.tasks.make_environment("FrozenLake-v1"), "coordinates": np.arange(9.0), "layout": np.arange(9.0),
-        "bandwidth": 1.0, "estimator": oee.estimators.ModelBased(), "pair": (simulator, target), "solver": "dual",
-        "task": cartpole, "max_steps": 20, "length": 0.1, "gravity": 10.0, "states": np.arange(9), "actions": (0, 1, 2, 3),
-        "probability": 0.5, "folder": Path(tempfile.gettempdir()) / "none", "per_row": 1.0, "continuous_log": moves,
-        "path": Path(tempfile.gettempdir()) / "new.npz", "matrix": target.transitions, "m": 10, "samples_per_pair": 2,
+        "transitions": target.transitions,
+        "rewards": np.zeros((9, 4)),
+        "initial": target.initial,
+        "name": "ragged",
+        "kernel": target.transitions[::4],
+        "b": target.initial,
+        "path_divergence": np.array([0.0, 0.1, 0.2]),
+        "estimate": oee.Estimate(1.0, 0.1),
+        "discretised": 1.0,
+        "continuous": 1.2,
+        "new": simulator.transitions,
+        "n_states": 9,
+        "n_actions": 4,
+        "rows": [0, 1],
+        "gradient": np.ones(target.transitions.nnz),
+        "logs": [log, log],
+        "env": oee.tasks.make_environment("FrozenLake-v1"),
+        "coordinates": np.arange(9.0),
+        "layout": np.arange(9.0),
+        "bandwidth": 1.0,
+        "estimator": oee.estimators.ModelBased(),
+        "pair": (simulator, target),
+        "solver": "dual",
+        "task": cartpole,
+        "max_steps": 20,
+        "length": 0.1,
+        "gravity": 10.0,
+        "states": np.arange(9),
+        "actions": (0, 1, 2, 3),
+        "probability": 0.5,
+        "folder": Path(tempfile.gettempdir()) / "none",
+        "per_row": 1.0,
+        "continuous_log": moves,
+        "path": Path(tempfile.gettempdir()) / "new.npz",
+        "matrix": target.transitions,
+        "m": 10,
+        "samples_per_pair": 2,
         "frame": pd.DataFrame(log.columns()),
-        "generator": np.random.default_rng(0), "population": population(target, simulator, uniform),
-        "holders": holders(target, simulator, {"uniform": uniform, "expert": expert}, log, zeta, problem, moves),
-    }  # fmt: skip
+        "generator": np.random.default_rng(0),
+        "population": population(target, simulator, uniform),
+        "holders": holders(
+            target,
+            simulator,
+            {"uniform": uniform, "expert": expert},
+            log,
+            zeta,
+            problem,
+            moves,
+        ),
+    }
     return known | {"own": own_values(known)}
 
 
 def population(target, simulator, policy):
     """What estimators' limits are of."""
-    return Population(simulator, target, policy, policy / 9, np.ones(36, dtype=bool), policy, 20)
+    return Population(
+        simulator, target, policy, policy / 9, np.ones(36, dtype=bool), policy, 20
+    )
 
 
 def holders(target, simulator, policies, log, zeta, problem, moves):
@@ -79,13 +178,23 @@ def holders(target, simulator, policies, log, zeta, problem, moves):
     log.save(path := Path(tempfile.mkdtemp()) / "log.npz")
     uniform = policies["uniform"]
     values = [
-        target, log, moves, oee.Transitions.open(path), oee.transition_ratio(log, simulator), problem, oee.Estimate(1.0, 0.1),
-        oee.density_ratio([1, 2], [2, 1]), oee.interval(problem, uniform), oee.return_moments(target, uniform),
-        oee.exact.reweight(simulator, zeta), oee.plots.map_of(target),
-        oee.plan_data_collection(problem, uniform, n=20), oee.evaluate(problem, uniform, quick=True),
-        oee.exact.solve_policy_system(target.transitions[::4], target.initial, 0.9), oee.sample_returns(target, uniform, 9,
-        5, seed=0),
-    ]  # fmt: skip
+        target,
+        log,
+        moves,
+        oee.Transitions.open(path),
+        oee.transition_ratio(log, simulator),
+        problem,
+        oee.Estimate(1.0, 0.1),
+        oee.density_ratio([1, 2], [2, 1]),
+        oee.interval(problem, uniform),
+        oee.return_moments(target, uniform),
+        oee.exact.reweight(simulator, zeta),
+        oee.plots.map_of(target),
+        oee.plan_data_collection(problem, uniform, n=20),
+        oee.evaluate(problem, uniform, quick=True),
+        oee.exact.solve_policy_system(target.transitions[::4], target.initial, 0.9),
+        oee.sample_returns(target, uniform, 9, 5, seed=0),
+    ]
     values += [
         values[13].results[0],
         oee.report.Settings(episodes=100),
@@ -93,34 +202,74 @@ def holders(target, simulator, policies, log, zeta, problem, moves):
     ]
     return {type(value).__name__: value for value in values} | {
         "OracleComparison": oee.testing.compare_with_oracle(
-            oee.estimators.ModelBased(), (simulator, target), uniform, n=20, data_distribution=uniform / 9, repetitions=2
+            oee.estimators.ModelBased(),
+            (simulator, target),
+            uniform,
+            n=20,
+            data_distribution=uniform / 9,
+            repetitions=2,
         )
-    }  # fmt: skip
+    }
 
 
 def results(values, problem, policies, target, simulator):
     """Objects that calls return, methods of ratios, and estimators."""
     compared = oee.inference.compare_policies(problem, policies, n_draws=20)
-    verdict, sgd = oee.testing.Verdict("limit", "held", "x"), {"normalized": False, "lower": 0.1, "upper": 9.0}
-    cartpole, league = oee.tasks.CartPole(), oee.bench.run("model-based", families=["machine"], sizes=[3], seeds=1)
+    verdict, sgd = (
+        oee.testing.Verdict("limit", "held", "x"),
+        {"normalized": False, "lower": 0.1, "upper": 9.0},
+    )
+    cartpole, league = (
+        oee.tasks.CartPole(),
+        oee.bench.run("model-based", families=["machine"], sizes=[3], seeds=1),
+    )
     estimators = [getattr(oee.estimators, name)() for name in ESTIMATORS]
     return [
-        oee.density_ratio([1, 2], [2, 1], solver="sgd", n_iterations=5, **sgd).trace, compared, compared.decide(),
-        oee.check_assumptions([1, 1], [1, 1], lower=0.5, upper=2.0), oee.inference.row_changes(problem), verdict,
-        oee.inference.selection_measures([1, 2], [1, 3]), values[12].policies[0], oee.estimators.Finding("x", 1.0, "x"),
-        oee.theory.Sides(0.0, 1.0), oee.theory.simulation_lemma(target, simulator, policies["uniform"]), league,
-        oee.theory.universal_constant_counterexample(1000), oee.testing.case("ragged"), oee.bench.families()["machine"],
-        oee.testing.Verdicts("x", frozenset(), 0, {"limit": verdict}), oee.tasks.named_task("gridworld:3,slip=0.1"),
-        oee.tasks.Moves(np.zeros((2, 4)), np.zeros(2), np.zeros(2, dtype=bool)), oee.tasks.MonteCarlo(1.0, 0.1, 1.0, 100),
-        oee.tasks.discretize(cartpole, cells=(3, 3), closure_episodes=0), oee.ratio.Conditional(), oee.ratio.Sgd(),
-        oee.tasks.ParameterFit(cartpole, {"gravity": 9.8}, {"gravity": 0.1}, np.zeros(4), {"gravity": 10.0}),
-        oee.ratio.Quotient(), oee.ratio.Joint(), oee.ratio.Tied(np.arange(120) % 3), oee.ratio.Network(), *estimators,
-        oee.ratio.InClass(features=np.arange(120) % 3.0), oee.tasks.gymnasium_simulator("Pendulum-v1"),
-    ]  # fmt: skip
+        oee.density_ratio([1, 2], [2, 1], solver="sgd", n_iterations=5, **sgd).trace,
+        compared,
+        compared.decide(),
+        oee.check_assumptions([1, 1], [1, 1], lower=0.5, upper=2.0),
+        oee.inference.row_changes(problem),
+        verdict,
+        oee.inference.selection_measures([1, 2], [1, 3]),
+        values[12].policies[0],
+        oee.estimators.Finding("x", 1.0, "x"),
+        oee.theory.Sides(0.0, 1.0),
+        oee.theory.simulation_lemma(target, simulator, policies["uniform"]),
+        league,
+        oee.theory.universal_constant_counterexample(1000),
+        oee.testing.case("ragged"),
+        oee.bench.families()["machine"],
+        oee.testing.Verdicts("x", frozenset(), 0, {"limit": verdict}),
+        oee.tasks.named_task("gridworld:3,slip=0.1"),
+        oee.tasks.Moves(np.zeros((2, 4)), np.zeros(2), np.zeros(2, dtype=bool)),
+        oee.tasks.MonteCarlo(1.0, 0.1, 1.0, 100),
+        oee.tasks.discretize(cartpole, cells=(3, 3), closure_episodes=0),
+        oee.ratio.Conditional(),
+        oee.ratio.Sgd(),
+        oee.tasks.ParameterFit(
+            cartpole, {"gravity": 9.8}, {"gravity": 0.1}, np.zeros(4), {"gravity": 10.0}
+        ),
+        oee.ratio.Quotient(),
+        oee.ratio.Joint(),
+        oee.ratio.Tied(np.arange(120) % 3),
+        oee.ratio.Network(),
+        *estimators,
+        oee.ratio.InClass(features=np.arange(120) % 3.0),
+        oee.tasks.gymnasium_simulator("Pendulum-v1"),
+    ]
 
 
-ESTIMATORS = ("DoublyRobust", "DualDice", "ImportanceSampling", "Magic", "Marginalized", "ModelBased", "OffEnvironment",
-              "Simulator")  # fmt: skip
+ESTIMATORS = (
+    "DoublyRobust",
+    "DualDice",
+    "ImportanceSampling",
+    "Magic",
+    "Marginalized",
+    "ModelBased",
+    "OffEnvironment",
+    "Simulator",
+)
 
 
 def saved(known, name):
@@ -138,58 +287,147 @@ def own_values(known):
         known["simulator"],
         oee.tasks.cartpole_policy(0.5),
     )
-    paid = [oee.tasks.gridworld(SIZE, slip, pay="current") for slip in (0.1, 0.3)]  # rewards r(s, a)
+    # rewards r(s, a)
+    paid = [oee.tasks.gridworld(SIZE, slip, pay="current") for slip in (0.1, 0.3)]
     files = {
-        f"{n}.load": saved(known, n) for n in ("ContinuousTransitions", "FiniteMDP", "TransitionCounts", "Transitions")
+        f"{n}.load": saved(known, n)
+        for n in (
+            "ContinuousTransitions",
+            "FiniteMDP",
+            "TransitionCounts",
+            "Transitions",
+        )
     }
-    columns = dict.fromkeys(("reward", "terminated", "truncated", "episode", "timestep", "behavior_probability"))
+    columns = dict.fromkeys(
+        (
+            "reward",
+            "terminated",
+            "truncated",
+            "episode",
+            "timestep",
+            "behavior_probability",
+        )
+    )
     kernel = {"kernel": None, "coordinates": None}
-    ratio_options = ("horizon", "discount", "bandwidth", "lower", "upper", "behavior_policy", *kernel)
+    ratio_options = (
+        "horizon",
+        "discount",
+        "bandwidth",
+        "lower",
+        "upper",
+        "behavior_policy",
+        *kernel,
+    )
     counted = dict(
-        zip(("simulator", "n_states", "n_actions", "bad_rows", "progress"), (None, 9, 4, "refuse", False), strict=True)
+        zip(
+            ("simulator", "n_states", "n_actions", "bad_rows", "progress"),
+            (None, 9, 4, "refuse", False),
+            strict=True,
+        )
     )
     own = {
         "Report.legend": {"rows": known["holders"]["Report"].records()},
-        "ContinuousTransitions.concatenate": {"logs": [moves, moves]}, "FiniteMDP.from_env": {"max_steps": 100},
-        "TransitionCounts.led_to": {"next_state": known["holders"]["TransitionCounts"].next_state},
+        "ContinuousTransitions.concatenate": {"logs": [moves, moves]},
+        "FiniteMDP.from_env": {"max_steps": 100},
+        "TransitionCounts.led_to": {
+            "next_state": known["holders"]["TransitionCounts"].next_state
+        },
         "TransitionRatio.maximum_likelihood_model": {"simulator": simulator},
         "Transitions.led_to": {"next_state": log.next_state},
-        "Transitions.from_episodes": {"episodes": [[(0, 1, 0.5), (1, 2, 0.0)], [(3, 0, 1.0)]]},
-        "Transitions.from_frame": {"frame": known["frame"], "state": "state", "reward": None},
+        "Transitions.from_episodes": {
+            "episodes": [[(0, 1, 0.5), (1, 2, 0.0)], [(3, 0, 1.0)]]
+        },
+        "Transitions.from_frame": {
+            "frame": known["frame"],
+            "state": "state",
+            "reward": None,
+        },
         "Transitions.open": saved(known, "Transitions") | counted,
-        "Transitions": columns | {name: known[name] for name in ("state", "action", "next_state")},
-        "ContinuousTransitions": columns | {name: getattr(moves, name)[:2] for name in ("state", "action", "next_state")},
-        "reweight": {"ratio": known["zeta"]}, "check_policy": {"name": "policy", "horizon": None},
+        "Transitions": (
+            columns | {name: known[name] for name in ("state", "action", "next_state")}
+        ),
+        "ContinuousTransitions": (
+            columns
+            | {
+                name: getattr(moves, name)[:2]
+                for name in ("state", "action", "next_state")
+            }
+        ),
+        "reweight": {"ratio": known["zeta"]},
+        "check_policy": {"name": "policy", "horizon": None},
         "plan_data_collection": {"horizon": None, "n": 20, "solver": "auto"},
-        "evaluate_continuous": {"simulator": oee.tasks.CartPole(10.0), "log": moves, "policies": {"mine": driver},
-                                "settings": oee.report.Settings(episodes=100), "history": 0, "horizon": 20, "target": None},
+        "evaluate_continuous": {
+            "simulator": oee.tasks.CartPole(10.0),
+            "log": moves,
+            "policies": {"mine": driver},
+            "settings": oee.report.Settings(episodes=100),
+            "history": 0,
+            "horizon": 20,
+            "target": None,
+        },
         "check_page": {"path": Path(tempfile.gettempdir()) / "page.html"},
         "contest": {"policies": [known["policy"], known["policy"]]},
-        "evaluate": {"target": None, "estimators": ["oee", "model-based"]}, "transition_ratio": dict.fromkeys(ratio_options),
+        "evaluate": {"target": None, "estimators": ["oee", "model-based"]},
+        "transition_ratio": dict.fromkeys(ratio_options),
         "InClass": {"features": np.arange(simulator.transitions.nnz) % 3.0, **kernel},
-        "Tied": {"tie": np.arange(simulator.transitions.nnz) % 3}, "density_ratio": kernel,
-        "interval": {"n_bootstrap": 20}, "compare_policies": {"n_draws": 100, "n_bootstrap": 20},
-        "ResidualSimulator": {"log": moves}, "LinearModel": {"log": moves}, "resimulate": {"log": moves},
-        "record": {"policy": driver, "n_episodes": None, "n_transitions": 20}, "monte_carlo_value": {"policy": driver},
-        "record_episodes": {"n_transitions": 20, "n_episodes": None, "policy": np.full((16, 4), 0.25)},
-        "DualDice.__call__": {"problem": oee.Problem(simulator, log)}, "Problem": {"behavior_policy": None,
-        "rewards": "simulator"},
-        "Magic": {"ratio": "conditional"}, "Marginalized": {"ratio": "conditional", "lower": None, "upper": None,
-        "features": None},
-        "OffEnvironment": {"ratio": "conditional"}, "DoublyRobust": {"ratio": "conditional"},
+        "Tied": {"tie": np.arange(simulator.transitions.nnz) % 3},
+        "density_ratio": kernel,
+        "interval": {"n_bootstrap": 20},
+        "compare_policies": {"n_draws": 100, "n_bootstrap": 20},
+        "ResidualSimulator": {"log": moves},
+        "LinearModel": {"log": moves},
+        "resimulate": {"log": moves},
+        "record": {"policy": driver, "n_episodes": None, "n_transitions": 20},
+        "monte_carlo_value": {"policy": driver},
+        "record_episodes": {
+            "n_transitions": 20,
+            "n_episodes": None,
+            "policy": np.full((16, 4), 0.25),
+        },
+        "DualDice.__call__": {"problem": oee.Problem(simulator, log)},
+        "Problem": {"behavior_policy": None, "rewards": "simulator"},
+        "Magic": {"ratio": "conditional"},
+        "Marginalized": {
+            "ratio": "conditional",
+            "lower": None,
+            "upper": None,
+            "features": None,
+        },
+        "OffEnvironment": {"ratio": "conditional"},
+        "DoublyRobust": {"ratio": "conditional"},
         "ratio_error_sides": {"moves": known["g"]},
-        "compare_with_oracle": {"n": 20, "repetitions": 3, "horizon": None, "data_distribution": known["data_distribution"]},
-        "relabelled_log": {"states": np.arange(9), "actions": np.arange(4)}, "estimation_sides": {"n": 1000},
-        "universal_constant_counterexample": {"n": 1000, "mu": 10.0, "nu": 0.1}, "Reacher": {"target": (0.1, 0.1)},
-        "value_error_sides": {"target": paid[0], "model": paid[1]}, "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
-        "KinovaArm": {"goal": 0}, "kinova_policy": {"delta": 0.0},
-    }  # fmt: skip
+        "compare_with_oracle": {
+            "n": 20,
+            "repetitions": 3,
+            "horizon": None,
+            "data_distribution": known["data_distribution"],
+        },
+        "relabelled_log": {"states": np.arange(9), "actions": np.arange(4)},
+        "estimation_sides": {"n": 1000},
+        "universal_constant_counterexample": {"n": 1000, "mu": 10.0, "nu": 0.1},
+        "Reacher": {"target": (0.1, 0.1)},
+        "value_error_sides": {"target": paid[0], "model": paid[1]},
+        "value_bound_counterexample": {"nu": 0.9, "epsilon": 0.01},
+        "KinovaArm": {"goal": 0},
+        "kinova_policy": {"delta": 0.0},
+    }
     own |= {
-        "families": {"seed": 0}, "garnet_worse": {"n_states": 5}, "tandem": {"size": 3}, "check_estimator": {"laws": ["limit"]},
-        "league_of": {"table": known["holders"]["League"].table}, "Families": {"makers": {}, "seed": 0, "left_out": {}},
-        "run": {"estimators": "model-based", "families": ["machine"], "sizes": [3], "seeds": 1, "jobs": 1},
-        "Finding.sentence": {"figure": "x"},         "Comparison.bounds": {"one": "uniform", "other": "expert"},
-    }  # fmt: skip
+        "families": {"seed": 0},
+        "garnet_worse": {"n_states": 5},
+        "tandem": {"size": 3},
+        "check_estimator": {"laws": ["limit"]},
+        "league_of": {"table": known["holders"]["League"].table},
+        "Families": {"makers": {}, "seed": 0, "left_out": {}},
+        "run": {
+            "estimators": "model-based",
+            "families": ["machine"],
+            "sizes": [3],
+            "seeds": 1,
+            "jobs": 1,
+        },
+        "Finding.sentence": {"figure": "x"},
+        "Comparison.bounds": {"one": "uniform", "other": "expert"},
+    }
     return files | plots_values(known) | task_values(known) | arm_values() | own
 
 
@@ -198,17 +436,49 @@ def task_values(known):
     cartpole, driver = known["task"], oee.tasks.cartpole_policy(0.5)
     ends = [2.4, 3.0, 0.21, 3.2]
     return {
-        "train_expert": {"iterations": 1, "population": 2, "elite": 1, "episodes": 1, "horizon": 3},
-        "reacher_log": {"task": oee.tasks.Reacher(), "n": 20, "max_steps": 10}, "discretize": {"log": None, "cells": (3, 3),
-        "closure_episodes": 0}, "visited_states": {"tasks": [cartpole], "policies": [driver], "n": 5, "max_steps": 3},
-        "fit_parameters": {"task_of": oee.tasks.CartPole, "start": {"gravity": 10.0}, "log": known["continuous_log"]},
-        "gymnasium_simulator": {"spec": "Pendulum-v1"}, "make_environment": {"identifier": "FrozenLake-v1"},
-        "corrected_value": {"corrected": oee.tasks.ResidualSimulator(cartpole, known["continuous_log"]), "policy": driver,
-                            "n_episodes": 20, "horizon": 5, "refits": 2, "paths": 5},
-        "GymnasiumTask": {"make": make_cartpole, "state_names": ("x", "x_dot", "theta", "theta_dot"), "actions": [0, 1],
-                          "low": [-end for end in ends], "high": ends, "get_state": get_state, "set_state": set_state},
-        "GridInterpolation": {"shape": (3, 3)}, "VisitedCells": {"n_cells": 5}, "padded_log": {"actions": [0]},
-    }  # fmt: skip
+        "train_expert": {
+            "iterations": 1,
+            "population": 2,
+            "elite": 1,
+            "episodes": 1,
+            "horizon": 3,
+        },
+        "reacher_log": {"task": oee.tasks.Reacher(), "n": 20, "max_steps": 10},
+        "discretize": {"log": None, "cells": (3, 3), "closure_episodes": 0},
+        "visited_states": {
+            "tasks": [cartpole],
+            "policies": [driver],
+            "n": 5,
+            "max_steps": 3,
+        },
+        "fit_parameters": {
+            "task_of": oee.tasks.CartPole,
+            "start": {"gravity": 10.0},
+            "log": known["continuous_log"],
+        },
+        "gymnasium_simulator": {"spec": "Pendulum-v1"},
+        "make_environment": {"identifier": "FrozenLake-v1"},
+        "corrected_value": {
+            "corrected": oee.tasks.ResidualSimulator(cartpole, known["continuous_log"]),
+            "policy": driver,
+            "n_episodes": 20,
+            "horizon": 5,
+            "refits": 2,
+            "paths": 5,
+        },
+        "GymnasiumTask": {
+            "make": make_cartpole,
+            "state_names": ("x", "x_dot", "theta", "theta_dot"),
+            "actions": [0, 1],
+            "low": [-end for end in ends],
+            "high": ends,
+            "get_state": get_state,
+            "set_state": set_state,
+        },
+        "GridInterpolation": {"shape": (3, 3)},
+        "VisitedCells": {"n_cells": 5},
+        "padded_log": {"actions": [0]},
+    }
 
 
 def arm_values():
@@ -220,10 +490,15 @@ def arm_values():
     goals = oee.tasks.record_goals(arm, n_runs=1, horizon=3, seed=0)
     goals.save(path := Path(tempfile.mkdtemp()) / "arm.npz")
     return {
-        "fit_hand": {"arm": arm, "n_states": 20}, "record_goals": {"arm": arm, "n_runs": 1, "horizon": 3},
-        "hand_log": {"log": goals}, "load_kinova_log": {"path": path},
-        "KinovaHand": {name: getattr(hand, name) for name in ("coefficients", "scatter", "starts", "source")},
-    }  # fmt: skip
+        "fit_hand": {"arm": arm, "n_states": 20},
+        "record_goals": {"arm": arm, "n_runs": 1, "horizon": 3},
+        "hand_log": {"log": goals},
+        "load_kinova_log": {"path": path},
+        "KinovaHand": {
+            name: getattr(hand, name)
+            for name in ("coefficients", "scatter", "starts", "source")
+        },
+    }
 
 
 def make_cartpole():
@@ -240,24 +515,51 @@ def set_state(env, state):
 
 def plots_values(known):
     """Arguments of what draws, on axes that nobody shows."""
-    row = {"policy": "p", "estimator": "oee", "value": 1.0, "lower": 0.5, "upper": 1.5, "true_value": 1.1}
-    cells, curve, size = {"shape": (1, 2), "over": [0, 1]}, {"a": [1.0, 2.0]}, {"size": (2.0, 2.0)}
+    row = {
+        "policy": "p",
+        "estimator": "oee",
+        "value": 1.0,
+        "lower": 0.5,
+        "upper": 1.5,
+        "true_value": 1.1,
+    }
+    cells, curve, size = (
+        {"shape": (1, 2), "over": [0, 1]},
+        {"a": [1.0, 2.0]},
+        {"size": (2.0, 2.0)},
+    )
     own = {
-        "plot_values": {"records": [row]}, "plot_states": {"time": [0.2, 0.8], "recorded": [3, 4]},
-        "plot_intervals": {"names": ["a", "b"], "values": [1.0, 2.0], "lower": [0.0, 1.0], "upper": [2.0, 3.0]},
-        "plot_curves": {"x": [0.0, 1.0], "curves": curve}, "plot_errors": {"n": [1.0, 2.0], "errors": curve},
-        "plot_variance_growth": {"variances": curve}, "plot_grid": cells | {"values": [1.0, 2.0], "label": "value"},
-        "plot_ratio": cells | {"values": [1.0, 2.0]}, "plot_coverage": cells | {"counts": [3, 0]},
-        "plot_occupancy": cells | {"time": [0.2, 0.8]}, "label_ends": {},
-        "Report.plot": {}, "Interval.plot": {}, "Plan.plot": {}, "Comparison.plot": {},
-    }  # fmt: skip
+        "plot_values": {"records": [row]},
+        "plot_states": {"time": [0.2, 0.8], "recorded": [3, 4]},
+        "plot_intervals": {
+            "names": ["a", "b"],
+            "values": [1.0, 2.0],
+            "lower": [0.0, 1.0],
+            "upper": [2.0, 3.0],
+        },
+        "plot_curves": {"x": [0.0, 1.0], "curves": curve},
+        "plot_errors": {"n": [1.0, 2.0], "errors": curve},
+        "plot_variance_growth": {"variances": curve},
+        "plot_grid": cells | {"values": [1.0, 2.0], "label": "value"},
+        "plot_ratio": cells | {"values": [1.0, 2.0]},
+        "plot_coverage": cells | {"counts": [3, 0]},
+        "plot_occupancy": cells | {"time": [0.2, 0.8]},
+        "label_ends": {},
+        "Report.plot": {},
+        "Interval.plot": {},
+        "Plan.plot": {},
+        "Comparison.plot": {},
+    }
     axes = Figure().subplots()
     own_map = {
         "Map.of_shape": {"rows": 2, "columns": 3},
         "Map.spread": {"values": np.ones(9)},
         "Map.place": {"state": 0},
     }
-    drawn = {"figure_png": size, "figure_svg": size | {"title": "t", "description": "d"}}
+    drawn = {
+        "figure_png": size,
+        "figure_svg": size | {"title": "t", "description": "d"},
+    }
     return (
         own_map
         | {name: values | {"ax": axes} for name, values in own.items()}
@@ -287,12 +589,24 @@ def malformed(change):
 
 
 MALFORMED = (
-    "object", ("indptr", 5, 10**6), ("indptr", -1, 2**31 - 1), ("indptr", 3, -7), ("indptr", 0, 4), ("indices", 7, 10**9),
-    ("indices", 7, -10**9), ("indices", 0, 9), ("data", 3, np.nan), ("indptr", None, lambda a: a[:-5]),
-    ("indices", None, lambda a: a[:4]), ("data", None, lambda a: a[:4]), ("indices", None, lambda a: a + 0.5),
-    ("indptr", None, lambda a: a.astype(float)), ("data", None, lambda a: a.astype(complex)),
-    ("indices", None, lambda a: a.astype(object)), ("data", None, lambda a: a[:, None]),
-)  # fmt: skip
+    "object",
+    ("indptr", 5, 10**6),
+    ("indptr", -1, 2**31 - 1),
+    ("indptr", 3, -7),
+    ("indptr", 0, 4),
+    ("indices", 7, 10**9),
+    ("indices", 7, -(10**9)),
+    ("indices", 0, 9),
+    ("data", 3, np.nan),
+    ("indptr", None, lambda a: a[:-5]),
+    ("indices", None, lambda a: a[:4]),
+    ("data", None, lambda a: a[:4]),
+    ("indices", None, lambda a: a + 0.5),
+    ("indptr", None, lambda a: a.astype(float)),
+    ("data", None, lambda a: a.astype(complex)),
+    ("indices", None, lambda a: a.astype(object)),
+    ("data", None, lambda a: a[:, None]),
+)
 
 
 def nested(depth):
@@ -308,32 +622,159 @@ def general():
     """Hostile values for any argument."""
     deep, table = nested(3000), pd.DataFrame({"state": [0, 1], "action": [1, 0]})
     return (
-        None, "", "raw", "1", b"x", float("nan"), float("inf"), -float("inf"), -1, 0, 1, 2, 0.5, 1.5, -0.0, 2**31, 2**53 + 1,
-        2**63, 2**70, 10**9, 10**12, 10**400, 10**5000, 1e308, -1e308, 1e-320, 1e17, 1j, True, False, np.bool_(True), object(),
-        Raises(), Raises, [], [[]], [[], [1]], (), {}, {"a": None}, {"a": 1}, set(), [None], ["a"], [1, [2, 3]], [np.nan],
-        [1.5], [object()], range(3), slice(None), iter([1]), len, int, np.array(1.0), np.array(np.nan), np.array([]),
-        np.array([1, 2]), np.array(["a", "b"]), np.array([None, 1], dtype=object), np.array(["2020-01-01"],
-        dtype="datetime64[D]"), np.zeros((2, 2, 2, 2)), np.zeros((9, 4)), np.full((9, 4), np.nan), np.full((9, 4), 1e308),
-        np.ones((9, 4)) / 4, np.ones((9, 4), dtype=complex), np.eye(9), np.ones(9), np.zeros(9, dtype=bool), np.float32(0.5),
-        np.int8(3), sparse.csr_array((36, 9)), sparse.csr_array(np.full((36, 9), np.nan)), sparse.csr_array(np.full((36, 9),
-        1e300)), sparse.csr_array(np.full((36, 9), -1.0)), sparse.eye_array(9, format="coo"), oee.tasks.gridworld(2, 0.1),
-        oee.tasks.gridworld(SIZE, 0.0), oee.Transitions([0], [0], [1]), oee.Estimate(1.0), Path("nowhere"), "nowhere.npz",
-        deep, {"a": deep}, [deep] * 9, {0: deep}, list(range(10**6)), ["x" * 10**6] * 9, dict.fromkeys(range(10**5), "x"),
-        "\x1b[31mX\x07", ["\x1b[2J\r"] * 9, "x" * 10**6, "no\x00where.csv", "s3://bucket/log.parquet", "x" * 5000 + ".npz",
-        "..", "*.csv", b"\xff\xfe.npz", np.array([[1, 2], [3]], dtype=object), np.full((9, 4), None), np.full(9, "a",
-        dtype=object), np.array([deep, 1], dtype=object), pd.Series([0.5, 0.5], index=[7, 7]), pd.Series([1] * 9,
-        index=list("abcdefghi")), pd.Series([1, None]), pd.Series(["a", pd.NA]), pd.Series([0] * 9,
-        index=pd.MultiIndex.from_product([[0, 1, 2], list("abc")])), table, table.T, pd.DataFrame([[1, 2]],
-        columns=["state"] * 2), pd.DataFrame(), pd.NA, pd.NaT, Decimal("NaN"), Decimal(1), Fraction(1, 2), np.float16(0.5),
-        np.longdouble(0.5), np.str_("\x1b"), np.bytes_(b"x"), np.datetime64("NaT"), np.timedelta64(3, "s"), np.void(b"ab"),
-        np.complex64(1j), np.uint64(2**64 - 1), memoryview(b"ab"), np.ma.masked_array([1.0, 2.0], mask=[True, False]),
-        np.ma.masked, np.zeros(9, dtype=[("a", "i4"), ("b", "f8")]), np.zeros((0, 0)), np.broadcast_to(0.25, (9, 4)),
-        np.zeros(10**6), np.full(10**6, "abc"), np.array([2**64 - 1], dtype=np.uint64), np.zeros((1,) * 32),
-        sparse.csc_array(np.ones((4, 4))), sparse.csr_array((0, 0)), sparse.coo_array(np.ones(9)), sparse.csr_matrix((36, 9),
-        dtype=bool), sparse.csr_array(np.ones((36, 9), dtype=complex)), sparse.dok_array((9, 9)), np.random.default_rng(0),
-        np.random.SeedSequence(3), np.random, oee, Exception("x"), NotImplemented, Ellipsis, lambda *_, **__: deep,
-        lambda *_: "\x1b[31m", lambda: None, *(malformed(change) for change in MALFORMED),
-    )  # fmt: skip
+        None,
+        "",
+        "raw",
+        "1",
+        b"x",
+        float("nan"),
+        float("inf"),
+        -float("inf"),
+        -1,
+        0,
+        1,
+        2,
+        0.5,
+        1.5,
+        -0.0,
+        2**31,
+        2**53 + 1,
+        2**63,
+        2**70,
+        10**9,
+        10**12,
+        10**400,
+        10**5000,
+        1e308,
+        -1e308,
+        1e-320,
+        1e17,
+        1j,
+        True,
+        False,
+        np.bool_(True),
+        object(),
+        Raises(),
+        Raises,
+        [],
+        [[]],
+        [[], [1]],
+        (),
+        {},
+        {"a": None},
+        {"a": 1},
+        set(),
+        [None],
+        ["a"],
+        [1, [2, 3]],
+        [np.nan],
+        [1.5],
+        [object()],
+        range(3),
+        slice(None),
+        iter([1]),
+        len,
+        int,
+        np.array(1.0),
+        np.array(np.nan),
+        np.array([]),
+        np.array([1, 2]),
+        np.array(["a", "b"]),
+        np.array([None, 1], dtype=object),
+        np.array(["2020-01-01"], dtype="datetime64[D]"),
+        np.zeros((2, 2, 2, 2)),
+        np.zeros((9, 4)),
+        np.full((9, 4), np.nan),
+        np.full((9, 4), 1e308),
+        np.ones((9, 4)) / 4,
+        np.ones((9, 4), dtype=complex),
+        np.eye(9),
+        np.ones(9),
+        np.zeros(9, dtype=bool),
+        np.float32(0.5),
+        np.int8(3),
+        sparse.csr_array((36, 9)),
+        sparse.csr_array(np.full((36, 9), np.nan)),
+        sparse.csr_array(np.full((36, 9), 1e300)),
+        sparse.csr_array(np.full((36, 9), -1.0)),
+        sparse.eye_array(9, format="coo"),
+        oee.tasks.gridworld(2, 0.1),
+        oee.tasks.gridworld(SIZE, 0.0),
+        oee.Transitions([0], [0], [1]),
+        oee.Estimate(1.0),
+        Path("nowhere"),
+        "nowhere.npz",
+        deep,
+        {"a": deep},
+        [deep] * 9,
+        {0: deep},
+        list(range(10**6)),
+        ["x" * 10**6] * 9,
+        dict.fromkeys(range(10**5), "x"),
+        "\x1b[31mX\x07",
+        ["\x1b[2J\r"] * 9,
+        "x" * 10**6,
+        "no\x00where.csv",
+        "s3://bucket/log.parquet",
+        "x" * 5000 + ".npz",
+        "..",
+        "*.csv",
+        b"\xff\xfe.npz",
+        np.array([[1, 2], [3]], dtype=object),
+        np.full((9, 4), None),
+        np.full(9, "a", dtype=object),
+        np.array([deep, 1], dtype=object),
+        pd.Series([0.5, 0.5], index=[7, 7]),
+        pd.Series([1] * 9, index=list("abcdefghi")),
+        pd.Series([1, None]),
+        pd.Series(["a", pd.NA]),
+        pd.Series([0] * 9, index=pd.MultiIndex.from_product([[0, 1, 2], list("abc")])),
+        table,
+        table.T,
+        pd.DataFrame([[1, 2]], columns=["state"] * 2),
+        pd.DataFrame(),
+        pd.NA,
+        pd.NaT,
+        Decimal("NaN"),
+        Decimal(1),
+        Fraction(1, 2),
+        np.float16(0.5),
+        np.longdouble(0.5),
+        np.str_("\x1b"),
+        np.bytes_(b"x"),
+        np.datetime64("NaT"),
+        np.timedelta64(3, "s"),
+        np.void(b"ab"),
+        np.complex64(1j),
+        np.uint64(2**64 - 1),
+        memoryview(b"ab"),
+        np.ma.masked_array([1.0, 2.0], mask=[True, False]),
+        np.ma.masked,
+        np.zeros(9, dtype=[("a", "i4"), ("b", "f8")]),
+        np.zeros((0, 0)),
+        np.broadcast_to(0.25, (9, 4)),
+        np.zeros(10**6),
+        np.full(10**6, "abc"),
+        np.array([2**64 - 1], dtype=np.uint64),
+        np.zeros((1,) * 32),
+        sparse.csc_array(np.ones((4, 4))),
+        sparse.csr_array((0, 0)),
+        sparse.coo_array(np.ones(9)),
+        sparse.csr_matrix((36, 9), dtype=bool),
+        sparse.csr_array(np.ones((36, 9), dtype=complex)),
+        sparse.dok_array((9, 9)),
+        np.random.default_rng(0),
+        np.random.SeedSequence(3),
+        np.random,
+        oee,
+        Exception("x"),
+        NotImplemented,
+        Ellipsis,
+        lambda *_, **__: deep,
+        lambda *_: "\x1b[31m",
+        lambda: None,
+        *(malformed(change) for change in MALFORMED),
+    )
 
 
 def hostile(rng, valid):
@@ -349,10 +790,14 @@ def spoilt(rng, valid):
         if rng.random() < 0.3:
             return malformed(MALFORMED[rng.integers(len(MALFORMED))])
         spoiled = sparse.csr_array(valid).astype(float)
-        spoiled.data[rng.integers(spoiled.nnz)] = rng.choice([np.nan, np.inf, -1.0, 1e300, 1e-310, 0.0])
+        spoiled.data[rng.integers(spoiled.nnz)] = rng.choice(
+            [np.nan, np.inf, -1.0, 1e300, 1e-310, 0.0]
+        )
         return spoiled if rng.random() < 0.7 else spoiled[:-1]
     with contextlib.suppress(ValueError):  # a ragged list has no shape
-        if not isinstance(valid, bool | str | None.__class__ | dict) and np.shape(valid):
+        if not isinstance(valid, bool | str | None.__class__ | dict) and np.shape(
+            valid
+        ):
             return spoilt_array(rng, np.array(valid))
     return [valid]
 
@@ -364,8 +809,16 @@ def spoilt_array(rng, array):
     change = rng.integers(6)
     if change == 0:
         array = array.astype(float)
-        array.flat[rng.integers(array.size)] = rng.choice([np.nan, np.inf, -1.0, 1e308, 1e-320])
+        array.flat[rng.integers(array.size)] = rng.choice(
+            [np.nan, np.inf, -1.0, 1e308, 1e-320]
+        )
         return array
     with np.errstate(over="ignore"):
         larger = array.astype(float) * 1e308
-        return (array[:-1], array.astype(str), array[None], array.astype(object), larger)[change - 1]
+        return (
+            array[:-1],
+            array.astype(str),
+            array[None],
+            array.astype(object),
+            larger,
+        )[change - 1]

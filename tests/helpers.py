@@ -23,7 +23,16 @@ def integer_distribution(rng, size, zeros=0.3):
     return weights / weights.sum()
 
 
-def random_mdp(rng, *, n_states=None, n_actions=None, discount=None, form=None, zeros=0.3, like=None):
+def random_mdp(
+    rng,
+    *,
+    n_states=None,
+    n_actions=None,
+    discount=None,
+    form=None,
+    zeros=0.3,
+    like=None,
+):
     """A random MDP with exact zeros; ``form`` of rewards 1 = r(s), 2 = r(s, a), 3 = r(s, a, s').
 
     ``like``: other dynamics for that MDP, inside its support (so that a ratio exists).
@@ -36,21 +45,32 @@ def random_mdp(rng, *, n_states=None, n_actions=None, discount=None, form=None, 
             new = np.zeros(len(row))
             new[support] = integer_distribution(rng, len(support), zeros=0.2)
             rows.append(new)
-        return like.with_transitions(np.array(rows).reshape(like.n_states, like.n_actions, -1))
+        return like.with_transitions(
+            np.array(rows).reshape(like.n_states, like.n_actions, -1)
+        )
     n_states = n_states or int(rng.integers(1, 8))
     n_actions = n_actions or int(rng.integers(1, 4))
     transitions = np.array(
-        [[integer_distribution(rng, n_states, zeros) for _ in range(n_actions)] for _ in range(n_states)]
+        [
+            [integer_distribution(rng, n_states, zeros) for _ in range(n_actions)]
+            for _ in range(n_states)
+        ]
     )
     form = form or int(rng.integers(1, 4))
     shape = (n_states, n_actions, n_states)[:form]
     rewards = rng.integers(-5, 6, size=shape).astype(float)
-    discount = discount if discount is not None else float(rng.choice([0.0, 0.5, 0.9, 0.99]))
-    return FiniteMDP(transitions, rewards, integer_distribution(rng, n_states), discount)
+    discount = (
+        discount if discount is not None else float(rng.choice([0.0, 0.5, 0.9, 0.99]))
+    )
+    return FiniteMDP(
+        transitions, rewards, integer_distribution(rng, n_states), discount
+    )
 
 
 def random_policy(rng, mdp, zeros=0.3):
-    return np.array([integer_distribution(rng, mdp.n_actions, zeros) for _ in range(mdp.n_states)])
+    return np.array(
+        [integer_distribution(rng, mdp.n_actions, zeros) for _ in range(mdp.n_states)]
+    )
 
 
 seeds = st.integers(0, 2**32 - 1)
@@ -88,7 +108,9 @@ class Dense:
     def values(self, pi, horizon=None):
         """V (S,), or of a horizon V with t = horizon, ..., 0 rewards to go (T + 1, S), index t the time."""
         if horizon is None:
-            return np.linalg.solve(np.eye(len(self.mu)) - self.g * self.chain(pi), self.paid(pi))
+            return np.linalg.solve(
+                np.eye(len(self.mu)) - self.g * self.chain(pi), self.paid(pi)
+            )
         to_go = [np.zeros(len(self.mu))]
         for _ in range(horizon):
             to_go.append(self.paid(pi) + self.g * self.chain(pi) @ to_go[-1])
@@ -101,7 +123,12 @@ class Dense:
     def visits(self, pi, horizon=None):
         """(S, A) expected discounted visits, not normalised; over a horizon a list by t, discounted."""
         if horizon is None:
-            return np.linalg.solve(np.eye(len(self.mu)) - self.g * self.chain(pi).T, self.mu)[:, None] * pi
+            return (
+                np.linalg.solve(
+                    np.eye(len(self.mu)) - self.g * self.chain(pi).T, self.mu
+                )[:, None]
+                * pi
+            )
         found, at = [], self.mu
         for t in range(horizon):
             found.append(self.g**t * at[:, None] * pi)
@@ -113,7 +140,10 @@ class Dense:
         v = self.values(pi, horizon)
         if horizon is None:
             return self.visits(pi)[:, :, None] * (self.r + self.g * v)
-        return sum(d[:, :, None] * (self.r + self.g * v[t + 1]) for t, d in enumerate(self.visits(pi, horizon)))
+        return sum(
+            d[:, :, None] * (self.r + self.g * v[t + 1])
+            for t, d in enumerate(self.visits(pi, horizon))
+        )
 
 
 def dense_values(mdp, policy):
@@ -136,14 +166,23 @@ def paths(mdp, policy, horizon):
         law = (policy if policy.ndim == 2 else policy[t])[:, :, None] * transitions
         moves = [np.argwhere(rows > 0).tolist() for rows in law]
         found = [
-            (p * law[s, a, j], j, [*steps, (s, a, j, rewards[s, a, j])]) for p, s, steps in found for a, j in moves[s]
+            (p * law[s, a, j], j, [*steps, (s, a, j, rewards[s, a, j])])
+            for p, s, steps in found
+            for a, j in moves[s]
         ]
     return [(p, steps) for p, _, steps in found]
 
 
 STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
-ROWS = np.array([[[0.25, 0.75, 0.0], [1, 0, 0]], [[0.0, 0.5, 0.5], [0, 1, 0]], [[0, 0, 1], [0, 0, 1]]])
-PLAIN = FiniteMDP(ROWS, [-1.0, -1.0, 0.0], 0, 0.9)  # hall -> room -> dock, where it is over
+ROWS = np.array(
+    [
+        [[0.25, 0.75, 0.0], [1, 0, 0]],
+        [[0.0, 0.5, 0.5], [0, 1, 0]],
+        [[0, 0, 1], [0, 0, 1]],
+    ]
+)
+# hall -> room -> dock, where it is over
+PLAIN = FiniteMDP(ROWS, [-1.0, -1.0, 0.0], 0, 0.9)
 NAMED = PLAIN.with_names(STATES, ACTIONS)
 
 
@@ -166,14 +205,24 @@ def printed(script, **settings):
     """What a script prints in a process of its own, with these of numba's settings."""
     environment = os.environ | {name: str(value) for name, value in settings.items()}
     command = [sys.executable, "-c", script]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    return subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=True
+    ).stdout
 
 
 def rows_of(weights, indptr):
     """``Rows`` of one action with these probabilities; the states that they lead to are no matter."""
     indptr = np.asarray(indptr, dtype=np.int64)
     entries = np.arange(len(weights))
-    return Rows(np.arange(len(indptr) - 1), entries, np.asarray(weights, dtype=float), indptr, entries, len(entries), 1)
+    return Rows(
+        np.arange(len(indptr) - 1),
+        entries,
+        np.asarray(weights, dtype=float),
+        indptr,
+        entries,
+        len(entries),
+        1,
+    )
 
 
 def environments(form, discount=0.7):
@@ -182,7 +231,9 @@ def environments(form, discount=0.7):
     rows = rng.dirichlet(np.full(3, 4.0), (3, 2))
     rewards = rng.normal(size=(3, 2, 3)[:form])
     simulator = FiniteMDP(rows, rewards, [0.6, 0.4, 0.0], discount)
-    return simulator, simulator.with_transitions(0.8 * rows + 0.2 * rng.dirichlet(np.ones(3), (3, 2)))
+    return simulator, simulator.with_transitions(
+        0.8 * rows + 0.2 * rng.dirichlet(np.ones(3), (3, 2))
+    )
 
 
 POLICY = np.array([[0.3, 0.7], [0.5, 0.5], [0.8, 0.2]])  # for these
@@ -202,7 +253,9 @@ def tiny(seed, moves=25, left_out=(), form="sa", n_states=3, n_actions=2, discou
     P = rng.dirichlet(np.full(n_states, 1.5), size=(n_states, n_actions))
     r = rng.normal(size=(n_states, n_actions, n_states)[: len(form)])
     simulator = FiniteMDP(P, r, rng.dirichlet(np.ones(n_states)), discount)
-    target = simulator.with_transitions(rng.dirichlet(np.full(n_states, 2.0), size=(n_states, n_actions)))
+    target = simulator.with_transitions(
+        rng.dirichlet(np.full(n_states, 2.0), size=(n_states, n_actions))
+    )
     share = np.ones((n_states, n_actions))
     share.reshape(-1)[list(left_out)] = 0.0
     log = sample_transitions(target, share / share.sum(), moves, seed=seed)

@@ -28,17 +28,23 @@ def notebook_runner():
 
     It runs in a process of its own, a fork of one that has imported what all notebooks import and nothing else.
     """
-    environment = os.environ | {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    environment = os.environ | {
+        "MPLBACKEND": "module://matplotlib_inline.backend_inline"
+    }
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with (
         tempfile.TemporaryDirectory() as results,
-        subprocess.Popen([sys.executable, __file__, SERVE], env=environment, **pipes) as server,
+        subprocess.Popen(
+            [sys.executable, __file__, SERVE], env=environment, **pipes
+        ) as server,
     ):
 
         def run(path, folder):
             result = Path(results) / path.name
             print(path, folder, result, sep="\t", file=server.stdin, flush=True)
-            assert server.stdout.readline() == "0\n", f"{path.name} failed, as its process said"
+            assert server.stdout.readline() == "0\n", (
+                f"{path.name} failed, as its process said"
+            )
             return nbformat.read(result, as_version=4)
 
         yield run
@@ -47,7 +53,13 @@ def notebook_runner():
 
 def serve():
     """Fork for each line of stdin; print how the fork ended."""
-    for module in ("IPython", "matplotlib.pyplot", "pandas", "oee_tabular.plots", "oee_tabular.testing.exercises"):
+    for module in (
+        "IPython",
+        "matplotlib.pyplot",
+        "pandas",
+        "oee_tabular.plots",
+        "oee_tabular.testing.exercises",
+    ):
         importlib.import_module(module)
 
     for line in sys.stdin:
@@ -73,7 +85,11 @@ def execute(book):
     class Hook(displayhook.DisplayHook):
         def __call__(self, result=None):
             if result is not None and not self.quiet():
-                shown.append(nbformat.v4.new_output("execute_result", data=self.compute_format_data(result)[0]))
+                shown.append(
+                    nbformat.v4.new_output(
+                        "execute_result", data=self.compute_format_data(result)[0]
+                    )
+                )
 
     class Publisher(displaypub.DisplayPublisher):
         def publish(self, data, *_, **__):
@@ -93,12 +109,18 @@ def execute(book):
             if not result.success:
                 print(captured.stdout, captured.stderr, file=sys.stderr)
                 os._exit(1)
-            printed = [nbformat.v4.new_output("stream", text=captured.stdout)] if captured.stdout else []
+            printed = (
+                [nbformat.v4.new_output("stream", text=captured.stdout)]
+                if captured.stdout
+                else []
+            )
             cell.execution_count, cell.outputs = None, [*printed, *shown]
             for output in shown:
                 compress(output.data)
             shown.clear()
-    book.metadata = nbformat.from_dict({"kernelspec": book.metadata.kernelspec, "language_info": {"name": "python"}})
+    book.metadata = nbformat.from_dict(
+        {"kernelspec": book.metadata.kernelspec, "language_info": {"name": "python"}}
+    )
     return book
 
 
@@ -114,7 +136,11 @@ def compress(data):
 
 def texts(book):
     """What each code cell prints and returns; of a picture nothing, since its size depends on the extras."""
-    return ["".join(map(text_of, cell.outputs)) for cell in book.cells if cell.cell_type == "code"]
+    return [
+        "".join(map(text_of, cell.outputs))
+        for cell in book.cells
+        if cell.cell_type == "code"
+    ]
 
 
 def text_of(output):

@@ -34,7 +34,10 @@ def redraw(names):
 
     for experiment in choose(names, everything=not names):
         made = files_of(experiment.settings(), saved(experiment.id))
-        write_all(RESULTS / experiment.id, {name: made[name] for name in made if name != "table.csv"})
+        write_all(
+            RESULTS / experiment.id,
+            {name: made[name] for name in made if name != "table.csv"},
+        )
     write_index(RESULTS)
 
 

@@ -26,7 +26,9 @@ def layered(layers, width):
     kernel = sparse.lil_array((n, n))
     for s in range(n - width):
         layer = s // width + 1
-        kernel[s, layer * width + rng.permutation(width)[:3]] = rng.dirichlet(np.ones(3))
+        kernel[s, layer * width + rng.permutation(width)[:3]] = rng.dirichlet(
+            np.ones(3)
+        )
     for s in range(n - width, n):
         kernel[s, s] = 1.0
     return sparse.csr_array(kernel)
@@ -36,7 +38,9 @@ def random_rows(n, entries):
     rng = np.random.default_rng(n)
     rows = np.repeat(np.arange(n), entries)
     data = rng.dirichlet(np.ones(entries), n).reshape(-1)
-    return sparse.csr_array((data, (rows, rng.integers(0, n, n * entries))), shape=(n, n))
+    return sparse.csr_array(
+        (data, (rows, rng.integers(0, n, n * entries))), shape=(n, n)
+    )
 
 
 STRUCTURES = {
@@ -46,12 +50,18 @@ STRUCTURES = {
     "layered": layered(12, 40),
     "expander": random_rows(600, 8),
     "ring": cycle(500),
-    "disconnected": sparse.csr_array(sparse.block_diag([grid(15), random_rows(200, 3), cycle(100)])),
+    "disconnected": sparse.csr_array(
+        sparse.block_diag([grid(15), random_rows(200, 3), cycle(100)])
+    ),
     "reducible": sparse.csr_array(
-        sparse.block_array([[grid(12) * 0.7, random_rows(144, 2) * 0.3], [None, cycle(144)]])
+        sparse.block_array(
+            [[grid(12) * 0.7, random_rows(144, 2) * 0.3], [None, cycle(144)]]
+        )
     ),
     "lossy": grid(20) * 0.9,
-    "rows above 1": sparse.csr_array(sparse.diags_array(np.where(np.arange(400) % 7 == 1, 1.2, 0.8)) @ grid(20)),
+    "rows above 1": sparse.csr_array(
+        sparse.diags_array(np.where(np.arange(400) % 7 == 1, 1.2, 0.8)) @ grid(20)
+    ),
     "empty": sparse.csr_array((50, 50)),
     "dense": sparse.csr_array(np.random.default_rng(5).dirichlet(np.ones(60), 60)),
 }
@@ -62,7 +72,9 @@ def binary_tree(n):
     rng, at = np.random.default_rng(0), np.arange(n)
     rows = np.concatenate([at[1:], (at[1:] - 1) // 2, [0]])
     columns = np.concatenate([(at[1:] - 1) // 2, at[1:], [0]])
-    kernel = sparse.csr_array((rng.random(len(rows)) + 0.01, (rows, columns)), shape=(n, n))
+    kernel = sparse.csr_array(
+        (rng.random(len(rows)) + 0.01, (rows, columns)), shape=(n, n)
+    )
     return sparse.csr_array(sparse.diags_array(1 / kernel.sum(axis=1)) @ kernel)
 
 

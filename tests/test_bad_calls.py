@@ -42,7 +42,9 @@ def rows(array):
     return sparse.csr_array(array.reshape(-1, array.shape[-1]))
 
 
-def mdp(transitions=GOOD, rewards=(0.0, 1.0), initial=(1.0, 0.0), discount=0.9, **options):
+def mdp(
+    transitions=GOOD, rewards=(0.0, 1.0), initial=(1.0, 0.0), discount=0.9, **options
+):
     rewards = np.array(rewards) if isinstance(rewards, tuple) else rewards
     return FiniteMDP(transitions, rewards, initial, discount, **options)
 
@@ -53,16 +55,25 @@ def walk(stay):
 
 
 def log(**changes):
-    columns = {"state": [0, 1, 2], "action": [0, 0, 1], "next_state": [1, 2, 0], "episode": [0, 0, 0]}
+    columns = {
+        "state": [0, 1, 2],
+        "action": [0, 0, 1],
+        "next_state": [1, 2, 0],
+        "episode": [0, 0, 0],
+    }
     return Transitions(**(columns | changes))
 
 
 def without(name):
-    return Transitions(**{key: value for key, value in LOG.columns().items() if key != name})
+    return Transitions(
+        **{key: value for key, value in LOG.columns().items() if key != name}
+    )
 
 
 def frame(**changes):
-    return pd.DataFrame({"state": ["hall"], "action": ["go"], "next_state": ["dock"]}).assign(**changes)
+    return pd.DataFrame(
+        {"state": ["hall"], "action": ["go"], "next_state": ["dock"]}
+    ).assign(**changes)
 
 
 def broken():
@@ -84,7 +95,12 @@ def zeta(**options):
 
 
 def boxed(**options):
-    box = {"lower": 0.2, "upper": 5.0, "normalized": False, "functions": oee.ratio.Network()}
+    box = {
+        "lower": 0.2,
+        "upper": 5.0,
+        "normalized": False,
+        "functions": oee.ratio.Network(),
+    }
     return oee.ratio.Quotient(**box | options)
 
 
@@ -93,12 +109,17 @@ def plan(problem, policies=UNIFORM, **options):
 
 
 def family(**changes):
-    given = {name: getattr(PAIR, name) for name in ("simulator", "target", "policy", "data_policy", "about")}
+    given = {
+        name: getattr(PAIR, name)
+        for name in ("simulator", "target", "policy", "data_policy", "about")
+    }
     return oee.bench.Family(**(given | changes))
 
 
 def compared(estimator=lambda problem, policy: 1.0, pair=(GRID, GRID), **options):
-    return oee.testing.compare_with_oracle(estimator, pair, UNIFORM, **{"n": 9, "behavior_policy": UNIFORM} | options)
+    return oee.testing.compare_with_oracle(
+        estimator, pair, UNIFORM, **{"n": 9, "behavior_policy": UNIFORM} | options
+    )
 
 
 POLE = oee.tasks.cartpole_policy(0.3)
@@ -106,11 +127,18 @@ POLE = oee.tasks.cartpole_policy(0.3)
 
 def pole(width=4, rows=slice(None), **first):
     """A log of CartPole: so many coordinates of its states, these rows; ``first``: other values in row 0."""
-    log = oee.tasks.record(oee.tasks.CartPole(), POLE, n_transitions=50, max_steps=100, seed=0)
-    columns = {name: np.array(log.columns()[name])[rows] for name in ("state", "action", "next_state")}
+    log = oee.tasks.record(
+        oee.tasks.CartPole(), POLE, n_transitions=50, max_steps=100, seed=0
+    )
+    columns = {
+        name: np.array(log.columns()[name])[rows]
+        for name in ("state", "action", "next_state")
+    }
     for name, value in first.items():
         columns[name][0] = value
-    return ContinuousTransitions(columns["state"][:, :width], columns["action"], columns["next_state"][:, :width])
+    return ContinuousTransitions(
+        columns["state"][:, :width], columns["action"], columns["next_state"][:, :width]
+    )
 
 
 def states(**changes):
@@ -124,7 +152,9 @@ def states(**changes):
 
 
 def hand(width, size=0.1, action=(0.0, 0.0, 1.0)):
-    return ContinuousTransitions(np.full((2, width), size), [list(action)] * 2, np.full((2, width), size))
+    return ContinuousTransitions(
+        np.full((2, width), size), [list(action)] * 2, np.full((2, width), size)
+    )
 
 
 def corrected():
@@ -132,7 +162,9 @@ def corrected():
 
 
 def cells(shape=(6, 6), **options):
-    return oee.tasks.discretize(oee.tasks.CartPole(), cells=shape, **{"closure_episodes": 0} | options)
+    return oee.tasks.discretize(
+        oee.tasks.CartPole(), cells=shape, **{"closure_episodes": 0} | options
+    )
 
 
 class Nowhere(oee.tasks.CartPole):
@@ -142,27 +174,64 @@ class Nowhere(oee.tasks.CartPole):
 
 
 def pendulum(**changes):
-    named = {"state_names": ("angle", "speed"), "actions": [[-2.0], [2.0]], "low": [-4.0, -8.0], "high": [4.0, 8.0]}
-    return oee.tasks.GymnasiumTask(lambda: gymnasium.make("Pendulum-v1"), **named | changes)
+    named = {
+        "state_names": ("angle", "speed"),
+        "actions": [[-2.0], [2.0]],
+        "low": [-4.0, -8.0],
+        "high": [4.0, 8.0],
+    }
+    return oee.tasks.GymnasiumTask(
+        lambda: gymnasium.make("Pendulum-v1"), **named | changes
+    )
 
 
 NAMES = {}
-for room in (oee, oee.bench, oee.estimators, oee.exact, oee.inference, oee.mdp, oee.plots, oee.ratio, oee.simulate, oee.tasks,
-             oee.testing, oee.theory):  # fmt: skip
+for room in (
+    oee,
+    oee.bench,
+    oee.estimators,
+    oee.exact,
+    oee.inference,
+    oee.mdp,
+    oee.plots,
+    oee.ratio,
+    oee.simulate,
+    oee.tasks,
+    oee.testing,
+    oee.theory,
+):
     NAMES |= {name: getattr(room, name) for name in room.__all__}
 NAMES |= globals() | {
-    "HALL": NAMED, "CHAIN": survival_chain(), "ONES": survival_chain().transitions.sign(), "ONLY": np.ones((2, 1)),
+    "HALL": NAMED,
+    "CHAIN": survival_chain(),
+    "ONES": survival_chain().transitions.sign(),
+    "ONLY": np.ones((2, 1)),
     "LOOP": FiniteMDP(np.eye(6)[[[0]] * 6], np.zeros(6), 0, 0.9),
-    "COIN": FiniteMDP(COIN, [1.0, 0.0], 0, 0.9), "PAID": FiniteMDP(COIN, np.ones((2, 1, 2)), 0, 0.9),
-    "PLACES": np.array([[0.5, -1.0], [2.0, 3.0], [7.0, 7.0]]), "PLACE": np.arange(9.0), "ONE": oee.Estimate(1.0),
-    "HUGE": GRID.with_rewards(1e200 * GRID.rewards), "ENDLESS": GRID.with_discount(1.0), "P": oee.Problem(GRID, LOG),
-    "RIGID": oee.Problem(STIFF, Transitions([0], [0], [3])), "EVEN": UNIFORM / 9, "UP": np.eye(4)[np.zeros(9, dtype=int)],
-    "ZETA": oee.true_ratio(GRID, GRID), "COUNTS": LOG.counts(9, 4), "FAR": Transitions([9], [0], [0]),
-    "NEVER": Transitions(**LOG.columns() | {"behavior_probability": np.zeros(len(LOG))}), "BROKEN": broken(),
-    "HALS": Transitions(["hall", "hal", "hall", "hal"], ["go"] * 4, ["hall"] * 4), "AXES": Figure().subplots(),
-    "TWINS": np.stack([np.arange(36.0), np.ones(36), 3 - np.arange(36.0)], axis=1), "from_episodes": Transitions.from_episodes,
-    "from_frame": Transitions.from_frame, "LAKE": oee.tasks.make_environment("FrozenLake-v1"),
-}  # fmt: skip
+    "COIN": FiniteMDP(COIN, [1.0, 0.0], 0, 0.9),
+    "PAID": FiniteMDP(COIN, np.ones((2, 1, 2)), 0, 0.9),
+    "PLACES": np.array([[0.5, -1.0], [2.0, 3.0], [7.0, 7.0]]),
+    "PLACE": np.arange(9.0),
+    "ONE": oee.Estimate(1.0),
+    "HUGE": GRID.with_rewards(1e200 * GRID.rewards),
+    "ENDLESS": GRID.with_discount(1.0),
+    "P": oee.Problem(GRID, LOG),
+    "RIGID": oee.Problem(STIFF, Transitions([0], [0], [3])),
+    "EVEN": UNIFORM / 9,
+    "UP": np.eye(4)[np.zeros(9, dtype=int)],
+    "ZETA": oee.true_ratio(GRID, GRID),
+    "COUNTS": LOG.counts(9, 4),
+    "FAR": Transitions([9], [0], [0]),
+    "NEVER": Transitions(
+        **LOG.columns() | {"behavior_probability": np.zeros(len(LOG))}
+    ),
+    "BROKEN": broken(),
+    "HALS": Transitions(["hall", "hal", "hall", "hal"], ["go"] * 4, ["hall"] * 4),
+    "AXES": Figure().subplots(),
+    "TWINS": np.stack([np.arange(36.0), np.ones(36), 3 - np.arange(36.0)], axis=1),
+    "from_episodes": Transitions.from_episodes,
+    "from_frame": Transitions.from_frame,
+    "LAKE": oee.tasks.make_environment("FrozenLake-v1"),
+}
 LINES = [line for line in TABLE.replace("\n  ", " ").splitlines() if "  ->  " in line]
 
 
@@ -173,54 +242,158 @@ def test_bad_calls(line):
     with pytest.raises((ValueError, FileNotFoundError)) as refused:
         eval(source, NAMES)
     wanted = f"{text.rstrip()}...\n"
-    assert doctest.OutputChecker().check_output(wanted, f"{refused.value}\n", doctest.ELLIPSIS), refused.value
+    assert doctest.OutputChecker().check_output(
+        wanted, f"{refused.value}\n", doctest.ELLIPSIS
+    ), refused.value
 
 
 POSITIVE = [(0, "must be a positive integer"), (1.5, "must be a positive integer")]
 SEED = [("a", "must be what numpy.random."), (-1, "must be what numpy.random.")]
 SHARES = [(2 * UNIFORM, "must sum to 1"), (3, "must have shape (9, 4)")]
 BOUND = [(-1, "must be in [0, inf"), ("x", "must be a number")]
-RULES = {  # of an argument's name: what is given, and the rule, whichever public function has it
-    "mdp": [(3, "must be a FiniteMDP")], "simulator": [(3, "must be a FiniteMDP")], "target": [(3, "must be a FiniteMDP")],
-    "problem": [(3, "must be a Problem")], "discount": [(1.5, "must be in [0, 1]"), ("x", "must be a number")],
-    "policy": [(3, "must be an action, or a distribution"), ("x", "must be an action, or"), (2 * UNIFORM, "must sum to 1")],
-    "behavior_policy": [(2 * UNIFORM, "must sum to 1")], "data_distribution": SHARES, "distribution": SHARES[:1],
-    "confidence": [(1.0, "must be in (0, 1)"), ("x", "must be a number")], "lower": BOUND, "upper": BOUND, "ridge": BOUND[:1],
-    "lower_ratio": [("x", "must be a number")], "delta": [(1.5, "must be in [0, 1]")],
-    "floor": [(1.5, "must be in [0, 1]")], "path": [(3, "must be "), ("a\0", "must be text"), (None, "must be ")],
-    "slip": [(1.1, "must be in [0, 1]")], "weight_of_a": [(2, "must be in [0, 1]")],
-    "discretised": [(np.inf, "must be finite")], "continuous_error": BOUND,
-    "eta": BOUND, "reward_bound": [(np.inf, "must be finite")], "order": [(0, "must be positive"), ("x", "must be a number")],
-    "constant": [(0.0, "must be in (0, inf)")], "p_min": [(2.0, "must be in [0, 1]")], "gravity": BOUND,
-    "noise": [(np.nan, "must be in [0, inf)")], "gear": BOUND, "timestep": [(0.0, "must be in (0, inf)")],
-    "reward_length": [(0.0, "must be in (0, inf)")], "velocity_scale": [(-1.0, "must be in [0, 3]")],
-    "latency": [(0.3, "must be in [0, 0.2]")], "payload": [(np.nan, "must be in")], "refits": [(1, "must be at least 2")],
-    "closure_episodes": [(-1, "must be a positive integer")], "repetitions": [(1, "must be at least")],
-    "held_out": [(-0.1, "must be in [0, 1]")], "epsilon": [("x", "must be a number")],
-    "step_size": [(0, "must be in (0, inf)")], "seed": SEED, "n_states": POSITIVE,
-}  # fmt: skip
-for number in ("horizon", "n", "n_actions", "n_episodes", "n_rollouts", "max_steps", "n_draws", "n_lengths",
-               "batch_size", "n_iterations", "patience", "n_bootstrap", "m", "k", "kept_moves", "n_cells", "paths", "substeps",
-               "population", "n_runs", "n_transitions", "max_states", "max_horizon", "top"):  # fmt: skip
+# of an argument's name: what is given, and the rule, whichever public function has it
+RULES = {
+    "mdp": [(3, "must be a FiniteMDP")],
+    "simulator": [(3, "must be a FiniteMDP")],
+    "target": [(3, "must be a FiniteMDP")],
+    "problem": [(3, "must be a Problem")],
+    "discount": [(1.5, "must be in [0, 1]"), ("x", "must be a number")],
+    "policy": [
+        (3, "must be an action, or a distribution"),
+        ("x", "must be an action, or"),
+        (2 * UNIFORM, "must sum to 1"),
+    ],
+    "behavior_policy": [(2 * UNIFORM, "must sum to 1")],
+    "data_distribution": SHARES,
+    "distribution": SHARES[:1],
+    "confidence": [(1.0, "must be in (0, 1)"), ("x", "must be a number")],
+    "lower": BOUND,
+    "upper": BOUND,
+    "ridge": BOUND[:1],
+    "lower_ratio": [("x", "must be a number")],
+    "delta": [(1.5, "must be in [0, 1]")],
+    "floor": [(1.5, "must be in [0, 1]")],
+    "path": [(3, "must be "), ("a\0", "must be text"), (None, "must be ")],
+    "slip": [(1.1, "must be in [0, 1]")],
+    "weight_of_a": [(2, "must be in [0, 1]")],
+    "discretised": [(np.inf, "must be finite")],
+    "continuous_error": BOUND,
+    "eta": BOUND,
+    "reward_bound": [(np.inf, "must be finite")],
+    "order": [(0, "must be positive"), ("x", "must be a number")],
+    "constant": [(0.0, "must be in (0, inf)")],
+    "p_min": [(2.0, "must be in [0, 1]")],
+    "gravity": BOUND,
+    "noise": [(np.nan, "must be in [0, inf)")],
+    "gear": BOUND,
+    "timestep": [(0.0, "must be in (0, inf)")],
+    "reward_length": [(0.0, "must be in (0, inf)")],
+    "velocity_scale": [(-1.0, "must be in [0, 3]")],
+    "latency": [(0.3, "must be in [0, 0.2]")],
+    "payload": [(np.nan, "must be in")],
+    "refits": [(1, "must be at least 2")],
+    "closure_episodes": [(-1, "must be a positive integer")],
+    "repetitions": [(1, "must be at least")],
+    "held_out": [(-0.1, "must be in [0, 1]")],
+    "epsilon": [("x", "must be a number")],
+    "step_size": [(0, "must be in (0, inf)")],
+    "seed": SEED,
+    "n_states": POSITIVE,
+}
+for number in (
+    "horizon",
+    "n",
+    "n_actions",
+    "n_episodes",
+    "n_rollouts",
+    "max_steps",
+    "n_draws",
+    "n_lengths",
+    "batch_size",
+    "n_iterations",
+    "patience",
+    "n_bootstrap",
+    "m",
+    "k",
+    "kept_moves",
+    "n_cells",
+    "paths",
+    "substeps",
+    "population",
+    "n_runs",
+    "n_transitions",
+    "max_states",
+    "max_horizon",
+    "top",
+):
     RULES[number] = POSITIVE
-for word in ("impossible", "bad_rows", "loss", "radius", "resample", "of", "sampling", "fallback", "weights", "ragged", "pay",
-             "behavior", "evaluation", "weighting", "activation", "optimizer", "support", "kind", "method", "form", "inertia",
-             ):  # fmt: skip
+for word in (
+    "impossible",
+    "bad_rows",
+    "loss",
+    "radius",
+    "resample",
+    "of",
+    "sampling",
+    "fallback",
+    "weights",
+    "ragged",
+    "pay",
+    "behavior",
+    "evaluation",
+    "weighting",
+    "activation",
+    "optimizer",
+    "support",
+    "kind",
+    "method",
+    "form",
+    "inertia",
+):
     RULES[word] = [("words", "must be one of '")]
-OTHERWISE = {  # functions in which the name means something else, or is not used or checked in the call that is tried
-    "seed": ["transition_ratio", "interval", "density_ratio", "Conditional.fit", "InClass.fit", "Tied.fit", "discretize",
-             "Families", "families", "garnet_worse", "run", "check_estimator"],
-    "horizon": ["transition_ratio", "plan_data_collection"], "n_episodes": ["record", "record_episodes"],
+# functions in which the name means something else, or is not used or checked in the
+# call that is tried
+OTHERWISE = {
+    "seed": [
+        "transition_ratio",
+        "interval",
+        "density_ratio",
+        "Conditional.fit",
+        "InClass.fit",
+        "Tied.fit",
+        "discretize",
+        "Families",
+        "families",
+        "garnet_worse",
+        "run",
+        "check_estimator",
+    ],
+    "horizon": ["transition_ratio", "plan_data_collection"],
+    "n_episodes": ["record", "record_episodes"],
     "policy": ["monte_carlo_value", "record", "record_episodes", "corrected_value"],
     "behavior_policy": ["transition_ratio", "compare_with_oracle", "Joint", "Quotient"],
-    "simulator": ["Transitions.from_episodes", "Transitions.from_frame", "Transitions.numbered", "evaluate_continuous"],
-    "target": ["Reacher", "reacher_policy", "evaluate_continuous"], "path": ["Report.to_html"],
-    "discount": ["TransitionCounts.counts"], "n": ["plot_errors"], "lower": ["plot_intervals"], "upper": ["plot_intervals"],
-    "ridge": ["Conditional", "InClass", "Joint", "Quotient"], "weights": ["RatioFit", "cartpole_policy"],
-    "method": ["TransitionRatio"], "kind": ["Finding"], "behavior": ["evaluate_continuous"],
-    "n_bootstrap": ["interval", "compare_policies"], "step_size": ["density_ratio"], "batch_size": ["density_ratio"],
+    "simulator": [
+        "Transitions.from_episodes",
+        "Transitions.from_frame",
+        "Transitions.numbered",
+        "evaluate_continuous",
+    ],
+    "target": ["Reacher", "reacher_policy", "evaluate_continuous"],
+    "path": ["Report.to_html"],
+    "discount": ["TransitionCounts.counts"],
+    "n": ["plot_errors"],
+    "lower": ["plot_intervals"],
+    "upper": ["plot_intervals"],
+    "ridge": ["Conditional", "InClass", "Joint", "Quotient"],
+    "weights": ["RatioFit", "cartpole_policy"],
+    "method": ["TransitionRatio"],
+    "kind": ["Finding"],
+    "behavior": ["evaluate_continuous"],
+    "n_bootstrap": ["interval", "compare_policies"],
+    "step_size": ["density_ratio"],
+    "batch_size": ["density_ratio"],
     "n_iterations": ["density_ratio"],
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -236,9 +409,19 @@ def test_one_argument_has_one_rule_everywhere(argument, known):
     """A class of results keeps what it is given."""
     checked = 0
     for name, function in functions(known).items():
-        is_room = any(name in getattr(oee, room).__all__ for room in ("estimators", "ratio"))
-        kept = inspect.isclass(function) and (name in known["holders"] or name == "Embedded") and not is_room
-        if kept or name in OTHERWISE.get(argument, ()) or argument not in inspect.signature(function).parameters:
+        is_room = any(
+            name in getattr(oee, room).__all__ for room in ("estimators", "ratio")
+        )
+        kept = (
+            inspect.isclass(function)
+            and (name in known["holders"] or name == "Embedded")
+            and not is_room
+        )
+        if (
+            kept
+            or name in OTHERWISE.get(argument, ())
+            or argument not in inspect.signature(function).parameters
+        ):
             continue
         values = arguments_of(name, function, known)
         for wrong, rule in RULES[argument]:
@@ -248,7 +431,9 @@ def test_one_argument_has_one_rule_everywhere(argument, known):
             assert found.startswith(argument), (name, found)
             assert rule in found, (name, found)
         checked += 1
-    assert checked or (argument == "n_runs" and importlib.util.find_spec("mujoco") is None)
+    assert checked or (
+        argument == "n_runs" and importlib.util.find_spec("mujoco") is None
+    )
 
 
 def test_files_that_hold_something_else(tmp_path):
@@ -264,17 +449,37 @@ def test_files_that_hold_something_else(tmp_path):
     (tmp_path / "surplus.csv").write_text("state,action,next_state\n0,0,1,9\n")
     save_npz(tmp_path / "parts.npz", "finite_mdp", {"shape": np.array([2, 1])})
     table = [
-        (FiniteMDP.load, "log.npz", r"must hold a FiniteMDP; it holds a log of numbered states"),
-        (Transitions.load, "mdp.npz", r"must hold a log of numbered states \(Transitions\); it holds a FiniteMDP"),
+        (
+            FiniteMDP.load,
+            "log.npz",
+            r"must hold a FiniteMDP; it holds a log of numbered states",
+        ),
+        (
+            Transitions.load,
+            "mdp.npz",
+            r"must hold a log of numbered states \(Transitions\); it holds a FiniteMDP",
+        ),
         (FiniteMDP.load, "other.npz", r"must hold a FiniteMDP; it holds the arrays "),
         (FiniteMDP.load, "broken.npz", r"must be an npz or npy file of plain arrays"),
         (Transitions.load, "broken.parquet", r"must be a parquet table"),
-        (Transitions.load, "no_columns.csv", r"must have the columns state, action, next_state; it has s, a"),
+        (
+            Transitions.load,
+            "no_columns.csv",
+            r"must have the columns state, action, next_state; it has s, a",
+        ),
         (Transitions.load, "gap.csv", r"action\[1\] must have a value; it has none"),
         (Transitions.load, "words.csv", r"words.csv': state must hold integers"),
         (Transitions.load, "surplus.csv", r"must have 3 fields, as the header has"),
-        (FiniteMDP.load, "parts.npz", r"must hold every part of a FiniteMDP; 'rewards_data' is missing"),
-        (Transitions.load, "empty.csv", r"must have the columns state, action, next_state; it has none"),
+        (
+            FiniteMDP.load,
+            "parts.npz",
+            r"must hold every part of a FiniteMDP; 'rewards_data' is missing",
+        ),
+        (
+            Transitions.load,
+            "empty.csv",
+            r"must have the columns state, action, next_state; it has none",
+        ),
     ]
     for load, name, text in table:
         with pytest.raises(ValueError, match=text):
@@ -288,6 +493,8 @@ def test_an_extra_that_is_not_installed_is_named(tmp_path, monkeypatch):
     import importlib.util
 
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ImportError, match=r"is not installed; in a clone: pip install '.\[minari\]'"):
+    with pytest.raises(
+        ImportError, match=r"is not installed; in a clone: pip install '.\[minari\]'"
+    ):
         LOG.save(tmp_path / "folder")
     assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,9 @@ from saved_notebook import NOTEBOOKS
 ROOT = Path(__file__).parents[1]
 CODE = re.compile(r"^```.*?^```|`[^`\n]+`", re.S | re.M)
 FORMULA = re.compile(r"\$\$.+?\$\$|\$[^$]+\$", re.S)
-SHOWN_AS_IT_IS = re.compile(r"<(pre|code|script|style|title)\b.*?</\1>|<(span|div) class=\"math.*?</\2>", re.S)
+SHOWN_AS_IT_IS = re.compile(
+    r"<(pre|code|script|style|title)\b.*?</\1>|<(span|div) class=\"math.*?</\2>", re.S
+)
 FORMULAS = """() => ({
     sources: document.querySelectorAll(".math").length,
     rendered: document.querySelectorAll(".math mjx-container > svg").length,
@@ -27,23 +29,42 @@ WIDE_CODE = """() => [...document.querySelectorAll("pre")]
 OUTSIDE = """() => [...document.querySelectorAll("main p, main li, main dt, main h1, main h2, main img, main pre")]
     .filter(e => e.getClientRects().length && !e.closest("table, .pst-scrollable-table-container, .bd-sidebar-secondary"))
     .filter(e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 80))"""
-KINDS = ("index.html", "syllabus.html", "00_will_my_policy_work.html", "04_why_products_explode.html", "api/mdp.html")
-EMPTY_PICTURES = "() => [...document.images].filter(e => e.complete && !e.naturalWidth).map(e => e.src)"
+KINDS = (
+    "index.html",
+    "syllabus.html",
+    "00_will_my_policy_work.html",
+    "04_why_products_explode.html",
+    "api/mdp.html",
+)
+EMPTY_PICTURES = (
+    "() => [...document.images].filter(e => e.complete && !e.naturalWidth).map(e =>"
+    " e.src)"
+)
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """{address from the root: path} of every page but the sources, as the README's command makes them."""
     folder = tmp_path_factory.mktemp("site")
-    words = re.search(r"python (-m sphinx -W notebooks) build/site$", (ROOT / "README.md").read_text(), re.M)[1].split()
+    words = re.search(
+        r"python (-m sphinx -W notebooks) build/site$",
+        (ROOT / "README.md").read_text(),
+        re.M,
+    )[1].split()
     subprocess.run([sys.executable, *words, folder, "-q", "-E"], check=True, cwd=ROOT)
     pages = {str(path.relative_to(folder)): path for path in folder.rglob("*.html")}
-    return {name: path for name, path in pages.items() if not name.startswith(("_modules", "_static"))}
+    return {
+        name: path
+        for name, path in pages.items()
+        if not name.startswith(("_modules", "_static"))
+    }
 
 
 def count(book):
     """(formulas, pictures) of a notebook."""
-    texts = [CODE.sub("", cell.source) for cell in book.cells if cell.cell_type == "markdown"]
+    texts = [
+        CODE.sub("", cell.source) for cell in book.cells if cell.cell_type == "markdown"
+    ]
     outputs = [output for cell in book.cells for output in cell.get("outputs", [])]
     pictures = sum("image/png" in output.get("data", {}) for output in outputs)
     return sum(len(FORMULA.findall(text)) for text in texts), pictures
@@ -54,9 +75,13 @@ def test_every_notebook_s_formulas_and_pictures_are_on_its_page(site):
     for path in NOTEBOOKS:
         html = site[f"{path.stem}.html"].read_text()
         counts[path.stem] = count(nbformat.read(path, as_version=4))
-        assert (html.count('class="math '), html.count('<img alt="')) == counts[path.stem], path.stem
+        assert (html.count('class="math '), html.count('<img alt="')) == counts[
+            path.stem
+        ], path.stem
         assert '<img alt="_images' not in html, path.stem
-    assert all(formulas >= 5 and pictures >= 1 for formulas, pictures in counts.values())
+    assert all(
+        formulas >= 5 and pictures >= 1 for formulas, pictures in counts.values()
+    )
 
 
 def test_no_page_shows_a_dollar_or_lacks_its_notebooks_link(site):
@@ -64,16 +89,22 @@ def test_no_page_shows_a_dollar_or_lacks_its_notebooks_link(site):
         html = path.read_text()
         assert "$" not in SHOWN_AS_IT_IS.sub("", html), name
         if name not in ("search.html", "genindex.html", "py-modindex.html"):
-            assert re.search(r'class="nav-link[^>]*href="[./]*(syllabus.html|#)"', html), name
+            assert re.search(
+                r'class="nav-link[^>]*href="[./]*(syllabus.html|#)"', html
+            ), name
 
 
 def test_every_page_in_a_browser(site, browser, axe):  # noqa: F811
     """Two widths, of most pages in one load (theirs without axe, since a theme's script looks at the width of a load)."""
     loads = [
-        (name, widths) for name in sorted(site) for widths in ([[1280], [400]] if name in KINDS else [[1280, 400]])
+        (name, widths)
+        for name in sorted(site)
+        for widths in ([[1280], [400]] if name in KINDS else [[1280, 400]])
     ]
     for k, (name, widths) in enumerate(loads):
-        page, heard, asked = opened(browser, site[name].as_uri(), widths[0], ("light", "dark")[k % 2])
+        page, heard, asked = opened(
+            browser, site[name].as_uri(), widths[0], ("light", "dark")[k % 2]
+        )
         page.evaluate("window.MathJax?.startup?.promise")
         found = page.evaluate(FORMULAS)
         assert (found["rendered"], found["wrong"]) == (found["sources"], 0), name
@@ -84,13 +115,16 @@ def test_every_page_in_a_browser(site, browser, axe):  # noqa: F811
             assert page.evaluate(OUTSIDE) == [], name
             assert page.evaluate(EMPTY_PICTURES) == [], name
         assert heard == [], name
-        assert [url for url in asked if not url.startswith(("file:", "data:"))] == [], name
+        assert [url for url in asked if not url.startswith(("file:", "data:"))] == [], (
+            name
+        )
         if name in KINDS:
             assert violations(axe, page) == [], name
         page.context.close()
 
 
-# ---- the site: every public name by subject, every attribute under its own name, every command and option
+# ---- the site: every public name by subject, every attribute under its own name, every
+# command and option
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +153,11 @@ def shown(maker, value):
     napoleon = pytest.importorskip("sphinx.ext.napoleon")
     lines = maker["docstrings"].plain(inspect.cleandoc(value.__doc__).splitlines())
     config = napoleon.Config(napoleon_use_ivar=True, napoleon_use_param=False)
-    return str(napoleon.NumpyDocstring("\n".join(lines), config, what="class", obj=value, name=value.__name__))
+    return str(
+        napoleon.NumpyDocstring(
+            "\n".join(lines), config, what="class", obj=value, name=value.__name__
+        )
+    )
 
 
 def test_every_attribute_has_an_entry_of_its_own(maker):
@@ -128,15 +166,29 @@ def test_every_attribute_has_an_entry_of_its_own(maker):
         loaded = importlib.import_module(f"oee_tabular.{module}")
         for name in (name for group in headings.values() for name in group):
             value = getattr(loaded, name)
-            if not (inspect.isclass(value) and dataclasses.is_dataclass(value)) or "Attributes\n" not in value.__doc__:
+            if (
+                not (inspect.isclass(value) and dataclasses.is_dataclass(value))
+                or "Attributes\n" not in value.__doc__
+            ):
                 continue
             text = shown(maker, value)
-            own = {field.name for field in dataclasses.fields(value) if not field.name.startswith("_")}
-            inherited = {field for base in value.__mro__[1:] for field in getattr(base, "__dataclass_fields__", ())}
+            own = {
+                field.name
+                for field in dataclasses.fields(value)
+                if not field.name.startswith("_")
+            }
+            inherited = {
+                field
+                for base in value.__mro__[1:]
+                for field in getattr(base, "__dataclass_fields__", ())
+            }
             told = value.__doc__.split("Attributes\n")[1]
             for field in own - inherited:
                 if re.search(rf"\b{field}\b", told):
-                    assert f":ivar {field}:" in text or f"**{field}**" in text, (name, field)
+                    assert f":ivar {field}:" in text or f"**{field}**" in text, (
+                        name,
+                        field,
+                    )
                     checked += 1
     assert checked > 150
 

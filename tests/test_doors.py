@@ -24,14 +24,18 @@ LOG = oee.sample_episodes(GRID, UNIFORM, 4, 20, seed=0)
 def drop_member(path, name):
     """The same file without one member, as a damaged directory of a zip file makes it: no checksum covers names."""
     with zipfile.ZipFile(path) as archive:
-        members = {member.filename: archive.read(member) for member in archive.infolist()}
+        members = {
+            member.filename: archive.read(member) for member in archive.infolist()
+        }
     with zipfile.ZipFile(path, "w") as archive:
         for member, data in members.items():
             if member != name:
                 archive.writestr(member, data)
 
 
-@pytest.mark.parametrize("name", ["reward", "episode", "behavior_probability", "state", KIND, DIGEST])
+@pytest.mark.parametrize(
+    "name", ["reward", "episode", "behavior_probability", "state", KIND, DIGEST]
+)
 def test_a_log_without_one_of_its_columns_is_refused(tmp_path, name):
     LOG.save(tmp_path / "log.npz")
     drop_member(tmp_path / "log.npz", f"{name}.npy")
@@ -42,9 +46,14 @@ def test_a_log_without_one_of_its_columns_is_refused(tmp_path, name):
 
 def test_a_simulator_with_another_member_is_refused(tmp_path):
     GRID.save(tmp_path / "grid.npz")
-    with zipfile.ZipFile(tmp_path / "grid.npz", "a") as archive, archive.open("state_names.npy", "w") as member:
+    with (
+        zipfile.ZipFile(tmp_path / "grid.npz", "a") as archive,
+        archive.open("state_names.npy", "w") as member,
+    ):
         np.lib.format.write_array(member, np.array([str(k) for k in range(9)]))
-    with pytest.raises(ValueError, match=r"grid\.npz' must hold the arrays that were saved in it"):
+    with pytest.raises(
+        ValueError, match=r"grid\.npz' must hold the arrays that were saved in it"
+    ):
         FiniteMDP.load(tmp_path / "grid.npz")
 
 
@@ -52,13 +61,21 @@ def test_a_simulator_with_another_member_is_refused(tmp_path):
 def test_no_flipped_byte_loads_other_data(tmp_path, ending):
     path, rng = tmp_path / f"log.{ending}", np.random.default_rng(0)
     LOG.save(path)
-    data, columns = path.read_bytes(), digest({k: np.asarray(v) for k, v in LOG.columns().items()})
+    data, columns = (
+        path.read_bytes(),
+        digest({k: np.asarray(v) for k, v in LOG.columns().items()}),
+    )
     counts = oee.Transitions.open(path).count.tolist()
     for k in rng.integers(len(data), size=150):
-        path.write_bytes(data[:k] + bytes([data[k] ^ (1 << rng.integers(8))]) + data[k + 1 :])
+        path.write_bytes(
+            data[:k] + bytes([data[k] ^ (1 << rng.integers(8))]) + data[k + 1 :]
+        )
         with contextlib.suppress(ValueError):
             found = oee.Transitions.load(path)
-            assert digest({k: np.asarray(v) for k, v in found.columns().items()}) == columns
+            assert (
+                digest({k: np.asarray(v) for k, v in found.columns().items()})
+                == columns
+            )
         with contextlib.suppress(ValueError):
             assert oee.Transitions.open(path).count.tolist() == counts
 
@@ -72,7 +89,15 @@ def test_a_digest_knows_names_types_shapes_and_values_but_no_order():
         one | {"a": np.arange(1, 5)},
     )
     assert digest(dict(reversed(one.items()))) == digest(one)
-    assert len({digest(arrays) for arrays in (one, *others, one | {"a": np.arange(4).reshape(2, 2)})}) == 6
+    assert (
+        len(
+            {
+                digest(arrays)
+                for arrays in (one, *others, one | {"a": np.arange(4).reshape(2, 2)})
+            }
+        )
+        == 6
+    )
 
 
 # ---- sparse matrices that are none
@@ -128,6 +153,10 @@ def test_a_header_cannot_speak_to_the_terminal(tmp_path):
     (tmp_path / "e.csv").write_text("state,action,next_state,\033[31mX\n0,0,1,2\n")
     for command in (("info", "e.csv"), ("counts", "e.csv", "--output", "c.npz")):
         done = subprocess.run(
-            [sys.executable, "-m", "oee_tabular", *command], cwd=tmp_path, capture_output=True, text=True, check=False
+            [sys.executable, "-m", "oee_tabular", *command],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert r"\x1b[31mX" in done.stdout + done.stderr

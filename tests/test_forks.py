@@ -21,12 +21,23 @@ def fingerprint(seed):
     policy, zeta = oee.uniform_policy(target), oee.true_ratio(target, simulator)
     episodes = oee.sample_episodes(target, policy, 20, 20, seed=seed)
     transitions = oee.sample_transitions(target, np.full((25, 4), 0.01), 50, seed=seed)
-    returns = oee.sample_returns(simulator, policy, 40, 20, seed=seed, zeta=zeta, record=True)
-    many = oee.sample_returns(simulator, policy, 60_000, 20, seed=seed, zeta=zeta)  # enough for a pool of threads
-    estimate = oee.estimators.ModelBased()(oee.Problem(simulator, episodes, horizon=20), policy)
-    columns = [column for log in (episodes, transitions, returns.log) for column in log.columns().values()]
+    returns = oee.sample_returns(
+        simulator, policy, 40, 20, seed=seed, zeta=zeta, record=True
+    )
+    # enough for a pool of threads
+    many = oee.sample_returns(simulator, policy, 60_000, 20, seed=seed, zeta=zeta)
+    estimate = oee.estimators.ModelBased()(
+        oee.Problem(simulator, episodes, horizon=20), policy
+    )
+    columns = [
+        column
+        for log in (episodes, transitions, returns.log)
+        for column in log.columns().values()
+    ]
     parts = [*columns, returns.values, returns.weights, many.values, estimate.value]
-    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+    return hashlib.sha256(
+        b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+    ).hexdigest()
 
 
 def of_forks_fork(seed):
@@ -53,18 +64,27 @@ def of_way(way):
         return pool.map(fingerprint, SEEDS)
 
 
-WAYS = [*multiprocessing.get_all_start_methods(), *(["fork of a fork"] if hasattr(os, "fork") else []), "8 threads"]
+WAYS = [
+    *multiprocessing.get_all_start_methods(),
+    *(["fork of a fork"] if hasattr(os, "fork") else []),
+    "8 threads",
+]
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_the_bits_are_the_same(way):
     """In a process of its own, which has sampled before, on threads too; it may be killed or wait for ever."""
     command = [sys.executable, "-W", "ignore", __file__, way]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.stdout == "the same\n", done.stderr
 
 
 if __name__ == "__main__":
     here = [fingerprint(seed) for seed in SEEDS]
     there = of_way(sys.argv[1])
-    print("the same" if there == here * (len(there) // len(SEEDS)) else (here, there), flush=True)
+    print(
+        "the same" if there == here * (len(there) // len(SEEDS)) else (here, there),
+        flush=True,
+    )

@@ -21,11 +21,20 @@ BY_NAME = re.compile(r'import_module\("(oee_tabular[\w.]*)"\)')
 
 def graph_of(by_name=True):
     """Module -> the modules of the package that it imports anywhere, types aside; ``by_name``: those it asks for on use too."""
-    found = grimp.build_graph("oee_tabular", exclude_type_checking_imports=True, cache_dir=None)
-    graph = {name: set(found.find_modules_directly_imported_by(name)) for name in found.modules}
+    found = grimp.build_graph(
+        "oee_tabular", exclude_type_checking_imports=True, cache_dir=None
+    )
+    graph = {
+        name: set(found.find_modules_directly_imported_by(name))
+        for name in found.modules
+    }
     for name in graph if by_name else ():
         path = ROOT.joinpath(*name.split("."))
-        text = (file if (file := path.with_suffix(".py")).is_file() else path / "__init__.py").read_text()
+        text = (
+            file
+            if (file := path.with_suffix(".py")).is_file()
+            else path / "__init__.py"
+        ).read_text()
         graph[name] |= set(BY_NAME.findall(text))
     return graph
 
@@ -55,7 +64,9 @@ def floors(graph):
 def test_no_circle_of_files():
     graph = graph_of()
     assert "oee_tabular.exact" in graph["oee_tabular.report.evaluation"]
-    assert any(name.startswith("oee_tabular.continuous") for name in graph["oee_tabular.data"])  # by name
+    assert any(
+        name.startswith("oee_tabular.continuous") for name in graph["oee_tabular.data"]
+    )  # by name
     list(TopologicalSorter(graph).static_order())
 
 
@@ -67,12 +78,19 @@ def test_at_most_thirteen_floors():
 def test_layout_has_the_rooms_and_their_floors():
     """``notebooks/layout.md``: each room on its floor, highest first, in a sentence; and every file that it names."""
     page = (ROOT / "notebooks" / "layout.md").read_text()
-    rows = re.findall(r"^\| (\d+) \| `(\w+)` \| [A-Z`][^|.]*(?:\.\w[^|.]*)*\. \|$", page, re.M)
-    expected = {name.partition(".")[2]: at for name, at in floors(rooms_of(graph_of(by_name=False))).items()}
+    rows = re.findall(
+        r"^\| (\d+) \| `(\w+)` \| [A-Z`][^|.]*(?:\.\w[^|.]*)*\. \|$", page, re.M
+    )
+    expected = {
+        name.partition(".")[2]: at
+        for name, at in floors(rooms_of(graph_of(by_name=False))).items()
+    }
     assert {name: int(at) for at, name in rows} == {
         name: at for name, at in expected.items() if name[:1] not in ("", "_")
     }
-    assert [int(at) for at, _ in rows] == sorted((int(at) for at, _ in rows), reverse=True)
+    assert [int(at) for at, _ in rows] == sorted(
+        (int(at) for at, _ in rows), reverse=True
+    )
     for file in re.findall(r"`(?:oee_tabular/)?(\w+/(?:\w+/)*\w+\.py)`", page):
         assert (ROOT / "oee_tabular" / file).exists() or (ROOT / file).exists(), file
 
@@ -93,7 +111,9 @@ def test_what_measures_and_the_wing_are_imported_from_above_alone(room):
     """Others ask for their names on use: the core loads without them."""
     above = {"lab": {"cli"}, "continuous": {"lab", "cli"}}[room]
     rooms = rooms_of(graph_of(by_name=False))
-    assert {name for name in rooms if f"oee_tabular.{room}" in rooms[name]} == {f"oee_tabular.{name}" for name in above}
+    assert {name for name in rooms if f"oee_tabular.{room}" in rooms[name]} == {
+        f"oee_tabular.{name}" for name in above
+    }
 
 
 def imported(path):
@@ -108,6 +128,11 @@ def imported(path):
 def test_tests_import_public_names():
     """But those of tests/kernels, and one of how the command line finds the user's modules."""
     hidden = re.compile(r"oee_tabular\b.*\._[a-z]")
-    found = {path.relative_to(TESTS) for path in TESTS.rglob("*.py") if any(map(hidden.match, imported(path)))}
-    assert {path.as_posix() for path in found if path.parent.name != "kernels"} == {"testing/test_command.py"}
-
+    found = {
+        path.relative_to(TESTS)
+        for path in TESTS.rglob("*.py")
+        if any(map(hidden.match, imported(path)))
+    }
+    assert {path.as_posix() for path in found if path.parent.name != "kernels"} == {
+        "testing/test_command.py"
+    }

@@ -21,7 +21,9 @@ LAWS = re.findall(r"^(\d+)\. .*`([\w/]+\.py)::(\w+)`$", STATED, flags=re.M)
 def test_every_statement_has_its_test():
     assert [int(number) for number, _, _ in LAWS] == list(range(1, 45))
     for number, name, test in LAWS:
-        assert re.search(rf"^def {test}\(", (TESTS / name).read_text(), flags=re.M), number
+        assert re.search(rf"^def {test}\(", (TESTS / name).read_text(), flags=re.M), (
+            number
+        )
 
 
 def pair(rng, **options):
@@ -35,15 +37,27 @@ def test_04_shaping(rng):
     simulator, target = pair(rng)
     policy, phi = random_policy(rng, simulator), rng.normal(size=simulator.n_states)
     _, pay = dense(simulator)
-    shaped = oee.FiniteMDP(dense(simulator)[0], pay + 0.9 * phi - phi[:, None, None], simulator.initial, 0.9)
+    shaped = oee.FiniteMDP(
+        dense(simulator)[0],
+        pay + 0.9 * phi - phi[:, None, None],
+        simulator.initial,
+        0.9,
+    )
     moved = oee.FiniteMDP(dense(simulator)[0], pay, simulator.initial, 0.9)
     p = target.transitions
-    before, after = (oee.policy_value(m.with_transitions(p), policy) for m in (moved, shaped))
+    before, after = (
+        oee.policy_value(m.with_transitions(p), policy) for m in (moved, shaped)
+    )
     assert_allclose(after - before, -simulator.initial @ phi, rtol=1e-8, atol=1e-8)
-    folded = oee.FiniteMDP(dense(simulator)[0], shaped.rewards, simulator.initial, 0.9)  # E_P of it, as r(s, a)
+    # E_P of it, as r(s, a)
+    folded = oee.FiniteMDP(dense(simulator)[0], shaped.rewards, simulator.initial, 0.9)
     plain = oee.FiniteMDP(dense(simulator)[0], moved.rewards, simulator.initial, 0.9)
-    shift = oee.policy_value(folded.with_transitions(p), policy) - oee.policy_value(plain.with_transitions(p), policy)
-    left = 9 * (oee.occupancy(target, policy).reshape(-1) @ ((simulator.transitions - p) @ phi))
+    shift = oee.policy_value(folded.with_transitions(p), policy) - oee.policy_value(
+        plain.with_transitions(p), policy
+    )
+    left = 9 * (
+        oee.occupancy(target, policy).reshape(-1) @ ((simulator.transitions - p) @ phi)
+    )
     assert_allclose(shift + simulator.initial @ phi, left, rtol=1e-7, atol=1e-8)
 
 
@@ -56,13 +70,22 @@ def test_05_relabelling(rng):
 
     def other(mdp):
         rows = dense(mdp)[0][np.ix_(states, actions, states)]
-        return oee.FiniteMDP(rows, mdp.rewards[np.ix_(states, actions)], mdp.initial[states], 0.9)
+        return oee.FiniteMDP(
+            rows, mdp.rewards[np.ix_(states, actions)], mdp.initial[states], 0.9
+        )
 
     turned = policy[np.ix_(states, actions)]
-    assert_allclose(oee.policy_value(other(target), turned), oee.policy_value(target, policy), rtol=1e-9, atol=1e-9)
+    assert_allclose(
+        oee.policy_value(other(target), turned),
+        oee.policy_value(target, policy),
+        rtol=1e-9,
+        atol=1e-9,
+    )
     share = np.full((4, 2), 1 / 8)
     bound = oee.efficiency_bound(target, policy, share)
-    assert_allclose(oee.efficiency_bound(other(target), turned, share), bound, rtol=1e-7, atol=1e-9)
+    assert_allclose(
+        oee.efficiency_bound(other(target), turned, share), bound, rtol=1e-7, atol=1e-9
+    )
     log = oee.sample_transitions(target, share, 200, seed=int(rng.integers(1 << 30)))
     names, moves = np.argsort(states), np.argsort(actions)
     again = oee.Transitions(names[log.state], moves[log.action], names[log.next_state])
@@ -85,18 +108,32 @@ def test_06_a_cloned_state(rng):
 
     def cloned(mdp):
         rows, pay = dense(mdp)
-        form = pay[np.ix_(origin, range(2), origin)] if mdp.transition_rewards is not None else mdp.rewards[origin]
+        form = (
+            pay[np.ix_(origin, range(2), origin)]
+            if mdp.transition_rewards is not None
+            else mdp.rewards[origin]
+        )
         return oee.FiniteMDP((rows @ parts)[origin], form, mdp.initial @ parts, 0.9)
 
     wide = policy[origin]
-    assert_allclose(oee.policy_value(cloned(target), wide), oee.policy_value(target, policy), rtol=1e-9, atol=1e-9)
+    assert_allclose(
+        oee.policy_value(cloned(target), wide),
+        oee.policy_value(target, policy),
+        rtol=1e-9,
+        atol=1e-9,
+    )
     if simulator.absorbing().any():
         return  # a clone of an absorbing state is no longer one
     found, again = (
         oee.weighted_return_moments(s, oee.true_ratio(t, s), p, horizon=4)
-        for s, t, p in ((simulator, target, policy), (cloned(simulator), cloned(target), wide))
+        for s, t, p in (
+            (simulator, target, policy),
+            (cloned(simulator), cloned(target), wide),
+        )
     )
-    assert_allclose((again.mean, again.variance), (found.mean, found.variance), rtol=1e-8, atol=1e-8)
+    assert_allclose(
+        (again.mean, again.variance), (found.mean, found.variance), rtol=1e-8, atol=1e-8
+    )
 
 
 @given(rngs)
@@ -107,7 +144,12 @@ def test_08_discount_0(rng):
     zeta = sparse.csr_array(simulator.transitions)
     zeta.data = rng.integers(0, 3, size=zeta.nnz) + 0.0
     expected = simulator.initial @ (policy * simulator.rewards).sum(axis=1)
-    assert_allclose(oee.policy_value(oee.exact.reweight(simulator, zeta), policy), expected, rtol=1e-12, atol=1e-13)
+    assert_allclose(
+        oee.policy_value(oee.exact.reweight(simulator, zeta), policy),
+        expected,
+        rtol=1e-12,
+        atol=1e-13,
+    )
 
 
 @given(rngs)
@@ -126,19 +168,32 @@ def test_09_the_average_reward(rng):
 def test_11_what_the_simulator_cannot_do_is_lost(rng):
     """sum P zeta = 1 - P'(P = 0), and the product's limit is J of the substochastic P' 1[P > 0]."""
     simulator = random_mdp(rng, n_states=4, zeros=0.5, form=2, discount=0.9)
-    target = random_mdp(rng, n_states=4, n_actions=simulator.n_actions, zeros=0.2, form=2)
+    target = random_mdp(
+        rng, n_states=4, n_actions=simulator.n_actions, zeros=0.2, form=2
+    )
     target = simulator.with_transitions(target.transitions)
     policy = random_policy(rng, simulator)
     p, q = dense(target)[0], dense(simulator)[0]
     zeta = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
     model = oee.exact.reweight(simulator, sparse.csr_array(zeta.reshape(-1, 4)))
-    assert_allclose(model.transitions.toarray().sum(axis=1), 1 - (p * (q == 0)).sum(axis=2).reshape(-1), atol=1e-12)
+    assert_allclose(
+        model.transitions.toarray().sum(axis=1),
+        1 - (p * (q == 0)).sum(axis=2).reshape(-1),
+        atol=1e-12,
+    )
     value = np.zeros(4)
     for _ in range(5):
         value = (policy * (simulator.rewards + 0.9 * (p * (q > 0)) @ value)).sum(axis=1)
-    assert_allclose(oee.policy_value(model, policy, horizon=5), simulator.initial @ value, rtol=1e-10, atol=1e-11)
+    assert_allclose(
+        oee.policy_value(model, policy, horizon=5),
+        simulator.initial @ value,
+        rtol=1e-10,
+        atol=1e-11,
+    )
     if (p * (q == 0)).sum() > 0:
-        with pytest.raises(ValueError, match="target must stay in the simulator's support"):
+        with pytest.raises(
+            ValueError, match="target must stay in the simulator's support"
+        ):
             oee.true_ratio(target, simulator)
 
 
@@ -151,10 +206,22 @@ def test_15_the_chain_rule_of_divergences(rng):
     """KL(d'(s, a, s') || d(s, a, s')) = KL(d'(s, a) || d(s, a)) + E_d' KL(P' || P)."""
     simulator, target = pair(rng, zeros=0.0)
     policy = random_policy(rng, simulator)
-    moves = [oee.occupancy(m, policy, of="transition").toarray() for m in (target, simulator)]
+    moves = [
+        oee.occupancy(m, policy, of="transition").toarray() for m in (target, simulator)
+    ]
     pairs = [m.sum(axis=1) for m in moves]
-    rows = [kl(p, q) for p, q in zip(*(m.transitions.toarray() for m in (target, simulator)), strict=True)]
-    assert_allclose(kl(moves[0], moves[1]), kl(pairs[0], pairs[1]) + pairs[0] @ rows, rtol=1e-8, atol=1e-10)
+    rows = [
+        kl(p, q)
+        for p, q in zip(
+            *(m.transitions.toarray() for m in (target, simulator)), strict=True
+        )
+    ]
+    assert_allclose(
+        kl(moves[0], moves[1]),
+        kl(pairs[0], pairs[1]) + pairs[0] @ rows,
+        rtol=1e-8,
+        atol=1e-10,
+    )
 
 
 @given(rngs)
@@ -170,7 +237,11 @@ def test_16_lumping_and_the_chi_square(rng):
 @given(rngs)
 def test_17_three_estimates_of_the_divergence(rng):
     """KL - E_P phi(g/g*) = E_P log g - E_Q g + 1 <= E_P log g - log E_Q g <= KL; equal once g is normalised."""
-    p, q, g = rng.dirichlet(np.ones(5)), rng.dirichlet(np.ones(5)), rng.uniform(0.2, 3.0, 5)
+    p, q, g = (
+        rng.dirichlet(np.ones(5)),
+        rng.dirichlet(np.ones(5)),
+        rng.uniform(0.2, 3.0, 5),
+    )
     u = g / (p / q)
     dual = p @ np.log(g) - q @ g + 1
     varadhan = p @ np.log(g) - np.log(q @ g)

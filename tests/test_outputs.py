@@ -30,7 +30,9 @@ def command(capsys, line):
 
 def started(line, **options):
     command = [sys.executable, "-m", "oee_tabular", *line.split()]
-    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+    return subprocess.Popen(
+        command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options
+    )
 
 
 # ---- what stands there already
@@ -42,7 +44,10 @@ def test_a_recorded_log_is_not_overwritten(tmp_path, capsys, name):
     path.write_text("hours of work")
     code, out, said = command(capsys, f"{SAMPLE} {path}")
     assert (code, out) == (2, "")
-    assert said == f"oee: --output must be a new file, or be given with --overwrite; {str(path)!r} exists already\n"
+    assert (
+        said == "oee: --output must be a new file, or be given with --overwrite;"
+        f" {str(path)!r} exists already\n"
+    )
     assert path.read_text() == "hours of work"
     assert command(capsys, f"{SAMPLE} {path} --overwrite")[0] == 0
     assert len(oee.Transitions.load(path)) > 0
@@ -64,10 +69,15 @@ bench
 @pytest.mark.parametrize("line", HYPHENS.strip().splitlines())
 def test_a_hyphen_is_no_file(tmp_path, monkeypatch, capsys, line):
     monkeypatch.chdir(tmp_path)
-    oee.sample_episodes(oee.tasks.gridworld(3, 0.3), np.full((9, 4), 0.25), 2, 9, seed=0).save("log.csv")
+    oee.sample_episodes(
+        oee.tasks.gridworld(3, 0.3), np.full((9, 4), 0.25), 2, 9, seed=0
+    ).save("log.csv")
     code, out, said = command(capsys, f"{line} --output -")
     assert (code, out) == (2, "")
-    assert " must be a file; '-', standard input or output, is none (--json prints what a command found)" in said
+    assert (
+        " must be a file; '-', standard input or output, is none (--json prints what a"
+        " command found)" in said
+    )
     assert [file.name for file in tmp_path.iterdir()] == ["log.csv"]
 
 
@@ -79,13 +89,20 @@ def test_a_link_stays_a_link(tmp_path, capsys):
     (tmp_path / "log.npz").symlink_to(log)
     assert command(capsys, f"{SAMPLE} {tmp_path}/log.npz --overwrite")[0] == 0
     (kept / "report.json").symlink_to(tmp_path / "elsewhere.json")  # leads nowhere yet
-    evaluate = f"evaluate --simulator {GRID} --log {log} --estimators simulator --output {kept}"
+    evaluate = (
+        f"evaluate --simulator {GRID} --log {log} --estimators simulator --output"
+        f" {kept}"
+    )
     assert command(capsys, evaluate)[0] == 0
     assert (tmp_path / "log.npz").is_symlink()
     assert (kept / "report.json").is_symlink()
     assert len(oee.Transitions.load(log)) > 0
     assert "results" in json.loads((tmp_path / "elsewhere.json").read_text())
-    assert not [path for path in (*tmp_path.iterdir(), *kept.iterdir()) if path.suffix == ".part"]
+    assert not [
+        path
+        for path in (*tmp_path.iterdir(), *kept.iterdir())
+        if path.suffix == ".part"
+    ]
 
 
 def test_a_folder_and_a_loop_of_links_are_named(tmp_path, capsys):
@@ -110,16 +127,23 @@ def test_a_full_disk_names_the_file(tmp_path):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 
-    started(f"{SAMPLE} {tmp_path}/log.npz").communicate(timeout=120)  # what is compiled is written, too
+    # what is compiled is written, too
+    started(f"{SAMPLE} {tmp_path}/log.npz").communicate(timeout=120)
     for name in ("log.npz", "log.csv", "log.parquet"):
         (tmp_path / name).write_text("old")
         process = started(f"{SAMPLE} {tmp_path / name} --overwrite", preexec_fn=small)
         said = process.communicate(timeout=120)[1]
         assert process.returncode == 2
-        assert said.splitlines()[-1].startswith(f"oee: {tmp_path / name}: cannot be written (")
+        assert said.splitlines()[-1].startswith(
+            f"oee: {tmp_path / name}: cannot be written ("
+        )
         assert "Traceback" not in said
         assert (tmp_path / name).read_text() == "old"
-    assert {path.name for path in tmp_path.iterdir()} == {"log.npz", "log.csv", "log.parquet"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "log.npz",
+        "log.csv",
+        "log.parquet",
+    }
 
 
 @contextmanager
@@ -133,8 +157,12 @@ def at_most(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("line", [f"policy {GRID} uniform --output p.npy", f"{SAMPLE} folder"])
-def test_a_full_disk_names_an_array_and_a_minari_folder(tmp_path, capsys, monkeypatch, line):
+@pytest.mark.parametrize(
+    "line", [f"policy {GRID} uniform --output p.npy", f"{SAMPLE} folder"]
+)
+def test_a_full_disk_names_an_array_and_a_minari_folder(
+    tmp_path, capsys, monkeypatch, line
+):
     pytest.importorskip("minari")
     monkeypatch.chdir(tmp_path)
     with at_most(100):
@@ -149,12 +177,23 @@ def test_a_read_only_disk_names_the_file_before_the_work(tmp_path, capsys, monke
         raise OSError(errno.EROFS, "Read-only file system")
 
     monkeypatch.setattr("oee_tabular._files.os.fsync", refuse)
-    monkeypatch.setattr("oee_tabular._files.Path.unlink", refuse)  # says so of what is not there, too
+    # says so of what is not there, too
+    monkeypatch.setattr("oee_tabular._files.Path.unlink", refuse)
     monkeypatch.setattr("oee_tabular._files.tempfile.TemporaryFile", refuse)
-    for line in (f"policy {GRID} uniform", "counts nothing.csv", f"sample {GRID} --episodes 2"):
-        name = tmp_path / f"{line.split()[0]}.np{'y' if line.startswith('policy') else 'z'}"
+    for line in (
+        f"policy {GRID} uniform",
+        "counts nothing.csv",
+        f"sample {GRID} --episodes 2",
+    ):
+        name = (
+            tmp_path
+            / f"{line.split()[0]}.np{'y' if line.startswith('policy') else 'z'}"
+        )
         code, _, said = command(capsys, f"{line} --output {name}")
-        assert (code, said) == (2, f"oee: {name}: cannot be written (Read-only file system)\n")
+        assert (code, said) == (
+            2,
+            f"oee: {name}: cannot be written (Read-only file system)\n",
+        )
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="has no /dev/full")
@@ -169,7 +208,10 @@ def test_output_that_cannot_be_written_is_one_line(line):
             check=False,
         )
     assert process.returncode == 2
-    assert process.stderr == "oee: the output cannot be written (No space left on device)\n"
+    assert (
+        process.stderr
+        == "oee: the output cannot be written (No space left on device)\n"
+    )
 
 
 # ---- spreadsheets
@@ -182,12 +224,17 @@ def test_names_are_no_formulas_in_a_spreadsheet(tmp_path):
     mdp = oee.tasks.gridworld(2, 0.3)
     log = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 3, 9, seed=0)
     policies = dict.fromkeys([*FORMULAS, "plain"], oee.uniform_policy(mdp))
-    report = oee.evaluate(oee.Problem(mdp, log), policies, estimators=["simulator"], seed=0)
+    report = oee.evaluate(
+        oee.Problem(mdp, log), policies, estimators=["simulator"], seed=0
+    )
     report.save(tmp_path)
     table = pd.read_csv(tmp_path / "table.csv")
-    assert sorted(table["policy"].unique()) == sorted([*(f"'{name}".replace("\r", "\n") for name in FORMULAS), "plain"])
+    assert sorted(table["policy"].unique()) == sorted(
+        [*(f"'{name}".replace("\r", "\n") for name in FORMULAS), "plain"]
+    )
     found = json.loads((tmp_path / "report.json").read_text())
-    assert {row["policy"] for row in found["results"]} == {*FORMULAS, "plain"}  # JSON needs none
+    # JSON needs none
+    assert {row["policy"] for row in found["results"]} == {*FORMULAS, "plain"}
     with open(tmp_path / "table.csv", newline="") as handle:
         cells = [cell for row in csv.reader(handle) for cell in row]
     assert len(cells) == table.shape[1] * (len(table) + 1)
@@ -209,7 +256,11 @@ with alone(Path(sys.argv[1])):
 @pytest.fixture
 def holder(tmp_path):
     """Another process that holds the folder."""
-    process = subprocess.Popen([sys.executable, "-c", HOLD, tmp_path / "estimands"], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, tmp_path / "estimands"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     assert process.stdout.readline() == "held\n"
     yield process
     process.kill()
@@ -219,21 +270,46 @@ def holder(tmp_path):
 def reproduce(output, **options):
     from oee_tabular.lab.experiments.catalogue import reproduce as run
 
-    settings = {"everything": False, "smoke": False, "seeds": 1, "seed": 0, "jobs": 1, "dask": None, "fresh": False}
-    return run(["estimands"], output=output, say=lambda text: None, **(settings | options))
+    settings = {
+        "everything": False,
+        "smoke": False,
+        "seeds": 1,
+        "seed": 0,
+        "jobs": 1,
+        "dask": None,
+        "fresh": False,
+    }
+    return run(
+        ["estimands"], output=output, say=lambda text: None, **(settings | options)
+    )
 
 
 @pytest.mark.parametrize("fresh", [False, True])
-def test_the_second_command_in_a_folder_is_refused(tmp_path, holder, monkeypatch, fresh):
+def test_the_second_command_in_a_folder_is_refused(
+    tmp_path, holder, monkeypatch, fresh
+):
     from oee_tabular.lab import run as running
 
-    monkeypatch.setattr(running, "run_experiment", lambda *_, **__: pytest.fail("it began"))
+    monkeypatch.setattr(
+        running, "run_experiment", lambda *_, **__: pytest.fail("it began")
+    )
     with pytest.raises(
-        ValueError, match=rf"estimands must be used by one command at a time; another \(process {holder.pid}\)"
+        ValueError,
+        match=(
+            r"estimands must be used by one command at a time; another \(process"
+            rf" {holder.pid}\)"
+        ),
     ):
         reproduce(tmp_path, fresh=fresh)
     with pytest.raises(ValueError, match="must be used by one command at a time"):
-        oee.bench.run("oee", families=["machine"], sizes=[3], seeds=1, output=tmp_path / "estimands", fresh=fresh)
+        oee.bench.run(
+            "oee",
+            families=["machine"],
+            sizes=[3],
+            seeds=1,
+            output=tmp_path / "estimands",
+            fresh=fresh,
+        )
 
 
 def test_a_dead_process_holds_nothing(tmp_path, holder):
@@ -241,7 +317,11 @@ def test_a_dead_process_holds_nothing(tmp_path, holder):
     holder.wait()
     folder = tmp_path / "estimands"
     assert (folder / LOCK).exists()  # it could not tidy up
-    with alone(folder), pytest.raises(ValueError, match="one command at a time"), alone(folder):
+    with (
+        alone(folder),
+        pytest.raises(ValueError, match="one command at a time"),
+        alone(folder),
+    ):
         pass
     assert list(folder.iterdir()) == []
 
@@ -285,13 +365,29 @@ main()
 """
 
 
-@pytest.mark.parametrize("module", ["oee_tabular.cli", "typer", "oee_tabular.lab.experiments.catalogue", "numpy"])
+@pytest.mark.parametrize(
+    "module",
+    ["oee_tabular.cli", "typer", "oee_tabular.lab.experiments.catalogue", "numpy"],
+)
 def test_ctrl_c_while_a_module_is_imported_ends_without_a_traceback(module, tmp_path):
     """What is imported before the command begins, and what it imports as it goes."""
     process = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED, module, "reproduce", "fig1a", "--smoke", "--output", tmp_path],
-        capture_output=True, text=True, timeout=20, check=False,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-c",
+            INTERRUPTED,
+            module,
+            "reproduce",
+            "fig1a",
+            "--smoke",
+            "--output",
+            tmp_path,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=False,
+    )
     assert process.returncode == 130
     assert "Traceback" not in process.stderr
     assert "KeyboardInterrupt" not in process.stderr
@@ -301,5 +397,7 @@ def test_the_script_is_the_one_that_catches_it():
     import tomllib
     from pathlib import Path
 
-    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())[
+        "project"
+    ]
     assert project["scripts"]["oee"] == "oee_tabular.__main__:main"

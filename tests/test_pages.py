@@ -72,7 +72,8 @@ def test_every_how_to_runs(heading, tmp_path, monkeypatch, capsys):
 
 def test_the_page_of_an_estimator_of_one_s_own(tmp_path, monkeypatch, capsys):
     """Its first block is the file that its commands read."""
-    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # workers would import and load for as long as they work
+    # workers would import and load for as long as they work
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(BLOCK.search(PAGES["own_estimator"])[2])
     run(runnable("own_estimator"), capsys)
@@ -89,42 +90,81 @@ def test_the_benchmark_s_page_has_the_saved_runs_numbers():
     page, results = " ".join(PAGES["benchmark"].split()), NOTEBOOKS / "results"
     cells = pd.read_csv(results / "bench" / "cells.csv").query("estimator == 'oee'")
     for kind, own in cells.groupby("families"):
-        means = np.exp(np.log(own.set_index("size")[["ratio", "floor", "over_likelihood"]]).groupby("size").mean())
-        for name, start in (("ratio", "the default over the better reference"), ("floor", "the floor")):
-            assert f"| *{kind}* families: {start} | {' | '.join(f'{x:.2f}' for x in means[name])} |" in page
+        means = np.exp(
+            np.log(own.set_index("size")[["ratio", "floor", "over_likelihood"]])
+            .groupby("size")
+            .mean()
+        )
+        for name, start in (
+            ("ratio", "the default over the better reference"),
+            ("floor", "the floor"),
+        ):
+            assert (
+                f"| *{kind}* families: {start} |"
+                f" {' | '.join(f'{x:.2f}' for x in means[name])} |" in page
+            )
         *first, last = (f"{x:.2f}".lstrip("0") for x in means["over_likelihood"])
         assert f"{kind} {', '.join(first)} and {last}" in page
-        counts = own.assign(sure=own["low"] > 1.1).groupby("size")["sure"].agg(["sum", "size"])
+        counts = (
+            own.assign(sure=own["low"] > 1.1)
+            .groupby("size")["sure"]
+            .agg(["sum", "size"])
+        )
         surely = " | ".join(f"{n} of {of}" for n, of in counts.itertuples(index=False))
         assert f"| *{kind}* families: surely above 1.1 | {surely} |" in page
         for few in (own["size"] < 2, own["size"] > 2):
             worst = own[few & ~own["identical"]].nlargest(1, "ratio").iloc[0]
-            assert f"{worst.family} ({kind}) at {worst['size']:g} | {worst.ratio:.1f} |" in page
+            assert (
+                f"{worst.family} ({kind}) at {worst['size']:g} | {worst.ratio:.1f} |"
+                in page
+            )
     grid = cells[cells["family"] == "paper_grid"]
-    assert f"maximum likelihood's | {' | '.join(f'{x:.2f}' for x in grid['over_likelihood'])} |" in page
+    assert (
+        "maximum likelihood's |"
+        f" {' | '.join(f'{x:.2f}' for x in grid['over_likelihood'])} |" in page
+    )
     identical = cells[cells["identical"] & (cells["size"] > 2)]
     assert f"it is at most {identical['over_likelihood'].max():.2f} from 3 on" in page
-    assert f"ratio there is up to {cells['ratio'].max():.1f} (floor_identical at 0.3" in page
+    assert (
+        f"ratio there is up to {cells['ratio'].max():.1f} (floor_identical at 0.3"
+        in page
+    )
     widths = pd.read_csv(results / "bench_intervals" / "cells.csv").pivot_table(
         index=["family", "size"], columns="estimator", values="width"
     )
     three, ten, thirty = (widths["evaluate"] / widths["oee"]).groupby("size").median()
     assert f"Its median width is {three:.2f}, {ten:.2f} and {thirty:.2f} times" in page
-    logs = pd.read_csv(results / "bench_intervals" / "cells.csv").groupby("estimator")[["held", "logs"]].sum()
+    logs = (
+        pd.read_csv(results / "bench_intervals" / "cells.csv")
+        .groupby("estimator")[["held", "logs"]]
+        .sum()
+    )
     share = 100 * logs["held"] / logs["logs"]
-    assert f"covers the true value in {share['evaluate']:.0f}% of the {logs.logs['evaluate']:.0f} logs" in page
+    assert (
+        f"covers the true value in {share['evaluate']:.0f}% of the"
+        f" {logs.logs['evaluate']:.0f} logs" in page
+    )
     assert f"The latter covers in {share['oee']:.0f}%" in page
 
 
 def test_the_landing_page_prints_what_it_shows(capsys):
-    code = next(block for kind, block in BLOCK.findall(PAGES["index"]) if kind == "python")
+    code = next(
+        block for kind, block in BLOCK.findall(PAGES["index"]) if kind == "python"
+    )
     assert len(code.splitlines()) <= 10  # two of them imports
-    run("".join(match[0] for match in BLOCK.finditer(PAGES["index"]) if match[1] != "sh"), capsys)
+    run(
+        "".join(
+            match[0] for match in BLOCK.finditer(PAGES["index"]) if match[1] != "sh"
+        ),
+        capsys,
+    )
 
 
 @pytest.mark.parametrize("page", sorted(PAGES))
 def test_files_and_tests_that_a_page_mentions_exist(page):
-    for path, test in re.findall(r"`((?:tests|notebooks)/[\w/.]+)(?:::(\w+))?`", PAGES[page]):
+    for path, test in re.findall(
+        r"`((?:tests|notebooks)/[\w/.]+)(?:::(\w+))?`", PAGES[page]
+    ):
         assert (NOTEBOOKS.parent / path).exists(), path
         assert not test or f"def {test}(" in (NOTEBOOKS.parent / path).read_text(), test
     for path in re.findall(r"\]\((?!https?:|api/)([\w/.]+)(?:#[\w-]*)?\)", PAGES[page]):
@@ -133,7 +173,10 @@ def test_files_and_tests_that_a_page_mentions_exist(page):
 
 def test_names_in_the_table_of_the_paper_exist():
     table = PAGES["paper"].split("## What the default is")[0]
-    for name in re.findall(r"`((?:estimators|tasks|inference|exact)\.\w+|[a-z]+_[a-z_]+|[A-Z]\w+)(?![\w/.])", table):
+    for name in re.findall(
+        r"`((?:estimators|tasks|inference|exact)\.\w+|[a-z]+_[a-z_]+|[A-Z]\w+)(?![\w/.])",
+        table,
+    ):
         found = oee
         for part in name.split("."):
             found = getattr(found, part)
@@ -141,22 +184,32 @@ def test_names_in_the_table_of_the_paper_exist():
 
 def test_the_benchmark_s_page_has_the_saved_ranking():
     share = (
-        100 * pd.read_csv(NOTEBOOKS / "results" / "ranking" / "table.csv").groupby("rule")[["right", "wrong"]].mean()
+        100
+        * pd.read_csv(NOTEBOOKS / "results" / "ranking" / "table.csv")
+        .groupby("rule")[["right", "wrong"]]
+        .mean()
     )
     page = " ".join(PAGES["benchmark"].split())
     assert share.loc["contest"].round(0).tolist() == [70.0, 0.0]
-    values = (f"{share.wrong[f'largest value of {name}']:.1f}%" for name in ("oee", "maximum likelihood"))
+    values = (
+        f"{share.wrong[f'largest value of {name}']:.1f}%"
+        for name in ("oee", "maximum likelihood")
+    )
     assert all(value in page for value in values)
 
 
-# ---- the README: its example prints what it shows, what it names is there, and it is one screen after another
+# ---- the README: its example prints what it shows, what it names is there, and it is
+# one screen after another
 
 README = NOTEBOOKS.parent / "README.md"
 TEXT = README.read_text()
 
 
 def test_own_arrays_print_what_the_readme_shows(capsys):
-    code, shown = (re.search(rf"```{kind}\n(.*?)```", TEXT, re.S).group(1) for kind in ("python", "text"))
+    code, shown = (
+        re.search(rf"```{kind}\n(.*?)```", TEXT, re.S).group(1)
+        for kind in ("python", "text")
+    )
     assert len(code.splitlines()) <= 12  # two of them imports
     exec(compile(code, "README.md", "exec"), {})
     assert capsys.readouterr().out.split() == shown.split()
@@ -178,8 +231,16 @@ def test_ci_runs_the_second_command():
     assert "pip install --quiet -e" in (README.parent / ".ci" / "run").read_text()
 
 
-COMMANDS = sorted({" ".join(found.split()) for found in re.findall(r"(?:`|\.venv/bin/)(oee \w[^`\n]*)", TEXT)})
-SMALL = {"oee bench": " --families inventory20 --sizes 3 --seeds 1 --jobs 1 --output bench"}  # else minutes
+COMMANDS = sorted(
+    {
+        " ".join(found.split())
+        for found in re.findall(r"(?:`|\.venv/bin/)(oee \w[^`\n]*)", TEXT)
+    }
+)
+# else minutes
+SMALL = {
+    "oee bench": " --families inventory20 --sizes 3 --seeds 1 --jobs 1 --output bench"
+}
 
 
 @pytest.mark.parametrize("line", COMMANDS)
@@ -190,11 +251,23 @@ def test_commands_of_the_readme_run(line, tmp_path, monkeypatch):
     oee.FiniteMDP(np.full((2, 2, 2), 0.5), [[0, 1], [1, 0]], 0, 0.9).save("SIM.npz")
     oee.Transitions([0, 1, 1], [0, 1, 0], [1, 1, 0]).save("LOG.csv")
     np.save("POLICY.npy", [[0.5, 0.5], [1.0, 0.0]])
-    (tmp_path / "own_of_readme.py").write_text(re.search(r"```python\n(.*?)```", PAGES["own_estimator"], re.S)[1])
-    own = {"SIM": "SIM.npz", "LOG": "LOG.csv", "POLICY": "POLICY.npy", "module:object": "own_of_readme:smoothed"}
+    (tmp_path / "own_of_readme.py").write_text(
+        re.search(r"```python\n(.*?)```", PAGES["own_estimator"], re.S)[1]
+    )
+    own = {
+        "SIM": "SIM.npz",
+        "LOG": "LOG.csv",
+        "POLICY": "POLICY.npy",
+        "module:object": "own_of_readme:smoothed",
+    }
     words = re.sub("|".join(own), lambda found: own[found[0]], line)
     command(words + SMALL.get(" ".join(line.split()[:2]), ""))
 
 
 def test_every_command_of_the_readme_is_found():
-    assert {line.split()[1] for line in COMMANDS} == {"evaluate", "check", "bench", "reproduce"}
+    assert {line.split()[1] for line in COMMANDS} == {
+        "evaluate",
+        "check",
+        "bench",
+        "reproduce",
+    }

@@ -17,14 +17,23 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular import inference, paper
 
-EQUATIONS = {f"{section}.{k}" for section, last in ((3, 7), (4, 4), (5, 3)) for k in range(1, last + 1)}
+EQUATIONS = {
+    f"{section}.{k}"
+    for section, last in ((3, 7), (4, 4), (5, 3))
+    for k in range(1, last + 1)
+}
 SOURCE = inspect.getsource(paper)
-# Clarabel's own steps go nearly to the boundary of the exponential cones, where its line search may stall at a gap of 1e-11
-# nats: 5e-6 in g. Half steps, small ones in that search and sharper linear algebra stay near the central path: below 1e-6.
+# Clarabel's own steps go nearly to the boundary of the exponential cones, where its
+# line search may stall at a gap of 1e-11 nats: 5e-6 in g. Half steps, small ones in
+# that search and sharper linear algebra stay near the central path: below 1e-6.
 SHORT_STEPS = {
-    "max_step_fraction": 0.5, "max_iter": 500, "linesearch_backtrack_step": 0.9, "min_terminate_step_length": 1e-10,
-    "iterative_refinement_reltol": 1e-15, "iterative_refinement_abstol": 1e-15,
-}  # fmt: skip
+    "max_step_fraction": 0.5,
+    "max_iter": 500,
+    "linesearch_backtrack_step": 0.9,
+    "min_terminate_step_length": 1e-10,
+    "iterative_refinement_reltol": 1e-15,
+    "iterative_refinement_abstol": 1e-15,
+}
 
 
 def pair(rng, **options):
@@ -40,7 +49,10 @@ def parts(mdp):
 
 def tables(rng, size):
     """p and q on ``size`` cells, none of q's below 0.02; p may have zeros."""
-    p, q = rng.integers(0, 6, size=size) + np.eye(size)[0], rng.integers(1, 8, size=size)
+    p, q = (
+        rng.integers(0, 6, size=size) + np.eye(size)[0],
+        rng.integers(1, 8, size=size),
+    )
     return p / p.sum(), q / q.sum()
 
 
@@ -49,12 +61,19 @@ def test_values_and_occupancies(rng):
     mdp, _, pi = pair(rng)
     P, r, S_0 = parts(mdp)
     gamma = mdp.discount
-    assert_allclose(oee.policy_value(mdp, pi), paper.J(P, r, S_0, pi, gamma), rtol=1e-12, atol=1e-12)
-    assert_allclose(oee.occupancy(mdp, pi), paper.d(P, S_0, pi, gamma), rtol=1e-12, atol=1e-12)
+    assert_allclose(
+        oee.policy_value(mdp, pi), paper.J(P, r, S_0, pi, gamma), rtol=1e-12, atol=1e-12
+    )
+    assert_allclose(
+        oee.occupancy(mdp, pi), paper.d(P, S_0, pi, gamma), rtol=1e-12, atol=1e-12
+    )
     moves = oee.occupancy(mdp, pi, of="transition").toarray().reshape(P.shape)
     assert_allclose(moves, paper.d_moves(P, S_0, pi, gamma), rtol=1e-12, atol=1e-12)
     assert_allclose(
-        (paper.d(P, S_0, pi, gamma) * r).sum() / (1 - gamma), paper.J(P, r, S_0, pi, gamma), rtol=1e-9, atol=1e-9
+        (paper.d(P, S_0, pi, gamma) * r).sum() / (1 - gamma),
+        paper.J(P, r, S_0, pi, gamma),
+        rtol=1e-9,
+        atol=1e-9,
     )
     start = [paper.J(P, r, np.eye(len(P))[s], pi, gamma) for s in range(len(P))]
     assert_allclose(oee.state_values(mdp, pi), start, rtol=1e-12, atol=1e-12)
@@ -67,14 +86,27 @@ def test_the_true_ratio_and_the_value_of_its_products(rng, horizon):
     zeta = paper.zeta(parts(target)[0], P)
     found = oee.true_ratio(target, simulator)
     assert_allclose(
-        found.target_model(simulator).transitions.toarray().reshape(P.shape), zeta * P, rtol=1e-12, atol=1e-15
+        found.target_model(simulator).transitions.toarray().reshape(P.shape),
+        zeta * P,
+        rtol=1e-12,
+        atol=1e-15,
     )
-    assert_allclose(oee.transition_ratio(target.transitions * 1000, simulator, prior="none").values.toarray().reshape(P.shape),
-                    np.where(P > 0, zeta, 0.0), rtol=1e-12, atol=1e-12)  # fmt: skip
+    assert_allclose(
+        oee.transition_ratio(target.transitions * 1000, simulator, prior="none")
+        .values.toarray()
+        .reshape(P.shape),
+        np.where(P > 0, zeta, 0.0),
+        rtol=1e-12,
+        atol=1e-12,
+    )
     value = paper.J_of_products(zeta, P, r, S_0, pi, simulator.discount, horizon)
-    assert_allclose(oee.policy_value(target, pi, horizon=horizon), value, rtol=1e-12, atol=1e-12)
+    assert_allclose(
+        oee.policy_value(target, pi, horizon=horizon), value, rtol=1e-12, atol=1e-12
+    )
     for kind in ("per_decision", "trajectory"):
-        moments = oee.weighted_return_moments(simulator, found, pi, kind=kind, horizon=horizon)
+        moments = oee.weighted_return_moments(
+            simulator, found, pi, kind=kind, horizon=horizon
+        )
         assert_allclose(moments.mean, value, rtol=1e-12, atol=1e-12)
 
 
@@ -83,16 +115,22 @@ def test_the_convex_program_as_printed(rng, normalized, lam):
     p, q = tables(rng, int(rng.integers(2, 7)))
     nu, mu = 0.1, float(rng.uniform(1.5, 10.0))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # Clarabel at its limit: "may be inaccurate"
-        printed = paper.beta(p, q, nu, mu, lam, normalized, accuracy=1e-14, **SHORT_STEPS)
+        # Clarabel at its limit: "may be inaccurate"
+        warnings.simplefilter("ignore", UserWarning)
+        printed = paper.beta(
+            p, q, nu, mu, lam, normalized, accuracy=1e-14, **SHORT_STEPS
+        )
     fit = oee.density_ratio(p, q, lower=nu, upper=mu, ridge=lam, normalized=normalized)
     assert_allclose(fit.objective, paper.risk(fit.ratio, p, q, lam), rtol=1e-12)
     assert_allclose(paper.risk(printed, p, q, lam), fit.objective, atol=1e-9)
     one = (
         (p > 0) | (lam > 0) | (not normalized)
     )  # elsewhere cells share what the others leave as they like, at one risk
-    assert_allclose(printed[one], fit.ratio[one], rtol=0, atol=1e-4)  # risks equal to 1e-9 say no more
-    assert_allclose(q[~one] @ printed[~one], q[~one] @ fit.ratio[~one], rtol=0, atol=1e-5)
+    # risks equal to 1e-9 say no more
+    assert_allclose(printed[one], fit.ratio[one], rtol=0, atol=1e-4)
+    assert_allclose(
+        q[~one] @ printed[~one], q[~one] @ fit.ratio[~one], rtol=0, atol=1e-5
+    )
     assert (printed >= nu - 1e-5).all()
     assert (printed <= mu + 1e-5).all()
 
@@ -101,7 +139,9 @@ def test_the_convex_program_as_printed(rng, normalized, lam):
 def test_the_dual_of_the_divergence(rng):
     p, q = tables(rng, 5)
     fit = oee.density_ratio(p, q, normalized=False)
-    assert_allclose(fit.divergence, 1 - paper.risk(np.where(p > 0, p / q, 0.0), p, q), atol=1e-12)
+    assert_allclose(
+        fit.divergence, 1 - paper.risk(np.where(p > 0, p / q, 0.0), p, q), atol=1e-12
+    )
     assert_allclose(fit.divergence, inference.renyi_divergence(p, q, 1), atol=1e-12)
 
 
@@ -119,14 +159,23 @@ def test_the_quotient_of_two_ratios(rng):
     assert_allclose(found[seen], paper.zeta(P_te, P)[seen], rtol=1e-9, atol=1e-9)
 
 
-@given(st.integers(1, 10**6), st.floats(0.05, 0.95), st.floats(1.1, 20.0), st.floats(0.0, 3.0))
+@given(
+    st.integers(1, 10**6),
+    st.floats(0.05, 0.95),
+    st.floats(1.1, 20.0),
+    st.floats(0.0, 3.0),
+)
 def test_the_three_right_hand_sides(n, nu, mu, divergence):
     assert_allclose(
-        inference.estimation_bound(n, mu, nu, 0.95, divergence, 2.0), paper.theorem_1(n, nu, mu, 0.05, divergence, 2.0)
+        inference.estimation_bound(n, mu, nu, 0.95, divergence, 2.0),
+        paper.theorem_1(n, nu, mu, 0.05, divergence, 2.0),
     )
     assert_allclose(inference.ratio_error_bound(0.1, mu, nu), paper.lemma(0.1, nu, mu))
-    assert_allclose(inference.value_error_bound(1 + n % 40, 2.0, 0.9, error=0.1, nu=nu),
-                    paper.theorem_2(1 + n % 40, 2.0, 0.9, 0.1, nu), rtol=1e-9)  # fmt: skip
+    assert_allclose(
+        inference.value_error_bound(1 + n % 40, 2.0, 0.9, error=0.1, nu=nu),
+        paper.theorem_2(1 + n % 40, 2.0, 0.9, 0.1, nu),
+        rtol=1e-9,
+    )
 
 
 def test_policy_importance_sampling_is_equation_3_5():
@@ -134,7 +183,11 @@ def test_policy_importance_sampling_is_equation_3_5():
     mdp, _, pi = pair(rng, n_states=4, n_actions=2)
     moments = oee.policy_is_moments(mdp, oee.uniform_policy(mdp), pi, horizon=6)
     P, r, S_0 = parts(mdp)
-    assert_allclose(moments.mean, paper.J_of_products(np.ones_like(P), P, r, S_0, pi, mdp.discount, 6), rtol=1e-12)
+    assert_allclose(
+        moments.mean,
+        paper.J_of_products(np.ones_like(P), P, r, S_0, pi, mdp.discount, 6),
+        rtol=1e-12,
+    )
 
 
 def test_each_equation_heads_one_place_of_a_short_page():
@@ -159,7 +212,15 @@ def test_what_arrows_lead_to_says_its_number():
     """The docstring at an arrow's end has the number that heads the function, or the sentence, where it begins."""
     head = None
     for line in SOURCE.splitlines():
-        head = found[1] if (found := re.search(r"(?:Eq\.|Assumption|Algorithm) (\d\.\d|V\.1|1)", line)) else head
+        head = (
+            found[1]
+            if (
+                found := re.search(
+                    r"(?:Eq\.|Assumption|Algorithm) (\d\.\d|V\.1|1)", line
+                )
+            )
+            else head
+        )
         for arrow in re.findall(r"-> ([\w.]+)", line):
             target = functools.reduce(getattr, arrow.split("."), oee)
             assert head in target.__doc__, (head, arrow)
@@ -167,10 +228,14 @@ def test_what_arrows_lead_to_says_its_number():
 
 def test_the_page_needs_numpy_alone():
     code = (
-        "import sys, oee_tabular.paper; print([m for m in ('scipy', 'cvxpy', 'numba', 'pandas') if m in sys.modules])"
+        "import sys, oee_tabular.paper; print([m for m in ('scipy', 'cvxpy', 'numba',"
+        " 'pandas') if m in sys.modules])"
     )
     assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        == "[]"
     )
 
 
@@ -180,15 +245,25 @@ def test_algorithm_1_comes_near_the_program(lam):
     rng = np.random.default_rng(3)
     shape, S = (3, 2), 3
     D_te, D_tr = (
-        np.column_stack([rng.integers(S, size=400), rng.integers(2, size=400), rng.integers(S, size=400)])
+        np.column_stack(
+            [
+                rng.integers(S, size=400),
+                rng.integers(2, size=400),
+                rng.integers(S, size=400),
+            ]
+        )
         for _ in range(2)
     )
-    moves, pairs = paper.algorithm_1(D_te, D_tr, shape, 0.1, 10.0, lam, eta=0.02, N=200, iterations=6000, seed=1)
+    moves, pairs = paper.algorithm_1(
+        D_te, D_tr, shape, 0.1, 10.0, lam, eta=0.02, N=200, iterations=6000, seed=1
+    )
     for g, width in ((moves, 3), (pairs, 2)):
         p, q = (np.zeros(g.shape), np.zeros(g.shape))
         for share, D in ((p, D_te), (q, D_tr)):
             np.add.at(share, tuple(D[:, :width].T), 1 / len(D))
-        best = oee.density_ratio(p.ravel(), q.ravel(), lower=0.1, upper=10.0, ridge=lam, normalized=False)
+        best = oee.density_ratio(
+            p.ravel(), q.ravel(), lower=0.1, upper=10.0, ridge=lam, normalized=False
+        )
         excess = paper.risk(g.ravel(), p.ravel(), q.ravel(), lam) - best.objective
         assert 0.0 <= excess + 1e-12 < 2e-3
         start = paper.risk(np.ones(g.size), p.ravel(), q.ravel(), lam) - best.objective

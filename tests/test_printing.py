@@ -12,7 +12,10 @@ from oee_tabular.testing import check_estimator, compare_with_oracle
 SIMULATOR, TARGET = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1)
 LOG = oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 30, 20, seed=0)
 PROBLEM = oee.Problem(SIMULATOR, LOG, horizon=20)
-POLICIES = {"<b>bold</b>": oee.tasks.gridworld_policy(3, 0.9), "mild & slow": oee.tasks.gridworld_policy(3, 0.1)}
+POLICIES = {
+    "<b>bold</b>": oee.tasks.gridworld_policy(3, 0.9),
+    "mild & slow": oee.tasks.gridworld_policy(3, 0.1),
+}
 BOLD = POLICIES["<b>bold</b>"]
 
 SUM = "discounted sum of rewards, not normalised"
@@ -26,18 +29,32 @@ RESULTS = {
         "(1 - discount) * sum of discount^t * reward over t = 0..19, discount 0.99",
     ),
     "estimate": (lambda: oee.estimators.OffEnvironment()(PROBLEM, BOLD), SUM),
-    "evaluated estimate": (lambda: oee.evaluate(PROBLEM, BOLD, estimators="oee").results[0].estimate, SUM),
+    "evaluated estimate": (
+        lambda: oee.evaluate(PROBLEM, BOLD, estimators="oee").results[0].estimate,
+        SUM,
+    ),
     "failed estimate": (lambda: Estimate(float("nan"), status="<lost>"), SUM),
     "interval": (lambda: oee.interval(PROBLEM, BOLD), SUM),
     "no interval": (
-        lambda: oee.interval(PROBLEM, BOLD, lower_ratio=0.999, upper_ratio=1.001, confidence=0.01),
+        lambda: oee.interval(
+            PROBLEM, BOLD, lower_ratio=0.999, upper_ratio=1.001, confidence=0.01
+        ),
         SUM,
     ),
-    "plan": (lambda: oee.plan_data_collection(PROBLEM, POLICIES, n=100, sampling="free"), SUM),
+    "plan": (
+        lambda: oee.plan_data_collection(PROBLEM, POLICIES, n=100, sampling="free"),
+        SUM,
+    ),
     "comparison": (lambda: compare_policies(PROBLEM, POLICIES), SUM),
     "oracle": (
         lambda: compare_with_oracle(
-            oee.estimators.ModelBased(), (SIMULATOR, TARGET), BOLD, n=50, behavior_policy=BOLD, repetitions=5, horizon=5
+            oee.estimators.ModelBased(),
+            (SIMULATOR, TARGET),
+            BOLD,
+            n=50,
+            behavior_policy=BOLD,
+            repetitions=5,
+            horizon=5,
         ),
         SUM,
     ),
@@ -47,7 +64,7 @@ RESULTS = {
     "log": (lambda: LOG, "Transitions: a log"),
     "problem": (lambda: PROBLEM, "not normalised"),
     "moments": (lambda: oee.return_moments(TARGET, BOLD, horizon=5), "squared units"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", RESULTS)
@@ -56,18 +73,37 @@ def test_in_a_notebook(name):
     parsed = Page(make()._repr_html_())
     assert parsed.open == []
     seen = {tag for tag, _ in parsed.tags}
-    assert seen <= {"div", "table", "caption", "thead", "tbody", "tr", "th", "td", "p", "pre"}
+    assert seen <= {
+        "div",
+        "table",
+        "caption",
+        "thead",
+        "tbody",
+        "tr",
+        "th",
+        "td",
+        "p",
+        "pre",
+    }
     assert unit in "".join(parsed.words)
 
 
 def test_estimates_and_intervals_in_one_line():
-    assert str(Estimate(2.0, 0.25, (1.5, 2.5))) == (
-        "2 ± 0.25 (standard error), interval [1.500, 2.500]; discounted sum of rewards, not normalised"
+    assert (
+        str(Estimate(2.0, 0.25, (1.5, 2.5)))
+        == "2 ± 0.25 (standard error), interval [1.500, 2.500]; discounted sum of"
+        " rewards, not normalised"
     )
     assert str(Estimate(2.0, status="too few")).endswith("not normalised; too few")
     found = oee.inference.Interval(1.0, 2.0, 0.9, "delta")
-    assert str(found) == "[1.000, 2.000], 90% delta interval; discounted sum of rewards, not normalised"
-    lost = oee.inference.Interval(np.nan, np.nan, 0.9, "robust", status="the counts contradict the box")
+    assert (
+        str(found)
+        == "[1.000, 2.000], 90% delta interval; discounted sum of rewards, not"
+        " normalised"
+    )
+    lost = oee.inference.Interval(
+        np.nan, np.nan, 0.9, "robust", status="the counts contradict the box"
+    )
     assert str(lost) == "no 90% robust interval: the counts contradict the box"
     assert "KL(p || q) about" in str(oee.density_ratio([1.0, 2.0], [2.0, 1.0]))
 

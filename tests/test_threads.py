@@ -32,24 +32,48 @@ def fingerprints():
         oee.FiniteMDP(grid.transitions, grid.transition_rewards, initial, grid.discount)
         for grid in (oee.tasks.gridworld(SIZE, slip) for slip in (0.3, 0.1))
     )
-    policy, zeta, uniform = oee.uniform_policy(simulator), oee.true_ratio(target, simulator), np.full((n, 4), 0.25 / n)
+    policy, zeta, uniform = (
+        oee.uniform_policy(simulator),
+        oee.true_ratio(target, simulator),
+        np.full((n, 4), 0.25 / n),
+    )
     log = oee.sample_transitions(target, uniform, 30_000, seed=1)
     problem = oee.Problem(simulator, log)
     found = {}
     for name, moments in (
         ("return", oee.return_moments(simulator, policy)),
         ("product", oee.weighted_return_moments(simulator, zeta, policy, horizon=5)),
-        ("trajectory", oee.weighted_return_moments(simulator, zeta, policy, horizon=5, kind="trajectory")),
-        ("self-normalised", oee.weighted_return_moments(simulator, zeta, policy, horizon=5, self_normalized=True)),
-        ("doubly robust", oee.doubly_robust_moments(simulator, zeta, policy, horizon=5)),
+        (
+            "trajectory",
+            oee.weighted_return_moments(
+                simulator, zeta, policy, horizon=5, kind="trajectory"
+            ),
+        ),
+        (
+            "self-normalised",
+            oee.weighted_return_moments(
+                simulator, zeta, policy, horizon=5, self_normalized=True
+            ),
+        ),
+        (
+            "doubly robust",
+            oee.doubly_robust_moments(simulator, zeta, policy, horizon=5),
+        ),
     ):
         found[name] = digest(moments.mean, moments.variance, moments.bias)
-    found["value"] = digest(oee.policy_value(simulator, policy), oee.policy_value(simulator, policy, horizon=5))
+    found["value"] = digest(
+        oee.policy_value(simulator, policy),
+        oee.policy_value(simulator, policy, horizon=5),
+    )
     for options in ({}, {"prior": "tilt"}, {"method": "joint", "seed": 0}):
-        found[f"ratio {options}"] = digest(oee.transition_ratio(log, simulator, **options).values.data)
+        found[f"ratio {options}"] = digest(
+            oee.transition_ratio(log, simulator, **options).values.data
+        )
     for estimator in (oee.estimators.OffEnvironment(), oee.estimators.Marginalized()):
         estimate = estimator(problem, policy, seed=0)
-        found[type(estimator).__name__] = digest(estimate.value, estimate.standard_error or 0.0)
+        found[type(estimator).__name__] = digest(
+            estimate.value, estimate.standard_error or 0.0
+        )
     return found
 
 
@@ -59,7 +83,12 @@ def test_one_thread_and_two_give_the_same_bits():
     running = [
         subprocess.Popen(
             [sys.executable, __file__],
-            env={**os.environ, "OPENBLAS_NUM_THREADS": threads, "MKL_NUM_THREADS": threads, "OMP_NUM_THREADS": threads},
+            env={
+                **os.environ,
+                "OPENBLAS_NUM_THREADS": threads,
+                "MKL_NUM_THREADS": threads,
+                "OMP_NUM_THREADS": threads,
+            },
             stdout=subprocess.PIPE,
             text=True,
         )
@@ -72,7 +101,11 @@ def test_one_thread_and_two_give_the_same_bits():
 
 
 def blas_threads():
-    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+    return {
+        library["num_threads"]
+        for library in threadpool_info()
+        if library["user_api"] == "blas"
+    }
 
 
 def test_warnings_name_the_callers_line():
@@ -83,7 +116,9 @@ def test_warnings_name_the_callers_line():
     for call in (
         lambda: oee.transition_ratio(log, simulator, features=twice),
         lambda: oee.transition_ratio(log, simulator, method="linear", features=twice),
-        lambda: oee.density_ratio([0.5, 0.3, 0.2], [0.3, 0.3, 0.4], features=np.ones((3, 2))),
+        lambda: oee.density_ratio(
+            [0.5, 0.3, 0.2], [0.3, 0.3, 0.4], features=np.ones((3, 2))
+        ),
     ):
         with pytest.warns(UserWarning, match="linearly independent") as caught:
             call()

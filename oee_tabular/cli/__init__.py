@@ -28,7 +28,9 @@ class Command(TyperCommand):
         _, _, order = self.make_parser(ctx).parse_args(args=list(args))
         for parameter, times in Counter(order).items():
             if times > 1 and not getattr(parameter, "multiple", False):
-                raise ValueError(f"{parameter.opts[0]} must be given once; it is given {times} times")
+                raise ValueError(
+                    f"{parameter.opts[0]} must be given once; it is given {times} times"
+                )
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
@@ -38,9 +40,13 @@ class Command(TyperCommand):
         except ValueError as error:
             name, must, rule = str(error).partition(" must ")
             argument = ARGUMENTS.get(name, name)
-            options = {p.name: p.opts[0] for p in self.params if p.opts[0].startswith("-")}
+            options = {
+                p.name: p.opts[0] for p in self.params if p.opts[0].startswith("-")
+            }
             for option in ("task_option", "plan_option"):
-                named = [text.partition("=")[0] for text in ctx.params.get(option) or []]
+                named = [
+                    text.partition("=")[0] for text in ctx.params.get(option) or []
+                ]
                 options |= {name: f"{options[option]} {name}" for name in named}
             if must and argument in options:
                 raise ValueError(f"{options[argument]} must {rule}") from error
@@ -51,24 +57,41 @@ class Command(TyperCommand):
         groups: dict[str, list[tuple[str, str]]] = {title: [] for title in GROUPS}
         for parameter in self.get_params(ctx):
             if (record := parameter.get_help_record(ctx)) is not None:
-                groups.setdefault(getattr(parameter, "rich_help_panel", None) or "Options", []).append(record)
+                groups.setdefault(
+                    getattr(parameter, "rich_help_panel", None) or "Options", []
+                ).append(record)
         for title in filter(groups.get, groups):  # which has no empty lists
             with formatter.section(title):
                 formatter.write_dl(groups[title])
 
 
 app = typer.Typer(
-    help="What return will a policy get in the target, given a simulator and a log of the target?",
-    epilog="Begin with: oee evaluate (an example), oee sample --help (a log), oee evaluate --help (your own files).",
+    help=(
+        "What return will a policy get in the target, given a simulator and a log of"
+        " the target?"
+    ),
+    epilog=(
+        "Begin with: oee evaluate (an example), oee sample --help (a log), oee evaluate"
+        " --help (your own files)."
+    ),
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 for command in (
-    values.evaluate, values.compare, values.plan, files.sample, files.policy, files.export, files.counts, files.info,
-    values.reproduce, values.bench, values.check,
-):  # fmt: skip
+    values.evaluate,
+    values.compare,
+    values.plan,
+    files.sample,
+    files.policy,
+    files.export,
+    files.counts,
+    files.info,
+    values.reproduce,
+    values.bench,
+    values.check,
+):
     app.command(cls=Command)(command)
 
 
@@ -84,7 +107,13 @@ def print_version(is_asked: bool) -> None:
 @app.callback()
 def options(
     version: Annotated[
-        bool, typer.Option("--version", callback=print_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version",
+            callback=print_version,
+            is_eager=True,
+            help="Print the version.",
+        ),
     ] = False,
 ) -> None:
     """Evaluate policies in a target environment, given a simulator and a log."""
@@ -96,7 +125,8 @@ def _tell(message: Warning | str, *_: object, **__: object) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; an error of the user's is one line on stderr and exit code 2."""
-    atexit.register(gc.freeze)  # the interpreter's last collection, of all modules, would take .2 s
+    # the interpreter's last collection, of all modules, would take .2 s
+    atexit.register(gc.freeze)
     warnings.showwarning = _tell
     _progress.tell = lambda sentence: typer.echo(f"oee: {sentence}", err=True)
     try:
@@ -112,9 +142,13 @@ def _sentence(error: Exception) -> str:
         words = str(error).replace("Unable to allocate", "this needs", 1)
         return f"not enough memory; {words or 'this needs more than there is'}"
     if isinstance(error, FileNotFoundError) and error.filename:
-        return f"no such {'folder' if error.strerror == 'no such folder' else 'file'}: {error.filename}"
+        return (
+            f"no such {'folder' if error.strerror == 'no such folder' else 'file'}:"
+            f" {error.filename}"
+        )
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"
-    if isinstance(error, OSError) and error.strerror:  # of no file that we opened: standard output
+    # of no file that we opened: standard output
+    if isinstance(error, OSError) and error.strerror:
         return f"the output cannot be written ({error.strerror})"
     return str(error)

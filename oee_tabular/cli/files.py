@@ -46,15 +46,29 @@ def sample(options: Options) -> None:
             positive_integer(getattr(options, name), f"--{name}")
     _files.new_file(options.output, "--output", overwrite=options.overwrite)
     settings = task_options(options.task_option, ("state", "actions"))
-    limits = {"n_transitions": options.transitions, "n_episodes": options.episodes, "seed": options.seed}
+    limits = {
+        "n_transitions": options.transitions,
+        "n_episodes": options.episodes,
+        "seed": options.seed,
+    }
     if is_continuous(options.environment):
-        log = record_log(options.environment, options.policy, settings, max_steps=options.horizon, **limits)
+        log = record_log(
+            options.environment,
+            options.policy,
+            settings,
+            max_steps=options.horizon,
+            **limits,
+        )
         text = repr(log)
     else:
         log = _record(options, settings, limits)
         text = log.describe()
     log.save(options.output)
-    record = {"file": str(options.output), "transitions": len(log), "episodes": log.n_episodes}
+    record = {
+        "file": str(options.output),
+        "transitions": len(log),
+        "episodes": log.n_episodes,
+    }
     answer(f"{options.output}: {text}", record, options.json)
 
 
@@ -64,20 +78,31 @@ def _record(options: Options, settings: object, limits: dict[str, Any]) -> Any:
 
     task = task_of(options.environment, options.discount, options.initial)
     if settings:
-        raise ValueError("--task-option needs a continuous task (--simulator cartpole:gravity=10)")
-    policy, mdp, steps = policy_of(options.policy, task, "policy"), task.mdp, options.horizon or 1000
-    if task.environment is not None and options.initial is None:  # which reset() does not take
+        raise ValueError(
+            "--task-option needs a continuous task (--simulator cartpole:gravity=10)"
+        )
+    policy, mdp, steps = (
+        policy_of(options.policy, task, "policy"),
+        task.mdp,
+        options.horizon or 1000,
+    )
+    # which reset() does not take
+    if task.environment is not None and options.initial is None:
         environment = task.environment()
         log = oee.record_episodes(environment, policy, max_steps=steps, **limits)
         environment.close()
     elif options.episodes is not None:
-        log = oee.sample_episodes(mdp, policy, options.episodes, steps, seed=options.seed)
+        log = oee.sample_episodes(
+            mdp, policy, options.episodes, steps, seed=options.seed
+        )
     else:
         n = options.transitions
         log = episodes_holding(mdp, policy, n, steps, seed=options.seed).first(n)
     if options.output.suffix == "":  # a Minari data set holds numbers
         return log
-    return oee.Transitions(**log.columns(), state_names=mdp.state_names, action_names=mdp.action_names)
+    return oee.Transitions(
+        **log.columns(), state_names=mdp.state_names, action_names=mdp.action_names
+    )
 
 
 @with_options("""
@@ -92,11 +117,20 @@ Output:
 """)
 def policy(options: Options) -> None:
     """Write a policy of a simulator to a file."""
-    table = policy_of(options.spec, task_of(options.simulator, options.discount), "policy")
+    table = policy_of(
+        options.spec, task_of(options.simulator, options.discount), "policy"
+    )
     n_states, n_actions = table.shape
-    text = f"{describe_new(options.output)}: policy of {n_states} states and {n_actions} actions"
+    text = (
+        f"{describe_new(options.output)}: policy of {n_states} states and {n_actions}"
+        " actions"
+    )
     write_array(options.output, table)
-    answer(text, {"file": str(options.output), "states": n_states, "actions": n_actions}, options.json)
+    answer(
+        text,
+        {"file": str(options.output), "states": n_states, "actions": n_actions},
+        options.json,
+    )
 
 
 @with_options("""
@@ -116,12 +150,22 @@ def export(options: Options) -> None:
     Of a continuous task it is the finite MDP, with the cells and what they were made from.
     """
     noise, initial, output = options.action_noise, options.initial, options.output
-    task = task_of(options.simulator, options.discount, initial, options.samples_per_pair)
+    task = task_of(
+        options.simulator, options.discount, initial, options.samples_per_pair
+    )
     mdp = task.mdp.with_action_noise(noise) if noise else task.mdp
-    saved = mdp if noise or initial is not None or task.discretization is None else task.discretization
+    saved = (
+        mdp
+        if noise or initial is not None or task.discretization is None
+        else task.discretization
+    )
     text = f"{describe_new(output)}: {saved!r}"
     saved.save(output)
-    sizes = {"states": mdp.n_states, "actions": mdp.n_actions, "transitions": mdp.transitions.nnz}
+    sizes = {
+        "states": mdp.n_states,
+        "actions": mdp.n_actions,
+        "transitions": mdp.transitions.nnz,
+    }
     answer(text, {"file": str(output), "discount": mdp.discount} | sizes, options.json)
 
 
@@ -144,12 +188,26 @@ def counts(options: Options) -> None:
     The file appears when all are counted.
     """
     _files.new_file(options.output, "--output", overwrite=options.overwrite)
-    asked = {name: getattr(options, name) for name in ("bad_rows", "kept_moves", "output", "jobs", "dask")}
+    asked = {
+        name: getattr(options, name)
+        for name in ("bad_rows", "kept_moves", "output", "jobs", "dask")
+    }
     simulator = None if options.simulator is None else task_of(options.simulator).mdp
-    counted = oee.Transitions.open(options.log, simulator=simulator, progress=sys.stderr.isatty(), **asked)
+    counted = oee.Transitions.open(
+        options.log, simulator=simulator, progress=sys.stderr.isatty(), **asked
+    )
     reasons = counted.recording.reasons
-    text = "\n".join([f"{options.output}: {counted.describe()}", *(f"dropped: {reason}" for reason in reasons)])
-    record = {"file": str(options.output), "moves": counted.summary()["transitions"], "dropped": reasons}
+    text = "\n".join(
+        [
+            f"{options.output}: {counted.describe()}",
+            *(f"dropped: {reason}" for reason in reasons),
+        ]
+    )
+    record = {
+        "file": str(options.output),
+        "moves": counted.summary()["transitions"],
+        "dropped": reasons,
+    }
     answer(text, record, options.json)
 
 
@@ -162,7 +220,11 @@ Output:
 def info(options: Options) -> None:
     """Describe the contents of a file."""
     kind, text = describe_files(options.file)
-    answer(text, {"file": ", ".join(options.file), "kind": kind, "text": text.split("\n")}, options.json)
+    answer(
+        text,
+        {"file": ", ".join(options.file), "kind": kind, "text": text.split("\n")},
+        options.json,
+    )
 
 
 def describe_files(files: list[str]) -> tuple[str, str]:
@@ -177,10 +239,14 @@ def describe_files(files: list[str]) -> tuple[str, str]:
 
         return "report", summary(path)
     is_pattern = not path.exists() and bool(set("*?[") & set(file))
-    has_parts = path.is_dir() and any(part.suffix in (".csv", ".parquet", ".npz") for part in path.iterdir())
+    has_parts = path.is_dir() and any(
+        part.suffix in (".csv", ".parquet", ".npz") for part in path.iterdir()
+    )
     is_single = len(files) == 1 and not is_pattern and not has_parts
     if is_single and holds_states(file):
-        return "continuous_transitions", _describe_states(oee.ContinuousTransitions.load(file))
+        return "continuous_transitions", _describe_states(
+            oee.ContinuousTransitions.load(file)
+        )
     if not is_single or path.suffix.lower() not in (".npz", ".npy"):
         return "transitions", repr(oee.Transitions.load(files))
     arrays = _files.read_npz(file)
@@ -189,32 +255,58 @@ def describe_files(files: list[str]) -> tuple[str, str]:
         return kind, repr(oee.Transitions.load(file))
     if kind == "transition_counts":
         counted = oee.TransitionCounts.load(file)
-        return kind, "\n".join([repr(counted), *(f"dropped: {reason}" for reason in counted.recording.reasons)])
+        return kind, "\n".join(
+            [
+                repr(counted),
+                *(f"dropped: {reason}" for reason in counted.recording.reasons),
+            ]
+        )
     if kind == "finite_mdp":
         return kind, _describe_mdp(oee.FiniteMDP.load(file), file, arrays)
-    return "arrays", "\n".join(_describe_array(name, array) for name, array in arrays.items())
+    return "arrays", "\n".join(
+        _describe_array(name, array) for name, array in arrays.items()
+    )
 
 
 def _describe_states(log: Any) -> str:
     lines = [repr(log)]
     for name in ("state", "next_state"):
         columns = enumerate(getattr(log, name).T)
-        lines.append(f"{name}: {', '.join(f'_{k} {column.min():.4g} to {column.max():.4g}' for k, column in columns)}")
-    return "\n".join(lines + ["with behaviour probabilities"] * (log.behavior_probability is not None))
+        lines.append(
+            f"{name}:"
+            f" {', '.join(f'_{k} {column.min():.4g} to {column.max():.4g}' for k, column in columns)}"
+        )
+    return "\n".join(
+        lines
+        + ["with behaviour probabilities"] * (log.behavior_probability is not None)
+    )
 
 
 def _describe_mdp(mdp: Any, file: str, arrays: dict[str, Any]) -> str:
     n_over = int(mdp.absorbing().sum())
-    text = f"{mdp!r}\nexpected rewards r(s, a) {mdp.rewards.min():g} to {mdp.rewards.max():g}, "
+    text = (
+        f"{mdp!r}\nexpected rewards r(s, a) {mdp.rewards.min():g} to"
+        f" {mdp.rewards.max():g}, "
+    )
     text += f"{n_over} state{'s' * (n_over != 1)} in which an episode is over"
     if "metadata" in arrays:
         with _files.parts_of(file, "a Discretization"):
             facts = dict(json.loads(str(arrays["metadata"])))
-        text += "\nmade from a continuous task: " + ", ".join(f"{name} {value}" for name, value in facts.items())
+        text += "\nmade from a continuous task: " + ", ".join(
+            f"{name} {value}" for name, value in facts.items()
+        )
     return text
 
 
 def _describe_array(name: str, array: Any) -> str:
-    is_policy = array.ndim == 2 and array.dtype.kind == "f" and bool((abs(array.sum(axis=1) - 1) < 1e-8).all())
-    what = f"policy of {array.shape[0]} states and {array.shape[1]} actions" if is_policy else "array"
+    is_policy = (
+        array.ndim == 2
+        and array.dtype.kind == "f"
+        and bool((abs(array.sum(axis=1) - 1) < 1e-8).all())
+    )
+    what = (
+        f"policy of {array.shape[0]} states and {array.shape[1]} actions"
+        if is_policy
+        else "array"
+    )
     return f"{what} ({name!r}): {array.dtype} of shape {array.shape}"

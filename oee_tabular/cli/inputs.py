@@ -17,13 +17,23 @@ import numpy as np
 
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files, _progress
-from oee_tabular._arguments import arguments, literal, named_specs, own_module, own_modules, own_object
+from oee_tabular._arguments import (
+    arguments,
+    literal,
+    named_specs,
+    own_module,
+    own_modules,
+    own_object,
+)
 from oee_tabular._checks import Array
 from oee_tabular.cli.options import Options
 
 
 def task_of(
-    spec: str, discount: float | None = None, initial: str | None = None, samples: int | None = None
+    spec: str,
+    discount: float | None = None,
+    initial: str | None = None,
+    samples: int | None = None,
 ) -> oee.tasks.NamedTask:
     """The task that ``spec`` names, with another discount or first state; ``samples`` of each (s, a) where it is stepped."""
     _progress.report_step(f"reading the simulator {spec}")
@@ -40,7 +50,8 @@ def task_of(
         task = oee.tasks.named_task(spec, discount=discount)
     if initial is None:
         return task
-    start = int(initial) if initial.strip().lstrip("-").isdigit() else initial  # no name reads as a number
+    # no name reads as a number
+    start = int(initial) if initial.strip().lstrip("-").isdigit() else initial
     return replace(task, mdp=task.mdp.with_initial(start))
 
 
@@ -49,12 +60,21 @@ def is_own(spec: str) -> bool:
     from oee_tabular.tasks.specs import FINITE
 
     module, colon, rest = spec.partition(":")
-    if not colon or module in FINITE or not all(part.isidentifier() for part in module.split(".")):
+    if (
+        not colon
+        or module in FINITE
+        or not all(part.isidentifier() for part in module.split("."))
+    ):
         return False
     from oee_tabular.continuous.command import CONTINUOUS
 
     first = rest.split(",")[0]
-    return module not in CONTINUOUS and bool(first) and "=" not in first and isinstance(arguments(first)[0][0], str)
+    return (
+        module not in CONTINUOUS
+        and bool(first)
+        and "=" not in first
+        and isinstance(arguments(first)[0][0], str)
+    )
 
 
 def _maker(spec: str) -> Callable[[], Any]:
@@ -67,50 +87,65 @@ def _maker(spec: str) -> Callable[[], Any]:
     if not all(part.isidentifier() for part in name.split(".")):
         own_module(module)  # which registers the environment
         return partial(oee.tasks.make_environment, name, **keywords)
-    made = own_object(f"{module}:{name}", "the simulator", "my_package.mine:MySimulator")
+    made = own_object(
+        f"{module}:{name}", "the simulator", "my_package.mine:MySimulator"
+    )
 
     def make() -> Any:
         try:
             return made(*positional, **keywords) if callable(made) else made
         except Exception as error:
-            raise ValueError(f"simulator {spec!r} cannot be made; it raises {type(error).__name__}: {error}") from error
+            raise ValueError(
+                f"simulator {spec!r} cannot be made; it raises {type(error).__name__}:"
+                f" {error}"
+            ) from error
 
     return make
 
 
-def _as_mdp(made: Any, spec: str, discount: float, samples: int | None) -> oee.FiniteMDP:
+def _as_mdp(
+    made: Any, spec: str, discount: float, samples: int | None
+) -> oee.FiniteMDP:
     """A FiniteMDP itself; an environment by its table, or by being stepped."""
     if isinstance(made, oee.FiniteMDP):
         return made
     if isinstance(made, oee.tasks.ContinuousTask):
         raise ValueError(
-            f"simulator {spec!r} is a ContinuousTask, which Python takes: "
-            "tasks.evaluate_continuous(task, log, policies, horizon=...); a command takes a registered MODULE:EnvId-v0"
+            f"simulator {spec!r} is a ContinuousTask, which Python takes:"
+            " tasks.evaluate_continuous(task, log, policies, horizon=...); a command"
+            " takes a registered MODULE:EnvId-v0"
         )
     space = getattr(made, "observation_space", None)
     if space is not None and not hasattr(space, "n") and getattr(space, "shape", None):
         raise ValueError(
-            f"simulator {spec!r} has states that are vectors: register the environment (gymnasium.register) and name it by "
-            f"its id, {spec.partition(':')[0]}:EnvId-v0"
+            f"simulator {spec!r} has states that are vectors: register the environment"
+            " (gymnasium.register) and name it by its id,"
+            f" {spec.partition(':')[0]}:EnvId-v0"
         )
     if not hasattr(made, "step") or not hasattr(made, "reset"):
         raise ValueError(
-            f"simulator {spec!r} must be a FiniteMDP or a Gymnasium environment, or a class or function that makes one; found "
-            f"{type(made).__name__}"
+            f"simulator {spec!r} must be a FiniteMDP or a Gymnasium environment, or a"
+            f" class or function that makes one; found {type(made).__name__}"
         )
     if samples is not None:
-        return oee.FiniteMDP.from_env(made, samples_per_pair=samples, seed=0, discount=discount)
+        return oee.FiniteMDP.from_env(
+            made, samples_per_pair=samples, seed=0, discount=discount
+        )
     if not hasattr(made.unwrapped, "P"):
         raise ValueError(
-            f"simulator {spec!r} has no table P, so that it can only be sampled: oee export {spec} --samples-per-pair 100 "
-            "--output simulator.npz writes it by its frequencies"
+            f"simulator {spec!r} has no table P, so that it can only be sampled: oee"
+            f" export {spec} --samples-per-pair 100 --output simulator.npz writes it by"
+            " its frequencies"
         )
     return oee.FiniteMDP.from_gymnasium(made, discount)
 
 
 def policies_of(specs: list[str] | None, task: oee.tasks.NamedTask) -> dict[str, Any]:
     """Policies from NAME=SPEC or SPEC; optimal where there are none."""
-    return {name: policy_of(spec, task, "--policy") for name, spec in named_specs(specs or ["optimal"]).items()}
+    return {
+        name: policy_of(spec, task, "--policy")
+        for name, spec in named_specs(specs or ["optimal"]).items()
+    }
 
 
 def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
@@ -130,18 +165,27 @@ def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
             weight = float(spec.removeprefix("mix:"))
         except ValueError:
             raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
-        return oee.mix(check_policy(task.expert(), mdp), oee.uniform_policy(mdp), weight)
+        return oee.mix(
+            check_policy(task.expert(), mdp), oee.uniform_policy(mdp), weight
+        )
     label = f"{name} {spec!r}"
     if suffix == ".csv":
-        return check_policy(_policy_by_state(csv_frame(spec), mdp, repr(spec)), mdp, name=label)
+        return check_policy(
+            _policy_by_state(csv_frame(spec), mdp, repr(spec)), mdp, name=label
+        )
     if suffix in (".npy", ".npz"):
         return check_policy(read_policy_array(spec, name), mdp, name=label)
     if is_own(spec):
         with own_modules():
-            return check_policy(own_object(spec, name, "my_package.mine:policy"), mdp, name=label)
-    close = difflib.get_close_matches(spec.lower(), ["uniform", "optimal", "expert", "mix:0.5"], n=1)
+            return check_policy(
+                own_object(spec, name, "my_package.mine:policy"), mdp, name=label
+            )
+    close = difflib.get_close_matches(
+        spec.lower(), ["uniform", "optimal", "expert", "mix:0.5"], n=1
+    )
     raise ValueError(
-        f"{name} must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a .npy, .npz or .csv file; got {spec!r}"
+        f"{name} must be uniform, optimal, expert, mix:WEIGHT, MODULE:FUNCTION, or a"
+        f" .npy, .npz or .csv file; got {spec!r}"
         + (f" (did you mean {close[0]!r}?)" if close else "")
     )
 
@@ -150,36 +194,58 @@ def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any
     """Read a table with the columns state, action (and probability), or state and one for each action."""
     from oee_tabular.mdp.naming import numbers_of
 
-    labels, known = list(frame.columns), {*numbers_of(mdp.action_names or ()), *range(mdp.n_actions)}
-    actions = {label: int(label) if label.isdigit() else label for label in labels if label != "state"}
+    labels, known = (
+        list(frame.columns),
+        {*numbers_of(mdp.action_names or ()), *range(mdp.n_actions)},
+    )
+    actions = {
+        label: int(label) if label.isdigit() else label
+        for label in labels
+        if label != "state"
+    }
     is_wide = "action" not in labels
-    if "state" not in labels or not actions or (is_wide and not known.issuperset(actions.values())) or frame.empty:
+    if (
+        "state" not in labels
+        or not actions
+        or (is_wide and not known.issuperset(actions.values()))
+        or frame.empty
+    ):
         raise ValueError(
-            f"{name} must have the columns state and action, with probability or without, or state and one for each action, "
-            f"and at least one row; it has {', '.join(labels)} and {len(frame)} rows"
+            f"{name} must have the columns state and action, with probability or"
+            " without, or state and one for each action, and at least one row; it has"
+            f" {', '.join(labels)} and {len(frame)} rows"
         )
     keys = ["state", "action"] if "probability" in labels else ["state"]
     twice = frame[frame.duplicated(keys)]
     if len(twice):
         place = ", ".join(f"{key} {twice.iloc[0][key]}" for key in keys)
-        raise ValueError(f"{name} must have one row for each {' and '.join(keys)}; {place} has two")
+        raise ValueError(
+            f"{name} must have one row for each {' and '.join(keys)}; {place} has two"
+        )
     if is_wide:
-        frame = frame.rename(columns=actions).melt("state", var_name="action", value_name="probability")
+        frame = frame.rename(columns=actions).melt(
+            "state", var_name="action", value_name="probability"
+        )
     elif "probability" not in labels:
         return dict(zip(frame["state"], frame["action"], strict=True))
     try:
         numbers = frame["probability"].astype(float)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must have numbers as probabilities; {error}") from None
+        raise ValueError(
+            f"{name} must have numbers as probabilities; {error}"
+        ) from None
     policy: dict[Any, Any] = {}
-    for state, action, number in zip(frame["state"], frame["action"], numbers, strict=True):
+    for state, action, number in zip(
+        frame["state"], frame["action"], numbers, strict=True
+    ):
         policy.setdefault(state, {})[action] = number
     return policy
 
 
 def write_array(path: Path, array: Array) -> None:
     """A .npy file, which appears whole or not at all."""
-    content = io.BytesIO()  # written to a file itself, an array loses the system's words for a full disk
+    # written to a file itself, an array loses the system's words for a full disk
+    content = io.BytesIO()
     np.save(content, array, allow_pickle=False)
     with _files.whole_file(path, (".npy",)) as handle:
         handle.write(content.getbuffer())
@@ -197,22 +263,34 @@ def read_problem(options: Options) -> tuple[oee.tasks.NamedTask, oee.Problem]:
     if noise:
         task = replace(task, mdp=task.mdp.with_action_noise(noise))
     model = task.mdp
-    epsilon: Any = literal(impossible[6:], "--impossible") if impossible.startswith("allow=") else None
+    epsilon: Any = (
+        literal(impossible[6:], "--impossible")
+        if impossible.startswith("allow=")
+        else None
+    )
     is_share = isinstance(epsilon, float) and 0.0 < epsilon < 1.0
     if not is_share and impossible not in ("refuse", "drop"):
         raise ValueError(
-            f"--impossible must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got {impossible!r}"
+            "--impossible must be refuse, drop, or allow=EPS with 0 < EPS < 1,"
+            f" allow=0.01; got {impossible!r}"
         )
     _progress.report_step(f"reading the log {', '.join(log)}")
     recorded = oee.data.read_log(log[0] if len(log) == 1 else log, model)
     if is_share:
         is_log = isinstance(recorded, oee.Transitions)
-        model = model.with_support_of(recorded if is_log else recorded.counts(model.n_states, model.n_actions), epsilon)
+        model = model.with_support_of(
+            recorded if is_log else recorded.counts(model.n_states, model.n_actions),
+            epsilon,
+        )
         impossible = "refuse"
-    more: dict[str, Any] = {"rewards": options.rewards} if hasattr(options, "rewards") else {}
+    more: dict[str, Any] = (
+        {"rewards": options.rewards} if hasattr(options, "rewards") else {}
+    )
     if getattr(options, "behavior", None) is not None:
         more["behavior_policy"] = policy_of(options.behavior, task, "--behavior")
-    return task, oee.Problem(model, recorded, horizon=options.horizon, impossible=impossible, **more)
+    return task, oee.Problem(
+        model, recorded, horizon=options.horizon, impossible=impossible, **more
+    )
 
 
 def read_box(text: str | None) -> dict[str, float | None]:
@@ -220,12 +298,20 @@ def read_box(text: str | None) -> dict[str, float | None]:
     if text is None:
         return {}
     try:
-        lower, upper = (float(part) if part.strip() else None for part in text.split(","))
+        lower, upper = (
+            float(part) if part.strip() else None for part in text.split(",")
+        )
     except ValueError:
         lower = upper = float("nan")
-    if not (0.0 if lower is None else lower) <= 1.0 <= (1.0 if upper is None else upper) or (lower or 0.0) < 0.0:
+    if (
+        not (0.0 if lower is None else lower)
+        <= 1.0
+        <= (1.0 if upper is None else upper)
+        or (lower or 0.0) < 0.0
+    ):
         raise ValueError(
-            f"--box must be LOWER,UPPER, bounds on P_target / P with 0 <= LOWER <= 1 <= UPPER, as 0.5,2; got {text!r}"
+            "--box must be LOWER,UPPER, bounds on P_target / P with 0 <= LOWER <= 1 <="
+            f" UPPER, as 0.5,2; got {text!r}"
         )
     return {"lower_ratio": lower, "upper_ratio": upper}
 
@@ -248,7 +334,10 @@ def read_entries(path: Path, name: str, simulator: oee.FiniteMDP) -> tuple[Any, 
         raise ValueError(f"--{name} must be a .npy or .csv file; got {file}")
     arrays: Any = {"array": csv_frame(str(path))} if is_table else _files.read_npz(path)
     if "array" not in arrays:
-        raise ValueError(f"{file} must hold one array, as numpy.save writes it; it holds {', '.join(arrays)}")
+        raise ValueError(
+            f"{file} must hold one array, as numpy.save writes it; it holds"
+            f" {', '.join(arrays)}"
+        )
     given = arrays["array"]
     try:
         if name == "tie":

@@ -21,17 +21,30 @@ from oee_tabular.estimators.names import names
 
 Options = SimpleNamespace  # what was given, by the names of the options
 TEXTS = {
-    "{SIMULATOR}": "gridworld:10,slip=0.3 | a Gymnasium id with arguments, FrozenLake-v1:map_name=8x8,success_rate=0.6 | "
-    "an .npz of a FiniteMDP | your own, module:Class or module:function,key=value (a FiniteMDP, or a Gymnasium environment "
-    "with a table P), module:EnvId-v0 | a continuous task, cartpole:gravity=10, or a Gymnasium id with physics, "
-    "Pendulum-v1:g=9 or module:EnvId-v0:key=value",
-    "{POLICY}": ".npy or .npz of an (S, A) array or of (S,) actions | .csv with columns state, action (and probability), or "
-    "state and one for each action | MODULE:FUNCTION of a state | uniform | optimal | expert | mix:0.5 (half expert, half "
-    "uniform); optimal and expert are the simulator's; expert is optimal where a task has none of its own; a continuous task "
-    "has expert, uniform and mix, arrays of its cells, and MODULE:FUNCTION of its states",
-    "{ESTIMATORS}": f"{', '.join(names())}; with --target: {', '.join(names(needs_target=True))}; fqe is model-based",
-    "{TRANSITIONS}": "file of the simulator's transitions, .csv (columns state, action, next_state, by number or name, ...) "
-    "or .npy (S, A, S) or (entries,)",
+    "{SIMULATOR}": (
+        "gridworld:10,slip=0.3 | a Gymnasium id with arguments,"
+        " FrozenLake-v1:map_name=8x8,success_rate=0.6 | an .npz of a FiniteMDP | your"
+        " own, module:Class or module:function,key=value (a FiniteMDP, or a Gymnasium"
+        " environment with a table P), module:EnvId-v0 | a continuous task,"
+        " cartpole:gravity=10, or a Gymnasium id with physics, Pendulum-v1:g=9 or"
+        " module:EnvId-v0:key=value"
+    ),
+    "{POLICY}": (
+        ".npy or .npz of an (S, A) array or of (S,) actions | .csv with columns state,"
+        " action (and probability), or state and one for each action | MODULE:FUNCTION"
+        " of a state | uniform | optimal | expert | mix:0.5 (half expert, half"
+        " uniform); optimal and expert are the simulator's; expert is optimal where a"
+        " task has none of its own; a continuous task has expert, uniform and mix,"
+        " arrays of its cells, and MODULE:FUNCTION of its states"
+    ),
+    "{ESTIMATORS}": (
+        f"{', '.join(names())}; with --target: {', '.join(names(needs_target=True))};"
+        " fqe is model-based"
+    ),
+    "{TRANSITIONS}": (
+        "file of the simulator's transitions, .csv (columns state, action, next_state,"
+        " by number or name, ...) or .npy (S, A, S) or (entries,)"
+    ),
 }
 SHARED = """
 --simulator SIM  {SIMULATOR}.
@@ -56,15 +69,27 @@ SHARED = """
 """
 GROUPS = ("Input", "Value", "Output")
 TYPES: dict[str, type] = {
-    "N": int, "T": int, "EPS": float, "LEVEL": float, "GAMMA": float, "SECONDS": float,
-    "FILE": Path, "FOLDER": Path,
-}  # fmt: skip
+    "N": int,
+    "T": int,
+    "EPS": float,
+    "LEVEL": float,
+    "GAMMA": float,
+    "SECONDS": float,
+    "FILE": Path,
+    "FOLDER": Path,
+}
 # what the functions that the commands call name otherwise
-ARGUMENTS = {"n": "transitions", "behavior_policy": "behavior", "lower_ratio and upper_ratio": "box", "shape": "grid"}
+ARGUMENTS = {
+    "n": "transitions",
+    "behavior_policy": "behavior",
+    "lower_ratio and upper_ratio": "box",
+    "shape": "grid",
+}
 
 
 LINE = re.compile(
-    r"(?P<option>[\w/-]+)(?P<many>\*?)(?P<must>!?)(?:=(?P<default>\S+))?(?: (?P<value>\S+))?(?:  (?P<help>.+))?"
+    r"(?P<option>[\w/-]+)(?P<many>\*?)(?P<must>!?)(?:=(?P<default>\S+))?(?:"
+    r" (?P<value>\S+))?(?:  (?P<help>.+))?"
 )
 
 
@@ -80,33 +105,50 @@ def read_table(text: str) -> list[dict[str, str]]:
         for declaration in [line] if "  " in line else line.split():
             match = LINE.fullmatch(declaration)
             assert match is not None, line
-            options.append({name: words for name, words in match.groupdict().items() if words} | {"group": group})
+            options.append(
+                {name: words for name, words in match.groupdict().items() if words}
+                | {"group": group}
+            )
     return options
 
 
 def make_parameter(fields: Mapping[str, str]) -> inspect.Parameter:
     """The argument of a function from which typer makes an option."""
     option, value = fields["option"], fields.get("value", "")
-    kind: Any = list[str] if "many" in fields else TYPES.get(value, str) if value else bool
+    kind: Any = (
+        list[str] if "many" in fields else TYPES.get(value, str) if value else bool
+    )
     default: Any = None if value or "/" in option else False
     if "must" in fields:
         default = inspect.Parameter.empty
     elif "default" in fields:
         default = kind(fields["default"])
     name = option.split("/")[0].strip("-").replace("-", "_")
-    about: Any = {"help": fields["help"], "metavar": value or None, "rich_help_panel": fields["group"]}
+    about: Any = {
+        "help": fields["help"],
+        "metavar": value or None,
+        "rich_help_panel": fields["group"],
+    }
     made: Any = typer.Argument(**about)
     if option.startswith("-"):
         made = typer.Option(option, **about, min=0 if name == "seed" else None)
     return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind | None, made]
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=default,
+        annotation=Annotated[kind | None, made],
     )
 
 
-def with_options(text: str) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
+def with_options(
+    text: str,
+) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
     """Give a command the options of a table."""
     shared = {fields["option"]: fields for fields in read_table(SHARED)}
-    table = [fields if "help" in fields else shared[fields["option"]] | fields for fields in read_table(text)]
+    table = [
+        fields if "help" in fields else shared[fields["option"]] | fields
+        for fields in read_table(text)
+    ]
 
     def decorate(command: Callable[[Options], None]) -> Callable[..., None]:
         @functools.wraps(command)
@@ -121,7 +163,8 @@ def with_options(text: str) -> Callable[[Callable[[Options], None]], Callable[..
 
 def say(text: str, *, err: bool = False) -> None:
     """Print lines in which no name of a file or of a column speaks to the terminal."""
-    from oee_tabular._checks import escape_controls  # numpy, which the help does without
+    # numpy, which the help does without
+    from oee_tabular._checks import escape_controls
 
     typer.echo(escape_controls(text, keep="\n"), err=err)
 
@@ -138,4 +181,8 @@ def answer(text: str, record: Mapping[str, object], as_json: bool) -> None:
     from oee_tabular import __version__
     from oee_tabular.report.files import plain
 
-    typer.echo(json.dumps(plain({"version": __version__} | dict(record)), indent=2, allow_nan=False))
+    typer.echo(
+        json.dumps(
+            plain({"version": __version__} | dict(record)), indent=2, allow_nan=False
+        )
+    )

@@ -11,9 +11,21 @@ import typer
 import oee_tabular as oee  # whose rooms are imported on use
 from oee_tabular import _files, _progress
 from oee_tabular._arguments import literal, named_specs
-from oee_tabular.cli.inputs import policies_of, read_box, read_entries, read_problem, task_of, write_array
+from oee_tabular.cli.inputs import (
+    policies_of,
+    read_box,
+    read_entries,
+    read_problem,
+    task_of,
+    write_array,
+)
 from oee_tabular.cli.options import Options, answer, say, with_options
-from oee_tabular.continuous.command import evaluate_files, is_continuous, read_grid, task_options
+from oee_tabular.continuous.command import (
+    evaluate_files,
+    is_continuous,
+    read_grid,
+    task_options,
+)
 
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
 # which need a simulator whose states are numbered, and a log
@@ -67,7 +79,9 @@ def evaluate(options: Options) -> None:
         oee.report.check_page(page or Path(options.report))
     report = _evaluate(options)
     answer(
-        report.to_text(all=options.all, verbose=options.verbose), report.to_dict() if options.json else {}, options.json
+        report.to_text(all=options.all, verbose=options.verbose),
+        report.to_dict() if options.json else {},
+        options.json,
     )
     old = [*options.output.glob("*")] if options.output else []
     old += [page] if page and page.exists() else []
@@ -76,7 +90,10 @@ def evaluate(options: Options) -> None:
         report.to_html(page, title=title or None)
         new.append(page)
     if new and not options.json:
-        typer.echo(f"\nWritten: {', '.join(f'{path} (replaced)' if path in old else str(path) for path in new)}")
+        typer.echo(
+            "\nWritten:"
+            f" {', '.join(f'{path} (replaced)' if path in old else str(path) for path in new)}"
+        )
 
 
 def refuse(options: Options, names: tuple[str, ...], rule: str) -> None:
@@ -91,46 +108,95 @@ def _evaluate(options: Options) -> Any:
     """Make the report of the problem that the options describe: of files, of a continuous task, or the paper's."""
     simulator, log, discount = options.simulator, options.log, options.discount
     settings, grid = task_options(options.task_option), read_grid(options.grid)
-    wants = {"--task-option": settings, "--grid": grid is not None, "--fit": options.fit}
+    wants = {
+        "--task-option": settings,
+        "--grid": grid is not None,
+        "--fit": options.fit,
+    }
     wants["--history"] = options.history != "auto"
     if any(wants.values()) and not is_continuous(simulator):
         if simulator is not None:
             task_of(simulator)  # which may not be there at all
         given = next(name for name, value in wants.items() if value)
-        raise ValueError(f"{given} needs a continuous task (--simulator cartpole:gravity=10)")
-    names = None if options.estimators is None else [part.strip() for part in options.estimators.split(",")]
+        raise ValueError(
+            f"{given} needs a continuous task (--simulator cartpole:gravity=10)"
+        )
+    names = (
+        None
+        if options.estimators is None
+        else [part.strip() for part in options.estimators.split(",")]
+    )
     common: dict[str, Any] = {"confidence": options.confidence, "seed": options.seed}
-    common |= {"guaranteed": options.guaranteed is True, "quick": options.guaranteed is False}
-    common |= {"estimators": None if names is None else [*filter(None, names)], "normalized": bool(options.normalized)}
+    common |= {
+        "guaranteed": options.guaranteed is True,
+        "quick": options.guaranteed is False,
+    }
+    common |= {
+        "estimators": None if names is None else [*filter(None, names)],
+        "normalized": bool(options.normalized),
+    }
     if simulator is None and not log:
-        refuse(options, ("behavior", "target", *OF_FILES), "needs --simulator and --log")
-        default = oee.tasks.embedded_default(seed=options.seed, discount=0.99 if discount is None else discount)
+        refuse(
+            options, ("behavior", "target", *OF_FILES), "needs --simulator and --log"
+        )
+        default = oee.tasks.embedded_default(
+            seed=options.seed, discount=0.99 if discount is None else discount
+        )
         problem = oee.Problem(
-            default.simulator, default.log, horizon=default.horizon if options.horizon is None else options.horizon,
-            rewards=options.rewards, episodes=default.episodes, behavior_policy=default.behavior_policy,
-        )  # fmt: skip
+            default.simulator,
+            default.log,
+            horizon=default.horizon if options.horizon is None else options.horizon,
+            rewards=options.rewards,
+            episodes=default.episodes,
+            behavior_policy=default.behavior_policy,
+        )
         policies: Any = default.policies
         if options.policy is not None:
-            policies = policies_of(options.policy, task_of("gridworld:10,slip=0.3", discount))
+            policies = policies_of(
+                options.policy, task_of("gridworld:10,slip=0.3", discount)
+            )
         common["normalized"] = options.normalized is not False
         return oee.evaluate(problem, policies, target=default.target, **common)
     if simulator is None or not log:
         there, lacking = ("log", "simulator") if log else ("simulator", "log")
-        raise ValueError(f"--{lacking} must be given with --{there} (record a log with: oee sample)")
+        raise ValueError(
+            f"--{lacking} must be given with --{there} (record a log with: oee sample)"
+        )
     if is_continuous(simulator):
-        common |= {"fit": options.fit and options.fit.split(","), "history": literal(options.history, "--history")}
-        rule = "must be left out for a continuous task, whose states have no numbers; it is {}"
+        common |= {
+            "fit": options.fit and options.fit.split(","),
+            "history": literal(options.history, "--history"),
+        }
+        rule = (
+            "must be left out for a continuous task, whose states have no numbers; it"
+            " is {}"
+        )
         refuse(options, ("rewards", *OF_FILES), rule)
         return evaluate_files(
-            simulator, log, options.policy, options.behavior, options.target, settings, grid=grid,
-            horizon=options.horizon, discount=0.99 if discount is None else discount, **common,
-        )  # fmt: skip
+            simulator,
+            log,
+            options.policy,
+            options.behavior,
+            options.target,
+            settings,
+            grid=grid,
+            horizon=options.horizon,
+            discount=0.99 if discount is None else discount,
+            **common,
+        )
     task, problem = read_problem(options)
     known, facts = _read_known(options, task)
     target = None
     if options.target is not None:
         target = task_of(options.target, task.mdp.discount, options.initial).mdp
-    return oee.evaluate(problem, policies_of(options.policy, task), facts=facts, target=target, **known, **common)
+    return oee.evaluate(
+        problem,
+        policies_of(options.policy, task),
+        facts=facts,
+        target=target,
+        **known,
+        **common,
+    )
 
 
 def _read_known(options: Options, task: Any) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -139,14 +205,23 @@ def _read_known(options: Options, task: Any) -> tuple[dict[str, Any], dict[str, 
 
     specs, noise = named_specs(options.policy or ["optimal"]), options.action_noise
     facts = {
-        "simulator_name": options.simulator, "log_name": ", ".join(options.log), "log_files": options.log,
-        "action_noise": noise, "policy_names": specs,
+        "simulator_name": options.simulator,
+        "log_name": ", ".join(options.log),
+        "log_files": options.log,
+        "action_noise": noise,
+        "policy_names": specs,
         "date": date_of([options.simulator, *options.log, *specs.values()]),
-    }  # fmt: skip
-    others = {name: getattr(options, name) for name in ("initial", "impossible", "discount")}
-    facts |= {name: value for name, value in others.items() if value not in (None, "refuse")}
+    }
+    others = {
+        name: getattr(options, name) for name in ("initial", "impossible", "discount")
+    }
+    facts |= {
+        name: value for name, value in others.items() if value not in (None, "refuse")
+    }
     if noise:
-        facts["simulator"] = f"{options.simulator} with action noise {noise:g}: {task.mdp!r}"
+        facts["simulator"] = (
+            f"{options.simulator} with action noise {noise:g}: {task.mdp!r}"
+        )
     known: dict[str, Any] = read_box(options.box)
     for name, path in (("features", options.features), ("tie", options.tie)):
         if path is not None:
@@ -180,23 +255,39 @@ def compare(options: Options) -> None:
         )
     if len(named_specs(options.policy)) < 2:
         raise ValueError(
-            f"--policy must be given twice or more, for there is nothing to compare; there is {options.policy[0]!r}"
+            "--policy must be given twice or more, for there is nothing to compare;"
+            f" there is {options.policy[0]!r}"
         )
     known = read_box(options.box)
     task, problem = read_problem(options)
     policies = policies_of(options.policy, task)
-    report = oee.report.contest(problem, policies, confidence=options.confidence, quick=options.quick, **known)
+    report = oee.report.contest(
+        problem, policies, confidence=options.confidence, quick=options.quick, **known
+    )
     warnings = [str(finding) for finding in problem.findings]
-    text = "\n".join([render_comparison(report), *([""] if warnings else []), *warnings])
+    text = "\n".join(
+        [render_comparison(report), *([""] if warnings else []), *warnings]
+    )
     rows = report.comparison()
     differences = [
-        {"policy": row["policy"], "than": rows[0]["policy"], "difference": -row["less_by"],
-         "lower": None if row["less_by_upper"] is None else -row["less_by_upper"],
-         "upper": None if row["less_by_lower"] is None else -row["less_by_lower"]}
+        {
+            "policy": row["policy"],
+            "than": rows[0]["policy"],
+            "difference": -row["less_by"],
+            "lower": None if row["less_by_upper"] is None else -row["less_by_upper"],
+            "upper": None if row["less_by_lower"] is None else -row["less_by_lower"],
+        }
         for row in rows[1:]
-    ]  # fmt: skip
-    record = {"confidence": report.confidence, "best": report.best, "sentence": report.headline, "policies": rows}
-    answer(text, record | {"differences": differences, "warnings": warnings}, options.json)
+    ]
+    record = {
+        "confidence": report.confidence,
+        "best": report.best,
+        "sentence": report.headline,
+        "policies": rows,
+    }
+    answer(
+        text, record | {"differences": differences, "warnings": warnings}, options.json
+    )
 
 
 @with_options("""
@@ -223,18 +314,30 @@ def plan(options: Options) -> None:
     if output is not None:
         _files.new_file(output, "--output", overwrite=options.overwrite)
     settings = named_specs(options.plan_option or [], "--plan-option", PLAN_OPTIONS)
-    asked = {name: literal(text) for name, text in settings.items()} | read_box(options.box)
+    asked = {name: literal(text) for name, text in settings.items()} | read_box(
+        options.box
+    )
     task, problem = read_problem(options)
     policies = policies_of(options.policy, task)
     _progress.report_step(f"plan for {options.transitions} transitions")
     made = oee.plan_data_collection(
-        problem, policies, n=options.transitions, sampling="free" if free else "behavior",
-        confidence=options.confidence, **asked,
-    )  # fmt: skip
-    text, record = str(made), made.to_dict() | {"file": None if output is None else str(output)}
+        problem,
+        policies,
+        n=options.transitions,
+        sampling="free" if free else "behavior",
+        confidence=options.confidence,
+        **asked,
+    )
+    text, record = (
+        str(made),
+        made.to_dict() | {"file": None if output is None else str(output)},
+    )
     if output is not None:
         write_array(output, made.distribution if free else made.behavior_policy)
-        text += f"\n{output}: {'shares of the pairs, (S, A), that sum to 1' if free else 'policy to record with'}"
+        text += (
+            f"\n{output}:"
+            f" {'shares of the pairs, (S, A), that sum to 1' if free else 'policy to record with'}"
+        )
     answer(text, record, options.json)
 
 
@@ -268,7 +371,12 @@ def reproduce(options: Options) -> None:
     if options.list:
         _tell(lambda say: say(catalogue.listing()), options.json)
     else:
-        _tell(lambda say: catalogue.reproduce(chosen, everything=options.all, say=say, **asked), options.json)
+        _tell(
+            lambda say: catalogue.reproduce(
+                chosen, everything=options.all, say=say, **asked
+            ),
+            options.json,
+        )
 
 
 def _tell(run: Callable[[Callable[[str], None]], None], as_json: bool) -> None:
@@ -323,11 +431,21 @@ def check(options: Options) -> None:
     """
     from oee_tabular.testing.conformance import check_module
 
-    asked = {name: getattr(options, name) for name in ("seed", "repetitions", "timeout")}
+    asked = {
+        name: getattr(options, name) for name in ("seed", "repetitions", "timeout")
+    }
     _progress.report_step(f"laws of estimators, on {options.estimator}")
     verdicts = check_module(options.estimator, **asked)
-    laws = [{"law": v.law, "outcome": v.outcome, "text": v.text, "example": v.example} for v in verdicts.values()]
-    record = {"estimator": verdicts.estimator, "passed": verdicts.passed, "seed": options.seed, "laws": laws}
+    laws = [
+        {"law": v.law, "outcome": v.outcome, "text": v.text, "example": v.example}
+        for v in verdicts.values()
+    ]
+    record = {
+        "estimator": verdicts.estimator,
+        "passed": verdicts.passed,
+        "seed": options.seed,
+        "laws": laws,
+    }
     last = f"\n{verdicts.conclusion}" if verdicts.passed else ""
     answer(f"{verdicts}{last}", record, options.json)
     if not verdicts.passed:

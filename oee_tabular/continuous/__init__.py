@@ -18,7 +18,12 @@ from typing import Any
 _MODULES = {
     "cartpole": ("CartPole", "cartpole_policy", "train_expert"),
     "correction": ("ParameterFit", "fit_parameters"),
-    "discretization": ("GridInterpolation", "VisitedCells", "discretize", "visited_states"),
+    "discretization": (
+        "GridInterpolation",
+        "VisitedCells",
+        "discretize",
+        "visited_states",
+    ),
     "discretized": ("Discretization",),
     "episodes": ("MonteCarlo", "monte_carlo_value", "record", "resimulate"),
     "evaluation": ("evaluate_continuous",),
@@ -26,7 +31,13 @@ _MODULES = {
     "gymnasium_task": ("GymnasiumTask",),
     "history": ("HistoryTask",),
     "kinova": (
-        "KinovaArm", "KinovaHand", "fit_hand", "hand_log", "kinova_policy", "load_kinova_log", "record_goals",
+        "KinovaArm",
+        "KinovaHand",
+        "fit_hand",
+        "hand_log",
+        "kinova_policy",
+        "load_kinova_log",
+        "record_goals",
     ),
     "log": ("ContinuousTransitions",),
     "reacher": ("Reacher", "reacher_log", "reacher_policy"),
@@ -35,8 +46,9 @@ _MODULES = {
     "rows": ("corrected_value",),
     "simulator": ("ContinuousSimulator", "Settings"),
     "task": ("ContinuousTask", "Moves", "StatePolicy"),
-}  # fmt: skip
-_EXPORTS = {name: module for module, names in _MODULES.items() for name in names}  # imported on first use
+}
+# imported on first use
+_EXPORTS = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

@@ -37,10 +37,13 @@ START = 0.05
 FORCE, TAU = 10.0, 0.02  # N, s
 POLE_MASS, HALF_LENGTH, TOTAL_MASS = 0.1, 0.5, 0.1 + 1.0  # kg, m, kg
 PAPER_NOISE = 1e-4
-SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])  # theta in units of its limit, theta' in rad/s, the constant
-SPREAD, SMALLEST_SPREAD = 2.0, 0.05  # deviation of the first Gaussian, and its floor later, in units of ``SCALE``
+# theta in units of its limit, theta' in rad/s, the constant
+SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])
+# deviation of the first Gaussian, and its floor later, in units of ``SCALE``
+SPREAD, SMALLEST_SPREAD = 2.0, 0.05
 EXPERT_SEED = 2346
-EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)  # what train_expert() returns
+# what train_expert() returns
+EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)
 
 
 @dataclass(frozen=True)
@@ -85,18 +88,27 @@ class CartPole(ContinuousTask):
         object.__setattr__(self, "feature_low", freeze(-high[used]))
         object.__setattr__(self, "feature_high", freeze(high[used]))
         object.__setattr__(self, "periodic", (False,) * len(high[used]))
-        object.__setattr__(self, "default_cells", (32, 32) if self.form == "angle" else 1000)
+        object.__setattr__(
+            self, "default_cells", (32, 32) if self.form == "angle" else 1000
+        )
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step. Products and sums stand in the order of Gymnasium's own, so that they agree to the last bit."""
         force = self.actions[np.asarray(actions, dtype=np.int64)]
         x, x_dot, theta, theta_dot = np.asarray(states, dtype=np.float64).T
         cosine, sine = np.cos(theta), np.sin(theta)
-        temp = (force + POLE_MASS * HALF_LENGTH * np.square(theta_dot) * sine) / TOTAL_MASS
+        temp = (
+            force + POLE_MASS * HALF_LENGTH * np.square(theta_dot) * sine
+        ) / TOTAL_MASS
         inertia = HALF_LENGTH * (4.0 / 3.0 - POLE_MASS * np.square(cosine) / TOTAL_MASS)
         theta_acc = (self.gravity * sine - cosine * temp) / inertia
         x_acc = temp - POLE_MASS * HALF_LENGTH * theta_acc * cosine / TOTAL_MASS
-        steps = x + TAU * x_dot, x_dot + TAU * x_acc, theta + TAU * theta_dot, theta_dot + TAU * theta_acc
+        steps = (
+            x + TAU * x_dot,
+            x_dot + TAU * x_acc,
+            theta + TAU * theta_dot,
+            theta_dot + TAU * theta_acc,
+        )
         following = np.stack(steps, axis=1) + self.noise * disturbance
         return Moves(following, np.ones(len(states)), self.terminated(following))
 
@@ -108,12 +120,16 @@ class CartPole(ContinuousTask):
         """The uniform distribution as a regular lattice: 64 midpoints in each of theta and theta' (12 each in 4-D)."""
         k, n = len(self.feature_names), 64 if self.form == "angle" else 12
         line = START * ((2.0 * np.arange(n) + 1.0) / n - 1.0)
-        points = self.embed(np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1).reshape(-1, k))
+        points = self.embed(
+            np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1).reshape(-1, k)
+        )
         return points, np.full(len(points), 1.0 / len(points))
 
     def terminated(self, states: Array) -> BoolArray:
         """Beyond 2.4 m or 12 degrees."""
-        return np.asarray((np.abs(states[:, 0]) > X_LIMIT) | (np.abs(states[:, 2]) > ANGLE_LIMIT))
+        return np.asarray(
+            (np.abs(states[:, 0]) > X_LIMIT) | (np.abs(states[:, 2]) > ANGLE_LIMIT)
+        )
 
     def end_shows(self, states: Array) -> BoolArray:
         """The end of the track does not show in (theta, theta')."""
@@ -161,8 +177,16 @@ class CartPolePolicy:
 
     def __call__(self, states: Array) -> Array:
         """(n, 2) probabilities of pushing to the left and to the right."""
-        lean = self.weights[0] * states[:, 2] + self.weights[1] * states[:, 3] + self.weights[2]
-        right = (lean > 0).astype(np.float64) if self.deterministic else 1.0 / (1.0 + np.exp(-lean))
+        lean = (
+            self.weights[0] * states[:, 2]
+            + self.weights[1] * states[:, 3]
+            + self.weights[2]
+        )
+        right = (
+            (lean > 0).astype(np.float64)
+            if self.deterministic
+            else 1.0 / (1.0 + np.exp(-lean))
+        )
         right = 0.5 * self.delta + (1.0 - self.delta) * right
         return np.stack([1.0 - right, right], axis=1)
 
@@ -203,30 +227,51 @@ def train_expert(
     >>> [round(weight, 3) for weight in train_expert()]
     [15.455, 1.425, -0.143]
     """
-    for name, value in (("iterations", iterations), ("population", population), ("elite", elite),
-                        ("episodes", episodes), ("horizon", horizon)):  # fmt: skip
+    for name, value in (
+        ("iterations", iterations),
+        ("population", population),
+        ("elite", elite),
+        ("episodes", episodes),
+        ("horizon", horizon),
+    ):
         _checks.positive_integer(value, name)
     if elite > population:
-        raise ValueError(f"elite must be at most the population, {population}; it is {elite}")
-    simulator, rng, mean, deviation = task or CartPole(), _checks.generator(seed), np.zeros(3), np.full(3, SPREAD)
+        raise ValueError(
+            f"elite must be at most the population, {population}; it is {elite}"
+        )
+    simulator, rng, mean, deviation = (
+        task or CartPole(),
+        _checks.generator(seed),
+        np.zeros(3),
+        np.full(3, SPREAD),
+    )
     for _ in range(iterations):
         candidates = mean + deviation * rng.standard_normal((population, 3))
-        steps = _lengths(simulator, np.repeat(candidates / SCALE, episodes, axis=0), horizon, rng)
+        steps = _lengths(
+            simulator, np.repeat(candidates / SCALE, episodes, axis=0), horizon, rng
+        )
         scores = steps.reshape(-1, episodes).mean(axis=1)
         best = candidates[np.argsort(-scores, kind="stable")[:elite]]
-        mean, deviation = best.mean(axis=0), np.maximum(best.std(axis=0), SMALLEST_SPREAD)
+        mean, deviation = (
+            best.mean(axis=0),
+            np.maximum(best.std(axis=0), SMALLEST_SPREAD),
+        )
     first, second, third = (mean / SCALE).tolist()
     return first, second, third
 
 
-def _lengths(task: CartPole, weights: Array, horizon: int, rng: np.random.Generator) -> Array:
+def _lengths(
+    task: CartPole, weights: Array, horizon: int, rng: np.random.Generator
+) -> Array:
     """(n,) lengths of episodes, each under weights of its own (n, 3)."""
     alive, lengths = np.arange(len(weights)), np.zeros(len(weights))
     states = task.initial_states(len(weights), rng)
     for _ in range(horizon):
         w = weights[alive]
         lean = w[:, 0] * states[:, 2] + w[:, 1] * states[:, 3] + w[:, 2]
-        right = rng.random(len(alive)) * (1.0 + np.exp(-np.clip(lean, -500.0, 500.0))) < 1.0
+        right = (
+            rng.random(len(alive)) * (1.0 + np.exp(-np.clip(lean, -500.0, 500.0))) < 1.0
+        )
         moved = task.step(states, right.astype(np.int64), rng)
         lengths[alive] += 1.0
         alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]

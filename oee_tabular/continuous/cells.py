@@ -29,7 +29,9 @@ PLACES_AT_A_TIME = 250_000  # bounds the memory
 def indicator(numbers: IntArray, n: int) -> sparse.csr_array:
     """(len(numbers), n) rows with a 1 in the column of their number."""
     size = len(numbers)
-    return sparse.csr_array((np.ones(size), numbers, np.arange(size + 1)), shape=(size, n))
+    return sparse.csr_array(
+        (np.ones(size), numbers, np.arange(size + 1)), shape=(size, n)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +70,9 @@ class Grid:
         n, shape = len(features), np.array(self.shape)
         place = (features - self.low) / self.spacing
         place = np.where(self.periodic, place % shape, np.clip(place, 0.0, shape - 1.0))
-        corner = np.minimum(place.astype(np.int64), shape - np.where(self.periodic, 1, 2))
+        corner = np.minimum(
+            place.astype(np.int64), shape - np.where(self.periodic, 1, 2)
+        )
         fraction = place - corner
         numbers, weights = np.zeros((n, 1), dtype=np.int64), np.ones((n, 1))
         for axis, size in enumerate(self.shape):
@@ -77,7 +81,9 @@ class Grid:
             numbers = (size * numbers[:, :, None] + both[:, None]).reshape(n, -1)
             weights = (weights[:, :, None] * share[:, None]).reshape(n, -1)
         parts = weights.ravel(), numbers.ravel(), np.arange(n + 1) * weights.shape[1]
-        return canonical(sparse.csr_array(parts, shape=(n, self.n_cells)), drop_zeros=True)
+        return canonical(
+            sparse.csr_array(parts, shape=(n, self.n_cells)), drop_zeros=True
+        )
 
     def outside(self, features: Array) -> BoolArray:
         """(n,) which points lie beyond the faces."""
@@ -87,7 +93,9 @@ class Grid:
 
     def extent(self) -> str:
         """Shape and range, in words."""
-        ranges = " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(self.low, self.high, strict=True))
+        ranges = " x ".join(
+            f"[{a:.4g}, {b:.4g}]" for a, b in zip(self.low, self.high, strict=True)
+        )
         return f"the {' x '.join(map(str, self.shape))} grid on {ranges}"
 
 
@@ -154,7 +162,9 @@ class Places:
         matrix = indicator(self.point_cell, self.cells.n_cells)
         return np.asarray(((matrix.T @ values).T / matrix.sum(axis=0)).T)
 
-    def weights(self, task: ContinuousTask, states: Array, ended: BoolArray) -> sparse.csr_array:
+    def weights(
+        self, task: ContinuousTask, states: Array, ended: BoolArray
+    ) -> sparse.csr_array:
         """(n, S) how states are shared out among the numbered ones; what has ended lies in the absorbing state, the last."""
         inner = self.cells.weights(task.features(states))
         if not task.terminates:
@@ -163,23 +173,41 @@ class Places:
         last = sparse.csr_array(ended[:, None].astype(np.float64))
         return canonical(sparse.hstack([inner, last]), drop_zeros=True)
 
-    def simulate(self, task: ContinuousTask, initial: Array, discount: float) -> FiniteMDP:
+    def simulate(
+        self, task: ContinuousTask, initial: Array, discount: float
+    ) -> FiniteMDP:
         """The FiniteMDP of a task that is stepped at these places."""
         rng = None if self.seed is None else np.random.default_rng(self.seed)
         parts = progress_bar("stepping", range(0, len(self.states), PLACES_AT_A_TIME))
-        blocks = [self._step(task, slice(low, low + PLACES_AT_A_TIME), rng) for low in parts]
-        matrix = sparse.csr_array(sparse.vstack([block for block, _ in blocks], format="csr"))
+        blocks = [
+            self._step(task, slice(low, low + PLACES_AT_A_TIME), rng) for low in parts
+        ]
+        matrix = sparse.csr_array(
+            sparse.vstack([block for block, _ in blocks], format="csr")
+        )
         paid = np.concatenate([rewards for _, rewards in blocks])
         if self.averages is not None:
-            matrix, paid = sparse.csr_array(self.averages @ matrix), np.asarray(self.averages @ paid)
+            matrix, paid = (
+                sparse.csr_array(self.averages @ matrix),
+                np.asarray(self.averages @ paid),
+            )
         paid = paid.reshape(-1, task.n_actions)
         if task.terminates:
-            stay = indicator(np.full(task.n_actions, matrix.shape[1] - 1), matrix.shape[1])
+            stay = indicator(
+                np.full(task.n_actions, matrix.shape[1] - 1), matrix.shape[1]
+            )
             matrix = sparse.csr_array(sparse.vstack([matrix, stay], format="csr"))
             paid = np.concatenate([paid, np.zeros((1, task.n_actions))])
         return self.finite_mdp(task, matrix, paid, initial, discount)
 
-    def finite_mdp(self, task: ContinuousTask, matrix: Any, paid: Array, initial: Array, discount: float) -> FiniteMDP:
+    def finite_mdp(
+        self,
+        task: ContinuousTask,
+        matrix: Any,
+        paid: Array,
+        initial: Array,
+        discount: float,
+    ) -> FiniteMDP:
         """The FiniteMDP of rows, which are normalised, and rewards r(s, a).
 
         Rewards of a task with ``reward_terms`` are those of the cells' mean terms, r(i, a, j): they telescope on cells as they
@@ -194,7 +222,11 @@ class Places:
             between = task.reward_of(mean[state], action, mean[matrix.indices])
             first = between[matrix.indptr[:-1]]
             is_of_pair = np.array_equal(between, first[rows])
-            rewards = first.reshape(paid.shape) if is_of_pair else csr_on_pattern(matrix, between)
+            rewards = (
+                first.reshape(paid.shape)
+                if is_of_pair
+                else csr_on_pattern(matrix, between)
+            )
         return FiniteMDP(matrix, rewards, initial, discount)
 
     def _step(
@@ -203,11 +235,16 @@ class Places:
         """Where some of the pairs lead, and what they pay, on average over the disturbances."""
         states, actions = self.states[part], self.actions[part]
         if rng is None:
-            points = task.noise_points if self.noise_points is None else self.noise_points
+            points = (
+                task.noise_points if self.noise_points is None else self.noise_points
+            )
             nodes, chances = gauss_hermite(points, task.n_disturbances)
             draws = [np.broadcast_to(node, (len(states), len(node))) for node in nodes]
         else:
-            draws, chances = [rng.standard_normal((len(states), task.n_disturbances))], np.ones(1)
+            draws, chances = (
+                [rng.standard_normal((len(states), task.n_disturbances))],
+                np.ones(1),
+            )
         gone = task.terminated(states)
         total, paid = 0.0, np.zeros(len(states))
         for disturbance, chance in zip(draws, chances, strict=True):
@@ -215,8 +252,9 @@ class Places:
             bad = np.flatnonzero(~np.isfinite(moved.next_state).all(axis=1))
             if bad.size:
                 raise ValueError(
-                    f"task must step to finite states; from {states[bad[0]].tolist()} under action {actions[bad[0]]} it "
-                    f"steps to {moved.next_state[bad[0]].tolist()}"
+                    f"task must step to finite states; from {states[bad[0]].tolist()}"
+                    f" under action {actions[bad[0]]} it steps to"
+                    f" {moved.next_state[bad[0]].tolist()}"
                 )
             ended = moved.terminated & task.end_shows(moved.next_state) | gone
             total = total + chance * self.weights(task, moved.next_state, ended)
@@ -231,20 +269,34 @@ def gauss_hermite(points: int, n: int) -> tuple[Array, Array]:
     >>> round(float(weights @ nodes[:, 0] ** 4), 12), len(nodes)
     (3.0, 9)
     """
-    line, chance = np.polynomial.hermite_e.hermegauss(_checks.positive_integer(points, "noise_points"))
-    nodes, weights = (np.array(list(itertools.product(x, repeat=n))) for x in (line, chance / chance.sum()))
+    line, chance = np.polynomial.hermite_e.hermegauss(
+        _checks.positive_integer(points, "noise_points")
+    )
+    nodes, weights = (
+        np.array(list(itertools.product(x, repeat=n)))
+        for x in (line, chance / chance.sum())
+    )
     return nodes, weights.prod(axis=1)
 
 
 def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
     """Each state under each action, in rows s*A + a."""
-    return np.repeat(states, task.n_actions, axis=0), np.tile(np.arange(task.n_actions), len(states))
+    return np.repeat(states, task.n_actions, axis=0), np.tile(
+        np.arange(task.n_actions), len(states)
+    )
 
 
-def spread_over_pairs(start: sparse.csr_array, actions: IntArray, n_actions: int) -> sparse.csr_array:
+def spread_over_pairs(
+    start: sparse.csr_array, actions: IntArray, n_actions: int
+) -> sparse.csr_array:
     """(n, S * A) the weights (n, S) of states that are left by actions (n,), in the columns of the pairs s*A + a."""
-    pairs = start.indices.astype(np.int64) * n_actions + np.repeat(actions, np.diff(start.indptr))
-    return sparse.csr_array((start.data, pairs, start.indptr), shape=(len(actions), start.shape[1] * n_actions))
+    pairs = start.indices.astype(np.int64) * n_actions + np.repeat(
+        actions, np.diff(start.indptr)
+    )
+    return sparse.csr_array(
+        (start.data, pairs, start.indptr),
+        shape=(len(actions), start.shape[1] * n_actions),
+    )
 
 
 def average_of_pairs(weights: sparse.csr_array) -> sparse.csr_array:

@@ -28,7 +28,15 @@ if TYPE_CHECKING:
 
 MAX_COMMANDS = 100  # of a log, which are then the actions of a Gymnasium environment
 KINOVA_RUNS = 250  # of Monte Carlo: some thousand commands a second
-TASK_OPTIONS = ("outside", "strict", "calibration", "floor", "simulations", "state", "actions")
+TASK_OPTIONS = (
+    "outside",
+    "strict",
+    "calibration",
+    "floor",
+    "simulations",
+    "state",
+    "actions",
+)
 
 
 def cartpole(**parameters: Any) -> ContinuousSimulator:
@@ -43,10 +51,14 @@ def cartpole(**parameters: Any) -> ContinuousSimulator:
     task = CartPole(**parameters)
     strength = 1.0 if task.form == "full" else 0.01
     return ContinuousSimulator(
-        "cartpole", task, cartpole_policy(0.0), horizon=100, floor=1e-3,
+        "cartpole",
+        task,
+        cartpole_policy(0.0),
+        horizon=100,
+        floor=1e-3,
         ratio={"prior": "simulator", "strength": strength},
         policies=tuple(cartpole_policy(delta) for delta in (0.0, 0.3, 0.6, 1.0)),
-    )  # fmt: skip
+    )
 
 
 def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
@@ -60,10 +72,18 @@ def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
 
     make = Reacher.tamed if _checks.boolean(tamed, "tamed") else Reacher
     return ContinuousSimulator(
-        "reacher", make(**parameters), reacher_policy(0.0), horizon=25 if tamed else 100, floor=0.8,
-        ratio={"prior": "simulator", "strength": 0.1}, calibration="none", episodes=10_000,
-        policies=tuple(reacher_policy(delta) for delta in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)),
-    )  # fmt: skip
+        "reacher",
+        make(**parameters),
+        reacher_policy(0.0),
+        horizon=25 if tamed else 100,
+        floor=0.8,
+        ratio={"prior": "simulator", "strength": 0.1},
+        calibration="none",
+        episodes=10_000,
+        policies=tuple(
+            reacher_policy(delta) for delta in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)
+        ),
+    )
 
 
 def kinova(*, form: str = "arm", **parameters: Any) -> ContinuousSimulator:
@@ -81,9 +101,15 @@ def kinova(*, form: str = "arm", **parameters: Any) -> ContinuousSimulator:
     _checks.one_of(form, "form", ("arm", "hand"))
     arm = KinovaArm(**parameters)
     return ContinuousSimulator(
-        "kinova", fit_hand(arm) if form == "hand" else arm, kinova_policy(arm.goal), horizon=25, floor=0.1,
-        ratio={"strength": 3.0}, calibration="difference", episodes=KINOVA_RUNS if form == "arm" else 10_000,
-    )  # fmt: skip
+        "kinova",
+        fit_hand(arm) if form == "hand" else arm,
+        kinova_policy(arm.goal),
+        horizon=25,
+        floor=0.1,
+        ratio={"strength": 3.0},
+        calibration="difference",
+        episodes=KINOVA_RUNS if form == "arm" else 10_000,
+    )
 
 
 CONTINUOUS: Mapping[str, Callable[..., ContinuousSimulator]] = {
@@ -105,7 +131,9 @@ def is_continuous(spec: str | None) -> bool:
     return is_continuous_id(spec)
 
 
-def continuous_simulator(spec: str, *, state: str | None = None, actions: object = None) -> ContinuousSimulator:
+def continuous_simulator(
+    spec: str, *, state: str | None = None, actions: object = None
+) -> ContinuousSimulator:
     """The continuous simulator that ``spec`` names, ``NAME`` or ``NAME:key=value,...``.
 
     Parameters
@@ -129,14 +157,15 @@ def continuous_simulator(spec: str, *, state: str | None = None, actions: object
 
         if not is_continuous(spec):
             raise ValueError(
-                f"spec must begin with one of {', '.join(CONTINUOUS)}, or with a Gymnasium id whose states are no numbers; "
-                f"got {spec!r}"
+                f"spec must begin with one of {', '.join(CONTINUOUS)}, or with a"
+                f" Gymnasium id whose states are no numbers; got {spec!r}"
             )
         return gymnasium_simulator(spec, state=state, actions=actions)
     for option, given in (("state", state), ("actions", actions)):
         if given is not None:
             raise ValueError(
-                f"--task-option {option} must be left out for {name}, which is no Gymnasium environment; it is {given!r}"
+                f"--task-option {option} must be left out for {name}, which is no"
+                f" Gymnasium environment; it is {given!r}"
             )
     _, keywords = parse_spec(spec)
     make = CONTINUOUS[name]
@@ -144,11 +173,15 @@ def continuous_simulator(spec: str, *, state: str | None = None, actions: object
         inspect.signature(make).bind(**keywords)
         found = make(**keywords)
     except TypeError as error:
-        raise ValueError(f"simulator {spec!r} does not take these arguments: {error}") from None
+        raise ValueError(
+            f"simulator {spec!r} does not take these arguments: {error}"
+        ) from None
     return replace(found, name=spec)
 
 
-def task_options(given: list[str] | None, known: Sequence[str] = TASK_OPTIONS) -> dict[str, Any]:
+def task_options(
+    given: list[str] | None, known: Sequence[str] = TASK_OPTIONS
+) -> dict[str, Any]:
     """The values of ``--task-option NAME=VALUE`` by name; what is not given is the task's own."""
     options: dict[str, Any] = dict(named_specs(given or [], "--task-option", known))
     for name in {"strict", "floor", "simulations", "actions"} & set(options):
@@ -160,8 +193,8 @@ def task_options(given: list[str] | None, known: Sequence[str] = TASK_OPTIONS) -
     actions = options.get("actions", 1)
     if isinstance(actions, bool) or not isinstance(actions, int | list | tuple):
         raise ValueError(
-            "--task-option actions must be a number of levels (9), levels (-2,0,2) or commands ([[-1,0],[1,0]]); "
-            f"got {actions!r}"
+            "--task-option actions must be a number of levels (9), levels (-2,0,2) or"
+            f" commands ([[-1,0],[1,0]]); got {actions!r}"
         )
     return options
 
@@ -171,9 +204,15 @@ def read_grid(text: str | None) -> tuple[int, ...] | int | str | None:
     try:
         if text is None or text == "auto":
             return text
-        return int(text) if text.isdigit() else tuple(int(part) for part in text.lower().split("x"))
+        return (
+            int(text)
+            if text.isdigit()
+            else tuple(int(part) for part in text.lower().split("x"))
+        )
     except ValueError:
-        raise ValueError(f"--grid must be like 32x32, 3000 or auto; got {text!r}") from None
+        raise ValueError(
+            f"--grid must be like 32x32, 3000 or auto; got {text!r}"
+        ) from None
 
 
 def evaluate_files(
@@ -202,36 +241,65 @@ def evaluate_files(
         commands = np.unique(recorded.action, axis=0)
         actions = commands.tolist() if len(commands) <= MAX_COMMANDS else None
     simulator = continuous_simulator(spec, state=state, actions=actions)
-    if is_gymnasium and actions is None and simulator.task.actions.ndim == 2 and recorded.action.ndim == 1:
+    if (
+        is_gymnasium
+        and actions is None
+        and simulator.task.actions.ndim == 2
+        and recorded.action.ndim == 1
+    ):
         raise ValueError(
-            f"--task-option actions must be given for {simulator.task.name}, whose actions are commands: the log has their "
-            "numbers alone"
+            f"--task-option actions must be given for {simulator.task.name}, whose"
+            " actions are commands: the log has their numbers alone"
         )
     if target is not None and not is_continuous(target):
-        raise ValueError(f"--target must be a continuous task as the simulator is; got {target!r}")
+        raise ValueError(
+            f"--target must be a continuous task as the simulator is; got {target!r}"
+        )
     if policy is None and simulator.expert is None:
         raise ValueError(
-            f"--policy must be given for {simulator.task.name}, which has no expert: uniform or MODULE:FUNCTION"
+            f"--policy must be given for {simulator.task.name}, which has no expert:"
+            " uniform or MODULE:FUNCTION"
         )
     policies: dict[str, Any] = {}
     for label, source in named_specs(policy or ["expert"]).items():
-        is_on_cells = grid is not None and Path(source).suffix.lower() in (".npy", ".npz")
-        read = read_policy_array if is_on_cells else partial(_find_policy, simulator=simulator)
+        is_on_cells = grid is not None and Path(source).suffix.lower() in (
+            ".npy",
+            ".npz",
+        )
+        read = (
+            read_policy_array
+            if is_on_cells
+            else partial(_find_policy, simulator=simulator)
+        )
         policies[label] = read(source, name="--policy")
-    settings = {name: value for name, value in options.items() if name not in ("state", "actions", "simulations")}
+    settings = {
+        name: value
+        for name, value in options.items()
+        if name not in ("state", "actions", "simulations")
+    }
     return evaluate_continuous(
         simulator,
         recorded,
         policies,
         settings=Settings(grid=grid, episodes=options.get("simulations"), **settings),
-        behavior=None if behavior is None else _find_policy(behavior, simulator, "--behavior"),
-        target=None if target is None else continuous_simulator(target, state=state, actions=actions).task,
+        behavior=(
+            None
+            if behavior is None
+            else _find_policy(behavior, simulator, "--behavior")
+        ),
+        target=(
+            None
+            if target is None
+            else continuous_simulator(target, state=state, actions=actions).task
+        ),
         facts={"simulator_name": spec, "log_name": ", ".join(log)},
         **common,
     )
 
 
-def record_log(spec: str, policy: str, options: dict[str, Any], **limits: Any) -> ContinuousTransitions:
+def record_log(
+    spec: str, policy: str, options: dict[str, Any], **limits: Any
+) -> ContinuousTransitions:
     """A log of the continuous task that ``spec`` names; actions that are commands are written as such."""
     from oee_tabular.continuous.log import ContinuousTransitions
 
@@ -239,7 +307,9 @@ def record_log(spec: str, policy: str, options: dict[str, Any], **limits: Any) -
     log = simulator.record(_find_policy(policy, simulator, "policy"), **limits)
     if simulator.task.actions.ndim == 1:
         return log
-    return ContinuousTransitions(**(log.columns() | {"action": simulator.task.actions[log.action]}))
+    return ContinuousTransitions(
+        **(log.columns() | {"action": simulator.task.actions[log.action]})
+    )
 
 
 def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StatePolicy:
@@ -251,8 +321,10 @@ def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StateP
 
     if len(simulator.task.feature_names) > max(DEFAULT_VERTICES):
         raise ValueError(
-            f"{name} must be uniform, expert, mix:WEIGHT or MODULE:FUNCTION for {simulator.task.name}, whose cells are made of "
-            f"the log; got {spec!r}"
+            f"{name} must be uniform, expert, mix:WEIGHT or MODULE:FUNCTION for"
+            f" {simulator.task.name}, whose cells are made of the log; got {spec!r}"
         )
     model = simulator.discretize()
-    return model.policy_function(model.policy(read_policy_array(spec, name), f"policy {spec!r}"))
+    return model.policy_function(
+        model.policy(read_policy_array(spec, name), f"policy {spec!r}")
+    )

@@ -33,15 +33,25 @@ from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.history import MAX_LAG, HistoryTask, hidden_state
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy, find_periods, require_log_of, shortest
+from oee_tabular.continuous.task import (
+    ContinuousTask,
+    StatePolicy,
+    find_periods,
+    require_log_of,
+    shortest,
+)
 
-MAX_ROWS, MAX_SLOW_ROWS = 20_000, 2000  # by which parameters are fitted; slow: of tasks that step one by one
+# by which parameters are fitted; slow: of tasks that step one by one
+MAX_ROWS, MAX_SLOW_ROWS = 20_000, 2000
 ROUNDING = 1e-9  # relative: no standard error is less
 DIFFERENCE = 1e-5  # relative step of the derivatives in p
-FLAT = 1e-9  # eigenvalues of the curvature, relative to the largest: the log does not determine such a direction
+# eigenvalues of the curvature, relative to the largest: the log does not determine such
+# a direction
+FLAT = 1e-9
 FLOOR = 1e-7  # of the errors' scale, in displacements: rounding
 MIN_GAIN = 0.01  # of a step's own deviation: a history that brings less is not kept
-MAX_HIDDEN_LEFT = 0.2  # share of the hidden part that may be left with a history, for its value to be trusted
+# share of the hidden part that may be left with a history, for its value to be trusted
+MAX_HIDDEN_LEFT = 0.2
 PREFERENCE = 1.05  # how much larger the error with fitted parameters may be
 UNITS = "the log's columns seem to be in another unit than the simulator's: "
 
@@ -76,13 +86,18 @@ class ParameterFit:
     def describe(self) -> str:
         """Each parameter with its standard error, and which of them stand at a bound or are not determined."""
         values = ", ".join(
-            f"{name} {value:.4g} (standard error {self.standard_error[name]:.2g}; the simulator has {self.start[name]:.4g})"
+            f"{name} {value:.4g} (standard error {self.standard_error[name]:.2g}; the"
+            f" simulator has {self.start[name]:.4g})"
             for name, value in self.parameters.items()
         )
         text = f"Least squares gives {values}."
         if self.at_bounds:
             text += f" The fit stopped at a bound of {', '.join(self.at_bounds)}."
-        if unknown := [name for name, error in self.standard_error.items() if not np.isfinite(error)]:
+        if unknown := [
+            name
+            for name, error in self.standard_error.items()
+            if not np.isfinite(error)
+        ]:
             text += f" The log does not determine {', '.join(unknown)}."
         return text
 
@@ -127,24 +142,40 @@ def fit_parameters(
     """
     _checks.function(task_of, "task_of")
     if not isinstance(start, Mapping) or not start:
-        raise ValueError(f"start must map names of parameters to numbers; got {_checks.show(start)}")
+        raise ValueError(
+            f"start must map names of parameters to numbers; got {_checks.show(start)}"
+        )
     names = list(start)
-    x0 = np.array([_checks.number_in(start[name], f"start[{name!r}]", -np.inf, np.inf) for name in names])
+    x0 = np.array(
+        [
+            _checks.number_in(start[name], f"start[{name!r}]", -np.inf, np.inf)
+            for name in names
+        ]
+    )
     low, high = np.where(x0 > 0, 0.0, -np.inf), np.where(x0 < 0, 0.0, np.inf)
     for name, ends in ({} if bounds is None else bounds).items():
         if name not in names:
-            raise ValueError(f"bounds must be of parameters in start ({', '.join(names)}); got {name!r}")
+            raise ValueError(
+                f"bounds must be of parameters in start ({', '.join(names)}); got"
+                f" {name!r}"
+            )
         k = names.index(name)
         low[k], high[k] = ends
         if not low[k] <= x0[k] <= high[k] or low[k] == high[k]:
-            raise ValueError(f"start[{name!r}] must be in its bounds, {low[k]:g} to {high[k]:g}; it is {x0[k]:g}")
+            raise ValueError(
+                f"start[{name!r}] must be in its bounds, {low[k]:g} to {high[k]:g}; it"
+                f" is {x0[k]:g}"
+            )
 
     def by_name(x: Array) -> dict[str, float]:
         return dict(zip(names, x.tolist(), strict=True))
 
     first = _checks.instance(task_of(**by_name(x0)), ContinuousTask, "task_of(**start)")
     require_log_of(first, log)
-    actions, periods = log.action_numbers(first.actions), find_periods(first, log.next_state)
+    actions, periods = (
+        log.action_numbers(first.actions),
+        find_periods(first, log.next_state),
+    )
     step = -(-len(log) // (MAX_ROWS if first.steps_at_once else MAX_SLOW_ROWS))
     moved = shortest(log.next_state - log.state, periods).std(axis=0)
 
@@ -153,21 +184,43 @@ def fit_parameters(
         return shortest(log.next_state[::step] - own, periods)
 
     def scaled_errors(x: Array) -> Array:
-        return (errors(task_of(**by_name(x)), step) / np.where(moved > 0, moved, 1.0)).ravel()
+        return (
+            errors(task_of(**by_name(x)), step) / np.where(moved > 0, moved, 1.0)
+        ).ravel()
 
     x, size = x0, np.where(x0 != 0, np.abs(x0), 1.0)
-    options: dict[str, Any] = {"loss": "soft_l1", "x_scale": size, "diff_step": DIFFERENCE, "max_nfev": 50}
+    options: dict[str, Any] = {
+        "loss": "soft_l1",
+        "x_scale": size,
+        "diff_step": DIFFERENCE,
+        "max_nfev": 50,
+    }
     for _ in range(3):  # the scale of the errors falls as the fit improves
         left = np.abs(scaled_errors(x))
         c = max(float(np.median(left[left > 0])) if (left > 0).any() else 0.0, FLOOR)
-        result = least_squares(scaled_errors, x, bounds=(low, high), f_scale=c, **options)
+        result = least_squares(
+            scaled_errors, x, bounds=(low, high), f_scale=c, **options
+        )
         x = result.x
     steps = np.diag(DIFFERENCE * size)
-    jacobian = np.stack([(scaled_errors(x + h) - scaled_errors(x - h)) / (2.0 * h.sum()) for h in steps], axis=1)
-    error = np.maximum(_sandwich(jacobian, scaled_errors(x), c, len(log.state[::step])), ROUNDING * size)
+    jacobian = np.stack(
+        [
+            (scaled_errors(x + h) - scaled_errors(x - h)) / (2.0 * h.sum())
+            for h in steps
+        ],
+        axis=1,
+    )
+    error = np.maximum(
+        _sandwich(jacobian, scaled_errors(x), c, len(log.state[::step])),
+        ROUNDING * size,
+    )
     task = task_of(**by_name(x))
-    at_bounds = tuple(name for name, mask in zip(names, result.active_mask, strict=True) if mask)
-    return ParameterFit(task, by_name(x), by_name(error), errors(task, 1), by_name(x0), at_bounds)
+    at_bounds = tuple(
+        name for name, mask in zip(names, result.active_mask, strict=True) if mask
+    )
+    return ParameterFit(
+        task, by_name(x), by_name(error), errors(task, 1), by_name(x0), at_bounds
+    )
 
 
 def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
@@ -175,15 +228,22 @@ def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
     size = np.sqrt((jacobian**2).sum(axis=0))
     scale = np.where(size > 0, size, 1.0)
     unit, weight = jacobian / scale, (1.0 + (residual / c) ** 2) ** -0.5
-    values, vectors = np.linalg.eigh(unit.T @ (unit * (weight**3)[:, None]))  # weight^3 is rho''
+    # weight^3 is rho''
+    values, vectors = np.linalg.eigh(unit.T @ (unit * (weight**3)[:, None]))
     is_flat = values <= FLAT * values[-1]
     inverse = (vectors[:, ~is_flat] / values[~is_flat]) @ vectors[:, ~is_flat].T
-    gradients = (unit * (weight * residual)[:, None]).reshape(n_rows, -1, len(size)).sum(axis=1)
+    gradients = (
+        (unit * (weight * residual)[:, None]).reshape(n_rows, -1, len(size)).sum(axis=1)
+    )
     error = np.sqrt(((gradients @ inverse) ** 2).sum(axis=0)) / scale
-    return np.where((size == 0) | (np.abs(vectors[:, is_flat]) > 1e-3).any(axis=1), np.inf, error)
+    return np.where(
+        (size == 0) | (np.abs(vectors[:, is_flat]) > 1e-3).any(axis=1), np.inf, error
+    )
 
 
-def parameters_of(task: ContinuousTask, names: Sequence[str]) -> tuple[Callable[..., ContinuousTask], dict[str, float]]:
+def parameters_of(
+    task: ContinuousTask, names: Sequence[str]
+) -> tuple[Callable[..., ContinuousTask], dict[str, float]]:
     """``task_of`` and ``start`` of parameters by name: fields of a task's class, or a Gymnasium environment's physics.
 
     Raises
@@ -195,15 +255,24 @@ def parameters_of(task: ContinuousTask, names: Sequence[str]) -> tuple[Callable[
     if family is not None:
         known = family.known()
     else:
-        own = [f.name for f in dataclasses.fields(task) if f.init] if dataclasses.is_dataclass(task) else vars(task)
+        own = (
+            [f.name for f in dataclasses.fields(task) if f.init]
+            if dataclasses.is_dataclass(task)
+            else vars(task)
+        )
         values = {name: getattr(task, name) for name in own if not name.startswith("_")}
-        known = {name: float(x) for name, x in values.items() if isinstance(x, int | float) and not isinstance(x, bool)}
+        known = {
+            name: float(x)
+            for name, x in values.items()
+            if isinstance(x, int | float) and not isinstance(x, bool)
+        }
     for name in names:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             hint = f" (did you mean {near[0]}?)" if near else ""
             raise ValueError(
-                f"fit must name parameters of {task.name} ({', '.join(known) or 'none'}); got {name!r}{hint}"
+                f"fit must name parameters of {task.name}"
+                f" ({', '.join(known) or 'none'}); got {name!r}{hint}"
             )
 
     def change(**values: float) -> Any:
@@ -221,26 +290,35 @@ def describe_flaw(learned: ResidualSimulator) -> str:
     if learned.units:
         return f"{UNITS}{learned.units}"
     effect = hidden_state(learned)
-    return f"the next state depends on more than the state and the action (hidden state): {effect}" if effect else "ok"
+    return (
+        "the next state depends on more than the state and the action (hidden state):"
+        f" {effect}"
+        if effect
+        else "ok"
+    )
 
 
 def difference(corrected: ResidualSimulator) -> str:
     """In which coordinates the log's residuals show that the target differs from the simulator."""
     changes = ", ".join(
-        f"{c.name} (residuals {c.residual_scatter:.2g}, simulator's scatter {c.simulator_scatter:.2g}, "
-        f"{max(c.explained, 0.0):.1%} explained)"
+        f"{c.name} (residuals {c.residual_scatter:.2g}, simulator's scatter"
+        f" {c.simulator_scatter:.2g}, {max(c.explained, 0.0):.1%} explained)"
         for c in corrected.coordinates
         if c.differs
     )
     if not changes:
         return (
-            "The log shows no difference between the target's steps and the simulator's. Its residuals s' - f(s, a) are as "
-            "large as the simulator's own scatter."
+            "The log shows no difference between the target's steps and the"
+            " simulator's. Its residuals s' - f(s, a) are as large as the simulator's"
+            " own scatter."
         )
     text = f"The target's steps differ from the simulator's in {changes}."
     if corrected.units:
         return f"{UNITS.capitalize()}{corrected.units}. {text}"
-    text += " Explained is the share of the residuals' mean square that the correction removes."
+    text += (
+        " Explained is the share of the residuals' mean square that the correction"
+        " removes."
+    )
     return text + odd_row(corrected)
 
 
@@ -251,8 +329,10 @@ def odd_row(corrected: ResidualSimulator) -> str:
         row, total = int(squares.argmax()), float(squares.sum())
         if squares[row] > 0.5 * total and c.left_over**2 > 0.01 * c.residual_scatter**2:
             return (
-                f" Row {row} of the log alone makes {squares[row] / total:.0%} of the unexplained residual in {c.name} (by "
-                f"{corrected.left_over[row, k]:.3g}). If it is an error, leave it out, because every value depends on it."
+                f" Row {row} of the log alone makes {squares[row] / total:.0%} of the"
+                f" unexplained residual in {c.name} (by"
+                f" {corrected.left_over[row, k]:.3g}). If it is an error, leave it out,"
+                " because every value depends on it."
             )
     return ""
 
@@ -279,13 +359,18 @@ class Correction:
     @cached_property
     def is_trusted(self) -> bool:
         """Whether no more than a fifth of what is hidden is left."""
-        return not self.learned.units and self.learned.hidden_part <= MAX_HIDDEN_LEFT * self.plain.hidden_part
+        return (
+            not self.learned.units
+            and self.learned.hidden_part <= MAX_HIDDEN_LEFT * self.plain.hidden_part
+        )
 
     @property
     def name(self) -> str:
         """Of its row in a report."""
         parts = ["parameters"] * (self.fit is not None) + ["residual"]
-        parts += ["last action" if self.steps == 1 else f"last {self.steps} actions"] * (self.steps > 0)
+        parts += [
+            "last action" if self.steps == 1 else f"last {self.steps} actions"
+        ] * (self.steps > 0)
         return f"oee ({', '.join(parts)})"
 
     @property
@@ -295,7 +380,11 @@ class Correction:
 
     def policy(self, policy: StatePolicy) -> StatePolicy:
         """A policy of the simulator's states as one of the corrected simulator's."""
-        return self.learned.task.policy(policy) if isinstance(self.learned.task, HistoryTask) and self.steps else policy
+        return (
+            self.learned.task.policy(policy)
+            if isinstance(self.learned.task, HistoryTask) and self.steps
+            else policy
+        )
 
     def advice(self, *, is_auto: bool) -> str:
         """What to do where history explains residuals and no correction can be trusted; "" elsewhere."""
@@ -306,10 +395,14 @@ class Correction:
         text = f"Keeping the last actions in the state, up to {MAX_LAG}, does not help."
         if self.steps:
             share = self.learned.hidden_part / self.plain.hidden_part
-            text = f"With the last {self.steps} actions in the state, {share:.0%} of that effect is left."
+            text = (
+                f"With the last {self.steps} actions in the state, {share:.0%} of that"
+                " effect is left."
+            )
         return (
-            f"{text} Sensor noise, a slow actuator, or a quantity that is not recorded may be the cause. Filter the states, "
-            "or record what is missing. Until then read the simulator's value, which has no interval."
+            f"{text} Sensor noise, a slow actuator, or a quantity that is not recorded"
+            " may be the cause. Filter the states, or record what is missing. Until"
+            " then read the simulator's value, which has no interval."
         )
 
 
@@ -333,13 +426,19 @@ def choose_correction(
     """
     is_auto = history == "auto"
     if not is_auto:
-        history = 0 if history == 0 and history is not False else _checks.positive_integer(history, "history")
+        history = (
+            0
+            if history == 0 and history is not False
+            else _checks.positive_integer(history, "history")
+        )
     _progress.report_step("correction of the simulator by the log")
     plain = ResidualSimulator(task, log, seed=seed)
 
     def correct(base: ResidualSimulator, fit: ParameterFit | None) -> Correction:
         learned, steps = _add_history(base, log, history, seed)
-        return Correction(learned, steps, fit, plain, describe_history(base, learned, steps, is_auto))
+        return Correction(
+            learned, steps, fit, plain, describe_history(base, learned, steps, is_auto)
+        )
 
     chosen = correct(plain, None)
     if fit is None:
@@ -350,12 +449,16 @@ def choose_correction(
     is_taken = errors[0] <= PREFERENCE * errors[1]
     words = ("fitted", "no larger") if is_taken else ("given", "smaller")
     text = (
-        f"{fit.describe()} The value in front corrects the residuals of the {words[0]} simulator, because its held-out "
-        f"one-step error is {words[1]} ({errors[0] ** 0.5:.2g} of a step's standard deviation with fitted parameters, "
-        f"{errors[1] ** 0.5:.2g} without)."
+        f"{fit.describe()} The value in front corrects the residuals of the {words[0]}"
+        f" simulator, because its held-out one-step error is {words[1]}"
+        f" ({errors[0] ** 0.5:.2g} of a step's standard deviation with fitted"
+        f" parameters, {errors[1] ** 0.5:.2g} without)."
     )
     if hidden_state(fitted):
-        text += " The fit ignores history, which matters here. Do not read its numbers as physics."
+        text += (
+            " The fit ignores history, which matters here. Do not read its numbers as"
+            " physics."
+        )
     chosen = both if is_taken else chosen
     return replace(chosen, reason=f"{text} {chosen.reason}".strip())
 
@@ -366,7 +469,9 @@ def _add_history(
     """The correction with the best number of last actions in the state, or the one that is asked for."""
 
     def learn(steps: int) -> ResidualSimulator:
-        _progress.report_step(f"correction with {steps} earlier action{'s' * (steps > 1)} in the state")
+        _progress.report_step(
+            f"correction with {steps} earlier action{'s' * (steps > 1)} in the state"
+        )
         whole = HistoryTask(plain.task, steps)
         return ResidualSimulator(whole, whole.log(log), seed=seed)
 
@@ -383,17 +488,31 @@ def _add_history(
         if min(before) - last < MIN_GAIN / 3.0:
             break
     least = min(each.held_out_error for each in tried.values()) ** 0.5
-    return next((each, k) for k, each in tried.items() if each.held_out_error**0.5 <= least + MIN_GAIN)
+    return next(
+        (each, k)
+        for k, each in tried.items()
+        if each.held_out_error**0.5 <= least + MIN_GAIN
+    )
 
 
-def describe_history(plain: ResidualSimulator, learned: ResidualSimulator, steps: int, is_auto: bool) -> str:
+def describe_history(
+    plain: ResidualSimulator, learned: ResidualSimulator, steps: int, is_auto: bool
+) -> str:
     """How many last actions are in the state, and why; "" where none are."""
     if not steps:
         return ""
-    text = f"The value in front has the last {'action' if steps == 1 else f'{steps} actions'} in the state"
+    text = (
+        "The value in front has the last"
+        f" {'action' if steps == 1 else f'{steps} actions'} in the state"
+    )
     if not is_auto:
         return f"{text}." if describe_flaw(learned) == "ok" else ""
     before, after = (f"{each.held_out_error**0.5:.2g}" for each in (plain, learned))
-    text += f", because {hidden_state(plain)}. The held-out one-step error falls from {before} to {after} of a step's standard "
+    text += (
+        f", because {hidden_state(plain)}. The held-out one-step error falls from"
+        f" {before} to {after} of a step's standard "
+    )
     text += "deviation."
-    return text + f" At most {MAX_LAG} are tried; history {MAX_LAG + 3} keeps more." * (steps == MAX_LAG)
+    return text + f" At most {MAX_LAG} are tried; history {MAX_LAG + 3} keeps more." * (
+        steps == MAX_LAG
+    )

@@ -59,7 +59,12 @@ from oee_tabular.continuous.cells import (
 from oee_tabular.continuous.discretized import Discretization, uniform_policy_of
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_states, require_log_of
+from oee_tabular.continuous.task import (
+    ContinuousTask,
+    StatePolicy,
+    check_states,
+    require_log_of,
+)
 
 N_LLOYD = 3  # iterations for the centres of cells
 POINTS_OF_A_BOX = 4  # along each axis, where a state is the box around its vertex
@@ -102,45 +107,77 @@ class GridInterpolation:
         try:
             shape = tuple(_checks.positive_integer(n, "shape") for n in self.shape)
         except TypeError:
-            raise ValueError(f"shape must be a tuple of positive integers; got {_checks.show(self.shape)}") from None
+            raise ValueError(
+                "shape must be a tuple of positive integers; got"
+                f" {_checks.show(self.shape)}"
+            ) from None
         if not shape or min(shape) < 2:
-            raise ValueError(f"shape must have at least 2 vertices along each feature; it is {shape}")
+            raise ValueError(
+                f"shape must have at least 2 vertices along each feature; it is {shape}"
+            )
         object.__setattr__(self, "shape", shape)
         _checks.number_in(self.vertex_weight, "vertex_weight", 0.0, np.inf)
 
-    def places(self, task: ContinuousTask, log: ContinuousTransitions | None, *others: object) -> Places:
+    def places(
+        self, task: ContinuousTask, log: ContinuousTransitions | None, *others: object
+    ) -> Places:
         """The vertices under each action and, at a log, the log's own states and actions."""
         k = len(task.feature_names)
         if len(self.shape) != k:
             raise ValueError(
-                f"shape must have {k} numbers, one for each feature of {task.name} ({', '.join(task.feature_names)}); "
-                f"it is {self.shape}"
+                f"shape must have {k} numbers, one for each feature of {task.name}"
+                f" ({', '.join(task.feature_names)}); it is {self.shape}"
             )
-        ends = task.feature_low if self.low is None else self.low, task.feature_high if self.high is None else self.high
-        low, high = (_checks.float_array(end, name) for end, name in zip(ends, ("low", "high"), strict=True))
+        ends = (
+            task.feature_low if self.low is None else self.low,
+            task.feature_high if self.high is None else self.high,
+        )
+        low, high = (
+            _checks.float_array(end, name)
+            for end, name in zip(ends, ("low", "high"), strict=True)
+        )
         for name, end in (("low", low), ("high", high)):
             if end.shape != (k,):
-                raise ValueError(f"{name} must have shape ({k},); it has shape {end.shape}")
+                raise ValueError(
+                    f"{name} must have shape ({k},); it has shape {end.shape}"
+                )
             _checks.require_finite(end, name)
         for axis in np.flatnonzero(low >= high):
-            raise ValueError(f"high[{axis}] must be above low[{axis}], {low[axis]}; it is {high[axis]}")
+            raise ValueError(
+                f"high[{axis}] must be above low[{axis}], {low[axis]}; it is"
+                f" {high[axis]}"
+            )
         grid = Grid(low, high, self.shape, task.periodic)
         points, cell = task.embed(grid.vertices()), np.arange(grid.n_cells)
         states, actions = each_action(task, points)
         averages = None
         if task.is_translation_invariant:
             line = (np.arange(POINTS_OF_A_BOX) + 0.5) / POINTS_OF_A_BOX - 0.5
-            box = np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1).reshape(-1, k)
-            points = task.embed((grid.vertices()[:, None] + box * grid.spacing).reshape(-1, k))
+            box = np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1).reshape(
+                -1, k
+            )
+            points = task.embed(
+                (grid.vertices()[:, None] + box * grid.spacing).reshape(-1, k)
+            )
             cell = np.repeat(cell, len(box))
         elif log is not None:
-            own, chosen = check_states(task, log.state, "log.state"), log.action_numbers(task.actions)
+            own, chosen = (
+                check_states(task, log.state, "log.state"),
+                log.action_numbers(task.actions),
+            )
             inside = ~grid.outside(task.features(own))
             own, chosen = own[inside], chosen[inside]
-            logged = spread_over_pairs(grid.weights(task.features(own)), chosen, task.n_actions)
+            logged = spread_over_pairs(
+                grid.weights(task.features(own)), chosen, task.n_actions
+            )
             vertex = np.where(logged.sum(axis=0) > 0, self.vertex_weight, 1.0)
-            averages = average_of_pairs(sparse.vstack([sparse.diags_array(vertex), logged], format="csr"))
-            states, actions = np.concatenate([states, own]), np.concatenate([actions, chosen])
+            averages = average_of_pairs(
+                sparse.vstack([sparse.diags_array(vertex), logged], format="csr")
+            )
+            states, actions = (
+                np.concatenate([states, own]),
+                np.concatenate([actions, chosen]),
+            )
         return Places(grid, states, actions, averages, points, cell, self.noise_points)
 
 
@@ -188,7 +225,13 @@ class VisitedCells:
     ) -> Places:
         """Cells of the log's states and of those that the simulators visit, and some of these under each action."""
         rng = _checks.generator(seed)
-        points = visited_states([task, *others], policies, self.n_simulated, max_steps=self.max_steps, seed=rng)
+        points = visited_states(
+            [task, *others],
+            policies,
+            self.n_simulated,
+            max_steps=self.max_steps,
+            seed=rng,
+        )
         if log is not None:
             own = check_states(task, log.state, "log.state")
             early = own if log.timestep is None else own[log.timestep < self.max_steps]
@@ -197,15 +240,29 @@ class VisitedCells:
         cell = cells.nearest(task.features(points))[0]
         one_each = np.unique(cell, return_index=True)[1]
         drawn = rng.permutation(len(points))[: max(0, self.n_stepped - len(one_each))]
-        chosen = np.union1d(one_each, drawn)  # each once: a state that counted twice would pull the row of its cell
+        # each once: a state that counted twice would pull the row of its cell
+        chosen = np.union1d(one_each, drawn)
         states, actions = each_action(task, points[chosen])
         start = np.repeat(cell[chosen], task.n_actions)
         if log is not None:
-            states, actions = np.concatenate([states, own]), np.append(actions, log.action_numbers(task.actions))
+            states, actions = (
+                np.concatenate([states, own]),
+                np.append(actions, log.action_numbers(task.actions)),
+            )
             start = np.append(start, cells.nearest(task.features(own))[0])
-        pairs = indicator(start * task.n_actions + actions, cells.n_cells * task.n_actions)
+        pairs = indicator(
+            start * task.n_actions + actions, cells.n_cells * task.n_actions
+        )
         averages = average_of_pairs(pairs)
-        return Places(cells, states, actions, averages, points, cell, seed=int(rng.integers(2**62)))
+        return Places(
+            cells,
+            states,
+            actions,
+            averages,
+            points,
+            cell,
+            seed=int(rng.integers(2**62)),
+        )
 
     def _cells(self, features: Array, rng: np.random.Generator) -> VoronoiCells:
         """Centres among these points (m, k)."""
@@ -217,14 +274,24 @@ class VisitedCells:
         for _ in range(N_LLOYD):
             number = cKDTree(centres).query(points)[1]
             n = np.bincount(number, minlength=len(centres))
-            total = np.stack([np.bincount(number, column, len(centres)) for column in points.T], axis=1)
+            total = np.stack(
+                [np.bincount(number, column, len(centres)) for column in points.T],
+                axis=1,
+            )
             centres = total[n > 0] / n[n > 0, None]
         distance, number = cKDTree(centres).query(points)
-        return VoronoiCells(centres[np.unique(number)] * scale, scale, float(distance.max()))
+        return VoronoiCells(
+            centres[np.unique(number)] * scale, scale, float(distance.max())
+        )
 
 
 def visited_states(
-    tasks: Sequence[ContinuousTask], policies: Sequence[StatePolicy], n: int, *, max_steps: int, seed: Any
+    tasks: Sequence[ContinuousTask],
+    policies: Sequence[StatePolicy],
+    n: int,
+    *,
+    max_steps: int,
+    seed: Any,
 ) -> Array:
     """(n, d) states before each transition, in equal parts from every task under every policy.
 
@@ -245,11 +312,15 @@ def visited_states(
     size = _checks.positive_integer(n, "n")
     pairs = [(task, policy) for task in tasks for policy in policies]
     if not pairs:
-        raise ValueError("tasks and policies must have at least one each; one of them is empty")
+        raise ValueError(
+            "tasks and policies must have at least one each; one of them is empty"
+        )
     each = -(-size // len(pairs))
     found = [
         record(task, policy, n_transitions=each, max_steps=max_steps, seed=stream).state
-        for (task, policy), stream in zip(pairs, _checks.generator(seed).spawn(len(pairs)), strict=True)
+        for (task, policy), stream in zip(
+            pairs, _checks.generator(seed).spawn(len(pairs)), strict=True
+        )
     ]
     return np.concatenate(found)[:size]
 
@@ -313,12 +384,22 @@ def discretize(
     if log is not None:
         require_log_of(task, log)
     process = task.on_features()
-    mixed = list(process.others()) if others is None else [other.on_features() for other in others]
+    mixed = (
+        list(process.others())
+        if others is None
+        else [other.on_features() for other in others]
+    )
     if share > 0.0 and not mixed:
         _checks.number_in(floor, "floor", 0.0, 1.0, open_ends=True)
         if log is None:
-            raise ValueError(f"floor must be 0 without a log, for {task.name} has no others; it is {floor}")
-    chosen, k = process.default_cells if cells is None else cells, len(process.feature_names)
+            raise ValueError(
+                f"floor must be 0 without a log, for {task.name} has no others; it is"
+                f" {floor}"
+            )
+    chosen, k = (
+        process.default_cells if cells is None else cells,
+        len(process.feature_names),
+    )
     if chosen is None:
         chosen = (DEFAULT_VERTICES[k],) * k if k in DEFAULT_VERTICES else DEFAULT_CELLS
     if not isinstance(chosen, Discretization | GridInterpolation | VisitedCells):
@@ -328,20 +409,30 @@ def discretize(
         places = chosen.places
     else:
         visiting = list(policies) or [uniform_policy_of(task)]
-        places = chosen.places(process, log if process is task else None, mixed, visiting, seed)
+        places = chosen.places(
+            process, log if process is task else None, mixed, visiting, seed
+        )
     if share == 0.0 and others is None:
         mixed = []
     starts, mass = process.initial_points()
     inner = places.cells.weights(process.features(starts)).T @ mass
     initial = np.append(inner / inner.sum(), np.zeros(int(process.terminates)))
-    simulators = tuple(places.simulate(each, initial, discount) for each in (process, *mixed))
+    simulators = tuple(
+        places.simulate(each, initial, discount) for each in (process, *mixed)
+    )
     metadata = {
-        "task": task.name, "parameters": task.parameters(), "features": list(task.feature_names),
-        "cells": places.cells.extent(), "floor": share, "others": [other.parameters() for other in mixed],
-    }  # fmt: skip
+        "task": task.name,
+        "parameters": task.parameters(),
+        "features": list(task.feature_names),
+        "cells": places.cells.extent(),
+        "floor": share,
+        "others": [other.parameters() for other in mixed],
+    }
     model = Discretization(simulators[0], process, places, simulators, metadata)
     if closure_episodes:
-        model = _measure_closure(model, _checks.positive_integer(closure_episodes, "closure_episodes"))
+        model = _measure_closure(
+            model, _checks.positive_integer(closure_episodes, "closure_episodes")
+        )
     model = replace(model, task=task)
     if share == 0.0:
         return model
@@ -357,18 +448,33 @@ def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
     error, noise = model.closure_error(n_episodes=n_episodes)
     if abs(error) > TOLERANCE + 2.0 * noise:
         text = (
-            f"{model.cells.extent()} is too coarse for the steps of {model.task.name}: the uniform policy's value on it has a "
-            f"closure error of {error:+.1%} (+-{noise:.1%}) against Monte Carlo"
+            f"{model.cells.extent()} is too coarse for the steps of {model.task.name}:"
+            f" the uniform policy's value on it has a closure error of {error:+.1%}"
+            f" (+-{noise:.1%}) against Monte Carlo"
         )
         if isinstance(model.cells, Grid):
-            task, grid, some = model.task, model.cells, slice(None, None, max(1, len(model.places.states) // 2000))
+            task, grid, some = (
+                model.task,
+                model.cells,
+                slice(None, None, max(1, len(model.places.states) // 2000)),
+            )
             states, actions = model.places.states[some], model.places.actions[some]
             moved = task.noiseless_step(states, actions).next_state
             length = np.abs(task.features(moved) - task.features(states))
             period = np.where(grid.periodic, grid.high - grid.low, np.inf)
-            median = np.median(np.minimum(length, np.abs(period - length)) / grid.spacing, axis=0)
-            steps = ", ".join(f"{name} {step:.2g}" for name, step in zip(task.feature_names, median, strict=True))
-            text += f"; the median step, in spacings: {steps}. A step well below 1 is smeared out by interpolation: take more "
+            median = np.median(
+                np.minimum(length, np.abs(period - length)) / grid.spacing, axis=0
+            )
+            steps = ", ".join(
+                f"{name} {step:.2g}"
+                for name, step in zip(task.feature_names, median, strict=True)
+            )
+            text += (
+                f"; the median step, in spacings: {steps}. A step well below 1 is"
+                " smeared out by interpolation: take more "
+            )
             text += "points there"
         warnings.warn(text, stacklevel=4)
-    return replace(model, diagnostics={"closure_error": error, "closure_standard_error": noise})
+    return replace(
+        model, diagnostics={"closure_error": error, "closure_standard_error": noise}
+    )

@@ -20,7 +20,13 @@ from oee_tabular._sparse import canonical, row_of_entry
 from oee_tabular.continuous.cells import Grid, Places, indicator, spread_over_pairs
 from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, check_states, require_log_of
+from oee_tabular.continuous.task import (
+    ContinuousTask,
+    StatePolicy,
+    check_probabilities,
+    check_states,
+    require_log_of,
+)
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import KIND
@@ -60,8 +66,13 @@ class Discretization:
     diagnostics: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        settings = ", ".join(f"{name}={value}" for name, value in self.task.parameters().items())
-        return f"Discretization({self.task.name}({settings}): {self.cells.extent()}; {self.mdp})"
+        settings = ", ".join(
+            f"{name}={value}" for name, value in self.task.parameters().items()
+        )
+        return (
+            f"Discretization({self.task.name}({settings}): {self.cells.extent()};"
+            f" {self.mdp})"
+        )
 
     @property
     def cells(self) -> Any:
@@ -90,7 +101,9 @@ class Discretization:
         """
         n_actions = self.task.n_actions
         if callable(policy):
-            array = self.places.mean(check_probabilities(policy, self.points, n_actions))
+            array = self.places.mean(
+                check_probabilities(policy, self.points, n_actions)
+            )
             array /= array.sum(axis=1, keepdims=True)
         else:
             array = _checks.float_array(policy, name, ndim=(2,))
@@ -109,17 +122,30 @@ class Discretization:
         return interpolated
 
     def closure_error(
-        self, policy: StatePolicy | None = None, *, horizon: int = 100, n_episodes: int = 2000, seed: Seed = 0
+        self,
+        policy: StatePolicy | None = None,
+        *,
+        horizon: int = 100,
+        n_episodes: int = 2000,
+        seed: Seed = 0,
     ) -> tuple[float, float]:
         """What discretising costs: (J on the cells - J in the task) / scale, and its standard error.
 
         J is the value of ``policy`` (default: uniform), in the task by Monte Carlo. The scale is |J in the task|, or the
         standard deviation of a return if that is larger (for returns that change sign).
         """
-        from oee_tabular.exact import policy_value  # what it compiles with is imported only here
+        # what it compiles with is imported only here
+        from oee_tabular.exact import policy_value
 
         chosen = uniform_policy_of(self.task) if policy is None else policy
-        mc = monte_carlo_value(self.task, chosen, n_episodes, horizon, discount=self.mdp.discount, seed=seed)
+        mc = monte_carlo_value(
+            self.task,
+            chosen,
+            n_episodes,
+            horizon,
+            discount=self.mdp.discount,
+            seed=seed,
+        )
         value = policy_value(self.plain, self.policy(chosen), horizon=horizon)
         scale = max(abs(mc.value), mc.deviation, np.finfo(float).tiny)
         return (value - mc.value) / scale, mc.standard_error / scale
@@ -130,14 +156,27 @@ class Discretization:
         Raises ValueError unless there are as many weights as simulators, nonnegative, summing to 1.
         """
         shares = _checks.distribution(weights, "weights", (len(self.simulators),))
-        used = [(share, part) for share, part in zip(shares, self.simulators, strict=True) if share > 0.0]
+        used = [
+            (share, part)
+            for share, part in zip(shares, self.simulators, strict=True)
+            if share > 0.0
+        ]
         rewards = np.sum([share * part.rewards for share, part in used], axis=0)
-        return replace(self, mdp=self.with_transitions(sum(share * part.transitions for share, part in used), rewards))
+        return replace(
+            self,
+            mdp=self.with_transitions(
+                sum(share * part.transitions for share, part in used), rewards
+            ),
+        )
 
-    def with_transitions(self, transitions: sparse.csr_array, rewards: Array | None = None) -> FiniteMDP:
+    def with_transitions(
+        self, transitions: sparse.csr_array, rewards: Array | None = None
+    ) -> FiniteMDP:
         """Other transitions on the same states with the task's rewards (or these), wherever they lead."""
         paid, plain = self.plain.rewards if rewards is None else rewards, self.plain
-        return self.places.finite_mdp(self.task, transitions, paid, plain.initial, plain.discount)
+        return self.places.finite_mdp(
+            self.task, transitions, paid, plain.initial, plain.discount
+        )
 
     @one_thread
     def fit_weights(self, counts: sparse.csr_array) -> Array:
@@ -147,13 +186,20 @@ class Discretization:
         is system identification, stated as a ratio. Raises ValueError for a transition that none of them allows.
         """
         entries = counts.tocoo()
-        table = np.stack([np.asarray(part.transitions[entries.coords]).ravel() for part in self.simulators], axis=1)
+        table = np.stack(
+            [
+                np.asarray(part.transitions[entries.coords]).ravel()
+                for part in self.simulators
+            ],
+            axis=1,
+        )
         impossible = np.flatnonzero(table.sum(axis=1) == 0.0)
         if impossible.size:
             s, a = divmod(int(entries.coords[0][impossible[0]]), self.task.n_actions)
             raise ValueError(
-                f"counts must have transitions that some simulator allows; ({s}, {a}, {entries.coords[1][impossible[0]]}) "
-                f"is allowed by none ({impossible.size} such transitions in all)"
+                f"counts must have transitions that some simulator allows; ({s}, {a},"
+                f" {entries.coords[1][impossible[0]]}) is allowed by none"
+                f" ({impossible.size} such transitions in all)"
             )
         weights = np.full(table.shape[1], 1.0 / table.shape[1])
         for _ in range(N_RISK_STEPS):
@@ -162,7 +208,9 @@ class Discretization:
             weights = entries.data @ share / entries.data.sum()
         return np.asarray(weights)
 
-    def encode_states(self, states: object, *, seed: Any = None, outside: str = "error") -> IntArray:
+    def encode_states(
+        self, states: object, *, seed: Any = None, outside: str = "error"
+    ) -> IntArray:
         """(n,) the number of each state.
 
         Parameters
@@ -180,7 +228,9 @@ class Discretization:
         draws = None if seed is None else _checks.generator(seed).random(len(array))
         return _pick(self.places.weights(self.task, array, ended), draws)
 
-    def encode(self, log: ContinuousTransitions, *, seed: Any = None, outside: str = "error") -> Transitions:
+    def encode(
+        self, log: ContinuousTransitions, *, seed: Any = None, outside: str = "error"
+    ) -> Transitions:
         """The log with numbered states and actions, ready for ``Problem``.
 
         Parameters
@@ -198,18 +248,31 @@ class Discretization:
         kept, actions, ended = self._select_rows(log, outside)
         draws: Any = (None, None)
         episode = np.arange(len(kept)) if kept.episode is None else kept.episode
-        same = np.flatnonzero(episode[1:] == episode[:-1])  # rows whose next state is the next row's state
+        # rows whose next state is the next row's state
+        same = np.flatnonzero(episode[1:] == episode[:-1])
         if seed is not None:
             draws = _checks.generator(seed).random((len(kept), 2)).T
             draws[1, same] = draws[0, same + 1]
-        first = _pick(self.places.weights(self.task, kept.state, np.zeros_like(ended)), draws[0])
-        following = _pick(self.places.weights(self.task, kept.next_state, ended), draws[1])
-        first[same + 1] = following[same]  # float32 copies of one state may lie on two sides of an edge
-        columns = kept.columns() | {"state": first, "action": actions, "next_state": following, "terminated": ended}
+        first = _pick(
+            self.places.weights(self.task, kept.state, np.zeros_like(ended)), draws[0]
+        )
+        following = _pick(
+            self.places.weights(self.task, kept.next_state, ended), draws[1]
+        )
+        # float32 copies of one state may lie on two sides of an edge
+        first[same + 1] = following[same]
+        columns = kept.columns() | {
+            "state": first,
+            "action": actions,
+            "next_state": following,
+            "terminated": ended,
+        }
         columns["truncated"] = (kept.truncated | kept.terminated) & ~ended
         return Transitions(**columns)
 
-    def counts(self, log: ContinuousTransitions, *, outside: str = "error") -> sparse.csr_array:
+    def counts(
+        self, log: ContinuousTransitions, *, outside: str = "error"
+    ) -> sparse.csr_array:
         """Soft counts n(s, a, s') = sum over rows of w_s(state) w_s'(next_state): csr of shape (S*A, S).
 
         The mean of ``encode(...).counts(...)`` over draws, without their noise. Arguments and errors as there. On a grid, where
@@ -221,11 +284,17 @@ class Discretization:
         if task.is_translation_invariant and isinstance(cells, Grid):
             before, after = task.features(kept.state), task.features(kept.next_state)
             number = _pick(cells.weights(before), None)
-            start, arrival = indicator(number, cells.n_cells), cells.weights(cells.vertices()[number] + after - before)
+            start, arrival = (
+                indicator(number, cells.n_cells),
+                cells.weights(cells.vertices()[number] + after - before),
+            )
         else:
             start = self.places.weights(task, kept.state, np.zeros_like(ended))
             arrival = self.places.weights(task, kept.next_state, ended)
-        return canonical(spread_over_pairs(start, actions, task.n_actions).T @ arrival, drop_zeros=True)
+        return canonical(
+            spread_over_pairs(start, actions, task.n_actions).T @ arrival,
+            drop_zeros=True,
+        )
 
     def supported(self, counts: sparse.csr_array) -> tuple[sparse.csr_array, float]:
         """The counts that lie where ``mdp`` has probability, and the share of those that do not: to be reported with it."""
@@ -242,17 +311,24 @@ class Discretization:
         grid, matrix = self.cells, self.mdp.transitions
         if not isinstance(grid, Grid) or self.over is not None:
             raise ValueError(
-                f"cells must be a grid without an absorbing state to tie displacements; they are {grid.extent()}"
+                "cells must be a grid without an absorbing state to tie displacements;"
+                f" they are {grid.extent()}"
             )
         first, action = np.divmod(row_of_entry(matrix), self.task.n_actions)
         places = grid.indices()
         apart = places[matrix.indices] - places[first] + grid.shape
-        return np.asarray(np.ravel_multi_index((action, *apart.T), (self.task.n_actions, *(2 * n for n in grid.shape))))
+        return np.asarray(
+            np.ravel_multi_index(
+                (action, *apart.T), (self.task.n_actions, *(2 * n for n in grid.shape))
+            )
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the MDP as ``FiniteMDP.load`` reads it, with the metadata as JSON."""
         metadata = json.dumps(self.metadata | {"version": version("oee-tabular")})
-        _files.save_npz(path, KIND, self.mdp.arrays() | {"metadata": np.array(metadata)})
+        _files.save_npz(
+            path, KIND, self.mdp.arrays() | {"metadata": np.array(metadata)}
+        )
 
     def _select_rows(
         self, log: ContinuousTransitions, outside: str
@@ -263,19 +339,26 @@ class Discretization:
         task, actions = self.task, log.action_numbers(self.task.actions)
         ended = log.terminated | task.terminated(log.next_state)
         for row in () if task.terminates else np.flatnonzero(log.terminated):
-            raise ValueError(f"log.terminated[{row}] must be False: episodes of {task.name} do not end; it is True")
+            raise ValueError(
+                f"log.terminated[{row}] must be False: episodes of {task.name} do not"
+                " end; it is True"
+            )
         before = np.flatnonzero(task.terminated(log.state))
         if before.size and task.terminates:
             raise ValueError(
-                f"log.state[{before[0]}] must be a state in which {task.name} goes on; it is over in "
-                f"{log.state[before[0]].tolist()} ({before.size} such rows in all)"
+                f"log.state[{before[0]}] must be a state in which {task.name} goes on;"
+                f" it is over in {log.state[before[0]].tolist()} ({before.size} such"
+                " rows in all)"
             )
-        hidden = np.flatnonzero(ended & ~task.end_shows(log.next_state) & task.terminates)
+        hidden = np.flatnonzero(
+            ended & ~task.end_shows(log.next_state) & task.terminates
+        )
         if hidden.size:
             warnings.warn(
-                f"log.terminated: {hidden.size} of {int(ended.sum())} ends do not show in the features "
-                f"({', '.join(task.feature_names)}); the first, row {hidden[0]}, leads to "
-                f"{log.next_state[hidden[0]].tolist()}. They are taken as truncated, the process going on",
+                f"log.terminated: {hidden.size} of {int(ended.sum())} ends do not show"
+                f" in the features ({', '.join(task.feature_names)}); the first, row"
+                f" {hidden[0]}, leads to {log.next_state[hidden[0]].tolist()}. They are"
+                " taken as truncated, the process going on",
                 stacklevel=3,
             )
         ended[hidden] = False
@@ -284,10 +367,15 @@ class Discretization:
         if outside != "drop" or not gone.any():
             return log, actions, ended
         if gone.all():
-            raise ValueError("outside must not be 'drop' where every row is outside; nothing would be left")
+            raise ValueError(
+                "outside must not be 'drop' where every row is outside; nothing would"
+                " be left"
+            )
         return log.select(~gone), actions[~gone], ended[~gone]
 
-    def _outside(self, states: Array, ended: BoolArray, name: str, outside: str) -> BoolArray:
+    def _outside(
+        self, states: Array, ended: BoolArray, name: str, outside: str
+    ) -> BoolArray:
         """Which states that are not over lie outside the cells: an error or a warning that counts them."""
         features = self.task.features(states)
         gone = self.cells.outside(features) & ~ended
@@ -295,14 +383,18 @@ class Discretization:
         if rows.size:
             at = zip(self.task.feature_names, features[rows[0]], strict=True)
             text = (
-                f"{name} must be inside {self.cells.extent()}: {rows.size} of {len(states)} rows are not; the first, row "
-                f"{rows[0]}, is at {', '.join(f'{feature}={value:.4g}' for feature, value in at)}. "
+                f"{name} must be inside {self.cells.extent()}: {rows.size} of"
+                f" {len(states)} rows are not; the first, row {rows[0]}, is at"
+                f" {', '.join(f'{feature}={value:.4g}' for feature, value in at)}. "
             )
             if outside == "error":
                 raise ValueError(
-                    f"{text}A wider grid, or outside='nearest' or 'drop' (--task-option outside=), takes them"
+                    f"{text}A wider grid, or outside='nearest' or 'drop' (--task-option"
+                    " outside=), takes them"
                 )
-            done = "left out" if outside == "drop" else "moved to the nearest place inside"
+            done = (
+                "left out" if outside == "drop" else "moved to the nearest place inside"
+            )
             warnings.warn(f"{text}They are {done}", stacklevel=4)
         return np.asarray(gone)
 
@@ -321,5 +413,7 @@ def _pick(weights: sparse.csr_array, draws: Array | None) -> IntArray:
         pick = table.argmax(axis=1)
     else:
         running = np.cumsum(table, axis=1)
-        pick = np.minimum((running <= (draws * running[:, -1])[:, None]).sum(axis=1), width - 1)
+        pick = np.minimum(
+            (running <= (draws * running[:, -1])[:, None]).sum(axis=1), width - 1
+        )
     return np.asarray(weights.indices[low + pick], dtype=np.int64)

@@ -12,14 +12,21 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
-from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy, check_probabilities, check_states
+from oee_tabular.continuous.task import (
+    ContinuousTask,
+    Moves,
+    StatePolicy,
+    check_probabilities,
+    check_states,
+)
 from oee_tabular.mdp.horizons import limit_horizon
 
 CHUNK = 4096  # episodes of one random stream
 
 
 def _choose(probabilities: Array, uniform: Array) -> IntArray:
-    running = list(itertools.accumulate(probabilities.T))  # columns: sums along short rows take thrice the time
+    # columns: sums along short rows take thrice the time
+    running = list(itertools.accumulate(probabilities.T))
     chosen, level = np.zeros(len(uniform), dtype=np.int64), uniform * running[-1]
     for bound in running[:-1]:
         chosen += bound <= level
@@ -84,15 +91,25 @@ def monte_carlo_value(
     True
     """
     _checks.instance(task, ContinuousTask, "task")
-    n, gamma = _checks.positive_integer(n_episodes, "n_episodes"), _checks.number_in(discount, "discount", 0.0, 1.0)
+    n, gamma = (
+        _checks.positive_integer(n_episodes, "n_episodes"),
+        _checks.number_in(discount, "discount", 0.0, 1.0),
+    )
     _checks.boolean(normalized, "normalized")
-    steps = limit_horizon(_checks.positive_integer(horizon, "horizon"), gamma, work=1000.0 * n)
+    steps = limit_horizon(
+        _checks.positive_integer(horizon, "horizon"), gamma, work=1000.0 * n
+    )
     if normalized and gamma == 1.0:
-        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
+        raise ValueError(
+            "normalized must be False at discount 1: the factor (1 - discount) would"
+            " be 0"
+        )
     returns = []
     for rng, size in _streams(seed, n):
         total = np.zeros(size)
-        for t, (alive, _, _, _, moved) in enumerate(_walk(task, policy, size, steps, rng)):
+        for t, (alive, _, _, _, moved) in enumerate(
+            _walk(task, policy, size, steps, rng)
+        ):
             total[alive] += gamma**t * moved.reward
         returns.append(total)
     every = np.concatenate(returns) * ((1.0 - gamma) if normalized else 1.0)
@@ -101,22 +118,33 @@ def monte_carlo_value(
 
 
 def compare_returns(
-    tasks: Sequence[ContinuousTask], policy: StatePolicy, n: int, horizon: int, *, discount: float,
+    tasks: Sequence[ContinuousTask],
+    policy: StatePolicy,
+    n: int,
+    horizon: int,
+    *,
+    discount: float,
     seed: np.random.SeedSequence,
-) -> Array:  # fmt: skip
+) -> Array:
     """(len(tasks), n) returns whose random numbers belong to the episode and the step: tasks that are alike go alike.
 
     By the difference of two tasks' returns their values are compared with a small part of Monte Carlo's own error. All begin
     where the first does.
     """
-    fresh = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)  # which has spawned nothing
+    # which has spawned nothing
+    fresh = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
     start, steps = map(np.random.default_rng, fresh.spawn(2))
     n_all, n_disturbances = n * len(tasks), max(task.n_disturbances for task in tasks)
     states = np.tile(tasks[0].initial_states(n, start), (len(tasks), 1))
     total, alive = np.zeros(n_all), np.arange(n_all)
     for t, stream in enumerate(steps.spawn(horizon)):
-        uniform, disturbance = stream.random(n), stream.standard_normal((n_disturbances, n)).T
-        actions = _choose(check_probabilities(policy, states, tasks[0].n_actions), uniform[alive % n])
+        uniform, disturbance = (
+            stream.random(n),
+            stream.standard_normal((n_disturbances, n)).T,
+        )
+        actions = _choose(
+            check_probabilities(policy, states, tasks[0].n_actions), uniform[alive % n]
+        )
         following, ended = np.empty_like(states), np.zeros(len(states), dtype=np.bool_)
         ends = np.searchsorted(alive, n * np.arange(len(tasks) + 1))
         for task, here in zip(tasks, map(slice, ends[:-1], ends[1:]), strict=True):
@@ -170,7 +198,9 @@ def record(
     steps = _checks.positive_integer(max_steps, "max_steps")
     if n_transitions is None:
         streams = _streams(seed, _checks.positive_integer(n_episodes, "n_episodes"))
-        return ContinuousTransitions.concatenate([_episodes(task, policy, size, steps, rng) for rng, size in streams])
+        return ContinuousTransitions.concatenate(
+            [_episodes(task, policy, size, steps, rng) for rng, size in streams]
+        )
     rows = _checks.positive_integer(n_transitions, "n_transitions")
     _checks.require_memory(8.0 * rows, "n_transitions", rows)
     parts: list[ContinuousTransitions] = []
@@ -188,7 +218,11 @@ def _streams(seed: Any, n: int) -> list[tuple[np.random.Generator, int]]:
 
 
 def _walk(
-    task: ContinuousTask, policy: StatePolicy, n: int, steps: int, rng: np.random.Generator
+    task: ContinuousTask,
+    policy: StatePolicy,
+    n: int,
+    steps: int,
+    rng: np.random.Generator,
 ) -> Iterator[tuple[IntArray, Array, IntArray, Array, Moves]]:
     """Step by step of n episodes: which go on, their states, actions, the actions' probabilities (n, A), and the step."""
     alive, states = np.arange(n), task.initial_states(n, rng)
@@ -203,20 +237,44 @@ def _walk(
 
 
 def _episodes(
-    task: ContinuousTask, policy: StatePolicy, n: int, steps: int, rng: np.random.Generator
+    task: ContinuousTask,
+    policy: StatePolicy,
+    n: int,
+    steps: int,
+    rng: np.random.Generator,
 ) -> ContinuousTransitions:
     """n episodes, sorted by episode and then by time."""
     rows: list[tuple[object, ...]] = []
-    for t, (alive, states, actions, probabilities, moved) in enumerate(_walk(task, policy, n, steps, rng)):
+    for t, (alive, states, actions, probabilities, moved) in enumerate(
+        _walk(task, policy, n, steps, rng)
+    ):
         cut = (t == steps - 1) & ~moved.terminated
         taken = probabilities[np.arange(len(alive)), actions]
-        rows.append((states, actions, moved.next_state, moved.reward, moved.terminated, cut, alive, taken))
-    columns = {name: np.concatenate(part) for name, part in zip(RECORDED, zip(*rows, strict=True), strict=True)}
+        rows.append(
+            (
+                states,
+                actions,
+                moved.next_state,
+                moved.reward,
+                moved.terminated,
+                cut,
+                alive,
+                taken,
+            )
+        )
+    columns = {
+        name: np.concatenate(part)
+        for name, part in zip(RECORDED, zip(*rows, strict=True), strict=True)
+    }
     order = np.argsort(columns["episode"], kind="stable")
-    return ContinuousTransitions(**{name: column[order] for name, column in columns.items()})
+    return ContinuousTransitions(
+        **{name: column[order] for name, column in columns.items()}
+    )
 
 
-def resimulate(task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = None) -> ContinuousTransitions:
+def resimulate(
+    task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = None
+) -> ContinuousTransitions:
     """The log's own (s, a) stepped once in ``task``, the simulator.
 
     Independent transitions, row by row those of ``log``.
@@ -240,5 +298,10 @@ def resimulate(task: ContinuousTask, log: ContinuousTransitions, *, seed: Any = 
     states = check_states(task, log.state, "log.state")
     moved = task.step(states, log.action_numbers(task.actions), _checks.generator(seed))
     return ContinuousTransitions(
-        states, log.action, moved.next_state, moved.reward, terminated=moved.terminated, timestep=log.timestep
+        states,
+        log.action,
+        moved.next_state,
+        moved.reward,
+        terminated=moved.terminated,
+        timestep=log.timestep,
     )

@@ -30,7 +30,13 @@ from oee_tabular.continuous.episodes import MonteCarlo
 from oee_tabular.continuous.history import consecutive
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import LinearModel
-from oee_tabular.continuous.rows import NoCellsError, OnCells, Rollouts, Row, refuse_impossible
+from oee_tabular.continuous.rows import (
+    NoCellsError,
+    OnCells,
+    Rollouts,
+    Row,
+    refuse_impossible,
+)
 from oee_tabular.continuous.simulator import (
     CommandPolicy,
     ContinuousSimulator,
@@ -38,9 +44,21 @@ from oee_tabular.continuous.simulator import (
     as_probabilities,
     as_simulator,
 )
-from oee_tabular.continuous.task import ContinuousTask, StatePolicy, check_probabilities, require_log_of
+from oee_tabular.continuous.task import (
+    ContinuousTask,
+    StatePolicy,
+    check_probabilities,
+    require_log_of,
+)
 from oee_tabular.data import Transitions
-from oee_tabular.estimators import Estimate, Estimator, ImportanceSampling, OffEnvironment, Problem, Simulator
+from oee_tabular.estimators import (
+    Estimate,
+    Estimator,
+    ImportanceSampling,
+    OffEnvironment,
+    Problem,
+    Simulator,
+)
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import named_estimators
 from oee_tabular.mdp import FiniteMDP
@@ -51,7 +69,8 @@ from oee_tabular.report.uncertainty import Uncertainty, choose_interval
 CALIBRATIONS = (*KINDS, "none")
 SIMULATOR = "simulator (continuous)"
 LINEAR = "linear model of the log"
-MAX_ASKED = 1000  # states of the log in which a policy's commands are compared with those that are played
+# states of the log in which a policy's commands are compared with those that are played
+MAX_ASKED = 1000
 
 
 @one_thread
@@ -113,34 +132,64 @@ def evaluate_continuous(
     >>> [row["estimator"] for row in report.records()]
     ['oee (residual)', 'simulator (continuous)']
     """
-    chosen = _checks.instance(Settings() if settings is None else settings, Settings, "settings")
+    chosen = _checks.instance(
+        Settings() if settings is None else settings, Settings, "settings"
+    )
     if isinstance(simulator, ContinuousTask):
         simulator = as_simulator(simulator, horizon)
-    _checks.instance(simulator, ContinuousSimulator, "simulator", "ContinuousTask or a ContinuousSimulator")
-    if not _checks.instance(policies, Mapping, "policies", "mapping from names to policies"):
+    _checks.instance(
+        simulator,
+        ContinuousSimulator,
+        "simulator",
+        "ContinuousTask or a ContinuousSimulator",
+    )
+    if not _checks.instance(
+        policies, Mapping, "policies", "mapping from names to policies"
+    ):
         raise ValueError("policies must hold at least one; it is empty")
-    facts, seed = dict(_checks.instance(options.pop("facts", None) or {}, Mapping, "facts")), options.get("seed")
-    _checks.instance(simulator.task if target is None else target, ContinuousTask, "target")
+    facts, seed = (
+        dict(_checks.instance(options.pop("facts", None) or {}, Mapping, "facts")),
+        options.get("seed"),
+    )
+    _checks.instance(
+        simulator.task if target is None else target, ContinuousTask, "target"
+    )
     names = None if estimators is None else _names(estimators, "estimators")
     fit = fit if fit is None or isinstance(fit, ParameterFit) else _names(fit, "fit")
     kind = simulator.calibration if chosen.calibration is None else chosen.calibration
     _checks.one_of(kind, "calibration", CALIBRATIONS)
-    steps = simulator.horizon if horizon is None else _checks.positive_integer(horizon, "horizon")
+    steps = (
+        simulator.horizon
+        if horizon is None
+        else _checks.positive_integer(horizon, "horizon")
+    )
     require_log_of(simulator.task, log)
     cells = None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        columns = log.columns() | {"action": log.action_numbers(simulator.task.actions, strict=chosen.strict)}
+        columns = log.columns() | {
+            "action": log.action_numbers(simulator.task.actions, strict=chosen.strict)
+        }
         if behavior is not None and log.behavior_probability is None:
-            probabilities = check_probabilities(behavior, log.state, simulator.task.n_actions)
-            columns["behavior_probability"] = probabilities[np.arange(len(log)), columns["action"]]
+            probabilities = check_probabilities(
+                behavior, log.state, simulator.task.n_actions
+            )
+            columns["behavior_probability"] = probabilities[
+                np.arange(len(log)), columns["action"]
+            ]
         numbered = ContinuousTransitions(**columns)
         if chosen.grid is not None:
             try:
                 cells = OnCells(simulator, numbered, chosen, steps, discount, seed)
             except NoCellsError as reason:
-                warnings.warn(f"The rows on the grid are left out: {reason}", stacklevel=2)
-    messages = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning)))
+                warnings.warn(
+                    f"The rows on the grid are left out: {reason}", stacklevel=2
+                )
+    messages = list(
+        dict.fromkeys(
+            str(w.message) for w in caught if issubclass(w.category, UserWarning)
+        )
+    )
     for message in messages:
         warnings.warn(message, stacklevel=3)
     tables: dict[str, Array] = {}
@@ -148,55 +197,108 @@ def evaluate_continuous(
     for name, policy in policies.items():
         if callable(policy):
             functions[name] = rounded = as_probabilities(policy, simulator.task.actions)
-            messages += filter(None, [_describe_rounding(name, rounded, log.state[:MAX_ASKED])])
+            messages += filter(
+                None, [_describe_rounding(name, rounded, log.state[:MAX_ASKED])]
+            )
         elif cells is None:
-            raise ValueError(f"policy {name!r} must be a function of states: there are no cells to be an array on")
+            raise ValueError(
+                f"policy {name!r} must be a function of states: there are no cells to"
+                " be an array on"
+            )
         if cells is not None:
-            tables[name] = cells.model.policy(functions.get(name, policy), f"policy {name!r}")
+            tables[name] = cells.model.policy(
+                functions.get(name, policy), f"policy {name!r}"
+            )
             functions.setdefault(name, cells.model.policy_function(tables[name]))
     if fit is not None and not isinstance(fit, ParameterFit):
         fit = fit_parameters(*parameters_of(simulator.task, fit), numbered)
-    correction = choose_correction(simulator.task, numbered, history=history, fit=fit, seed=seed)
+    correction = choose_correction(
+        simulator.task, numbered, history=history, fit=fit, seed=seed
+    )
     episodes = simulator.episodes if chosen.episodes is None else chosen.episodes
     stream = _checks.seed_sequence(seed, (10**6,))
-    rollouts = Rollouts(steps, discount, episodes, stream, simulator.refits, simulator.refit_paths)
+    rollouts = Rollouts(
+        steps, discount, episodes, stream, simulator.refits, simulator.refit_paths
+    )
     simulate = cache(partial(rollouts.value, simulator.task))
     scale = 1.0 - discount if options.get("normalized") else 1.0
     low, high = correction.plain.rewards
     bounds = 0.0 if low >= 0.0 else -np.inf, 0.0 if high <= 0.0 else np.inf
 
-    def learned_row(learned: ContinuousTask, status: str, policy: StatePolicy) -> Estimate:
+    def learned_row(
+        learned: ContinuousTask, status: str, policy: StatePolicy
+    ) -> Estimate:
         """No value of another sign than the rewards of the log, and of the simulator's own steps from there, have."""
-        return refuse_impossible(rollouts.estimate(learned, policy, status), *bounds, steps, scale)
+        return refuse_impossible(
+            rollouts.estimate(learned, policy, status), *bounds, steps, scale
+        )
 
     def simulated_row(policy: StatePolicy) -> Estimate:
-        return _describe_simulated(simulate(policy), is_headline=not correction.is_trusted)
+        return _describe_simulated(
+            simulate(policy), is_headline=not correction.is_trusted
+        )
 
     wanted, left_out = _choose_estimators(names, numbered, has_cells=cells is not None)
-    wants_oee, plain_status = OffEnvironment() in wanted.values(), describe_flaw(correction.plain)
+    wants_oee, plain_status = (
+        OffEnvironment() in wanted.values(),
+        describe_flaw(correction.plain),
+    )
     rows: dict[str, Row] = {} if correction.is_trusted else {SIMULATOR: simulated_row}
     if wants_oee:
         rows[correction.name] = lambda policy: learned_row(
             correction.learned, correction.status, correction.policy(policy)
         )
         rows["oee (residual)"] = partial(learned_row, correction.plain, plain_status)
-    sampling = {name: e for name, e in wanted.items() if isinstance(e, ImportanceSampling)}
+    sampling = {
+        name: e for name, e in wanted.items() if isinstance(e, ImportanceSampling)
+    }
     others: dict[str, Row] = {}
     if names is None:
-        others[LINEAR] = partial(learned_row, LinearModel(simulator.task, numbered), plain_status)
-    others |= sampling_rows(sampling, numbered, simulator.task.n_actions, steps, discount) | {SIMULATOR: simulated_row}
+        others[LINEAR] = partial(
+            learned_row, LinearModel(simulator.task, numbered), plain_status
+        )
+    others |= sampling_rows(
+        sampling, numbered, simulator.task.n_actions, steps, discount
+    ) | {SIMULATOR: simulated_row}
     last: dict[str, Row] = {}
     if target is not None:
-        last["target (continuous)"] = lambda policy: _describe_simulated(rollouts.value(target, policy))
-    change = difference(correction.plain if correction.fit is not None and not correction.steps else correction.learned)
-    first = tuple(filter(None, (correction.advice(is_auto=history == "auto"), correction.reason, change)))
-    caveat = "" if correction.is_trusted else f"No correction can be trusted, because {correction.status}."
-    messages = [*left_out, *messages, *filter(None, [_describe_rewards(simulator.task, numbered)])]
+        last["target (continuous)"] = lambda policy: _describe_simulated(
+            rollouts.value(target, policy)
+        )
+    change = difference(
+        correction.plain
+        if correction.fit is not None and not correction.steps
+        else correction.learned
+    )
+    first = tuple(
+        filter(
+            None,
+            (correction.advice(is_auto=history == "auto"), correction.reason, change),
+        )
+    )
+    caveat = (
+        ""
+        if correction.is_trusted
+        else f"No correction can be trusted, because {correction.status}."
+    )
+    messages = [
+        *left_out,
+        *messages,
+        *filter(None, [_describe_rewards(simulator.task, numbered)]),
+    ]
     if cells is None:
-        about = {"simulator": f"{simulator.name}, without cells", "log": repr(log), **facts}
-        report = _report_rows(functions, rows | others | last, steps, discount, about, **options)
+        about = {
+            "simulator": f"{simulator.name}, without cells",
+            "log": repr(log),
+            **facts,
+        }
+        report = _report_rows(
+            functions, rows | others | last, steps, discount, about, **options
+        )
         uncertainty = Uncertainty(distance=first, caveat=caveat)
-        return replace(report, warnings=(*report.warnings, *messages), uncertainty=uncertainty)
+        return replace(
+            report, warnings=(*report.warnings, *messages), uncertainty=uncertainty
+        )
     known = {
         table.tobytes(): functions[name] for name, table in tables.items()
     }  # policies by their tables on the cells
@@ -204,7 +306,9 @@ def evaluate_continuous(
     def simulate_table(table: Array) -> MonteCarlo:
         return simulate(known[np.asarray(table).tobytes()])
 
-    def evaluate_row(row: Row, problem: Problem, table: Array, *, seed: Seed = None) -> Estimate:
+    def evaluate_row(
+        row: Row, problem: Problem, table: Array, *, seed: Seed = None
+    ) -> Estimate:
         return row(known[np.asarray(table).tobytes()])
 
     def on_tables(rows: Mapping[str, Row]) -> dict[str, Estimator]:
@@ -213,9 +317,13 @@ def evaluate_continuous(
     every = on_tables(rows)
     if wants_oee and kind != "none":
         every["oee (calibrated)"] = cells.calibrated(simulate_table, kind, scale)
-    finite = {name: estimator for name, estimator in wanted.items() if name not in sampling}
+    finite = {
+        name: estimator for name, estimator in wanted.items() if name not in sampling
+    }
     every |= on_tables(others) | cells.others(finite) | on_tables(last)
-    report = evaluate(cells.problem, tables, estimators=every, facts=cells.facts | facts, **options)
+    report = evaluate(
+        cells.problem, tables, estimators=every, facts=cells.facts | facts, **options
+    )
     messages.append(cells.describe_loss(simulate_table, tables))
     uncertainty = replace(
         report.uncertainty,
@@ -228,7 +336,11 @@ def evaluate_continuous(
 
 
 def sampling_rows(
-    wanted: Mapping[str, Estimator], log: ContinuousTransitions, n_actions: int, horizon: int, discount: float
+    wanted: Mapping[str, Estimator],
+    log: ContinuousTransitions,
+    n_actions: int,
+    horizon: int,
+    discount: float,
 ) -> dict[str, Row]:
     """Importance sampling by name, on the episodes of a log whose actions are numbers.
 
@@ -241,11 +353,18 @@ def sampling_rows(
     before, after = consecutive(log)
     following = np.append(np.where(log.terminated, n, 0), n)
     following[before] = after
-    entries = np.ones((n + 1) * n_actions), np.repeat(following, n_actions), np.arange((n + 1) * n_actions + 1)
+    entries = (
+        np.ones((n + 1) * n_actions),
+        np.repeat(following, n_actions),
+        np.arange((n + 1) * n_actions + 1),
+    )
     kernel = sparse.csr_array(entries, shape=((n + 1) * n_actions, n + 1))
     rewards = np.zeros(n + 1) if log.reward is None else np.append(log.reward, 0.0)
     mdp = FiniteMDP(kernel, rewards, np.full(n + 1, 1.0 / (n + 1)), discount)
-    columns: dict[str, Any] = log.columns() | {"state": np.arange(n), "next_state": following[:n]}
+    columns: dict[str, Any] = log.columns() | {
+        "state": np.arange(n),
+        "next_state": following[:n],
+    }
     columns["truncated"] = ~np.isin(np.arange(n), before) & ~log.terminated
     if log.reward is None:  # there is nothing to average
         columns |= {"episode": None, "timestep": None}
@@ -253,7 +372,9 @@ def sampling_rows(
 
     def weigh(estimator: Estimator, policy: StatePolicy) -> Estimate:
         table = check_probabilities(policy, log.state, n_actions)
-        return estimator(problem, np.vstack([table, np.full(n_actions, 1.0 / n_actions)]))
+        return estimator(
+            problem, np.vstack([table, np.full(n_actions, 1.0 / n_actions)])
+        )
 
     return {name: partial(weigh, estimator) for name, estimator in wanted.items()}
 
@@ -267,7 +388,13 @@ def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimat
         None if is_headline else mc.standard_error,
         {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes},
     )
-    return Estimate(mc.value, error, diagnostics=facts, is_headline=is_headline, is_from_log=not is_headline)
+    return Estimate(
+        mc.value,
+        error,
+        diagnostics=facts,
+        is_headline=is_headline,
+        is_from_log=not is_headline,
+    )
 
 
 def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
@@ -275,10 +402,12 @@ def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
     distance, beyond = policy.rounding(states)
     if distance == beyond == 0.0:
         return ""
-    cut = f" {beyond:.0%} of them lie beyond the range of these and are cut to it." * (beyond > 0.0)
+    cut = f" {beyond:.0%} of them lie beyond the range of these and are cut to it." * (
+        beyond > 0.0
+    )
     return (
-        f"The commands of “{name}” are rounded to the task's {len(policy.actions)} commands, by {distance:.2g} (root mean "
-        f"square in the log's states).{cut}"
+        f"The commands of “{name}” are rounded to the task's {len(policy.actions)}"
+        f" commands, by {distance:.2g} (root mean square in the log's states).{cut}"
     )
 
 
@@ -293,13 +422,17 @@ def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:
         return ""
     k = int(distance.argmax())
     return (
-        f"The log's rewards contradict the simulator's r(s, a, s') in {bad.size} of {len(log)} transitions. The reward of row "
-        f"{k} is {log.reward[k]:g} in the log and {known[k]:g} in the simulator. The simulator's rewards are used"
+        f"The log's rewards contradict the simulator's r(s, a, s') in {bad.size} of"
+        f" {len(log)} transitions. The reward of row {k} is {log.reward[k]:g} in the"
+        f" log and {known[k]:g} in the simulator. The simulator's rewards are used"
     )
 
 
 def _names(names: object, argument: str) -> list[str]:
-    checked = [_checks.instance(name, str, argument, "names") for name in _checks.collection(names, argument, "names")]
+    checked = [
+        _checks.instance(name, str, argument, "names")
+        for name in _checks.collection(names, argument, "names")
+    ]
     if not checked:
         raise ValueError(f"{argument} must hold at least one name; it is empty")
     return checked
@@ -310,12 +443,28 @@ def _choose_estimators(
 ) -> tuple[dict[str, Estimator], list[str]]:
     """Estimators by name, those of finite problems only where there are cells, and a sentence on the others."""
     if names is None:
-        is_weighted = all(column is not None for column in (log.reward, log.episode, log.behavior_probability))
-        names = ["oee", *["simulator", "model-based"] * has_cells, *["pdis", "wpdis"] * is_weighted]
+        is_weighted = all(
+            column is not None
+            for column in (log.reward, log.episode, log.behavior_probability)
+        )
+        names = [
+            "oee",
+            *["simulator", "model-based"] * has_cells,
+            *["pdis", "wpdis"] * is_weighted,
+        ]
     estimators, kinds = named_estimators(names), (ImportanceSampling, Simulator)
-    gone = [name for name, e in estimators.items() if not (has_cells or isinstance(e, kinds) or e == OffEnvironment())]
-    sentence = f"{', '.join(gone)} {'is' if len(gone) == 1 else 'are'} left out: they need cells."
-    return {name: e for name, e in estimators.items() if name not in gone}, [sentence] * bool(gone)
+    gone = [
+        name
+        for name, e in estimators.items()
+        if not (has_cells or isinstance(e, kinds) or e == OffEnvironment())
+    ]
+    sentence = (
+        f"{', '.join(gone)} {'is' if len(gone) == 1 else 'are'} left out: they need"
+        " cells."
+    )
+    return {name: e for name, e in estimators.items() if name not in gone}, [
+        sentence
+    ] * bool(gone)
 
 
 def _report_rows(
@@ -334,15 +483,34 @@ def _report_rows(
     """The report of rows without a finite problem, each beside its own interval."""
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if _checks.boolean(guaranteed, "guaranteed"):
-        raise ValueError("guaranteed must be False without cells: guaranteed intervals need a finite simulator")
+        raise ValueError(
+            "guaranteed must be False without cells: guaranteed intervals need a finite"
+            " simulator"
+        )
     if _checks.boolean(normalized, "normalized") and discount == 1.0:
-        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
+        raise ValueError(
+            "normalized must be False at discount 1: the factor (1 - discount) would"
+            " be 0"
+        )
     _checks.boolean(quick, "quick")
     scale = 1.0 - discount if normalized else 1.0
     results = []
     for name, policy in policies.items():
         for label, row in rows.items():
             _progress.report_step(f"{label} of “{name}”")
-            results.append(Result(name, label, choose_interval(row(policy), None, level, scale)))
+            results.append(
+                Result(name, label, choose_interval(row(policy), None, level, scale))
+            )
     texts, notes = number_notes(results, group_findings(results))
-    return Report(tuple(results), {}, texts, notes, level, normalized, discount, horizon, seed, facts)
+    return Report(
+        tuple(results),
+        {},
+        texts,
+        notes,
+        level,
+        normalized,
+        discount,
+        horizon,
+        seed,
+        facts,
+    )

@@ -27,8 +27,10 @@ from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask
 
 N_JOINTS = 7
-N_ARM_STATES = 27  # position 3, angles, speeds and references 7 each, the last command 3
-HOME = np.array([0.0, 0.26179939, np.pi, -2.26892803, 0.0, 0.95993109, 1.57079633])  # rad, the usual resting pose
+# position 3, angles, speeds and references 7 each, the last command 3
+N_ARM_STATES = 27
+# rad, the usual resting pose
+HOME = np.array([0.0, 0.26179939, np.pi, -2.26892803, 0.0, 0.95993109, 1.57079633])
 FARTHEST = 1.3  # m: beyond the reach of a Gen3
 MOST_TURNS = 8 * np.pi  # rad: continuous joints count turns, but not so many
 HORIZON = 25  # commands of a run
@@ -43,8 +45,15 @@ def arm_xml() -> str:
 @functools.cache
 def _chain() -> tuple[Array, Array]:
     """Offsets (8, 3) in m and turns about x (8,) in rad: seven joints and the end effector."""
-    bodies = [body.attrib for body in ElementTree.fromstring(arm_xml()).iter("body") if "euler" in body.attrib]
-    offsets, turns = ([[float(x) for x in body[name].split()] for body in bodies] for name in ("pos", "euler"))
+    bodies = [
+        body.attrib
+        for body in ElementTree.fromstring(arm_xml()).iter("body")
+        if "euler" in body.attrib
+    ]
+    offsets, turns = (
+        [[float(x) for x in body[name].split()] for body in bodies]
+        for name in ("pos", "euler")
+    )
     return np.array(offsets), np.array(turns)[:, 0]
 
 
@@ -76,7 +85,10 @@ def end_effector(joints: Array) -> Array:
     """
     angles = _checks.float_array(joints, "joints")
     if angles.ndim != 2 or angles.shape[1] != N_JOINTS:
-        raise ValueError(f"joints must have shape (n, {N_JOINTS}), angles in rad; it has shape {angles.shape}")
+        raise ValueError(
+            f"joints must have shape (n, {N_JOINTS}), angles in rad; it has shape"
+            f" {angles.shape}"
+        )
     _checks.require_finite(angles, "joints")
     return _frames(angles)[2]
 
@@ -100,17 +112,36 @@ PERIOD = 0.2  # s between commands
 STEP = SPEED * PERIOD  # m: how far a command should move the hand
 COMMANDS = freeze(np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3))))
 CENTER = freeze(end_effector(HOME[None])[0])
-DEAD_BAND = 0.75 * STEP  # m: an arm that moves up to 1.5 times as far as asked does not hunt about its goal
-GOALS = freeze(CENTER + np.array([  # m: whole steps from home, about 0.23 m, each in another direction
-    [0.16, 0.18, 0.08], [0.14, -0.18, 0.06], [-0.12, 0.18, 0.12], [-0.10, -0.16, -0.12], [0.18, 0.06, -0.14],
-]))  # fmt: skip
-REACH = np.array([0.24, 0.24, 0.20])  # m on either side of home: what the finite MDP covers
+# m: an arm that moves up to 1.5 times as far as asked does not hunt about its goal
+DEAD_BAND = 0.75 * STEP
+# m: whole steps from home, about 0.23 m, each in another direction
+GOALS = freeze(
+    CENTER
+    + np.array(
+        [
+            [0.16, 0.18, 0.08],
+            [0.14, -0.18, 0.06],
+            [-0.12, 0.18, 0.12],
+            [-0.10, -0.16, -0.12],
+            [0.18, 0.06, -0.14],
+        ]
+    )
+)
+# m on either side of home: what the finite MDP covers
+REACH = np.array([0.24, 0.24, 0.20])
 
 
 def goal_number(goal: object) -> int:
     """``goal`` as a row number of GOALS."""
-    if isinstance(goal, bool) or not isinstance(goal, int | np.integer) or not 0 <= goal < len(GOALS):
-        raise ValueError(f"goal must be in 0..{len(GOALS) - 1}, a row of GOALS; it is {_checks.show(goal)}")
+    if (
+        isinstance(goal, bool)
+        or not isinstance(goal, int | np.integer)
+        or not 0 <= goal < len(GOALS)
+    ):
+        raise ValueError(
+            f"goal must be in 0..{len(GOALS) - 1}, a row of GOALS; it is"
+            f" {_checks.show(goal)}"
+        )
     return int(goal)
 
 
@@ -124,7 +155,8 @@ class HandTask(ContinuousTask):
     periodic = (False,) * 3
     terminates = False
     is_translation_invariant = True
-    default_cells = tuple((2 * np.round(REACH / STEP) + 1).astype(int).tolist())  # vertices a command's step apart
+    # vertices a command's step apart
+    default_cells = tuple((2 * np.round(REACH / STEP) + 1).astype(int).tolist())
     goal: int
 
     def features(self, states: Array) -> Array:
@@ -178,7 +210,10 @@ class KinovaPolicy:
     def __call__(self, states: Array) -> Array:
         """(n, 27) probabilities of the commands."""
         apart = GOALS[self.goal] - states[:, :3]
-        command = np.where(np.abs(apart) > DEAD_BAND, np.sign(apart), 0.0).astype(np.int64) + 1
+        command = (
+            np.where(np.abs(apart) > DEAD_BAND, np.sign(apart), 0.0).astype(np.int64)
+            + 1
+        )
         table = np.full((len(states), len(COMMANDS)), self.delta / len(COMMANDS))
         table[np.arange(len(states)), command @ np.array([9, 3, 1])] += 1.0 - self.delta
         return table
@@ -188,7 +223,12 @@ kinova_policy = KinovaPolicy
 
 
 def record_goals(
-    arm: HandTask, *, n_runs: int = 10, delta: float = 0.0, horizon: int = HORIZON, seed: Any = None
+    arm: HandTask,
+    *,
+    n_runs: int = 10,
+    delta: float = 0.0,
+    horizon: int = HORIZON,
+    seed: Any = None,
 ) -> ContinuousTransitions:
     """``n_runs`` runs to each of the five goals under ``kinova_policy(goal, delta)``, by default the paper's 50 trajectories.
 
@@ -211,13 +251,21 @@ def record_goals(
     steps = _checks.positive_integer(horizon, "horizon")
     rng = _checks.generator(seed)
     parts = [
-        record(arm.towards(g), kinova_policy(g, delta), n_episodes=runs, max_steps=steps, seed=rng)
+        record(
+            arm.towards(g),
+            kinova_policy(g, delta),
+            n_episodes=runs,
+            max_steps=steps,
+            seed=rng,
+        )
         for g in range(len(GOALS))
     ]
     return ContinuousTransitions.concatenate(parts)
 
 
-def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> ContinuousTransitions:
+def hand_log(
+    log: ContinuousTransitions, *, speed: float | None = None
+) -> ContinuousTransitions:
     """The same transitions with the hand's position (n, 3) in m as the state, and commands in {-1, 0, 1}^3.
 
     Parameters
@@ -237,18 +285,28 @@ def hand_log(log: ContinuousTransitions, *, speed: float | None = None) -> Conti
     """
     _checks.instance(log, ContinuousTransitions, "log")
     columns: dict[str, Any] = log.columns()
-    columns |= {name: _positions(columns[name], name) for name in ("state", "next_state")}
+    columns |= {
+        name: _positions(columns[name], name) for name in ("state", "next_state")
+    }
     if speed is not None:
         scale = _checks.number_in(speed, "speed", 0.0, np.inf, open_ends=True)
         if log.action.ndim != 2:
-            raise ValueError("speed must be None where log.action has numbers of commands; it is not None")
+            raise ValueError(
+                "speed must be None where log.action has numbers of commands; it is not"
+                " None"
+            )
         columns["action"] = log.action / scale
     if columns["action"].ndim == 2 and columns["action"].shape[1] != COMMANDS.shape[1]:
-        raise ValueError(f"log.action must have 3 coordinates, along x, y, z; it has {columns['action'].shape[1]}")
+        raise ValueError(
+            "log.action must have 3 coordinates, along x, y, z; it has"
+            f" {columns['action'].shape[1]}"
+        )
     return ContinuousTransitions(**columns)
 
 
-def load_kinova_log(path: str | os.PathLike[str], *, speed: float | None = None) -> ContinuousTransitions:
+def load_kinova_log(
+    path: str | os.PathLike[str], *, speed: float | None = None
+) -> ContinuousTransitions:
     """``hand_log`` of a file: .csv, .parquet, .npz, or a Minari folder or id with continuous observations.
 
     Parameters
@@ -278,13 +336,20 @@ def _positions(states: Array, name: str) -> Array:
     width = states.shape[1]
     if width not in (3, N_JOINTS, N_ARM_STATES):
         raise ValueError(
-            f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles) or {N_ARM_STATES} (the stand-in's "
-            f"state); it has {width}"
+            f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles)"
+            f" or {N_ARM_STATES} (the stand-in's state); it has {width}"
         )
     is_angles = width == N_JOINTS
-    limit, what = (MOST_TURNS, "joint angles in rad") if is_angles else (FARTHEST, "positions in m")
+    limit, what = (
+        (MOST_TURNS, "joint angles in rad")
+        if is_angles
+        else (FARTHEST, "positions in m")
+    )
     array = states if is_angles else np.array(states[:, :3])
     for place in np.argwhere(np.abs(array) > limit):
         where = _checks.place(f"log.{name}", tuple(place))
-        raise ValueError(f"{where} must be within +-{limit:.4g}: {what}; it is {array[tuple(place)]:g}")
+        raise ValueError(
+            f"{where} must be within +-{limit:.4g}: {what}; it is"
+            f" {array[tuple(place)]:g}"
+        )
     return end_effector(array) if is_angles else array

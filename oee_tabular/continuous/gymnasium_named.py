@@ -26,44 +26,73 @@ from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import SLOW, ContinuousSimulator, as_simulator
 from oee_tabular.tasks.toy_text import environment_exists
 
-OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")  # MODULE:EnvId-v0
-N_LEVELS = {1: 9, 2: 5}  # of each coordinate of a command, by how many coordinates there are
+# MODULE:EnvId-v0
+OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")
+# of each coordinate of a command, by how many coordinates there are
+N_LEVELS = {1: 9, 2: 5}
 MAX_COMMANDS = 1000
 HORIZON = 1000  # where the environment has no limit
 HINGE = 3  # mujoco.mjtJoint.mjJNT_HINGE
-# fields of a MuJoCo model whose elements have names: the kind of the name, and how many there are
+# fields of a MuJoCo model whose elements have names: the kind of the name, and how many
+# there are
 ELEMENTS = {
-    "body_mass": ("body", "nbody"), "dof_damping": ("joint", "nv"), "dof_armature": ("joint", "nv"),
-    "dof_frictionloss": ("joint", "nv"), "jnt_stiffness": ("joint", "njnt"), "actuator_gear": ("actuator", "nu"),
+    "body_mass": ("body", "nbody"),
+    "dof_damping": ("joint", "nv"),
+    "dof_armature": ("joint", "nv"),
+    "dof_frictionloss": ("joint", "nv"),
+    "jnt_stiffness": ("joint", "njnt"),
+    "actuator_gear": ("actuator", "nu"),
     "geom_friction": ("geom", "ngeom"),
-}  # fmt: skip
-
-
-_CAR = {"state_names": ("position", "speed"), "low": (-1.2, -0.07), "high": (0.6, 0.07)} | {
-    "over": lambda env, states: (states[:, 0] >= env.goal_position) & (states[:, 1] >= env.goal_velocity)
 }
-# by the name of the class, or of one that it is made from: what GymnasiumTask takes; ``over`` takes the environment as well
+
+
+_CAR = {
+    "state_names": ("position", "speed"),
+    "low": (-1.2, -0.07),
+    "high": (0.6, 0.07),
+} | {
+    "over": lambda env, states: (
+        (states[:, 0] >= env.goal_position) & (states[:, 1] >= env.goal_velocity)
+    )
+}
+# by the name of the class, or of one that it is made from: what GymnasiumTask takes;
+# ``over`` takes the environment as well
 CLASSIC: Mapping[str, dict[str, Any]] = {
     "CartPoleEnv": {
-        "state_names": ("x", "x_dot", "theta", "theta_dot"), "low": (-2.4, -3.0, -0.21, -3.2),
+        "state_names": ("x", "x_dot", "theta", "theta_dot"),
+        "low": (-2.4, -3.0, -0.21, -3.2),
         "high": (2.4, 3.0, 0.21, 3.2),
-        "over": lambda env, states: (np.abs(states[:, [0, 2]]) > [env.x_threshold, env.theta_threshold_radians]).any(axis=1),
+        "over": (
+            lambda env, states: (
+                np.abs(states[:, [0, 2]])
+                > [env.x_threshold, env.theta_threshold_radians]
+            ).any(axis=1)
+        ),
     },
     "PendulumEnv": {
-        "state_names": ("angle", "speed"), "low": (-np.pi, -8.0), "high": (np.pi, 8.0), "periodic": (True, False),
+        "state_names": ("angle", "speed"),
+        "low": (-np.pi, -8.0),
+        "high": (np.pi, 8.0),
+        "periodic": (True, False),
         "terminates": False,
     },
     "MountainCarEnv": _CAR,
     "Continuous_MountainCarEnv": _CAR,
     "AcrobotEnv": {
-        "state_names": ("angle_1", "angle_2", "speed_1", "speed_2"), "low": (-np.pi, -np.pi, -4 * np.pi, -9 * np.pi),
-        "high": (np.pi, np.pi, 4 * np.pi, 9 * np.pi), "periodic": (True, True, False, False),
-        "over": lambda env, states: -np.cos(states[:, 0]) - np.cos(states[:, 1] + states[:, 0]) > 1.0,
+        "state_names": ("angle_1", "angle_2", "speed_1", "speed_2"),
+        "low": (-np.pi, -np.pi, -4 * np.pi, -9 * np.pi),
+        "high": (np.pi, np.pi, 4 * np.pi, 9 * np.pi),
+        "periodic": (True, True, False, False),
+        "over": lambda env, states: (
+            -np.cos(states[:, 0]) - np.cos(states[:, 1] + states[:, 0]) > 1.0
+        ),
     },
-}  # fmt: skip
+}
 
 
-def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object = None) -> ContinuousSimulator:
+def gymnasium_simulator(
+    spec: str, *, state: str | None = None, actions: object = None
+) -> ContinuousSimulator:
     """The Gymnasium environment that ``spec`` names, as a continuous simulator.
 
     Parameters
@@ -87,10 +116,15 @@ def gymnasium_simulator(spec: str, *, state: str | None = None, actions: object 
     physics = Physics(*gymnasium_spec(spec))
     env = physics.make()
     env.reset(seed=0)
-    known = _find_state(env, physics.identifier) if state is None else _parse_state(state)
+    known = (
+        _find_state(env, physics.identifier) if state is None else _parse_state(state)
+    )
     if "over" in known:
         known["over"] = partial(known["over"], env)
-    known |= {"actions": action_set(env.action_space, actions), "make_vector": physics.make_vector}
+    known |= {
+        "actions": action_set(env.action_space, actions),
+        "make_vector": physics.make_vector,
+    }
     task = GymnasiumTask(physics.make, parameters=physics.given, **known)
     task.family, physics.task = physics, task
     return as_simulator(task, env.spec.max_episode_steps or HORIZON, name=spec, **SLOW)
@@ -103,7 +137,9 @@ def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
     ('Pendulum-v1', {'g': 9.0})
     """
     named = _register(spec)
-    return parse_spec(named if re.match("[^,]*:", named) else named.replace(",", ":", 1))
+    return parse_spec(
+        named if re.match("[^,]*:", named) else named.replace(",", ":", 1)
+    )
 
 
 def is_continuous_id(spec: str) -> bool:
@@ -133,12 +169,22 @@ def _register(spec: str) -> str:
 
 
 def _parse_state(state: str) -> dict[str, Any]:
-    names, module = [name.strip() for name in state.split(",", 1)], state.partition(":")[0]
+    names, module = (
+        [name.strip() for name in state.split(",", 1)],
+        state.partition(":")[0],
+    )
     if len(names) < 2:
-        raise ValueError(f"--task-option state must be like my_module:get,set, two functions; got {state!r}")
+        raise ValueError(
+            "--task-option state must be like my_module:get,set, two functions; got"
+            f" {state!r}"
+        )
     with own_modules():
         get, write = (
-            own_object(name if ":" in name else f"{module}:{name}", "--task-option state", "my_module:get,set")
+            own_object(
+                name if ":" in name else f"{module}:{name}",
+                "--task-option state",
+                "my_module:get,set",
+            )
             for name in names
         )
     return {"get_state": get, "set_state": write}
@@ -153,14 +199,20 @@ def _find_state(env: Any, identifier: str) -> dict[str, Any]:
         return _describe_mujoco(env.model)
     state = getattr(env, "state", None)
     try:
-        is_vector = state is not None and np.array(state, dtype=np.float64).ndim == 1 and np.size(state) > 0
+        is_vector = (
+            state is not None
+            and np.array(state, dtype=np.float64).ndim == 1
+            and np.size(state) > 0
+        )
     except (TypeError, ValueError):
         is_vector = False
     if not is_vector:
         raise ValueError(
-            f"environment {identifier!r} must have a state that can be set, unwrapped.state (numbers) or "
-            "unwrapped.set_state(qpos, qvel); it has neither. Write two functions, get(env) -> numbers and set(env, numbers), "
-            "and name them: --task-option state=MODULE:GET,SET (tasks.GymnasiumTask in Python)"
+            f"environment {identifier!r} must have a state that can be set,"
+            " unwrapped.state (numbers) or unwrapped.set_state(qpos, qvel); it has"
+            " neither. Write two functions, get(env) -> numbers and set(env, numbers),"
+            " and name them: --task-option state=MODULE:GET,SET (tasks.GymnasiumTask"
+            " in Python)"
         )
     return {}
 
@@ -168,19 +220,29 @@ def _find_state(env: Any, identifier: str) -> dict[str, Any]:
 def _describe_mujoco(model: Any) -> dict[str, Any]:
     """(qpos, qvel); hinges without a range are angles."""
     nq = int(model.nq)
-    names = tuple(f"qpos_{i}" for i in range(nq)) + tuple(f"qvel_{i}" for i in range(int(model.nv)))
-    free = (np.asarray(model.jnt_type) == HINGE) & ~np.asarray(model.jnt_limited, dtype=np.bool_)
+    names = tuple(f"qpos_{i}" for i in range(nq)) + tuple(
+        f"qvel_{i}" for i in range(int(model.nv))
+    )
+    free = (np.asarray(model.jnt_type) == HINGE) & ~np.asarray(
+        model.jnt_limited, dtype=np.bool_
+    )
     turns = set(np.asarray(model.jnt_qposadr)[free].tolist())
 
     def get(env: Any) -> Array:
         return np.concatenate([env.unwrapped.data.qpos, env.unwrapped.data.qvel])
 
     def write(env: Any, state: Array) -> None:
-        env.unwrapped.data.qacc_warmstart[:] = 0.0  # of the step before, which is another's
+        # of the step before, which is another's
+        env.unwrapped.data.qacc_warmstart[:] = 0.0
         env.unwrapped.set_state(np.array(state[:nq]), np.array(state[nq:]))
 
     periodic = tuple(i in turns for i in range(len(names)))
-    return {"get_state": get, "set_state": write, "state_names": names, "periodic": periodic}
+    return {
+        "get_state": get,
+        "set_state": write,
+        "state_names": names,
+        "periodic": periodic,
+    }
 
 
 def action_set(space: Any, given: Any = None) -> Array:
@@ -206,17 +268,25 @@ def action_set(space: Any, given: Any = None) -> Array:
     if hasattr(space, "n"):
         if given is not None:
             raise ValueError(
-                f"actions must be left out where the environment has {space}; they are {_checks.show(given)}"
+                f"actions must be left out where the environment has {space}; they are"
+                f" {_checks.show(given)}"
             )
-        return np.asarray(int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64)
+        return np.asarray(
+            int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64
+        )
     if len(getattr(space, "shape", None) or ()) != 1 or not hasattr(space, "low"):
-        raise ValueError(f"env.action_space must be Discrete, or a Box of vectors; it is {space}")
+        raise ValueError(
+            f"env.action_space must be Discrete, or a Box of vectors; it is {space}"
+        )
     k = space.shape[0]
     count = N_LEVELS.get(k, 3) if given is None else given
     if isinstance(count, int):
         n = _checks.positive_integer(count, "actions")
         if not np.isfinite([space.low, space.high]).all():
-            raise ValueError(f"actions must be given for {space}, whose range has no end: levels such as [-1,0,1]")
+            raise ValueError(
+                f"actions must be given for {space}, whose range has no end: levels"
+                " such as [-1,0,1]"
+            )
         levels = list(np.linspace(space.low, space.high, n).T)
     else:
         levels = [_checks.float_array(count, "actions", ndim=(1, 2))] * k
@@ -224,7 +294,8 @@ def action_set(space: Any, given: Any = None) -> Array:
     if table.ndim == 1:
         if float(n_levels) ** k > MAX_COMMANDS:
             raise ValueError(
-                f"actions must be at most {MAX_COMMANDS} in all; {n_levels} levels of {k} coordinates are more"
+                f"actions must be at most {MAX_COMMANDS} in all; {n_levels} levels of"
+                f" {k} coordinates are more"
             )
         table = np.array(list(itertools.product(*levels)))
     for i, row in enumerate(table):
@@ -245,29 +316,49 @@ class Physics:
         import gymnasium
 
         environment_exists(identifier)
-        self.identifier, self.given, self.spec = identifier, dict(given), gymnasium.spec(identifier)
+        self.identifier, self.given, self.spec = (
+            identifier,
+            dict(given),
+            gymnasium.spec(identifier),
+        )
         self._takes = inspect.signature(_load(self.spec.entry_point)).parameters
-        self._arguments = {key: x for key, x in given.items() if key in self._takes or key in self.spec.kwargs}
+        self._arguments = {
+            key: x
+            for key, x in given.items()
+            if key in self._takes or key in self.spec.kwargs
+        }
         self._constants: dict[str, Any] = {}
         self._fields: dict[str, Any] = {}
         for key, value in self._arguments.items():
             if key in self._takes and _is_number(self._takes[key].default):
                 _checks.number_in(value, key, -np.inf, np.inf)
-        rest = {key: value for key, value in given.items() if key not in self._arguments}
+        rest = {
+            key: value for key, value in given.items() if key not in self._arguments
+        }
         if not rest:
             return
         env = self.make()
-        inner, elements, known = env.unwrapped, _elements(env.unwrapped), _numbers_of(env.unwrapped)
+        inner, elements, known = (
+            env.unwrapped,
+            _elements(env.unwrapped),
+            _numbers_of(env.unwrapped),
+        )
         for key, value in rest.items():
             holders = (inner.model, inner.model.opt) if elements else ()
-            if not hasattr(inner, key) and (key in elements or any(hasattr(each, key) for each in holders)):
+            if not hasattr(inner, key) and (
+                key in elements or any(hasattr(each, key) for each in holders)
+            ):
                 self._fields[key] = value
                 continue
             if key not in known:
-                takes = ", ".join(name for name in self._takes if name != "kwargs") or "none"
+                takes = (
+                    ", ".join(name for name in self._takes if name != "kwargs")
+                    or "none"
+                )
                 raise ValueError(
-                    f"{key} must be an argument or a number of {identifier}: it takes {takes} and has "
-                    f"{', '.join(known) or 'none'}; got {key}={value!r}"
+                    f"{key} must be an argument or a number of {identifier}: it takes"
+                    f" {takes} and has {', '.join(known) or 'none'}; got"
+                    f" {key}={value!r}"
                 )
             self._constants[key] = _checks.number_in(value, key, -np.inf, np.inf)
         env.close()
@@ -276,24 +367,42 @@ class Physics:
         """The environment, without Gymnasium's wrappers."""
         import gymnasium
 
-        owner, arguments = _load(getattr(self.spec, point)), self.spec.kwargs | self._arguments | arguments
+        owner, arguments = (
+            _load(getattr(self.spec, point)),
+            self.spec.kwargs | self._arguments | arguments,
+        )
         if self._constants:
             if not isinstance(owner, type):
                 raise ValueError(
-                    f"{next(iter(self._constants))} must be an argument of {self.identifier}, which is made by a function"
+                    f"{next(iter(self._constants))} must be an argument of"
+                    f" {self.identifier}, which is made by a function"
                 )
 
             def hold(env: object, name: str, value: object) -> None:
                 object.__setattr__(env, name, self._constants.get(name, value))
 
-            members = self._constants | {"__setattr__": hold, "__module__": owner.__module__}
+            members = self._constants | {
+                "__setattr__": hold,
+                "__module__": owner.__module__,
+            }
             owner = type(owner.__name__, (owner,), members)
         try:
             env = owner(**arguments)
         except gymnasium.error.Error as error:
-            raise ValueError(f"environment {self.identifier!r} cannot be made: {error}") from None
-        except (TypeError, LookupError, ValueError, ArithmeticError, AttributeError, AssertionError) as error:
-            raise ValueError(f"environment {self.identifier!r} does not take {arguments}: {error}") from None
+            raise ValueError(
+                f"environment {self.identifier!r} cannot be made: {error}"
+            ) from None
+        except (
+            TypeError,
+            LookupError,
+            ValueError,
+            ArithmeticError,
+            AttributeError,
+            AssertionError,
+        ) as error:
+            raise ValueError(
+                f"environment {self.identifier!r} does not take {arguments}: {error}"
+            ) from None
         env.spec = self.spec
         for key, value in self._fields.items():
             _set_field(env.unwrapped, key, value)
@@ -309,15 +418,23 @@ class Physics:
     def __call__(self, **parameters: float) -> Any:
         """The task with these parameters."""
         changed = Physics(self.identifier, self.given | parameters)
-        return self.task.with_environment(changed.make, changed.make_vector, changed.given)
+        return self.task.with_environment(
+            changed.make, changed.make_vector, changed.given
+        )
 
     def known(self) -> dict[str, float]:
         """Name -> number, as it is: arguments, constants, and elements of a MuJoCo model (body_mass.pole)."""
         env = self.make()
-        found = {name: p.default for name, p in self._takes.items()} | _numbers_of(env.unwrapped) | self.given
+        found = (
+            {name: p.default for name, p in self._takes.items()}
+            | _numbers_of(env.unwrapped)
+            | self.given
+        )
         found |= {name: values[0] for name, values in _elements(env.unwrapped).items()}
         env.close()
-        return {name: float(value) for name, value in found.items() if _is_number(value)}
+        return {
+            name: float(value) for name, value in found.items() if _is_number(value)
+        }
 
 
 def _load(point: object) -> Any:
@@ -333,7 +450,11 @@ def _is_number(value: object) -> bool:
 def _numbers_of(inner: object) -> dict[str, Any]:
     """The attributes of an environment that are numbers, its class's too, by name; none that are computed."""
     names = [name for name in sorted(dir(inner)) if not name.startswith("_")]
-    plain = [name for name in names if not isinstance(inspect.getattr_static(inner, name, None), property)]
+    plain = [
+        name
+        for name in names
+        if not isinstance(inspect.getattr_static(inner, name, None), property)
+    ]
     return {name: x for name in plain if _is_number(x := getattr(inner, name, None))}
 
 
@@ -344,7 +465,9 @@ def _elements(inner: Any) -> dict[str, Any]:
     for field, (kind, count) in ELEMENTS.items() if hasattr(model, "nbody") else ():
         values = getattr(model, field)
         for k in range(getattr(model, count)):
-            name = getattr(model, kind)(int(model.dof_jntid[k]) if count == "nv" else k).name or str(k)
+            name = getattr(model, kind)(
+                int(model.dof_jntid[k]) if count == "nv" else k
+            ).name or str(k)
             found.setdefault(f"{field}.{name}", values.reshape(len(values), -1)[k])
     return found
 
@@ -358,10 +481,14 @@ def _set_field(inner: Any, key: str, value: Any) -> None:
         elements[key][0] = _checks.number_in(value, key, -np.inf, np.inf)
     else:
         holder = model if hasattr(model, key) else model.opt
-        own, found = np.asarray(getattr(holder, key)), _checks.float_array(value, key, ndim=(0, 1, 2))
+        own, found = (
+            np.asarray(getattr(holder, key)),
+            _checks.float_array(value, key, ndim=(0, 1, 2)),
+        )
         if found.shape != own.shape:
             raise ValueError(
-                f"{key} must have shape {own.shape}, as in the model: {own.tolist()}; it has shape {found.shape}"
+                f"{key} must have shape {own.shape}, as in the model: {own.tolist()};"
+                f" it has shape {found.shape}"
             )
         setattr(holder, key, found if own.ndim else own.dtype.type(found))
     mujoco.mj_setConst(model, inner.data)

@@ -19,13 +19,22 @@ from numpy.typing import NDArray
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray, freeze
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
-from oee_tabular.continuous.task import NO_CHANCE, Chance, ContinuousTask, Moves, StatePolicy, check_probabilities
+from oee_tabular.continuous.task import (
+    NO_CHANCE,
+    Chance,
+    ContinuousTask,
+    Moves,
+    StatePolicy,
+    check_probabilities,
+)
 
 FEWEST_AT_ONCE = 16  # states
 LOOKED = 1000  # steps by which usual ranges are found
 MAX_DRAWS = 64  # in a step
 SAME_STEP = 0.02  # of a coordinate's usual step: a step that is repeated
-FEW = 0.05  # share of steps that may be another (contacts, whose solvers remember): told, not refused
+# share of steps that may be another (contacts, whose solvers remember): told, not
+# refused
+FEW = 0.05
 
 
 def read_state(env: Any) -> Array:
@@ -112,18 +121,29 @@ class GymnasiumTask(ContinuousTask):
         check_steps: int = 200,
     ) -> None:
         _checks.boolean(terminates, "terminates")
-        for name, function in (("make", make), ("get_state", get_state), ("set_state", set_state)):
+        for name, function in (
+            ("make", make),
+            ("get_state", get_state),
+            ("set_state", set_state),
+        ):
             _checks.function(function, name)
         self._make, self._get, self._set, self._over = make, get_state, set_state, over
-        self._reward_between, self._parameters, self._env = reward_between, dict(parameters or {}), make()
+        self._reward_between, self._parameters, self._env = (
+            reward_between,
+            dict(parameters or {}),
+            make(),
+        )
         self._env.reset(seed=0)
         state = self.read(self._env)
         if state_names is None:
-            state_names = getattr(self._env.unwrapped, "state_names", None) or [f"state_{i}" for i in range(state.size)]
+            state_names = getattr(self._env.unwrapped, "state_names", None) or [
+                f"state_{i}" for i in range(state.size)
+            ]
         self.state_names = self.feature_names = tuple(state_names)
         if state.shape != (self.n_state,):
             raise ValueError(
-                f"get_state must return the {self.n_state} numbers of state_names; it returns shape {state.shape}"
+                f"get_state must return the {self.n_state} numbers of state_names; it"
+                f" returns shape {state.shape}"
             )
         spec = getattr(self._env, "spec", None)
         self.name = "environment" if spec is None else str(spec.id)
@@ -135,26 +155,40 @@ class GymnasiumTask(ContinuousTask):
         for number in range(len(self.actions)):
             if not self._env.action_space.contains(self.command(number)):
                 raise ValueError(
-                    f"actions[{number}] must be in {self._env.action_space}; it is {self.actions[number].tolist()}"
+                    f"actions[{number}] must be in {self._env.action_space}; it is"
+                    f" {self.actions[number].tolist()}"
                 )
-        found = self._find_ranges(make()) if low is None or high is None else (low, high)
+        found = (
+            self._find_ranges(make()) if low is None or high is None else (low, high)
+        )
         for name, own, given in zip(("low", "high"), found, (low, high), strict=True):
             end = _checks.float_array(own if given is None else given, name)
             if end.shape != state.shape:
                 raise ValueError(
-                    f"{name} must have shape {state.shape}, one for each of state_names; it has shape {end.shape}"
+                    f"{name} must have shape {state.shape}, one for each of"
+                    f" state_names; it has shape {end.shape}"
                 )
             setattr(self, f"feature_{name}", end)
         self._set(self._env, state)
         if not np.array_equal(kept := self.read(self._env), state):
-            raise ValueError(f"set_state must set what get_state reads; {state.tolist()} became {kept.tolist()}")
-        self.family: Any = None  # of parameters by name makes the task with them; where that is known (Physics)
+            raise ValueError(
+                f"set_state must set what get_state reads; {state.tolist()} became"
+                f" {kept.tolist()}"
+            )
+        # of parameters by name makes the task with them; where that is known (Physics)
+        self.family: Any = None
         self._make_vector = make_vector
         self._at_once: Callable[[GymnasiumTask, Array, IntArray], Moves] | None = None
         if check_steps:
-            record = self._check_steps(make(), _checks.positive_integer(check_steps, "check_steps"))
-            ways = [GymnasiumTask._step_arrays] + [GymnasiumTask._step_vector] * (make_vector is not None)
-            self._at_once = next((way for way in ways if self._repeats(way, *record)), None)
+            record = self._check_steps(
+                make(), _checks.positive_integer(check_steps, "check_steps")
+            )
+            ways = [GymnasiumTask._step_arrays] + [GymnasiumTask._step_vector] * (
+                make_vector is not None
+            )
+            self._at_once = next(
+                (way for way in ways if self._repeats(way, *record)), None
+            )
             self.n_disturbances = self._count_draws(*record)
 
     def _check_steps(self, env: Any, steps: int) -> tuple[Array, IntArray]:
@@ -171,58 +205,93 @@ class GymnasiumTask(ContinuousTask):
             return int(numbers[len(generators) - 1])
 
         states, _, following, reward, _, _ = self.play(env, choose, steps)
-        before, after = np.pad(states, ((0, 0), (0, 1))), np.column_stack([following, reward])  # rewards last
+        # rewards last
+        before, after = (
+            np.pad(states, ((0, 0), (0, 1))),
+            np.column_stack([following, reward]),
+        )
         again = np.empty_like(after)
-        for i in rng.permutation(steps):  # in the record's own order what the state lacks would come along
-            moved = self.one_by_one(states[i : i + 1], numbers[i : i + 1], generators[i])
+        # in the record's own order what the state lacks would come along
+        for i in rng.permutation(steps):
+            moved = self.one_by_one(
+                states[i : i + 1], numbers[i : i + 1], generators[i]
+            )
             again[i] = np.append(moved.next_state[0], moved.reward)
-        size = np.sqrt(((after - before) ** 2).mean(axis=0)) + 1e-9 * (1.0 + np.abs(after).max(axis=0))
+        size = np.sqrt(((after - before) ** 2).mean(axis=0)) + 1e-9 * (
+            1.0 + np.abs(after).max(axis=0)
+        )
         away = np.abs(again - after)
         bad = (away > SAME_STEP * size).any(axis=1)
         if bad.any():
             k = int((away / size).max(axis=0).argmax())
             text = (
-                "get_state and set_state must have all that decides the next step, and chance must come from np_random: "
-                f"{int(bad.sum())} of {steps} steps of {self.name} differ from the record when stepped again from its "
-                "states. Read and set the rest as well, such as other bodies' velocities and timers (--task-option "
-                f"state=MODULE:GET,SET); the most in {(*self.state_names, 'the reward')[k]}: {away[:, k].max():.3g}, where a "
-                f"step moves it by {size[k]:.3g}"
+                "get_state and set_state must have all that decides the next step, and"
+                f" chance must come from np_random: {int(bad.sum())} of {steps} steps"
+                f" of {self.name} differ from the record when stepped again from its"
+                " states. Read and set the rest as well, such as other bodies'"
+                " velocities and timers (--task-option state=MODULE:GET,SET); the most"
+                f" in {(*self.state_names, 'the reward')[k]}: {away[:, k].max():.3g},"
+                f" where a step moves it by {size[k]:.3g}"
             )
             if bad.mean() > FEW:
                 raise ValueError(text)
             _checks.warn(text)
         return states, np.asarray(numbers, dtype=np.int64)
 
-    def _repeats(self, way: Callable[[Any, Array, IntArray], Moves], states: Array, numbers: IntArray) -> bool:
+    def _repeats(
+        self,
+        way: Callable[[Any, Array, IntArray], Moves],
+        states: Array,
+        numbers: IntArray,
+    ) -> bool:
         """Whether this way of stepping many states at once does as the environment does one by one."""
         one = self.one_by_one(states, numbers, np.random.default_rng(0))
         try:
             with warnings.catch_warnings(action="ignore"):
                 many = way(self, states, numbers)
-        except Exception:  # another interface than the one that is used here, numbers alone, or random numbers
+        except Exception:
+            # another interface than the one that is used here, numbers alone, or random
+            # numbers
             return False
         return np.array_equal(one.terminated, many.terminated) and all(
-            x.shape == y.shape and bool((np.abs(x - y) <= 1e-9 * (1.0 + np.abs(x))).all())
+            x.shape == y.shape
+            and bool((np.abs(x - y) <= 1e-9 * (1.0 + np.abs(x))).all())
             for x, y in ((one.next_state, many.next_state), (one.reward, many.reward))
         )
 
     def _count_draws(self, states: Array, numbers: IntArray) -> int:
         """The most random numbers that one of these steps draws; 0: none, or others than ``Chance`` has."""
-        chances = [Chance(xi) for xi in np.random.default_rng(0).standard_normal((len(states), MAX_DRAWS))]
+        chances = [
+            Chance(xi)
+            for xi in np.random.default_rng(0).standard_normal((len(states), MAX_DRAWS))
+        ]
         try:
             self.one_by_one(states, numbers, chances)
         except (AttributeError, IndexError, TypeError, ValueError):
             return 0
         return max(chance.used for chance in chances)
 
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
+    def reward_between(
+        self, states: Array, actions: IntArray, next_states: Array
+    ) -> Array | None:
         """The function that was given, if one was."""
-        return None if self._reward_between is None else self._reward_between(states, actions, next_states)
+        return (
+            None
+            if self._reward_between is None
+            else self._reward_between(states, actions, next_states)
+        )
 
-    def with_environment(self, make: Callable[[], Any], make_vector: Any, parameters: dict[str, Any]) -> GymnasiumTask:
+    def with_environment(
+        self, make: Callable[[], Any], make_vector: Any, parameters: dict[str, Any]
+    ) -> GymnasiumTask:
         """The same task of another environment of the kind, not checked again."""
         again = copy.copy(self)
-        again._make, again._env, again._make_vector, again._parameters = make, make(), make_vector, parameters
+        again._make, again._env, again._make_vector, again._parameters = (
+            make,
+            make(),
+            make_vector,
+            parameters,
+        )
         again._env.reset(seed=0)
         return again
 
@@ -258,9 +327,15 @@ class GymnasiumTask(ContinuousTask):
         inner, n = self._env.unwrapped, len(states)
         inner.np_random = NO_CHANCE
         self._set(self._env, states.T.copy())
-        _, reward, over, _, _ = inner.step(self.commands[actions].T.astype(self._env.action_space.dtype))
+        _, reward, over, _, _ = inner.step(
+            self.commands[actions].T.astype(self._env.action_space.dtype)
+        )
         following = self.read(self._env).T.copy()
-        return Moves(following, np.full(n, reward, dtype=np.float64), np.full(n, over, dtype=np.bool_))
+        return Moves(
+            following,
+            np.full(n, reward, dtype=np.float64),
+            np.full(n, over, dtype=np.bool_),
+        )
 
     def _step_vector(self, states: Array, actions: IntArray) -> Moves:
         """By Gymnasium's environments that step together."""
@@ -268,15 +343,32 @@ class GymnasiumTask(ContinuousTask):
         envs = self._make_vector(len(states)).unwrapped
         envs.reset(seed=0)
         envs.np_random, envs.state = NO_CHANCE, states.T.copy()
-        _, reward, over, _, _ = envs.step(self.commands[actions].astype(envs.action_space.dtype))
-        return Moves(np.array(envs.state.T, dtype=np.float64), np.asarray(reward, np.float64), over.astype(np.bool_))
+        _, reward, over, _, _ = envs.step(
+            self.commands[actions].astype(envs.action_space.dtype)
+        )
+        return Moves(
+            np.array(envs.state.T, dtype=np.float64),
+            np.asarray(reward, np.float64),
+            over.astype(np.bool_),
+        )
 
-    def one_by_one(self, states: Array, actions: IntArray, rng: np.random.Generator | Sequence[Chance]) -> Moves:
+    def one_by_one(
+        self,
+        states: Array,
+        actions: IntArray,
+        rng: np.random.Generator | Sequence[Chance],
+    ) -> Moves:
         """Each state put into the environment by itself; random numbers are one generator's, or each its own."""
         env = self._env
-        following, reward, over = np.empty_like(states), np.empty(len(states)), np.zeros(len(states), dtype=np.bool_)
+        following, reward, over = (
+            np.empty_like(states),
+            np.empty(len(states)),
+            np.zeros(len(states), dtype=np.bool_),
+        )
         for i, (state, action) in enumerate(zip(states, actions, strict=True)):
-            env.unwrapped.np_random = rng if isinstance(rng, np.random.Generator) else rng[i]
+            env.unwrapped.np_random = (
+                rng if isinstance(rng, np.random.Generator) else rng[i]
+            )
             self._set(env, state)
             _, reward[i], over[i], _, _ = env.unwrapped.step(self.command(int(action)))
             following[i] = self.read(env)
@@ -298,9 +390,15 @@ class GymnasiumTask(ContinuousTask):
 
     def terminated(self, states: Array) -> Any:
         """By the function ``over``."""
-        return super().terminated(states) if self._over is None else np.asarray(self._over(states), dtype=np.bool_)
+        return (
+            super().terminated(states)
+            if self._over is None
+            else np.asarray(self._over(states), dtype=np.bool_)
+        )
 
-    def play(self, env: Any, choose: Callable[[Array], int], n: int, limit: Any = None) -> tuple[NDArray[Any], ...]:
+    def play(
+        self, env: Any, choose: Callable[[Array], int], n: int, limit: Any = None
+    ) -> tuple[NDArray[Any], ...]:
         """Step an environment that was reset as any program would, never setting its state, n times; then close it.
 
         Columns: state, action number, next state, reward, whether it is over, and whether the environment cut the episode,
@@ -322,14 +420,26 @@ class GymnasiumTask(ContinuousTask):
 
     def _find_ranges(self, env: Any) -> tuple[Array, Array]:
         env.reset(seed=0)
-        rng, limit = np.random.default_rng(0), getattr(getattr(env, "spec", None), "max_episode_steps", None)
-        states = self.play(env, lambda state: int(rng.integers(self.n_actions)), LOOKED, limit)[0]
+        rng, limit = (
+            np.random.default_rng(0),
+            getattr(getattr(env, "spec", None), "max_episode_steps", None),
+        )
+        states = self.play(
+            env, lambda state: int(rng.integers(self.n_actions)), LOOKED, limit
+        )[0]
         low, high = states.min(axis=0), states.max(axis=0)
         room = np.maximum(0.1 * (high - low), 1e-6)
-        return np.where(self.periodic, -np.pi, low - room), np.where(self.periodic, np.pi, high + room)
+        return np.where(self.periodic, -np.pi, low - room), np.where(
+            self.periodic, np.pi, high + room
+        )
 
     def record(
-        self, policy: StatePolicy, *, n_transitions: int, max_steps: int, seed: Any = None
+        self,
+        policy: StatePolicy,
+        *,
+        n_transitions: int,
+        max_steps: int,
+        seed: Any = None,
     ) -> ContinuousTransitions:
         """A log of what the environment does, whose state is never set (``play``).
 
@@ -346,14 +456,20 @@ class GymnasiumTask(ContinuousTask):
 
         def choose(state: Array) -> int:
             chances = check_probabilities(policy, state[None], self.n_actions)[0]
-            number = int(np.searchsorted(np.cumsum(chances), rng.random() * chances.sum(), side="right"))
+            number = int(
+                np.searchsorted(
+                    np.cumsum(chances), rng.random() * chances.sum(), side="right"
+                )
+            )
             known.append(chances[number])
             return number
 
         *columns, over, cut = self.play(env, choose, rows, steps)
         cut[-1] |= not over[-1]
         episode = np.cumsum(over | cut) - (over | cut)
-        return ContinuousTransitions(**dict(zip(RECORDED, (*columns, over, cut, episode, known), strict=True)))
+        return ContinuousTransitions(
+            **dict(zip(RECORDED, (*columns, over, cut, episode, known), strict=True))
+        )
 
     def command(self, number: int) -> Any:
         """What is passed to the environment's ``step``."""

@@ -18,15 +18,23 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.scatter import Neighbors
-from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, StatePolicy, require_log_of
+from oee_tabular.continuous.task import (
+    ContinuousTask,
+    DerivedTask,
+    Moves,
+    StatePolicy,
+    require_log_of,
+)
 
 FOLDS = 4
 MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state
-MIN_ROWS, MAX_ROWS, MAX_SLOW_ROWS = 200, 20_000, 3000  # by which the test is made; slow: of tasks that step one by one
+# by which the test is made; slow: of tasks that step one by one
+MIN_ROWS, MAX_ROWS, MAX_SLOW_ROWS = 200, 20_000, 3000
 N_NEIGHBORS = 4  # whose mean residual is what (s, a) itself explains
 NUMBERS = ("", "one step", "two steps", "three steps", "four steps", "five steps")
 CLIP = 8.0  # root mean squares: what rows at contacts count at most
-SURE = 4.0  # standard errors over rows of what is explained: fewer than 16 rows cannot make it
+# standard errors over rows of what is explained: fewer than 16 rows cannot make it
+SURE = 4.0
 
 
 class HistoryTask(DerivedTask):
@@ -57,14 +65,31 @@ class HistoryTask(DerivedTask):
     """
 
     def __init__(self, task: ContinuousTask, steps: int = 1) -> None:
-        self.steps = steps = 0 if steps is not False and steps == 0 else _checks.positive_integer(steps, "steps")
+        self.steps = steps = (
+            0
+            if steps is not False and steps == 0
+            else _checks.positive_integer(steps, "steps")
+        )
         about = "action" if steps == 1 else f"{steps} actions"
-        super().__init__(_checks.instance(task, ContinuousTask, "task"), f"{task.name} with its last {about}")
-        names = ["last_action_{}", *(f"action_{{}}_{k}_steps_ago" for k in range(2, steps + 1))][:steps]
+        super().__init__(
+            _checks.instance(task, ContinuousTask, "task"),
+            f"{task.name} with its last {about}",
+        )
+        names = [
+            "last_action_{}",
+            *(f"action_{{}}_{k}_steps_ago" for k in range(2, steps + 1)),
+        ][:steps]
         last = tuple(name.format(a) for name in names for a in range(task.n_actions))
-        self.state_names, self.feature_names = task.state_names + last, task.feature_names + last
-        self.feature_low = freeze(np.concatenate([task.feature_low, np.zeros(len(last))]))
-        self.feature_high = freeze(np.concatenate([task.feature_high, np.ones(len(last))]))
+        self.state_names, self.feature_names = (
+            task.state_names + last,
+            task.feature_names + last,
+        )
+        self.feature_low = freeze(
+            np.concatenate([task.feature_low, np.zeros(len(last))])
+        )
+        self.feature_high = freeze(
+            np.concatenate([task.feature_high, np.ones(len(last))])
+        )
         self.periodic = tuple(task.periodic) + (False,) * len(last)
 
     def log(self, log: ContinuousTransitions) -> ContinuousTransitions:
@@ -74,13 +99,21 @@ class HistoryTask(DerivedTask):
         earlier = earlier_rows(log, self.steps)
         if self.steps and not (earlier[:, -1] >= 0).any():
             raise ValueError(
-                f"steps must be less than the longest episode's transitions; no row of the log has {self.steps} before it"
-                + (": log.episode is not given, and no row begins where another ends" if log.episode is None else "")
+                "steps must be less than the longest episode's transitions; no row of"
+                f" the log has {self.steps} before it"
+                + (
+                    ": log.episode is not given, and no row begins where another ends"
+                    if log.episode is None
+                    else ""
+                )
             )
         codes = np.eye(self.n_actions + 1, self.n_actions)  # the last: no action
         last = codes[np.where(earlier >= 0, actions[earlier], -1)].reshape(len(log), -1)
         states = np.column_stack([log.state, last])
-        columns = {"state": states, "next_state": self._append_action(states, actions, log.next_state)}
+        columns = {
+            "state": states,
+            "next_state": self._append_action(states, actions, log.next_state),
+        }
         return ContinuousTransitions(**(log.columns() | columns))
 
     def policy(self, policy: StatePolicy) -> StatePolicy:
@@ -96,30 +129,45 @@ class HistoryTask(DerivedTask):
         """(n, steps A) the last actions in states, or in features."""
         return states[:, states.shape[1] - self.steps * self.n_actions :]
 
-    def _append_action(self, states: Array, actions: IntArray, next_states: Array) -> Array:
+    def _append_action(
+        self, states: Array, actions: IntArray, next_states: Array
+    ) -> Array:
         last = np.column_stack([np.eye(self.n_actions)[actions], self._last(states)])
         return np.column_stack([next_states, last[:, : self.steps * self.n_actions]])
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """The task's, and the action taken."""
         moved = self.task.moves(self.own(states), actions, disturbance)
-        return replace(moved, next_state=self._append_action(states, actions, moved.next_state))
+        return replace(
+            moved, next_state=self._append_action(states, actions, moved.next_state)
+        )
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """The task's, and the action taken."""
         moved = self.task.step(self.own(states), actions, rng)
-        return replace(moved, next_state=self._append_action(states, actions, moved.next_state))
+        return replace(
+            moved, next_state=self._append_action(states, actions, moved.next_state)
+        )
 
-    def displacements(self, states: Array, actions: IntArray, next_states: Array) -> list[Array]:
+    def displacements(
+        self, states: Array, actions: IntArray, next_states: Array
+    ) -> list[Array]:
         """The task's, and f(s, b) - s under each of the last actions b; under the present one where there was none."""
-        own, past = self.own(states), self._last(states).reshape(len(states), self.steps, self.n_actions)
-        numbers = np.where(past.any(axis=2), past.argmax(axis=2), np.asarray(actions)[:, None])
+        own, past = (
+            self.own(states),
+            self._last(states).reshape(len(states), self.steps, self.n_actions),
+        )
+        numbers = np.where(
+            past.any(axis=2), past.argmax(axis=2), np.asarray(actions)[:, None]
+        )
         earlier = [self.task.noiseless_step(own, b).next_state - own for b in numbers.T]
         return self.task.displacements(own, actions, self.own(next_states)) + earlier
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """The task's, without a last action."""
-        return np.pad(self.task.initial_states(n, rng), ((0, 0), (0, self.steps * self.n_actions)))
+        return np.pad(
+            self.task.initial_states(n, rng), ((0, 0), (0, self.steps * self.n_actions))
+        )
 
     def initial_points(self) -> tuple[Array, Array]:
         """The task's, without a last action."""
@@ -128,7 +176,9 @@ class HistoryTask(DerivedTask):
 
     def features(self, states: Array) -> Array:
         """The task's, and the last actions."""
-        return np.column_stack([self.task.features(self.own(states)), self._last(states)])
+        return np.column_stack(
+            [self.task.features(self.own(states)), self._last(states)]
+        )
 
     def smooth(self, states: Array) -> Array:
         """The task's, and which of the last actions there were."""
@@ -137,7 +187,12 @@ class HistoryTask(DerivedTask):
 
     def embed(self, features: Array) -> Array:
         """The task's, and the last actions."""
-        return np.column_stack([self.task.embed(features[:, : len(self.task.feature_names)]), self._last(features)])
+        return np.column_stack(
+            [
+                self.task.embed(features[:, : len(self.task.feature_names)]),
+                self._last(features),
+            ]
+        )
 
     def parameters(self) -> dict[str, Any]:
         """The task's."""
@@ -146,10 +201,16 @@ class HistoryTask(DerivedTask):
 
 def consecutive(log: ContinuousTransitions) -> tuple[IntArray, IntArray]:
     """Rows and the rows that follow them in the same episode; without episodes, where the next row begins as they end."""
-    order = np.arange(len(log)) if log.episode is None else np.argsort(log.episode, kind="stable")
+    order = (
+        np.arange(len(log))
+        if log.episode is None
+        else np.argsort(log.episode, kind="stable")
+    )
     before, after = order[:-1], order[1:]
     gap = np.abs(log.state[after] - log.next_state[before])
-    follows = (gap <= 1e-6 * (1.0 + np.abs(log.state[after]))).all(axis=1) & ~(log.terminated | log.truncated)[before]
+    follows = (gap <= 1e-6 * (1.0 + np.abs(log.state[after]))).all(axis=1) & ~(
+        log.terminated | log.truncated
+    )[before]
     if log.episode is not None:
         follows &= log.episode[after] == log.episode[before]
     return before[follows], after[follows]
@@ -186,9 +247,16 @@ class HistoryEffect:
 
 
 def history_effects(
-    task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, residuals: Array, group: IntArray, *,
-    is_smooth: BoolArray, is_free: BoolArray, least: Array,
-) -> list[HistoryEffect]:  # fmt: skip
+    task: ContinuousTask,
+    log: ContinuousTransitions,
+    actions: IntArray,
+    residuals: Array,
+    group: IntArray,
+    *,
+    is_smooth: BoolArray,
+    is_free: BoolArray,
+    least: Array,
+) -> list[HistoryEffect]:
     """What history explains of each coordinate's residual, beyond the action's own mean and the residuals near by.
 
     By linear regressions on the last five actions, the steps that the simulator makes under them, and the last five residuals,
@@ -197,61 +265,109 @@ def history_effects(
     ``least`` (k,) among the rows that were looked at: a few odd rows do not make it larger.
     """
     earlier = earlier_rows(log, MAX_LAG)
-    rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)[: MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS]
+    rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)[
+        : MAX_ROWS if task.steps_at_once else MAX_SLOW_ROWS
+    ]
     best = [HistoryEffect() for _ in residuals.T]
     if len(rows) < MIN_ROWS:
         return best
-    codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])  # the last: no action
+    # the last: no action
+    codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])
     own, acted = task.noiseless_step(log.state[rows], actions[rows]).next_state, []
-    for back in earlier[rows].T:  # which action was taken then, and where the simulator would go under it now
+    # which action was taken then, and where the simulator would go under it now
+    for back in earlier[rows].T:
         then = np.where(back >= 0, actions[back], actions[rows])
         other = task.noiseless_step(log.state[rows], then).next_state - own
         scale = other.std(axis=0)
-        acted.append(np.column_stack([codes[back], other[:, scale > 0] / scale[scale > 0]]))
+        acted.append(
+            np.column_stack([codes[back], other[:, scale > 0] / scale[scale > 0]])
+        )
     for is_usable, has_residuals in ((is_smooth, True), (is_free, False)):
         used = rows[is_usable[rows]]
         if len(used) < MIN_ROWS:
             continue
         unit = np.sqrt((residuals[is_usable] ** 2).mean(axis=0))
-        y = np.clip(residuals / np.where(unit > 0, unit, 1.0), -CLIP, CLIP) * is_usable[:, None]
-        blocks = {(k, "action"): block[is_usable[rows]] for k, block in enumerate(acted, start=1)}
+        y = (
+            np.clip(residuals / np.where(unit > 0, unit, 1.0), -CLIP, CLIP)
+            * is_usable[:, None]
+        )
+        blocks = {
+            (k, "action"): block[is_usable[rows]]
+            for k, block in enumerate(acted, start=1)
+        }
         if has_residuals:
             padded = np.vstack([y, np.zeros(y.shape[1])])  # -1 is no row
-            blocks |= {(k, "residual"): padded[back] for k, back in enumerate(earlier[used].T, start=1)}
+            blocks |= {
+                (k, "residual"): padded[back]
+                for k, back in enumerate(earlier[used].T, start=1)
+            }
         near = _mean_near(task, log.state, actions, y, is_usable, group)[used]
-        x, target, fold = np.column_stack([codes[used], near]), y[used], group[used] % FOLDS
+        x, target, fold = (
+            np.column_stack([codes[used], near]),
+            y[used],
+            group[used] % FOLDS,
+        )
         plain = _errors_held_out([x], target, fold)
         total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
         gained = plain - _errors_held_out([x, *blocks.values()], target, fold)
         shares = {
-            key: (plain - _errors_held_out([x, block], target, fold)).sum(axis=0) / total
+            key: (
+                (plain - _errors_held_out([x, block], target, fold)).sum(axis=0) / total
+            )
             for key, block in blocks.items()
         }
-        whole, size = gained.sum(axis=0) / total, unit * np.sqrt((target**2).mean(axis=0))
+        whole, size = (
+            gained.sum(axis=0) / total,
+            unit * np.sqrt((target**2).mean(axis=0)),
+        )
         is_sure = gained.sum(axis=0) > SURE * len(used) ** 0.5 * gained.std(axis=0)
         is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
-        for k in np.flatnonzero(is_sure & is_large & (whole > [effect.r_squared for effect in best])):
+        for k in np.flatnonzero(
+            is_sure & is_large & (whole > [effect.r_squared for effect in best])
+        ):
             (lag, kind), share = max(shares.items(), key=lambda item: item[1][k])
-            best[k] = HistoryEffect(float(whole[k]), lag, kind, float(share[k]), float(whole[k] ** 0.5 * size[k]))
+            best[k] = HistoryEffect(
+                float(whole[k]),
+                lag,
+                kind,
+                float(share[k]),
+                float(whole[k] ** 0.5 * size[k]),
+            )
     return best
 
 
 def hidden_state(learned: Any) -> str:
     """Which earlier action or residual matters to a ``ResidualSimulator``, and by how much; "" where the state is Markov."""
     hidden = [c for c in learned.coordinates if c.hidden]
-    hidden.sort(key=lambda c: -round(c.history.lag_r_squared, 6))  # of equal ones, to rounding, in the task's order
+    # of equal ones, to rounding, in the task's order
+    hidden.sort(key=lambda c: -round(c.history.lag_r_squared, 6))
     if not hidden:
         return ""
     effect = hidden[0].history
-    same = [c.name for c in hidden if (c.history.lag, c.history.of) == (effect.lag, effect.of)]
-    text = f"the {effect.of} of {NUMBERS[effect.lag]} ago explains {effect.lag_r_squared:.0%} of the residual in "
+    same = [
+        c.name
+        for c in hidden
+        if (c.history.lag, c.history.of) == (effect.lag, effect.of)
+    ]
+    text = (
+        f"the {effect.of} of {NUMBERS[effect.lag]} ago explains"
+        f" {effect.lag_r_squared:.0%} of the residual in "
+    )
     text += " and ".join([", ".join(same[:-1]), same[-1]] if len(same) > 1 else same)
-    more = f" (the last {NUMBERS[MAX_LAG].split()[0]} actions and residuals together: {effect.r_squared:.0%})"
+    more = (
+        f" (the last {NUMBERS[MAX_LAG].split()[0]} actions and residuals together:"
+        f" {effect.r_squared:.0%})"
+    )
     return text + more if effect.r_squared > effect.lag_r_squared + 0.05 else text
 
 
 def _mean_near(
-    task: ContinuousTask, states: Array, actions: IntArray, y: Array, is_usable: BoolArray, group: IntArray
+    task: ContinuousTask,
+    states: Array,
+    actions: IntArray,
+    y: Array,
+    is_usable: BoolArray,
+    group: IntArray,
 ) -> Array:
     """(n, k) mean of the nearest rows of the same action in other folds: what (s, a) explains, however rough."""
     neighbors, mean, fold = Neighbors(task, states), np.zeros_like(y), group % FOLDS
@@ -259,7 +375,9 @@ def _mean_near(
         here = np.flatnonzero((actions == a) & (fold == f))
         there = np.flatnonzero((actions == a) & (fold != f) & is_usable)
         if len(here) and len(there) >= N_NEIGHBORS:
-            mean[here] = y[neighbors.find(states[here], there, N_NEIGHBORS, key=(a, f))].mean(axis=1)
+            mean[here] = y[
+                neighbors.find(states[here], there, N_NEIGHBORS, key=(a, f))
+            ].mean(axis=1)
     return mean
 
 
@@ -270,5 +388,7 @@ def _errors_held_out(inputs: list[Array], y: Array, fold: IntArray) -> Array:
         inside, outside = fold == f, fold != f
         gram = x[outside].T @ x[outside]
         gram[np.diag_indices_from(gram)] += 1e-6 * max(int(outside.sum()), 1)
-        errors[inside] = (y[inside] - x[inside] @ np.linalg.solve(gram, x[outside].T @ y[outside])) ** 2
+        errors[inside] = (
+            y[inside] - x[inside] @ np.linalg.solve(gram, x[outside].T @ y[outside])
+        ) ** 2
     return errors

@@ -51,22 +51,45 @@ from oee_tabular.continuous.gen3 import (
 from oee_tabular.continuous.task import Moves
 
 __all__ = [
-    "COMMANDS", "GOALS", "HOME", "HORIZON", "STAND_IN", "KinovaArm", "KinovaHand", "KinovaPolicy", "end_effector", "fit_hand",
-    "hand_log", "ideal_hand", "kinova_policy", "load_kinova_log", "record_goals",
-]  # fmt: skip
+    "COMMANDS",
+    "GOALS",
+    "HOME",
+    "HORIZON",
+    "STAND_IN",
+    "KinovaArm",
+    "KinovaHand",
+    "KinovaPolicy",
+    "end_effector",
+    "fit_hand",
+    "hand_log",
+    "ideal_hand",
+    "kinova_policy",
+    "load_kinova_log",
+    "record_goals",
+]
 
-FACTORS = (0.5, 1.5)  # on the displacements of the other hands of the defensive simulator
+# on the displacements of the other hands of the defensive simulator
+FACTORS = (0.5, 1.5)
 WIDER = 2.0  # its scatter beside the simulator's
 EXPLORED = (0.0, 0.3, 0.6, 1.0)  # deltas of the policies whose states are looked at
 TICKS = 10  # updates of the joint reference in a period
-FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)  # s, kv / kp: servos damp the speed's error
+# s, kv / kp: servos damp the speed's error
+FEED_FORWARD = np.array([0.05] * 4 + [0.1] * 3)
 START = 0.01  # rad: how exactly the arm returns to its home pose
-JOINT_STATES = tuple(f"{kind}_{k}" for kind in ("joint", "speed", "reference") for k in range(1, gen3.N_JOINTS + 1))
+JOINT_STATES = tuple(
+    f"{kind}_{k}"
+    for kind in ("joint", "speed", "reference")
+    for k in range(1, gen3.N_JOINTS + 1)
+)
 AT_A_TIME = 2048  # states whose trajectories MuJoCo returns in one array
 LIMITS = {
-    "velocity_scale": (0.0, 3.0), "latency": (0.0, gen3.PERIOD), "payload": (0.0, 4.0), "friction": (0.0, 9.0),
-    "gain": (0.05, 5.0), "encoder_noise": (0.0, 0.1),
-}  # fmt: skip
+    "velocity_scale": (0.0, 3.0),
+    "latency": (0.0, gen3.PERIOD),
+    "payload": (0.0, 4.0),
+    "friction": (0.0, 9.0),
+    "gain": (0.05, 5.0),
+    "encoder_noise": (0.0, 0.1),
+}
 STAND_IN = "simulated stand-in, not a robot"
 
 
@@ -112,15 +135,25 @@ class KinovaHand(gen3.HandTask):
         shift = np.empty((len(states), 3))
         for a in range(len(COMMANDS)):
             rows = chosen == a
-            shift[rows] = basis(states[rows]) @ self.coefficients[a] + disturbance[rows] @ self.scatter[a].T
-        return Moves(states + shift, self.costs(states), np.zeros(len(states), dtype=np.bool_))
+            shift[rows] = (
+                basis(states[rows]) @ self.coefficients[a]
+                + disturbance[rows] @ self.scatter[a].T
+            )
+        return Moves(
+            states + shift, self.costs(states), np.zeros(len(states), dtype=np.bool_)
+        )
 
     def others(self) -> tuple[KinovaHand, ...]:
         """Hands that go half and one and a half times as far, with twice the scatter: a target may lie between."""
         wider = replace(self, scatter=WIDER * self.scatter, noise_points=2)
-        sources = [self.source | {"scaled": factor, "scatter": WIDER} for factor in FACTORS]
+        sources = [
+            self.source | {"scaled": factor, "scatter": WIDER} for factor in FACTORS
+        ]
         parts = [factor * self.coefficients for factor in FACTORS]
-        return tuple(replace(wider, coefficients=c, source=s) for c, s in zip(parts, sources, strict=True))
+        return tuple(
+            replace(wider, coefficients=c, source=s)
+            for c, s in zip(parts, sources, strict=True)
+        )
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Some of ``starts``."""
@@ -138,17 +171,26 @@ class KinovaHand(gen3.HandTask):
 def ideal_hand(scale: float = 1.0, *, scatter: float = 0.05) -> KinovaHand:
     """A hand that every command moves by ``scale`` steps, with a scatter of ``scatter`` steps, without MuJoCo."""
     coefficients = np.zeros((len(COMMANDS), 10, 3))
-    coefficients[:, 0] = _checks.number_in(scale, "scale", 0.0, 3.0) * gen3.STEP * COMMANDS
+    coefficients[:, 0] = (
+        _checks.number_in(scale, "scale", 0.0, 3.0) * gen3.STEP * COMMANDS
+    )
     spread = _checks.number_in(scatter, "scatter", 0.0, 1.0) * gen3.STEP * np.eye(3)
     source = {"ideal": True, "scale": scale, "scatter": scatter}
-    return KinovaHand(coefficients, np.broadcast_to(spread, (len(COMMANDS), 3, 3)), gen3.CENTER[None], source)
+    return KinovaHand(
+        coefficients,
+        np.broadcast_to(spread, (len(COMMANDS), 3, 3)),
+        gen3.CENTER[None],
+        source,
+    )
 
 
 def basis(states: Array) -> Array:
     """(n, 10): 1, z, and the products of z, in units of the workspace; held fixed outside of it."""
     z = np.clip((states - gen3.CENTER) / gen3.REACH, -1.0, 1.0)
     x, y, w = z.T
-    return np.stack([np.ones(len(z)), x, y, w, x * x, y * y, w * w, x * y, x * w, y * w], axis=1)
+    return np.stack(
+        [np.ones(len(z)), x, y, w, x * x, y * y, w * w, x * y, x * w, y * w], axis=1
+    )
 
 
 @one_thread
@@ -171,7 +213,13 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> Kinov
     rng = _checks.generator(seed)
     each = max(1, -(-wanted // (25 * len(GOALS) * len(EXPLORED)))) + 1
     visited = [
-        record(arm.towards(g), kinova_policy(g, delta), n_episodes=each, max_steps=25, seed=rng).state
+        record(
+            arm.towards(g),
+            kinova_policy(g, delta),
+            n_episodes=each,
+            max_steps=25,
+            seed=rng,
+        ).state
         for g in range(len(GOALS))
         for delta in EXPLORED
     ]
@@ -180,9 +228,13 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> Kinov
     arrival = arm.step(rows, actions, rng).next_state[:, :3]
     shifts = (arrival - rows[:, :3]).reshape(len(states), len(COMMANDS), 3)
     known = basis(states[:, :3])
-    coefficients = np.stack([np.linalg.lstsq(known, shifts[:, a])[0] for a in range(len(COMMANDS))])
+    coefficients = np.stack(
+        [np.linalg.lstsq(known, shifts[:, a])[0] for a in range(len(COMMANDS))]
+    )
     left = shifts - np.einsum("nk,akd->nad", known, coefficients)
-    spread = np.einsum("nai,naj->aij", left, left) / max(1, len(states) - known.shape[1])
+    spread = np.einsum("nai,naj->aij", left, left) / max(
+        1, len(states) - known.shape[1]
+    )
     scatter = np.linalg.cholesky(spread + 1e-14 * np.eye(3))
     starts = arm.initial_states(2000, rng)[:, :3]
     return KinovaHand(coefficients, scatter, starts, arm.parameters(), arm.goal)
@@ -242,21 +294,33 @@ class KinovaArm(gen3.HandTask):
         late = self.latency / gen3.PERIOD * TICKS
         references = np.empty((len(states), TICKS, gen3.N_JOINTS))
         for tick in range(TICKS):
-            share = min(1.0, max(0.0, tick + 1.0 - late))  # of this tick in which the new command is in force
-            velocity = self.velocity_scale * gen3.SPEED * (share * command + (1.0 - share) * before)
+            # of this tick in which the new command is in force
+            share = min(1.0, max(0.0, tick + 1.0 - late))
+            velocity = (
+                self.velocity_scale
+                * gen3.SPEED
+                * (share * command + (1.0 - share) * before)
+            )
             rates = gen3.resolved_rates(reference, velocity)
             reference = reference + gen3.PERIOD / TICKS * rates
             references[:, tick] = reference + FEED_FORWARD * rates
         joints, speeds = self._follow(joints, speeds, references)
         seen = end_effector(joints + self.encoder_noise * disturbance)
         following = np.concatenate([seen, joints, speeds, reference, command], axis=1)
-        return Moves(following, self.costs(states), np.zeros(len(states), dtype=np.bool_))
+        return Moves(
+            following, self.costs(states), np.zeros(len(states), dtype=np.bool_)
+        )
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """At rest near the home pose, N(0, 0.01^2) rad in each joint."""
         joints = HOME + START * rng.standard_normal((n, gen3.N_JOINTS))
-        seen = end_effector(joints + self.encoder_noise * rng.standard_normal((n, gen3.N_JOINTS)))
-        return np.concatenate([seen, joints, np.zeros((n, gen3.N_JOINTS)), joints, np.zeros((n, 3))], axis=1)
+        seen = end_effector(
+            joints + self.encoder_noise * rng.standard_normal((n, gen3.N_JOINTS))
+        )
+        return np.concatenate(
+            [seen, joints, np.zeros((n, gen3.N_JOINTS)), joints, np.zeros((n, 3))],
+            axis=1,
+        )
 
     def on_features(self) -> KinovaHand:
         """The hand's position as a process of its own."""
@@ -264,14 +328,20 @@ class KinovaArm(gen3.HandTask):
 
     def parameters(self) -> dict[str, Any]:
         """All of them, and that this is no robot."""
-        return {"data": STAND_IN} | {name: getattr(self, name) for name in ("goal", *LIMITS)}
+        return {"data": STAND_IN} | {
+            name: getattr(self, name) for name in ("goal", *LIMITS)
+        }
 
-    def _follow(self, joints: Array, speeds: Array, references: Array) -> tuple[Array, Array]:
+    def _follow(
+        self, joints: Array, speeds: Array, references: Array
+    ) -> tuple[Array, Array]:
         """Angles and speeds after the servos have followed references (n, TICKS, 7)."""
         try:
             import mujoco
         except ImportError:
-            raise ImportError("mujoco is not installed: pip install 'oee-tabular[mujoco]'") from None
+            raise ImportError(
+                "mujoco is not installed: pip install 'oee-tabular[mujoco]'"
+            ) from None
         from mujoco import rollout
 
         model = mujoco.MjModel.from_xml_string(gen3.arm_xml())
@@ -285,11 +355,20 @@ class KinovaArm(gen3.HandTask):
         data = mujoco.MjData(model)
         steps = round(gen3.PERIOD / TICKS / model.opt.timestep)
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        start = np.zeros((len(joints), size))  # time, angles, speeds, then what this model leaves empty
-        start[:, 1 : 1 + gen3.N_JOINTS], start[:, 1 + gen3.N_JOINTS : 1 + 2 * gen3.N_JOINTS] = joints, speeds
+        # time, angles, speeds, then what this model leaves empty
+        start = np.zeros((len(joints), size))
+        (
+            start[:, 1 : 1 + gen3.N_JOINTS],
+            start[:, 1 + gen3.N_JOINTS : 1 + 2 * gen3.N_JOINTS],
+        ) = (
+            joints,
+            speeds,
+        )
         found = np.empty((len(joints), 2 * gen3.N_JOINTS))
         for low in range(0, len(joints), AT_A_TIME):
             part = slice(low, low + AT_A_TIME)
-            states, _ = rollout.rollout(model, data, start[part], np.repeat(references[part], steps, axis=1))
+            states, _ = rollout.rollout(
+                model, data, start[part], np.repeat(references[part], steps, axis=1)
+            )
             found[part] = states[:, -1, 1 : 1 + 2 * gen3.N_JOINTS]
         return found[:, : gen3.N_JOINTS], found[:, gen3.N_JOINTS :]

@@ -27,7 +27,16 @@ from oee_tabular.data.rules import COLUMNS, check_array, suggest_columns
 from oee_tabular.data.tables import read_labels
 
 # the columns of a log that is recorded by stepping
-RECORDED = ("state", "action", "next_state", "reward", "terminated", "truncated", "episode", "behavior_probability")
+RECORDED = (
+    "state",
+    "action",
+    "next_state",
+    "reward",
+    "terminated",
+    "truncated",
+    "episode",
+    "behavior_probability",
+)
 CHAIN_TOLERANCE = 1e-6  # relative: float32 copies of one state are the same state
 NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")
 
@@ -47,7 +56,11 @@ class VectorFormat(Format):
         """One column for each coordinate."""
         flat: Columns = {}
         for name, column in columns.items():
-            flat |= {name: column} if column.ndim == 1 else {f"{name}_{k}": part for k, part in enumerate(column.T)}
+            flat |= (
+                {name: column}
+                if column.ndim == 1
+                else {f"{name}_{k}": part for k, part in enumerate(column.T)}
+            )
         return flat
 
     def from_table(self, flat: Columns, name: str) -> Columns:
@@ -61,17 +74,24 @@ class VectorFormat(Format):
                 columns[label] = column
         for vector, part in parts.items():
             if vector in columns:
-                raise ValueError(f"{name!r} must have either {vector} or {vector}_0, ...; it has both")
+                raise ValueError(
+                    f"{name!r} must have either {vector} or {vector}_0, ...; it has"
+                    " both"
+                )
             missing = next((k for k in range(len(part)) if k not in part), None)
             if missing is not None:
-                text = f"every column from {vector}_0 to {vector}_{max(part)}; {vector}_{missing} is missing"
+                text = (
+                    f"every column from {vector}_0 to {vector}_{max(part)};"
+                    f" {vector}_{missing} is missing"
+                )
                 raise ValueError(f"{name!r} must have {text}")
-            with _files.parts_of(name, f"{vector}_0, ..."):  # columns of kinds that have nothing in common
+            # columns of kinds that have nothing in common
+            with _files.parts_of(name, f"{vector}_0, ..."):
                 columns[vector] = np.stack([part[k] for k in range(len(part))], axis=1)
         if columns["state"].ndim == 1:
             raise ValueError(
-                f"{name!r} must have the columns state_0, ..., next_state_0, ...; it has one column state: a log of numbered "
-                "states"
+                f"{name!r} must have the columns state_0, ..., next_state_0, ...; it"
+                " has one column state: a log of numbered states"
             )
         return columns
 
@@ -83,17 +103,26 @@ class VectorFormat(Format):
         absent = [column for column in self.required if column not in whole]
         if absent:
             raise ValueError(
-                f"{name!r} must have the columns state_0, ..., next_state_0, ... and action (or action_0, ...); it has no "
-                f"{', no '.join(absent)}, only {_checks.escape_controls(', '.join(labels[:1000])[:300]) or 'nothing'}"
+                f"{name!r} must have the columns state_0, ..., next_state_0, ... and"
+                " action (or action_0, ...); it has no "
+                f"{', no '.join(absent)}, only"
+                f" {_checks.escape_controls(', '.join(labels[:1000])[:300]) or 'nothing'}"
                 + suggest_columns(("state_0", "next_state_0", *self.required), labels)
             )
 
-    def check_episode(self, observations: NDArray[Any], actions: NDArray[Any], name: str) -> None:
+    def check_episode(
+        self, observations: NDArray[Any], actions: NDArray[Any], name: str
+    ) -> None:
         """Observations are vectors, actions numbers or vectors."""
-        if observations.ndim != 2 or observations.dtype.kind not in "fiu" or actions.ndim not in (1, 2):
+        if (
+            observations.ndim != 2
+            or observations.dtype.kind not in "fiu"
+            or actions.ndim not in (1, 2)
+        ):
             raise ValueError(
-                f"{name!r} must have observations that are vectors, and actions that are numbers or vectors; they have shapes "
-                f"{observations.shape} of {observations.dtype} and {actions.shape} of {actions.dtype}"
+                f"{name!r} must have observations that are vectors, and actions that"
+                f" are numbers or vectors; they have shapes {observations.shape} of"
+                f" {observations.dtype} and {actions.shape} of {actions.dtype}"
             )
 
 
@@ -151,11 +180,14 @@ class ContinuousTransitions(LogColumns):
     next_state: Array
 
     @staticmethod
-    def _moves(state: object, action: object, next_state: object) -> dict[str, NDArray[Any] | None]:
+    def _moves(
+        state: object, action: object, next_state: object
+    ) -> dict[str, NDArray[Any] | None]:
         states, following = _vectors(state, "state"), _vectors(next_state, "next_state")
         if following.shape[1] != states.shape[1]:
             raise ValueError(
-                f"next_state must have the {states.shape[1]} coordinates of state; it has {following.shape[1]}"
+                f"next_state must have the {states.shape[1]} coordinates of state; it"
+                f" has {following.shape[1]}"
             )
         return {"state": states, "action": _actions(action), "next_state": following}
 
@@ -169,7 +201,10 @@ class ContinuousTransitions(LogColumns):
         text = f"{len(self)} transitions of {self.n_state}-dimensional states"
         if self.episode is not None:
             text += f" in {len(np.unique(self.episode))} episodes"
-        text += f": {int(self.terminated.sum())} terminated, {int(self.truncated.sum())} truncated"
+        text += (
+            f": {int(self.terminated.sum())} terminated, {int(self.truncated.sum())}"
+            " truncated"
+        )
         commands = f" are {self.action.shape[-1]}-dimensional commands"
         text += f"; actions{f' 0..{self.action.max()}' if self.action.ndim == 1 else commands}"
         if self.reward is not None:
@@ -191,29 +226,37 @@ class ContinuousTransitions(LogColumns):
         _checks.boolean(strict, "strict")
         table = _checks.float_array(actions, "actions", ndim=(1, 2))
         if table.size == 0:
-            raise ValueError(f"actions must hold at least one; they have shape {table.shape}")
+            raise ValueError(
+                f"actions must hold at least one; they have shape {table.shape}"
+            )
         table = table.reshape(len(table), -1)
         if self.action.ndim == 1:
             bad = np.flatnonzero(self.action >= len(table))
             if bad.size:
                 raise ValueError(
-                    f"log.action[{bad[0]}] must be in 0..{len(table) - 1}, the numbers of the task's actions; "
-                    f"it is {self.action[bad[0]]} ({bad.size} such rows in all)"
+                    f"log.action[{bad[0]}] must be in 0..{len(table) - 1}, the numbers"
+                    f" of the task's actions; it is {self.action[bad[0]]} ({bad.size}"
+                    " such rows in all)"
                 )
             return np.asarray(self.action, dtype=np.int64)
         if self.action.shape[1] != table.shape[1]:
             raise ValueError(
-                f"log.action must have the {table.shape[1]} coordinates of the task's actions; it has {self.action.shape[1]}"
+                f"log.action must have the {table.shape[1]} coordinates of the task's"
+                f" actions; it has {self.action.shape[1]}"
             )
         distances = np.linalg.norm(self.action[:, None, :] - table[None], axis=2)
         nearest, distance = distances.argmin(axis=1), distances.min(axis=1)
-        n_off, worst = int((distance > 1e-6 * (1.0 + np.abs(table).max())).sum()), int(distance.argmax())
+        n_off, worst = (
+            int((distance > 1e-6 * (1.0 + np.abs(table).max())).sum()),
+            int(distance.argmax()),
+        )
         if n_off == 0:
             return np.asarray(nearest, dtype=np.int64)
         about = f"the task's {len(table)} actions"
         which = (
-            f"{n_off} of {len(self)} rows are none of them; the farthest, row {worst}, is {self.action[worst].tolist()}, "
-            f"{distance[worst]:.3g} from {table[nearest[worst]].tolist()}"
+            f"{n_off} of {len(self)} rows are none of them; the farthest, row {worst},"
+            f" is {self.action[worst].tolist()}, {distance[worst]:.3g} from"
+            f" {table[nearest[worst]].tolist()}"
         )
         if strict:
             raise ValueError(f"log.action must be one of {about}; {which}")
@@ -221,12 +264,13 @@ class ContinuousTransitions(LogColumns):
         room = 0.5 * float(np.linalg.norm(gaps)) * (1.0 + 1e-9)  # 0 of a single action
         if 0.0 < room < distance[worst]:
             raise ValueError(
-                f"log.action must lie among {about}, no farther off than half of what they are apart; {which}. Name actions "
-                "that reach as far (tasks.GymnasiumTask(actions=), --task-option actions=)"
+                f"log.action must lie among {about}, no farther off than half of what"
+                f" they are apart; {which}. Name actions that reach as far"
+                " (tasks.GymnasiumTask(actions=), --task-option actions=)"
             )
         warnings.warn(
-            f"log.action is moved to the nearest of {about}: {which}. More actions (tasks.GymnasiumTask(actions=), "
-            "--task-option actions=) move it less",
+            f"log.action is moved to the nearest of {about}: {which}. More actions"
+            " (tasks.GymnasiumTask(actions=), --task-option actions=) move it less",
             stacklevel=3,
         )
         return np.asarray(nearest, dtype=np.int64)
@@ -236,7 +280,9 @@ def _vectors(value: object, name: str) -> Array:
     array = _checks.float_array(value, name)
     if array.ndim != 2 or array.shape[1] == 0:
         hint = " (a log of numbered states: Transitions)" * (array.ndim == 1)
-        raise ValueError(f"{name} must have shape (n, d); it has shape {array.shape}{hint}")
+        raise ValueError(
+            f"{name} must have shape (n, d); it has shape {array.shape}{hint}"
+        )
     if len(array) == 0:
         raise ValueError(f"{name} must have at least one row; the log is empty")
     _checks.require_finite(array, name)
@@ -246,5 +292,10 @@ def _vectors(value: object, name: str) -> Array:
 def _actions(value: object) -> NDArray[Any]:
     array = _checks.as_array(value, "action")
     if array.ndim not in (1, 2):
-        raise ValueError(f"action must have shape (n,) (numbers) or (n, k) (commands); it has shape {array.shape}")
-    return check_array(array, "action") if array.ndim == 1 else _vectors(array, "action")
+        raise ValueError(
+            "action must have shape (n,) (numbers) or (n, k) (commands); it has shape"
+            f" {array.shape}"
+        )
+    return (
+        check_array(array, "action") if array.ndim == 1 else _vectors(array, "action")
+    )

@@ -29,13 +29,15 @@ from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves
 
-RADIUS, DENSITY, MARGIN = 0.01, 1000.0, 0.04  # m, kg/m^3, Bullet's collision margin in m
+# m, kg/m^3, Bullet's collision margin in m
+RADIUS, DENSITY, MARGIN = 0.01, 1000.0, 0.04
 STOP = 3.0  # rad, of the elbow
 LENGTH = 0.1  # m, the simulator's links
 TARGET = (0.1, 0.1)
 LEVELS = (-2.0 / 3.0, 0.0, 2.0 / 3.0)
 INERTIAS = ("box", "capsule")
-FACTORS = (0.5, 0.7, 1.4, 2.0)  # of the length, in the other arms of the defensive simulator
+# of the length, in the other arms of the defensive simulator
+FACTORS = (0.5, 0.7, 1.4, 2.0)
 
 
 def link_bodies(length: float, inertia: str = "box") -> Array:
@@ -48,14 +50,19 @@ def link_bodies(length: float, inertia: str = "box") -> Array:
     if long == 0.0:
         raise ValueError(f"length must be positive; it is {length}")
     _checks.one_of(inertia, "inertia", INERTIAS)
-    rod, ball = DENSITY * np.pi * RADIUS**2 * long, DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3
+    rod, ball = (
+        DENSITY * np.pi * RADIUS**2 * long,
+        DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3,
+    )
     mass = rod + ball
     if inertia == "box":
         across, along = 2 * (RADIUS + MARGIN), long + 2 * (RADIUS + MARGIN)
         moment = mass / 12.0 * (across**2 + along**2)
     else:
         moment = rod * (long**2 / 12.0 + RADIUS**2 / 4.0)
-        moment += ball * (2.0 / 5.0 * RADIUS**2 + long**2 / 4.0 + 3.0 / 8.0 * long * RADIUS)
+        moment += ball * (
+            2.0 / 5.0 * RADIUS**2 + long**2 / 4.0 + 3.0 / 8.0 * long * RADIUS
+        )
     link = [mass, long / 2.0, moment]
     return np.array([link, link, [ball, long + RADIUS, 2.0 / 5.0 * ball * RADIUS**2]])
 
@@ -64,7 +71,13 @@ def fingertip(states: Array, length: float) -> Array:
     """(n, 2) where the fingertip is: l (cos q1, sin q1) + (l + 0.01) (cos(q1 + q2), sin(q1 + q2)), in m."""
     q1, q12 = states[:, 0], states[:, 0] + states[:, 1]
     reach = length + RADIUS
-    return np.stack([length * np.cos(q1) + reach * np.cos(q12), length * np.sin(q1) + reach * np.sin(q12)], axis=1)
+    return np.stack(
+        [
+            length * np.cos(q1) + reach * np.cos(q12),
+            length * np.sin(q1) + reach * np.sin(q12),
+        ],
+        axis=1,
+    )
 
 
 @dataclass(frozen=True)
@@ -126,10 +139,14 @@ class Reacher(ContinuousTask):
     def __post_init__(self) -> None:
         object.__setattr__(self, "_bodies", link_bodies(self.length, self.inertia))
         if self.reward_length is not None:
-            _checks.number_in(self.reward_length, "reward_length", 0.0, np.inf, open_ends=True)
+            _checks.number_in(
+                self.reward_length, "reward_length", 0.0, np.inf, open_ends=True
+            )
         place = _checks.float_array(self.target, "target")
         if place.shape != (2,) or not np.isfinite(place).all():
-            raise ValueError(f"target must be two finite numbers (x, y); it is {self.target}")
+            raise ValueError(
+                f"target must be two finite numbers (x, y); it is {self.target}"
+            )
         for name in ("gear", "damping", "armature", "drag"):
             _checks.number_in(getattr(self, name), name, 0.0, np.inf)
         _checks.number_in(self.timestep, "timestep", 0.0, np.inf, open_ends=True)
@@ -145,33 +162,53 @@ class Reacher(ContinuousTask):
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step, and its reward."""
-        following = self.advance(states, self.actions[np.asarray(actions, dtype=np.int64)])
-        reward = self.reward_of(self.reward_terms(states), actions, self.reward_terms(following))
+        following = self.advance(
+            states, self.actions[np.asarray(actions, dtype=np.int64)]
+        )
+        reward = self.reward_of(
+            self.reward_terms(states), actions, self.reward_terms(following)
+        )
         return Moves(following, reward, np.zeros(len(states), dtype=np.bool_))
 
     def advance(self, states: Array, commands: Array) -> Array:
         """(n, 4) the next states under commands (n, 2), which need not be among the nine; torques are gear * command."""
         mass, centre, moment = self._bodies.T  # type: ignore[attr-defined]
         inertia, h, length = moment + mass * centre**2, self.timestep, self.length
-        upper, lower = inertia[0] + (mass[1] + mass[2]) * length**2, inertia[1] + inertia[2]
+        upper, lower = (
+            inertia[0] + (mass[1] + mass[2]) * length**2,
+            inertia[1] + inertia[2],
+        )
         cross = length * (mass[1] * centre[1] + mass[2] * centre[2])
         q1, q2, w1, w2 = np.asarray(states, dtype=np.float64).T
         torques = self.gear * commands
         for _ in range(self.substeps):
             cosine, sine = np.cos(q2), np.sin(q2)
             m12 = lower + cross * cosine
-            m11, m22 = upper + lower + 2.0 * cross * cosine + self.armature, lower + self.armature
-            f1 = torques[:, 0] + cross * sine * (2.0 * w1 * w2 + w2 * w2) - self.damping * w1
+            m11, m22 = (
+                upper + lower + 2.0 * cross * cosine + self.armature,
+                lower + self.armature,
+            )
+            f1 = (
+                torques[:, 0]
+                + cross * sine * (2.0 * w1 * w2 + w2 * w2)
+                - self.damping * w1
+            )
             f2 = torques[:, 1] - cross * sine * w1 * w1 - self.damping * w2
             if self.drag > 0.0:
                 first, second = self._drag(cosine, w1, w1 + w2)
                 f1, f2 = f1 - self.drag * first, f2 - self.drag * second
             a11, a22 = m11 + h * self.damping, m22 + h * self.damping
             det = a11 * a22 - m12 * m12
-            w1, w2 = w1 + h * (a22 * f1 - m12 * f2) / det, w2 + h * (a11 * f2 - m12 * f1) / det
+            w1, w2 = (
+                w1 + h * (a22 * f1 - m12 * f2) / det,
+                w2 + h * (a11 * f2 - m12 * f1) / det,
+            )
             q1, q2 = q1 + h * w1, q2 + h * w2
             stopped = (np.abs(q2) > STOP) & (w2 * q2 > 0.0)
-            w1, w2 = np.where(stopped, w1 + m12 / m11 * w2, w1), np.where(stopped, 0.0, w2)
+            w1, w2 = (
+                np.where(stopped, w1 + m12 / m11 * w2, w1),
+                np.where(stopped, 0.0, w2),
+            )
             q2 = np.clip(q2, -STOP, STOP)
         return np.stack([q1, q2, w1, w2], axis=1)
 
@@ -179,19 +216,29 @@ class Reacher(ContinuousTask):
         """What Bullet's drag takes from the two joints' torques, for a drag of 1; the links turn at w1 and w12."""
         bodies, length = self._bodies, self.length  # type: ignore[attr-defined]
         mass, centre, moment = bodies[0]
-        first = w1 * (mass * centre**2 * (1.0 + np.abs(centre * w1)) + moment * (1.0 + np.abs(w1)))
+        first = w1 * (
+            mass * centre**2 * (1.0 + np.abs(centre * w1)) + moment * (1.0 + np.abs(w1))
+        )
         second = np.zeros_like(w1)
         for mass, centre, moment in bodies[1:]:
-            u, v = length * w1, centre * w12  # the centre's velocity along the normals of the two links
-            k = mass * (1.0 + np.sqrt(np.maximum(u * u + v * v + 2.0 * u * v * cosine, 0.0)))
+            # the centre's velocity along the normals of the two links
+            u, v = length * w1, centre * w12
+            k = mass * (
+                1.0 + np.sqrt(np.maximum(u * u + v * v + 2.0 * u * v * cosine, 0.0))
+            )
             around = k * centre * (v + u * cosine) + moment * w12 * (1.0 + np.abs(w12))
-            first, second = first + k * length * (u + v * cosine) + around, second + around
+            first, second = (
+                first + k * length * (u + v * cosine) + around,
+                second + around,
+            )
         return first, second
 
     def distance(self, states: Array) -> Array:
         """(n,) from the fingertip (of ``reward_length``) to the target, m."""
         length = self.length if self.reward_length is None else self.reward_length
-        return np.asarray(np.hypot(*(fingertip(states, length) - np.array(self.target)).T))
+        return np.asarray(
+            np.hypot(*(fingertip(states, length) - np.array(self.target)).T)
+        )
 
     def reward_terms(self, states: Array) -> Array:
         """(n, 4) the distance, the two speeds, and 1 where the elbow is within 1 % of its stop, where Bullet's Reacher pays."""
@@ -201,7 +248,9 @@ class Reacher(ContinuousTask):
     def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
         """(n,) the paper's reward."""
         size = np.abs(self.actions[actions])
-        paid = 100.0 * (before[:, 0] - after[:, 0]) - 0.01 * (size * (1.0 + after[:, 1:3])).sum(axis=1)
+        paid = 100.0 * (before[:, 0] - after[:, 0]) - 0.01 * (
+            size * (1.0 + after[:, 1:3])
+        ).sum(axis=1)
         return np.asarray(paid - 0.1 * after[:, 3])
 
     def others(self) -> tuple[Reacher, ...]:
@@ -210,23 +259,33 @@ class Reacher(ContinuousTask):
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """At rest, at any angle of the shoulder; the elbow within a quarter turn."""
-        return np.column_stack([rng.uniform(-3.14, 3.14, n), rng.uniform(-1.57, 1.57, n), np.zeros((n, 2))])
+        return np.column_stack(
+            [rng.uniform(-3.14, 3.14, n), rng.uniform(-1.57, 1.57, n), np.zeros((n, 2))]
+        )
 
     def smooth(self, states: Array) -> Array:
         """Both angles by cosine and sine."""
-        return np.column_stack([np.cos(states[:, :2]), np.sin(states[:, :2]), states[:, 2:]])
+        return np.column_stack(
+            [np.cos(states[:, :2]), np.sin(states[:, :2]), states[:, 2:]]
+        )
 
     def features(self, states: Array) -> Array:
         """(cos q1, sin q1, q2, w1, w2)."""
-        return np.column_stack([np.cos(states[:, 0]), np.sin(states[:, 0]), states[:, 1:]])
+        return np.column_stack(
+            [np.cos(states[:, 0]), np.sin(states[:, 0]), states[:, 1:]]
+        )
 
     def embed(self, features: Array) -> Array:
         """A state with these features: q1 by the angle of (cos q1, sin q1)."""
-        return np.column_stack([np.arctan2(features[:, 1], features[:, 0]), features[:, 2:]])
+        return np.column_stack(
+            [np.arctan2(features[:, 1], features[:, 0]), features[:, 2:]]
+        )
 
     def parameters(self) -> dict[str, Any]:
         """Every parameter."""
-        return {own.name: getattr(self, own.name) for own in fields(self) if own.init} | {"target": list(self.target)}
+        return {
+            own.name: getattr(self, own.name) for own in fields(self) if own.init
+        } | {"target": list(self.target)}
 
 
 def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
@@ -238,11 +297,16 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
     bend = (x * x + y * y - length**2 - far**2) / (2.0 * length * far)
     if not -1.0 <= bend <= 1.0:
         raise ValueError(
-            f"target must be {RADIUS:g} to {length + far:g} m from the shoulder of an arm with links of {length:g} m; "
-            f"it is {np.hypot(x, y):g} m away"
+            f"target must be {RADIUS:g} to {length + far:g} m from the shoulder of an"
+            f" arm with links of {length:g} m; it is {np.hypot(x, y):g} m away"
         )
     q2 = float(np.arccos(bend))
-    return float(np.arctan2(y, x) - np.arctan2(far * np.sin(q2), length + far * np.cos(q2))), q2
+    return (
+        float(
+            np.arctan2(y, x) - np.arctan2(far * np.sin(q2), length + far * np.cos(q2))
+        ),
+        q2,
+    )
 
 
 @dataclass(frozen=True)
@@ -280,7 +344,9 @@ class ReacherPolicy:
         """(n, 9) probabilities of the actions, in the order of ``Reacher.actions``."""
         aim = self._aim  # type: ignore[attr-defined]
         turn = aim[0] - states[:, 0]
-        errors = np.column_stack([np.arctan2(np.sin(turn), np.cos(turn)), aim[1] - states[:, 1]])
+        errors = np.column_stack(
+            [np.arctan2(np.sin(turn), np.cos(turn)), aim[1] - states[:, 1]]
+        )
         wanted = self.stiffness * errors - self.brake * states[:, 2:]
         level = np.digitize(wanted, [LEVELS[0] / 2, LEVELS[2] / 2])
         table = np.full((len(states), 9), self.delta / 9.0)
@@ -291,7 +357,9 @@ class ReacherPolicy:
 reacher_policy = ReacherPolicy
 
 
-def reacher_log(task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None) -> ContinuousTransitions:
+def reacher_log(
+    task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None
+) -> ContinuousTransitions:
     """The paper's data: n transitions by pi_delta, delta = 0, .1, ..., 1 in equal parts, episodes of ``max_steps``.
 
     Parameters
@@ -313,7 +381,13 @@ def reacher_log(task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None
     """
     size = _checks.positive_integer(n, "n")
     parts = [
-        record(task, reacher_policy(k / 10), n_transitions=-(-size // 11), max_steps=max_steps, seed=stream)
+        record(
+            task,
+            reacher_policy(k / 10),
+            n_transitions=-(-size // 11),
+            max_steps=max_steps,
+            seed=stream,
+        )
         for k, stream in enumerate(_checks.generator(seed).spawn(11))
     ]
     return ContinuousTransitions.concatenate(parts).first(size)

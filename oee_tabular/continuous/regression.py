@@ -27,7 +27,14 @@ from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.scatter import draw_rows
-from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest
+from oee_tabular.continuous.task import (
+    ContinuousTask,
+    DerivedTask,
+    Moves,
+    find_periods,
+    require_log_of,
+    shortest,
+)
 
 ROWS = 256  # at a time, in a kernel: their inputs stay in the nearest cache
 BLOCK = 4096  # rows at a time
@@ -41,7 +48,21 @@ EQUAL = 1e-10  # shares of a target's mean square that are no difference
 
 
 @njit(cache=True)
-def _predict(x, commands, d, actions, order, kept, limits, first, second, frequencies, phases, w, ends):
+def _predict(
+    x,
+    commands,
+    d,
+    actions,
+    order,
+    kept,
+    limits,
+    first,
+    second,
+    frequencies,
+    phases,
+    w,
+    ends,
+):
     """(n, k) values g_k = sum_j w[a, j, k] phi_j of a regression, kept within ``ends`` (2, k).
 
         phi_j = z[first_j] z[second_j],  j < q,    phi_j = cos(sum_i z_i frequency_ij + phase_j)
@@ -65,8 +86,16 @@ def _predict(x, commands, d, actions, order, kept, limits, first, second, freque
             j = kept[i]
             for r in range(size):
                 row = order[begin + r]
-                value = x[row, j] if j < n_x else commands[a, j - n_x] if j < n_x + n_c else d[row, j - n_x - n_c]
-                z[i + 1, r] = (min(max(value, limits[0, i]), limits[1, i]) - limits[2, i]) * limits[3, i]
+                value = (
+                    x[row, j]
+                    if j < n_x
+                    else (
+                        commands[a, j - n_x] if j < n_x + n_c else d[row, j - n_x - n_c]
+                    )
+                )
+                z[i + 1, r] = (
+                    min(max(value, limits[0, i]), limits[1, i]) - limits[2, i]
+                ) * limits[3, i]
         total[:] = 0.0
         for j in range(w.shape[1]):
             if not w[a, j].any():
@@ -90,7 +119,9 @@ def _predict(x, commands, d, actions, order, kept, limits, first, second, freque
                         part[r] += c * phi[r]
         for r in range(size):
             for t in range(k):
-                found[order[begin + r], t] = min(max(total[t, r], ends[0, t]), ends[1, t])
+                found[order[begin + r], t] = min(
+                    max(total[t, r], ends[0, t]), ends[1, t]
+                )
         begin += size
     return found
 
@@ -107,19 +138,34 @@ class Functions:
     """
 
     def __init__(
-        self, task: ContinuousTask, states: Array, actions: IntArray, displacement: Array, rng: np.random.Generator
+        self,
+        task: ContinuousTask,
+        states: Array,
+        actions: IntArray,
+        displacement: Array,
+        rng: np.random.Generator,
     ) -> None:
         self._task, self.n_actions = task, task.n_actions
-        self._commands = np.array(task.actions, dtype=np.float64).reshape(task.n_actions, -1)
+        self._commands = np.array(task.actions, dtype=np.float64).reshape(
+            task.n_actions, -1
+        )
         smooth, n_commands = task.smooth(states), self._commands.shape[1]
         raw = np.column_stack([smooth, self._commands[actions], displacement])
         centre, scale = raw.mean(axis=0), raw.std(axis=0)
         moving = np.flatnonzero(scale > 1e-12 * (1.0 + np.abs(centre)))
         z = (raw[:, moving] - centre[moving]) / scale[moving]
         alike = np.abs(z.T @ z) / len(z) > 1.0 - 1e-9
-        is_new = [not alike[i, :i].any() for i in range(len(moving))]  # no multiple of an earlier one
+        # no multiple of an earlier one
+        is_new = [not alike[i, :i].any() for i in range(len(moving))]
         self._kept = kept = moving[is_new]
-        self._limits = np.stack([raw.min(axis=0)[kept], raw.max(axis=0)[kept], centre[kept], 1.0 / scale[kept]])
+        self._limits = np.stack(
+            [
+                raw.min(axis=0)[kept],
+                raw.max(axis=0)[kept],
+                centre[kept],
+                1.0 / scale[kept],
+            ]
+        )
         m, n_x = len(kept), int((kept < smooth.shape[1] + n_commands).sum())
         n_waves = FOURIER if m > 0 else 0
         reach = rng.choice([0.25, 0.5, 1.0], size=n_waves) * np.sqrt(2.0 / max(m, 1))
@@ -127,7 +173,8 @@ class Functions:
         self._phases = rng.uniform(0.0, 2.0 * np.pi, n_waves)
         first, second = np.triu_indices(m if m <= PAIRS else 0)
         linear, q = np.arange(1 + m), 1 + m + len(first)
-        self._first = np.concatenate([np.zeros(1 + m, dtype=np.int64), first + 1])  # 0 is the constant 1
+        # 0 is the constant 1
+        self._first = np.concatenate([np.zeros(1 + m, dtype=np.int64), first + 1])
         self._second = np.concatenate([linear, second + 1])
         self.width = q + n_waves
         of_x = 1 + m + np.flatnonzero(second < n_x)
@@ -143,12 +190,16 @@ class Functions:
         }
         self.nested: dict[str, IntArray] = {}
         for name, columns in classes.items():  # classes that are the same here are one
-            if not any(np.array_equal(columns, other) for other in self.nested.values()):
+            if not any(
+                np.array_equal(columns, other) for other in self.nested.values()
+            ):
                 self.nested[name] = columns
 
     def __call__(self, states: Array, actions: IntArray, displacement: Array) -> Array:
         """(n, width) every column."""
-        raw = np.column_stack([self._task.smooth(states), self._commands[actions], displacement])[:, self._kept]
+        raw = np.column_stack(
+            [self._task.smooth(states), self._commands[actions], displacement]
+        )[:, self._kept]
         low, high, centre, slope = self._limits
         z = (np.clip(raw, low, high) - centre) * slope
         one = np.column_stack([np.ones(len(z)), z])
@@ -163,14 +214,33 @@ class Functions:
             w[:, fit.columns, k] = fit.coefficients
         return w
 
-    def predict(self, states: Array, actions: IntArray, displacement: Array, w: Array, ends: Array) -> Array:
+    def predict(
+        self,
+        states: Array,
+        actions: IntArray,
+        displacement: Array,
+        w: Array,
+        ends: Array,
+    ) -> Array:
         """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends`` (2, k): compiled, O(n p k)."""
-        q, inputs = min(w.shape[1], len(self._first)), (self._task.smooth(states), displacement)
-        x, d = (np.require(each, requirements=["C", "W"]) for each in inputs)  # so that one kernel takes all
-        a, order = np.require(actions, np.int64, ["C", "W"]), np.argsort(actions.astype(np.int16), kind="stable")
-        rows, functions = (x, self._commands, d, a, order), (self._first[:q], self._second[:q])
+        q, inputs = (
+            min(w.shape[1], len(self._first)),
+            (self._task.smooth(states), displacement),
+        )
+        # so that one kernel takes all
+        x, d = (np.require(each, requirements=["C", "W"]) for each in inputs)
+        a, order = (
+            np.require(actions, np.int64, ["C", "W"]),
+            np.argsort(actions.astype(np.int16), kind="stable"),
+        )
+        rows, functions = (
+            (x, self._commands, d, a, order),
+            (self._first[:q], self._second[:q]),
+        )
         waves = self._frequencies, self._phases
-        return np.asarray(_predict(*rows, self._kept, self._limits, *functions, *waves, w, ends))
+        return np.asarray(
+            _predict(*rows, self._kept, self._limits, *functions, *waves, w, ends)
+        )
 
 
 @dataclass(frozen=True)
@@ -200,21 +270,40 @@ class Grams:
     """G (groups, A, q, q) of the columns of all classes and the targets (n, k), of the rows that are used."""
 
     def __init__(
-        self, functions: Functions, arguments: tuple[Array, IntArray, Array], targets: Array, group: IntArray,
+        self,
+        functions: Functions,
+        arguments: tuple[Array, IntArray, Array],
+        targets: Array,
+        group: IntArray,
         is_used: BoolArray,
-    ) -> None:  # fmt: skip
+    ) -> None:
         states, actions, displacement = arguments
         n_actions, n_groups = functions.n_actions, int(group.max()) + 1
-        self.nested, self.p, self.k = functions.nested, functions.width, targets.shape[1]
+        self.nested, self.p, self.k = (
+            functions.nested,
+            functions.width,
+            targets.shape[1],
+        )
         self.g = np.zeros((n_groups, n_actions, self.p + self.k, self.p + self.k))
         for number in np.unique((group * n_actions + actions)[is_used]):
             rows = np.flatnonzero(is_used & (group * n_actions + actions == number))
             for at in np.array_split(rows, 1 + len(rows) // BLOCK):
-                both = np.column_stack([functions(states[at], actions[at], displacement[at]), targets[at]])
+                both = np.column_stack(
+                    [functions(states[at], actions[at], displacement[at]), targets[at]]
+                )
                 self.g[divmod(number, n_actions)] += both.T @ both
-        self.mean_square = self.g.sum(axis=(0, 1)).diagonal() / max(float(self.g[..., 0, 0].sum()), 1.0)
+        self.mean_square = self.g.sum(axis=(0, 1)).diagonal() / max(
+            float(self.g[..., 0, 0].sum()), 1.0
+        )
 
-    def solve(self, gram: Array, columns: IntArray, target: slice, ridge: float, per_action: bool) -> Array:
+    def solve(
+        self,
+        gram: Array,
+        columns: IntArray,
+        target: slice,
+        ridge: float,
+        per_action: bool,
+    ) -> Array:
         """(A, p, targets) the coefficients from a weighted sum over groups; an action without rows has the pooled ones."""
         size = np.sqrt(np.maximum(self.mean_square[columns], 1e-300))
 
@@ -223,12 +312,19 @@ class Grams:
             if len(columns) == 0:
                 return right
             scaled = gram[np.ix_(columns, columns)] / np.outer(size, size)
-            scaled[np.diag_indices_from(scaled)] += max(ridge, 1e-9) * max(float(gram[0, 0]), 1.0)
+            scaled[np.diag_indices_from(scaled)] += max(ridge, 1e-9) * max(
+                float(gram[0, 0]), 1.0
+            )
             factor = linalg.cho_factor(scaled, check_finite=False)
-            return np.asarray(linalg.cho_solve(factor, right / size[:, None], check_finite=False) / size[:, None])
+            return np.asarray(
+                linalg.cho_solve(factor, right / size[:, None], check_finite=False)
+                / size[:, None]
+            )
 
         pooled = solve_one(gram.sum(axis=0))
-        return np.stack([solve_one(g) if per_action and g[0, 0] > 0 else pooled for g in gram])
+        return np.stack(
+            [solve_one(g) if per_action and g[0, 0] > 0 else pooled for g in gram]
+        )
 
     def choose(self) -> list[Fit]:
         """For each target the simplest class whose held-out error is within a standard error (over groups) of the best.
@@ -237,18 +333,29 @@ class Grams:
         """
         n_groups, n_actions = self.g.shape[:2]
         fold = np.arange(n_groups) % FOLDS
-        grams = [np.tensordot((fold != f).astype(np.float64), self.g, axes=1) for f in range(FOLDS)]
+        grams = [
+            np.tensordot((fold != f).astype(np.float64), self.g, axes=1)
+            for f in range(FOLDS)
+        ]
         tried: list[tuple[str, bool, float, Array]] = []
         for name, columns in self.nested.items():
             options = [
                 (per_action, ridge)
-                for per_action in (False, True)[: 1 + (len(columns) > 0 and n_actions > 1)]
+                for per_action in (False, True)[
+                    : 1 + (len(columns) > 0 and n_actions > 1)
+                ]
                 for ridge in (RIDGES if len(columns) > 1 else RIDGES[-1:])
             ]
             errors = self.held_out_errors(columns, options, fold, grams)
-            tried += [(name, *option, error) for option, error in zip(options, errors, strict=True)]
-        tried.sort(key=lambda c: (len(self.nested[c[0]]) * (n_actions if c[1] else 1), -c[2]))
-        every = np.array([errors for _, _, _, errors in tried])  # (tried, groups, targets)
+            tried += [
+                (name, *option, error)
+                for option, error in zip(options, errors, strict=True)
+            ]
+        tried.sort(
+            key=lambda c: (len(self.nested[c[0]]) * (n_actions if c[1] else 1), -c[2])
+        )
+        # (tried, groups, targets)
+        every = np.array([errors for _, _, _, errors in tried])
         fits = []
         for k in range(self.k):
             errors, whole = every[:, :, k], self.g[:, :, self.p + k, self.p + k].sum()
@@ -257,13 +364,31 @@ class Grams:
             best = int(np.argmax(excess.sum(axis=1) <= tolerance))
             gain = errors[0] - errors[best]  # the first is g = 0
             error = float(np.sqrt(n_groups) * gain.std())
-            t = float(gain.sum()) / error if error > 0 else (np.inf if gain.sum() > 0 else 0.0)
+            t = (
+                float(gain.sum()) / error
+                if error > 0
+                else (np.inf if gain.sum() > 0 else 0.0)
+            )
             name, per_action, ridge, _ = tried[best]
-            fits.append(Fit(name, per_action, ridge, self.nested[name], np.empty(0), float(errors[best].sum()), t))
+            fits.append(
+                Fit(
+                    name,
+                    per_action,
+                    ridge,
+                    self.nested[name],
+                    np.empty(0),
+                    float(errors[best].sum()),
+                    t,
+                )
+            )
         return self.refit(fits)
 
     def held_out_errors(
-        self, columns: IntArray, options: list[tuple[bool, float]], fold: IntArray, grams: list[Array]
+        self,
+        columns: IntArray,
+        options: list[tuple[bool, float]],
+        fold: IntArray,
+        grams: list[Array],
     ) -> Array:
         """(options, groups, targets) sums of squared errors on groups by the fit to the other folds, ``grams`` theirs."""
         errors = np.empty((len(options), len(fold), self.k))
@@ -271,7 +396,10 @@ class Grams:
             inside = np.flatnonzero(fold == f)
             g = self.g[inside]
             total = g[:, :, self.p :, self.p :].diagonal(axis1=2, axis2=3).sum(axis=1)
-            cross, inner = g[:, :, columns, self.p :], g[:, :, columns][:, :, :, columns]
+            cross, inner = (
+                g[:, :, columns, self.p :],
+                g[:, :, columns][:, :, :, columns],
+            )
             for i, (per_action, ridge) in enumerate(options):
                 w = self.solve(grams[f], columns, slice(None), ridge, per_action)
                 error = total - 2.0 * np.einsum("gapk,apk->gk", cross, w, optimize=True)
@@ -282,12 +410,24 @@ class Grams:
 
     def refit(self, fits: Sequence[Fit], weights: Array | None = None) -> list[Fit]:
         """The same classes fitted to all groups, or to groups with these weights: a bootstrap's."""
-        gram = self.g.sum(axis=0) if weights is None else np.tensordot(weights, self.g, axes=1)
-        ways = [(fit.columns, slice(k, k + 1), fit.ridge, fit.per_action) for k, fit in enumerate(fits)]
-        return [replace(fit, coefficients=self.solve(gram, *way)[:, :, 0]) for fit, way in zip(fits, ways, strict=True)]
+        gram = (
+            self.g.sum(axis=0)
+            if weights is None
+            else np.tensordot(weights, self.g, axes=1)
+        )
+        ways = [
+            (fit.columns, slice(k, k + 1), fit.ridge, fit.per_action)
+            for k, fit in enumerate(fits)
+        ]
+        return [
+            replace(fit, coefficients=self.solve(gram, *way)[:, :, 0])
+            for fit, way in zip(fits, ways, strict=True)
+        ]
 
 
-def episode_groups(episode: IntArray | None, n: int, width: int, n_actions: int) -> IntArray:
+def episode_groups(
+    episode: IntArray | None, n: int, width: int, n_actions: int
+) -> IntArray:
     """(n,) groups of whole episodes (of rows in turn, without episodes), as many as the Gram matrices' memory allows.
 
     At least 8 and at most 40, if there are so many episodes.
@@ -344,14 +484,25 @@ class LinearModel(DerivedTask):
     """
 
     def __init__(self, task: ContinuousTask, log: ContinuousTransitions) -> None:
-        super().__init__(_checks.instance(task, ContinuousTask, "task"), f"linear model of a log of {task.name}")
+        super().__init__(
+            _checks.instance(task, ContinuousTask, "task"),
+            f"linear model of a log of {task.name}",
+        )
         require_log_of(task, log)
         self.n_disturbances = 1
-        self._actions, periods = log.action_numbers(task.actions), find_periods(task, log.next_state)
-        self._x, self._y = self._inputs(log.state), shortest(log.next_state - log.state, periods)
+        self._actions, periods = (
+            log.action_numbers(task.actions),
+            find_periods(task, log.next_state),
+        )
+        self._x, self._y = (
+            self._inputs(log.state),
+            shortest(log.next_state - log.state, periods),
+        )
         low, high = log.next_state.min(axis=0), log.next_state.max(axis=0)
-        self._limits = np.where(periods > 0, [[-np.inf], [np.inf]], [low, high])  # an angle may go round
-        self._group = np.arange(len(log)) * min(N_GROUPS, len(log)) // len(log)  # none of them empty
+        # an angle may go round
+        self._limits = np.where(periods > 0, [[-np.inf], [np.inf]], [low, high])
+        # none of them empty
+        self._group = np.arange(len(log)) * min(N_GROUPS, len(log)) // len(log)
         if log.episode is not None and len(np.unique(log.episode)) >= N_GROUPS:
             self._group = np.unique(log.episode, return_inverse=True)[1] % N_GROUPS
         self._fit(np.ones(len(log)))
@@ -361,16 +512,22 @@ class LinearModel(DerivedTask):
 
     def _fit(self, weights: Array) -> None:
         """Least squares with these weights of the rows, by which residuals are drawn."""
-        self.coefficients = np.empty((self.n_actions, self._x.shape[1], self._y.shape[1]))
+        self.coefficients = np.empty(
+            (self.n_actions, self._x.shape[1], self._y.shape[1])
+        )
         self._pools = []
         for a in range(self.n_actions):
             rows = np.flatnonzero((self._actions == a) & (weights > 0))
             if len(rows) <= self._x.shape[1]:
                 rows = np.arange(len(weights))
             root = np.sqrt(weights[rows])[:, None]
-            self.coefficients[a] = np.linalg.lstsq(root * self._x[rows], root * self._y[rows])[0]
+            self.coefficients[a] = np.linalg.lstsq(
+                root * self._x[rows], root * self._y[rows]
+            )[0]
             self._pools.append((rows, np.cumsum(weights[rows])))
-        self.residuals = self._y - np.einsum("np,npk->nk", self._x, self.coefficients[self._actions])
+        self.residuals = self._y - np.einsum(
+            "np,npk->nk", self._x, self.coefficients[self._actions]
+        )
 
     def resampled(self, seed: Any = None) -> LinearModel:
         """The same of a bootstrap's log: groups of whole episodes drawn with replacement."""
@@ -381,16 +538,25 @@ class LinearModel(DerivedTask):
     @one_thread
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step; the disturbance chooses the residual."""
-        actions, x, uniform = np.asarray(actions, dtype=np.int64), self._inputs(states), ndtr(disturbance[:, 0])
+        actions, x, uniform = (
+            np.asarray(actions, dtype=np.int64),
+            self._inputs(states),
+            ndtr(disturbance[:, 0]),
+        )
         following = np.array(states, dtype=np.float64)
         for a in np.unique(actions):
             at = np.flatnonzero(actions == a)
-            following[at] += x[at] @ self.coefficients[a] + self.residuals[draw_rows(self._pools[a], uniform[at])]
+            following[at] += (
+                x[at] @ self.coefficients[a]
+                + self.residuals[draw_rows(self._pools[a], uniform[at])]
+            )
         following = np.clip(following, *self._limits)
         reward = self.task.reward_between(states, actions, following)
         if reward is None:
             reward = self.task.noiseless_step(states, actions).reward
-        return Moves(following, reward, self.task.terminated(following) & self.terminates)
+        return Moves(
+            following, reward, self.task.terminated(following) & self.terminates
+        )
 
     def parameters(self) -> dict[str, Any]:
         """The task's, and how many transitions the model is fitted to."""

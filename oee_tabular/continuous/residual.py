@@ -27,25 +27,45 @@ from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.history import HistoryEffect, history_effects
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.regression import Fit, Functions, Grams, draw_groups, episode_groups
+from oee_tabular.continuous.regression import (
+    Fit,
+    Functions,
+    Grams,
+    draw_groups,
+    episode_groups,
+)
 from oee_tabular.continuous.scatter import Neighbors, Scatter, Stops, root_mean_square
-from oee_tabular.continuous.task import ContinuousTask, DerivedTask, Moves, find_periods, require_log_of, shortest
+from oee_tabular.continuous.task import (
+    ContinuousTask,
+    DerivedTask,
+    Moves,
+    find_periods,
+    require_log_of,
+    shortest,
+)
 
 OUTLYING = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MAX_OUTLYING = 0.2  # share of rows that may be so
 N_ROUNDS = 3  # of leaving them out and fitting again
 ROUNDING = 1e-9  # of a turn
 SURE = 3.0  # standard errors of what g explains: the target differs
-HIDDEN = 0.1  # share of what is left over that history explains: the state is not all that decides
+# share of what is left over that history explains: the state is not all that decides
+HIDDEN = 0.1
 SMALL = 0.03  # of a step's own deviation: less is no hidden state to speak of
 ALIKE = 0.05  # share by which two scatters that are the same may differ
 UNITS = {  # of a column, and the factors to the simulator's
-    "degrees for radians": np.pi / 180.0, "radians for degrees": 180.0 / np.pi,
-    "mm for m": 1e-3, "m for mm": 1e3, "cm for m": 1e-2, "m for cm": 1e2,
-}  # fmt: skip
+    "degrees for radians": np.pi / 180.0,
+    "radians for degrees": 180.0 / np.pi,
+    "mm for m": 1e-3,
+    "m for mm": 1e3,
+    "cm for m": 1e-2,
+    "m for cm": 1e2,
+}
 N_UNIT_ROWS = 500  # of the log by which units are judged
 MAX_UNIT_COORDINATES = 8  # beyond, units are not judged
-MISSED, MET = 0.5, 0.1  # shares of a displacement, by which a step is missed and by which it is met in another unit
+# shares of a displacement, by which a step is missed and by which it is met in another
+# unit
+MISSED, MET = 0.5, 0.1
 
 
 @dataclass(frozen=True)
@@ -80,7 +100,10 @@ class Coordinate:
     @property
     def differs(self) -> bool:
         """Whether the target's step differs from the simulator's: g is surely not zero, or the scatter is another."""
-        is_alike = abs(self.left_over - self.simulator_scatter) <= ALIKE * self.simulator_scatter
+        is_alike = (
+            abs(self.left_over - self.simulator_scatter)
+            <= ALIKE * self.simulator_scatter
+        )
         return self.t_statistic > SURE or (self.scatter == "log" and not is_alike)
 
     @property
@@ -93,7 +116,10 @@ class Coordinate:
     @property
     def hidden(self) -> bool:
         """Whether something that is not in the state decides: history explains enough of what is left over."""
-        return self.history.r_squared > HIDDEN and self.history.part > SMALL * self.displacement
+        return (
+            self.history.r_squared > HIDDEN
+            and self.history.part > SMALL * self.displacement
+        )
 
 
 class ResidualSimulator(DerivedTask):
@@ -144,62 +170,119 @@ class ResidualSimulator(DerivedTask):
     """
 
     @one_thread
-    def __init__(self, task: ContinuousTask, log: ContinuousTransitions, *, seed: Seed = None) -> None:
-        super().__init__(_checks.instance(task, ContinuousTask, "task"), f"{task.name}, corrected by a log")
+    def __init__(
+        self, task: ContinuousTask, log: ContinuousTransitions, *, seed: Seed = None
+    ) -> None:
+        super().__init__(
+            _checks.instance(task, ContinuousTask, "task"),
+            f"{task.name}, corrected by a log",
+        )
         require_log_of(task, log)
         rng = np.random.default_rng(_checks.seed_sequence(seed, (10**6 + 2,)))
         actions = log.action_numbers(task.actions)
         own = task.noiseless_step(log.state, actions)
-        self._periods, self._start = find_periods(task, own.next_state), np.resize(task.feature_low, self.n_state)
-        low, high = self._start - ROUNDING, np.resize(task.feature_high, self.n_state) + ROUNDING
-        self._wraps = (self._periods > 0) & ((own.next_state >= low) & (own.next_state <= high)).all(axis=0)
+        self._periods, self._start = (
+            find_periods(task, own.next_state),
+            np.resize(task.feature_low, self.n_state),
+        )
+        low, high = (
+            self._start - ROUNDING,
+            np.resize(task.feature_high, self.n_state) + ROUNDING,
+        )
+        self._wraps = (self._periods > 0) & (
+            (own.next_state >= low) & (own.next_state <= high)
+        ).all(axis=0)
         features = task.features(log.state)
         self._range = features.min(axis=0), features.max(axis=0)
         self.units = other_units(task, log, actions, self._periods)
-        self._stops = Stops(log.state, log.next_state, own.next_state, self._periods > 0)
+        self._stops = Stops(
+            log.state, log.next_state, own.next_state, self._periods > 0
+        )
         self._known_ends = np.concatenate([log.terminated, own.terminated])
-        self._known_rewards = np.concatenate([own.reward if log.reward is None else log.reward, own.reward])
-        self._neighbors = Neighbors(task, np.concatenate([log.next_state, own.next_state]))
-        self._knows_ends = bool((task.terminated(own.next_state) == own.terminated).all())
+        self._known_rewards = np.concatenate(
+            [own.reward if log.reward is None else log.reward, own.reward]
+        )
+        self._neighbors = Neighbors(
+            task, np.concatenate([log.next_state, own.next_state])
+        )
+        self._knows_ends = bool(
+            (task.terminated(own.next_state) == own.terminated).all()
+        )
         is_free = ~self._stops.is_stopped(log.next_state)
         is_smooth = self._fit(log, actions, own, is_free, rng)
-        self._scatter = Scatter(task, log, actions, own, self.left_over, is_free, self._periods, rng)
+        self._scatter = Scatter(
+            task, log, actions, own, self.left_over, is_free, self._periods, rng
+        )
         self._is_free = is_free
         self.n_disturbances = task.n_disturbances + int(self._scatter.drawn.any())
         self.coordinates = self._describe(log, actions, is_smooth, is_free)
 
     def _fit(
-        self, log: ContinuousTransitions, actions: IntArray, own: Moves, is_free: BoolArray, rng: np.random.Generator
+        self,
+        log: ContinuousTransitions,
+        actions: IntArray,
+        own: Moves,
+        is_free: BoolArray,
+        rng: np.random.Generator,
     ) -> BoolArray:
         """Fit g to smooth rows, which it finds by what g leaves over; then what is lost at stops."""
-        d, free = self.n_state, self._stops.free(self.task, log.state, actions, own.next_state)
-        self.residuals = shortest(log.next_state - np.where(is_free[:, None], free, own.next_state), self._periods)
-        if log.reward is not None and self.task.reward_between(log.state, actions, log.next_state) is None:
+        d, free = (
+            self.n_state,
+            self._stops.free(self.task, log.state, actions, own.next_state),
+        )
+        self.residuals = shortest(
+            log.next_state - np.where(is_free[:, None], free, own.next_state),
+            self._periods,
+        )
+        if (
+            log.reward is not None
+            and self.task.reward_between(log.state, actions, log.next_state) is None
+        ):
             is_alike = own.terminated == log.terminated
-            self.residuals = np.column_stack([self.residuals, np.where(is_alike, log.reward - own.reward, 0.0)])
+            self.residuals = np.column_stack(
+                [self.residuals, np.where(is_alike, log.reward - own.reward, 0.0)]
+            )
         arguments = log.state, actions, self._displacements(log.state, actions, free)
         self._functions = Functions(self.task, *arguments, rng)
-        self._group = episode_groups(log.episode, len(log), self._functions.width, self.n_actions)
-        self._limits = np.stack([self.residuals[is_free].min(axis=0), self.residuals[is_free].max(axis=0)])
+        self._group = episode_groups(
+            log.episode, len(log), self._functions.width, self.n_actions
+        )
+        self._limits = np.stack(
+            [self.residuals[is_free].min(axis=0), self.residuals[is_free].max(axis=0)]
+        )
         is_smooth = is_free
         for _ in range(1 + N_ROUNDS):
-            self._grams = Grams(self._functions, arguments, self.residuals, self._group, is_smooth)
+            self._grams = Grams(
+                self._functions, arguments, self.residuals, self._group, is_smooth
+            )
             self._set_fits(self._grams.choose())
             added = self._correction(log.state, actions, free)
-            last, is_smooth = is_smooth, is_free & ~self._is_outlying(self.residuals - added)
+            last, is_smooth = (
+                is_smooth,
+                is_free & ~self._is_outlying(self.residuals - added),
+            )
             if np.array_equal(is_smooth, last):
                 break
         self.left_over = self.residuals - added
         following = free + added[:, :d]
-        self._stops.learn(following, following + shortest(log.next_state - following, self._periods))
+        self._stops.learn(
+            following, following + shortest(log.next_state - following, self._periods)
+        )
         stopped = self._clip(self._stops.push(following))
         self._stops.hold(stopped)
-        self.left_over[~is_free, :d] = shortest(log.next_state - stopped, self._periods)[~is_free]
+        self.left_over[~is_free, :d] = shortest(
+            log.next_state - stopped, self._periods
+        )[~is_free]
         return last
 
     def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
         """(n, m) what g depends on besides (s, a), ``free`` the simulator's next states without its stops."""
-        return np.column_stack([shortest(d, self._periods) for d in self.task.displacements(states, actions, free)])
+        return np.column_stack(
+            [
+                shortest(d, self._periods)
+                for d in self.task.displacements(states, actions, free)
+            ]
+        )
 
     def _is_outlying(self, left: Array) -> BoolArray:
         """(n,) rows with a residual far beyond the others', where they are few: contacts, stops."""
@@ -207,7 +290,9 @@ class ResidualSimulator(DerivedTask):
         floor = 1e-3 * root_mean_square(self.residuals)
         is_far = np.abs(left) > OUTLYING * np.maximum(size, floor) + 1e-300
         is_far &= is_far.mean(axis=0) <= MAX_OUTLYING
-        return np.asarray(is_far.any(axis=1) & (is_far.any(axis=1).mean() <= MAX_OUTLYING))
+        return np.asarray(
+            is_far.any(axis=1) & (is_far.any(axis=1).mean() <= MAX_OUTLYING)
+        )
 
     def _set_fits(self, fits: list[Fit]) -> None:
         self.fits, self._is_zero = fits, not any(len(fit.columns) for fit in fits)
@@ -218,32 +303,71 @@ class ResidualSimulator(DerivedTask):
         if self._is_zero:
             return np.zeros((len(states), len(self.fits)))
         displacements = self._displacements(states, actions, free)
-        return self._functions.predict(states, actions, displacements, self._coefficients, self._limits)
+        return self._functions.predict(
+            states, actions, displacements, self._coefficients, self._limits
+        )
 
     def _describe(
-        self, log: ContinuousTransitions, actions: IntArray, is_smooth: BoolArray, is_free: BoolArray
+        self,
+        log: ContinuousTransitions,
+        actions: IntArray,
+        is_smooth: BoolArray,
+        is_free: BoolArray,
     ) -> tuple[Coordinate, ...]:
         """One ``Coordinate`` each; rows that g was not fitted to count by what it leaves of them."""
-        scatter, left, residual = self._scatter, root_mean_square(self.left_over), root_mean_square(self.residuals)
-        squares, rough = (self.residuals**2).sum(axis=0), (self.left_over[~is_smooth] ** 2).sum(axis=0)
+        scatter, left, residual = (
+            self._scatter,
+            root_mean_square(self.left_over),
+            root_mean_square(self.residuals),
+        )
+        squares, rough = (
+            (self.residuals**2).sum(axis=0),
+            (self.left_over[~is_smooth] ** 2).sum(axis=0),
+        )
         moved = shortest(log.next_state - log.state, self._periods).std(axis=0)
-        displaced = np.append(moved, 0.0 if log.reward is None else log.reward.std())[: len(left)]
+        displaced = np.append(moved, 0.0 if log.reward is None else log.reward.std())[
+            : len(left)
+        ]
         effects = [HistoryEffect()] * len(left)
         if (left * scatter.drawn > SMALL * displaced).any():
             effects = history_effects(
-                self.task, log, actions, self.left_over, self._group, is_smooth=is_smooth, is_free=is_free,
+                self.task,
+                log,
+                actions,
+                self.left_over,
+                self._group,
+                is_smooth=is_smooth,
+                is_free=is_free,
                 least=SMALL * displaced,
-            )  # fmt: skip
+            )
         return tuple(
             Coordinate(
-                name, fit.kind, fit.per_action, fit.t_statistic, float(scatter.spread[k]), float(residual[k]),
-                float(left[k]), float(displaced[k]),
-                float(1.0 - (fit.error + rough[k]) / squares[k]) if squares[k] > 0 else 0.0,
-                "simulator" if scatter.own[k] else "log" if scatter.drawn[k] else "none",
+                name,
+                fit.kind,
+                fit.per_action,
+                fit.t_statistic,
+                float(scatter.spread[k]),
+                float(residual[k]),
+                float(left[k]),
+                float(displaced[k]),
+                (
+                    float(1.0 - (fit.error + rough[k]) / squares[k])
+                    if squares[k] > 0
+                    else 0.0
+                ),
+                (
+                    "simulator"
+                    if scatter.own[k]
+                    else "log"
+                    if scatter.drawn[k]
+                    else "none"
+                ),
                 effects[k] if scatter.drawn[k] else HistoryEffect(),
             )
-            for k, (name, fit) in enumerate(zip((*self.state_names, "reward"), self.fits, strict=False))
-        )  # fmt: skip
+            for k, (name, fit) in enumerate(
+                zip((*self.state_names, "reward"), self.fits, strict=False)
+            )
+        )
 
     def resampled(self, seed: Any = None) -> ResidualSimulator:
         """The same corrected by a bootstrap's log: groups of whole episodes drawn with replacement, g of the same classes."""
@@ -260,7 +384,10 @@ class ResidualSimulator(DerivedTask):
     @property
     def hidden_part(self) -> float:
         """The largest part of a step, in its deviations, that history explains; 0 where the state is Markov."""
-        return max((c.history.part / c.displacement for c in self.coordinates if c.hidden), default=0.0)
+        return max(
+            (c.history.part / c.displacement for c in self.coordinates if c.hidden),
+            default=0.0,
+        )
 
     @property
     def held_out_error(self) -> float:
@@ -277,16 +404,26 @@ class ResidualSimulator(DerivedTask):
         """One corrected step; the last disturbance chooses e, where it is drawn from the log."""
         actions, scatter = np.asarray(actions, dtype=np.int64), self._scatter
         own = self.task.noiseless_step(states, actions)
-        free = own.next_state if self._is_zero else self._stops.free(self.task, states, actions, own.next_state)
+        free = (
+            own.next_state
+            if self._is_zero
+            else self._stops.free(self.task, states, actions, own.next_state)
+        )
         added = self._correction(states, actions, free)
         if scatter.drawn.any():
             added += scatter.draw(states, actions, ndtr(disturbance[:, -1]))
         following = self._stops.push(free + added[:, : self.n_state])
         if scatter.own.any():
-            noisy = self.task.moves(states, actions, disturbance[:, : self.task.n_disturbances])
-            following += np.where(scatter.own[: self.n_state], noisy.next_state - own.next_state, 0.0)
+            noisy = self.task.moves(
+                states, actions, disturbance[:, : self.task.n_disturbances]
+            )
+            following += np.where(
+                scatter.own[: self.n_state], noisy.next_state - own.next_state, 0.0
+            )
         if self._wraps.any() or np.isfinite(self._stops.bounds).any():
-            following = np.where(following != own.next_state, self._clip(following), following)
+            following = np.where(
+                following != own.next_state, self._clip(following), following
+            )
         self._stops.hold(following)
         ends = own.terminated
         if self.terminates and self._knows_ends:
@@ -294,7 +431,9 @@ class ResidualSimulator(DerivedTask):
         elif self.terminates:
             every = np.arange(len(self._known_ends))
             ends = self._known_ends[self._neighbors.find(following, every, key=None)]
-        return Moves(following, self._reward(states, actions, following, ends, own, added), ends)
+        return Moves(
+            following, self._reward(states, actions, following, ends, own, added), ends
+        )
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """One random step; what chooses e is a stream of its own, so that ``rng`` gives what it gives to the task."""
@@ -306,31 +445,50 @@ class ResidualSimulator(DerivedTask):
     def _clip(self, following: Array) -> Array:
         """Within the stops, and within one turn where the task is."""
         inside = np.clip(following, *self._stops.bounds)
-        turned = self._start + (inside - self._start) % np.where(self._wraps, self._periods, 1.0)
+        turned = self._start + (inside - self._start) % np.where(
+            self._wraps, self._periods, 1.0
+        )
         return np.where(self._wraps, turned, inside)
 
     def _reward(
-        self, states: Array, actions: IntArray, following: Array, ends: BoolArray, own: Moves, added: Array
+        self,
+        states: Array,
+        actions: IntArray,
+        following: Array,
+        ends: BoolArray,
+        own: Moves,
+        added: Array,
     ) -> Array:
         """r(s, a, s'); the simulator's own and what was learned where a task has none, or that of the nearest such end."""
         known = self.task.reward_between(states, actions, following)
         if known is not None:
             return known
-        reward = own.reward + added[:, -1] if added.shape[1] > self.n_state else own.reward.copy()
+        reward = (
+            own.reward + added[:, -1]
+            if added.shape[1] > self.n_state
+            else own.reward.copy()
+        )
         for end in (False, True):
             rows = np.flatnonzero((ends == end) & (own.terminated != end))
             alike = np.flatnonzero(self._known_ends == end)
             if len(rows) and len(alike):
-                reward[rows] = self._known_rewards[self._neighbors.find(following[rows], alike, key=end)]
+                reward[rows] = self._known_rewards[
+                    self._neighbors.find(following[rows], alike, key=end)
+                ]
         return reward
 
     def parameters(self) -> dict[str, Any]:
         """The task's, and what the correction is made of."""
         learned = {c.name: [c.kind, c.per_action, c.scatter] for c in self.coordinates}
-        return self.task.parameters() | {"corrected_by_moves": len(self.residuals), "correction": learned}
+        return self.task.parameters() | {
+            "corrected_by_moves": len(self.residuals),
+            "correction": learned,
+        }
 
 
-def other_units(task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, periods: Array) -> str:
+def other_units(
+    task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, periods: Array
+) -> str:
     """Which columns are in another unit than the simulator's, and in which; "" where none is, or no factor makes steps alike.
 
         miss(c)_k = min(1, |c s' - f(c s, a)|_k^2 / |c s' - c s|_k^2),   c a factor for each column
@@ -338,7 +496,10 @@ def other_units(task: ContinuousTask, log: ContinuousTransitions, actions: IntAr
     Columns one by one, and in pairs by the same factor: the least sum of misses of those that bring a coordinate from more than
     half to less than a tenth. One call of f with 500 rows, some 200 where a coordinate is missed.
     """
-    d, rows = task.n_state, np.linspace(0, len(log) - 1, min(N_UNIT_ROWS, len(log))).astype(np.int64)
+    d, rows = (
+        task.n_state,
+        np.linspace(0, len(log) - 1, min(N_UNIT_ROWS, len(log))).astype(np.int64),
+    )
     if d > MAX_UNIT_COORDINATES:
         return ""
 
@@ -346,13 +507,22 @@ def other_units(task: ContinuousTask, log: ContinuousTransitions, actions: IntAr
         before, after = factors * log.state[rows], factors * log.next_state[rows]
         with np.errstate(all="ignore"):  # states that no simulator was made for
             own = task.noiseless_step(before, actions[rows]).next_state
-            left, moved = ((shortest(x, periods) ** 2).sum(axis=0) for x in (after - own, after - before))
-        return np.asarray(np.where(moved > 0, np.minimum(1.0, left / np.where(moved > 0, moved, 1.0)), 0.0))
+            left, moved = (
+                (shortest(x, periods) ** 2).sum(axis=0)
+                for x in (after - own, after - before)
+            )
+        return np.asarray(
+            np.where(
+                moved > 0, np.minimum(1.0, left / np.where(moved > 0, moved, 1.0)), 0.0
+            )
+        )
 
     plain = miss(np.ones(d))
     is_missed, least, text = plain > MISSED, plain.sum(), ""
     pairs = [(k,) for k in range(d)] + list(itertools.combinations(range(d), 2))
-    for columns, (unit, factor) in itertools.product(pairs if is_missed.any() else (), UNITS.items()):
+    for columns, (unit, factor) in itertools.product(
+        pairs if is_missed.any() else (), UNITS.items()
+    ):
         missed = miss(np.where(np.isin(np.arange(d), columns), factor, 1.0))
         if (is_missed & (missed < MET)).any() and missed.sum() < least:
             names = " and ".join(task.state_names[k] for k in columns)

@@ -26,26 +26,42 @@ from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cells import Grid
 from oee_tabular.continuous.correction import describe_flaw
-from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_carlo_value
+from oee_tabular.continuous.episodes import (
+    MonteCarlo,
+    compare_returns,
+    monte_carlo_value,
+)
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
 from oee_tabular.continuous.task import ContinuousTask, StatePolicy
 from oee_tabular.data import Transitions
-from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem, Simulator, calibrate
+from oee_tabular.estimators import (
+    Estimate,
+    Estimator,
+    OffEnvironment,
+    Problem,
+    Simulator,
+    calibrate,
+)
 from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.estimators.findings import Finding, missing_support
 from oee_tabular.exact import policy_value
 from oee_tabular.ratio import transition_ratio, uncovered_share
 
-MAX_BEYOND = 0.02  # share of a policy's transitions beyond the log's range: more is said
-MAX_LEFT_OUT = 0.01  # share of the log's transitions without support that the rows on the cells may leave out
+# share of a policy's transitions beyond the log's range: more is said
+MAX_BEYOND = 0.02
+# share of the log's transitions without support that the rows on the cells may leave
+# out
+MAX_LEFT_OUT = 0.01
 QUANTILE = 1.96  # of the intervals that estimators set themselves
 BEYOND = (
-    "{} of the policy's transitions start outside the range of the recorded states. The correction is a guess there, and no "
-    "interval counts its error."
+    "{} of the policy's transitions start outside the range of the recorded states. The"
+    " correction is a guess there, and no interval counts its error."
 )
-CALIBRATED_FAR = "calibration changes the value by {}. Rely on the corrected simulator instead."
+CALIBRATED_FAR = (
+    "calibration changes the value by {}. Rely on the corrected simulator instead."
+)
 
 Row: TypeAlias = Callable[[StatePolicy], Estimate]
 
@@ -70,18 +86,28 @@ class Rollouts:
     paths: int = 1000
 
     def _stream(self, *key: int) -> np.random.SeedSequence:
-        return np.random.SeedSequence(self.seed.entropy, spawn_key=(*self.seed.spawn_key, *key))
+        return np.random.SeedSequence(
+            self.seed.entropy, spawn_key=(*self.seed.spawn_key, *key)
+        )
 
     def value(self, task: ContinuousTask, policy: StatePolicy) -> MonteCarlo:
         """J of the policy in the task."""
         seed = np.random.default_rng(self._stream())
-        return monte_carlo_value(task, policy, self.episodes, self.horizon, discount=self.discount, seed=seed)
+        return monte_carlo_value(
+            task, policy, self.episodes, self.horizon, discount=self.discount, seed=seed
+        )
 
-    def _returns(self, tasks: Sequence[ContinuousTask], policy: StatePolicy, n: int) -> Array:
+    def _returns(
+        self, tasks: Sequence[ContinuousTask], policy: StatePolicy, n: int
+    ) -> Array:
         n, seed = min(n, self.paths, self.episodes), self._stream(1)
-        return compare_returns(tasks, policy, n, self.horizon, discount=self.discount, seed=seed)
+        return compare_returns(
+            tasks, policy, n, self.horizon, discount=self.discount, seed=seed
+        )
 
-    def estimate(self, learned: Any, policy: StatePolicy, status: str = "ok") -> Estimate:
+    def estimate(
+        self, learned: Any, policy: StatePolicy, status: str = "ok"
+    ) -> Estimate:
         """J in a task learned from the log, with the error of the log and of the rollouts.
 
         Parameters
@@ -91,22 +117,33 @@ class Rollouts:
         policy : of the task's states
         status : why the value is not to be relied on, and then has no error; "ok"
         """
-        mc, is_ok, is_corrected = self.value(learned, policy), status == "ok", isinstance(learned, ResidualSimulator)
-        facts: dict[str, Any] = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
+        mc, is_ok, is_corrected = (
+            self.value(learned, policy),
+            status == "ok",
+            isinstance(learned, ResidualSimulator),
+        )
+        facts: dict[str, Any] = {
+            "standard_error_of": "rollouts",
+            "n_rollouts": mc.n_episodes,
+        }
         error: float | None = None
         interval: tuple[float, float] | None = None
         findings: tuple[Finding, ...] = ()
         if is_ok:
             rngs = map(np.random.default_rng, self._stream(2).spawn(self.refits))
-            returns = self._returns([learned, *map(learned.resampled, rngs)], policy, self.paths)
+            returns = self._returns(
+                [learned, *map(learned.resampled, rngs)], policy, self.paths
+            )
             of_log = float((returns[1:] - returns[0]).mean(axis=1).std(ddof=1))
             error = float(np.hypot(of_log, mc.standard_error))
             reach = error * float(stdtrit(self.refits - 1, 0.975))
             interval = mc.value - reach, mc.value + reach
             facts |= {
-                "standard_error_of": "log and rollouts", "refits": self.refits, "standard_error_of_the_log": of_log,
+                "standard_error_of": "log and rollouts",
+                "refits": self.refits,
+                "standard_error_of_the_log": of_log,
                 "interval_method": "refits",
-            }  # fmt: skip
+            }
         if is_corrected:
             counts = np.zeros(2)
 
@@ -116,11 +153,24 @@ class Rollouts:
 
             self._returns([learned], watch, 200)
             share = float(counts[0] / counts[1])
-            explained = ", ".join(f"{c.name} {c.explained:.3g}" for c in learned.coordinates if c.kind != "zero")
+            explained = ", ".join(
+                f"{c.name} {c.explained:.3g}"
+                for c in learned.coordinates
+                if c.kind != "zero"
+            )
             facts |= {"explained": explained, "beyond_log": share}
-            findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),) * (share > MAX_BEYOND)
+            findings = (Finding("beyond", share, BEYOND, f"{share:.0%}"),) * (
+                share > MAX_BEYOND
+            )
         return Estimate(
-            mc.value, error, interval, facts, status, findings, is_normal=is_ok, is_headline=is_corrected and is_ok
+            mc.value,
+            error,
+            interval,
+            facts,
+            status,
+            findings,
+            is_normal=is_ok,
+            is_headline=is_corrected and is_ok,
         )
 
 
@@ -172,32 +222,54 @@ def corrected_value(
     """
     _checks.instance(corrected, ResidualSimulator, "corrected")
     _checks.function(policy, "policy")
-    numbers = {"horizon": horizon, "n_episodes": n_episodes, "refits": refits, "paths": paths}
-    steps, episodes, n_refits, each = (_checks.positive_integer(value, name) for name, value in numbers.items())
+    numbers = {
+        "horizon": horizon,
+        "n_episodes": n_episodes,
+        "refits": refits,
+        "paths": paths,
+    }
+    steps, episodes, n_refits, each = (
+        _checks.positive_integer(value, name) for name, value in numbers.items()
+    )
     if n_refits < 2:
         raise ValueError(f"refits must be at least 2, for a variance; got {refits}")
     gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
-    rollouts = Rollouts(steps, gamma, episodes, _checks.seed_sequence(seed, ()), n_refits, each)
+    rollouts = Rollouts(
+        steps, gamma, episodes, _checks.seed_sequence(seed, ()), n_refits, each
+    )
     return rollouts.estimate(corrected, policy, describe_flaw(corrected))
 
 
-def refuse_impossible(estimate: Estimate, lowest: float, highest: float, horizon: int, scale: float = 1.0) -> Estimate:
+def refuse_impossible(
+    estimate: Estimate, lowest: float, highest: float, horizon: int, scale: float = 1.0
+) -> Estimate:
     """Without a value that lies beyond the least and the most that the rewards can sum to, and with a sentence.
 
     A value that is beyond by at most 1.96 standard errors is put on the bound; ``scale`` multiplies values in the sentence.
     """
     value = estimate.value
-    room = 1e-9 * max([1.0, *(abs(bound) for bound in (lowest, highest) if np.isfinite(bound))])
+    room = 1e-9 * max(
+        [1.0, *(abs(bound) for bound in (lowest, highest) if np.isfinite(bound))]
+    )
     nearest = float(np.clip(value, lowest, highest))
     if not np.isfinite(value) or abs(nearest - value) <= room:
         return estimate
     if abs(nearest - value) <= QUANTILE * (estimate.standard_error or 0.0):
         return replace(estimate, value=nearest)
     shown, low, high = (x * scale for x in (value, lowest, highest))
-    text = f"{shown:.4g} is impossible: a sum of {horizon} rewards is between {low:.4g} and {high:.4g}"
+    text = (
+        f"{shown:.4g} is impossible: a sum of {horizon} rewards is between {low:.4g}"
+        f" and {high:.4g}"
+    )
     facts = estimate.diagnostics | {"refused_value": value}
     return replace(
-        estimate, value=float("nan"), standard_error=None, interval=None, status=text, findings=(), diagnostics=facts
+        estimate,
+        value=float("nan"),
+        standard_error=None,
+        interval=None,
+        status=text,
+        findings=(),
+        diagnostics=facts,
     )
 
 
@@ -229,46 +301,93 @@ class OnCells:
     """
 
     def __init__(
-        self, simulator: ContinuousSimulator, log: ContinuousTransitions, settings: Settings, horizon: int, discount: float,
+        self,
+        simulator: ContinuousSimulator,
+        log: ContinuousTransitions,
+        settings: Settings,
+        horizon: int,
+        discount: float,
         seed: Seed,
-    ) -> None:  # fmt: skip
-        floor = simulator.floor if settings.floor is None else _checks.number_in(settings.floor, "floor", 0.0, 1.0)
+    ) -> None:
+        floor = (
+            simulator.floor
+            if settings.floor is None
+            else _checks.number_in(settings.floor, "floor", 0.0, 1.0)
+        )
         cells = None if settings.grid == "auto" else settings.grid
-        self.model = model = simulator.discretize(log, cells=cells, floor=floor, discount=discount)
-        counts, where = model.counts(log, outside=settings.outside), model.cells.extent()
-        encoded = model.encode(log, seed=_checks.seed_sequence(seed, (10**6 + 1,)), outside=settings.outside)
-        # rewards differ within a cell: they are held against the task's own steps, not against the cells' means
-        bag = Transitions(**{name: column for name, column in encoded.columns().items() if name != "reward"})
+        self.model = model = simulator.discretize(
+            log, cells=cells, floor=floor, discount=discount
+        )
+        counts, where = (
+            model.counts(log, outside=settings.outside),
+            model.cells.extent(),
+        )
+        encoded = model.encode(
+            log,
+            seed=_checks.seed_sequence(seed, (10**6 + 1,)),
+            outside=settings.outside,
+        )
+        # rewards differ within a cell: they are held against the task's own steps, not
+        # against the cells' means
+        bag = Transitions(
+            **{
+                name: column
+                for name, column in encoded.columns().items()
+                if name != "reward"
+            }
+        )
         kept, share = model.supported(counts)
         if kept.nnz == 0 or (share > MAX_LEFT_OUT and settings.outside != "drop"):
-            ways = [] if floor > 0.0 else ["a defensive share (--task-option floor=0.001)"]
-            ways += ["a coarser grid (--grid NxM)", "without those transitions (--task-option outside=drop)"]
+            ways = (
+                [] if floor > 0.0 else ["a defensive share (--task-option floor=0.001)"]
+            )
+            ways += [
+                "a coarser grid (--grid NxM)",
+                "without those transitions (--task-option outside=drop)",
+            ]
             more = f", with a defensive share of {floor:g}" if floor > 0.0 else ""
             raise NoCellsError(
-                f"the log must stay where the simulator has probability: {share:.2g} of its transitions have none on "
-                f"{where}{more}, and no ratio exists there. Ways out: {', '.join(ways[:-1])}, or {ways[-1]}"
+                f"the log must stay where the simulator has probability: {share:.2g} of"
+                f" its transitions have none on {where}{more}, and no ratio exists"
+                f" there. Ways out: {', '.join(ways[:-1])}, or {ways[-1]}"
             )
         if share > 0.0:
-            most = int((row_sums(counts) - row_sums(kept)).argmax()) // model.task.n_actions
+            most = (
+                int((row_sums(counts) - row_sums(kept)).argmax())
+                // model.task.n_actions
+            )
             warnings.warn(
-                f"{share:.2g} of the log's transitions have no probability in the simulator on {where}; the rows on the cells "
-                f"leave them out. Most of them begin at state {most}",
+                f"{share:.2g} of the log's transitions have no probability in the"
+                f" simulator on {where}; the rows on the cells leave them out. Most of"
+                f" them begin at state {most}",
                 stacklevel=2,
             )
         episodes = encoded if encoded.episode is not None else None
-        self.problem = Problem(model.mdp, bag, horizon=horizon, counts=kept, episodes=episodes)
+        self.problem = Problem(
+            model.mdp, bag, horizon=horizon, counts=kept, episodes=episodes
+        )
         is_tied = model.task.is_translation_invariant and isinstance(model.cells, Grid)
         tie = model.displacement_ties() if is_tied else None
         self._zeta = transition_ratio(kept, model.mdp, tie=tie, **simulator.ratio)
         largest = float(self._zeta.values.data.max())
         uncovered = uncovered_share(kept, model.plain)
-        self._support = {"uncovered_mass": uncovered, "largest_zeta": largest, "d_inf": float(np.log(largest))}
+        self._support = {
+            "uncovered_mass": uncovered,
+            "largest_zeta": largest,
+            "d_inf": float(np.log(largest)),
+        }
         self.facts: dict[str, Any] = {
             "simulator": self._describe(simulator.name),
-            "log": f"{len(log)} transitions of {log.n_state}-dimensional states; encoded: {encoded.describe()}",
+            "log": (
+                f"{len(log)} transitions of {log.n_state}-dimensional states; encoded:"
+                f" {encoded.describe()}"
+            ),
             "grid": where,
             "floor": floor,
-            "ratio": ({} if tie is None else {"tie": "displacements"}) | dict(simulator.ratio),
+            "ratio": (
+                ({} if tie is None else {"tie": "displacements"})
+                | dict(simulator.ratio)
+            ),
             "rows_left_out": len(log) - len(encoded),
             "moves_left_out": share,
             "closure_error": model.diagnostics["closure_error"],
@@ -277,7 +396,8 @@ class OnCells:
         paid = [model.mdp.rewards.min(), model.mdp.rewards.max()]
         if log.reward is not None:
             paid += [log.reward.min(), log.reward.max()]
-        if log.terminated.any() or model.mdp.absorbing().any():  # after an end nothing is paid
+        # after an end nothing is paid
+        if log.terminated.any() or model.mdp.absorbing().any():
             paid.append(0.0)
         number = float(np.sum(discount ** np.arange(horizon)))
         self._bounds = float(min(paid)) * number, float(max(paid)) * number
@@ -285,36 +405,66 @@ class OnCells:
     def _describe(self, name: str) -> str:
         """The simulator on cells, in one line of a report."""
         model, support = self.model, self._support
-        places = "" if model.task.is_translation_invariant else ", looked at in the log's own places"
+        places = (
+            ""
+            if model.task.is_translation_invariant
+            else ", looked at in the log's own places"
+        )
         text = f"{name} on {model.cells.extent()}{places}: {model.mdp!r}"
         if floor := model.metadata["floor"]:
             own, others = model.metadata["parameters"], model.metadata["others"]
-            differing = [", ".join(f"{k}={v:.3g}" for k, v in other.items() if own.get(k) != v) for other in others]
-            other = f"one of {'; '.join(differing)}" if others else "a transition of the log"
-            text += f"; defensive: with probability {floor:g} a step is {other} (plain: without)"
-        error, noise = (model.diagnostics[f"closure_{what}"] for what in ("error", "standard_error"))
-        return text + (
-            f"; closure error of the uniform policy {error:+.1%} (+-{noise:.1%}); uncovered mass "
-            f"{support['uncovered_mass']:.2g}, largest zeta {support['largest_zeta']:.3g} (D_inf {support['d_inf']:.2g} nats)"
+            differing = [
+                ", ".join(f"{k}={v:.3g}" for k, v in other.items() if own.get(k) != v)
+                for other in others
+            ]
+            other = (
+                f"one of {'; '.join(differing)}"
+                if others
+                else "a transition of the log"
+            )
+            text += (
+                f"; defensive: with probability {floor:g} a step is {other} (plain:"
+                " without)"
+            )
+        error, noise = (
+            model.diagnostics[f"closure_{what}"] for what in ("error", "standard_error")
+        )
+        return (
+            text
+            + f"; closure error of the uniform policy {error:+.1%} (+-{noise:.1%});"
+            f" uncovered mass {support['uncovered_mass']:.2g}, largest zeta"
+            f" {support['largest_zeta']:.3g} (D_inf {support['d_inf']:.2g} nats)"
         )
 
     def plain(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
         """The simulator on the cells without its defensive share: exact."""
-        return Estimate(policy_value(self.model.plain, policy, horizon=self.problem.horizon))
+        return Estimate(
+            policy_value(self.model.plain, policy, horizon=self.problem.horizon)
+        )
 
     def raw(self, problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
         """Off-environment evaluation on the cells, and how far its ratio has support."""
         found = OffEnvironment(self._zeta)(self.problem, policy, seed=seed)
         missing = missing_support(*self._support.values())
-        return replace(found, diagnostics=found.diagnostics | self._support, findings=(*found.findings, *missing))
+        return replace(
+            found,
+            diagnostics=found.diagnostics | self._support,
+            findings=(*found.findings, *missing),
+        )
 
-    def calibrated(self, simulate: Callable[[Array], MonteCarlo], kind: str, scale: float) -> Estimator:
+    def calibrated(
+        self, simulate: Callable[[Array], MonteCarlo], kind: str, scale: float
+    ) -> Estimator:
         """The raw value calibrated by ``simulate(policy)``, Monte Carlo's; not beyond what the rewards can sum to."""
 
         def row(problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
             below = self.plain(problem, policy).value
-            found = calibrated_row(self.raw(problem, policy), simulate(policy), below, kind, scale)
-            return refuse_impossible(found, *self._bounds, self.problem.horizon or 0, scale)
+            found = calibrated_row(
+                self.raw(problem, policy), simulate(policy), below, kind, scale
+            )
+            return refuse_impossible(
+                found, *self._bounds, self.problem.horizon or 0, scale
+            )
 
         return row
 
@@ -324,20 +474,29 @@ class OnCells:
         for name, estimator in wanted.items():
             if estimator != OffEnvironment():
                 rows[name] = estimator
-            if isinstance(estimator, Simulator) and self.model.mdp is not self.model.plain:
+            if (
+                isinstance(estimator, Simulator)
+                and self.model.mdp is not self.model.plain
+            ):
                 rows["simulator (plain)"] = self.plain
-        return rows | ({"oee on the grid": self.raw} if OffEnvironment() in wanted.values() else {})
+        return rows | (
+            {"oee on the grid": self.raw} if OffEnvironment() in wanted.values() else {}
+        )
 
-    def describe_loss(self, simulate: Callable[[Array], MonteCarlo], tables: Mapping[str, Array]) -> str:
+    def describe_loss(
+        self, simulate: Callable[[Array], MonteCarlo], tables: Mapping[str, Array]
+    ) -> str:
         """By how much the cells change the simulator's own values, which no interval counts."""
         values = {name: simulate(table).value for name, table in tables.items()}
         changes = ", ".join(
-            f"{self.plain(self.problem, tables[name]).value - value:+.3g} of {value:.3g} ({name})"
+            f"{self.plain(self.problem, tables[name]).value - value:+.3g} of"
+            f" {value:.3g} ({name})"
             for name, value in values.items()
         )
         return (
-            "standard errors and intervals count the log's noise and not the error of the cells. The cells change the "
-            f"simulator's own value by {changes}, and may change another environment's by more"
+            "standard errors and intervals count the log's noise and not the error of"
+            f" the cells. The cells change the simulator's own value by {changes}, and"
+            " may change another environment's by more"
         )
 
     def add_features(self, text: str) -> str:
@@ -345,30 +504,66 @@ class OnCells:
         model = self.model
 
         def place(match: re.Match[str]) -> str:
-            points = model.points[model.places.point_cell == int(match[1])]  # none, where it is over
+            # none, where it is over
+            points = model.points[model.places.point_cell == int(match[1])]
             if len(points) == 0:
                 return match[0]
-            at = zip(model.task.feature_names, model.task.features(points).mean(axis=0), strict=True)
-            return f"{match[0]} ({', '.join(f'{name}={value:.3g}' for name, value in at)})"
+            at = zip(
+                model.task.feature_names,
+                model.task.features(points).mean(axis=0),
+                strict=True,
+            )
+            return (
+                f"{match[0]} ({', '.join(f'{name}={value:.3g}' for name, value in at)})"
+            )
 
         return re.sub(r"\bstate (\d+)", place, text)
 
 
-def calibrated_row(raw: Estimate, outside: MonteCarlo, below: float, kind: str, scale: float) -> Estimate:
+def calibrated_row(
+    raw: Estimate, outside: MonteCarlo, below: float, kind: str, scale: float
+) -> Estimate:
     """The raw value times J_continuous / J_discretised of the simulator, or plus their difference, in a row of its own."""
     found = calibrate(
-        raw, discretised=below, continuous=outside.value, continuous_error=outside.standard_error, kind=kind
+        raw,
+        discretised=below,
+        continuous=outside.value,
+        continuous_error=outside.standard_error,
+        kind=kind,
     )
-    value, error = (found.diagnostics[f"calibrated_{what}"] for what in ("value", "standard_error"))
-    raw_only = IN_VALUES_UNIT | {"row_sum_error", "calibrated_value", "calibrated_standard_error"}
+    value, error = (
+        found.diagnostics[f"calibrated_{what}"] for what in ("value", "standard_error")
+    )
+    raw_only = IN_VALUES_UNIT | {
+        "row_sum_error",
+        "calibrated_value",
+        "calibrated_standard_error",
+    }
     facts = {name: x for name, x in found.diagnostics.items() if name not in raw_only}
     told = list(found.findings)
     apart, own = abs(raw.value - value), abs(outside.value - below)
-    if apart > 1.01 * own + 2.0 * outside.standard_error:  # calibration takes out more than was put in
-        figure = f"{apart * scale:.3g}, and the cells change the simulator's own value by {own * scale:.3g} alone"
+    # calibration takes out more than was put in
+    if apart > 1.01 * own + 2.0 * outside.standard_error:
+        figure = (
+            f"{apart * scale:.3g}, and the cells change the simulator's own value by"
+            f" {own * scale:.3g} alone"
+        )
         told.append(Finding("calibrated far", apart * scale, CALIBRATED_FAR, figure))
-    ends = None if found.interval is None or error is None else (value - QUANTILE * error, value + QUANTILE * error)
+    ends = (
+        None
+        if found.interval is None or error is None
+        else (value - QUANTILE * error, value + QUANTILE * error)
+    )
     return replace(
-        found, value=value, standard_error=error, interval=ends, diagnostics=facts | {"interval_method": "calibrated"},
-        findings=tuple(told), model_value=None, is_normal=True, is_from_log=True, is_from_episodes=False, is_headline=False,
-    )  # fmt: skip
+        found,
+        value=value,
+        standard_error=error,
+        interval=ends,
+        diagnostics=facts | {"interval_method": "calibrated"},
+        findings=tuple(told),
+        model_value=None,
+        is_normal=True,
+        is_from_log=True,
+        is_from_episodes=False,
+        is_headline=False,
+    )

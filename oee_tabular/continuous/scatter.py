@@ -21,9 +21,12 @@ from oee_tabular.continuous.task import ContinuousTask, Moves, shortest
 
 MIN_ROWS = 5  # that end at exactly the extreme of a coordinate: a stop
 MAX_SHARE = 0.5  # of rows at stops, beyond which they are values like others
-SHARES_BACK = 2.0 ** np.arange(-5, 1)  # of the longest displacement: from so far back a step is free of a stop
+# of the longest displacement: from so far back a step is free of a stop
+SHARES_BACK = 2.0 ** np.arange(-5, 1)
 N_NEIGHBORS = 8  # rows near by, from which one is drawn
-MIN_EXPLAINED = 0.02  # share of a residual, or of its size, that its neighbours explain: it is drawn from them
+# share of a residual, or of its size, that its neighbours explain: it is drawn from
+# them
+MIN_EXPLAINED = 0.02
 N_JUDGED = 3000  # rows at which that is judged
 N_SIMULATED = 5000  # steps by which the simulator's own noise is known
 SKEWED = 5.0  # standard errors between the means of two scatters: they are not the same
@@ -46,21 +49,36 @@ class Stops:
     pushes : (side, i) -> (h, d) what who loses v of the h held coordinates is pushed by, v C, in the others; see ``learn``
     """
 
-    def __init__(self, states: Array, following: Array, own: Array, is_angle: BoolArray) -> None:
+    def __init__(
+        self, states: Array, following: Array, own: Array, is_angle: BoolArray
+    ) -> None:
         self.bounds = _extremes(following)
-        self.target, self.own = _find(following, self.bounds, is_angle), _find(own, _extremes(own), is_angle)
+        self.target, self.own = (
+            _find(following, self.bounds, is_angle),
+            _find(own, _extremes(own), is_angle),
+        )
         least, most = following.min(axis=0), following.max(axis=0)
-        is_own = np.isinf(self.bounds) & np.isfinite(self.own) & [least >= self.own[0], most <= self.own[1]]
+        is_own = (
+            np.isinf(self.bounds)
+            & np.isfinite(self.own)
+            & [least >= self.own[0], most <= self.own[1]]
+        )
         self.bounds[is_own] = self.target[is_own] = self.own[is_own]
-        self._reach = np.maximum(np.abs(following - states).max(axis=0), np.abs(own - states).max(axis=0))
+        self._reach = np.maximum(
+            np.abs(following - states).max(axis=0), np.abs(own - states).max(axis=0)
+        )
         self.held = _group_stops(self.target, np.concatenate([following, own]))
-        self.pushes = {at: np.zeros((len(j), self._reach.size)) for at, (j, _) in self.held.items()}
+        self.pushes = {
+            at: np.zeros((len(j), self._reach.size)) for at, (j, _) in self.held.items()
+        }
 
     def is_stopped(self, following: Array) -> BoolArray:
         """(n,) next states at a stop of the target."""
         return np.asarray(_side(self.target, following).any(axis=1))
 
-    def free(self, task: ContinuousTask, states: Array, actions: IntArray, own: Array) -> Array:
+    def free(
+        self, task: ContinuousTask, states: Array, actions: IntArray, own: Array
+    ) -> Array:
         """(n, d) the simulator's next states ``own`` without its stops, f(s - b) + b; b is as short as is free of them."""
         if np.isinf(self.own).all():
             return own
@@ -82,7 +100,9 @@ class Stops:
             others = np.setdiff1d(np.arange(self._reach.size), [i, *held])
             if rows.sum() >= MIN_ROWS * len(held):
                 lost = moved[rows][:, held] - values
-                self.pushes[side, i][:, others] = np.linalg.lstsq(lost, (following - moved)[rows][:, others])[0]
+                self.pushes[side, i][:, others] = np.linalg.lstsq(
+                    lost, (following - moved)[rows][:, others]
+                )[0]
 
     def push(self, moved: Array) -> Array:
         """(n, d) steps f + g, pushed where they are stopped; the bounds are left to come."""
@@ -99,7 +119,9 @@ class Stops:
             following[np.ix_(self._rows_at(side, i, following), held)] = values
 
     def _rows_at(self, side: int, i: int, values: Array) -> BoolArray:
-        return np.asarray(_side(self.target[:, [i]], values[:, [i]])[:, 0] == 2 * side - 1)
+        return np.asarray(
+            _side(self.target[:, [i]], values[:, [i]])[:, 0] == 2 * side - 1
+        )
 
 
 def _side(stops: Array, values: Array) -> IntArray:
@@ -110,7 +132,9 @@ def _side(stops: Array, values: Array) -> IntArray:
 def _extremes(values: Array) -> Array:
     """(2, d) the least and the most, where ``MIN_ROWS`` end there and not all."""
     ends = np.stack([values.min(axis=0), values.max(axis=0)])
-    is_stop = ((values == ends[:, None]).sum(axis=1) >= MIN_ROWS) & (values.std(axis=0) > 0)
+    is_stop = ((values == ends[:, None]).sum(axis=1) >= MIN_ROWS) & (
+        values.std(axis=0) > 0
+    )
     return np.where(is_stop, ends, [[-np.inf], [np.inf]])
 
 
@@ -131,7 +155,9 @@ def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
     return stops if _side(stops, values).any(axis=1).mean() <= MAX_SHARE else none
 
 
-def _group_stops(stops: Array, values: Array) -> dict[tuple[int, int], tuple[IntArray, Array]]:
+def _group_stops(
+    stops: Array, values: Array
+) -> dict[tuple[int, int], tuple[IntArray, Array]]:
     """What is exactly alike in all rows at a stop, by side and coordinate."""
     held = {}
     for side, i in zip(*np.nonzero(np.isfinite(stops)), strict=True):
@@ -158,11 +184,15 @@ class Neighbors:
         self._places = places / self._unit
         self._trees: dict[Hashable, cKDTree] = {}
 
-    def find(self, states: Array, rows: IntArray, k: int = 1, *, key: Hashable) -> IntArray:
+    def find(
+        self, states: Array, rows: IntArray, k: int = 1, *, key: Hashable
+    ) -> IntArray:
         """(n, k) or, with k = 1, (n,) which of ``rows`` are nearest; ``key`` names these rows, whose tree is kept."""
         if key not in self._trees:
             self._trees[key] = cKDTree(self._places[rows])
-        return np.asarray(rows[self._trees[key].query(self._task.smooth(states) / self._unit, k=k)[1]])
+        return np.asarray(
+            rows[self._trees[key].query(self._task.smooth(states) / self._unit, k=k)[1]]
+        )
 
 
 class Scatter:
@@ -184,9 +214,16 @@ class Scatter:
     """
 
     def __init__(
-        self, task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, own: Moves, left_over: Array,
-        is_free: BoolArray, periods: Array, rng: np.random.Generator,
-    ) -> None:  # fmt: skip
+        self,
+        task: ContinuousTask,
+        log: ContinuousTransitions,
+        actions: IntArray,
+        own: Moves,
+        left_over: Array,
+        is_free: BoolArray,
+        periods: Array,
+        rng: np.random.Generator,
+    ) -> None:
         d, k = log.n_state, left_over.shape[1]
         some = np.sort(rng.permutation(len(log))[:N_SIMULATED])
         noisy = task.step(log.state[some], actions[some], rng)
@@ -196,29 +233,42 @@ class Scatter:
         size, rounding = root_mean_square(e), np.full(k, ROUNDING)
         rounding[:d] *= shortest(log.next_state - log.state, periods).std(axis=0)
         rounding[:d] += np.finfo(float).eps * np.abs(log.next_state).max(axis=0)
-        is_alike = np.abs(size / np.maximum(self.spread, 1e-300) - 1.0) <= max(0.05, 4.0 / np.sqrt(len(e)))
-        is_alike &= np.abs(noise.mean(axis=0) - e.mean(axis=0)) <= SKEWED * self.spread * np.sqrt(2.0 / len(some))
+        is_alike = np.abs(size / np.maximum(self.spread, 1e-300) - 1.0) <= max(
+            0.05, 4.0 / np.sqrt(len(e))
+        )
+        is_alike &= np.abs(
+            noise.mean(axis=0) - e.mean(axis=0)
+        ) <= SKEWED * self.spread * np.sqrt(2.0 / len(some))
         self.own = (self.spread > rounding) & is_alike & (task.n_disturbances > 0)
         self.drawn = ~self.own & (size > rounding)
         if k > d:
             is_paid_alike = noisy.terminated == own.terminated[some]
-            self.spread[-1] = root_mean_square(np.where(is_paid_alike, noisy.reward - own.reward[some], 0.0))
+            self.spread[-1] = root_mean_square(
+                np.where(is_paid_alike, noisy.reward - own.reward[some], 0.0)
+            )
         self._task = task
         self._e, self._actions = np.where(self.drawn, e, 0.0), actions[is_free]
         scaled = self._e / np.maximum(size, 1e-300)
         widest = np.linalg.eigh(scaled.T @ scaled)[1][:, -1] / np.maximum(size, 1e-300)
-        self._order = self._e @ widest  # rows are drawn in order along the direction in which e varies most
+        # rows are drawn in order along the direction in which e varies most
+        self._order = self._e @ widest
         self._rows = [np.flatnonzero(self._actions == a) for a in range(task.n_actions)]
         self._neighbors, self._near = Neighbors(task, log.state[is_free]), None
         if self.drawn.any():
-            near = np.empty((len(e), N_NEIGHBORS + 1), dtype=np.int64)  # of the same action, itself among them
+            # of the same action, itself among them
+            near = np.empty((len(e), N_NEIGHBORS + 1), dtype=np.int64)
             for a, rows in enumerate(self._rows):
                 if len(rows):
                     k = min(N_NEIGHBORS + 1, len(rows))
-                    found = self._neighbors.find(log.state[is_free][rows], rows, k, key=a).reshape(len(rows), k)
-                    near[rows] = found[:, np.resize(np.arange(k), N_NEIGHBORS + 1)]  # repeated where there are fewer
+                    found = self._neighbors.find(
+                        log.state[is_free][rows], rows, k, key=a
+                    ).reshape(len(rows), k)
+                    # repeated where there are fewer
+                    near[rows] = found[:, np.resize(np.arange(k), N_NEIGHBORS + 1)]
             if self._is_local(near, rng.permutation(len(e))[:N_JUDGED]):
-                order = np.argsort(self._order[near[:, :N_NEIGHBORS]], axis=1, kind="stable")
+                order = np.argsort(
+                    self._order[near[:, :N_NEIGHBORS]], axis=1, kind="stable"
+                )
                 self._near = np.take_along_axis(near, order, axis=1)
         self._set_weights(np.ones(len(e)))
 
@@ -233,12 +283,21 @@ class Scatter:
         if len(some) < 50:
             return False
         is_self = near[some] == some[:, None]
-        others = np.take_along_axis(near[some], np.argsort(is_self, axis=1, kind="stable")[:, :N_NEIGHBORS], axis=1)
+        others = np.take_along_axis(
+            near[some],
+            np.argsort(is_self, axis=1, kind="stable")[:, :N_NEIGHBORS],
+            axis=1,
+        )
         one, eight = self._e[some][:, self.drawn], self._e[others][:, :, self.drawn]
-        for x, y in ((one, eight.mean(axis=1)), (np.abs(one), np.abs(eight).mean(axis=1))):
+        for x, y in (
+            (one, eight.mean(axis=1)),
+            (np.abs(one), np.abs(eight).mean(axis=1)),
+        ):
             x, y = x - x.mean(axis=0), y - y.mean(axis=0)
             both = (x * x).sum(axis=0) * (y * y).sum(axis=0)
-            if ((x * y).sum(axis=0) ** 2 > max(MIN_EXPLAINED, 9.0 / len(some)) * both).any():
+            if (
+                (x * y).sum(axis=0) ** 2 > max(MIN_EXPLAINED, 9.0 / len(some)) * both
+            ).any():
                 return True
         return False
 
@@ -264,11 +323,17 @@ class Scatter:
             if self._near is None or len(self._rows[a]) == 0:
                 chosen[at] = draw_rows(self._pools[a], uniform[at])
             else:
-                near = self._near[self._neighbors.find(states[at], self._rows[a], key=a)]
+                near = self._near[
+                    self._neighbors.find(states[at], self._rows[a], key=a)
+                ]
                 weights = self._weights[near]
-                running = np.cumsum(np.where(weights.any(axis=1, keepdims=True), weights, 1.0), axis=1)
+                running = np.cumsum(
+                    np.where(weights.any(axis=1, keepdims=True), weights, 1.0), axis=1
+                )
                 place = (running <= (uniform[at] * running[:, -1])[:, None]).sum(axis=1)
-                chosen[at] = near[np.arange(len(at)), np.minimum(place, N_NEIGHBORS - 1)]
+                chosen[at] = near[
+                    np.arange(len(at)), np.minimum(place, N_NEIGHBORS - 1)
+                ]
         return np.asarray(self._e[chosen])
 
 

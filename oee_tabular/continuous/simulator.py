@@ -19,9 +19,15 @@ from oee_tabular.continuous.discretization import VisitedCells, discretize
 from oee_tabular.continuous.discretized import Discretization, uniform_policy_of
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
-from oee_tabular.continuous.task import BadPolicy, ContinuousTask, StatePolicy, ask_policy
+from oee_tabular.continuous.task import (
+    BadPolicy,
+    ContinuousTask,
+    StatePolicy,
+    ask_policy,
+)
 
-SLOW = {"episodes": 2000, "refit_paths": 200, "refits": 10}  # of tasks that step one state at a time
+# of tasks that step one state at a time
+SLOW = {"episodes": 2000, "refit_paths": 200, "refits": 10}
 
 
 def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
@@ -39,7 +45,9 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandP
     (0.3535533905932738, 0.5)
     """
     _checks.function(policy, "policy")
-    return policy if isinstance(policy, CommandPolicy) else CommandPolicy(policy, actions)
+    return (
+        policy if isinstance(policy, CommandPolicy) else CommandPolicy(policy, actions)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,25 +68,38 @@ class CommandPolicy:
             return 0.0, 0.0
         actions = self.actions
         inside = np.clip(commands, actions.min(axis=0), actions.max(axis=0))
-        squares = weights @ (actions**2).sum(axis=1) + (inside * (inside - 2.0 * weights @ actions)).sum(axis=1)
-        return float(np.sqrt(max(0.0, squares.mean()))), float((commands != inside).any(axis=1).mean())
+        squares = weights @ (actions**2).sum(axis=1) + (
+            inside * (inside - 2.0 * weights @ actions)
+        ).sum(axis=1)
+        return float(np.sqrt(max(0.0, squares.mean()))), float(
+            (commands != inside).any(axis=1).mean()
+        )
 
     def _play(self, states: Array) -> tuple[Array, Array | None]:
         """Probabilities, and the commands (n, k) that they are of, where the policy gave such."""
-        found, n, actions = np.asarray(ask_policy(self.policy, states)), len(states), self.actions
+        found, n, actions = (
+            np.asarray(ask_policy(self.policy, states)),
+            len(states),
+            self.actions,
+        )
         if found.shape == (n, len(actions)):
             return found, None
         if actions.ndim == 1 and found.shape == (n,) and found.dtype.kind in "iu":
             bad = np.flatnonzero((found < 0) | (found >= len(actions)))
             if bad.size:
-                raise BadPolicy(f"policy(states)[{bad[0]}] must be in 0..{len(actions) - 1}; it is {found[bad[0]]}")
+                raise BadPolicy(
+                    f"policy(states)[{bad[0]}] must be in 0..{len(actions) - 1}; it is"
+                    f" {found[bad[0]]}"
+                )
             return np.eye(len(actions))[found], None
         commands = found[:, None] if found.ndim == 1 else found
         if actions.ndim == 1 or commands.shape != (n, actions.shape[1]):
             return found, None
         odd = np.flatnonzero(~np.isfinite(commands).all(axis=1))
         if odd.size:
-            raise BadPolicy(f"policy(states)[{odd[0]}] must be finite; it is {found[odd[0]]}")
+            raise BadPolicy(
+                f"policy(states)[{odd[0]}] must be finite; it is {found[odd[0]]}"
+            )
         commands = commands.astype(np.float64)
         return _interpolate_weights(commands, actions), commands
 
@@ -87,14 +108,21 @@ def _interpolate_weights(commands: Array, actions: Array) -> Array:
     """(n, A) multilinear weights on a product grid, the nearest where the actions are none."""
     levels = [np.unique(column) for column in actions.T]
     shape = tuple(len(each) for each in levels)
-    if np.prod(shape) != len(actions) or len(np.unique(actions, axis=0)) != len(actions):
+    if np.prod(shape) != len(actions) or len(np.unique(actions, axis=0)) != len(
+        actions
+    ):
         distance = ((commands[:, None, :] - actions[None]) ** 2).sum(axis=2)
         return np.asarray(np.eye(len(actions))[distance.argmin(axis=1)])
     weights = np.ones((len(commands), 1))
     for column, each in zip(commands.T, levels, strict=True):
-        own = np.column_stack([np.interp(column, each, one) for one in np.eye(len(each))])
+        own = np.column_stack(
+            [np.interp(column, each, one) for one in np.eye(len(each))]
+        )
         weights = (weights[:, :, None] * own[:, None, :]).reshape(len(commands), -1)
-    place = [np.searchsorted(each, column) for column, each in zip(actions.T, levels, strict=True)]
+    place = [
+        np.searchsorted(each, column)
+        for column, each in zip(actions.T, levels, strict=True)
+    ]
     return np.asarray(weights[:, np.ravel_multi_index(tuple(place), shape)])
 
 
@@ -150,42 +178,80 @@ class ContinuousSimulator:
             try:
                 weight = float(spec.removeprefix("mix:"))
             except ValueError:
-                raise ValueError(f"{name} must be like mix:0.5; got {_checks.show(spec)}") from None
+                raise ValueError(
+                    f"{name} must be like mix:0.5; got {_checks.show(spec)}"
+                ) from None
             _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0)
             uniform = (1.0 - weight) / self.task.n_actions
-            return lambda states: weight * np.asarray(expert(states), dtype=np.float64) + uniform
+            return lambda states: (
+                weight * np.asarray(expert(states), dtype=np.float64) + uniform
+            )
         if ":" not in spec or spec.startswith("mix:"):
             own = "uniform" if expert is None else "uniform, expert, mix:WEIGHT"
             raise ValueError(
-                f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of states; got {_checks.show(spec)}"
+                f"{name} of {self.task.name} must be {own} or MODULE:FUNCTION of"
+                f" states; got {_checks.show(spec)}"
             )
         with own_modules():
-            return as_probabilities(own_object(spec, name, "my_module:policy"), self.task.actions)
+            return as_probabilities(
+                own_object(spec, name, "my_module:policy"), self.task.actions
+            )
 
     def discretize(
-        self, log: ContinuousTransitions | None = None, *, cells: Any = None, **options: Any
+        self,
+        log: ContinuousTransitions | None = None,
+        *,
+        cells: Any = None,
+        **options: Any,
     ) -> Discretization:
         """The finite MDP of the task, looked at where the log was; ``floor`` and ``discount`` as in ``tasks.discretize``."""
         chosen = self.task.default_cells if cells is None else cells
         if isinstance(chosen, int):
             chosen = VisitedCells(chosen, max_steps=self.horizon)
         return discretize(
-            self.task, log, cells=chosen, policies=self.policies,
-            closure_episodes=2000 if self.task.steps_at_once else 500, **options,
-        )  # fmt: skip
+            self.task,
+            log,
+            cells=chosen,
+            policies=self.policies,
+            closure_episodes=2000 if self.task.steps_at_once else 500,
+            **options,
+        )
 
-    def record(self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any) -> ContinuousTransitions:
+    def record(
+        self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any
+    ) -> ContinuousTransitions:
         """A log of the simulator; ``n_transitions`` or ``n_episodes``, and ``seed``, as in ``tasks.record``."""
-        return record(self.task, policy, max_steps=self.horizon if max_steps is None else max_steps, **options)
+        return record(
+            self.task,
+            policy,
+            max_steps=self.horizon if max_steps is None else max_steps,
+            **options,
+        )
 
 
-def as_simulator(task: ContinuousTask, horizon: int | None, **options: Any) -> ContinuousSimulator:
+def as_simulator(
+    task: ContinuousTask, horizon: int | None, **options: Any
+) -> ContinuousSimulator:
     """A task as a simulator, configured as a Gymnasium environment is but for ``options``; ``horizon`` of its episodes."""
     if horizon is None:
-        raise ValueError(f"horizon must be given for {task.name}, which has no time limit of its own; it is None")
-    ratio, speed = {"prior": "simulator", "strength": 0.01}, {} if task.steps_at_once else SLOW
-    own: dict[str, Any] = {"name": task.name, "floor": 1e-3, "ratio": ratio, "calibration": "difference", **speed}
-    return ContinuousSimulator(task=task, expert=None, horizon=horizon, **(own | options))
+        raise ValueError(
+            f"horizon must be given for {task.name}, which has no time limit of its"
+            " own; it is None"
+        )
+    ratio, speed = (
+        {"prior": "simulator", "strength": 0.01},
+        {} if task.steps_at_once else SLOW,
+    )
+    own: dict[str, Any] = {
+        "name": task.name,
+        "floor": 1e-3,
+        "ratio": ratio,
+        "calibration": "difference",
+        **speed,
+    }
+    return ContinuousSimulator(
+        task=task, expert=None, horizon=horizon, **(own | options)
+    )
 
 
 @dataclass(frozen=True)

@@ -132,21 +132,34 @@ class ContinuousTask(ABC):
         Default: the state, and those of its features that are not coordinates of it. A task says here which angles it has.
         """
         features = self.features(states)
-        whole = features is states or (features.shape == states.shape and bool((features == states).all()))
+        whole = features is states or (
+            features.shape == states.shape and bool((features == states).all())
+        )
         if not any(self.periodic):
             return states if whole else np.column_stack([states, features])
-        turns, width = np.array(self.periodic), np.subtract(self.feature_high, self.feature_low)
+        turns, width = (
+            np.array(self.periodic),
+            np.subtract(self.feature_high, self.feature_low),
+        )
         angle = 2.0 * np.pi * features[:, turns] / width[turns]
-        return np.column_stack([features[:, ~turns] if whole else states, np.cos(angle), np.sin(angle)])
+        return np.column_stack(
+            [features[:, ~turns] if whole else states, np.cos(angle), np.sin(angle)]
+        )
 
     def embed(self, features: Array) -> Array:
         """(n, d) a state with these features, for a grid to step from; default: the features themselves."""
         return features
 
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array | None:
+    def reward_between(
+        self, states: Array, actions: IntArray, next_states: Array
+    ) -> Array | None:
         """(n,) r(s, a, s') of given transitions; None where it is not known."""
         before, after = self.reward_terms(states), self.reward_terms(next_states)
-        return None if before is None or after is None else self.reward_of(before, actions, after)
+        return (
+            None
+            if before is None or after is None
+            else self.reward_of(before, actions, after)
+        )
 
     def reward_terms(self, states: Array) -> Array | None:
         """(n, m) functions of a state that the reward of a transition is linear in; None where there are none.
@@ -155,7 +168,9 @@ class ContinuousTask(ABC):
         """
         return None
 
-    def displacements(self, states: Array, actions: IntArray, next_states: Array) -> list[Array]:
+    def displacements(
+        self, states: Array, actions: IntArray, next_states: Array
+    ) -> list[Array]:
         """What a correction of the step depends on besides (s, a), each (n, <= d): s' - s of the task's own step."""
         return [next_states - states]
 
@@ -196,7 +211,9 @@ class ContinuousTask(ABC):
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
         """One random step from each state."""
-        return self.moves(states, actions, rng.standard_normal((len(states), self.n_disturbances)))
+        return self.moves(
+            states, actions, rng.standard_normal((len(states), self.n_disturbances))
+        )
 
 
 class DerivedTask(ContinuousTask):
@@ -216,15 +233,27 @@ class DerivedTask(ContinuousTask):
         """The other task's method, of whose arguments those at these places are states."""
 
         def call(self: DerivedTask, *arguments: Any) -> Any:
-            return getattr(self.task, method)(*(self.own(x) if k in at else x for k, x in enumerate(arguments)))
+            return getattr(self.task, method)(
+                *(self.own(x) if k in at else x for k, x in enumerate(arguments))
+            )
 
         return call
 
-    initial_states, initial_points = _delegate("initial_states"), _delegate("initial_points")
+    initial_states, initial_points = (
+        _delegate("initial_states"),
+        _delegate("initial_points"),
+    )
     embed, reward_of = _delegate("embed"), _delegate("reward_of")
     terminated, end_shows = _delegate("terminated", 0), _delegate("end_shows", 0)
-    features, smooth, reward_terms = _delegate("features", 0), _delegate("smooth", 0), _delegate("reward_terms", 0)
-    reward_between, displacements = _delegate("reward_between", 0, 2), _delegate("displacements", 0, 2)
+    features, smooth, reward_terms = (
+        _delegate("features", 0),
+        _delegate("smooth", 0),
+        _delegate("reward_terms", 0),
+    )
+    reward_between, displacements = (
+        _delegate("reward_between", 0, 2),
+        _delegate("displacements", 0, 2),
+    )
 
 
 def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:
@@ -232,8 +261,8 @@ def check_states(task: ContinuousTask, states: object, name: str = "states") -> 
     array = _checks.float_array(states, name)
     if array.ndim != 2 or array.shape[1] != task.n_state:
         raise ValueError(
-            f"{name} must have shape (n, {task.n_state}), the {', '.join(task.state_names)} of {task.name}; "
-            f"it has shape {array.shape}"
+            f"{name} must have shape (n, {task.n_state}), the"
+            f" {', '.join(task.state_names)} of {task.name}; it has shape {array.shape}"
         )
     _checks.require_finite(array, name)
     return array
@@ -243,14 +272,18 @@ def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
     """ValueError for a log of other states than the task's."""
     _checks.instance(log, ContinuousTransitions, "log")
     if log.n_state != task.n_state:
-        way_out = "speeds that were not recorded can be had from positions, by finite differences or by a Kalman filter"
+        way_out = (
+            "speeds that were not recorded can be had from positions, by finite"
+            " differences or by a Kalman filter"
+        )
         if log.n_state > task.n_state:
             way_out = (
-                "if these are observations, compute the state from them (an angle by arctan2 of its sine and cosine)"
+                "if these are observations, compute the state from them (an angle by"
+                " arctan2 of its sine and cosine)"
             )
         raise ValueError(
-            f"log.state must have the {task.n_state} coordinates of {task.name} ({', '.join(task.state_names)}); "
-            f"it has {log.n_state}; {way_out}"
+            f"log.state must have the {task.n_state} coordinates of {task.name}"
+            f" ({', '.join(task.state_names)}); it has {log.n_state}; {way_out}"
         )
 
 
@@ -273,7 +306,10 @@ class Chance:
         shape = np.broadcast_shapes(*map(np.shape, bounds)) if size is None else size
         end, most = self.used + int(np.prod(shape)), len(self._xi)
         if end > most:
-            raise IndexError(f"a step must draw at most {most} random numbers, as when it was recorded; it draws more")
+            raise IndexError(
+                f"a step must draw at most {most} random numbers, as when it was"
+                " recorded; it draws more"
+            )
         found, self.used = self._xi[self.used : end].reshape(shape), end
         return found.copy() if found.ndim else float(found)
 
@@ -292,12 +328,23 @@ class Chance:
     def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
         """Uniform on [low, high)."""
         share = np.minimum(ndtr(self._draw(size, low, high)), np.nextafter(1.0, 0.0))
-        return np.float64(low) + (np.float64(high) - np.float64(low)) * np.float64(share)
+        return np.float64(low) + (np.float64(high) - np.float64(low)) * np.float64(
+            share
+        )
 
-    def integers(self, low: int, high: int | None = None, size: object = None, *, endpoint: bool = False) -> Any:
+    def integers(
+        self,
+        low: int,
+        high: int | None = None,
+        size: object = None,
+        *,
+        endpoint: bool = False,
+    ) -> Any:
         """Whole numbers from low to below high; from 0 to below low where there is no high."""
         start, end = (0, low) if high is None else (low, high)
-        found = start + np.floor((end + endpoint - start) * np.asarray(self.random(size))).astype(np.int64)
+        found = start + np.floor(
+            (end + endpoint - start) * np.asarray(self.random(size))
+        ).astype(np.int64)
         return int(found) if size is None else found
 
 
@@ -316,18 +363,26 @@ def ask_policy(policy: Callable[[Array], Any], states: Array) -> Any:
         raise
     except Exception as error:
         raise BadPolicy(
-            f"policy must take all states at once, an array of shape (n, {states.shape[1]}), and give a row or a number for "
-            f"each; given {len(states)} of them it raises {type(error).__name__}: {error} (of a function of one state: "
-            "return numpy.array([function(state) for state in states]))"
+            "policy must take all states at once, an array of shape (n,"
+            f" {states.shape[1]}), and give a row or a number for each; given"
+            f" {len(states)} of them it raises {type(error).__name__}: {error} (of a"
+            " function of one state: return numpy.array([function(state) for state in"
+            " states]))"
         ) from error
 
 
 def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> Array:
     """What a policy function says for ``states``: (n, A), rows that sum to 1."""
     _checks.function(policy, "policy")
-    table, n = _checks.float_array(ask_policy(policy, states), "policy(states)"), len(states)
+    table, n = (
+        _checks.float_array(ask_policy(policy, states), "policy(states)"),
+        len(states),
+    )
     if table.shape != (n, n_actions):
-        raise ValueError(f"policy(states) must have shape {(n, n_actions)} for {n} states; it has shape {table.shape}")
+        raise ValueError(
+            f"policy(states) must have shape {(n, n_actions)} for {n} states; it has"
+            f" shape {table.shape}"
+        )
     _checks.require_nonnegative(table, "policy(states)")
     _checks.require_sums_to_one(table.sum(axis=1), "policy(states)")
     return table
@@ -335,9 +390,13 @@ def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> A
 
 def find_periods(task: ContinuousTask, states: Array) -> Array:
     """(d,) the period of coordinates that are angles, 0 of others: where the features of these states are the states."""
-    if task.n_state != len(task.periodic) or not np.array_equal(task.features(states), states):
+    if task.n_state != len(task.periodic) or not np.array_equal(
+        task.features(states), states
+    ):
         return np.zeros(task.n_state)
-    return np.where(task.periodic, np.subtract(task.feature_high, task.feature_low), 0.0)
+    return np.where(
+        task.periodic, np.subtract(task.feature_high, task.feature_low), 0.0
+    )
 
 
 def shortest(differences: Array, periods: Array) -> Array:
@@ -345,4 +404,6 @@ def shortest(differences: Array, periods: Array) -> Array:
     if not periods.any():
         return differences
     each = periods[: differences.shape[1]]
-    return np.asarray(differences - each * np.round(differences / np.where(each > 0, each, np.inf)))
+    return np.asarray(
+        differences - each * np.round(differences / np.where(each > 0, each, np.inf))
+    )

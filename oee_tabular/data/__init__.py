@@ -46,7 +46,8 @@ if TYPE_CHECKING:
     from oee_tabular.continuous.log import ContinuousTransitions
 
 
-Transitions.open = staticmethod(open_log)  # here, for counts are made of logs: logs need not know how they are counted
+# here, for counts are made of logs: logs need not know how they are counted
+Transitions.open = staticmethod(open_log)
 
 __all__ = ["ContinuousTransitions", "TransitionCounts", "Transitions"]
 

@@ -14,7 +14,13 @@ from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, BoolArray, Column, IntArray, Seed, freeze
 from oee_tabular.data import files
 from oee_tabular.data.frames import number_in_order
-from oee_tabular.data.rules import COLUMNS, check_array, count_others, find_order_faults, find_repeat
+from oee_tabular.data.rules import (
+    COLUMNS,
+    check_array,
+    count_others,
+    find_order_faults,
+    find_repeat,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -48,17 +54,26 @@ class LogColumns:
         truncated: ArrayLike | None = None,
     ) -> None:
         given = {
-            "reward": reward, "terminated": terminated, "truncated": truncated, "episode": _number_texts(episode),
-            "timestep": timestep, "behavior_probability": behavior_probability,
-        }  # fmt: skip
+            "reward": reward,
+            "terminated": terminated,
+            "truncated": truncated,
+            "episode": _number_texts(episode),
+            "timestep": timestep,
+            "behavior_probability": behavior_probability,
+        }
         columns: dict[str, Column | None] = self._moves(state, action, next_state)
-        columns |= {label: None if value is None else check_array(value, label) for label, value in given.items()}
+        columns |= {
+            label: None if value is None else check_array(value, label)
+            for label, value in given.items()
+        }
         rewards = columns["reward"]
         if rewards is not None and not self.ALLOWS_MISSING_REWARDS:
             _checks.require_finite(rewards, "reward")
         elif rewards is not None and rewards.size and np.isnan(rewards).all():
             columns["reward"] = None
-        lengths = {name: len(column) for name, column in columns.items() if column is not None}
+        lengths = {
+            name: len(column) for name, column in columns.items() if column is not None
+        }
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns must have equal lengths; they have {lengths}")
         n = lengths["state"]
@@ -83,16 +98,25 @@ class LogColumns:
         is_first, is_last = np.zeros((2, len(episode)), dtype=np.bool_)
         is_first[starts[:-1]], is_last[starts[1:] - 1] = True, True
         if columns["timestep"] is None:
-            columns["timestep"] = np.arange(len(episode)) - np.repeat(starts[:-1], np.diff(starts))
+            columns["timestep"] = np.arange(len(episode)) - np.repeat(
+                starts[:-1], np.diff(starts)
+            )
         given = {name: column for name, column in columns.items() if column is not None}
-        before = {name: np.concatenate([column[:1], column[:-1]]) for name, column in given.items()}
-        for fault in find_order_faults(given, before, is_first, ~is_first, self._differs, self._show):
+        before = {
+            name: np.concatenate([column[:1], column[:-1]])
+            for name, column in given.items()
+        }
+        for fault in find_order_faults(
+            given, before, is_first, ~is_first, self._differs, self._show
+        ):
             raise ValueError(fault.describe() + count_others(fault))
         if columns["truncated"] is None:
             columns["truncated"] = is_last & ~columns["terminated"]
 
     @staticmethod
-    def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
+    def _moves(
+        state: ArrayLike, action: ArrayLike, next_state: ArrayLike
+    ) -> dict[str, Column | None]:
         """The three columns of a transition, checked each for itself."""
         raise NotImplementedError
 
@@ -121,25 +145,44 @@ class LogColumns:
 
     def columns(self) -> dict[str, Column]:
         """The columns that the log has, in the order of the file formats."""
-        return {name: getattr(self, name) for name in COLUMNS if getattr(self, name) is not None}
+        return {
+            name: getattr(self, name)
+            for name in COLUMNS
+            if getattr(self, name) is not None
+        }
 
     def select(self, rows: object) -> Self:
         """The given rows (a mask or row numbers) as independent transitions: timesteps are kept, episodes are not."""
         try:
             asked = np.asarray(rows)
-            chosen = np.arange(len(self))[asked] if asked.size else np.zeros(0, dtype=np.int64)
+            chosen = (
+                np.arange(len(self))[asked]
+                if asked.size
+                else np.zeros(0, dtype=np.int64)
+            )
             if chosen.ndim != 1:
                 raise IndexError(f"they have shape {asked.shape}")
         except (IndexError, ValueError, TypeError, OverflowError) as error:
-            raise ValueError(f"rows must be a mask or row numbers of the log's {len(self)} rows; {error}") from None
+            raise ValueError(
+                f"rows must be a mask or row numbers of the log's {len(self)} rows;"
+                f" {error}"
+            ) from None
         if chosen.size == 0:
             raise ValueError("rows must choose at least one row; they choose none")
-        return type(self)(**{name: column[chosen] for name, column in self.columns().items() if name != "episode"})
+        return type(self)(
+            **{
+                name: column[chosen]
+                for name, column in self.columns().items()
+                if name != "episode"
+            }
+        )
 
     def first(self, n: int) -> Self:
         """The first n rows with their episodes; the last episode is truncated where it is cut."""
         size = self._check_size(n)
-        columns = {name: column[:size].copy() for name, column in self.columns().items()}
+        columns = {
+            name: column[:size].copy() for name, column in self.columns().items()
+        }
         if self.episode is not None:
             columns["truncated"][-1] |= not columns["terminated"][-1]
         return type(self)(**columns)
@@ -159,26 +202,42 @@ class LogColumns:
         """
         parts = _checks.collection(logs, "logs", f"one or more {cls.__name__}")
         if not parts or not all(isinstance(log, cls) for log in parts):
-            raise ValueError(f"logs must be one or more {cls.__name__}; got {_checks.show(logs)}")
+            raise ValueError(
+                f"logs must be one or more {cls.__name__}; got {_checks.show(logs)}"
+            )
         columns = [log.columns() for log in parts]
         if cls.ALLOWS_MISSING_REWARDS and any("reward" in part for part in columns):
-            columns = [{"reward": np.full(len(part["state"]), np.nan)} | part for part in columns]
+            columns = [
+                {"reward": np.full(len(part["state"]), np.nan)} | part
+                for part in columns
+            ]
         joined = {
-            name: [part[name] for part in columns] for name in columns[0] if all(name in part for part in columns)
+            name: [part[name] for part in columns]
+            for name in columns[0]
+            if all(name in part for part in columns)
         }
         if "episode" in joined:
-            after = np.cumsum([0, *(int(part.max()) + 1 for part in joined["episode"][:-1])])
-            joined["episode"] = [part + first for part, first in zip(joined["episode"], after, strict=True)]
+            after = np.cumsum(
+                [0, *(int(part.max()) + 1 for part in joined["episode"][:-1])]
+            )
+            joined["episode"] = [
+                part + first
+                for part, first in zip(joined["episode"], after, strict=True)
+            ]
         return cls(**{name: np.concatenate(part) for name, part in joined.items()})
 
     def draw(self, n: int, *, seed: Seed) -> Self:
         """Draw n rows without replacement, as independent transitions: the paper's way of sampling."""
-        return self.select(_checks.generator(seed).permutation(len(self))[: self._check_size(n)])
+        return self.select(
+            _checks.generator(seed).permutation(len(self))[: self._check_size(n)]
+        )
 
     def _check_size(self, n: object) -> int:
         size = _checks.positive_integer(n, "n")
         if size > len(self):
-            raise ValueError(f"n must be at most the {len(self)} rows of the log; it is {size}")
+            raise ValueError(
+                f"n must be at most the {len(self)} rows of the log; it is {size}"
+            )
         return size
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -208,9 +267,21 @@ class LogColumns:
 
 def _number_texts(episode: Any) -> Any:
     """Episodes that have texts for numbers, in the order of their first rows."""
-    is_texts = episode.ndim == 1 and episode.dtype.kind in "UO" if isinstance(episode, np.ndarray) else True
-    items = list(episode) if is_texts and isinstance(episode, list | tuple | np.ndarray) else []
-    return number_in_order(items)[0] if items and all(isinstance(item, str) for item in items) else episode
+    is_texts = (
+        episode.ndim == 1 and episode.dtype.kind in "UO"
+        if isinstance(episode, np.ndarray)
+        else True
+    )
+    items = (
+        list(episode)
+        if is_texts and isinstance(episode, list | tuple | np.ndarray)
+        else []
+    )
+    return (
+        number_in_order(items)[0]
+        if items and all(isinstance(item, str) for item in items)
+        else episode
+    )
 
 
 def _episode_starts(episode: IntArray) -> IntArray:

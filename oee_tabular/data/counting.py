@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data.counts import N_REASONS, Recording
-from oee_tabular.data.rules import COLUMNS, KEY, MOVE, Fault, check_column, find_order_faults, find_repeat
+from oee_tabular.data.rules import (
+    COLUMNS,
+    KEY,
+    MOVE,
+    Fault,
+    check_column,
+    find_order_faults,
+    find_repeat,
+)
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile, Piece, Table, open_table, sum_groups
 from oee_tabular.data.transitions import Transitions
@@ -45,18 +53,31 @@ class Sample(NamedTuple):
 
     def join(self, other: Sample, kept: int) -> Sample:
         """The episodes first in the draw of both; a reward that only one has is nan in the other."""
-        limit, parts = min(self.limit, other.limit), [sample.rows for sample in (self, other) if sample.rows]
+        limit, parts = (
+            min(self.limit, other.limit),
+            [sample.rows for sample in (self, other) if sample.rows],
+        )
         if not parts:
             return Sample(limit=limit)
         labels = dict.fromkeys(label for part in parts for label in part)
-        columns = {label: [part.get(label, np.full(len(part["place"]), np.nan)) for part in parts] for label in labels}
-        return cut_sample({label: np.concatenate(column) for label, column in columns.items()}, kept, limit)
+        columns = {
+            label: [
+                part.get(label, np.full(len(part["place"]), np.nan)) for part in parts
+            ]
+            for label in labels
+        }
+        return cut_sample(
+            {label: np.concatenate(column) for label, column in columns.items()},
+            kept,
+            limit,
+        )
 
 
 def cut_sample(rows: dict[str, Column], kept: int, limit: int) -> Sample:
     """Those below ``limit`` first in the draw that have ``kept`` rows at most; the first that is left out is the new limit."""
     rows = choose(rows, rows["place"] < np.uint64(limit))
-    starts = np.flatnonzero(np.diff(rows["place"], prepend=rows["place"][:1] + 1))  # an episode's rows stand together
+    # an episode's rows stand together
+    starts = np.flatnonzero(np.diff(rows["place"], prepend=rows["place"][:1] + 1))
     order = np.argsort(rows["place"][starts])
     length = np.diff(starts, append=len(rows["place"]))
     n = int(np.searchsorted(np.cumsum(length[order]), kept, side="right"))
@@ -83,9 +104,17 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
         table = open_table(file, form)
     else:
         columns = form.to_table(Transitions.load(file.path).columns())
-        table = Table(list(columns), list(columns), [Piece(columns, np.arange(len(columns["state"])), {})])
+        table = Table(
+            list(columns),
+            list(columns),
+            [Piece(columns, np.arange(len(columns["state"])), {})],
+        )
     count = _FileCount(file.path, limits, name)
-    if not (file.suffix == ".parquet" and {"episode", "timestep"}.isdisjoint(table.known) and count.add_groups(table)):
+    if not (
+        file.suffix == ".parquet"
+        and {"episode", "timestep"}.isdisjoint(table.known)
+        and count.add_groups(table)
+    ):
         for piece in table.pieces:
             count.add(piece)
     sample = count.draw_episodes() if count.n_rows else Sample()
@@ -101,20 +130,28 @@ class _FileCount:
     def __init__(self, path: str, limits: Limits, name: str) -> None:
         self.path, self.limits, self.name = path, limits, name
         self.sums: list[dict[str, Column]] = []
-        self.faults: dict[str, tuple[int, str, int]] = {}  # by kind: the first row, the words for it, how many rows
+        # by kind: the first row, the words for it, how many rows
+        self.faults: dict[str, tuple[int, str, int]] = {}
         self.n_dropped = self.n_truncated = 0
-        self.n_rows = self.n_runs = 0  # that have an episode; runs of such rows with the same one
+        # that have an episode; runs of such rows with the same one
+        self.n_rows = self.n_runs = 0
         self.last: dict[str, Column] = {}  # the last row of the piece before
         self.last_row = self.last_lost = -1
-        self.starts: list[IntArray] = []  # of the runs, among these rows and among those of the file
+        # of the runs, among these rows and among those of the file
+        self.starts: list[IntArray] = []
         self.names: list[Column] = []  # of their episodes
         self.broken: list[IntArray] = []
-        self.kept: list[dict[str, Column]] = []  # the rows that may be in the sample, with their run
+        # the rows that may be in the sample, with their run
+        self.kept: list[dict[str, Column]] = []
         self.limit = LAST_PLACE
 
     def add_groups(self, table: Table) -> bool:
         """The whole of a parquet file without episodes; False, and nothing added, where a value is odd."""
-        groups = sum_groups(self.path, table.known) if set(table.known) <= set(table.labels) else None
+        groups = (
+            sum_groups(self.path, table.known)
+            if set(table.known) <= set(table.labels)
+            else None
+        )
         if groups is None:
             return False
         for label in table.known:
@@ -122,15 +159,26 @@ class _FileCount:
                 groups[label], fault = self._check(groups[label], label)
                 has_all = True
             else:
-                ends = np.concatenate([groups[f"{label}_min"], groups[f"{label}_max"]])  # texts have another order
+                # texts have another order
+                ends = np.concatenate([groups[f"{label}_min"], groups[f"{label}_max"]])
                 fault = self._check(ends, label)[1]
-                has_all = label == "reward" or (groups[f"{label}_count"] == groups["count"]).all()
+                has_all = (
+                    label == "reward"
+                    or (groups[f"{label}_count"] == groups["count"]).all()
+                )
                 has_all &= not ends.dtype.hasobject
             if fault is not None or not has_all:
                 return False
-        if "reward" in table.known and (np.isnan(groups["reward_max"]) & (groups["reward_count"] > 0)).any():
+        if (
+            "reward" in table.known
+            and (np.isnan(groups["reward_max"]) & (groups["reward_count"] > 0)).any()
+        ):
             return False  # a reward that is nan is missing, and DuckDB adds it
-        self.n_truncated = int(groups["count"][groups["truncated"]].sum()) if "truncated" in groups else 0
+        self.n_truncated = (
+            int(groups["count"][groups["truncated"]].sum())
+            if "truncated" in groups
+            else 0
+        )
         add_sums(self.sums, groups)
         return True
 
@@ -147,7 +195,9 @@ class _FileCount:
                 is_bad[fault.rows] = True
                 has_episode[fault.rows] &= label != "episode"
         if "episode" in columns and has_episode.any():
-            self._follow(choose(columns | {"is_bad": is_bad, "row": piece.rows}, has_episode))
+            self._follow(
+                choose(columns | {"is_bad": is_bad, "row": piece.rows}, has_episode)
+            )
         self.last_lost = max([self.last_lost, *piece.lost, *piece.rows[~has_episode]])
         good = choose(columns, ~is_bad)
         self.n_dropped += len(piece.lost) + int(is_bad.sum())
@@ -159,7 +209,12 @@ class _FileCount:
         if label not in MOVE:
             return check_column(raw, label)
         is_action = label == "action"
-        return check_column(raw, label, high=self.limits.sizes[is_action], names=self.limits.names[is_action])
+        return check_column(
+            raw,
+            label,
+            high=self.limits.sizes[is_action],
+            names=self.limits.names[is_action],
+        )
 
     def _note_fault(self, kind: str, fault: Fault, rows: IntArray) -> None:
         row = int(rows[fault.rows[0]])
@@ -173,12 +228,16 @@ class _FileCount:
     def _follow(self, columns: dict[str, Column]) -> None:
         """Where episodes begin, which are broken, and which rows may be in the sample."""
         last = self.last or {label: column[:1] for label, column in columns.items()}
-        before = {label: np.concatenate([last[label], column[:-1]]) for label, column in columns.items()}
+        before = {
+            label: np.concatenate([last[label], column[:-1]])
+            for label, column in columns.items()
+        }
         rows, is_bad = columns["row"], columns["is_bad"]
         is_first = np.asarray(columns["episode"] != before["episode"], dtype=np.bool_)
         is_first[0] |= not self.last
         run = self.n_runs - 1 + np.cumsum(is_first)
-        is_gap = np.diff(rows, prepend=self.last_row) > 1  # rows were lost before this one
+        # rows were lost before this one
+        is_gap = np.diff(rows, prepend=self.last_row) > 1
         is_broken = is_bad | is_gap
         self.broken.append(run[is_broken] - is_first[is_broken])
         follows = ~(is_first | is_broken | before["is_bad"])
@@ -194,14 +253,23 @@ class _FileCount:
         self.n_rows += len(rows)
         self.n_runs = int(run[-1]) + 1
         place = hash_places(np.arange(run[0], self.n_runs), self.name)[run - run[0]]
-        own = {label: columns[label] for label in COLUMNS if label in columns and label != "episode"}
-        self.kept.append(choose(own | {"run": run, "place": place}, place < np.uint64(self.limit)))
+        own = {
+            label: columns[label]
+            for label in COLUMNS
+            if label in columns and label != "episode"
+        }
+        self.kept.append(
+            choose(own | {"run": run, "place": place}, place < np.uint64(self.limit))
+        )
         if sum(len(kept["run"]) for kept in self.kept) > N_SPARE * self.limits.kept:
             self._cut()
 
     def _cut(self) -> Sample:
         """The episodes first in the draw, of those that are not broken so far."""
-        rows = {label: np.concatenate([kept[label] for kept in self.kept]) for label in self.kept[0]}
+        rows = {
+            label: np.concatenate([kept[label] for kept in self.kept])
+            for label in self.kept[0]
+        }
         rows = choose(rows, ~np.isin(rows["run"], np.concatenate(self.broken)))
         sample = cut_sample(rows, self.limits.kept, self.limit)
         self.kept, self.limit = [sample.rows], sample.limit
@@ -219,7 +287,11 @@ class _FileCount:
         if self.last_lost > self.last_row:
             self.broken.append(np.array([self.n_runs - 1]))
         sample = self._cut()
-        return sample._replace(rows={label: column for label, column in sample.rows.items() if label != "run"})
+        return sample._replace(
+            rows={
+                label: column for label, column in sample.rows.items() if label != "run"
+            }
+        )
 
     def recording(self, sums: Mapping[str, Column] | None, table: Table) -> Recording:
         """How the file was recorded, with the first row of each fault; ValueError where rows are refused."""
@@ -229,30 +301,48 @@ class _FileCount:
             words.append(f"{self.path!r}: {text}{more}")
             if not self.limits.drop:
                 raise ValueError(words[0] + WAY)
-        recording = Recording("episode" in table.known, files=1, dropped=self.n_dropped, reasons=tuple(words))
+        recording = Recording(
+            "episode" in table.known,
+            files=1,
+            dropped=self.n_dropped,
+            reasons=tuple(words),
+        )
         if not self.n_rows:
             return recording._replace(truncated=self.n_truncated)
         length = np.diff(np.concatenate(self.starts, axis=1)[0], append=self.n_rows)
         broken = np.unique(np.concatenate(self.broken))
         if "truncated" not in table.known:
-            n_terminated = 0 if sums is None else int(sums["count"][sums["terminated"] == 1].sum())
+            n_terminated = (
+                0 if sums is None else int(sums["count"][sums["terminated"] == 1].sum())
+            )
             self.n_truncated = max(len(length) - n_terminated, 0)
         return recording._replace(
-            episodes=len(length), shortest=int(length.min()), longest=int(length.max()), truncated=self.n_truncated,
+            episodes=len(length),
+            shortest=int(length.min()),
+            longest=int(length.max()),
+            truncated=self.n_truncated,
             broken=int((broken >= 0).sum()),
-        )  # fmt: skip
+        )
 
 
 def choose(columns: dict[str, Column], chosen: BoolArray) -> dict[str, Column]:
     """The chosen rows of columns; the columns themselves where all are."""
-    return columns if chosen.all() else {label: column[chosen] for label, column in columns.items()}
+    return (
+        columns
+        if chosen.all()
+        else {label: column[chosen] for label, column in columns.items()}
+    )
 
 
 def hash_places(number: IntArray, name: str) -> NDArray[np.uint64]:
     """splitmix64 of number + a hash of the name: a place in the draw for each."""
-    salt = np.uint64(int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little"))
+    salt = np.uint64(
+        int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+    )
     with np.errstate(over="ignore"):
-        x = (number.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15) + salt
+        x = (number.astype(np.uint64) + np.uint64(1)) * np.uint64(
+            0x9E3779B97F4A7C15
+        ) + salt
         x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         return np.asarray(x ^ (x >> np.uint64(31)))

@@ -44,12 +44,20 @@ class Recording(NamedTuple):
 
     def join(self, other: Recording) -> Recording:
         """The two as one recording, which is of the ``other``'s kind."""
-        least = min((length for length in (self.shortest, other.shortest) if length), default=0)
+        least = min(
+            (length for length in (self.shortest, other.shortest) if length), default=0
+        )
         return Recording(
-            other.by_episodes, self.episodes + other.episodes, least, max(self.longest, other.longest),
-            self.truncated + other.truncated, self.broken + other.broken, self.files + other.files,
-            self.dropped + other.dropped, (*self.reasons, *other.reasons)[:N_REASONS],
-        )  # fmt: skip
+            other.by_episodes,
+            self.episodes + other.episodes,
+            least,
+            max(self.longest, other.longest),
+            self.truncated + other.truncated,
+            self.broken + other.broken,
+            self.files + other.files,
+            self.dropped + other.dropped,
+            (*self.reasons, *other.reasons)[:N_REASONS],
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,9 +108,17 @@ class TransitionCounts:
     behavior_probability: ClassVar[None] = None
 
     def __post_init__(self) -> None:
-        given = {name: getattr(self, name) for name in (*KEY, *COUNTED) if getattr(self, name) is not None}
+        given = {
+            name: getattr(self, name)
+            for name in (*KEY, *COUNTED)
+            if getattr(self, name) is not None
+        }
         columns: dict[str, Column] = {
-            name: check_array(value, name) if name in KEY else _checks.float_array(value, name, ndim=1)
+            name: (
+                check_array(value, name)
+                if name in KEY
+                else _checks.float_array(value, name, ndim=1)
+            )
             for name, value in given.items()
         }
         if not columns["terminated"].size:
@@ -113,14 +129,26 @@ class TransitionCounts:
         if lengths["state"] == 0:
             raise ValueError("state must have at least one row; the log is empty")
         if len({name in columns for name in REWARDS[:3]}) > 1:
-            raise ValueError("reward_sum, reward_min and reward_max must be given together")
+            raise ValueError(
+                "reward_sum, reward_min and reward_max must be given together"
+            )
         count = columns["count"]
-        _require(count, "count", (count > 0) & (count <= 2.0**53), "positive and at most 2**53")
+        _require(
+            count,
+            "count",
+            (count > 0) & (count <= 2.0**53),
+            "positive and at most 2**53",
+        )
         if "reward_sum" in columns:
             paid = columns.setdefault("reward_count", count.copy())
-            _require(paid, "reward_count", (paid >= 0) & (paid <= count), "in [0, count]")
+            _require(
+                paid, "reward_count", (paid >= 0) & (paid <= count), "in [0, count]"
+            )
             for name in REWARDS[:3]:
-                _checks.require_finite(np.where((paid == 0) & np.isnan(columns[name]), 0.0, columns[name]), name)
+                _checks.require_finite(
+                    np.where((paid == 0) & np.isnan(columns[name]), 0.0, columns[name]),
+                    name,
+                )
         _checks.instance(self.recording, Recording, "recording")
         if self.sample is not None:
             _checks.instance(self.sample, Transitions, "sample", "Transitions")
@@ -133,7 +161,9 @@ class TransitionCounts:
         actions = _checks.positive_integer(n_actions, "n_actions")
         csr = canonical(check_csr(matrix, "matrix"), drop_zeros=True)
         if csr.nnz == 0:
-            raise ValueError("matrix must have at least one transition; all counts are 0")
+            raise ValueError(
+                "matrix must have at least one transition; all counts are 0"
+            )
         state, action = np.divmod(row_of_entry(csr), actions)
         return cls(state, action, csr.indices.astype(np.int64), csr.data)
 
@@ -145,7 +175,11 @@ class TransitionCounts:
         return f"TransitionCounts({self.describe()})"
 
     def _repr_html_(self) -> str:
-        rows = [(name.replace("_", " "), value) for name, value in self.summary().items() if value not in (None, ())]
+        rows = [
+            (name.replace("_", " "), value)
+            for name, value in self.summary().items()
+            if value not in (None, ())
+        ]
         return _printing.facts("TransitionCounts: a log, counted", rows)
 
     @property
@@ -153,10 +187,15 @@ class TransitionCounts:
         """Whether transitions may depend on those before them."""
         return self.recording.by_episodes
 
-    def counts(self, n_states: int, n_actions: int, *, discount: float | None = None) -> sparse.csr_array:
+    def counts(
+        self, n_states: int, n_actions: int, *, discount: float | None = None
+    ) -> sparse.csr_array:
         """The counts of each (s, a, s'): csr of shape (S*A, S), row s*A + a; errors as of ``Transitions.counts``."""
         if discount is not None:
-            raise ValueError("discount must be left out where counts are given: they have no timesteps")
+            raise ValueError(
+                "discount must be left out where counts are given: they have no"
+                " timesteps"
+            )
         return counts_of(self, self.count, n_states, n_actions)
 
     def moves(self) -> RowSums:
@@ -165,7 +204,11 @@ class TransitionCounts:
 
     def columns(self) -> dict[str, Column]:
         """The columns that there are."""
-        return {name: getattr(self, name) for name in (*KEY, *COUNTED) if getattr(self, name) is not None}
+        return {
+            name: getattr(self, name)
+            for name in (*KEY, *COUNTED)
+            if getattr(self, name) is not None
+        }
 
     def summary(self) -> dict[str, Any]:
         """The counts' summary, as plain numbers and words."""
@@ -183,7 +226,9 @@ class TransitionCounts:
             "largest_action": int(self.action.max()),
             "reward_min": float(np.nanmin(self.reward_min)) if paid else None,  # type: ignore[arg-type]
             "reward_max": float(np.nanmax(self.reward_max)) if paid else None,  # type: ignore[arg-type]
-            "rewards_missing": round(float((self.count - self.reward_count).sum())) if paid else None,  # type: ignore[operator]
+            "rewards_missing": (
+                round(float((self.count - self.reward_count).sum())) if paid else None  # type: ignore[operator]
+            ),
             "sampled_episodes": None if self.sample is None else self.sample.n_episodes,
             "broken_episodes": told.broken or None,
             "rows_dropped": told.dropped or None,
@@ -201,7 +246,11 @@ class TransitionCounts:
             "reasons": np.array(self.recording.reasons, dtype=np.str_),
         }
         sample = {} if self.sample is None else self.sample.columns()
-        _files.save_npz(path, KIND, arrays | {f"sample_{name}": column for name, column in sample.items()})
+        _files.save_npz(
+            path,
+            KIND,
+            arrays | {f"sample_{name}": column for name, column in sample.items()},
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TransitionCounts:
@@ -228,10 +277,26 @@ def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
     numbers = parts.pop("recording").tolist()
     reasons = tuple(parts.pop("reasons").tolist())
     if len(numbers) != len(Recording._fields) - 1:
-        raise ValueError(f"recording must have {len(Recording._fields) - 1} numbers; it has {len(numbers)}")
+        raise ValueError(
+            f"recording must have {len(Recording._fields) - 1} numbers; it has"
+            f" {len(numbers)}"
+        )
     recording = Recording._make([bool(numbers[0]), *numbers[1:], reasons])
-    sample = {name.removeprefix("sample_"): parts.pop(name) for name in list(parts) if name.startswith("sample_")}
-    columns = {name: parts.pop(name) for name in (*KEY, *COUNTED) if name in parts or name not in REWARDS}
+    sample = {
+        name.removeprefix("sample_"): parts.pop(name)
+        for name in list(parts)
+        if name.startswith("sample_")
+    }
+    columns = {
+        name: parts.pop(name)
+        for name in (*KEY, *COUNTED)
+        if name in parts or name not in REWARDS
+    }
     if parts:
-        raise ValueError(f"it must hold the parts of counts alone; it has {_checks.show(next(iter(parts)))}")
-    return TransitionCounts(**columns, recording=recording, sample=Transitions(**sample) if sample else None)
+        raise ValueError(
+            "it must hold the parts of counts alone; it has"
+            f" {_checks.show(next(iter(parts)))}"
+        )
+    return TransitionCounts(
+        **columns, recording=recording, sample=Transitions(**sample) if sample else None
+    )

@@ -15,11 +15,25 @@ import numpy as np
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Column
 from oee_tabular.data.frames import is_minari, minari_columns, save_minari
-from oee_tabular.data.rules import COLUMNS, MOVE, as_objects, check_table, require_columns, warn_left_out
-from oee_tabular.data.tables import LogFile, Table, count_parquet_rows, open_table, write_parquet
+from oee_tabular.data.rules import (
+    COLUMNS,
+    MOVE,
+    as_objects,
+    check_table,
+    require_columns,
+    warn_left_out,
+)
+from oee_tabular.data.tables import (
+    LogFile,
+    Table,
+    count_parquet_rows,
+    open_table,
+    write_parquet,
+)
 from oee_tabular.mdp.naming import from_text, to_text
 
-Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]  # a file, a folder, a pattern, or several
+# a file, a folder, a pattern, or several
+Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 ENDINGS = (".csv", ".parquet", ".npz", ".csv.gz")
 Columns = dict[str, Column]
 
@@ -39,7 +53,11 @@ class Format:
     def to_table(self, columns: Columns) -> Columns:
         """The columns of a table, each (n,); names as texts."""
         return {
-            name: np.array([str(item) for item in column], dtype=object) if column.dtype.hasobject else column
+            name: (
+                np.array([str(item) for item in column], dtype=object)
+                if column.dtype.hasobject
+                else column
+            )
             for name, column in columns.items()
         }
 
@@ -49,15 +67,23 @@ class Format:
 
     def require(self, labels: Iterable[str], name: str) -> None:
         """ValueError where a file with these columns is no log of this kind."""
-        way = "; in Python, several to a state as well: Transitions.from_frame(frame, state='its name', ...).save('log.csv')"
+        way = (
+            "; in Python, several to a state as well: Transitions.from_frame(frame,"
+            " state='its name', ...).save('log.csv')"
+        )
         require_columns(repr(name), self.required, labels, way=way)
 
     def check_episode(self, observations: Column, actions: Column, name: str) -> None:
         """ValueError where a Minari episode is none of such a log."""
-        if observations.ndim != 1 or observations.dtype.kind not in "iu" or actions.dtype.kind not in "iu":
+        if (
+            observations.ndim != 1
+            or observations.dtype.kind not in "iu"
+            or actions.dtype.kind not in "iu"
+        ):
             raise ValueError(
-                f"{name!r} must have discrete observations and actions; they have shapes {observations.shape} of "
-                f"{observations.dtype} and {actions.shape} of {actions.dtype}"
+                f"{name!r} must have discrete observations and actions; they have"
+                f" shapes {observations.shape} of {observations.dtype} and"
+                f" {actions.shape} of {actions.dtype}"
             )
 
 
@@ -69,7 +95,10 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
         save_minari(log, name)
     elif suffix == ".npz":
         columns = log.columns().items()
-        texts = {label: to_text(column) if column.dtype.hasobject else column for label, column in columns}
+        texts = {
+            label: to_text(column) if column.dtype.hasobject else column
+            for label, column in columns
+        }
         _files.save_npz(name, form.kind, texts)
     elif suffix == ".csv":
         import pandas as pd
@@ -91,15 +120,28 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
         columns.pop(_files.KIND)
         unknown = [label for label in columns if label not in COLUMNS]
         if unknown:
-            raise ValueError(f"{name!r} must hold the columns of a log alone; it has {_checks.show(unknown[0])}")
+            raise ValueError(
+                f"{name!r} must hold the columns of a log alone; it has"
+                f" {_checks.show(unknown[0])}"
+            )
         form.require(columns, name)
         with _files.parts_of(name, "a log"):
             for label, array in columns.items():
-                columns[label] = as_objects(from_text(array, label)) if array.dtype.kind == "U" else array
+                columns[label] = (
+                    as_objects(from_text(array, label))
+                    if array.dtype.kind == "U"
+                    else array
+                )
     elif file.suffix in (".csv", ".parquet"):
         table = open_table(file, form)
-        columns = form.from_table(check_table(_read_whole(file, table), repr(name)), name)
-        unknown = [label for label in table.labels if not form.is_known(label) and label not in reported]
+        columns = form.from_table(
+            check_table(_read_whole(file, table), repr(name)), name
+        )
+        unknown = [
+            label
+            for label in table.labels
+            if not form.is_known(label) and label not in reported
+        ]
         reported.update(unknown)
         warn_left_out(name, unknown, COLUMNS)
     elif is_minari(name):
@@ -112,12 +154,18 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
 def _read_whole(file: LogFile, table: Table) -> Columns:
     """The raw columns of a table, whole; ValueError for a line that has another number of fields than its header."""
     if file.suffix == ".parquet":
-        _checks.require_memory(count_parquet_rows(file.path) * len(table.known), repr(file.path))
+        _checks.require_memory(
+            count_parquet_rows(file.path) * len(table.known), repr(file.path)
+        )
     pieces = list(table.pieces)
     for words in (words for piece in pieces for words in piece.lost.values()):
         raise ValueError(f"{file.path!r}: {words}")
     return {
-        label: np.concatenate([piece.columns[label] for piece in pieces]) if pieces else np.zeros(0)
+        label: (
+            np.concatenate([piece.columns[label] for piece in pieces])
+            if pieces
+            else np.zeros(0)
+        )
         for label in table.known
     }
 
@@ -130,11 +178,19 @@ def find_log_files(path: Paths) -> list[LogFile]:
 
     [1] Apache Hive.
     """
-    given = [path] if isinstance(path, str | os.PathLike) else list(_checks.collection(path, "path", "paths of files"))
+    given = (
+        [path]
+        if isinstance(path, str | os.PathLike)
+        else list(_checks.collection(path, "path", "paths of files"))
+    )
     some = [file for one in given for file in _files_at(_files.local(one))]
     if not some:
         raise ValueError("path must name files; it is an empty list")
-    again = sorted(name for name, number in Counter(file.path for file in some).items() if number > 1)
+    again = sorted(
+        name
+        for name, number in Counter(file.path for file in some).items()
+        if number > 1
+    )
     if again:
         raise ValueError(f"path must name each file once; {again[0]!r} is named twice")
     return some
@@ -146,12 +202,25 @@ def _files_at(name: str) -> list[LogFile]:
     if place.is_dir():
         files = [file for file in sorted(place.rglob("*")) if file.is_file()]
         if not files:
-            raise ValueError(f"path must hold files in {', '.join(ENDINGS)}; the folder {name!r} has none")
-        ways = [file.relative_to(place) for file in files if _is_data_file(file.relative_to(place))]
-        return [LogFile(str(place / way), _parse_folders(way)) for way in ways] or [LogFile(name)]
+            raise ValueError(
+                f"path must hold files in {', '.join(ENDINGS)}; the folder {name!r} has"
+                " none"
+            )
+        ways = [
+            file.relative_to(place)
+            for file in files
+            if _is_data_file(file.relative_to(place))
+        ]
+        return [LogFile(str(place / way), _parse_folders(way)) for way in ways] or [
+            LogFile(name)
+        ]
     if place.is_file() or not glob.has_magic(name):
         return [LogFile(name)]
-    matching = [Path(file) for file in sorted(glob.glob(name, recursive=True)) if Path(file).is_file()]
+    matching = [
+        Path(file)
+        for file in sorted(glob.glob(name, recursive=True))
+        if Path(file).is_file()
+    ]
     if not matching:
         raise FileNotFoundError(2, "no file matches the pattern", name)
     return [LogFile(str(file), _parse_folders(file)) for file in matching]
@@ -165,10 +234,14 @@ def _is_data_file(path: Path) -> bool:
 def _parse_folders(path: Path) -> tuple[tuple[str, str], ...]:
     """Columns that folders name, as Hive does."""
     steps = (step.partition("=") for step in path.parts[:-1])
-    return tuple((label, value) for label, equals, value in steps if equals and label in COLUMNS)
+    return tuple(
+        (label, value) for label, equals, value in steps if equals and label in COLUMNS
+    )
 
 
 def plain_name(file: LogFile, files: Sequence[LogFile]) -> str:
     """A file's path below what all have in common: the same wherever a folder stands."""
-    common = os.path.commonpath([os.path.dirname(os.path.abspath(one.path)) for one in files])
+    common = os.path.commonpath(
+        [os.path.dirname(os.path.abspath(one.path)) for one in files]
+    )
     return re.sub(r"[\\/]+", "/", os.path.relpath(os.path.abspath(file.path), common))

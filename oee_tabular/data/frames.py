@@ -17,10 +17,21 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Column, IntArray
-from oee_tabular.data.rules import COLUMNS, MOVE, as_objects, check_table, is_missing, suggest, suggest_columns
+from oee_tabular.data.rules import (
+    COLUMNS,
+    MOVE,
+    as_objects,
+    check_table,
+    is_missing,
+    suggest,
+    suggest_columns,
+)
 from oee_tabular.mdp.naming import Name, check_names, is_name, is_number_text, to_plain
 
-STEP = "(state, action, reward), and after these next_state, terminated and truncated where they are known"
+STEP = (
+    "(state, action, reward), and after these next_state, terminated and truncated"
+    " where they are known"
+)
 
 
 def is_frame(value: object) -> bool:
@@ -44,18 +55,28 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
     for field in column_names:
         if field not in COLUMNS:
             raise ValueError(
-                f"column_names must be of {', '.join(COLUMNS)}; got {field!r:.80}{suggest(field, COLUMNS)}"
+                f"column_names must be of {', '.join(COLUMNS)}; got"
+                f" {field!r:.80}{suggest(field, COLUMNS)}"
             )
     table = eager(frame)
     labels = [str(label) for label in table.columns]
-    given = {field: _find_labels(field, names, labels) for field, names in column_names.items() if names is not None}
-    taken = {field: given.get(field, [field]) for field in COLUMNS if field in given or field in labels}
+    given = {
+        field: _find_labels(field, names, labels)
+        for field, names in column_names.items()
+        if names is not None
+    }
+    taken = {
+        field: given.get(field, [field])
+        for field in COLUMNS
+        if field in given or field in labels
+    }
     missing = [field for field in MOVE if field not in taken]
     if missing:
         hint = "" if len(labels) == 1 else suggest_columns(missing, labels)
         raise ValueError(
-            f"frame must have the columns {', '.join(MOVE)}; it has {', '.join(labels) or 'none':.300}{hint} "
-            f"(say which it is: Transitions.from_frame(frame, {missing[0]}='its name', ...))"
+            f"frame must have the columns {', '.join(MOVE)}; it has"
+            f" {', '.join(labels) or 'none':.300}{hint} (say which it is:"
+            f" Transitions.from_frame(frame, {missing[0]}='its name', ...))"
         )
     used = {label for group in taken.values() for label in group}
     absent = [field for field in COLUMNS if field not in taken]
@@ -66,15 +87,23 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
         for field in difflib.get_close_matches(label[:80].lower(), absent, 1, 0.8)
     ]
     if near:
-        _checks.warn(f"columns of the frame that a log does not use are left out: {', '.join(near)}")
-    return check_table({field: _join_columns(table, group) for field, group in taken.items()}, "frame")
+        _checks.warn(
+            "columns of the frame that a log does not use are left out:"
+            f" {', '.join(near)}"
+        )
+    return check_table(
+        {field: _join_columns(table, group) for field, group in taken.items()}, "frame"
+    )
 
 
 def _join_columns(table: Any, labels: list[str]) -> Column:
     """A column's values, nan where it has none; tuples of several columns' values."""
     columns = []
     for label in labels:
-        values, absent = np.asarray(table[label].to_numpy()), table[label].is_null().to_numpy()
+        values, absent = (
+            np.asarray(table[label].to_numpy()),
+            table[label].is_null().to_numpy(),
+        )
         columns.append(np.where(absent, np.nan, values) if absent.any() else values)
     if len(columns) == 1:
         return columns[0]
@@ -87,8 +116,15 @@ def eager(frame: Any) -> Any:
     import narwhals as nw
 
     if not is_frame(frame):
-        hint = " (a file: Transitions.load)" if isinstance(frame, str | os.PathLike) else ""
-        raise ValueError(f"frame must be a data frame (pandas, polars, arrow); got {type(frame).__name__}{hint}")
+        hint = (
+            " (a file: Transitions.load)"
+            if isinstance(frame, str | os.PathLike)
+            else ""
+        )
+        raise ValueError(
+            "frame must be a data frame (pandas, polars, arrow); got"
+            f" {type(frame).__name__}{hint}"
+        )
     try:
         table = nw.from_native(frame)
         return table.collect() if isinstance(table, nw.LazyFrame) else table
@@ -98,53 +134,74 @@ def eager(frame: Any) -> Any:
 
 def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
     """The frame's labels of one field: one, or several of which a name is made."""
-    group = [given] if isinstance(given, str) else list(_checks.collection(given, field, "a column's name, or several"))
+    group = (
+        [given]
+        if isinstance(given, str)
+        else list(_checks.collection(given, field, "a column's name, or several"))
+    )
     for label in group:
         if not isinstance(label, str) or label not in labels:
             raise ValueError(
-                f"{field} must be the name of a column of the frame, {', '.join(labels):.300}; it is "
-                f"{_checks.show(label)}{suggest(label, labels, quotes=True)}"
+                f"{field} must be the name of a column of the frame,"
+                f" {', '.join(labels):.300}; it is"
+                f" {_checks.show(label)}{suggest(label, labels, quotes=True)}"
             )
     if not group or (len(group) > 1 and field not in MOVE):
-        raise ValueError(f"{field} must be the name of one column; it is {_checks.show(given)}")
+        raise ValueError(
+            f"{field} must be the name of one column; it is {_checks.show(given)}"
+        )
     return group
 
 
 def episode_columns(episodes: object) -> dict[str, Any]:
     """The columns of a log, of a list of episodes, each a list of steps; ``Transitions.from_episodes`` has the forms."""
-    given = _checks.collection(episodes, "episodes", "a list of episodes, each a list of steps")
+    given = _checks.collection(
+        episodes, "episodes", "a list of episodes, each a list of steps"
+    )
     rows: list[tuple[Any, ...]] = []
     n_cut = 0
     for k, episode in enumerate(given):
-        moves = _moves_of(_parts(episode, f"episodes[{k}]", f"a list of steps, each {STEP}"), k)
+        moves = _moves_of(
+            _parts(episode, f"episodes[{k}]", f"a list of steps, each {STEP}"), k
+        )
         known = [move for move in moves if len(move) == 5]
         rows += [(*move, k) for move in known]
         n_cut += len(moves) - len(known)
     if not rows:
         raise ValueError(
-            "episodes must have at least one transition whose next state is known; they have none (end an episode with its "
-            "last state: [..., (state, action, reward), (state,)])"
+            "episodes must have at least one transition whose next state is known; they"
+            " have none (end an episode with its last state: [..., (state, action,"
+            " reward), (state,)])"
         )
     if n_cut:
         _checks.warn(
-            f"the last transitions of {n_cut} episodes are left out, since their next states are unknown; end an episode with "
-            "its last state, (state,) or (state, terminated), to keep them"
+            f"the last transitions of {n_cut} episodes are left out, since their next"
+            " states are unknown; end an episode with its last state, (state,) or"
+            " (state, terminated), to keep them"
         )
     labels = ("state", "action", "reward", "next_state", "terminated", "episode")
-    return dict(zip(labels, (list(column) for column in zip(*rows, strict=True)), strict=True))
+    return dict(
+        zip(labels, (list(column) for column in zip(*rows, strict=True)), strict=True)
+    )
 
 
 def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
     """The items of a list or tuple; a mapping has no order that tells a step's parts."""
     if isinstance(value, Mapping):
         keys = ", ".join(map(str, value))
-        raise ValueError(f"{name} must be {rule}; it is a mapping of {keys:.200} (give its values, in the order above)")
+        raise ValueError(
+            f"{name} must be {rule}; it is a mapping of {keys:.200} (give its values,"
+            " in the order above)"
+        )
     return _checks.collection(value, name, rule)
 
 
 def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
     """(state, action, reward, next_state, terminated) of each step, without next_state where nothing says where it led."""
-    steps = [_parts(step, f"episodes[{episode}][{t}]", f"a step, {STEP}") for t, step in enumerate(given)]
+    steps = [
+        _parts(step, f"episodes[{episode}][{t}]", f"a step, {STEP}")
+        for t, step in enumerate(given)
+    ]
     has_end = len(steps) > 1 and len(steps[-1]) in (1, 2)
     end = steps.pop() if has_end else ()
     for t, step in enumerate(steps):
@@ -154,31 +211,61 @@ def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
         if isinstance(step[2], str | tuple | list | Mapping):
             raise ValueError(f"{place}; its reward is {step[2]!r:.80}")
     if len(end) == 2 and end[1] not in (0, 1):
-        hint = f" (of a state that is a tuple: ({end!r:.80},))" * isinstance(steps[0][0], tuple)
+        hint = f" (of a state that is a tuple: ({end!r:.80},))" * isinstance(
+            steps[0][0], tuple
+        )
         place = f"episodes[{episode}][{len(steps)}]"
-        raise ValueError(f"{place} must be (state,) or (state, terminated), the end; it is {end!r:.80}{hint}")
+        raise ValueError(
+            f"{place} must be (state,) or (state, terminated), the end; it is"
+            f" {end!r:.80}{hint}"
+        )
     moves = []
     for step, following in zip(steps, [*steps[1:], end], strict=False):
         led_to = (step[3:4] or following)[:1]
-        is_over = step[4] if len(step) > 4 else following is end and len(end) == 2 and end[1]
+        is_over = (
+            step[4] if len(step) > 4 else following is end and len(end) == 2 and end[1]
+        )
         moves.append((*step[:3], *led_to, is_over))
     return moves
 
 
-def number_in_order(items: Sequence[Any], first: dict[Any, int] | None = None) -> tuple[IntArray, dict[Any, int]]:
+def number_in_order(
+    items: Sequence[Any], first: dict[Any, int] | None = None
+) -> tuple[IntArray, dict[Any, int]]:
     """Numbers of the different items in the order in which they first stand there, behind those that ``first`` has."""
     number = {} if first is None else first
-    return np.array([number.setdefault(item, len(number)) for item in items], dtype=np.int64), number
+    return (
+        np.array(
+            [number.setdefault(item, len(number)) for item in items], dtype=np.int64
+        ),
+        number,
+    )
 
 
-def encode_names(columns: dict[str, Any], given: object, name: str) -> tuple[list[Any], tuple[Name, ...] | None]:
+def encode_names(
+    columns: dict[str, Any], given: object, name: str
+) -> tuple[list[Any], tuple[Name, ...] | None]:
     """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
-    found = {column: items for column, value in columns.items() if (items := _names_in(value, column)) is not None}
-    if len(found) < len(columns):  # the column that is not in numbers is refused by its reader
-        size = len(_checks.collection(given, name, "a sequence of texts or tuples")) if given is not None else 0
-        return list(columns.values()), None if given is None else check_names(given, name, size)
+    found = {
+        column: items
+        for column, value in columns.items()
+        if (items := _names_in(value, column)) is not None
+    }
+    # the column that is not in numbers is refused by its reader
+    if len(found) < len(columns):
+        size = (
+            len(_checks.collection(given, name, "a sequence of texts or tuples"))
+            if given is not None
+            else 0
+        )
+        return list(columns.values()), (
+            None if given is None else check_names(given, name, size)
+        )
     if given is not None:
-        raise ValueError(f"{next(iter(found))} must hold numbers where {name} are given; it holds names")
+        raise ValueError(
+            f"{next(iter(found))} must hold numbers where {name} are given; it holds"
+            " names"
+        )
     first: dict[Name, int] = {}
     codes = [number_in_order(items, first)[0] for items in found.values()]
     return list(codes), check_names(list(first), name, len(first))
@@ -187,7 +274,9 @@ def encode_names(columns: dict[str, Any], given: object, name: str) -> tuple[lis
 def _names_in(value: object, name: str) -> list[Any] | None:
     """The items of a column of names; None for a column of anything else, which its own reader judges."""
     array = value if isinstance(value, list | tuple) else _checks.as_array(value, name)
-    if isinstance(array, np.ndarray) and (array.dtype.kind not in "UO" or array.ndim != 1):
+    if isinstance(array, np.ndarray) and (
+        array.dtype.kind not in "UO" or array.ndim != 1
+    ):
         return None
     items = list(array)
     is_sequence = bool(items) and isinstance(items[0], list | np.ndarray)
@@ -198,12 +287,19 @@ def _names_in(value: object, name: str) -> list[Any] | None:
         distinct = dict.fromkeys(names)
     except TypeError as error:
         raise ValueError(f"{name} must be a column of names; {error}") from None
-    odd = [item for item in distinct if not is_name(item) or (isinstance(item, str) and is_number_text(item))]
+    odd = [
+        item
+        for item in distinct
+        if not is_name(item) or (isinstance(item, str) and is_number_text(item))
+    ]
     if len(odd) == len(distinct):
         return None
     if odd:
         k = names.index(odd[0])
-        raise ValueError(f"{name}[{k}] must be a name, as others of the column are; it is {odd[0]!r:.80}")
+        raise ValueError(
+            f"{name}[{k}] must be a name, as others of the column are; it is"
+            f" {odd[0]!r:.80}"
+        )
     return names
 
 
@@ -213,15 +309,27 @@ FOLDER = "MINARI_DATASETS_PATH"  # the variable that says where Minari has its d
 def is_minari(name: str) -> bool:
     """Whether ``name`` is a Minari folder or id rather than a file; FileNotFoundError where it can be neither."""
     suffix = Path(name).suffix.lower()
-    if suffix == "" and not Path(name).exists() and "/" not in name and not name.startswith("minari:"):
+    if (
+        suffix == ""
+        and not Path(name).exists()
+        and "/" not in name
+        and not name.startswith("minari:")
+    ):
         raise FileNotFoundError(2, "no such file", name)
-    return suffix == "" or Path(name).is_dir() or name.startswith("minari:") or ("/" in name and "-v" in name)
+    return (
+        suffix == ""
+        or Path(name).is_dir()
+        or name.startswith("minari:")
+        or ("/" in name and "-v" in name)
+    )
 
 
 def require_minari() -> None:
     """ImportError that names the extra where Minari is missing."""
     if importlib.util.find_spec("minari") is None:
-        raise ImportError("minari is not installed; in a clone: pip install '.[minari]'")
+        raise ImportError(
+            "minari is not installed; in a clone: pip install '.[minari]'"
+        )
 
 
 def find_folder(identifier: str) -> Path:
@@ -233,21 +341,28 @@ def find_folder(identifier: str) -> Path:
         parse_dataset_id(identifier)
     except (TypeError, ValueError):  # TypeError: no version
         raise ValueError(
-            f"path must be a Minari id, minari:namespace/name-v0, of letters, digits, - and _; it is {identifier!r}"
+            "path must be a Minari id, minari:namespace/name-v0, of letters, digits, -"
+            f" and _; it is {identifier!r}"
         ) from None
     return Path(get_dataset_path(identifier))
 
 
 def save_minari(log: Any, name: str) -> None:
     """Make the data set in a folder of its own, then move it to where it belongs."""
-    from unittest import mock  # asyncio comes with it, for which every command would wait .04 s
+    # asyncio comes with it, for which every command would wait .04 s
+    from unittest import mock
 
     require_minari()
     if log.state_names or log.action_names:
-        raise ValueError("log must be in numbers to be a Minari data set; this one has names: log.numbered(simulator)")
+        raise ValueError(
+            "log must be in numbers to be a Minari data set; this one has names:"
+            " log.numbered(simulator)"
+        )
     if log.episode is None or log.reward is None:
         lacking = "episodes" if log.episode is None else "rewards"
-        raise ValueError(f"log must have {lacking} to be a Minari data set; this one has none")
+        raise ValueError(
+            f"log must have {lacking} to be a Minari data set; this one has none"
+        )
     is_id = name.startswith("minari:")
     identifier = name.removeprefix("minari:") if is_id else "oee/log-v0"
     target = find_folder(identifier) if is_id else Path(name)
@@ -262,7 +377,9 @@ def save_minari(log: Any, name: str) -> None:
             os.replace(Path(root) / identifier, target)
     except OSError as error:  # of a file inside, or of none
         number = error.errno or errno.EIO
-        raise OSError(number, f"cannot be written ({os.strerror(number)})", str(target)) from None
+        raise OSError(
+            number, f"cannot be written ({os.strerror(number)})", str(target)
+        ) from None
 
 
 def _write_minari(log: Any, identifier: str) -> None:
@@ -282,11 +399,14 @@ def _write_minari(log: Any, identifier: str) -> None:
             infos={},
         )
         if log.behavior_probability is not None:
-            buffer.infos["behavior_probability"] = np.append(log.behavior_probability[low:high], np.nan)[:, None]
+            buffer.infos["behavior_probability"] = np.append(
+                log.behavior_probability[low:high], np.nan
+            )[:, None]
         buffers.append(buffer)
     n_states = int(max(log.state.max(), log.next_state.max())) + 1
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Minari asks for an author, a code link and an environment
+        # Minari asks for an author, a code link and an environment
+        warnings.simplefilter("ignore")
         minari.create_dataset_from_buffers(
             identifier,
             buffers,
@@ -308,23 +428,36 @@ def minari_episodes(name: str) -> list[Any]:
         except ValueError as error:
             reason = f": {error}"
     if not folder.is_dir():
-        raise FileNotFoundError(f"{name!r} is neither a file nor a Minari folder or id on this machine{reason}")
+        raise FileNotFoundError(
+            f"{name!r} is neither a file nor a Minari folder or id on this"
+            f" machine{reason}"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            data = MinariDataset(folder / "data" if (folder / "data").is_dir() else folder)
+            data = MinariDataset(
+                folder / "data" if (folder / "data").is_dir() else folder
+            )
             return list(data.iterate_episodes())
     except MemoryError:
         raise
     except Exception as error:  # whatever Minari makes of files that are not its own
-        raise ValueError(f"{name!r} must be a Minari data set; {str(error) or type(error).__name__:.300}") from None
+        raise ValueError(
+            f"{name!r} must be a Minari data set;"
+            f" {str(error) or type(error).__name__:.300}"
+        ) from None
 
 
-def minari_columns(name: str, check: Callable[[Column, Column, str], None]) -> dict[str, Column]:
+def minari_columns(
+    name: str, check: Callable[[Column, Column, str], None]
+) -> dict[str, Column]:
     """A Minari data set as columns; ``check(observations, actions, name)`` refuses an episode that is none of the log's."""
     parts: list[dict[str, Column]] = []
     for number, episode in enumerate(minari_episodes(name)):
-        observations, actions = np.asarray(episode.observations), np.asarray(episode.actions)
+        observations, actions = (
+            np.asarray(episode.observations),
+            np.asarray(episode.actions),
+        )
         check(observations, actions, name)
         columns = {
             "state": observations[:-1],
@@ -337,8 +470,15 @@ def minari_columns(name: str, check: Callable[[Column, Column, str], None]) -> d
         }
         recorded = (episode.infos or {}).get("behavior_probability")
         if recorded is not None:
-            columns["behavior_probability"] = np.asarray(recorded, dtype=np.float64).reshape(-1)[: len(actions)]
+            columns["behavior_probability"] = np.asarray(
+                recorded, dtype=np.float64
+            ).reshape(-1)[: len(actions)]
         parts.append(columns)
     if len({len(part) for part in parts}) > 1:
-        raise ValueError(f"{name!r} must record behavior_probability in every episode or in none")
-    return {label: np.concatenate([part[label] for part in parts]) for label in (parts[0] if parts else {})}
+        raise ValueError(
+            f"{name!r} must record behavior_probability in every episode or in none"
+        )
+    return {
+        label: np.concatenate([part[label] for part in parts])
+        for label in (parts[0] if parts else {})
+    }

@@ -79,7 +79,9 @@ def open_log(
         return TransitionCounts.load(path)
     _checks.one_of(bad_rows, "bad_rows", ("refuse", "drop"))
     limits = _limits(simulator, n_states, n_actions)
-    limits = limits._replace(drop=bad_rows == "drop", kept=_checks.positive_integer(kept_moves, "kept_moves"))
+    limits = limits._replace(
+        drop=bad_rows == "drop", kept=_checks.positive_integer(kept_moves, "kept_moves")
+    )
     if not (_checks.is_integer(jobs) and jobs == -1):
         _checks.positive_integer(jobs, "jobs")
     from tqdm import tqdm
@@ -101,7 +103,10 @@ def open_log(
         sample = sample.join(counts.sample, limits.kept)
     if not sums:
         first = f", the first of which is {files[0].path!r}"
-        raise ValueError(f"path must have at least one good row; of {len(files)} files none has{first}")
+        raise ValueError(
+            f"path must have at least one good row; of {len(files)} files none"
+            f" has{first}"
+        )
     result = _to_counts(join_sums(sums), recording, sample)
     if output is not None:
         result.save(output)
@@ -114,35 +119,57 @@ def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
     differ = sorted((columns[first] ^ columns[path]) - {"reward"})
     if differ:
         has, lacks = (first, path) if differ[0] in columns[first] else (path, first)
-        raise ValueError(f"all files must have the same columns; {has!r} has {differ[0]!r}, and {lacks!r} does not")
+        raise ValueError(
+            f"all files must have the same columns; {has!r} has {differ[0]!r}, and"
+            f" {lacks!r} does not"
+        )
 
 
-def _to_counts(sums: dict[str, Column], recording: Recording, sample: Sample) -> TransitionCounts:
+def _to_counts(
+    sums: dict[str, Column], recording: Recording, sample: Sample
+) -> TransitionCounts:
     """Counts in the order of s, a, s', ended, with their sample; without rewards where there are none."""
-    order, has_rewards = np.lexsort([sums[label] for label in reversed(KEY)]), sums["reward_count"].any()
+    order, has_rewards = (
+        np.lexsort([sums[label] for label in reversed(KEY)]),
+        sums["reward_count"].any(),
+    )
     columns: dict[str, Any] = {
-        label: column[order] for label, column in sums.items() if has_rewards or not label.startswith("reward")
+        label: column[order]
+        for label, column in sums.items()
+        if has_rewards or not label.startswith("reward")
     }
     rows = dict(sample.rows)
     if len(rows.get("place", ())):
         place = rows.pop("place")
-        columns["sample"] = Transitions(**rows, episode=np.cumsum(np.diff(place, prepend=place[:1]) != 0))
+        columns["sample"] = Transitions(
+            **rows, episode=np.cumsum(np.diff(place, prepend=place[:1]) != 0)
+        )
     return TransitionCounts(**columns, recording=recording)
 
 
-def _limits(simulator: FiniteMDP | None, n_states: int | None, n_actions: int | None) -> Limits:
+def _limits(
+    simulator: FiniteMDP | None, n_states: int | None, n_actions: int | None
+) -> Limits:
     if simulator is not None:
         _checks.instance(simulator, FiniteMDP, "simulator")
         if n_states is not None or n_actions is not None:
-            raise ValueError("n_states and n_actions must be left out where simulator is given, which has its own")
+            raise ValueError(
+                "n_states and n_actions must be left out where simulator is given,"
+                " which has its own"
+            )
         names = (simulator.state_names, simulator.action_names)
         return Limits((simulator.n_states, simulator.n_actions), names)
     given = ((n_states, "n_states"), (n_actions, "n_actions"))
-    states, actions = (LARGEST if size is None else _checks.positive_integer(size, name) for size, name in given)
+    states, actions = (
+        LARGEST if size is None else _checks.positive_integer(size, name)
+        for size, name in given
+    )
     return Limits((states, actions))
 
 
-def read_log(source: Any, simulator: FiniteMDP, name: str = "log") -> Transitions | TransitionCounts:
+def read_log(
+    source: Any, simulator: FiniteMDP, name: str = "log"
+) -> Transitions | TransitionCounts:
     """What was recorded, in the simulator's numbers, of whatever form it has.
 
     ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path, or a list of paths, a pattern or a
@@ -154,7 +181,11 @@ def read_log(source: Any, simulator: FiniteMDP, name: str = "log") -> Transition
     if all(isinstance(path, str | os.PathLike) for path in paths):
         try:
             is_counted = not is_list and holds_counts(source)
-            log = TransitionCounts.load(source) if is_counted else Transitions.load(source)
+            log = (
+                TransitionCounts.load(source)
+                if is_counted
+                else Transitions.load(source)
+            )
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
     elif is_list:
@@ -164,7 +195,13 @@ def read_log(source: Any, simulator: FiniteMDP, name: str = "log") -> Transition
     if isinstance(log, TransitionCounts):
         return log
     if not isinstance(log, Transitions):
-        hint = " (a mapping of columns: Transitions(**log))" if isinstance(log, Mapping) else ""
-        hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (getattr(log, "ndim", 0) == 2)
+        hint = (
+            " (a mapping of columns: Transitions(**log))"
+            if isinstance(log, Mapping)
+            else ""
+        )
+        hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (
+            getattr(log, "ndim", 0) == 2
+        )
         raise ValueError(f"{name} must be Transitions; got {type(log).__name__}{hint}")
     return log.numbered(simulator, name)

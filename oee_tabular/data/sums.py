@@ -39,7 +39,13 @@ class RowSums(NamedTuple):
         if reward is None:
             return cls(np.ones(n), None, None, None, None)
         is_paid = ~np.isnan(reward)
-        return cls(np.ones(n), np.where(is_paid, reward, 0.0), reward, reward, is_paid.astype(np.float64))
+        return cls(
+            np.ones(n),
+            np.where(is_paid, reward, 0.0),
+            reward,
+            reward,
+            is_paid.astype(np.float64),
+        )
 
 
 def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
@@ -52,15 +58,20 @@ def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
         rows = RowSums(*(columns.get(label) for label in COUNTED))  # type: ignore[arg-type]
     else:
         rows = RowSums.of_transitions(n, columns.get("reward"))
-    entry, different = pd.factorize(_encode(key))  # by hash, in a third of the time of a sort
+    # by hash, in a third of the time of a sort
+    entry, different = pd.factorize(_encode(key))
     row = np.zeros(len(different), dtype=np.int64)
     row[entry] = np.arange(n)  # one that has the key
     sums = np.zeros((len(COUNTED), len(different)))
     sums[2:4] = np.nan
-    for total, add, values in zip(sums, (np.add, np.add, np.fmin, np.fmax, np.add), rows, strict=True):
+    for total, add, values in zip(
+        sums, (np.add, np.add, np.fmin, np.fmax, np.add), rows, strict=True
+    ):
         if values is not None:
             add.at(total, entry, values)
-    return dict(zip((*KEY, *COUNTED), [*(part[row] for part in key), *sums], strict=True))
+    return dict(
+        zip((*KEY, *COUNTED), [*(part[row] for part in key), *sums], strict=True)
+    )
 
 
 def _encode(key: list[IntArray]) -> IntArray:
@@ -68,7 +79,9 @@ def _encode(key: list[IntArray]) -> IntArray:
     code, size = np.zeros(len(key[0]), dtype=np.int64), 1
     for part in key:
         if size * (int(part.max()) + 1) >= 2**63:
-            code, part = (np.unique(numbers, return_inverse=True)[1] for numbers in (code, part))
+            code, part = (
+                np.unique(numbers, return_inverse=True)[1] for numbers in (code, part)
+            )
             size = int(code.max()) + 1
         n_values = int(part.max()) + 1
         code, size = code * n_values + part, size * n_values
@@ -79,28 +92,38 @@ def add_sums(parts: list[dict[str, Column]], columns: Mapping[str, Column]) -> N
     """Append the sums of ``columns`` to ``parts``, which are joined when the later are as long as the first: O(n log n)."""
     if len(columns["state"]):
         parts.append(sum_rows(columns))
-        if sum(len(part["count"]) for part in parts[1:]) > max(len(parts[0]["count"]), N_APART):
+        if sum(len(part["count"]) for part in parts[1:]) > max(
+            len(parts[0]["count"]), N_APART
+        ):
             parts[:] = [join_sums(parts)]
 
 
 def join_sums(parts: Sequence[Mapping[str, Column]]) -> dict[str, Column]:
     """The sums of all parts, added in their order."""
-    return sum_rows({label: np.concatenate([part[label] for part in parts]) for label in parts[0]})
+    return sum_rows(
+        {label: np.concatenate([part[label] for part in parts]) for label in parts[0]}
+    )
 
 
-def counts_of(log: Any, weights: Array, n_states: int, n_actions: int) -> sparse.csr_array:
+def counts_of(
+    log: Any, weights: Array, n_states: int, n_actions: int
+) -> sparse.csr_array:
     """The sums of the weights of the rows of each (s, a, s'): csr of shape (S*A, S); ValueError for numbers out of range."""
     _checks.positive_integer(n_states, "n_states")
     _checks.positive_integer(n_actions, "n_actions")
-    _checks.require_memory(float(n_states) * n_actions, "n_states * n_actions", n_states * n_actions)
+    _checks.require_memory(
+        float(n_states) * n_actions, "n_states * n_actions", n_states * n_actions
+    )
     for name, given in zip(MOVE, ("n_states", "n_actions", "n_states"), strict=True):
         column, limit = getattr(log, name), n_actions if name == "action" else n_states
         bad = np.flatnonzero(column >= limit)
         if bad.size:
             raise ValueError(
-                f"log.{name}[{bad[0]}] must be in 0..{limit - 1}; it is {column[bad[0]]} ({bad.size} such rows in all; "
-                f"{given} is {limit})"
+                f"log.{name}[{bad[0]}] must be in 0..{limit - 1}; it is"
+                f" {column[bad[0]]} ({bad.size} such rows in all; {given} is {limit})"
             )
     rows = log.state * n_actions + log.action
-    matrix = sparse.csr_array((weights, (rows, log.next_state)), shape=(n_states * n_actions, n_states))
+    matrix = sparse.csr_array(
+        (weights, (rows, log.next_state)), shape=(n_states * n_actions, n_states)
+    )
     return canonical(matrix, drop_zeros=True)

@@ -31,10 +31,16 @@ from oee_tabular.data.rules import KEY, MOVE
 from oee_tabular.mdp.naming import is_number_text
 
 N_PARQUET, N_CSV = 2**18, 2**17  # rows of a piece
-SMALL = 2**21  # bytes of a CSV file, which Python reads in the time in which pandas is imported
+# bytes of a CSV file, which Python reads in the time in which pandas is imported
+SMALL = 2**21
 MOST_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
-OTHERS = bytes(set(range(256)) - set(b',\n"\0'))  # bytes that tell nothing of the number of fields
-DIGEST_KEY, DIGEST_MARK, EMPTY = b"oee_tabular_digest", b"oee_tabular_sha256:", b"0" * 64
+# bytes that tell nothing of the number of fields
+OTHERS = bytes(set(range(256)) - set(b',\n"\0'))
+DIGEST_KEY, DIGEST_MARK, EMPTY = (
+    b"oee_tabular_digest",
+    b"oee_tabular_sha256:",
+    b"0" * 64,
+)
 TAIL = 2**20  # bytes at the end of a file, in which parquet keeps its metadata
 
 
@@ -79,24 +85,40 @@ def open_table(file: LogFile, form: Any) -> Table:
     labels = read_labels(file.path)
     if not is_parquet and len(labels) > MOST_COLUMNS:
         raise ValueError(
-            f"{file.path!r} must have at most {MOST_COLUMNS} columns; it has {len(labels)} (keep those that a log has)"
+            f"{file.path!r} must have at most {MOST_COLUMNS} columns; it has"
+            f" {len(labels)} (keep those that a log has)"
         )
     first_of: dict[str, str] = {}
     for label in labels:  # also for who does not tell capitals, as DuckDB does not
         lower = label.lower()
         if form.is_known(lower) and lower in first_of:
-            twice = f"{label!r} twice" if first_of[lower] == label else f"{first_of[lower]!r} and {label!r}"
-            raise ValueError(f"{file.path!r} must have columns that differ; it has {twice}")
+            twice = (
+                f"{label!r} twice"
+                if first_of[lower] == label
+                else f"{first_of[lower]!r} and {label!r}"
+            )
+            raise ValueError(
+                f"{file.path!r} must have columns that differ; it has {twice}"
+            )
         first_of.setdefault(lower, label)
-    fixed = {label: float(value) if is_number_text(value) else value for label, value in file.fixed}
+    fixed = {
+        label: float(value) if is_number_text(value) else value
+        for label, value in file.fixed
+    }
     every = list(dict.fromkeys([*labels, *fixed]))
     form.require(every, file.path)
     known = [label for label in every if form.is_known(label)]
     read = _read_parquet if is_parquet else _read_csv
 
     def pieces() -> Iterator[Piece]:
-        for piece in read(file.path, labels, [label for label in known if label in labels]):
-            folders = {label: np.full(len(piece.rows), fixed[label]) for label in known if label in fixed}
+        for piece in read(
+            file.path, labels, [label for label in known if label in labels]
+        ):
+            folders = {
+                label: np.full(len(piece.rows), fixed[label])
+                for label in known
+                if label in fixed
+            }
             yield piece._replace(columns=folders | piece.columns)
 
     return Table(labels, known, pieces())
@@ -104,7 +126,11 @@ def open_table(file: LogFile, form: Any) -> Table:
 
 def read_labels(path: str) -> list[str]:
     """The labels of a table's columns; ValueError for another file."""
-    return _parquet_labels(path) if path.lower().endswith(".parquet") else _csv_header(_files.local(path))[0]
+    return (
+        _parquet_labels(path)
+        if path.lower().endswith(".parquet")
+        else _csv_header(_files.local(path))[0]
+    )
 
 
 # ---- parquet
@@ -118,21 +144,30 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
     name = os.path.abspath(_files.local(path))  # "://" cannot stand in it
     pattern = re.sub(r"([*?\[])", r"[\1]", name)  # a name is no pattern
     settings: dict[str, Any] = {
-        "threads": 1, "preserve_insertion_order": True, "autoinstall_known_extensions": False,
-        "autoload_known_extensions": False, "temp_directory": "",
-    }  # fmt: skip
+        "threads": 1,
+        "preserve_insertion_order": True,
+        "autoinstall_known_extensions": False,
+        "autoload_known_extensions": False,
+        "temp_directory": "",
+    }
     try:
         with duckdb.connect(":memory:", config=settings) as connection:
-            connection.execute(f"SET allowed_paths = [{quote_text(name)}, {quote_text(pattern)}]")
+            connection.execute(
+                f"SET allowed_paths = [{quote_text(name)}, {quote_text(pattern)}]"
+            )
             connection.execute("SET enable_progress_bar = false")
             connection.execute("SET enable_external_access = false")
             connection.execute("SET lock_configuration = true")
-            yield lambda query: connection.execute(query, {"path": pattern} if "$path" in query else {})
+            yield lambda query: connection.execute(
+                query, {"path": pattern} if "$path" in query else {}
+            )
     except duckdb.OutOfMemoryException:
         raise MemoryError(f"{path!r} has more rows than memory holds") from None
     except duckdb.Error as error:
         text = _checks.escape_controls(str(error).splitlines()[0])
-        raise ValueError(f"{path!r} must be a parquet table; it is not, or is damaged ({text:.200})") from None
+        raise ValueError(
+            f"{path!r} must be a parquet table; it is not, or is damaged ({text:.200})"
+        ) from None
 
 
 def _parquet_labels(path: str) -> list[str]:
@@ -162,11 +197,22 @@ def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
 
     key = [label for label in (*KEY, "truncated") if label in labels]
     others = [label for label in labels if label not in key]
-    parts = [*key, "count(*) AS count", *["coalesce(sum(reward), 0) AS reward_sum"] * ("reward" in labels)]
-    parts += [f"{how}({label}) AS {label}_{how}" for label in others for how in ("min", "max", "count")]
+    parts = [
+        *key,
+        "count(*) AS count",
+        *["coalesce(sum(reward), 0) AS reward_sum"] * ("reward" in labels),
+    ]
+    parts += [
+        f"{how}({label}) AS {label}_{how}"
+        for label in others
+        for how in ("min", "max", "count")
+    ]
     with open_duckdb(path) as run:
         try:
-            groups = run(f"SELECT {', '.join(parts)} FROM read_parquet($path) GROUP BY {', '.join(key)}").fetchnumpy()
+            groups = run(
+                f"SELECT {', '.join(parts)} FROM read_parquet($path) GROUP BY"
+                f" {', '.join(key)}"
+            ).fetchnumpy()
         except (duckdb.ConversionException, duckdb.BinderException):
             return None
     return {label: _fill_missing(column) for label, column in groups.items()}
@@ -174,14 +220,21 @@ def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
 
 def _read_parquet(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece]:
     columns = ", ".join('"' + label.replace('"', '""') + '"' for label in chosen)
-    source = "read_parquet($path, file_row_number = true, hive_partitioning = false, union_by_name = false)"
+    source = (
+        "read_parquet($path, file_row_number = true, hive_partitioning = false,"
+        " union_by_name = false)"
+    )
     n_rows = count_parquet_rows(path)
     with open_duckdb(path) as run:
         for start in range(0, n_rows, N_PARQUET):
             stop = min(start + N_PARQUET, n_rows)
             which = f"file_row_number >= {start} AND file_row_number < {stop}"
             piece = run(f"SELECT {columns} FROM {source} WHERE {which}").fetchnumpy()
-            yield Piece({label: _fill_missing(column) for label, column in piece.items()}, np.arange(start, stop), {})
+            yield Piece(
+                {label: _fill_missing(column) for label, column in piece.items()},
+                np.arange(start, stop),
+                {},
+            )
 
 
 def _fill_missing(column: Any) -> Column:
@@ -190,7 +243,8 @@ def _fill_missing(column: Any) -> Column:
         return np.asarray(np.ma.getdata(column))
     is_number = column.dtype.kind in "iuf"
     values = np.ma.getdata(column).astype(np.float64 if is_number else object)
-    values[np.ma.getmaskarray(column)] = np.nan if is_number else None  # filled(None) would write "?"
+    # filled(None) would write "?"
+    values[np.ma.getmaskarray(column)] = np.nan if is_number else None
     return np.asarray(values)
 
 
@@ -202,12 +256,15 @@ def write_parquet(path: str, columns: Mapping[str, Column]) -> None:
     import duckdb
     import pandas as pd
 
-    with duckdb.connect(":memory:", config={"threads": 1, "autoload_known_extensions": False}) as connection:
+    with duckdb.connect(
+        ":memory:", config={"threads": 1, "autoload_known_extensions": False}
+    ) as connection:
         connection.register("log_in_memory", pd.DataFrame(dict(columns)))
         try:
             connection.execute(
-                f"COPY log_in_memory TO {quote_text(os.path.abspath(path))} (FORMAT parquet, USE_TMP_FILE false, "
-                f"KV_METADATA {{{DIGEST_KEY.decode()}: '{(DIGEST_MARK + EMPTY).decode()}'}})"
+                f"COPY log_in_memory TO {quote_text(os.path.abspath(path))} (FORMAT"
+                f" parquet, USE_TMP_FILE false, KV_METADATA {{{DIGEST_KEY.decode()}:"
+                f" '{(DIGEST_MARK + EMPTY).decode()}'}})"
             )
         except duckdb.IOException as error:  # a full disk, as the system's own error
             code = re.search(r'errno"?:"?(\d+)', str(error))
@@ -224,8 +281,9 @@ def check_digest(path: str) -> None:
     stored, digest, _ = _read_digest(path)
     if stored != digest:
         raise ValueError(
-            f"{path!r} must be as it was saved: its digest is not that of its bytes. It is damaged, or another program "
-            "wrote it anew (then make a log of its frame and save that: Transitions.from_frame(frame).save(path))"
+            f"{path!r} must be as it was saved: its digest is not that of its bytes. It"
+            " is damaged, or another program wrote it anew (then make a log of its"
+            " frame and save that: Transitions.from_frame(frame).save(path))"
         )
 
 
@@ -256,7 +314,11 @@ def quote_text(text: str) -> str:
 def _open_csv(path: str, encoding: str | None = None) -> Any:
     """A file, or what is compressed in it: bytes, or text of an encoding."""
     opener: Any = gzip.open if path.lower().endswith(".gz") else open
-    return opener(path, "rb") if encoding is None else opener(path, "rt", encoding=encoding, newline="")
+    return (
+        opener(path, "rb")
+        if encoding is None
+        else opener(path, "rt", encoding=encoding, newline="")
+    )
 
 
 @contextmanager
@@ -265,9 +327,21 @@ def _csv_errors(path: str) -> Iterator[None]:
     try:
         yield
     except UnicodeDecodeError:
-        raise ValueError(f"{path!r} must be a CSV table with a header, in UTF-8; it is not") from None
-    except (csv.Error, EOFError, gzip.BadGzipFile, zlib.error, ValueError, OverflowError, Warning) as error:
-        raise ValueError(f"{path!r} must be a CSV table with a header; {error}") from None
+        raise ValueError(
+            f"{path!r} must be a CSV table with a header, in UTF-8; it is not"
+        ) from None
+    except (
+        csv.Error,
+        EOFError,
+        gzip.BadGzipFile,
+        zlib.error,
+        ValueError,
+        OverflowError,
+        Warning,
+    ) as error:
+        raise ValueError(
+            f"{path!r} must be a CSV table with a header; {error}"
+        ) from None
 
 
 def _csv_header(path: str) -> tuple[list[str], list[str], str]:
@@ -276,8 +350,16 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
         with _open_csv(path) as handle:
             mark = handle.read(3)
         if mark[:2] == b"\xfe\xff":
-            raise ValueError("it is UTF-16 of the order that few programs write (save it as UTF-8)")
-    encoding = "utf-16" if mark[:2] == b"\xff\xfe" else "utf-8-sig" if mark == b"\xef\xbb\xbf" else "utf-8"
+            raise ValueError(
+                "it is UTF-16 of the order that few programs write (save it as UTF-8)"
+            )
+    encoding = (
+        "utf-16"
+        if mark[:2] == b"\xff\xfe"
+        else "utf-8-sig"
+        if mark == b"\xef\xbb\xbf"
+        else "utf-8"
+    )
     lines = (fields for _, fields in _csv_lines(path, encoding))
     return next(lines, []), next(lines, []), encoding
 
@@ -300,12 +382,26 @@ def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece
         return
     places = {label: labels.index(label) for label in chosen}
     names = {places[label] for label in (*MOVE, "episode") if label in places}
-    texts = {k: str for k, value in enumerate(first) if k in names and not is_number_text(value or "0")}
-    options = {"names": range(len(labels)), "header": 0, "dtype": texts, "encoding": encoding}
+    texts = {
+        k: str
+        for k, value in enumerate(first)
+        if k in names and not is_number_text(value or "0")
+    }
+    options = {
+        "names": range(len(labels)),
+        "header": 0,
+        "dtype": texts,
+        "encoding": encoding,
+    }
     with _csv_errors(path), _open_csv(path) as handle:
-        for frame in _call_pandas(handle, chunksize=N_CSV, keep_default_na=False, na_values=[""], **options):
+        for frame in _call_pandas(
+            handle, chunksize=N_CSV, keep_default_na=False, na_values=[""], **options
+        ):
             series = {label: frame[k] for label, k in places.items()}
-            columns = {label: one.to_numpy(object if one.dtype == "str" else None) for label, one in series.items()}
+            columns = {
+                label: one.to_numpy(object if one.dtype == "str" else None)
+                for label, one in series.items()
+            }
             yield Piece(columns, frame.index.to_numpy(), {})
 
 
@@ -314,24 +410,34 @@ def _has_odd_lines(path: str, n: int, encoding: str) -> bool:
     line = b"," * (n - 1) + b"\n"
     with _csv_errors(path), _open_csv(path) as handle:
         while block := handle.read(2**20) + handle.readline():
-            marks = (block if block.endswith(b"\n") else block + b"\n").translate(None, OTHERS)
+            marks = (block if block.endswith(b"\n") else block + b"\n").translate(
+                None, OTHERS
+            )
             if marks != line * (len(marks) // len(line)):
                 return any(len(fields) != n for _, fields in _csv_lines(path, encoding))
     return False
 
 
-def _read_lines(path: str, labels: list[str], chosen: list[str], encoding: str) -> Iterator[Piece]:
+def _read_lines(
+    path: str, labels: list[str], chosen: list[str], encoding: str
+) -> Iterator[Piece]:
     """The fields of the lines as texts."""
     n, places = len(labels), {label: labels.index(label) for label in chosen}
     lines = enumerate(itertools.islice(_csv_lines(path, encoding), 1, None))
     while some := list(itertools.islice(lines, N_CSV)):
         good = [(row, fields) for row, (_, fields) in some if len(fields) == n]
         lost = {
-            row: f"row {row} (line {line}) must have {n} fields, as the header has; it has {len(fields)}"
+            row: (
+                f"row {row} (line {line}) must have {n} fields, as the header has; it"
+                f" has {len(fields)}"
+            )
             for row, (line, fields) in some
             if len(fields) != n
         }
-        columns = {label: np.array([fields[k] or None for _, fields in good], object) for label, k in places.items()}
+        columns = {
+            label: np.array([fields[k] or None for _, fields in good], object)
+            for label, k in places.items()
+        }
         yield Piece(columns, np.array([row for row, _ in good], dtype=np.int64), lost)
 
 
@@ -347,7 +453,8 @@ def _call_pandas(handle: IO[bytes], **options: Any) -> Any:
     """What pandas makes of a CSV file, numbers to the last bit; ValueError where it has more fields than its header names."""
     import pandas as pd
 
-    if tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1):  # later ones need no option
+    # later ones need no option
+    if tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1):
         options["float_precision"] = "round_trip"
     with warnings.catch_warnings():
         warnings.simplefilter("error", pd.errors.ParserWarning)

@@ -65,7 +65,8 @@ class Transitions(LogColumns):
 
     FILES: ClassVar[files.Format] = files.Format()
     ALLOWS_MISSING_REWARDS: ClassVar[bool] = True
-    open: ClassVar[Callable[..., Any]]  # counts files of any size; ``data``'s own, which knows counts and logs
+    # counts files of any size; ``data``'s own, which knows counts and logs
+    open: ClassVar[Callable[..., Any]]
 
     state: IntArray
     action: IntArray
@@ -90,35 +91,60 @@ class Transitions(LogColumns):
     ) -> None:
         if action is None or next_state is None:
             lacking = "action" if action is None else "next_state"
-            raise ValueError(f"{lacking} must be given, (n,) as state (of a data frame: Transitions.from_frame(frame))")
+            raise ValueError(
+                f"{lacking} must be given, (n,) as state (of a data frame:"
+                " Transitions.from_frame(frame))"
+            )
         (states, following), called = encode_names(
             {"state": state, "next_state": next_state}, state_names, "state_names"
         )
-        (actions,), acts = encode_names({"action": action}, action_names, "action_names")
+        (actions,), acts = encode_names(
+            {"action": action}, action_names, "action_names"
+        )
         object.__setattr__(self, "state_names", called)
         object.__setattr__(self, "action_names", acts)
         super().__init__(
-            states, actions, following, reward, terminated=terminated, episode=episode, timestep=timestep,
-            behavior_probability=behavior_probability, truncated=truncated,
-        )  # fmt: skip
+            states,
+            actions,
+            following,
+            reward,
+            terminated=terminated,
+            episode=episode,
+            timestep=timestep,
+            behavior_probability=behavior_probability,
+            truncated=truncated,
+        )
         for column, names in self._names().items():
             bad = np.flatnonzero(getattr(self, column) >= len(names))
             if bad.size:
                 value = getattr(self, column)[bad[0]]
-                raise ValueError(f"{column}[{bad[0]}] must have a name, of which there are {len(names)}; it is {value}")
+                raise ValueError(
+                    f"{column}[{bad[0]}] must have a name, of which there are"
+                    f" {len(names)}; it is {value}"
+                )
 
     def _names(self) -> dict[str, tuple[Name, ...]]:
         """The names of the numbers in a column, of those columns that have names."""
-        names = {"state": self.state_names, "action": self.action_names, "next_state": self.state_names}
+        names = {
+            "state": self.state_names,
+            "action": self.action_names,
+            "next_state": self.state_names,
+        }
         return {column: own for column, own in names.items() if own is not None}
 
     @staticmethod
-    def _moves(state: ArrayLike, action: ArrayLike, next_state: ArrayLike) -> dict[str, Column | None]:
+    def _moves(
+        state: ArrayLike, action: ArrayLike, next_state: ArrayLike
+    ) -> dict[str, Column | None]:
         numbers = {"state": state, "action": action, "next_state": next_state}
         return {name: check_array(column, name) for name, column in numbers.items()}
 
     def _show(self, state: Column) -> Any:
-        return state.tolist() if self.state_names is None else name_text(self.state_names, state)
+        return (
+            state.tolist()
+            if self.state_names is None
+            else name_text(self.state_names, state)
+        )
 
     def columns(self) -> dict[str, Column]:
         """The columns that the log has, in the order of the file formats; names where it has names."""
@@ -127,7 +153,13 @@ class Transitions(LogColumns):
         return columns | {column: own[columns[column]] for column, own in names.items()}
 
     @classmethod
-    def from_frame(cls, frame: object, *, simulator: FiniteMDP | None = None, **column_names: object) -> Self:
+    def from_frame(
+        cls,
+        frame: object,
+        *,
+        simulator: FiniteMDP | None = None,
+        **column_names: object,
+    ) -> Self:
         """A log from a data frame of pandas, polars, arrow, or what else narwhals reads; its index is ignored.
 
         Parameters
@@ -157,13 +189,16 @@ class Transitions(LogColumns):
         try:
             log = cls(**columns)
         except ValueError:
-            if simulator is not None:  # an unknown name says more than the episode that it breaks
+            # an unknown name says more than the episode that it breaks
+            if simulator is not None:
                 cls(*(columns[label] for label in MOVE)).numbered(simulator, "frame")
             raise
         return log if simulator is None else log.numbered(simulator, "frame")
 
     @classmethod
-    def from_episodes(cls, episodes: object, *, simulator: FiniteMDP | None = None) -> Self:
+    def from_episodes(
+        cls, episodes: object, *, simulator: FiniteMDP | None = None
+    ) -> Self:
         """A log from episodes as lists of (state, action, reward) steps; states and actions are numbers or names.
 
         Parameters
@@ -198,17 +233,25 @@ class Transitions(LogColumns):
             names, size = simulator.state_names, simulator.n_states
             if column == "action":
                 names, size = simulator.action_names, simulator.n_actions
-            columns[column] = renumber(columns[column], own, names, size, f"{name}.{column}")
+            columns[column] = renumber(
+                columns[column], own, names, size, f"{name}.{column}"
+            )
         return type(self)(**columns)
 
     def __repr__(self) -> str:
         return f"Transitions({self.describe()})"
 
     def _repr_html_(self) -> str:
-        rows = [(name.replace("_", " "), value) for name, value in self.summary().items() if value is not None]
+        rows = [
+            (name.replace("_", " "), value)
+            for name, value in self.summary().items()
+            if value is not None
+        ]
         return _printing.facts("Transitions: a log", rows)
 
-    def counts(self, n_states: int, n_actions: int, *, discount: float | None = None) -> sparse.csr_array:
+    def counts(
+        self, n_states: int, n_actions: int, *, discount: float | None = None
+    ) -> sparse.csr_array:
         """The counts of each (s, a, s'): csr of shape (S*A, S), row s*A + a.
 
         With ``discount`` each transition has weight discount**timestep, the paper's discounted d (needs timesteps).
@@ -216,13 +259,19 @@ class Transitions(LogColumns):
         """
         if self._names():
             raise ValueError(
-                "log must be in a simulator's numbers to be counted; its states or actions have names: log.numbered(simulator)"
+                "log must be in a simulator's numbers to be counted; its states or"
+                " actions have names: log.numbered(simulator)"
             )
         weights = np.ones(len(self))
         if discount is not None:
             if self.timestep is None:
-                raise ValueError("log must have timesteps (or episodes) to be counted with a discount; it has none")
-            weights = _checks.number_in(discount, "discount", 0.0, 1.0) ** self.timestep.astype(np.float64)
+                raise ValueError(
+                    "log must have timesteps (or episodes) to be counted with a"
+                    " discount; it has none"
+                )
+            weights = _checks.number_in(
+                discount, "discount", 0.0, 1.0
+            ) ** self.timestep.astype(np.float64)
         return counts_of(self, weights, n_states, n_actions)
 
     def moves(self) -> RowSums:
@@ -239,8 +288,13 @@ class Transitions(LogColumns):
         import pandas as pd
 
         states = pd.unique(np.concatenate([self.state, self.next_state]))
-        pairs = pd.DataFrame({"state": self.state, "action": self.action}).drop_duplicates()
-        return self._facts() | {"states_seen": len(states), "state_action_pairs_seen": len(pairs)}
+        pairs = pd.DataFrame(
+            {"state": self.state, "action": self.action}
+        ).drop_duplicates()
+        return self._facts() | {
+            "states_seen": len(states),
+            "state_action_pairs_seen": len(pairs),
+        }
 
     def _facts(self) -> dict[str, Any]:
         """The part of the summary that one line prints."""
@@ -255,15 +309,23 @@ class Transitions(LogColumns):
             "truncated": int(self.truncated.sum()),
             "largest_state": int(max(self.state.max(), self.next_state.max())),
             "largest_action": int(self.action.max()),
-            "reward_min": None if self.reward is None else float(np.nanmin(self.reward)),
-            "reward_max": None if self.reward is None else float(np.nanmax(self.reward)),
-            "rewards_missing": None if self.reward is None else int(np.isnan(self.reward).sum()),
+            "reward_min": (
+                None if self.reward is None else float(np.nanmin(self.reward))
+            ),
+            "reward_max": (
+                None if self.reward is None else float(np.nanmax(self.reward))
+            ),
+            "rewards_missing": (
+                None if self.reward is None else int(np.isnan(self.reward).sum())
+            ),
             "behavior_probability": self.behavior_probability is not None,
         }
 
     def describe(self) -> str:
         """The summary in one line."""
-        return describe_facts(self._facts(), state_names=self.state_names, action_names=self.action_names)
+        return describe_facts(
+            self._facts(), state_names=self.state_names, action_names=self.action_names
+        )
 
 
 def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> str:
@@ -274,15 +336,29 @@ def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> s
     if facts.get("files"):
         text += f", of {facts['files']} file{'s' * (facts['files'] > 1)}"
     if facts["episodes"]:
-        n, shortest, longest = (facts[name] for name in ("episodes", "episode_length_min", "episode_length_max"))
-        steps = f"{shortest} to {longest} steps" if shortest < longest else f"{longest} step{'s' * (longest > 1)}"
+        n, shortest, longest = (
+            facts[name]
+            for name in ("episodes", "episode_length_min", "episode_length_max")
+        )
+        steps = (
+            f"{shortest} to {longest} steps"
+            if shortest < longest
+            else f"{longest} step{'s' * (longest > 1)}"
+        )
         text += f" in {n} episode{'s' * (n > 1)} of {steps}"
     text += f": {facts['terminated']} terminated, {facts['truncated']} truncated"
     for word, mark in (("state", ";"), ("action", ",")):
         own = names.get(f"{word}_names")
-        text += f"{mark} {len(own)} named {word}s" if own else f"{mark} {word}s 0..{facts[f'largest_{word}']}"
+        text += (
+            f"{mark} {len(own)} named {word}s"
+            if own
+            else f"{mark} {word}s 0..{facts[f'largest_{word}']}"
+        )
     if facts["reward_min"] is not None:
-        text += f"; rewards {facts['reward_min'] + 0.0:g} to {facts['reward_max'] + 0.0:g}"  # no -0
+        # no -0
+        text += (
+            f"; rewards {facts['reward_min'] + 0.0:g} to {facts['reward_max'] + 0.0:g}"
+        )
         missing = facts["rewards_missing"]
         text += f", {missing} of {facts['transitions']} missing" if missing else ""
     if facts.get("behavior_probability"):
@@ -290,5 +366,8 @@ def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> s
     if facts.get("sampled_episodes") is not None:
         text += f"; {facts['sampled_episodes']} whole episodes kept"
     if facts.get("rows_dropped"):
-        text += f"; {facts['rows_dropped']} invalid rows dropped, {facts['broken_episodes'] or 0} episodes broken"
+        text += (
+            f"; {facts['rows_dropped']} invalid rows dropped,"
+            f" {facts['broken_episodes'] or 0} episodes broken"
+        )
     return text

@@ -28,12 +28,18 @@ def next_pairs(
     recorded row takes z c / (n (n + 1)) / se; of a row never recorded 2 z sqrt(c), all that one transition of it leaves.
     None that costs 0.
     """
-    z, n, chosen = NormalDist().inv_cdf(0.5 + confidence / 2.0), np.array(counts, dtype=np.float64), []
+    z, n, chosen = (
+        NormalDist().inv_cdf(0.5 + confidence / 2.0),
+        np.array(counts, dtype=np.float64),
+        [],
+    )
     gain_if_never_recorded = np.sum(2.0 * z * np.sqrt(table), axis=0)
     for _ in range(number if np.any(table > 0.0) else 0):
         variance = table / np.maximum(n, 1.0) * (n > 0)
         error = np.sqrt(variance.sum(axis=1, keepdims=True))
-        gain = np.divide(z * variance, error, out=np.zeros_like(table), where=error > 0.0).sum(axis=0) / (n + 1.0)
+        gain = np.divide(
+            z * variance, error, out=np.zeros_like(table), where=error > 0.0
+        ).sum(axis=0) / (n + 1.0)
         row = int(np.argmax(np.where(n > 0, gain, gain_if_never_recorded)))
         n[row] += 1.0
         chosen.append(divmod(row, n_actions))
@@ -41,7 +47,11 @@ def next_pairs(
 
 
 def advice_sentence(
-    pairs: tuple[tuple[int, int], ...], table: Array, counts: Array, optimistic: BoolArray, names: Names
+    pairs: tuple[tuple[int, int], ...],
+    table: Array,
+    counts: Array,
+    optimistic: BoolArray,
+    names: Names,
 ) -> str:
     """Say the first of the pairs, and why; ``table`` (K, S, A), ``counts`` and ``optimistic`` (S, A)."""
     if not pairs:
@@ -54,14 +64,21 @@ def advice_sentence(
     elif n > 0:
         variance = table / np.maximum(counts, 1.0)
         total = variance.sum(axis=(1, 2))
-        share = np.divide(variance[:, state, action], total, out=np.zeros_like(total), where=total > 0.0).mean()
+        share = np.divide(
+            variance[:, state, action],
+            total,
+            out=np.zeros_like(total),
+            where=total > 0.0,
+        ).mean()
         why = f"{so_far}, {share:.0%} of the value's variance"
     return f"Record {describe_pair(names, state, action)} first ({why})."
 
 
 def describe_pair(names: Names, state: int, action: int) -> str:
     """Return ``action left in state hall``."""
-    return f"action {_quote(names.action(action))} in state {_quote(names.state(state))}"
+    return (
+        f"action {_quote(names.action(action))} in state {_quote(names.state(state))}"
+    )
 
 
 def _quote(name: str) -> str:
@@ -77,12 +94,24 @@ def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -
     mdp = problem.model
     shape = (mdp.n_states, mdp.n_actions)
     counts = row_sums(problem.counts)
-    model = reweight(mdp, Conditional().fit(problem.observed, problem.simulator, cache=problem.cache))
+    model = reweight(
+        mdp, Conditional().fit(problem.observed, problem.simulator, cache=problem.cache)
+    )
     table, optimistic = row_costs(
-        mdp, model, list(policies.values()), counts, horizon=problem.horizon, box=Box(0.0, np.inf), confidence=confidence,
+        mdp,
+        model,
+        list(policies.values()),
+        counts,
+        horizon=problem.horizon,
+        box=Box(0.0, np.inf),
+        confidence=confidence,
         optimistic=True,
-    )  # fmt: skip
+    )
     pairs = next_pairs(table, counts, shape[1], 1, confidence)
     return advice_sentence(
-        pairs, table.reshape(-1, *shape), counts.reshape(shape), optimistic.reshape(shape), mdp.names
+        pairs,
+        table.reshape(-1, *shape),
+        counts.reshape(shape),
+        optimistic.reshape(shape),
+        mdp.names,
     )

@@ -115,25 +115,49 @@ def plan_data_collection(
     _checks.one_of(sampling, "sampling", ("free", "behavior"))
     _checks.one_of(solver, "solver", ("auto", "frank_wolfe", "CLARABEL"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
-    box = check_box(lower_ratio, upper_ratio, normalized=True, names=("lower_ratio", "upper_ratio"))
+    box = check_box(
+        lower_ratio, upper_ratio, normalized=True, names=("lower_ratio", "upper_ratio")
+    )
     if sampling == "free" and restart is not None:
-        raise ValueError(f"restart must be left out with sampling 'free'; it is {_checks.show(restart)}")
+        raise ValueError(
+            "restart must be left out with sampling 'free'; it is"
+            f" {_checks.show(restart)}"
+        )
     named = _check_policies(policies, mdp)
     pis = list(named.values())
     if steps is None and mdp.discount == 1.0:
         raise ValueError("horizon must be given at discount 1")
     truth, source = _check_model(problem, mdp, model)
-    table, certain = row_costs(mdp, truth, pis, counts, horizon=steps, box=box, confidence=level, optimistic=optimistic)
+    table, certain = row_costs(
+        mdp,
+        truth,
+        pis,
+        counts,
+        horizon=steps,
+        box=box,
+        confidence=level,
+        optimistic=optimistic,
+    )
     collection = None
     if sampling == "behavior":
-        chance = 1.0 / steps if steps is not None and mdp.discount == 1.0 else 1.0 - mdp.discount
+        chance = (
+            1.0 / steps
+            if steps is not None and mdp.discount == 1.0
+            else 1.0 - mdp.discount
+        )
         if restart is not None:
             chance = _checks.number_in(restart, "restart", 0.0, 1.0, open_ends=True)
-        collection = collection_mdp(truth, chance, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move)
+        collection = collection_mdp(
+            truth, chance, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move
+        )
     base, costs = counts / number, table / number
     matters = costs.max(axis=1) > 0.0
     least, free = np.zeros(len(pis)), np.zeros(len(pis))
-    gap, status, solved_by = 0.0, "nothing to learn: these policies' values depend on no transition probability", "none"
+    gap, status, solved_by = (
+        0.0,
+        "nothing to learn: these policies' values depend on no transition probability",
+        "none",
+    )
     if matters.any():
         uncertain = [pi for pi, does in zip(pis, matters, strict=True) if does]
         (q, value, bound), least[matters], free[matters] = solve_for_all(
@@ -141,15 +165,27 @@ def plan_data_collection(
         )
         gap, status = max(0.0, 1.0 - bound / value), "ok"
         if gap > LARGEST_GAP:
-            status = f"not finished: another plan may be better by up to {gap:.1%} of the variance"
+            status = (
+                f"not finished: another plan may be better by up to {gap:.1%} of the"
+                " variance"
+            )
         is_closed_form = collection is None and len(uncertain) == 1
-        solved_by = solver if solver == "CLARABEL" else "closed form" if is_closed_form else "interior point"
+        solved_by = (
+            solver
+            if solver == "CLARABEL"
+            else "closed form"
+            if is_closed_form
+            else "interior point"
+        )
     elif collection is None:
         q = np.full(base.size, 1.0 / base.size)
     else:
         q = occupancy(collection, uniform_policy(collection)).reshape(-1)
     now, after = (sum_variances(costs, base, x) for x in (np.zeros_like(base), q))
-    to_least, to_free = (np.divide(after, x, out=np.ones_like(after), where=x > 0.0) for x in (least, free))
+    to_least, to_free = (
+        np.divide(after, x, out=np.ones_like(after), where=x > 0.0)
+        for x in (least, free)
+    )
     shape = (mdp.n_states, mdp.n_actions)
     return Plan(
         sampling=sampling,
@@ -158,7 +194,14 @@ def plan_data_collection(
         distribution=q.reshape(shape),
         behavior_policy=behavior_of(q, shape),
         policies=tuple(
-            Outlook(name, float(now[k]), float(after[k]), float(to_least[k]), float(to_free[k]), level)
+            Outlook(
+                name,
+                float(now[k]),
+                float(after[k]),
+                float(to_least[k]),
+                float(to_free[k]),
+                level,
+            )
             for k, name in enumerate(named)
         ),
         gap=gap,
@@ -174,14 +217,21 @@ def plan_data_collection(
     )
 
 
-def _counts_and_simulator(problem: Problem | FiniteMDP, horizon: int | None) -> tuple[Array, FiniteMDP, int | None]:
+def _counts_and_simulator(
+    problem: Problem | FiniteMDP, horizon: int | None
+) -> tuple[Array, FiniteMDP, int | None]:
     """Counts of the rows, the simulator with the rewards to be paid, the horizon."""
     if isinstance(problem, FiniteMDP):
-        return np.zeros(problem.n_states * problem.n_actions), problem, optional_horizon_length(horizon, problem)
+        return (
+            np.zeros(problem.n_states * problem.n_actions),
+            problem,
+            optional_horizon_length(horizon, problem),
+        )
     _checks.instance(problem, Problem, "problem", "Problem or a FiniteMDP")
     if horizon is not None:
         raise ValueError(
-            f"horizon must be left out with a Problem, which has its own ({problem.horizon}); it is {_checks.show(horizon)}"
+            "horizon must be left out with a Problem, which has its own"
+            f" ({problem.horizon}); it is {_checks.show(horizon)}"
         )
     return row_sums(problem.counts), problem.model, problem.horizon
 
@@ -192,10 +242,15 @@ def _check_policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
         return {"policy": check_policy(policies, mdp, name="policies")}
     if not several:
         raise ValueError("policies must have at least one policy; it has none")
-    return {name: check_policy(pi, mdp, name=f"policies[{name!r}]") for name, pi in several.items()}
+    return {
+        name: check_policy(pi, mdp, name=f"policies[{name!r}]")
+        for name, pi in several.items()
+    }
 
 
-def _check_model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object) -> tuple[FiniteMDP, str]:
+def _check_model(
+    problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object
+) -> tuple[FiniteMDP, str]:
     if isinstance(model, FiniteMDP):
         if (model.n_states, model.n_actions) != (mdp.n_states, mdp.n_actions):
             raise ValueError(
@@ -205,8 +260,14 @@ def _check_model(problem: Problem | FiniteMDP, mdp: FiniteMDP, model: object) ->
         refuse_unsupported(model.transitions, mdp, what="model")
         return mdp.with_transitions(model.transitions), "a given model"
     if not isinstance(model, str):
-        raise ValueError(f"model must be 'estimate', 'simulator' or a FiniteMDP; got {type(model).__name__}")
+        raise ValueError(
+            "model must be 'estimate', 'simulator' or a FiniteMDP; got"
+            f" {type(model).__name__}"
+        )
     _checks.one_of(model, "model", ("estimate", "simulator"))
     if model == "simulator" or isinstance(problem, FiniteMDP):
         return mdp, "the simulator"
-    return transition_ratio(problem.observed, problem.simulator).target_model(mdp), "the estimate from the log"
+    return (
+        transition_ratio(problem.observed, problem.simulator).target_model(mdp),
+        "the estimate from the log",
+    )

@@ -10,14 +10,21 @@ from numba import njit
 from scipy import sparse
 
 from oee_tabular._checks import Array, BoolArray
-from oee_tabular._sparse import align, canonical, csr_on_pattern, row_sums, row_variances
+from oee_tabular._sparse import (
+    align,
+    canonical,
+    csr_on_pattern,
+    row_sums,
+    row_variances,
+)
 from oee_tabular.exact import Model, ReweightedModel, transition_gradient
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.dual import Box
 
 ACTION_NOISE = 0.1  # of R: half of it another action, half of it no transition
 CERTAIN = 1.0 - 1e-12  # a row whose largest probability is above this has no spread
-ROUNDING = (1e-24, 1e-28)  # of the largest cost, and of the largest G^2: costs below are the rounding of 0
+# of the largest cost, and of the largest G^2: costs below are the rounding of 0
+ROUNDING = (1e-24, 1e-28)
 
 
 def row_costs(
@@ -46,51 +53,91 @@ def row_costs(
         gradient = transition_gradient(model, policy, horizon=horizon)
         row[:] = row_variances(matrix, matrix.data, gradient)
         if certain.any():
-            row[certain] = largest_variances(matrix.indptr, np.flatnonzero(certain), gradient, low, high)
-        row[row <= max(ROUNDING[0] * row.max(), ROUNDING[1] * np.abs(gradient).max() ** 2)] = 0.0
+            row[certain] = largest_variances(
+                matrix.indptr, np.flatnonzero(certain), gradient, low, high
+            )
+        row[
+            row
+            <= max(ROUNDING[0] * row.max(), ROUNDING[1] * np.abs(gradient).max() ** 2)
+        ] = 0.0
     return table, certain
 
 
 def _bounds(
-    matrix: sparse.csr_array, reference: Array, box: Box, counts: Array, confidence: float
+    matrix: sparse.csr_array,
+    reference: Array,
+    box: Box,
+    counts: Array,
+    confidence: float,
 ) -> tuple[Array, Array]:
     """Bound each entry; the outcome that the model is sure of keeps what its observations assure."""
     lengths, sure = np.diff(matrix.indptr), matrix.data >= CERTAIN
     low = box.lower * reference
-    high = np.minimum(box.upper * reference, 1.0) if np.isfinite(box.upper) else 1.0 * (reference > 0.0)
+    high = (
+        np.minimum(box.upper * reference, 1.0)
+        if np.isfinite(box.upper)
+        else 1.0 * (reference > 0.0)
+    )
     number = np.repeat(counts, lengths)[sure]
-    assured = np.where(number > 0, (1.0 - confidence) ** (1.0 / np.maximum(number, 1.0)), 0.0)
+    assured = np.where(
+        number > 0, (1.0 - confidence) ** (1.0 / np.maximum(number, 1.0)), 0.0
+    )
     room = 1.0 - np.repeat(row_sums(matrix, np.where(sure, 0.0, low)), lengths)[sure]
     low[sure] = np.clip(assured, low[sure], np.minimum(high[sure], room))
     return low, np.asarray(high)
 
 
-def _add_reference_entries(simulator: FiniteMDP, model: Model, certain: BoolArray) -> tuple[ReweightedModel, Array]:
+def _add_reference_entries(
+    simulator: FiniteMDP, model: Model, certain: BoolArray
+) -> tuple[ReweightedModel, Array]:
     """Give the model the entries of R in the rows ``certain``, most of them 0, and return R there (0 in the other rows).
 
     A transition that the simulator lacks in this row has its reward under another action, or else the row's
     mean.
     """
     n_states, n_actions = simulator.rewards.shape
-    matrix, chosen = simulator.transitions, sparse.diags_array(certain.astype(np.float64))
-    any_action = sparse.kron(sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions))
+    matrix, chosen = (
+        simulator.transitions,
+        sparse.diags_array(certain.astype(np.float64)),
+    )
+    any_action = sparse.kron(
+        sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions)
+    )
     any_action = canonical(chosen @ any_action, drop_zeros=True)
     mean = canonical(any_action @ matrix, drop_zeros=False)
     stay = chosen @ sparse.kron(sparse.eye_array(n_states), np.ones((n_actions, 1)))
-    reference = (1.0 - ACTION_NOISE) * (chosen @ matrix) + 0.5 * ACTION_NOISE * (mean + stay)
+    reference = (1.0 - ACTION_NOISE) * (chosen @ matrix) + 0.5 * ACTION_NOISE * (
+        mean + stay
+    )
     pattern = canonical(model.transitions + reference, drop_zeros=True)
     rewards = None
     if simulator.reward_data is not None:
         rewards = np.repeat(simulator.rewards.reshape(-1), np.diff(pattern.indptr))
-        reward_sums = any_action @ csr_on_pattern(matrix, matrix.data * simulator.reward_data, own=True)
+        reward_sums = any_action @ csr_on_pattern(
+            matrix, matrix.data * simulator.reward_data, own=True
+        )
         chance = align(mean, pattern)[0]
-        np.divide(align(canonical(reward_sums, drop_zeros=False), pattern)[0], chance, out=rewards, where=chance > 0.0)
+        np.divide(
+            align(canonical(reward_sums, drop_zeros=False), pattern)[0],
+            chance,
+            out=rewards,
+            where=chance > 0.0,
+        )
         own, is_defined = align(simulator.transition_rewards, pattern)
         np.copyto(rewards, own, where=is_defined)
-    transitions = csr_on_pattern(pattern, align(model.transitions, pattern)[0], own=True)
+    transitions = csr_on_pattern(
+        pattern, align(model.transitions, pattern)[0], own=True
+    )
     wider = ReweightedModel(
-        n_states, n_actions, transitions, model.rewards, rewards, model.initial, model.discount, model.terminal_state
-    )  # fmt: skip
+        n_states,
+        n_actions,
+        transitions,
+        model.rewards,
+        rewards,
+        model.initial,
+        model.discount,
+        model.terminal_state,
+    )
     return wider, align(canonical(reference, drop_zeros=True), pattern)[0]
 
 
@@ -120,13 +167,15 @@ def largest_variances(indptr, rows, values, low, high):
         p, room, mean = p + moved, room - moved, np.sum((p + moved) * v)
         gain = 1.0
         while gain > 0.0:
-            upper = max(upper, lower + 1)  # what lies on the entry that is being filled may stay
+            # what lies on the entry that is being filled may stay
+            upper = max(upper, lower + 1)
             if upper == len(order):
                 break
             distance = v[upper] - v[lower]
             gain = 2.0 * mean - v[lower] - v[upper]
             mass = min(room[lower], moved[upper])
-            if 2.0 * mass * distance >= gain:  # the best split is inside, or has been passed
+            # the best split is inside, or has been passed
+            if 2.0 * mass * distance >= gain:
                 mass, gain = max(gain, 0.0) / max(2.0 * distance, 1e-300), 0.0
             p[lower], room[lower] = p[lower] + mass, room[lower] - mass
             p[upper], room[upper] = p[upper] - mass, room[upper] + mass

@@ -124,7 +124,9 @@ class Plan:
     @property
     def expected_standard_error(self) -> tuple[float, float]:
         """(now, after n more transitions) of J, the largest of the policies'."""
-        now, after = zip(*(outlook.standard_error for outlook in self.policies), strict=True)
+        now, after = zip(
+            *(outlook.standard_error for outlook in self.policies), strict=True
+        )
         return max(now), max(after)
 
     @property
@@ -136,7 +138,9 @@ class Plan:
     @property
     def unrecorded(self) -> int:
         """The number of pairs that matter to a policy and were never recorded."""
-        return int(np.sum((self.counts == 0) & (np.max(list(self.costs.values()), axis=0) > 0)))
+        return int(
+            np.sum((self.counts == 0) & (np.max(list(self.costs.values()), axis=0) > 0))
+        )
 
     @property
     def allocation(self) -> IntArray:
@@ -151,7 +155,9 @@ class Plan:
     def advice(self) -> str:
         """The first of ``next_pairs`` in a sentence, as in a report on the same log."""
         costs = np.array(list(self.costs.values()))
-        return advice_sentence(self.next_pairs, costs, self.counts, self.optimistic, self.names)
+        return advice_sentence(
+            self.next_pairs, costs, self.counts, self.optimistic, self.names
+        )
 
     def after(self, m: int) -> dict[str, Outlook]:
         """The outlook after m more transitions, instead of n, of the same distribution.
@@ -162,28 +168,47 @@ class Plan:
         total = (self.counts + number * self.distribution).reshape(-1)
         costs = np.array([cost.reshape(-1) for cost in self.costs.values()])
         variances = sum_variances(costs, total, np.zeros_like(total))
-        return {o.name: replace(o, variance_after=float(v)) for o, v in zip(self.policies, variances, strict=True)}
+        return {
+            o.name: replace(o, variance_after=float(v))
+            for o, v in zip(self.policies, variances, strict=True)
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """The same as ``str``, as plain values; states and actions by name if they have names."""
 
         def pair(s: int, a: int) -> dict[str, Any]:
-            numbers = {"state": (self.names.states, s), "action": (self.names.actions, a)}
-            return {key: int(k) if names is None else name_text(names, k) for key, (names, k) in numbers.items()}
+            numbers = {
+                "state": (self.names.states, s),
+                "action": (self.names.actions, a),
+            }
+            return {
+                key: int(k) if names is None else name_text(names, k)
+                for key, (names, k) in numbers.items()
+            }
 
         return {
-            "sampling": self.sampling, "n": self.n, "confidence": self.confidence, "status": self.status, "gap": self.gap,
+            "sampling": self.sampling,
+            "n": self.n,
+            "confidence": self.confidence,
+            "status": self.status,
+            "gap": self.gap,
             "policies": [
                 {
-                    "policy": o.name, "standard_error": list(o.standard_error), "width": list(o.width),
-                    "inefficiency": o.inefficiency, "free_inefficiency": o.free_inefficiency,
+                    "policy": o.name,
+                    "standard_error": list(o.standard_error),
+                    "width": list(o.width),
+                    "inefficiency": o.inefficiency,
+                    "free_inefficiency": o.free_inefficiency,
                 }
                 for o in self.policies
             ],
-            "most": [pair(s, a) | {"share": float(self.distribution[s, a])} for s, a in self._largest_shares()],
+            "most": [
+                pair(s, a) | {"share": float(self.distribution[s, a])}
+                for s, a in self._largest_shares()
+            ],
             "advice": self.advice,
             "next": [pair(s, a) for s, a in self.next_pairs],
-        }  # fmt: skip
+        }
 
     def _largest_shares(self) -> list[tuple[int, int]]:
         order = np.argsort(-self.distribution, axis=None, kind="stable")[:5]
@@ -192,9 +217,16 @@ class Plan:
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the states where the plan records most, with their counts in the log; without ``ax`` on new axes."""
         numbers = range(len(self.counts))
-        names = [f"state {s}" if self.names.states is None else self.names.state(s) for s in numbers]
+        names = [
+            f"state {s}" if self.names.states is None else self.names.state(s)
+            for s in numbers
+        ]
         return plot_states(
-            self.distribution, self.counts, ax, names=names, xlabel="share of the planned transitions (%)"
+            self.distribution,
+            self.counts,
+            ax,
+            names=names,
+            xlabel="share of the planned transitions (%)",
         )
 
     def __repr__(self) -> str:
@@ -207,31 +239,63 @@ class Plan:
         size = max(6, *(len(o.name) for o in self.policies))
         level = f"{100 * self.confidence:.4g}% width"
         lines = [
-            f"Plan for {self.n} transitions, {how}; variances at {self.model}; values: {_printing.SUM}",
-            f"{'policy':<{size}}  {'std. error':>10} -> {'after':<9}  {level:>10} -> {'after':<9}  inefficiency  vs. free",
+            (
+                f"Plan for {self.n} transitions, {how}; variances at {self.model};"
+                f" values: {_printing.SUM}"
+            ),
+            (
+                f"{'policy':<{size}}  {'std. error':>10} -> {'after':<9}  {level:>10}"
+                f" -> {'after':<9}  inefficiency  vs. free"
+            ),
         ]
         for o in self.policies:
-            error, width = (f"{now:>10.3g} -> {after:<9.3g}" for now, after in (o.standard_error, o.width))
-            lines.append(f"{o.name:<{size}}  {error}  {width}  {o.inefficiency:>12.3f}  {o.free_inefficiency:>8.3f}")
+            error, width = (
+                f"{now:>10.3g} -> {after:<9.3g}"
+                for now, after in (o.standard_error, o.width)
+            )
+            lines.append(
+                f"{o.name:<{size}}  {error}  {width}  {o.inefficiency:>12.3f} "
+                f" {o.free_inefficiency:>8.3f}"
+            )
         return "\n".join([*lines, *self._notes()])
 
     def _notes(self) -> list[str]:
         """The lines below the table."""
         lines = [
-            "std. errors, widths: for maximum likelihood, without the prior of oee (inf: a pair that matters has no data)",
-            f"inefficiency: variance ÷ the smallest that {self.n} transitions planned for this policy alone could reach",
+            (
+                "std. errors, widths: for maximum likelihood, without the prior of oee"
+                " (inf: a pair that matters has no data)"
+            ),
+            (
+                f"inefficiency: variance ÷ the smallest that {self.n} transitions"
+                " planned for this policy alone could reach"
+            ),
             "vs. free: the same if any state-action pair could be recorded",
         ]
         describe = partial(describe_pair, self.names)
-        shares = [f"{describe(s, a)} {100 * self.distribution[s, a]:.1f}%" for s, a in self._largest_shares()]
+        shares = [
+            f"{describe(s, a)} {100 * self.distribution[s, a]:.1f}%"
+            for s, a in self._largest_shares()
+        ]
         lines += ["largest shares: " + ", ".join(shares), self.advice]
         if len(self.next_pairs) > 1:
-            lines.append(f"then one transition each: {', '.join(describe(s, a) for s, a in self.next_pairs[1:])}")
+            lines.append(
+                "then one transition each:"
+                f" {', '.join(describe(s, a) for s, a in self.next_pairs[1:])}"
+            )
         if self.unrecorded:
-            lines.append(f"state-action pairs that matter and were never recorded: {self.unrecorded}")
+            lines.append(
+                "state-action pairs that matter and were never recorded:"
+                f" {self.unrecorded}"
+            )
         if self.optimistic.any():
-            lines.append(f"pairs that the model makes deterministic (worst variance assumed): {self.optimistic.sum()}")
-        close = f"solver: {self.solver}; at most {100 * self.gap:.2g}% from the best plan"
+            lines.append(
+                "pairs that the model makes deterministic (worst variance assumed):"
+                f" {self.optimistic.sum()}"
+            )
+        close = (
+            f"solver: {self.solver}; at most {100 * self.gap:.2g}% from the best plan"
+        )
         return [*lines, close if self.status == "ok" else self.status]
 
     def _repr_html_(self) -> str:
@@ -240,9 +304,21 @@ class Plan:
 
         level = f"{100 * self.confidence:.4g}% width"
         rows = [
-            (o.name, change(o.standard_error), change(o.width), f"{o.inefficiency:.3f}", f"{o.free_inefficiency:.3f}")
+            (
+                o.name,
+                change(o.standard_error),
+                change(o.width),
+                f"{o.inefficiency:.3f}",
+                f"{o.free_inefficiency:.3f}",
+            )
             for o in self.policies
         ]
-        header = ["policy", "std. error, now → after", f"{level}, now → after", "inefficiency", "vs. free"]
+        header = [
+            "policy",
+            "std. error, now → after",
+            f"{level}, now → after",
+            "inefficiency",
+            "vs. free",
+        ]
         caption = f"Plan for {self.n} transitions; values: {_printing.SUM}"
         return _printing.table(header, rows, caption=caption, below=self._notes())

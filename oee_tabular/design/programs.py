@@ -21,20 +21,28 @@ from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.ratio.statements import SolverStatusError, run
 
 Solver = Literal["auto", "frank_wolfe", "CLARABEL"]
-Solution = tuple[Array, float, float]  # q (S*A,), its largest F_k, and a lower bound of that of every q
+# q (S*A,), its largest F_k, and a lower bound of that of every q
+Solution = tuple[Array, float, float]
 TOLERANCE = 1e-4  # the relative gap at which the interior point method ends
 LARGEST_GAP = 0.01  # a plan that is certified no closer than this says so
-N_NEWTON_STEPS, N_CG_STEPS, CG_TOLERANCE = 200, 2000, 1e-3  # the residual that CG leaves is removed by the next step
-BARRIER_FALL = 0.3  # a Newton step aims at this much of the mean of q z: with 0.1 a log's rows take twice as long
-UNREACHED = 1e12  # times the variance of free sampling: episodes do not get where it matters
-NEGLIGIBLE = 1e-60  # a row that the start reaches more seldom costs nothing, and is left out
+# the residual that CG leaves is removed by the next step
+N_NEWTON_STEPS, N_CG_STEPS, CG_TOLERANCE = 200, 2000, 1e-3
+# a Newton step aims at this much of the mean of q z: with 0.1 a log's rows take twice
+# as long
+BARRIER_FALL = 0.3
+# times the variance of free sampling: episodes do not get where it matters
+UNREACHED = 1e12
+# a row that the start reaches more seldom costs nothing, and is left out
+NEGLIGIBLE = 1e-60
 
 
 def sum_variances(costs: Array, base: Array, q: Array) -> Array:
     """(K,) F_k(q) = sum_x C_kx / (b_x + q_x), 0 / 0 being 0; inf where a row that costs has nothing."""
     total = base + q
     empty = total <= 0.0
-    finite: Array = np.sum(np.divide(costs, total, out=np.zeros_like(costs), where=~empty), axis=1)
+    finite: Array = np.sum(
+        np.divide(costs, total, out=np.zeros_like(costs), where=~empty), axis=1
+    )
     return np.where(np.any(costs[:, empty] > 0.0, axis=1), np.inf, finite)
 
 
@@ -49,15 +57,22 @@ def fill(cost: Array, base: Array) -> Array:
     root = np.sqrt(cost)
     rows = np.flatnonzero(root > 0.0)
     order = rows[np.argsort(base[rows] / root[rows], kind="stable")]
-    level = (1.0 + np.cumsum(base[order])) / np.cumsum(root[order])  # t, if the first so many rows get a share
+    # t, if the first so many rows get a share
+    level = (1.0 + np.cumsum(base[order])) / np.cumsum(root[order])
     last = np.flatnonzero(level > base[order] / root[order])[-1]
     q = np.zeros_like(cost)
-    q[order[: last + 1]] = np.maximum(level[last] * root[order] - base[order], 0.0)[: last + 1]
+    q[order[: last + 1]] = np.maximum(level[last] * root[order] - base[order], 0.0)[
+        : last + 1
+    ]
     return np.asarray(q / q.sum())
 
 
 def collection_mdp(
-    model: FiniteMDP, restart: float, *, ends: BoolArray | None = None, restart_costs_a_move: bool = False
+    model: FiniteMDP,
+    restart: float,
+    *,
+    ends: BoolArray | None = None,
+    restart_costs_a_move: bool = False,
 ) -> FiniteMDP:
     """Make the MDP in which data are collected: ``model``, started again after each transition with probability ``restart``.
 
@@ -74,15 +89,21 @@ def collection_mdp(
     else:
         to_start = np.asarray(matrix @ is_end.astype(np.float64))
         matrix = matrix @ sparse.diags_array(1.0 - is_end)
-    transitions = canonical(matrix + sparse.csr_array(to_start[:, None]) @ start, drop_zeros=True)
-    return FiniteMDP(transitions, np.zeros(model.n_states), model.initial, 1.0 - restart)
+    transitions = canonical(
+        matrix + sparse.csr_array(to_start[:, None]) @ start, drop_zeros=True
+    )
+    return FiniteMDP(
+        transitions, np.zeros(model.n_states), model.initial, 1.0 - restart
+    )
 
 
 def behavior_of(q: Array, shape: tuple[int, int]) -> Array:
     """(S, A): q / sum_a q, uniform in states that q never visits."""
     table = q.reshape(shape)
     total = table.sum(axis=1, keepdims=True)
-    return np.where(total > 0.0, table / np.where(total > 0.0, total, 1.0), 1.0 / shape[1])
+    return np.where(
+        total > 0.0, table / np.where(total > 0.0, total, 1.0), 1.0 / shape[1]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +124,21 @@ class Program:
         """
         if self.collection is None:
             mean = self.costs.mean(axis=0)
-            return np.asarray(0.9 * fill(mean, self.base) + 0.1 * (mean > 0.0) / np.sum(mean > 0.0))
-        visits = [occupancy(self.collection, policy) for policy in (uniform_policy(self.collection), *policies)]
+            return np.asarray(
+                0.9 * fill(mean, self.base) + 0.1 * (mean > 0.0) / np.sum(mean > 0.0)
+            )
+        visits = [
+            occupancy(self.collection, policy)
+            for policy in (uniform_policy(self.collection), *policies)
+        ]
         q = np.mean(visits, axis=0).reshape(-1)
         worst = float(sum_variances(self.costs, self.base, q).max())
         if not worst < UNREACHED:
             raise ValueError(
-                f"restart must let episodes reach the (s, a) that matter; at {1.0 - self.collection.discount:g} what their "
-                f"own policies and the uniform one record leaves {worst:.2g} times the variance of free sampling"
+                "restart must let episodes reach the (s, a) that matter; at"
+                f" {1.0 - self.collection.discount:g} what their own policies and the"
+                f" uniform one record leaves {worst:.2g} times the variance of free"
+                " sampling"
             )
         return np.asarray(q)
 
@@ -119,7 +147,9 @@ class Program:
         if self.collection is None:
             return sparse.csr_array(np.ones((1, self.base.size))), np.ones(1)
         mdp = self.collection
-        in_state = sparse.kron(sparse.eye_array(mdp.n_states), np.ones((1, mdp.n_actions)))
+        in_state = sparse.kron(
+            sparse.eye_array(mdp.n_states), np.ones((1, mdp.n_actions))
+        )
         flow = in_state - mdp.discount * mdp.transitions.T
         return sparse.csr_array(flow), (1.0 - mdp.discount) * mdp.initial
 
@@ -128,7 +158,9 @@ class Program:
         kept = np.maximum(q, 0.0)
         if self.collection is not None:
             shape = (self.collection.n_states, self.collection.n_actions)
-            return np.asarray(occupancy(self.collection, behavior_of(kept, shape)).reshape(-1))
+            return np.asarray(
+                occupancy(self.collection, behavior_of(kept, shape)).reshape(-1)
+            )
         kept = np.where(self.costs.max(axis=0) > 0.0, kept, 0.0)
         return np.asarray(kept / kept.sum())
 
@@ -139,25 +171,43 @@ class Program:
         """
         shift = max(0.0, -float(prices.min()))
         cost, kappa = weights @ self.costs, prices + shift
-        with np.errstate(divide="ignore", invalid="ignore"):  # where nothing is gained q is 0, the price inf or not
-            q = np.where(cost > kappa * self.base**2, np.sqrt(cost / kappa) - self.base, 0.0)
-            terms = np.where(cost > 0.0, cost / (self.base + q), 0.0) + np.where(kappa * q > 0.0, kappa * q, 0.0)
+        # where nothing is gained q is 0, the price inf or not
+        with np.errstate(divide="ignore", invalid="ignore"):
+            q = np.where(
+                cost > kappa * self.base**2, np.sqrt(cost / kappa) - self.base, 0.0
+            )
+            terms = np.where(cost > 0.0, cost / (self.base + q), 0.0) + np.where(
+                kappa * q > 0.0, kappa * q, 0.0
+            )
         return float(terms.sum()) - level - shift
 
 
 def solve_for_all(
-    costs: Array, base: Array, collection: FiniteMDP | None, policies: list[Array], solver: Solver
+    costs: Array,
+    base: Array,
+    collection: FiniteMDP | None,
+    policies: list[Array],
+    solver: Solver,
 ) -> tuple[Solution, Array, Array]:
     """The solution, and of each policy the least variance of a plan for it alone: sampling as here, and at will."""
-    free = np.array([float(sum_variances(c[None], base, fill(c, base))[0]) for c in costs])
+    free = np.array(
+        [float(sum_variances(c[None], base, fill(c, base))[0]) for c in costs]
+    )
     scaled = costs / free[:, None]
     if collection is None:
         return solve(Program(scaled, base, None), policies, solver), free, free
-    alone = [solve(Program(scaled[[k]], base, collection), [pi], solver) for k, pi in enumerate(policies)]
+    alone = [
+        solve(Program(scaled[[k]], base, collection), [pi], solver)
+        for k, pi in enumerate(policies)
+    ]
     least = free * np.array([value for _, value, _ in alone])
     if len(policies) == 1:
         return alone[0], least, free
-    return solve(Program(costs / least[:, None], base, collection), policies, solver), least, free
+    return (
+        solve(Program(costs / least[:, None], base, collection), policies, solver),
+        least,
+        free,
+    )
 
 
 def solve(program: Program, policies: list[Array], solver: Solver) -> Solution:
@@ -190,8 +240,15 @@ def solve_by_interior_point(program: Program, start: Array) -> Solution:
     matrix = matrix[:, np.flatnonzero(used)]
     transposed, squared = sparse.csr_array(matrix.T), matrix.power(2)
     best = program.project(start)
-    value, bound = float(sum_variances(program.costs, program.base, best).max()), -np.inf
-    weights, v, z = np.full(len(costs), 1.0 / len(costs)), np.zeros(len(right)), value * BARRIER_FALL / (len(q) * q)
+    value, bound = (
+        float(sum_variances(program.costs, program.base, best).max()),
+        -np.inf,
+    )
+    weights, v, z = (
+        np.full(len(costs), 1.0 / len(costs)),
+        np.zeros(len(right)),
+        value * BARRIER_FALL / (len(q) * q),
+    )
     smallest_barrier = 0.1 * TOLERANCE * value / len(q)
     point, prices = np.zeros(len(start)), np.full(len(start), np.inf)
     theta, step = 2.0 * costs.mean(axis=0) / (base + q) ** 3 + z / q, 1.0
@@ -200,7 +257,9 @@ def solve_by_interior_point(program: Program, start: Array) -> Solution:
         prices[used], point[used] = transposed @ v, q
         bound = max(bound, program.lower_bound(weights, prices, float(right @ v)))
         candidate = program.project(point)
-        at_candidate = float(sum_variances(program.costs, program.base, candidate).max())
+        at_candidate = float(
+            sum_variances(program.costs, program.base, candidate).max()
+        )
         if at_candidate < value:
             best, value = candidate, at_candidate
         if value - bound <= TOLERANCE * value:
@@ -209,13 +268,20 @@ def solve_by_interior_point(program: Program, start: Array) -> Solution:
         barrier = max(BARRIER_FALL * float(np.mean(q * z)), smallest_barrier)
         theta = 2.0 * cost / total**3 + z / q
         residual = prices[used] - cost / total**2 - barrier / q
-        scale = 1.0 / np.sqrt(np.maximum(squared @ (1.0 / theta), 1e-300))  # 1 on the diagonal of the system
-        half = aslinearoperator(sparse.diags_array(scale) @ matrix @ sparse.diags_array(1.0 / np.sqrt(theta)))
+        # 1 on the diagonal of the system
+        scale = 1.0 / np.sqrt(np.maximum(squared @ (1.0 / theta), 1e-300))
+        half = aslinearoperator(
+            sparse.diags_array(scale)
+            @ matrix
+            @ sparse.diags_array(1.0 / np.sqrt(theta))
+        )
         change = scale * (matrix @ (q - residual / theta) - right)
         dv = scale * cg(half @ half.T, change, rtol=CG_TOLERANCE, maxiter=N_CG_STEPS)[0]
         dq = -(residual + transposed @ dv) / theta
         dz = (barrier - z * dq) / q - z
-        step = min(1.0, 0.95 / max(1e-300, float(np.max(-dq / q)), float(np.max(-dz / z))))
+        step = min(
+            1.0, 0.95 / max(1e-300, float(np.max(-dq / q)), float(np.max(-dz / z)))
+        )
         q, z, v = q + step * dq, z + step * dz, v + step * dv
     return best, value, bound
 
@@ -230,7 +296,9 @@ def update_weights(weights: Array, costs: Array, total: Array, theta: Array) -> 
     slack = values.max() - values
     curvature = (slopes / theta) @ slopes.T
     curvature += np.diag(1e-9 * np.trace(curvature) + slack / weights)
-    ahead, level = np.linalg.solve(curvature, np.stack([values, np.ones(len(values))], axis=1)).T
+    ahead, level = np.linalg.solve(
+        curvature, np.stack([values, np.ones(len(values))], axis=1)
+    ).T
     new_weights = weights + ahead - ahead.sum() / level.sum() * level
     new_weights = np.clip(new_weights, weights / 3.0, 3.0 * weights)
     return np.asarray(new_weights / new_weights.sum())
@@ -246,9 +314,12 @@ def solve_by_clarabel(program: Program) -> Solution:
     costs, base = program.costs, program.base
     used = np.flatnonzero(costs.max(axis=0) > 0.0)
     free_best = np.sqrt(costs.mean(axis=0))
-    unit = np.where(costs.max(axis=0) > 0.0, np.maximum(free_best / free_best.sum(), 1e-9), 1.0)
+    unit = np.where(
+        costs.max(axis=0) > 0.0, np.maximum(free_best / free_best.sum(), 1e-9), 1.0
+    )
     y, top = cp.Variable(base.size, nonneg=True), cp.Variable()
-    q, total = cp.multiply(unit, y), base[used] / unit[used] + y[used]  # b + q in units of the free allocation
+    # b + q in units of the free allocation
+    q, total = cp.multiply(unit, y), base[used] / unit[used] + y[used]
     inefficiency = (costs[:, used] / unit[used]) @ cp.inv_pos(total) <= top
     matrix, right = program.equations()
     feasible = matrix @ q == right
@@ -256,9 +327,13 @@ def solve_by_clarabel(program: Program) -> Solution:
     status = run(problem, "CLARABEL", (1e-10, 1e-8, 1e-6))  # the gap is ours to certify
     if status != "optimal":
         raise SolverStatusError(
-            f"CLARABEL ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='auto')"
+            f"CLARABEL ended with status {status!r}, not 'optimal'; its numbers are not"
+            " used (use solver='auto')"
         )
-    weights, v = np.maximum(np.ravel(inefficiency.dual_value), 0.0), np.ravel(feasible.dual_value)
+    weights, v = (
+        np.maximum(np.ravel(inefficiency.dual_value), 0.0),
+        np.ravel(feasible.dual_value),
+    )
     point = program.project(unit * y.value)
     bound = program.lower_bound(weights / weights.sum(), matrix.T @ v, float(right @ v))
     return point, float(sum_variances(costs, base, point).max()), bound

@@ -49,7 +49,9 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.estimators.doubly_robust import DoublyRobust as DoublyRobust
     from oee_tabular.estimators.doubly_robust import Magic as Magic
     from oee_tabular.estimators.findings import Finding as Finding
-    from oee_tabular.estimators.importance_sampling import ImportanceSampling as ImportanceSampling
+    from oee_tabular.estimators.importance_sampling import (
+        ImportanceSampling as ImportanceSampling,
+    )
     from oee_tabular.estimators.marginalized import DualDice as DualDice
     from oee_tabular.estimators.marginalized import Marginalized as Marginalized
     from oee_tabular.estimators.model_based import ModelBased as ModelBased
@@ -58,18 +60,28 @@ if TYPE_CHECKING:  # the same for type checkers
     from oee_tabular.estimators.simulator import Oracle as Oracle
     from oee_tabular.estimators.simulator import Simulator as Simulator
 
-_NAMES = {  # of each file, imported on first use: ``oee --help`` reads the table of names alone
-    "base": "Estimate Estimator", "calibrated": "calibrate", "doubly_robust": "DoublyRobust Magic", "findings": "Finding",
-    "importance_sampling": "ImportanceSampling", "marginalized": "DualDice Marginalized", "model_based": "ModelBased",
-    "off_environment": "OffEnvironment", "problem": "Problem", "simulator": "Oracle Simulator",
-}  # fmt: skip
+# of each file, imported on first use: ``oee --help`` reads the table of names alone
+_NAMES = {
+    "base": "Estimate Estimator",
+    "calibrated": "calibrate",
+    "doubly_robust": "DoublyRobust Magic",
+    "findings": "Finding",
+    "importance_sampling": "ImportanceSampling",
+    "marginalized": "DualDice Marginalized",
+    "model_based": "ModelBased",
+    "off_environment": "OffEnvironment",
+    "problem": "Problem",
+    "simulator": "Oracle Simulator",
+}
 _FILE_OF = {name: file for file, names in _NAMES.items() for name in names.split()}
 __all__ = sorted(_FILE_OF)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
     if name not in _FILE_OF:
-        raise AttributeError(f"module 'oee_tabular.estimators' has no attribute {name!r}")
+        raise AttributeError(
+            f"module 'oee_tabular.estimators' has no attribute {name!r}"
+        )
     module = importlib.import_module(f"oee_tabular.estimators.{_FILE_OF[name]}")
     value = globals()[name] = getattr(module, name)
     return value

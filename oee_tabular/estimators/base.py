@@ -27,11 +27,25 @@ from oee_tabular.ratio.transition import method_named
 
 UNEXPLAINED = "the value is not finite: beyond the largest float, or not a number"
 
-IN_VALUES_UNIT = frozenset({  # diagnostics that are values, or errors of values: (1 - discount) multiplies them as well
-    "simulator_value", "model_value", "one_step_value", "maximum_likelihood_value", "replaced_value", "refused_value",
-    "second_calibration_value", "truncation_bias_bound", "error_bound", "one_step_standard_error", "unrecorded_standard_error",
-    "standard_error_if_centre_fits", "standard_error_of_the_log",
-})  # fmt: skip
+# diagnostics that are values, or errors of values: (1 - discount) multiplies them as
+# well
+IN_VALUES_UNIT = frozenset(
+    {
+        "simulator_value",
+        "model_value",
+        "one_step_value",
+        "maximum_likelihood_value",
+        "replaced_value",
+        "refused_value",
+        "second_calibration_value",
+        "truncation_bias_bound",
+        "error_bound",
+        "one_step_standard_error",
+        "unrecorded_standard_error",
+        "standard_error_if_centre_fits",
+        "standard_error_of_the_log",
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -85,32 +99,57 @@ class Estimate:
     is_headline: bool = False
 
     def __post_init__(self) -> None:
-        for k, finding in enumerate(_checks.collection(self.findings, "findings", "Findings")):
-            _checks.instance(finding, Finding, f"findings[{k}]", "Finding(kind, severity, text)")
+        for k, finding in enumerate(
+            _checks.collection(self.findings, "findings", "Findings")
+        ):
+            _checks.instance(
+                finding, Finding, f"findings[{k}]", "Finding(kind, severity, text)"
+            )
         _checks.instance(self.status, str, "status", "string")
         number = isinstance(self.value, float | int | np.number)
         if number and self.status == "ok" and not np.isfinite(self.value):
             object.__setattr__(self, "status", UNEXPLAINED)
 
     def __repr__(self) -> str:
-        return f"Estimate({self._value_and_error()}" + ("" if self.status == "ok" else f", {self.status}") + ")"
+        return (
+            f"Estimate({self._value_and_error()}"
+            + ("" if self.status == "ok" else f", {self.status}")
+            + ")"
+        )
 
     def __str__(self) -> str:
-        ends = "" if self.interval is None else f", interval {_printing.interval(*self.interval)}"
+        ends = (
+            ""
+            if self.interval is None
+            else f", interval {_printing.interval(*self.interval)}"
+        )
         text = f"{self._value_and_error()}{ends}; {_printing.SUM}"
         return text + ("" if self.status == "ok" else f"; {self.status}")
 
     def _value_and_error(self) -> str:
-        error = "" if self.standard_error is None else f" ± {self.standard_error:.2g} (standard error)"
+        error = (
+            ""
+            if self.standard_error is None
+            else f" ± {self.standard_error:.2g} (standard error)"
+        )
         return f"{self.value:.6g}{error}"
 
     def _repr_html_(self) -> str:
         error = None if self.standard_error is None else f"{self.standard_error:.2g}"
         ends = None if self.interval is None else _printing.interval(*self.interval)
-        rows: dict[str, object] = {"value": f"{self.value:.6g}", "standard error": error, "interval": ends}
+        rows: dict[str, object] = {
+            "value": f"{self.value:.6g}",
+            "standard error": error,
+            "interval": ends,
+        }
         rows = {name: shown for name, shown in rows.items() if shown is not None}
-        rows |= {name: f"{x:.4g}" if isinstance(x, float) else x for name, x in self.diagnostics.items()}
-        return _printing.facts(f"Estimate: {_printing.SUM}", [*rows.items(), ("status", self.status)])
+        rows |= {
+            name: f"{x:.4g}" if isinstance(x, float) else x
+            for name, x in self.diagnostics.items()
+        }
+        return _printing.facts(
+            f"Estimate: {_printing.SUM}", [*rows.items(), ("status", self.status)]
+        )
 
 
 class Estimator(Protocol):
@@ -128,14 +167,17 @@ class Estimator(Protocol):
     'holds'
     """
 
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
+    def __call__(
+        self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
+    ) -> Estimate:
         """Estimate J of ``policy`` in the target of ``problem``."""
         ...
 
 
 def effective_sample_size(weights: Array) -> float:
     """Kish's (sum w)^2 / sum w^2: how many equally weighted samples would vary as much; 0 where all weights are 0."""
-    scaled = np.ldexp(weights, -exponent(weights))  # squares of very large or small numbers leave the range of floats
+    # squares of very large or small numbers leave the range of floats
+    scaled = np.ldexp(weights, -exponent(weights))
     square = float(scaled @ scaled)
     return float(scaled.sum()) ** 2 / square if square > 0 else 0.0
 
@@ -148,21 +190,28 @@ def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | Non
 
     ``size``: of the numbers that the values are differences of, where they are.
     """
-    n, shift = len(values), exponent(values)  # squares of very large or small numbers leave the range of floats
+    # squares of very large or small numbers leave the range of floats
+    n, shift = len(values), exponent(values)
     scaled = np.ldexp(values, -shift)
     with np.errstate(over="ignore", invalid="ignore"):  # infinite values
         most = max(float(np.abs(scaled).max()), float(np.ldexp(size, -shift)))
         varies = n > 1 and not np.ptp(scaled) <= ROUNDING * most
-        error = float(np.ldexp(scaled.std(ddof=1) / np.sqrt(n), shift)) if varies else None
+        error = (
+            float(np.ldexp(scaled.std(ddof=1) / np.sqrt(n), shift)) if varies else None
+        )
         return float(np.ldexp(scaled.mean(), shift)), error
 
 
-def delta_error(matrix: sparse.csr_array, frequency: Array, totals: Array, gradient: Array) -> float:
+def delta_error(
+    matrix: sparse.csr_array, frequency: Array, totals: Array, gradient: Array
+) -> float:
     """Delta method, root of the sum over recorded rows of Var(gradient) / n, variances under ``frequency``."""
     shift = exponent(gradient)
     gradient = np.ldexp(gradient, -shift)
     variance = row_variances(matrix, frequency, gradient)
-    return float(np.ldexp(np.sqrt(np.sum(variance[totals > 0] / totals[totals > 0])), shift))
+    return float(
+        np.ldexp(np.sqrt(np.sum(variance[totals > 0] / totals[totals > 0])), shift)
+    )
 
 
 def error_or_none(error: float, gradient: Array, indptr: IntArray) -> float | None:
@@ -171,7 +220,9 @@ def error_or_none(error: float, gradient: Array, indptr: IntArray) -> float | No
     ``gradient`` of the value, on the entries of the simulator's rows.
     """
     starts = indptr[:-1]
-    reach = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(gradient, starts)
+    reach = np.maximum.reduceat(gradient, starts) - np.minimum.reduceat(
+        gradient, starts
+    )
     possible = float(reach.max())
     matters = possible > ROUNDING * float(np.abs(gradient).max())
     return None if matters and error <= ROUNDING * possible else error
@@ -212,7 +263,9 @@ class TabularEstimator:
     """An estimator of the package: the arguments of calls and limits are checked here."""
 
     @one_thread
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
+    def __call__(
+        self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
+    ) -> Estimate:
         """Estimate J of ``policy`` in the target.
 
         ``seed`` is for rollouts, resamples and the simulator's data. The value is nan if its sum diverges;
@@ -225,10 +278,14 @@ class TabularEstimator:
             return Estimate(float("nan"), status=str(divergence))
         if WEIGHTLESS in estimate.findings:
             return estimate
-        warnings = from_diagnostics(estimate.diagnostics, estimate.value, estimate.standard_error)
+        warnings = from_diagnostics(
+            estimate.diagnostics, estimate.value, estimate.standard_error
+        )
         return replace(estimate, findings=(*warnings, *estimate.findings))
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """The estimate of a checked policy, without the findings that its diagnostics make."""
         raise NotImplementedError
 
@@ -256,17 +313,28 @@ class TabularEstimator:
         horizon : positive int or None
         """
         require_pair(target, simulator)
-        share = np.full((simulator.n_states, simulator.n_actions), 1.0 / simulator.transitions.shape[0])
+        share = np.full(
+            (simulator.n_states, simulator.n_actions),
+            1.0 / simulator.transitions.shape[0],
+        )
         if data_distribution is not None:
-            share = _checks.distribution(data_distribution, "data_distribution", share.shape)
+            share = _checks.distribution(
+                data_distribution, "data_distribution", share.shape
+            )
         support = share.reshape(-1) > 0
         keep = sparse.diags_array(support.astype(np.float64), format="csr")
-        refuse_unsupported(sparse.csr_array(keep @ target.transitions), simulator, what="target")
+        refuse_unsupported(
+            sparse.csr_array(keep @ target.transitions), simulator, what="target"
+        )
         if behavior_policy is not None:
-            behavior_policy = check_policy(behavior_policy, simulator, name="behavior_policy")
+            behavior_policy = check_policy(
+                behavior_policy, simulator, name="behavior_policy"
+            )
         steps = optional_horizon_length(horizon, simulator)
         pi = check_policy(policy, simulator)
-        return self.limit_of(Population(simulator, target, pi, share, support, behavior_policy, steps))
+        return self.limit_of(
+            Population(simulator, target, pi, share, support, behavior_policy, steps)
+        )
 
     def limit_of(self, population: Population) -> float:
         """The limit in a checked population."""
@@ -274,8 +342,10 @@ class TabularEstimator:
 
 
 RatioOption = str | Method | TransitionRatio | Callable[..., TransitionRatio]
-_SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})  # as many simulated moves as the log has
-CLAIMS_OF_METHODS: Mapping[str, frozenset[str]] = {  # methods that need no options, and what they claim
+# as many simulated moves as the log has
+_SAMPLED = frozenset({"consistent", "relabelling", "scale", "random"})
+# methods that need no options, and what they claim
+CLAIMS_OF_METHODS: Mapping[str, frozenset[str]] = {
     "conditional": OF_COUNTS | {"consistent", "shift"},
     "ratio_of_ratios": _SAMPLED,  # its rows have any sum
     "joint": _SAMPLED | {"shift"},
@@ -290,12 +360,17 @@ class RatioEstimator(TabularEstimator):
     def __post_init__(self) -> None:
         if isinstance(self.ratio, str):
             _checks.one_of(self.ratio, "ratio", tuple(CLAIMS_OF_METHODS))
-        elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(self.ratio):
+        elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(
+            self.ratio
+        ):
             raise ValueError(
-                f"ratio must be a method's name, a TransitionRatio or a function; got {_checks.show(self.ratio)}"
+                "ratio must be a method's name, a TransitionRatio or a function; got"
+                f" {_checks.show(self.ratio)}"
             )
 
-    def fit(self, problem: Problem, policy: Array, generator: np.random.Generator) -> TransitionRatio:
+    def fit(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> TransitionRatio:
         """zeta from the log, as ``ratio`` says; V of ``policy`` is a direction of "conditional"."""
         if isinstance(self.ratio, TransitionRatio):
             zeta = self.ratio
@@ -303,7 +378,8 @@ class RatioEstimator(TabularEstimator):
             zeta = self.ratio(problem.observed, problem.simulator)
         else:
             method = self._method
-            # only quotients of two ratios look at the log itself; its counts are made once a problem
+            # only quotients of two ratios look at the log itself; its counts are made
+            # once a problem
             looks_at_log = "simulator_data" in method.USES
             return method.fit(
                 problem.observed if looks_at_log else problem.counts,
@@ -336,5 +412,13 @@ class RatioEstimator(TabularEstimator):
     def model_claims(self) -> frozenset[str]:
         """What the exact value of zeta * P claims; a zeta that is given is right for one pair only."""
         if isinstance(self.ratio, TransitionRatio):
-            return OF_COUNTS | {"shift"} if self.ratio.row_sum_error <= _checks.SUM_TOLERANCE else OF_COUNTS
-        return CLAIMS_OF_METHODS[self.ratio] if isinstance(self.ratio, str) else frozenset({"scale"})
+            return (
+                OF_COUNTS | {"shift"}
+                if self.ratio.row_sum_error <= _checks.SUM_TOLERANCE
+                else OF_COUNTS
+            )
+        return (
+            CLAIMS_OF_METHODS[self.ratio]
+            if isinstance(self.ratio, str)
+            else frozenset({"scale"})
+        )

@@ -26,7 +26,12 @@ KINDS = ("ratio", "difference")
 
 @one_thread
 def calibrate(
-    estimate: Estimate, *, discretised: float, continuous: float, continuous_error: float = 0.0, kind: str = "ratio"
+    estimate: Estimate,
+    *,
+    discretised: float,
+    continuous: float,
+    continuous_error: float = 0.0,
+    kind: str = "ratio",
 ) -> Estimate:
     """Add a calibrated value to the diagnostics of an estimate; its own value is unchanged.
 
@@ -61,10 +66,15 @@ def calibrate(
     error = _checks.number_in(continuous_error, "continuous_error", 0.0, np.inf)
     if kind == "ratio" and below * truth <= 0.0:
         raise ValueError(
-            f"kind must be 'difference' unless discretised and continuous have one sign; they are {below:g} and {truth:g}"
+            "kind must be 'difference' unless discretised and continuous have one"
+            f" sign; they are {below:g} and {truth:g}"
         )
     if kind == "ratio":
-        value, factor, slope = estimate.value * truth / below, truth / below, estimate.value / below
+        value, factor, slope = (
+            estimate.value * truth / below,
+            truth / below,
+            estimate.value / below,
+        )
         words = f"times {truth:g} / {below:g} (simulator: continuous / discretised)"
     else:
         value, factor, slope = estimate.value + truth - below, 1.0, 1.0
@@ -72,7 +82,9 @@ def calibrate(
     own = estimate.standard_error
     calibrated = {
         "calibrated_value": value,
-        "calibrated_standard_error": None if own is None else float(np.hypot(factor * own, slope * error)),
+        "calibrated_standard_error": (
+            None if own is None else float(np.hypot(factor * own, slope * error))
+        ),
         "calibration": f"{kind}: {words}",
     }
     return replace(estimate, diagnostics=estimate.diagnostics | calibrated)

@@ -26,7 +26,13 @@ from oee_tabular.estimators.base import (
 from oee_tabular.estimators.importance_sampling import Episodes
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import rollout_horizon, weight_status
-from oee_tabular.exact import Model, policy_value, reweight, state_values, transition_gradient
+from oee_tabular.exact import (
+    Model,
+    policy_value,
+    reweight,
+    state_values,
+    transition_gradient,
+)
 from oee_tabular.exact.efficiency import require_action_support
 from oee_tabular.exact.finite import values_to_go
 from oee_tabular.exact.occupancy import time_in_pairs
@@ -86,10 +92,15 @@ class DoublyRobust(RatioEstimator):
         _checks.one_of(self.weights, "weights", ("occupancy", "beta"))
         _checks.boolean(self.self_normalized, "self_normalized")
         if self.self_normalized and self.data != "episodes":
-            raise ValueError(f"self_normalized must be False with data {self.data!r}: it is for episodes")
+            raise ValueError(
+                f"self_normalized must be False with data {self.data!r}: it is for"
+                " episodes"
+            )
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """As ``data`` says."""
         needs_zeta = self.data != "transitions" or self.weights == "occupancy"
         zeta = self.fit(problem, policy, generator) if needs_zeta else None
@@ -97,7 +108,9 @@ class DoublyRobust(RatioEstimator):
             return self._correct_by_transitions(problem, policy, zeta)
         if self.data == "rollouts":
             return self._average_rollouts(problem, policy, zeta, generator)
-        terms = EpisodeTerms.from_problem(problem, policy, zeta, self_normalized=self.self_normalized)
+        terms = EpisodeTerms.from_problem(
+            problem, policy, zeta, self_normalized=self.self_normalized
+        )
         _, error = mean_and_error(len(terms.partial) * terms.partial[:, -1])
         return terms.estimate(zeta, terms.total, error)
 
@@ -117,18 +130,26 @@ class DoublyRobust(RatioEstimator):
             return known | {"consistent", "unbiased"}
         return known | {"consistent"}
 
-    def _correct_by_transitions(self, problem: Problem, policy: Array, zeta: TransitionRatio | None) -> Estimate:
+    def _correct_by_transitions(
+        self, problem: Problem, policy: Array, zeta: TransitionRatio | None
+    ) -> Estimate:
         """J_sim + sum over recorded pairs of visits(s, a) sum_s' (frequency - P) (r + gamma V_sim)."""
         simulator, horizon = problem.model, problem.horizon
         model: Model = simulator if zeta is None else reweight(simulator, zeta)
         base = policy_value(simulator, policy, horizon=horizon)
-        gradient = transition_gradient(model, policy, horizon=horizon, values_of=simulator)
+        gradient = transition_gradient(
+            model, policy, horizon=horizon, values_of=simulator
+        )
         observed, _ = align(problem.counts, simulator.transitions)
         total = row_sums(simulator.transitions, observed)
         counts = total[row_of_entry(simulator.transitions)]
         recorded = counts > 0
-        frequency = np.divide(observed, counts, out=np.zeros_like(observed), where=recorded)
-        change = float(gradient[recorded] @ (frequency - simulator.transitions.data)[recorded])
+        frequency = np.divide(
+            observed, counts, out=np.zeros_like(observed), where=recorded
+        )
+        change = float(
+            gradient[recorded] @ (frequency - simulator.transitions.data)[recorded]
+        )
         if zeta is not None and not isinstance(self.ratio, TransitionRatio):
             gradient = transition_gradient(model, policy, horizon=horizon)
         noise = delta_error(simulator.transitions, frequency, total, gradient)
@@ -139,23 +160,45 @@ class DoublyRobust(RatioEstimator):
         return Estimate(
             base + change,
             error,
-            diagnostics={"standard_error_of": "log", "simulator_value": base, **about, **time},
+            diagnostics={
+                "standard_error_of": "log",
+                "simulator_value": base,
+                **about,
+                **time,
+            },
             measured=time["coverage"],
         )
 
     def _average_rollouts(
-        self, problem: Problem, policy: Array, zeta: TransitionRatio, generator: np.random.Generator
+        self,
+        problem: Problem,
+        policy: Array,
+        zeta: TransitionRatio,
+        generator: np.random.Generator,
     ) -> Estimate:
         model = problem.model
         steps = rollout_horizon(model.discount, problem.horizon)
         n_steps = horizon_length(steps, model)
-        drawn = draw(model, policy, self.n_rollouts, n_steps, seed=generator, zeta=zeta, record=True, name="n_rollouts")
+        drawn = draw(
+            model,
+            policy,
+            self.n_rollouts,
+            n_steps,
+            seed=generator,
+            zeta=zeta,
+            record=True,
+            name="n_rollouts",
+        )
         values, _ = _model_values(model, policy, problem.horizon, steps)
         value, error = mean_and_error(_rollout_values(model, drawn, values))
         return Estimate(
             value,
             error,
-            diagnostics={"standard_error_of": "rollouts", "n_rollouts": self.n_rollouts, "gap": zeta.gap},
+            diagnostics={
+                "standard_error_of": "rollouts",
+                "n_rollouts": self.n_rollouts,
+                "gap": zeta.gap,
+            },
         )
 
     def limit_of(self, population: Population) -> float:
@@ -165,7 +208,11 @@ class DoublyRobust(RatioEstimator):
         rollouts: J of the limit of zeta * P; episodes: J_target where the behaviour policy takes every action of
         the policy (None: it does), else what the model makes of the rest (self-normalised: an error).
         """
-        simulator, target, policy = population.simulator, population.target, population.policy
+        simulator, target, policy = (
+            population.simulator,
+            population.target,
+            population.policy,
+        )
         horizon = population.horizon
         if self.data == "rollouts":
             return population.value(self.limit_model(population))
@@ -173,11 +220,17 @@ class DoublyRobust(RatioEstimator):
             if self.self_normalized and population.behavior is not None:
                 require_action_support(target, population.behavior, policy, horizon)
             return _episode_limit(population, self.limit_model(population))
-        where: Model = simulator if self.weights == "beta" else self.limit_model(population)
-        gradient = transition_gradient(where, policy, horizon=horizon, values_of=simulator)
+        where: Model = (
+            simulator if self.weights == "beta" else self.limit_model(population)
+        )
+        gradient = transition_gradient(
+            where, policy, horizon=horizon, values_of=simulator
+        )
         inside, _ = align(target.transitions, simulator.transitions)
         recorded = population.support[row_of_entry(simulator.transitions)]
-        change = float(gradient[recorded] @ (inside - simulator.transitions.data)[recorded])
+        change = float(
+            gradient[recorded] @ (inside - simulator.transitions.data)[recorded]
+        )
         return population.value(simulator) + change
 
 
@@ -220,7 +273,9 @@ class Magic(RatioEstimator):
         _checks.positive_integer(self.n_lengths, "n_lengths")
         _checks.positive_integer(self.n_bootstrap, "n_bootstrap")
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """The blend."""
         zeta = self.fit(problem, policy, generator)
         terms = EpisodeTerms.from_problem(problem, policy, zeta, self_normalized=True)
@@ -240,7 +295,9 @@ class Magic(RatioEstimator):
         weights = _minimize_on_simplex(covariance + np.outer(bias, bias))
         spread = float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
         error = spread if spread > ROUNDING * float(np.abs(n * parts).max()) else None
-        return terms.estimate(zeta, float(weights @ totals), error, share_of_model=float(weights[0]))
+        return terms.estimate(
+            zeta, float(weights @ totals), error, share_of_model=float(weights[0])
+        )
 
     @property
     def claims(self) -> frozenset[str]:
@@ -249,7 +306,9 @@ class Magic(RatioEstimator):
 
     def limit_of(self, population: Population) -> float:
         """That of weighted doubly robust."""
-        return DoublyRobust(data="episodes", ratio=self.ratio, self_normalized=True).limit_of(population)
+        return DoublyRobust(
+            data="episodes", ratio=self.ratio, self_normalized=True
+        ).limit_of(population)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,20 +326,29 @@ class EpisodeTerms:
 
     @classmethod
     def from_problem(
-        cls, problem: Problem, policy: Array, zeta: TransitionRatio, *, self_normalized: bool
+        cls,
+        problem: Problem,
+        policy: Array,
+        zeta: TransitionRatio,
+        *,
+        self_normalized: bool,
     ) -> EpisodeTerms:
         """The terms, nan where the weights to divide by are all 0."""
         episodes, model = Episodes.from_problem(problem), reweight(problem.model, zeta)
         log, lengths, gamma = episodes.log, episodes.lengths, model.discount
         n, steps = len(lengths), int(lengths.max())
         v, q = _model_values(model, policy, problem.horizon, steps)
-        t, used = np.arange(steps)[:, None], np.minimum(np.arange(steps + 1)[:, None], lengths)
+        t, used = (
+            np.arange(steps)[:, None],
+            np.minimum(np.arange(steps + 1)[:, None], lengths),
+        )
         place = episodes.starts[:-1] + np.minimum(t, lengths - 1)
         rows, first = episodes.rows[place], episodes.rows[episodes.starts[:-1]]
         weights = np.vstack([np.ones((1, n)), episodes.weights(problem, policy)[place]])
         state, action = log.state[rows], log.action[rows]
         factor = np.where(t < lengths, gamma ** t.astype(np.float64), 0.0)
-        residual = factor * (problem.rewards_of(log)[rows] - q[t, state, action])  # carries W_{t+1}
+        # carries W_{t+1}
+        residual = factor * (problem.rewards_of(log)[rows] - q[t, state, action])
         value = factor * v[t, state]  # carries W_t
         before = first + np.maximum(used, 1) - 1
         arrival = np.where(used == 0, log.state[first], log.next_state[before])
@@ -288,14 +356,18 @@ class EpisodeTerms:
         # what the model says of the rest, after ``used`` steps
         rest = np.where(ended, 0.0, gamma**used * v[used, arrival])
         with np.errstate(invalid="ignore"):
-            shares = weights / (weights.sum(axis=1, keepdims=True) if self_normalized else n)
+            shares = weights / (
+                weights.sum(axis=1, keepdims=True) if self_normalized else n
+            )
         gains = np.zeros((steps + 1, n))
         gains[1:] = residual
         gains[:-1] += value
         gains[lengths, np.arange(n)] += rest[-1]
         partial = np.take_along_axis(shares, used, axis=0) * rest
         partial[1:] += np.cumsum(shares[1:] * residual + shares[:-1] * value, axis=0)
-        return cls(weights, gains, np.where(np.isfinite(shares).all(), partial, np.nan).T)
+        return cls(
+            weights, gains, np.where(np.isfinite(shares).all(), partial, np.nan).T
+        )
 
     @property
     def total(self) -> float:
@@ -315,7 +387,9 @@ class EpisodeTerms:
                 totals[b] = float(((products @ number) / (self.weights @ number)).sum())
         return totals
 
-    def estimate(self, zeta: TransitionRatio, value: float, error: float | None, **more: float) -> Estimate:
+    def estimate(
+        self, zeta: TransitionRatio, value: float, error: float | None, **more: float
+    ) -> Estimate:
         """An estimate from the log's episodes; ``more`` joins the diagnostics."""
         last, n = self.weights[-1], len(self.partial)
         effective = effective_sample_size(last)
@@ -335,7 +409,9 @@ class EpisodeTerms:
         )
 
 
-def _model_values(model: Model, policy: Array, horizon: int | None, steps: int) -> tuple[Array, Array]:
+def _model_values(
+    model: Model, policy: Array, horizon: int | None, steps: int
+) -> tuple[Array, Array]:
     """V (steps + 1, S) and Q (steps, S, A) of the model at each step."""
     if horizon is None:
         v = following = state_values(model, policy)[None]
@@ -344,7 +420,9 @@ def _model_values(model: Model, policy: Array, horizon: int | None, steps: int) 
         following = v[1:]
     ahead = (model.transitions @ following.T).T
     q = model.rewards + model.discount * ahead.reshape(-1, *model.rewards.shape)
-    return np.broadcast_to(v, (steps + 1, *v.shape[1:])), np.broadcast_to(q, (steps, *q.shape[1:]))
+    return np.broadcast_to(v, (steps + 1, *v.shape[1:])), np.broadcast_to(
+        q, (steps, *q.shape[1:])
+    )
 
 
 def _episode_limit(population: Population, model: Model) -> float:
@@ -356,8 +434,13 @@ def _episode_limit(population: Population, model: Model) -> float:
     v, q = _model_values(model, population.policy, population.horizon, steps)
     walk = walk_of(target, population.behavior, policy=population.policy)
     reached = walk.weights_by_state(steps, power=1)[:-1, 0]
-    gains = v[:-1] + walk.sum_actions(walk.act * walk.u * (target.rewards - q).reshape(steps, -1))
-    return float(target.discount ** np.arange(steps, dtype=np.float64) @ (reached * gains).sum(axis=1))
+    gains = v[:-1] + walk.sum_actions(
+        walk.act * walk.u * (target.rewards - q).reshape(steps, -1)
+    )
+    return float(
+        target.discount ** np.arange(steps, dtype=np.float64)
+        @ (reached * gains).sum(axis=1)
+    )
 
 
 def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:

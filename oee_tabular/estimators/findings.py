@@ -12,10 +12,12 @@ from oee_tabular._checks import Array
 # below, or above, these something is worth a sentence
 MIN_SHARE = 0.02  # of the policy's discounted time
 MAX_ROW_SUM_ERROR = 1e-3
-MIN_WEIGHTED, MIN_WEIGHTED_SHARE = 10.0, 0.05  # effective sample size, and its share of the episodes
+# effective sample size, and its share of the episodes
+MIN_WEIGHTED, MIN_WEIGHTED_SHARE = 10.0, 0.05
 MAX_GAP = 1e-6  # nats
 MAX_ERROR_BOUND = 1e-6  # of the value
-FEW_WEIGHTED = "weights"  # the kind of a value that rests on a few episodes; a short report leaves its row out
+# the kind of a value that rests on a few episodes; a short report leaves its row out
+FEW_WEIGHTED = "weights"
 
 
 @dataclass(frozen=True)
@@ -59,18 +61,20 @@ NEVER_VARIED = Finding(
     1.0,
     "",
     "no standard error",
-    "there is {} and no interval, because what was recorded never varied. That does not make the value certain.",
+    "there is {} and no interval, because what was recorded never varied. That does not"
+    " make the value certain.",
 )
 WEIGHTLESS = Finding(  # the status says it, and a report leaves such rows out
     "weightless",
     1.0,
-    "the weight of every whole episode is 0: none of the log is one that the policy could have made",
+    "the weight of every whole episode is 0: none of the log is one that the policy"
+    " could have made",
 )
 SAMPLED = Finding(
     "sampled",
     0.0,
-    "The simulator was made of samples. Likelihood intervals allow for the noise in its initial states, its mean rewards and "
-    "the transitions that it lacks.",
+    "The simulator was made of samples. Likelihood intervals allow for the noise in its"
+    " initial states, its mean rewards and the transitions that it lacks.",
 )
 
 
@@ -80,64 +84,107 @@ def no_value(status: str, value: float) -> Finding:
     return Finding("status", 1.0, text, status)
 
 
-def from_diagnostics(facts: Mapping[str, Any], value: float, error: float | None) -> Findings:
+def from_diagnostics(
+    facts: Mapping[str, Any], value: float, error: float | None
+) -> Findings:
     """What the diagnostics of any estimate have to say, ``error`` its standard error."""
     findings: list[Finding] = []
     has_source = facts.get("standard_error_of") is not None
-    unrecorded, single = facts.get("unrecorded_share", 0.0), facts.get("single_share", 0.0)
+    unrecorded, single = (
+        facts.get("unrecorded_share", 0.0),
+        facts.get("single_share", 0.0),
+    )
     if unrecorded > MIN_SHARE:
         is_tied = "n_keys" in facts
         is_bare = error is not None and "unrecorded_standard_error" not in facts
-        text = "in this estimator's own model the policy spends {} of its discounted time in unrecorded state-action pairs."
+        text = (
+            "in this estimator's own model the policy spends {} of its discounted time"
+            " in unrecorded state-action pairs."
+        )
         if is_tied:
             text += " Transitions of the same key elsewhere stand for them."
         elif is_bare:
             text += " The standard error ignores them. Above 10% there is no interval."
-        alone = f"{text[:-1]}, so there is no interval." if has_source and not is_tied and not is_bare else None
-        findings.append(Finding("coverage", unrecorded, text, f"{unrecorded:.0%}", alone))
+        alone = (
+            f"{text[:-1]}, so there is no interval."
+            if has_source and not is_tied and not is_bare
+            else None
+        )
+        findings.append(
+            Finding("coverage", unrecorded, text, f"{unrecorded:.0%}", alone)
+        )
     if single > MIN_SHARE:
         alone = (
-            "the policy spends {} of its discounted time in state-action pairs with one recorded transition. Their variance "
-            "is not known, so there is no interval."
+            "the policy spends {} of its discounted time in state-action pairs with one"
+            " recorded transition. Their variance is not known, so there is no"
+            " interval."
         )
         findings.append(Finding("single", single, "", f"{single:.0%}", alone))
     elif has_source and error is None:
         findings.append(NEVER_VARIED)
     if (miss := facts.get("row_sum_error", 0.0)) > MAX_ROW_SUM_ERROR:
         text = (
-            "the rows of zeta * P miss 1 by up to {}; over a horizon such errors multiply. The row-normalised ratio (oee) "
-            "does not have them."
+            "the rows of zeta * P miss 1 by up to {}; over a horizon such errors"
+            " multiply. The row-normalised ratio (oee) does not have them."
         )
         findings.append(Finding("row sums", miss, text, f"{miss:.2g}"))
     for noun in ("episodes", "rollouts"):
-        n, effective = facts.get(f"n_{noun}", 0), facts.get("effective_sample_size", math.inf)
+        n, effective = (
+            facts.get(f"n_{noun}", 0),
+            facts.get("effective_sample_size", math.inf),
+        )
         if effective < max(MIN_WEIGHTED, MIN_WEIGHTED_SHARE * n) and n:
             text = (
-                f"the effective sample size is {{}} of {n} {noun}. The value is mostly chance and its standard error is too "
-                "small."
+                f"the effective sample size is {{}} of {n} {noun}. The value is mostly"
+                " chance and its standard error is too small."
             )
             findings.append(Finding(FEW_WEIGHTED, -effective, text, f"{effective:.1f}"))
     if (gap := facts.get("gap", 0.0)) > MAX_GAP:
-        findings.append(Finding("gap", gap, "the ratio's program is solved only to a gap of {} nats.", f"{gap:.1e}"))
-    if (bound := facts.get("error_bound", 0.0)) > MAX_ERROR_BOUND * max(1.0, abs(value)):
-        findings.append(Finding("linear algebra", bound, "the linear solve is accurate only to {}.", f"{bound:.1e}"))
+        findings.append(
+            Finding(
+                "gap",
+                gap,
+                "the ratio's program is solved only to a gap of {} nats.",
+                f"{gap:.1e}",
+            )
+        )
+    if (bound := facts.get("error_bound", 0.0)) > MAX_ERROR_BOUND * max(
+        1.0, abs(value)
+    ):
+        findings.append(
+            Finding(
+                "linear algebra",
+                bound,
+                "the linear solve is accurate only to {}.",
+                f"{bound:.1e}",
+            )
+        )
     return tuple(findings)
 
 
-def truncation(number: int, episodes: int, bound: float, value: float, error: float | None) -> Findings:
+def truncation(
+    number: int, episodes: int, bound: float, value: float, error: float | None
+) -> Findings:
     """``number`` of the episodes lack rewards that can change the value by up to ``bound``."""
     if not bound > max(1e-3 * abs(value), 0.1 * (error or 0.0)):
         return ()
-    reach = f"by up to {bound:.3g} (not normalised)" if bound < math.inf else "without bound at discount 1"
-    text = f"{number} of {episodes} episodes were truncated. The missing rewards can change the value {{}}."
+    reach = (
+        f"by up to {bound:.3g} (not normalised)"
+        if bound < math.inf
+        else "without bound at discount 1"
+    )
+    text = (
+        f"{number} of {episodes} episodes were truncated. The missing rewards can"
+        " change the value {}."
+    )
     return (Finding("truncation", bound, text, reach),)
 
 
 def foreign_starts(share: float) -> Findings:
     """Episodes begin where the simulator never does."""
     text = (
-        "{} of the episodes start where the simulator never does. Importance sampling estimates the value from the log's own "
-        "initial states."
+        "{} of the episodes start where the simulator never does. Importance sampling"
+        " estimates the value from the log's own initial states."
     )
     return (Finding("starts", share, text, f"{share:.0%}"),) if share > 0 else ()
 
@@ -145,35 +192,41 @@ def foreign_starts(share: float) -> Findings:
 MADE_FROM_LOG = Finding(
     "selected",
     1.0,
-    "The policy is optimal in the log's own model and not in the simulator, so it was probably made from this log. The value "
-    "of such a policy is too large on average, and its interval covers less often than it says. Use another log to "
-    "evaluate it.",
+    "The policy is optimal in the log's own model and not in the simulator, so it was"
+    " probably made from this log. The value of such a policy is too large on average,"
+    " and its interval covers less often than it says. Use another log to evaluate it.",
 )
 
 
 def conflict_with_log(ml_value: float, distance: float) -> Findings:
     """The value is that of the corrected simulator, ``distance`` standard errors from maximum likelihood's."""
     text = (
-        "Two estimates disagree. The value is that of the corrected simulator. Maximum likelihood (the corrected simulator in "
-        f"unrecorded pairs) gives {ml_value:.4g}, {{}} standard errors of the difference away. Use the interval and not the "
-        "standard error. What you know of the difference may help (features=, --features; tie=, --tie)."
+        "Two estimates disagree. The value is that of the corrected simulator. Maximum"
+        " likelihood (the corrected simulator in unrecorded pairs) gives"
+        f" {ml_value:.4g}, {{}} standard errors of the difference away. Use the"
+        " interval and not the standard error. What you know of the difference may"
+        " help (features=, --features; tie=, --tie)."
     )
     return (Finding("against", distance, text, f"{distance:.1f}"),)
 
 
 def outside(value: str, severity: float, end: str) -> Finding:
     """The log rules the estimator's own value out; ``end`` is "lower" or "upper"."""
-    text = f"The estimator's own value, {value}, lies outside the interval. The table gives the interval's {end} end instead."
+    text = (
+        f"The estimator's own value, {value}, lies outside the interval. The table"
+        f" gives the interval's {end} end instead."
+    )
     return Finding("outside", severity, text)
 
 
 def missing_support(share: float, largest: float, nats: float) -> Findings:
     """Transitions that only the defensive share of a continuous simulator makes possible."""
     text = (
-        "{} of the log's transitions have probability 0 in the plain simulator, so they have no ratio. Their estimates "
-        f"rest on the defensive share (largest zeta {largest:.3g}, D_inf {nats:.2g} nats). "
-        "A simulator under parameters that bracket the target (tasks.discretize(others=...)), process noise or wider cells "
-        "would cover them."
+        "{} of the log's transitions have probability 0 in the plain simulator, so"
+        " they have no ratio. Their estimates rest on the defensive share (largest"
+        f" zeta {largest:.3g}, D_inf {nats:.2g} nats). A simulator under parameters"
+        " that bracket the target (tasks.discretize(others=...)), process noise or"
+        " wider cells would cover them."
     )
     return (Finding("support", share, text, f"{share:.1%}"),) if share > 0.01 else ()
 
@@ -184,11 +237,13 @@ def rewards_contradict(conflict: object, *, log_pays: bool) -> Finding:
         remedy = "oee and model-based use the log's mean reward where it was observed."
     else:
         remedy = (
-            'The simulator, oee and model-based values use the simulator\'s rewards; rewards="log" (--rewards log) uses those '
-            "of the log."
+            "The simulator, oee and model-based values use the simulator's rewards;"
+            ' rewards="log" (--rewards log) uses those of the log.'
         )
     text = str(conflict)
-    return Finding("rewards", 0.0 if log_pays else 1.0, f"{text[0].upper()}{text[1:]}. {remedy}")
+    return Finding(
+        "rewards", 0.0 if log_pays else 1.0, f"{text[0].upper()}{text[1:]}. {remedy}"
+    )
 
 
 def rows_dropped(rows: int, reasons: tuple[str, ...]) -> Findings:
@@ -201,20 +256,28 @@ def moves_dropped(dropped: Array, kept: float) -> Findings:
     """Transitions that the simulator calls impossible: ``dropped`` of each pair, beside ``kept`` in all."""
     number, pairs = float(dropped.sum()), int((dropped > 0).sum())
     text = (
-        f"{number:g} of the log's {number + kept:g} transitions, in {pairs} state-action pair{'s' * (pairs > 1)}, "
-        f"{'is' if number == 1 else 'are'} impossible in the simulator and left out of every model. Likelihood and guaranteed "
-        "intervals let these transitions lead anywhere. Standard errors ignore them."
+        f"{number:g} of the log's {number + kept:g} transitions, in {pairs}"
+        f" state-action pair{'s' * (pairs > 1)}, {'is' if number == 1 else 'are'}"
+        " impossible in the simulator and left out of every model. Likelihood and"
+        " guaranteed intervals let these transitions lead anywhere. Standard errors"
+        " ignore them."
     )
     return (Finding("impossible", 1.0, text),) if number else ()
 
 
 def episodes_sampled(kept: int, of: int) -> Findings:
     """Importance sampling uses some of the log's episodes."""
-    text = f"Importance sampling uses a sample of {kept} of the log's {of} episodes. The other estimators use every transition."
+    text = (
+        f"Importance sampling uses a sample of {kept} of the log's {of} episodes. The"
+        " other estimators use every transition."
+    )
     return (Finding("sample", 0.0, text),) if 0 < kept < of else ()
 
 
 def behavior_contradicts(transitions: int) -> Findings:
     """The behaviour policy that was given is not the log's."""
-    text = "The log's behaviour probabilities are used. They differ from behavior_policy in {} transitions."
+    text = (
+        "The log's behaviour probabilities are used. They differ from behavior_policy"
+        " in {} transitions."
+    )
     return (Finding("behavior", 0.0, text, str(transitions)),) if transitions else ()

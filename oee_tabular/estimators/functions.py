@@ -12,8 +12,12 @@ from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.problem import Problem
 
-RETURNED = "returned"  # the diagnostic by which an Estimate says that the function's answer was a bare number
-FORMS = "a function (problem, policy) or (problem, policy, seed), an estimator, or a class or function that makes one"
+# the diagnostic by which an Estimate says that the function's answer was a bare number
+RETURNED = "returned"
+FORMS = (
+    "a function (problem, policy) or (problem, policy, seed), an estimator, or a class"
+    " or function that makes one"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,16 +33,26 @@ class FunctionEstimator:
     function: Any
     takes_seed: bool
 
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
+    def __call__(
+        self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
+    ) -> Estimate:
         """The function's answer as an ``Estimate``; AnswerError where it is neither a number nor an ``Estimate``."""
-        answer = self.function(problem, policy, **({"seed": seed} if self.takes_seed else {}))
+        answer = self.function(
+            problem, policy, **({"seed": seed} if self.takes_seed else {})
+        )
         if is_number(answer):
             return Estimate(float(answer), diagnostics={RETURNED: "float"})
         if isinstance(answer, Estimate):
             return answer
         kind = type(answer).__name__
-        hint = ": Estimate(value, standard_error) holds both" if isinstance(answer, tuple) else ""
-        raise AnswerError(f"an estimator must return a float or an Estimate; it returned {kind}{hint}")
+        hint = (
+            ": Estimate(value, standard_error) holds both"
+            if isinstance(answer, tuple)
+            else ""
+        )
+        raise AnswerError(
+            f"an estimator must return a float or an Estimate; it returned {kind}{hint}"
+        )
 
 
 class AnswerError(ValueError):
@@ -73,26 +87,36 @@ def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
     if not callable(given):
         raise ValueError(f"{name} must be {FORMS}; got {type(given).__name__}")
     made: Any = given
-    if isinstance(given, type) or (_accepts(given) and not _accepts(given, None, None, seed=None)):
+    if isinstance(given, type) or (
+        _accepts(given) and not _accepts(given, None, None, seed=None)
+    ):
         try:
             made = given()
         except Exception as error:
-            text = f"{name} must make an estimator without arguments; it raises {type(error).__name__}: {error}"
+            text = (
+                f"{name} must make an estimator without arguments; it raises"
+                f" {type(error).__name__}: {error}"
+            )
             raise ValueError(text) from error
         if not callable(made):
-            raise ValueError(f"{name} must make {FORMS}; it makes {type(made).__name__}")
+            raise ValueError(
+                f"{name} must make {FORMS}; it makes {type(made).__name__}"
+            )
     takes_seed = _accepts(made, None, None, seed=None)
     if not takes_seed and not _accepts(made, None, None):
         signature = inspect.signature(made)
         raise ValueError(
-            f"{name} must be callable as (problem, policy) or (problem, policy, seed); it takes {signature}"
+            f"{name} must be callable as (problem, policy) or (problem, policy, seed);"
+            f" it takes {signature}"
         )
     return FunctionEstimator(made, takes_seed)
 
 
 def is_number(value: object) -> bool:
     """A Python or numpy real number (no boolean)."""
-    return isinstance(value, float | int | np.floating | np.integer) and not isinstance(value, bool)
+    return isinstance(value, float | int | np.floating | np.integer) and not isinstance(
+        value, bool
+    )
 
 
 def _accepts(function: Any, *arguments: object, **options: object) -> bool:

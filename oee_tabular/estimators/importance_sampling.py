@@ -15,7 +15,12 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import Estimate, TabularEstimator, effective_sample_size, mean_and_error
+from oee_tabular.estimators.base import (
+    Estimate,
+    TabularEstimator,
+    effective_sample_size,
+    mean_and_error,
+)
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.estimators.rollouts import (
     normalize_by_episode,
@@ -50,7 +55,8 @@ class Episodes(NamedTuple):
         log = problem.recorded
         if log.episode_starts is None:
             raise ValueError(
-                "importance sampling needs whole episodes: give the log its episode column, or Problem(episodes=...)"
+                "importance sampling needs whole episodes: give the log its episode"
+                " column, or Problem(episodes=...)"
             )
         lengths = np.diff(log.episode_starts)
         if problem.horizon is not None:
@@ -58,7 +64,9 @@ class Episodes(NamedTuple):
         starts = np.concatenate([[0], np.cumsum(lengths)])
         rows = np.repeat(log.episode_starts[:-1], lengths) + step_numbers(starts)
         final = rows[starts[1:] - 1]
-        is_over = log.terminated[final] | problem.simulator.absorbing()[log.next_state[final]]
+        is_over = (
+            log.terminated[final] | problem.simulator.absorbing()[log.next_state[final]]
+        )
         return cls(log, rows, starts, is_over)
 
     @property
@@ -66,7 +74,9 @@ class Episodes(NamedTuple):
         """(n,) how many steps they have."""
         return np.diff(self.starts)
 
-    def weights(self, problem: Problem, policy: Array, *, is_estimated: bool = False) -> Array:
+    def weights(
+        self, problem: Problem, policy: Array, *, is_estimated: bool = False
+    ) -> Array:
         """rho_0 ... rho_t of each of ``rows``, rho = policy / behaviour."""
         with np.errstate(over="ignore"):
             ratio = _behavior_ratios(problem, policy, is_estimated=is_estimated)
@@ -87,8 +97,9 @@ def _behavior_ratios(problem: Problem, policy: Array, *, is_estimated: bool) -> 
     if beyond.size:
         row = int(beyond[0])
         raise ValueError(
-            f"behavior_probability must be large enough for a weight that floats can square; in row {row} it is "
-            f"{behavior[row]:g}, and the policy takes that action with probability {policy[log.state[row], log.action[row]]:g}"
+            "behavior_probability must be large enough for a weight that floats can"
+            f" square; in row {row} it is {behavior[row]:g}, and the policy takes that"
+            f" action with probability {policy[log.state[row], log.action[row]]:g}"
         )
     return np.where(problem.simulator.absorbing()[log.state], 1.0, ratio)
 
@@ -98,18 +109,21 @@ def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
     if log.behavior_probability is not None:
         probability, name = log.behavior_probability, "log.behavior_probability"
     elif problem.behavior_policy is not None:
-        probability, name = problem.behavior_policy[log.state, log.action], "behavior_policy"
+        probability, name = (
+            problem.behavior_policy[log.state, log.action],
+            "behavior_policy",
+        )
     else:
         raise ValueError(
-            "importance sampling needs behaviour probabilities: the log has none; give Problem(behavior_policy=...) "
-            "(--behavior), or use behavior='estimated'"
+            "importance sampling needs behaviour probabilities: the log has none; give"
+            " Problem(behavior_policy=...) (--behavior), or use behavior='estimated'"
         )
     zero = np.flatnonzero(probability == 0)
     if zero.size:
         row = int(zero[0])
         raise ValueError(
-            f"{name} must be positive for the actions taken; it is 0 in row {row} (s={log.state[row]}, "
-            f"a={log.action[row]}; {zero.size} such rows in all)"
+            f"{name} must be positive for the actions taken; it is 0 in row {row}"
+            f" (s={log.state[row]}, a={log.action[row]}; {zero.size} such rows in all)"
         )
     return np.asarray(probability)
 
@@ -158,18 +172,22 @@ class ImportanceSampling(TabularEstimator):
         _checks.boolean(self.self_normalized, "self_normalized")
         _checks.one_of(self.behavior, "behavior", ("recorded", "estimated"))
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """Exact given the log."""
         episodes = Episodes.from_problem(problem)
         log, rows, starts, _ = episodes
         n, step = len(episodes.lengths), step_numbers(starts)
-        weight = episodes.weights(problem, policy, is_estimated=self.behavior == "estimated")
+        weight = episodes.weights(
+            problem, policy, is_estimated=self.behavior == "estimated"
+        )
         beyond = np.flatnonzero(~(weight <= LARGEST_WEIGHT))
         if beyond.size:
             k = beyond[0]
             status = (
-                f"the product of policy / behaviour overflows in row {rows[k]} of the log, step {step[k]} of its episode: "
-                "shorten the horizon, or use oee"
+                f"the product of policy / behaviour overflows in row {rows[k]} of the"
+                f" log, step {step[k]} of its episode: shorten the horizon, or use oee"
             )
             return Estimate(float("nan"), status=status)
         last = weight[starts[1:] - 1]
@@ -183,14 +201,21 @@ class ImportanceSampling(TabularEstimator):
         elif self.kind == "trajectory":
             value, error = normalize_by_episode(totals, last)
         else:
-            value, error = normalize_by_step(reward, weight, starts, last, keep_last=self.ragged == "pad")
+            value, error = normalize_by_step(
+                reward, weight, starts, last, keep_last=self.ragged == "pad"
+            )
         effective = effective_sample_size(last)
-        n_cut, bound = _truncation_bound(problem, episodes, last, self_normalized=self.self_normalized)
+        n_cut, bound = _truncation_bound(
+            problem, episodes, last, self_normalized=self.self_normalized
+        )
         first_state = log.state[rows[starts[:-1]]]
         foreign = float((problem.simulator.initial[first_state] == 0).mean())
         if not last.any() or (self.self_normalized and effective < 2.0):
             error = None  # one episode decides: its value has no spread to show
-        warnings = (*findings.truncation(n_cut, n, bound, value, error), *findings.foreign_starts(foreign))
+        warnings = (
+            *findings.truncation(n_cut, n, bound, value, error),
+            *findings.foreign_starts(foreign),
+        )
         return Estimate(
             value,
             error,
@@ -216,12 +241,18 @@ class ImportanceSampling(TabularEstimator):
         if self.self_normalized:
             return frozenset(claims | {"shift"})
         claims |= {"after_end"} if self.kind == "per_decision" else set()
-        return frozenset(claims | ({"unbiased"} if self.behavior == "recorded" else set()))
+        return frozenset(
+            claims | ({"unbiased"} if self.behavior == "recorded" else set())
+        )
 
     @property
     def _drops_ended(self) -> bool:
         """Whether episodes that have ended leave the sums of weights."""
-        return self.self_normalized and self.kind == "per_decision" and self.ragged == "zero"
+        return (
+            self.self_normalized
+            and self.kind == "per_decision"
+            and self.ragged == "zero"
+        )
 
     def limit_of(self, population: Population) -> float:
         """The mean of what is averaged over episodes of ``behavior_policy`` in the target.
@@ -237,7 +268,12 @@ class ImportanceSampling(TabularEstimator):
         behavior = population.policy if behavior is None else behavior
         if not self._drops_ended:
             return policy_is_moments(
-                target, behavior, population.policy, kind=self.kind, self_normalized=self.self_normalized, horizon=steps
+                target,
+                behavior,
+                population.policy,
+                kind=self.kind,
+                self_normalized=self.self_normalized,
+                horizon=steps,
             ).mean
         walk = walk_of(target, behavior, policy=population.policy)
         reached = walk.weights_by_state(steps, power=1)[:steps, 0]
@@ -250,7 +286,9 @@ class ImportanceSampling(TabularEstimator):
         return float(np.sum(rewards[kept] / alive[kept]))
 
 
-def _truncation_bound(problem: Problem, episodes: Episodes, last: Array, *, self_normalized: bool) -> tuple[int, float]:
+def _truncation_bound(
+    problem: Problem, episodes: Episodes, last: Array, *, self_normalized: bool
+) -> tuple[int, float]:
     """How many episodes are cut before the horizon, and a bound on what their missing rewards can change.
 
     A missing reward is at most the largest of the log and the simulator, and carries in expectation the
@@ -261,13 +299,27 @@ def _truncation_bound(problem: Problem, episodes: Episodes, last: Array, *, self
     missing = ~episodes.is_over & (lengths < end)
     if not missing.any():
         return 0, 0.0
-    tail = end - lengths if gamma == 1.0 else (gamma**lengths - gamma**end) / (1.0 - gamma)
-    rewards = problem.simulator.rewards if problem.simulator.reward_data is None else problem.simulator.reward_data
-    largest = max(float(np.abs(problem.rewards_of(episodes.log)).max()), float(np.abs(rewards).max()))
+    tail = (
+        end - lengths if gamma == 1.0 else (gamma**lengths - gamma**end) / (1.0 - gamma)
+    )
+    rewards = (
+        problem.simulator.rewards
+        if problem.simulator.reward_data is None
+        else problem.simulator.reward_data
+    )
+    largest = max(
+        float(np.abs(problem.rewards_of(episodes.log)).max()),
+        float(np.abs(rewards).max()),
+    )
     counted = missing & (last > 0)
     mass = float(last.sum()) if self_normalized else float(len(last))
     with np.errstate(over="ignore"):
-        bound = float(np.sum(last[counted] / mass * tail[counted])) * largest if mass > 0 else 0.0
+        bound = (
+            float(np.sum(last[counted] / mass * tail[counted])) * largest
+            if mass > 0
+            else 0.0
+        )
     if gamma < 1.0 or end < np.inf:
-        bound = min(bound, float(np.finfo(float).max))  # there is one, even where no float holds it
+        # there is one, even where no float holds it
+        bound = min(bound, float(np.finfo(float).max))
     return int(missing.sum()), bound

@@ -33,7 +33,8 @@ from oee_tabular.ratio import density_ratio
 from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.method import Population
 
-MAX_CONDITION = 1e12  # of the saddle point's matrix, its columns scaled: above it no digit of theta is sure
+# of the saddle point's matrix, its columns scaled: above it no digit of theta is sure
+MAX_CONDITION = 1e12
 RANK_TOLERANCE = 1e-10  # of a unit column's part that others do not span
 
 
@@ -86,10 +87,14 @@ class Marginalized(RatioEstimator):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_box(self.lower, self.upper, normalized=False)
-        if self.features is not None and not (isinstance(self.ratio, str) and self.ratio == "conditional"):
+        if self.features is not None and not (
+            isinstance(self.ratio, str) and self.ratio == "conditional"
+        ):
             raise ValueError("ratio must be left out with features, which need no zeta")
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """Exact given the log and zeta; ``generator`` is for ratios that sample the simulator."""
         simulator, horizon = problem.simulator, problem.horizon
         total = problem.counts.sum()
@@ -106,7 +111,8 @@ class Marginalized(RatioEstimator):
         shares = learnable_shares(problem, time_in_pairs(model, policy, horizon))
         time = coverage(problem, shares, row_sums(problem.counts).reshape(policy.shape))
         return Estimate(
-            total_discount(model.discount, horizon) * float(share @ (weights * mean_rewards(problem))),
+            total_discount(model.discount, horizon)
+            * float(share @ (weights * mean_rewards(problem))),
             diagnostics={
                 "gap": gap,
                 "largest_weight": float(weights.max()),
@@ -126,39 +132,70 @@ class Marginalized(RatioEstimator):
 
     def limit_of(self, population: Population) -> float:
         """sum over the data's support of clipped beta * w * d_log * r, w as zeta * P or the class have it."""
-        simulator, policy, horizon = population.simulator, population.policy, population.horizon
-        share, target = population.distribution.reshape(-1), population.target.transitions
+        simulator, policy, horizon = (
+            population.simulator,
+            population.policy,
+            population.horizon,
+        )
+        share, target = (
+            population.distribution.reshape(-1),
+            population.target.transitions,
+        )
         beta, _ = self._fit_beta(simulator, policy, horizon, share)
         if self.features is None:
-            shift = _occupancy_ratio(self.limit_model(population), simulator, policy, horizon)
+            shift = _occupancy_ratio(
+                self.limit_model(population), simulator, policy, horizon
+            )
         else:
             transitions = sparse.csr_array(sparse.diags_array(share) @ target)
             shift = self._solve_class(simulator, policy, transitions, beta)
         rewards = simulator.rewards.reshape(-1)
-        if simulator.reward_data is not None:  # the target's transitions pay what the simulator's do
+        # the target's transitions pay what the simulator's do
+        if simulator.reward_data is not None:
             probability, _ = align(target, simulator.transitions)
-            rewards = row_sums(simulator.transitions, probability * simulator.reward_data)
-        return total_discount(simulator.discount, horizon) * float(share @ (beta * shift * rewards))
+            rewards = row_sums(
+                simulator.transitions, probability * simulator.reward_data
+            )
+        return total_discount(simulator.discount, horizon) * float(
+            share @ (beta * shift * rewards)
+        )
 
-    def _fit_beta(self, simulator: FiniteMDP, policy: Array, horizon: int | None, share: Array) -> tuple[Array, float]:
+    def _fit_beta(
+        self, simulator: FiniteMDP, policy: Array, horizon: int | None, share: Array
+    ) -> tuple[Array, float]:
         """Beta on (S*A,), 0 where the log has nothing, and its gap."""
         if self.features is not None and horizon is not None:
-            raise ValueError(f"horizon must be None with features, for the infinite sum; it is {horizon}")
+            raise ValueError(
+                "horizon must be None with features, for the infinite sum; it is"
+                f" {horizon}"
+            )
         if self.features is not None and simulator.discount == 1.0:
             raise ValueError("discount must be below 1 with features; it is 1")
         time = occupancy(simulator, policy, horizon=horizon).reshape(-1)
         recorded = share > 0
         beta, gap = np.zeros_like(share), 0.0
         inside = float(time[recorded].sum())
-        if inside > 0:  # the fit scales both to distributions: its ratio is beta / inside, and so is its box
+        # the fit scales both to distributions: its ratio is beta / inside, and so is
+        # its box
+        if inside > 0:
             box = check_box(self.lower, self.upper, normalized=False)
             fit = density_ratio(
-                time[recorded], share[recorded], lower=box.lower / inside, upper=box.upper / inside, normalized=False
+                time[recorded],
+                share[recorded],
+                lower=box.lower / inside,
+                upper=box.upper / inside,
+                normalized=False,
             )
             beta[recorded], gap = fit.ratio * inside, fit.gap
         return beta, gap
 
-    def _solve_class(self, simulator: FiniteMDP, policy: Array, transitions: sparse.csr_array, beta: Array) -> Array:
+    def _solve_class(
+        self,
+        simulator: FiniteMDP,
+        policy: Array,
+        transitions: sparse.csr_array,
+        beta: Array,
+    ) -> Array:
         """w = phi theta on (S*A,); ``transitions`` (S*A, S) are the log's shares, which sum to 1."""
         gamma, shape = simulator.discount, (simulator.n_states, simulator.n_actions)
         phi, names = _pair_features(self.features, simulator)
@@ -168,23 +205,33 @@ class Marginalized(RatioEstimator):
         if used.size == 0:
             return np.zeros(len(phi))
         phi = phi[:, used]
-        _refuse_dependent(phi[shared], names[used], " in the pairs that the log and the policy share")
+        _refuse_dependent(
+            phi[shared], names[used], " in the pairs that the log and the policy share"
+        )
         by_state = np.einsum("sa,sad->sd", policy, phi.reshape(*shape, -1))
         ahead = gamma * (transitions @ by_state) - share[:, None] * phi
         matrix = phi.T @ (beta[:, None] * ahead)
         scale = np.sqrt(np.einsum("xd,x,xd->d", phi, share * beta, phi))
-        matrix, start = matrix / np.outer(scale, scale), simulator.initial @ by_state / scale
+        matrix, start = (
+            matrix / np.outer(scale, scale),
+            simulator.initial @ by_state / scale,
+        )
         if np.linalg.cond(matrix) > MAX_CONDITION:
             raise ValueError(
-                f"features must make the saddle point's matrix A regular; its condition exceeds {MAX_CONDITION:g}"
+                "features must make the saddle point's matrix A regular; its condition"
+                f" exceeds {MAX_CONDITION:g}"
             )
         theta = np.linalg.solve(matrix.T, -(1.0 - gamma) * start)
         return np.asarray(phi @ (theta / scale))
 
 
-def _occupancy_ratio(model: Model, simulator: FiniteMDP, policy: Array, horizon: int | None) -> Array:
+def _occupancy_ratio(
+    model: Model, simulator: FiniteMDP, policy: Array, horizon: int | None
+) -> Array:
     """(S*A,) the policy's occupancy in the model over the simulator's; 0 where the simulator has none."""
-    here, there = (occupancy(m, policy, horizon=horizon).reshape(-1) for m in (simulator, model))
+    here, there = (
+        occupancy(m, policy, horizon=horizon).reshape(-1) for m in (simulator, model)
+    )
     return np.divide(there, here, out=np.zeros_like(there), where=here > 0)
 
 
@@ -192,21 +239,31 @@ def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntAr
     """phi (S*A, d), 0 where the episode is over, and the numbers of the columns that are not 0 then."""
     shape = (simulator.n_states, simulator.n_actions)
     size = shape[0] * shape[1]
-    array = features(*np.divmod(np.arange(size), shape[1])) if callable(features) else features
+    array = (
+        features(*np.divmod(np.arange(size), shape[1]))
+        if callable(features)
+        else features
+    )
     array = _checks.float_array(array, "features")
     is_table = array.shape[:2] == shape and array.ndim in (2, 3)
-    if array.size == 0 or not (is_table or (array.ndim in (1, 2) and len(array) == size)):
+    if array.size == 0 or not (
+        is_table or (array.ndim in (1, 2) and len(array) == size)
+    ):
         raise ValueError(
-            f"features must have shape {shape} (+ d), or {size} rows, one for each state-action pair; "
-            f"they have shape {array.shape}"
+            f"features must have shape {shape} (+ d), or {size} rows, one for each"
+            f" state-action pair; they have shape {array.shape}"
         )
     _checks.require_finite(array, "features")
     given, going = array.reshape(size, -1), np.repeat(~simulator.absorbing(), shape[1])
     empty = np.flatnonzero((given == 0.0).all(axis=0))
     if empty.size:
-        raise ValueError(f"features must not be 0 in every state-action pair; column {empty[0]} is")
+        raise ValueError(
+            f"features must not be 0 in every state-action pair; column {empty[0]} is"
+        )
     if (np.ptp(given[going], axis=0) == 0.0).all():
-        raise ValueError("features must differ between state-action pairs; every column is constant")
+        raise ValueError(
+            "features must differ between state-action pairs; every column is constant"
+        )
     phi = given * going[:, None]
     columns = np.flatnonzero((phi != 0.0).any(axis=0))
     _refuse_dependent(phi[np.ix_(going, columns)], columns)
@@ -223,11 +280,15 @@ def _refuse_dependent(phi: Array, names: IntArray, where: str = "") -> None:
     if rank == phi.shape[1]:
         return
     parts = linalg.solve_triangular(triangle[:rank, :rank], triangle[:rank, rank])
-    columns = np.sort(np.append(order[:rank][np.abs(parts) > RANK_TOLERANCE], order[rank]))
-    constant = [f" (column {names[c]} is constant)" for c in columns if np.ptp(phi[:, c]) == 0.0]
+    columns = np.sort(
+        np.append(order[:rank][np.abs(parts) > RANK_TOLERANCE], order[rank])
+    )
+    constant = [
+        f" (column {names[c]} is constant)" for c in columns if np.ptp(phi[:, c]) == 0.0
+    ]
     raise ValueError(
-        f"features must be linearly independent{where}; columns {', '.join(map(str, names[columns]))} are not"
-        + "".join(constant)
+        f"features must be linearly independent{where}; columns"
+        f" {', '.join(map(str, names[columns]))} are not" + "".join(constant)
     )
 
 
@@ -256,7 +317,9 @@ class DualDice(TabularEstimator):
 
     claims = OF_COUNTS | {"consistent", "shift", "infinite"}
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """Exact given the log.
 
         With B = I - gamma P^pi on pairs the normal equations are B^T D B nu = (1 - gamma) mu_0 pi: first
@@ -264,18 +327,27 @@ class DualDice(TabularEstimator):
         """
         if problem.horizon is not None:
             raise ValueError(
-                f"horizon must be None for DualDICE, whose occupancies are of the infinite sum; it is {problem.horizon}"
+                "horizon must be None for DualDICE, whose occupancies are of the"
+                f" infinite sum; it is {problem.horizon}"
             )
         model = ModelBased(fallback="simulator").model(problem)
         gamma, kernel = model.discount, policy_kernel(model, policy)
         if gamma == 1.0:
             raise ValueError("discount must be below 1 for DualDICE; it is 1")
         base = occupancy(problem.simulator, policy)
-        states = solve_policy_system(kernel, (1.0 - gamma) * model.initial, gamma, transpose=True).x
-        weights = np.divide(states[:, None] * policy, base, out=np.zeros_like(base), where=base > 0)
+        states = solve_policy_system(
+            kernel, (1.0 - gamma) * model.initial, gamma, transpose=True
+        ).x
+        weights = np.divide(
+            states[:, None] * policy, base, out=np.zeros_like(base), where=base > 0
+        )
         nu_states = solve_policy_system(kernel, (policy * weights).sum(axis=1), gamma).x
         nu = weights + gamma * (model.transitions @ nu_states).reshape(weights.shape)
-        residual = nu - gamma * (model.transitions @ (policy * nu).sum(axis=1)).reshape(nu.shape) - weights
+        residual = (
+            nu
+            - gamma * (model.transitions @ (policy * nu).sum(axis=1)).reshape(nu.shape)
+            - weights
+        )
         return Estimate(
             float((base * weights * model.rewards).sum()) / (1.0 - gamma),
             diagnostics={

@@ -62,7 +62,9 @@ class ModelBased(TabularEstimator):
 
     claims = OF_COUNTS | {"consistent", "shift"}
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """Exact given the log."""
         model, totals = self.model(problem), row_sums(problem.counts)
         result = evaluate_policy(model, policy, horizon=problem.horizon)
@@ -71,7 +73,9 @@ class ModelBased(TabularEstimator):
         seen = coverage(problem, shares, totals.reshape(policy.shape))
         n_successors = np.diff(problem.model.transitions.indptr)
         single = float(shares.reshape(-1)[(totals == 1) & (n_successors > 1)].sum())
-        gradient = transition_gradient(model, policy, horizon=problem.horizon, values=result.values, time=time)
+        gradient = transition_gradient(
+            model, policy, horizon=problem.horizon, values=result.values, time=time
+        )
         delta = delta_error(model.transitions, model.transitions.data, totals, gradient)
         least = ROUNDING * max(abs(result.value), float(np.abs(model.rewards).max()))
         error = delta if (n_successors <= 1).all() or delta > least else None
@@ -98,24 +102,44 @@ class ModelBased(TabularEstimator):
         """The frequencies of the log, the fallback where it has none."""
         counts = _checks.instance(problem, Problem, "problem").counts
         data = counts.data / row_sums(counts)[row_of_entry(counts)]
-        rows = sparse.csr_array((data, counts.indices, counts.indptr), shape=counts.shape)
+        rows = sparse.csr_array(
+            (data, counts.indices, counts.indptr), shape=counts.shape
+        )
         return self._fill_rows(problem.model, rows)
 
     def _fill_rows(self, base: FiniteMDP, rows: sparse.csr_array) -> FiniteMDP:
         """``base`` with these rows, and the fallback's where they are 0."""
         size, empty = rows.shape[0], np.flatnonzero(row_sums(rows) == 0)
         if self.fallback == "simulator":
-            rest = sparse.csr_array((np.ones(len(empty)), (empty, empty)), shape=(size, size)) @ base.transitions
+            rest = (
+                sparse.csr_array(
+                    (np.ones(len(empty)), (empty, empty)), shape=(size, size)
+                )
+                @ base.transitions
+            )
         else:
-            rest = sparse.csr_array((np.ones(len(empty)), (empty, empty // base.n_actions)), shape=rows.shape)
+            rest = sparse.csr_array(
+                (np.ones(len(empty)), (empty, empty // base.n_actions)),
+                shape=rows.shape,
+            )
         matrix = sparse.csr_array(rows + rest)
         rewards: object = base.rewards
         if base.transition_rewards is not None:
             matrix.sort_indices()
             data, defined = align(base.transition_rewards, matrix)
-            data = np.where(defined, data, base.rewards.reshape(-1)[row_of_entry(matrix)])
-            rewards = sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+            data = np.where(
+                defined, data, base.rewards.reshape(-1)[row_of_entry(matrix)]
+            )
+            rewards = sparse.csr_array(
+                (data, matrix.indices, matrix.indptr), shape=matrix.shape
+            )
         return FiniteMDP(
-            matrix, rewards, base.initial, base.discount, terminal_state=base.terminal_state, layout=base.layout,
-            state_names=base.state_names, action_names=base.action_names,
-        )  # fmt: skip
+            matrix,
+            rewards,
+            base.initial,
+            base.discount,
+            terminal_state=base.terminal_state,
+            layout=base.layout,
+            state_names=base.state_names,
+            action_names=base.action_names,
+        )

@@ -29,22 +29,28 @@ class Named:
     def __call__(self, target: FiniteMDP | None = None) -> Estimator:
         """The estimator."""
         make = getattr(importlib.import_module("oee_tabular.estimators"), self.kind)
-        estimator: Estimator = make(target, **self.options) if self.needs_target else make(**self.options)
+        estimator: Estimator = (
+            make(target, **self.options) if self.needs_target else make(**self.options)
+        )
         return estimator
 
 
 NAMED: Mapping[str, Named] = {
     "simulator": Named(
-        "Simulator", "The policy's exact value in the simulator as it is: what one would believe without a log."
+        "Simulator",
+        "The policy's exact value in the simulator as it is: what one would believe"
+        " without a log.",
     ),
     "oee": Named(
         "OffEnvironment",
-        "Off-environment evaluation corrects the simulator's probabilities by the log, then computes the policy's exact value "
-        "in the corrected simulator. If the log contradicts the correction, the value moves towards maximum likelihood's.",
+        "Off-environment evaluation corrects the simulator's probabilities by the log,"
+        " then computes the policy's exact value in the corrected simulator. If the log"
+        " contradicts the correction, the value moves towards maximum likelihood's.",
     ),
     "oee-product": Named(
         "OffEnvironment",
-        "The same correction, as products of ratios along simulated episodes; exact on average, but noisy.",
+        "The same correction, as products of ratios along simulated episodes; exact on"
+        " average, but noisy.",
         {"evaluation": "monte_carlo"},
     ),
     "oee-product-sn": Named(
@@ -59,16 +65,19 @@ NAMED: Mapping[str, Named] = {
     ),
     "ratio-of-ratios": Named(
         "OffEnvironment",
-        "The paper's quotient of two fitted ratios, each normalised; its rows need not be probabilities.",
+        "The paper's quotient of two fitted ratios, each normalised; its rows need not"
+        " be probabilities.",
         {"ratio": "ratio_of_ratios"},
     ),
     "model-based": Named(
         "ModelBased",
-        "The policy's exact value in the log's frequencies. In an unrecorded pair the state never changes.",
+        "The policy's exact value in the log's frequencies. In an unrecorded pair the"
+        " state never changes.",
     ),
     "is": Named(
         "ImportanceSampling",
-        "Importance sampling: the log's returns, weighted by how much likelier the policy makes each episode.",
+        "Importance sampling: the log's returns, weighted by how much likelier the"
+        " policy makes each episode.",
         {"kind": "trajectory"},
     ),
     "wis": Named(
@@ -77,46 +86,73 @@ NAMED: Mapping[str, Named] = {
         {"kind": "trajectory", "self_normalized": True},
     ),
     "pdis": Named(
-        "ImportanceSampling", "Importance sampling, reward by reward (per decision); uses no transition probabilities."
+        "ImportanceSampling",
+        "Importance sampling, reward by reward (per decision); uses no transition"
+        " probabilities.",
     ),
     "wpdis": Named(
         "ImportanceSampling",
-        "Importance sampling reward by reward, with weights that are divided by their sum.",
+        "Importance sampling reward by reward, with weights that are divided by their"
+        " sum.",
         {"self_normalized": True},
     ),
-    "dr": Named("DoublyRobust", "Doubly robust: a model's value, corrected by the log."),
-    "dr-beta": Named("DoublyRobust", "Doubly robust, with the ratio of occupancies as weights.", {"weights": "beta"}),
-    "dr-rollouts": Named("DoublyRobust", "Doubly robust on simulated episodes.", {"data": "rollouts"}),
-    "dr-episodes": Named("DoublyRobust", "Doubly robust on the log's episodes.", {"data": "episodes"}),
+    "dr": Named(
+        "DoublyRobust", "Doubly robust: a model's value, corrected by the log."
+    ),
+    "dr-beta": Named(
+        "DoublyRobust",
+        "Doubly robust, with the ratio of occupancies as weights.",
+        {"weights": "beta"},
+    ),
+    "dr-rollouts": Named(
+        "DoublyRobust", "Doubly robust on simulated episodes.", {"data": "rollouts"}
+    ),
+    "dr-episodes": Named(
+        "DoublyRobust", "Doubly robust on the log's episodes.", {"data": "episodes"}
+    ),
     "wdr": Named(
         "DoublyRobust",
-        "Doubly robust on the log's episodes, with weights that are divided by their sum.",
+        "Doubly robust on the log's episodes, with weights that are divided by their"
+        " sum.",
         {"data": "episodes", "self_normalized": True},
     ),
-    "magic": Named("Magic", "A blend of model and importance sampling, chosen for the smallest error."),
+    "magic": Named(
+        "Magic",
+        "A blend of model and importance sampling, chosen for the smallest error.",
+    ),
     "marginalized": Named(
-        "Marginalized", "The log's rewards, weighted by how much more often the policy is in each place."
+        "Marginalized",
+        "The log's rewards, weighted by how much more often the policy is in each"
+        " place.",
     ),
     "dualdice": Named("DualDice", "The same weights, from a saddle-point problem."),
     "oracle": Named(
-        "Oracle", "The value with the true ratio, which only someone who knows the target has.", needs_target=True
+        "Oracle",
+        "The value with the true ratio, which only someone who knows the target has.",
+        needs_target=True,
     ),
     "oracle-product": Named(
         "Oracle",
-        "Products of the true ratio along simulated episodes. Sampling noise is the only error.",
+        "Products of the true ratio along simulated episodes. Sampling noise is the"
+        " only error.",
         {"evaluation": "monte_carlo"},
         needs_target=True,
     ),
 }
 
 
-ALIASES: Mapping[str, str] = {  # from the literature; in a table each has the solution of an estimator above
-    "fqe": "model-based",  # fitted Q evaluation: Q = r + gamma P Q with the log's means and frequencies
-    "mql": "model-based",  # minimax Q learning: the same equation, one moment for each pair
+# from the literature; in a table each has the solution of an estimator above
+ALIASES: Mapping[str, str] = {
+    # fitted Q evaluation: Q = r + gamma P Q with the log's means and frequencies
+    "fqe": "model-based",
+    # minimax Q learning: the same equation, one moment for each pair
+    "mql": "model-based",
     "dm": "model-based",
     "mle": "model-based",
     "mis": "marginalized",
-    "mwl": "dualdice",  # minimax weight learning: weights under which the log's frequencies balance the policy's flow
+    # minimax weight learning: weights under which the log's frequencies balance the
+    # policy's flow
+    "mwl": "dualdice",
     "bestdice": "dualdice",  # as have the other saddle points of the DICE family
     "gendice": "dualdice",
     "gradientdice": "dualdice",
@@ -129,7 +165,9 @@ def names(*, needs_target: bool = False) -> list[str]:
     return [name for name, named in NAMED.items() if named.needs_target == needs_target]
 
 
-def named_estimators(names: Sequence[str], target: FiniteMDP | None = None) -> dict[str, Estimator]:
+def named_estimators(
+    names: Sequence[str], target: FiniteMDP | None = None
+) -> dict[str, Estimator]:
     """The estimators of these names or aliases, by name; a ValueError with the nearest name for an unknown one."""
     estimators: dict[str, Estimator] = {}
     for given in names:
@@ -137,9 +175,14 @@ def named_estimators(names: Sequence[str], target: FiniteMDP | None = None) -> d
         if name not in NAMED:
             near = difflib.get_close_matches(name, [*NAMED, *ALIASES], n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
-            raise ValueError(f"estimators must be among {', '.join(NAMED)}; got {name!r}{hint}")
+            raise ValueError(
+                f"estimators must be among {', '.join(NAMED)}; got {name!r}{hint}"
+            )
         if NAMED[name].needs_target and target is None:
-            raise ValueError(f"estimator {name!r} needs the target environment, which is not given (--target)")
+            raise ValueError(
+                f"estimator {name!r} needs the target environment, which is not given"
+                " (--target)"
+            )
         estimators[name] = NAMED[name](target)
     if not estimators:
         raise ValueError("estimators must name at least one; it is empty")
@@ -153,7 +196,9 @@ def default_names(problem: Problem) -> tuple[list[str], list[str]]:
     if log.episode is None:
         left_out.append("Importance sampling is left out: the log has no episodes.")
     elif log.behavior_probability is None and problem.behavior_policy is None:
-        left_out.append("Importance sampling is left out: the behaviour policy is not known.")
+        left_out.append(
+            "Importance sampling is left out: the behaviour policy is not known."
+        )
     else:
         chosen += ["pdis", "wpdis"]
     return chosen, left_out

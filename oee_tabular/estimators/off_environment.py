@@ -30,7 +30,13 @@ from oee_tabular.estimators.rollouts import (
     rollout_horizon,
     weight_status,
 )
-from oee_tabular.exact import evaluate_policy, policy_value, reweight, transition_gradient, weighted_return_moments
+from oee_tabular.exact import (
+    evaluate_policy,
+    policy_value,
+    reweight,
+    transition_gradient,
+    weighted_return_moments,
+)
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.exact.system import DivergentKernelError
@@ -40,13 +46,16 @@ from oee_tabular.ratio.method import Population
 from oee_tabular.simulate.sampler import draw
 
 NORMAL = NormalDist().inv_cdf(0.975)
-# Minimax-regret soft thresholds for x ~ N(b, s^2) beside a second estimate whose bias is b: by s^2 over the variance of
-# that estimate, in standard deviations s [1], interpolated in the logarithm of the ratio; the first, below 1, is a guess.
+# Minimax-regret soft thresholds for x ~ N(b, s^2) beside a second estimate whose bias
+# is b: by s^2 over the variance of that estimate, in standard deviations s [1],
+# interpolated in the logarithm of the ratio; the first, below 1, is a guess.
 VARIANCE_RATIOS = (0.3, 1.0, 5.0, 10.0, 30.0, 100.0)
 THRESHOLDS = (0.55, 0.73, 0.98, 1.12, 1.38, 1.70)
-# standard errors of their difference between the value and maximum likelihood's that are worth a word
+# standard errors of their difference between the value and maximum likelihood's that
+# are worth a word
 CONTRADICTION = 2.0
-DETAILS = ("strength", "meaning", "n_keys")  # of a ratio, that are diagnostics of its value
+# of a ratio, that are diagnostics of its value
+DETAILS = ("strength", "meaning", "n_keys")
 OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 
@@ -116,7 +125,9 @@ class OffEnvironment(RatioEstimator):
         _checks.boolean(self.self_normalized, "self_normalized")
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """J in zeta * P, moved towards the log; or the mean of weighted rollouts."""
         zeta = self.fit(problem, policy, generator)
         if self.evaluation == "monte_carlo":
@@ -133,21 +144,38 @@ class OffEnvironment(RatioEstimator):
         return self.model_claims - {"shift"} | {"random"}
 
     def _average_rollouts(
-        self, problem: Problem, zeta: TransitionRatio, policy: Array, generator: np.random.Generator
+        self,
+        problem: Problem,
+        zeta: TransitionRatio,
+        policy: Array,
+        generator: np.random.Generator,
     ) -> Estimate:
         """J by rollouts of the simulator weighted by products of zeta: the episodes of ``sample_returns``."""
         model, per_decision = problem.model, self.weighting == "per_decision"
-        n_steps = horizon_length(rollout_horizon(model.discount, problem.horizon), model)
+        n_steps = horizon_length(
+            rollout_horizon(model.discount, problem.horizon), model
+        )
         by_step = self.self_normalized and per_decision
         drawn = draw(
-            model, policy, self.n_rollouts, n_steps, seed=generator, zeta=zeta, record=by_step, name="n_rollouts"
+            model,
+            policy,
+            self.n_rollouts,
+            n_steps,
+            seed=generator,
+            zeta=zeta,
+            record=by_step,
+            name="n_rollouts",
         )
         if by_step:
-            value, error = normalize_by_step(*carried_rewards(model, drawn), drawn.starts, drawn.weights)
+            value, error = normalize_by_step(
+                *carried_rewards(model, drawn), drawn.starts, drawn.weights
+            )
         elif self.self_normalized:
             value, error = normalize_by_episode(drawn.whole, drawn.weights)
         else:
-            value, error = mean_and_error(drawn.weighted if per_decision else drawn.whole)
+            value, error = mean_and_error(
+                drawn.weighted if per_decision else drawn.whole
+            )
         overflows = not np.isfinite(value) and not np.isfinite(drawn.weights).all()
         return Estimate(
             value,
@@ -157,7 +185,9 @@ class OffEnvironment(RatioEstimator):
                 "standard_error_of": "rollouts",
                 "n_rollouts": self.n_rollouts,
                 "effective_sample_size": effective_sample_size(drawn.weights),
-                "largest_weight": float((drawn.largest if per_decision else drawn.weights).max()),
+                "largest_weight": float(
+                    (drawn.largest if per_decision else drawn.weights).max()
+                ),
                 "mean_weight": float(drawn.weights.mean()),
                 "row_sum_error": zeta.row_sum_error,
                 "gap": zeta.gap,
@@ -172,10 +202,14 @@ class OffEnvironment(RatioEstimator):
         data where none is given).
         """
         model, simulator = self.limit_model(population), population.simulator
-        if self.evaluation == "exact" or (self.weighting == "per_decision" and not self.self_normalized):
+        if self.evaluation == "exact" or (
+            self.weighting == "per_decision" and not self.self_normalized
+        ):
             return population.value(model)
         own, rows = simulator.transitions, model.transitions.data
-        zeta = csr_on_pattern(own, np.divide(rows, own.data, out=np.zeros_like(rows), where=own.data > 0))
+        zeta = csr_on_pattern(
+            own, np.divide(rows, own.data, out=np.zeros_like(rows), where=own.data > 0)
+        )
         moments = weighted_return_moments(
             simulator,
             zeta,
@@ -187,7 +221,9 @@ class OffEnvironment(RatioEstimator):
         return moments.mean
 
 
-def _estimate_exactly(problem: Problem, zeta: TransitionRatio, policy: Array) -> Estimate:
+def _estimate_exactly(
+    problem: Problem, zeta: TransitionRatio, policy: Array
+) -> Estimate:
     """J of zeta * P by dynamic programming, moved towards the log where rows of zeta * P are probabilities."""
     model = reweight(problem.model, zeta)
     result = evaluate_policy(model, policy, horizon=problem.horizon)
@@ -212,25 +248,44 @@ def _estimate_exactly(problem: Problem, zeta: TransitionRatio, policy: Array) ->
         model_value=result.value,
         measured=shares["coverage"],
     )
-    ml_value = _maximum_likelihood_value(problem, zeta, policy)  # before the gradient, which is as large as its model
-    gradient = transition_gradient(model, policy, horizon=problem.horizon, values=result.values, time=time)
+    # before the gradient, which is as large as its model
+    ml_value = _maximum_likelihood_value(problem, zeta, policy)
+    gradient = transition_gradient(
+        model, policy, horizon=problem.horizon, values=result.values, time=time
+    )
     return _move(exact, ml_value, zeta, gradient)
 
 
-def _move(exact: Estimate, ml_value: float | None, zeta: TransitionRatio, gradient: Array) -> Estimate:
+def _move(
+    exact: Estimate, ml_value: float | None, zeta: TransitionRatio, gradient: Array
+) -> Estimate:
     """Move J(zeta P) towards the log, by the soft threshold; ``ml_value`` is J of the maximum-likelihood model."""
     se_fit, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
     if se_fit is None or step is None:
         return exact
-    known = (se_fit, step.change, step.standard_error, step.change_error, ml_value or 0.0)
+    known = (
+        se_fit,
+        step.change,
+        step.standard_error,
+        step.change_error,
+        ml_value or 0.0,
+    )
     if not np.isfinite(known).all():
         return exact  # rewards near the largest float
     shared = min(se_fit / step.standard_error, 1.0) if step.standard_error > 0 else 1.0
-    s = float(step.standard_error * np.sqrt(1.0 - shared**2))  # of the difference of the two values
-    change = 0.0 if ml_value is None else change_to_log(step.change, ml_value - exact.value, s)
+    # of the difference of the two values
+    s = float(step.standard_error * np.sqrt(1.0 - shared**2))
+    change = (
+        0.0
+        if ml_value is None
+        else change_to_log(step.change, ml_value - exact.value, s)
+    )
     rest = min(abs(change), threshold(s, se_fit) * s)
     share_moved = 1.0 - rest / abs(change) if change else 0.0
-    value, error = exact.value + share_moved * change, float(np.hypot(step.standard_error, step.unrecorded))
+    value, error = (
+        exact.value + share_moved * change,
+        float(np.hypot(step.standard_error, step.unrecorded)),
+    )
     diagnostics = {
         "standard_error_of": "log",
         "standard_error_if_centre_fits": se_fit,
@@ -253,7 +308,9 @@ def _move(exact: Estimate, ml_value: float | None, zeta: TransitionRatio, gradie
         exact,
         value=value,
         standard_error=certain,
-        interval=(value - NORMAL * error, value + NORMAL * error) if has_interval else None,
+        interval=(
+            (value - NORMAL * error, value + NORMAL * error) if has_interval else None
+        ),
         diagnostics=exact.diagnostics | diagnostics,
         findings=warnings,
         is_normal=True,
@@ -268,13 +325,17 @@ def threshold(s: float, se_fit: float) -> float:
     return float(np.interp(2.0 * np.log(max(s, 1e-300) / se_fit), logs, THRESHOLDS))
 
 
-def _maximum_likelihood_value(problem: Problem, zeta: TransitionRatio, policy: Array) -> float | None:
+def _maximum_likelihood_value(
+    problem: Problem, zeta: TransitionRatio, policy: Array
+) -> float | None:
     """None without one, or where at discount 1 states with rewards keep the policy for ever."""
     rows = zeta.maximum_likelihood_rows
     if rows is None:
         return None
     try:
-        return policy_value(with_rows(problem.model, rows, own=True), policy, horizon=problem.horizon)
+        return policy_value(
+            with_rows(problem.model, rows, own=True), policy, horizon=problem.horizon
+        )
     except DivergentKernelError:
         return None
 
@@ -288,4 +349,6 @@ def change_to_log(one_step: float, likelihood: float, s: float) -> float:
         return 0.0
     nearer = min(one_step, likelihood, key=abs)
     distance = abs(nearer) / s if s > 0 else np.inf
-    return nearer + float(np.clip((distance - 2.0) / 2.0, 0.0, 1.0)) * (likelihood - nearer)
+    return nearer + float(np.clip((distance - 2.0) / 2.0, 0.0, 1.0)) * (
+        likelihood - nearer
+    )

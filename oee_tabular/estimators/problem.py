@@ -15,7 +15,12 @@ from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.data import TransitionCounts, Transitions, read_log
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.findings import Finding
-from oee_tabular.estimators.rewards import RewardConflict, conflict, simulator_rewards, with_log_rewards
+from oee_tabular.estimators.rewards import (
+    RewardConflict,
+    conflict,
+    simulator_rewards,
+    with_log_rewards,
+)
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import refuse_unsupported
@@ -100,7 +105,9 @@ class Problem:
         _checks.one_of(impossible, "impossible", ("refuse", "drop"), _ALLOW)
         may_drop, counts = impossible == "drop", _counts if counts is None else counts
         if sparse.issparse(log):
-            log = TransitionCounts.of(_check_counts(log, simulator, may_drop=may_drop), simulator.n_actions)
+            log = TransitionCounts.of(
+                _check_counts(log, simulator, may_drop=may_drop), simulator.n_actions
+            )
         log = read_log(log, simulator)
         if episodes is not None:
             episodes = read_log(episodes, simulator, "episodes")
@@ -108,30 +115,50 @@ class Problem:
         _checks.one_of(rewards, "rewards", ("simulator", "log"))
         horizon = optional_horizon_length(horizon, simulator)
         if behavior_policy is not None:
-            behavior_policy = check_policy(behavior_policy, simulator, name="behavior_policy")
+            behavior_policy = check_policy(
+                behavior_policy, simulator, name="behavior_policy"
+            )
         log = settle(log, simulator, "log")
         if episodes is not None:
             episodes = settle(episodes, simulator, "episodes")
         check_simulator_data(simulator_data)
         if isinstance(simulator_data, Transitions):
             name = "simulator_data"
-            simulator_data = settle(simulator_data.numbered(simulator, name), simulator, name)
+            simulator_data = settle(
+                simulator_data.numbered(simulator, name), simulator, name
+            )
         if rewards == "log" and log.moves().reward_sum is None:
-            raise ValueError("rewards must be 'simulator' where the log has no reward column; it is 'log'")
+            raise ValueError(
+                "rewards must be 'simulator' where the log has no reward column; it is"
+                " 'log'"
+            )
         if counts is not None:
             counts = _check_counts(counts, simulator, may_drop=may_drop)
-        fields = (simulator, log, horizon, behavior_policy, simulator_data, rewards, episodes, counts, impossible)
+        fields = (
+            simulator,
+            log,
+            horizon,
+            behavior_policy,
+            simulator_data,
+            rewards,
+            episodes,
+            counts,
+            impossible,
+        )
         for field, value in zip(dataclasses.fields(self), fields, strict=True):
             object.__setattr__(self, field.name, value)
         if counts is None and not may_drop:
             refuse_unsupported(self.counts, simulator)
         if may_drop and self.counts.nnz == 0:
-            raise ValueError("log must have a transition that the simulator can make; impossible='drop' leaves none")
+            raise ValueError(
+                "log must have a transition that the simulator can make;"
+                " impossible='drop' leaves none"
+            )
 
     def __repr__(self) -> str:
         return (
-            f"Problem({self.simulator!r}, {self.log!r}, value: sum of discount^t * reward over {self._span}, "
-            f"rewards of the {self.rewards})"
+            f"Problem({self.simulator!r}, {self.log!r}, value: sum of discount^t *"
+            f" reward over {self._span}, rewards of the {self.rewards})"
         )
 
     @property
@@ -140,10 +167,15 @@ class Problem:
 
     def _repr_html_(self) -> str:
         rows = [
-            ("simulator", repr(self.simulator)), ("log", self.log.describe()), ("rewards", f"the {self.rewards}'s"),
+            ("simulator", repr(self.simulator)),
+            ("log", self.log.describe()),
+            ("rewards", f"the {self.rewards}'s"),
             ("value", f"sum of discount^t * reward over {self._span}, not normalised"),
-            ("rewards of log and simulator", "agree" if self.reward_conflict is None else str(self.reward_conflict)),
-        ]  # fmt: skip
+            (
+                "rewards of log and simulator",
+                "agree" if self.reward_conflict is None else str(self.reward_conflict),
+            ),
+        ]
         return _printing.facts("Problem: the value of a policy in the target", rows)
 
     @property
@@ -168,7 +200,11 @@ class Problem:
     @property
     def observed(self) -> Transitions | sparse.csr_array:
         """The data of a ratio: the log, or the given counts."""
-        is_whole = self._counts is None and isinstance(self.log, Transitions) and not self.dropped.any()
+        is_whole = (
+            self._counts is None
+            and isinstance(self.log, Transitions)
+            and not self.dropped.any()
+        )
         return self.log if is_whole else self.counts
 
     @cached_property
@@ -194,7 +230,11 @@ class Problem:
     @cached_property
     def model(self) -> FiniteMDP:
         """The simulator, with the log's rewards if ``rewards`` is "log"."""
-        return self.simulator if self.rewards == "simulator" else with_log_rewards(self.simulator, self.log)
+        return (
+            self.simulator
+            if self.rewards == "simulator"
+            else with_log_rewards(self.simulator, self.log)
+        )
 
     @cached_property
     def reward_conflict(self) -> RewardConflict | None:
@@ -215,14 +255,21 @@ class Problem:
         """Warnings about the data, for any policy."""
         log, result = self.log, list[Finding]()
         if self.reward_conflict is not None:
-            result.append(findings.rewards_contradict(self.reward_conflict, log_pays=self.rewards == "log"))
+            result.append(
+                findings.rewards_contradict(
+                    self.reward_conflict, log_pays=self.rewards == "log"
+                )
+            )
         result += findings.behavior_contradicts(self.behavior_conflict)
         if isinstance(log, TransitionCounts):
             result += findings.rows_dropped(*log.recording[-2:])
             kept = 0 if log.sample is None else log.sample.n_episodes or 0
             result += findings.episodes_sampled(kept, log.recording.episodes)
         result += findings.moves_dropped(self.dropped, float(self.counts.sum()))
-        return (*result, *(() if self.simulator.sampling is None else (findings.SAMPLED,)))
+        return (
+            *result,
+            *(() if self.simulator.sampling is None else (findings.SAMPLED,)),
+        )
 
     def rewards_of(self, log: Transitions) -> Array:
         """The log's rewards, or the simulator's for transitions without one."""
@@ -230,7 +277,11 @@ class Problem:
         if log.reward is not None and not np.isnan(log.reward).any():
             return log.reward
         simulated = simulator_rewards(self.simulator, log)
-        return simulated if log.reward is None else np.where(np.isnan(log.reward), simulated, log.reward)
+        return (
+            simulated
+            if log.reward is None
+            else np.where(np.isnan(log.reward), simulated, log.reward)
+        )
 
 
 def require_policy(problem: object, policy: PolicyLike) -> Array:
@@ -240,15 +291,21 @@ def require_policy(problem: object, policy: PolicyLike) -> Array:
 
 def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
     """The log with terminated transitions redirected to ``simulator.terminal_state``, or an error."""
-    sizes = {"state": simulator.n_states, "action": simulator.n_actions, "next_state": simulator.n_states}
+    sizes = {
+        "state": simulator.n_states,
+        "action": simulator.n_actions,
+        "next_state": simulator.n_states,
+    }
     for column, size in sizes.items():
         values: IntArray = getattr(log, column)
         bad = np.flatnonzero(values >= size)
         if bad.size:
             is_from_1 = bool(values.max() == size and values.min() >= 1)
             raise ValueError(
-                f"{name}.{column}[{bad[0]}] must be in 0..{size - 1}, the simulator's; it is {values[bad[0]]} "
-                f"({bad.size} such transitions)" + "; are they numbered from 1? Then subtract 1" * is_from_1
+                f"{name}.{column}[{bad[0]}] must be in 0..{size - 1}, the simulator's;"
+                f" it is {values[bad[0]]} ({bad.size} such transitions)"
+                + "; are they numbered from 1? Then subtract 1"
+                * is_from_1
             )
     lead = np.arange(simulator.n_states)
     lead[: len(simulator.terminal_state)] = simulator.terminal_state
@@ -258,18 +315,26 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
         row = int(going_on[0])
         where = simulator.names.state(arrival[row])
         raise ValueError(
-            f"{name}.terminated[{row}] must be False, or state {where} must be terminal in the simulator (every action "
-            f"leads back to it with reward 0); it is not ({going_on.size} such transitions). If a time limit cut the log's "
-            "episodes there, mark them truncated instead; if the task ends there, make the state terminal, "
-            f"P[{arrival[row]}] = 0; P[{arrival[row]}, :, {arrival[row]}] = 1 with reward 0, or say where termination leads "
-            "with FiniteMDP(..., terminal_state=)"
+            f"{name}.terminated[{row}] must be False, or state {where} must be terminal"
+            " in the simulator (every action leads back to it with reward 0); it is"
+            f" not ({going_on.size} such transitions). If a time limit cut the log's"
+            " episodes there, mark them truncated instead; if the task ends there,"
+            f" make the state terminal, P[{arrival[row]}] = 0; P[{arrival[row]}, :,"
+            f" {arrival[row]}] = 1 with reward 0, or say where termination leads with"
+            " FiniteMDP(..., terminal_state=)"
         )
     if isinstance(log, TransitionCounts) and log.sample is not None:
         log = replace(log, sample=settle(log.sample, simulator, f"{name}.sample"))
-    return log if np.array_equal(arrival, log.next_state) else replace(log, next_state=arrival)
+    return (
+        log
+        if np.array_equal(arrival, log.next_state)
+        else replace(log, next_state=arrival)
+    )
 
 
-def _check_counts(counts: Any, simulator: FiniteMDP, *, may_drop: bool) -> sparse.csr_array:
+def _check_counts(
+    counts: Any, simulator: FiniteMDP, *, may_drop: bool
+) -> sparse.csr_array:
     """Counts that were given, checked."""
     matrix = checked_counts(counts, simulator)
     if may_drop:

@@ -30,7 +30,9 @@ class RewardConflict:
         return self.sentence
 
 
-def simulator_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> Array:
+def simulator_rewards(
+    simulator: FiniteMDP, log: Transitions | TransitionCounts
+) -> Array:
     """The simulator's reward for each row of the log; its expected r(s, a) off its support."""
     expected = simulator.rewards[log.state, log.action]
     if simulator.transition_rewards is None:
@@ -40,7 +42,9 @@ def simulator_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts)
     return np.where(stored, simulator.transition_rewards.data[position], expected)
 
 
-def with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> FiniteMDP:
+def with_log_rewards(
+    simulator: FiniteMDP, log: Transitions | TransitionCounts
+) -> FiniteMDP:
     """The simulator with the log's mean reward for the transitions that the log has."""
     moves, matrix = log.moves(), simulator.transitions
     assert moves.reward_sum is not None
@@ -53,22 +57,33 @@ def with_log_rewards(simulator: FiniteMDP, log: Transitions | TransitionCounts) 
     own = simulator.reward_data
     if own is None:
         own = simulator.rewards.reshape(-1)[row_of_entry(matrix)]
-    data = np.divide(total, number, out=np.array(own), where=number > 0)  # rewards may be missing
+    # rewards may be missing
+    data = np.divide(total, number, out=np.array(own), where=number > 0)
     return simulator.with_rewards(csr_on_pattern(matrix, data))
 
 
 def mean_rewards(problem: Problem) -> Array:
     """(S*A,) mean over the recorded transitions of each pair: of the log's rewards, else the simulator's."""
     simulator = problem.simulator
-    model = simulator if problem.log.moves().reward_sum is None else with_log_rewards(simulator, problem.log)
+    model = (
+        simulator
+        if problem.log.moves().reward_sum is None
+        else with_log_rewards(simulator, problem.log)
+    )
     matrix = model.transitions
     observed, _ = align(problem.counts, matrix)
     number, own = row_sums(matrix, observed), model.rewards.reshape(-1)
-    total = number * own if model.reward_data is None else row_sums(matrix, observed * model.reward_data)
+    total = (
+        number * own
+        if model.reward_data is None
+        else row_sums(matrix, observed * model.reward_data)
+    )
     return np.divide(total, number, out=np.zeros_like(number), where=number > 0)
 
 
-def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> RewardConflict | None:
+def conflict(
+    simulator: FiniteMDP, log: Transitions | TransitionCounts
+) -> RewardConflict | None:
     """Where the log's reward differs from the simulator's for the same transition; None: nowhere."""
     _, _, least, most, number = log.moves()
     if least is None or most is None or number is None:
@@ -79,13 +94,18 @@ def conflict(simulator: FiniteMDP, log: Transitions | TransitionCounts) -> Rewar
     differ = np.flatnonzero(gap > TOLERANCE * max(1.0, float(np.abs(expected).max())))
     if differ.size == 0:
         return None
-    moves = np.unique(np.stack([log.state[differ], log.action[differ], log.next_state[differ]]), axis=1)
+    moves = np.unique(
+        np.stack([log.state[differ], log.action[differ], log.next_state[differ]]),
+        axis=1,
+    )
     k = int(differ[np.argmax(gap[differ])])
     rows = round(float(number[differ].sum()))
-    at_most = bool((least[differ] < most[differ]).any())  # of counted transitions the extreme rewards alone are known
+    # of counted transitions the extreme rewards alone are known
+    at_most = bool((least[differ] < most[differ]).any())
     where = simulator.names.transition(log.state[k], log.action[k], log.next_state[k])
     sentence = (
-        f"the log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of {len(log)} transitions "
-        f"({moves.shape[1]} distinct; the reward of {where} is {far[k]:g} in the log, {expected[k]:g} in the simulator)"
+        f"the log's rewards contradict the simulator's in {'up to ' * at_most}{rows} of"
+        f" {len(log)} transitions ({moves.shape[1]} distinct; the reward of {where} is"
+        f" {far[k]:g} in the log, {expected[k]:g} in the simulator)"
     )
     return RewardConflict(rows, sentence)

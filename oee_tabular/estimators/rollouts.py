@@ -23,13 +23,20 @@ def rollout_horizon(discount: float, horizon: int | None) -> int:
         return horizon
     if discount == 1.0:
         raise ValueError("horizon must be given for rollouts at discount 1")
-    return 1 if discount == 0.0 else int(np.ceil(np.log(NEGLIGIBLE_DISCOUNT) / np.log(discount))) + 1
+    return (
+        1
+        if discount == 0.0
+        else int(np.ceil(np.log(NEGLIGIBLE_DISCOUNT) / np.log(discount))) + 1
+    )
 
 
 def weight_status(value: float) -> str:
     """What to say where a self-normalised estimate has nothing to divide by."""
     if np.isnan(value):
-        return "at some step every weight is 0: no episode went the policy's way that far (shorten the horizon, or use oee)"
+        return (
+            "at some step every weight is 0: no episode went the policy's way that far"
+            " (shorten the horizon, or use oee)"
+        )
     return "ok"
 
 
@@ -54,11 +61,21 @@ def normalize_by_episode(totals: Array, weights: Array) -> tuple[float, float | 
     if not 0.0 < mass < np.inf:
         return float("nan"), None
     value = float(totals.sum()) / mass
-    return value, mean_and_error((totals - value * weights) * (len(totals) / mass), abs(value))[1]
+    return (
+        value,
+        mean_and_error((totals - value * weights) * (len(totals) / mass), abs(value))[
+            1
+        ],
+    )
 
 
 def normalize_by_step(
-    reward: Array, weight: Array, starts: IntArray, last: Array, *, keep_last: bool = True
+    reward: Array,
+    weight: Array,
+    starts: IntArray,
+    last: Array,
+    *,
+    keep_last: bool = True,
 ) -> tuple[float, float | None]:
     """sum_t sum_i w_it r_it / sum_i w_it and its linearised error.
 
@@ -70,12 +87,16 @@ def normalize_by_step(
     with np.errstate(over="ignore", invalid="ignore"):
         mass, rewards = np.bincount(step, weight), np.bincount(step, weight * reward)
     if keep_last:
-        mass += np.cumsum(np.bincount(lengths, weights=last, minlength=horizon + 1)[:horizon])
+        mass += np.cumsum(
+            np.bincount(lengths, weights=last, minlength=horizon + 1)[:horizon]
+        )
     if not np.all((mass > 0.0) & (mass < np.inf)):
         return float("nan"), None
     value, scale = rewards / mass, n / mass
     # each episode's sum_t (w_it r_it - value_t w_it) n / mass_t
-    influence = np.add.reduceat((reward - value[step]) * weight * scale[step], starts[:-1])
+    influence = np.add.reduceat(
+        (reward - value[step]) * weight * scale[step], starts[:-1]
+    )
     if keep_last:
         tail = np.concatenate([np.cumsum((value * scale)[::-1])[::-1], [0.0]])
         influence -= last * tail[lengths]
@@ -85,7 +106,10 @@ def normalize_by_step(
 def carried_rewards(mdp: FiniteMDP, drawn: Drawn) -> tuple[Array, Array]:
     """gamma^t r_t of each recorded step, and the weight that it carries."""
     path, starts = drawn.path, drawn.starts
-    reward = mdp.discount ** step_numbers(starts).astype(np.float64) * entry_rewards(mdp)[path]
+    reward = (
+        mdp.discount ** step_numbers(starts).astype(np.float64)
+        * entry_rewards(mdp)[path]
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         weight = segment_products(drawn.ratio[path], starts)
     if mdp.reward_data is None:

@@ -22,7 +22,14 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array
 from oee_tabular._sparse import align
 from oee_tabular.estimators import findings
-from oee_tabular.estimators.base import OF_COUNTS, ROUNDING, Estimate, RatioOption, TabularEstimator, delta_error
+from oee_tabular.estimators.base import (
+    OF_COUNTS,
+    ROUNDING,
+    Estimate,
+    RatioOption,
+    TabularEstimator,
+    delta_error,
+)
 from oee_tabular.estimators.off_environment import NORMAL, OffEnvironment
 from oee_tabular.estimators.problem import Problem
 from oee_tabular.exact import evaluate_policy, occupancy, transition_gradient
@@ -31,7 +38,8 @@ from oee_tabular.mdp.horizons import total_discount
 from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.method import Population
 
-MAX_UNKNOWN_SHARE = 0.1  # of the policy's time in pairs with one sample or none: above it there is no interval
+# of the policy's time in pairs with one sample or none: above it there is no interval
+MAX_UNKNOWN_SHARE = 0.1
 N_FEW = 10  # samples: with fewer, a normal interval is a guess
 MIN_SHARE = 1e-3  # of the policy's discounted time: less is not worth a sentence
 
@@ -53,7 +61,9 @@ class Simulator(TabularEstimator):
 
     claims = OF_COUNTS | {"identical", "shift"}
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """Exact."""
         simulator, sampling = problem.simulator, problem.simulator.sampling
         result = evaluate_policy(simulator, policy, horizon=problem.horizon)
@@ -68,7 +78,9 @@ class Simulator(TabularEstimator):
         unknown = float(share[sampling.pairs < 2.0].sum())
         has_interval = unknown <= MAX_UNKNOWN_SHARE
         warnings = _few_samples(sampling.pairs, share, has_interval=has_interval)
-        error = _sampling_error(simulator, policy, problem.horizon, result.values, share)
+        error = _sampling_error(
+            simulator, policy, problem.horizon, result.values, share
+        )
         reach = NORMAL * error
         if not reach > ROUNDING * abs(result.value):  # the samples never varied
             return replace(exact, findings=warnings)
@@ -76,8 +88,14 @@ class Simulator(TabularEstimator):
         return replace(
             exact,
             standard_error=error,
-            interval=(result.value - reach, result.value + reach) if has_interval else None,
-            diagnostics=exact.diagnostics | {"standard_error_of": source, "interval_method": source},
+            interval=(
+                (result.value - reach, result.value + reach) if has_interval else None
+            ),
+            diagnostics=exact.diagnostics
+            | {
+                "standard_error_of": source,
+                "interval_method": source,
+            },
             findings=warnings,
             measured=1.0 - unknown,
             is_normal=True,
@@ -88,21 +106,39 @@ class Simulator(TabularEstimator):
         return population.value(population.simulator)
 
 
-def _sampling_error(simulator: FiniteMDP, policy: Array, horizon: int | None, values: Array, share: Array) -> float:
+def _sampling_error(
+    simulator: FiniteMDP,
+    policy: Array,
+    horizon: int | None,
+    values: Array,
+    share: Array,
+) -> float:
     """The standard error of J by the equation above; ``share`` (S*A,) of the policy's time."""
     sampling, matrix = simulator.sampling, simulator.transitions
     assert sampling is not None
     gradient = transition_gradient(simulator, policy, horizon=horizon)
-    variance = delta_error(matrix, matrix.data, np.maximum(sampling.pairs - 1.0, 1.0), gradient) ** 2
-    variance += float(simulator.initial @ (values - simulator.initial @ values) ** 2) / sampling.starts
+    variance = (
+        delta_error(
+            matrix, matrix.data, np.maximum(sampling.pairs - 1.0, 1.0), gradient
+        )
+        ** 2
+    )
+    variance += (
+        float(simulator.initial @ (values - simulator.initial @ values) ** 2)
+        / sampling.starts
+    )
     if sampling.reward_error is not None:
         time = share * total_discount(simulator.discount, horizon)
         each, _ = align(sampling.reward_error, matrix)
-        variance += float((np.repeat(time, np.diff(matrix.indptr)) * matrix.data) ** 2 @ each)
+        variance += float(
+            (np.repeat(time, np.diff(matrix.indptr)) * matrix.data) ** 2 @ each
+        )
     return math.sqrt(variance)
 
 
-def _few_samples(n_samples: Array, share: Array, *, has_interval: bool) -> tuple[findings.Finding, ...]:
+def _few_samples(
+    n_samples: Array, share: Array, *, has_interval: bool
+) -> tuple[findings.Finding, ...]:
     """The policy goes where the simulator was hardly sampled."""
     is_few = (share > 0.0) & (n_samples < N_FEW)
     time = float(share[is_few].sum())
@@ -110,8 +146,9 @@ def _few_samples(n_samples: Array, share: Array, *, has_interval: bool) -> tuple
         return ()
     n_used = int(((share > 0.0) & np.isfinite(n_samples)).sum())
     text = (
-        f"the simulator was sampled, and {{}} of the {n_used} state-action pairs that the policy uses have fewer than "
-        f"{N_FEW} samples ({time:.1%} of its discounted time)"
+        f"the simulator was sampled, and {{}} of the {n_used} state-action pairs that"
+        f" the policy uses have fewer than {N_FEW} samples ({time:.1%} of its"
+        " discounted time)"
     )
     if not has_interval:
         text += "; do not rely on the value, which has no interval"
@@ -155,7 +192,9 @@ class Oracle(TabularEstimator):
         _checks.instance(self.target, FiniteMDP, "target")
         self._evaluate_with("conditional")  # or an error
 
-    def estimate(self, problem: Problem, policy: Array, generator: np.random.Generator) -> Estimate:
+    def estimate(
+        self, problem: Problem, policy: Array, generator: np.random.Generator
+    ) -> Estimate:
         """``generator`` is for "monte_carlo"."""
         by_zeta = self._evaluate_with(true_ratio(self.target, problem.simulator))
         return replace(by_zeta.estimate(problem, policy, generator), model_value=None)
@@ -168,7 +207,15 @@ class Oracle(TabularEstimator):
 
     def limit_of(self, population: Population) -> float:
         """J of its own target in zeta * P, which ``target`` need not be; of the product the mean of what is averaged."""
-        return self._evaluate_with(true_ratio(self.target, population.simulator)).limit_of(population)
+        return self._evaluate_with(
+            true_ratio(self.target, population.simulator)
+        ).limit_of(population)
 
     def _evaluate_with(self, ratio: RatioOption) -> OffEnvironment:
-        return OffEnvironment(ratio, self.evaluation, self.weighting, self.self_normalized, self.n_rollouts)
+        return OffEnvironment(
+            ratio,
+            self.evaluation,
+            self.weighting,
+            self.self_normalized,
+            self.n_rollouts,
+        )

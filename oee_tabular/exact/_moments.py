@@ -35,8 +35,9 @@ LANES = 32  # states of a strip
 SMALLEST_VARIANCE = 1e-280  # of b, times q: what is less has lost its digits
 PARTS = 5  # numbers of an entry: q, b_mean, e_mean, c, rho
 
-# where each strip's entries begin; where an entry leads, and whether its lanes lead side by side; its numbers; probabilities
-# and residuals of the states; the states by place, S in the places that stay empty
+# where each strip's entries begin; where an entry leads, and whether its lanes lead
+# side by side; its numbers; probabilities and residuals of the states; the states by
+# place, S in the places that stay empty
 Strips = namedtuple("Strips", "offsets columns aligned numbers fixed order")
 
 
@@ -60,7 +61,8 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
         for s in range(n_states):
             mean_l, mean_x, var_l, cov, var_x = 0.0, 0.0, 0.0, 0.0, 0.0
             own_l, own_cov, own_x, length = 0.0, 0.0, 0.0, 0.0
-            for is_spread in range(2):  # means and what is carried, then the spread around these means
+            # means and what is carried, then the spread around these means
+            for is_spread in range(2):
                 for row in range(s * n_actions, (s + 1) * n_actions):
                     share, factor = act[t_act, row], u[t_act, row]
                     if share == 0.0:
@@ -75,7 +77,9 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
                             length = f * ahead[0, j]
                             x = f * (reward * ahead[0, j] + gamma * ahead[1, j])
                         else:
-                            x = (f if by_transition else factor) * reward + f * (gamma * ahead[1, j] - offset[j])
+                            x = (f if by_transition else factor) * reward + f * (
+                                gamma * ahead[1, j] - offset[j]
+                            )
                         if is_spread:
                             own_x += chance * (x - mean_x) * (x - mean_x)
                             if is_trajectory:
@@ -89,10 +93,18 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
                             mean_l += chance * length
                             var_l += square * ahead[2, j]
                             cov += square * (reward * ahead[2, j] + gamma * ahead[3, j])
-                            var_x += square * reward * (reward * ahead[2, j] + 2.0 * gamma * ahead[3, j])
+                            var_x += (
+                                square
+                                * reward
+                                * (reward * ahead[2, j] + 2.0 * gamma * ahead[3, j])
+                            )
             here[1, s], here[4, s] = mean_x, var_x + own_x
             if is_trajectory:
-                here[0, s], here[2, s], here[3, s] = mean_l, var_l + own_l, cov + own_cov
+                here[0, s], here[2, s], here[3, s] = (
+                    mean_l,
+                    var_l + own_l,
+                    cov + own_cov,
+                )
             if keep:
                 local[t, -1, s] = own_x
                 if is_trajectory:
@@ -127,10 +139,14 @@ def forward(walk, horizon, power, with_returns):
                     chance = share * prob[k] * (f if power == 1 else f * f)
                     out[t + 1, 0, j] += chance * out[t, 0, s]
                     if with_returns:
-                        r = discount * (rewards[0, k] if by_transition else rewards[0, row])
+                        r = discount * (
+                            rewards[0, k] if by_transition else rewards[0, row]
+                        )
                         before, before_2 = out[t, 0, s], out[t, 1, s]
                         out[t + 1, 1, j] += chance * (before_2 + r * before)
-                        out[t + 1, 2, j] += chance * (out[t, 2, s] + 2.0 * r * before_2 + r * r * before)
+                        out[t + 1, 2, j] += chance * (
+                            out[t, 2, s] + 2.0 * r * before_2 + r * r * before
+                        )
         discount *= gamma
     return out
 
@@ -142,16 +158,28 @@ def merge(walk):
     n_states, act, u = len(initial), acts[0], us[0]
     n_actions, filled = len(act) // n_states, np.uint32(0)
     starts, place = np.zeros(n_states + 1, np.uint32), np.zeros(n_states, np.uint32)
-    columns, numbers, residual = np.empty(len(indices), np.uint32), np.zeros((len(indices), PARTS)), np.zeros(n_states)
+    columns, numbers, residual = (
+        np.empty(len(indices), np.uint32),
+        np.zeros((len(indices), PARTS)),
+        np.zeros(n_states),
+    )
     for s in range(n_states):
         begin = filled
-        for turn in range(3):  # means, then variances and covariances, then what they leave
+        # means, then variances and covariances, then what they leave
+        for turn in range(3):
             for row in range(s * n_actions, (s + 1) * n_actions):
                 for k in range(indptr[row], indptr[row + 1]):
                     q, b, j = act[row] * prob[k], u[row] * w[k], indices[k]
                     if q == 0.0:
                         continue
-                    e, at = b * rewards[0, k] if by_transition else u[row] * rewards[0, row], place[j]
+                    e, at = (
+                        (
+                            b * rewards[0, k]
+                            if by_transition
+                            else u[row] * rewards[0, row]
+                        ),
+                        place[j],
+                    )
                     if turn == 0:
                         if not (begin <= at and at < filled and columns[at] == j):
                             at, place[j], columns[filled] = filled, filled, j
@@ -184,7 +212,9 @@ def strip_offsets(lengths, order):
     """Where each strip's entries begin: it has as many as the longest of its states."""
     offsets = np.zeros((len(order) + LANES - 1) // LANES + 1, np.int64)
     for strip in range(len(offsets) - 1):
-        offsets[strip + 1] = offsets[strip] + lengths[order[strip * LANES : (strip + 1) * LANES]].max()
+        offsets[strip + 1] = (
+            offsets[strip] + lengths[order[strip * LANES : (strip + 1) * LANES]].max()
+        )
     return offsets
 
 
@@ -194,14 +224,18 @@ def lay_strips(starts, columns, numbers, residual):
     n_states, n_filled = len(residual), len(columns)
     lengths, states = np.diff(starts.astype(np.int64)), np.arange(n_states)
     offsets = strip_offsets(lengths, states)
-    if offsets[-1] * LANES > 1.25 * n_filled:  # too much padding: states of one length go together
+    # too much padding: states of one length go together
+    if offsets[-1] * LANES > 1.25 * n_filled:
         states = np.argsort(lengths, kind="mergesort")
         offsets = strip_offsets(lengths, states)
     size, lane_of = (len(offsets) - 1) * LANES, np.zeros(n_states, np.uint32)
     order = np.full(size, n_states, np.int64)
     order[:n_states] = states
     lane_of[states] = np.arange(n_states)
-    to, laid = np.full(offsets[-1] * LANES, size, np.uint32), np.zeros(offsets[-1] * LANES * PARTS)
+    to, laid = (
+        np.full(offsets[-1] * LANES, size, np.uint32),
+        np.zeros(offsets[-1] * LANES * PARTS),
+    )
     fixed = np.zeros(2 * size)
     for i in range(n_states):
         s, first, lane = states[i], offsets[i // LANES], i % LANES
@@ -214,7 +248,9 @@ def lay_strips(starts, columns, numbers, residual):
             if numbers[entry, 0] > 2.0 * numbers[largest, 0]:
                 largest = entry
         for entry in range(begin, end):
-            source = begin if entry == largest else (largest if entry == begin else entry)
+            source = (
+                begin if entry == largest else (largest if entry == begin else entry)
+            )
             at = first + entry - begin
             to[at * LANES + lane] = lane_of[columns[source]]
             for part in range(PARTS):
@@ -222,7 +258,9 @@ def lay_strips(starts, columns, numbers, residual):
     aligned = np.ones(offsets[-1], np.bool_)
     for entry in range(len(aligned)):
         for lane in range(1, LANES):
-            aligned[entry] &= to[entry * LANES + lane] == to[entry * LANES] + np.uint32(lane)
+            aligned[entry] &= to[entry * LANES + lane] == to[entry * LANES] + np.uint32(
+                lane
+            )
     return Strips(offsets, to, aligned, laid, fixed, order)
 
 
@@ -259,7 +297,11 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
                     room[three + i] = (numbers[at + i] * b * b + c) * v[j + i]
                 continue
             for i in range(one):
-                q, b, c = numbers[at + i], numbers[at + one + i], numbers[at + three + i]
+                q, b, c = (
+                    numbers[at + i],
+                    numbers[at + one + i],
+                    numbers[at + three + i],
+                )
                 off = y[j + i] + numbers[at + four + i]
                 d = b * y[j + i] + numbers[at + two + i] - room[i]
                 room[one + i] += q * d
@@ -288,15 +330,29 @@ def backward_merged(strips, discounts, offsets, keep):
     ``discounts`` (T,) are gamma_t, ``offsets`` (T, N) k_t, or (0, N) where they are 0.
     """
     horizon, size = len(discounts), len(strips.order)
-    room = np.zeros(4 * LANES)  # z of the first entry; sums of q d, of squares, of what v carries
-    lanes, length = np.uint64(len(room) // 4), size + 1 + LANES  # behind the states 0, which padding reads, and room
-    here, there = (np.zeros(length), np.zeros(length)), (np.zeros(length), np.zeros(length))
+    # z of the first entry; sums of q d, of squares, of what v carries
+    room = np.zeros(4 * LANES)
+    # behind the states 0, which padding reads, and room
+    lanes, length = np.uint64(len(room) // 4), size + 1 + LANES
+    here, there = (
+        (np.zeros(length), np.zeros(length)),
+        (np.zeros(length), np.zeros(length)),
+    )
     local, nothing = np.empty((horizon if keep else 0, size)), np.zeros(0)
     if len(offsets):
         here[0][:size] = -offsets[horizon - 1]
     for t in range(horizon - 1, -1, -1):
         factor = discounts[t - 1] if t > 0 else 1.0
         offset = offsets[t - 1] if t > 0 and len(offsets) else nothing
-        step_back(strips, factor, offset, here, there, local[t] if keep else nothing, room, lanes)
+        step_back(
+            strips,
+            factor,
+            offset,
+            here,
+            there,
+            local[t] if keep else nothing,
+            room,
+            lanes,
+        )
         here, there = there, here
     return here[0][:size], here[1][:size], local

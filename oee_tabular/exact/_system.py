@@ -30,7 +30,10 @@ def average_rows(rows, policy, states, number, columns, values):
     is_part = len(number) > 0
     if is_part:
         n_rows, n_columns = len(states), min(len(number), len(states) + len(columns))
-    starts, place = np.zeros(n_rows + 1, dtype=np.uint32), np.zeros(n_columns, dtype=np.uint32)
+    starts, place = (
+        np.zeros(n_rows + 1, dtype=np.uint32),
+        np.zeros(n_columns, dtype=np.uint32),
+    )
     filled = np.uint64(0)
     for i in range(n_rows):
         begin, state = filled, np.int64(states[i]) if is_part else i
@@ -41,8 +44,12 @@ def average_rows(rows, policy, states, number, columns, values):
             row = np.uint64(state * n_actions + action)
             for k in range(indptr[row], indptr[row + np.uint64(1)]):
                 if weight * data[k] != 0.0:
-                    column = number[indices[k]] - np.uint32(1) if is_part else indices[k]
-                    filled = add_entry(columns, values, place, begin, filled, column, weight * data[k])
+                    column = (
+                        number[indices[k]] - np.uint32(1) if is_part else indices[k]
+                    )
+                    filled = add_entry(
+                        columns, values, place, begin, filled, column, weight * data[k]
+                    )
         starts[i + 1] = filled
     return starts, columns[:filled], values[:filled]
 
@@ -83,7 +90,9 @@ def range_of_sums(kernel, n_roundings):
         smallest = min(smallest, total)
         largest = max(largest, total)
         entries = max(entries, indptr[i + 1] - indptr[i])
-    rounded = largest * (1.0 + (np.float64(entries) + n_roundings) * np.finfo(np.float64).eps)
+    rounded = largest * (
+        1.0 + (np.float64(entries) + n_roundings) * np.finfo(np.float64).eps
+    )
     return smallest, rounded, 0.5 * (smallest + largest)
 
 
@@ -128,12 +137,22 @@ def residual(kernel, transpose, b, x, n_roundings):
                 total += term
                 magnitude += abs(term)
         if not transpose:
-            missed[i], size[i], count[i] = total, magnitude, np.float64(indptr[i + 1] - indptr[i])
+            missed[i], size[i], count[i] = (
+                total,
+                magnitude,
+                np.float64(indptr[i + 1] - indptr[i]),
+            )
     largest, bound, rounding = 0.0, 0.0, 0.0
     for i in range(n):
         missed[i] = b[i] + (discount * missed[i] - x[i])
         scale = discount * size[i] + abs(x[i]) + abs(b[i])
-        here = 0.5 * np.finfo(np.float64).eps * (1.0 + 1e-9) * (count[i] + 4.0 + n_roundings) * scale
+        here = (
+            0.5
+            * np.finfo(np.float64).eps
+            * (1.0 + 1e-9)
+            * (count[i] + 4.0 + n_roundings)
+            * scale
+        )
         value = abs(missed[i])
         if not value <= largest:  # nan as well
             largest = value
@@ -153,7 +172,11 @@ def transpose_rows(indptr, indices, data, n_columns):
         starts[indices[k] + np.uint32(1)] += np.uint32(1)
     for i in range(n_columns):
         starts[i + 1] += starts[i]
-    columns, values, free = np.empty(len(indices), dtype=np.uint32), np.empty(len(indices)), starts[:-1].copy()
+    columns, values, free = (
+        np.empty(len(indices), dtype=np.uint32),
+        np.empty(len(indices)),
+        starts[:-1].copy(),
+    )
     for i in range(len(indptr) - 1):
         for k in range(indptr[i], indptr[i + 1]):
             at = free[indices[k]]
@@ -257,7 +280,11 @@ def find_envelope(kernel, place):
     Reference: [1] George and Liu, Computer Solution of Large Sparse Positive Definite Systems, 1981, chapter 4.
     """
     n = len(place)
-    order, first, starts = np.empty(n, dtype=np.int64), np.arange(n), np.zeros(n + 1, dtype=np.int64)
+    order, first, starts = (
+        np.empty(n, dtype=np.int64),
+        np.arange(n),
+        np.zeros(n + 1, dtype=np.int64),
+    )
     for state in range(n):
         i = n - 1 - np.int64(place[state])
         order[i] = state

@@ -29,7 +29,11 @@ from oee_tabular.mdp.horizons import horizon_length
 
 
 def efficiency_bound(
-    target: FiniteMDP, policy: PolicyLike, data_distribution: ArrayLike, *, horizon: int | None = None
+    target: FiniteMDP,
+    policy: PolicyLike,
+    data_distribution: ArrayLike,
+    *,
+    horizon: int | None = None,
 ) -> float:
     """Compute lim n * variance of the best estimator of J from n target transitions.
 
@@ -56,11 +60,15 @@ def efficiency_bound(
     """
     share = _check_share(target, data_distribution, horizon)
     gradient = transition_gradient(target, policy, horizon=horizon)
-    return _divide_and_sum(row_variances(target.transitions, target.transitions.data, gradient), share)
+    return _divide_and_sum(
+        row_variances(target.transitions, target.transitions.data, gradient), share
+    )
 
 
 @one_thread
-def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: ArrayLike) -> float:
+def leading_bias(
+    target: FiniteMDP, policy: PolicyLike, data_distribution: ArrayLike
+) -> float:
     """Compute lim n * (E[J of the maximum-likelihood model] - J) from n target transitions, infinite horizon.
 
     gamma / (1 - gamma) sum_x d(x) / data_distribution(x) Cov_{s' ~ P'(.|x)}(U_x(s'), r(s, a, s') + gamma V(s')), U_x(s') the
@@ -89,7 +97,9 @@ def leading_bias(target: FiniteMDP, policy: PolicyLike, data_distribution: Array
     values = state_values(target, pi)
     rows = row_of_entry(matrix)
     state = rows // target.n_actions
-    ahead = gamma * values[matrix.indices] + (0.0 if target.reward_data is None else target.reward_data)
+    ahead = gamma * values[matrix.indices] + (
+        0.0 if target.reward_data is None else target.reward_data
+    )
     back = visits[matrix.indices, state] * pi.reshape(-1)[rows]
     mean = row_sums(matrix, matrix.data * ahead)
     covariance = row_sums(matrix, matrix.data * back * (ahead - mean[rows]))
@@ -144,15 +154,22 @@ def ratio_of_ratios_variance(
     _checks.one_of(rows, "rows", ("as_they_are", "normalised"))
     _checks.instance(simulator, FiniteMDP, "simulator")
     share = _check_share(target, data_distribution, horizon)
-    other = _check_share(target, simulator_distribution, horizon, "simulator_distribution")
+    other = _check_share(
+        target, simulator_distribution, horizon, "simulator_distribution"
+    )
     gradient = transition_gradient(target, policy, horizon=horizon)
     probability, stored = align(simulator.transitions, target.transitions)
     lost = ~stored & (target.transitions.data > 0)
     if lost.any():
-        raise ValueError(f"target must stay in the simulator's support; {int(lost.sum())} of its transitions do not")
+        raise ValueError(
+            f"target must stay in the simulator's support; {int(lost.sum())} of its"
+            " transitions do not"
+        )
     matrix = target.transitions
     entry = row_of_entry(matrix)
-    zeta = np.divide(matrix.data, probability, out=np.zeros_like(probability), where=probability > 0)
+    zeta = np.divide(
+        matrix.data, probability, out=np.zeros_like(probability), where=probability > 0
+    )
     mean = row_sums(matrix, matrix.data * gradient)
     total = _divide_and_sum(row_variances(matrix, matrix.data, gradient), share)
     if rows == "normalised":
@@ -226,16 +243,28 @@ def trajectory_efficiency_bound(
     require_action_support(mdp, behavior, pi, length)
     matrix = mdp.transitions
     if model == "stationary":
-        visits = walk_of(mdp, behavior).weights_by_state(length, power=1)[:-1, 0].sum(axis=0)[:, None] * behavior
+        visits = (
+            walk_of(mdp, behavior)
+            .weights_by_state(length, power=1)[:-1, 0]
+            .sum(axis=0)[:, None]
+            * behavior
+        )
         gradient = transition_gradient(mdp, pi, horizon=length)
-        return _divide_and_sum(row_variances(matrix, matrix.data, gradient), visits.reshape(-1))
+        return _divide_and_sum(
+            row_variances(matrix, matrix.data, gradient), visits.reshape(-1)
+        )
     if model == "tree":  # E[rho_0..t^2 1{x_t = x}]
         weighted = walk_of(mdp, behavior, policy=pi)
         squares = weighted.weights_by_state(length, power=2)[:-1, 0]
-        weights = np.repeat(squares, mdp.n_actions, axis=1) * (weighted.act * weighted.u**2)
+        weights = np.repeat(squares, mdp.n_actions, axis=1) * (
+            weighted.act * weighted.u**2
+        )
     else:
         beta, alpha = (
-            np.repeat(walk.weights_by_state(length, power=1)[:-1, 0], mdp.n_actions, axis=1) * walk.act
+            np.repeat(
+                walk.weights_by_state(length, power=1)[:-1, 0], mdp.n_actions, axis=1
+            )
+            * walk.act
             for walk in (walk_of(mdp, behavior), walk_of(mdp, pi))
         )
         weights = np.divide(alpha**2, beta, out=np.zeros_like(beta), where=beta > 0)
@@ -244,11 +273,15 @@ def trajectory_efficiency_bound(
     rewards = 0.0 if mdp.reward_data is None else mdp.reward_data
     for t, weight in enumerate(weights):
         ahead = rewards + mdp.discount * values[t + 1][matrix.indices]
-        total += mdp.discount ** (2 * t) * dot(weight, row_variances(matrix, matrix.data, ahead))
+        total += mdp.discount ** (2 * t) * dot(
+            weight, row_variances(matrix, matrix.data, ahead)
+        )
     return total
 
 
-def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horizon: int | None) -> None:
+def require_action_support(
+    mdp: FiniteMDP, behavior: Array, policy: Array, horizon: int | None
+) -> None:
     """A ValueError that names the first (s, a) which the policy reaches and takes and the behaviour policy never does."""
     missing = (policy > 0) & (behavior == 0) & ~mdp.absorbing()[:, None]
     if missing.any():
@@ -256,24 +289,33 @@ def require_action_support(mdp: FiniteMDP, behavior: Array, policy: Array, horiz
     if missing.any():
         s, a = (int(i) for i in np.argwhere(missing)[0])
         raise ValueError(
-            f"behavior_policy must take every action that the policy takes; in state {mdp.names.state(s)} it never "
-            f"takes action {mdp.names.action(a)} ({int(missing.sum())} such state-action pairs in all)"
+            "behavior_policy must take every action that the policy takes; in state"
+            f" {mdp.names.state(s)} it never takes action {mdp.names.action(a)}"
+            f" ({int(missing.sum())} such state-action pairs in all)"
         )
 
 
 def _check_share(
-    target: FiniteMDP, distribution: ArrayLike, horizon: int | None, name: str = "data_distribution"
+    target: FiniteMDP,
+    distribution: ArrayLike,
+    horizon: int | None,
+    name: str = "data_distribution",
 ) -> Array:
     """The distribution of rows as (S*A,); what every function of data from the target needs is checked."""
     _checks.instance(target, FiniteMDP, "target")
     if horizon is None and target.discount == 1.0:
         raise ValueError("horizon must be given at discount 1")
-    return _checks.distribution(distribution, name, (target.n_states, target.n_actions)).reshape(-1)
+    return _checks.distribution(
+        distribution, name, (target.n_states, target.n_actions)
+    ).reshape(-1)
 
 
 def _divide_and_sum(values: Array, share: Array) -> float:
     """sum values / share; inf where share is 0 and the value is not."""
-    missing = (share == 0) & (np.abs(values) > 1e-24 * np.abs(values).max(initial=0.0))  # rounding is no variance
+    # rounding is no variance
+    missing = (share == 0) & (np.abs(values) > 1e-24 * np.abs(values).max(initial=0.0))
     if missing.any():
         return float("inf")
-    return float(np.sum(np.divide(values, share, out=np.zeros_like(values), where=share > 0)))
+    return float(
+        np.sum(np.divide(values, share, out=np.zeros_like(values), where=share > 0))
+    )

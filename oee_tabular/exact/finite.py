@@ -20,11 +20,19 @@ from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.exact._system import average_rewards, transpose_rows
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.system import Kernel, as_readonly, average_rows_of, policy_system, rows_of
+from oee_tabular.exact.system import (
+    Kernel,
+    as_readonly,
+    average_rows_of,
+    policy_system,
+    rows_of,
+)
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import limit_horizon
 
-CHUNK = 128  # terms of a long sum that are added before the sum of these sums: rounding grows with n / 128
+# terms of a long sum that are added before the sum of these sums: rounding grows with n
+# / 128
+CHUNK = 128
 
 
 class Cone(NamedTuple):
@@ -42,16 +50,28 @@ class Cone(NamedTuple):
 
 def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
     """The states that ``horizon`` rewards of a stationary policy can depend on, with their rows and rewards."""
-    # numpy's zeros cost nothing until they are touched, the kernel's own would be written
-    rows, place, ends = rows_of(model.csr), np.zeros(model.n_states, np.uint32), np.zeros(horizon, np.int64)
-    states, n_entries = reach_forward(rows, as_readonly(policy), as_readonly(model.initial), place, ends)
-    leaving = states[: ends[-2] if horizon > 1 else 0]  # of the others no transition counts any more
-    kernel = Kernel(*average_rows_of(leaving, rows, policy, place, n_entries), model.discount)
+    # numpy's zeros cost nothing until they are touched, the kernel's own would be
+    # written
+    rows, place, ends = (
+        rows_of(model.csr),
+        np.zeros(model.n_states, np.uint32),
+        np.zeros(horizon, np.int64),
+    )
+    states, n_entries = reach_forward(
+        rows, as_readonly(policy), as_readonly(model.initial), place, ends
+    )
+    # of the others no transition counts any more
+    leaving = states[: ends[-2] if horizon > 1 else 0]
+    kernel = Kernel(
+        *average_rows_of(leaving, rows, policy, place, n_entries), model.discount
+    )
     rewards, _ = average_rewards(policy[states], model.rewards[states])
     return Cone(states, ends, kernel, rewards, model.initial[states[: ends[0]]])
 
 
-def values_by_horizon(model: Model, policy: Array, horizon: int, *, is_each: bool = True) -> Array:
+def values_by_horizon(
+    model: Model, policy: Array, horizon: int, *, is_each: bool = True
+) -> Array:
     """(T + 1,): J of 0 .. T rewards, of a policy that has been checked; the last alone unless ``is_each``."""
     if policy.ndim == 3:
         return _sum_forward(model, policy, np.zeros((0, 0)))
@@ -79,7 +99,9 @@ def _sum_forward(model: Model, policy: Array, pairs: Array) -> Array:
     return np.asarray(step_forward(rows_of(model.csr), *read, model.discount, pairs))
 
 
-def values_to_go(model: Model, policy: Array, horizon: int, *, is_each: bool = True) -> Array:
+def values_to_go(
+    model: Model, policy: Array, horizon: int, *, is_each: bool = True
+) -> Array:
     """(T + 1, S): V_t of a stationary policy that has been checked, T - t rewards to go; or V_0 alone, (1, S)."""
     out = np.zeros((horizon + 1 if is_each else 2, model.n_states))
     rewards, _ = average_rewards(np.ascontiguousarray(policy), model.rewards)
@@ -87,13 +109,28 @@ def values_to_go(model: Model, policy: Array, horizon: int, *, is_each: bool = T
     return out if is_each else out[:1]
 
 
-def gradient_to_horizon(model: Model, valued: Model, policy: Array, horizon: int) -> Array:
+def gradient_to_horizon(
+    model: Model, valued: Model, policy: Array, horizon: int
+) -> Array:
     """sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], alpha of ``model``, on the entries of ``valued``."""
     back = Kernel(*policy_system(model, policy).back, 1.0)
-    rewards = as_readonly(np.zeros(0) if valued.reward_data is None else valued.reward_data)
+    rewards = as_readonly(
+        np.zeros(0) if valued.reward_data is None else valued.reward_data
+    )
     to_go, out = values_to_go(valued, policy, horizon), np.zeros(valued.transitions.nnz)
-    add_flows(to_go, valued.discount, back, model.initial, rows_of(valued.csr), policy, rewards, out)
-    return np.asarray(out * np.repeat(policy.reshape(-1), np.diff(valued.transitions.indptr)))
+    add_flows(
+        to_go,
+        valued.discount,
+        back,
+        model.initial,
+        rows_of(valued.csr),
+        policy,
+        rewards,
+        out,
+    )
+    return np.asarray(
+        out * np.repeat(policy.reshape(-1), np.diff(valued.transitions.indptr))
+    )
 
 
 def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) -> Array:
@@ -172,7 +209,14 @@ def sweep(kernel, rewards, horizon, out):
     """V_t = r + gamma K V_{t+1}, V_T = 0, in row t % len(out) of ``out``, which begins with zeros."""
     k = len(out)
     for t in range(horizon - 1, -1, -1):
-        backup(kernel, rewards, out[(t + 1) % k], out[t % k], np.uint64(0), np.uint64(len(rewards)))
+        backup(
+            kernel,
+            rewards,
+            out[(t + 1) % k],
+            out[t % k],
+            np.uint64(0),
+            np.uint64(len(rewards)),
+        )
 
 
 @njit(cache=True)
@@ -184,7 +228,8 @@ def reach_forward(rows, policy, initial, place, ends):
     """
     indptr, indices, data = rows
     n_actions = policy.shape[1]
-    states, count, n_done, n_entries = np.empty(len(place), np.uint32), 0, 0, 0  # only what is filled becomes memory
+    # only what is filled becomes memory
+    states, count, n_done, n_entries = np.empty(len(place), np.uint32), 0, 0, 0
     n_initial = np.count_nonzero(initial)
     for s in range(len(initial)):
         if count == n_initial:
@@ -221,7 +266,14 @@ def sweep_cone(cone, is_each):
     value, other = cone.rewards.copy(), np.zeros(len(cone.rewards))
     for k in range(1, horizon + 1):
         if k > 1:
-            backup(cone.kernel, cone.rewards, value, other, np.uint64(0), np.uint64(ends[horizon - k]))
+            backup(
+                cone.kernel,
+                cone.rewards,
+                value,
+                other,
+                np.uint64(0),
+                np.uint64(ends[horizon - k]),
+            )
             value, other = other, value
         if is_each or k == horizon:
             out[k] = dot(cone.initial, value, ends[0])
@@ -304,7 +356,10 @@ def add_flows(to_go, gamma, back, initial, rows, policy, rewards, out):
                     continue
                 row = s * n_actions + a
                 for k in range(indptr[row], indptr[row + 1]):
-                    out[k] += mass * ((rewards[k] if len(rewards) else 0.0) + gamma * to_go[t + 1, columns[k]])
+                    out[k] += mass * (
+                        (rewards[k] if len(rewards) else 0.0)
+                        + gamma * to_go[t + 1, columns[k]]
+                    )
         backup(back, nothing, here, there, np.uint64(0), np.uint64(n_states))
         here, there = there, here
         weight *= gamma

@@ -22,7 +22,13 @@ from oee_tabular import _checks
 from oee_tabular._checks import PolicyLike
 from oee_tabular._sparse import row_sums
 from oee_tabular.exact.finite import values_to_go
-from oee_tabular.exact.recursions import Moments, compute_moments, limit_walk, per_decision_moments, scale_moments
+from oee_tabular.exact.recursions import (
+    Moments,
+    compute_moments,
+    limit_walk,
+    per_decision_moments,
+    scale_moments,
+)
 from oee_tabular.exact.system import as_readonly, exponent
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.mdp import FiniteMDP, check_policy
@@ -32,17 +38,31 @@ Kind = Literal["per_decision", "trajectory"]
 
 
 def _check_arguments(
-    model: FiniteMDP, name: str, horizon: int | None, *, kind: object = "per_decision", **flags: bool
+    model: FiniteMDP,
+    name: str,
+    horizon: int | None,
+    *,
+    kind: object = "per_decision",
+    **flags: bool,
 ) -> tuple[int | None, dict[str, bool]]:
     """The horizon, and the options of ``compute_moments``."""
     _checks.instance(model, FiniteMDP, name)
     _checks.one_of(kind, "kind", KINDS)
     for flag, value in flags.items():
         _checks.boolean(value, flag)
-    return _checks.optional_horizon(horizon), {"is_trajectory": kind == "trajectory", **flags}
+    return _checks.optional_horizon(horizon), {
+        "is_trajectory": kind == "trajectory",
+        **flags,
+    }
 
 
-def return_moments(mdp: FiniteMDP, policy: PolicyLike, *, horizon: int | None = None, sources: bool = False) -> Moments:
+def return_moments(
+    mdp: FiniteMDP,
+    policy: PolicyLike,
+    *,
+    horizon: int | None = None,
+    sources: bool = False,
+) -> Moments:
     """Compute mean and variance of the return G = sum_t gamma^t r_t of one episode.
 
     Var G = Var V_0(s_0) + sum_t gamma^2t E Var[r_t + gamma V_{t+1}(s_{t+1}) | s_t].
@@ -61,8 +81,12 @@ def return_moments(mdp: FiniteMDP, policy: PolicyLike, *, horizon: int | None = 
     >>> return_moments(coin, np.ones((2, 1)), horizon=2)  # a fair coin, and half another: 1/4 + 1/16
     Moments(mean=0.75, variance=0.3125, bias=0.0)
     """
-    length, options = _check_arguments(mdp, "mdp", horizon, self_normalized=False, sources=sources)
-    return compute_moments(walk_of(mdp, check_policy(policy, mdp, horizon=length)), length, **options)
+    length, options = _check_arguments(
+        mdp, "mdp", horizon, self_normalized=False, sources=sources
+    )
+    return compute_moments(
+        walk_of(mdp, check_policy(policy, mdp, horizon=length)), length, **options
+    )
 
 
 def weighted_return_moments(
@@ -108,8 +132,12 @@ def weighted_return_moments(
     (1.1, 0.4251)
     """
     flags = {"self_normalized": self_normalized, "sources": sources}
-    length, options = _check_arguments(simulator, "simulator", horizon, kind=kind, **flags)
-    walk = walk_of(simulator, check_policy(policy, simulator, horizon=length), ratio=zeta)
+    length, options = _check_arguments(
+        simulator, "simulator", horizon, kind=kind, **flags
+    )
+    walk = walk_of(
+        simulator, check_policy(policy, simulator, horizon=length), ratio=zeta
+    )
     return compute_moments(walk, length, **options)
 
 
@@ -146,7 +174,9 @@ def policy_is_moments(
     """
     flags = {"self_normalized": self_normalized, "sources": sources}
     length, options = _check_arguments(mdp, "mdp", horizon, kind=kind, **flags)
-    behavior = check_policy(behavior_policy, mdp, name="behavior_policy", horizon=length)
+    behavior = check_policy(
+        behavior_policy, mdp, name="behavior_policy", horizon=length
+    )
     pi = check_policy(policy, mdp, horizon=length)
     if behavior.ndim != pi.ndim:
         shape = (behavior if behavior.ndim == 3 else pi).shape
@@ -192,7 +222,9 @@ def doubly_robust_moments(
     >>> round(robust.mean, 6), round(product.mean, 6), round(robust.variance, 4), round(product.variance, 4)
     (0.95, 0.95, 0.25, 0.3823)
     """
-    _check_arguments(simulator, "simulator", None, action_baseline=action_baseline, sources=sources)
+    _check_arguments(
+        simulator, "simulator", None, action_baseline=action_baseline, sources=sources
+    )
     length = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator)
     walk = walk_of(simulator, pi, ratio=zeta)
@@ -203,23 +235,33 @@ def doubly_robust_moments(
         u = _checks.float_array(baseline, "baseline")
     if u.shape != (length + 1, simulator.n_states):
         raise ValueError(
-            f"baseline must have shape {(length + 1, simulator.n_states)}, values to go at t; it has {u.shape}"
+            f"baseline must have shape {(length + 1, simulator.n_states)}, values to go"
+            f" at t; it has {u.shape}"
         )
     _checks.require_finite(u, "baseline")
     shift = exponent(np.concatenate([walk.rewards.ravel(), u.ravel()]))
-    ahead, rewards = walk.discount * np.ldexp(u[1:], -shift), np.ldexp(walk.rewards[0], -shift)
+    ahead, rewards = (
+        walk.discount * np.ldexp(u[1:], -shift),
+        np.ldexp(walk.rewards[0], -shift),
+    )
     ahead[-1] = 0.0
     weighted = walk.row_matrix(walk.prob * walk.w)
     if walk.by_transition:
         rewards = row_sums(weighted, weighted.data * rewards)
-    known = np.array([weighted @ x for x in ahead]) + rewards  # (T, S*A): of each step, what the baseline knows
+    # (T, S*A): of each step, what the baseline knows
+    known = np.array([weighted @ x for x in ahead]) + rewards
     discounts = np.full(length, walk.discount)
     if not action_baseline:  # D = known + w (gamma D' - gamma U')
         walk = walk._replace(by_transition=False, rewards=as_readonly(known))
-        return scale_moments(per_decision_moments(walk, discounts, offsets=ahead, sources=sources), shift)
-    # D = its mean over actions + w (gamma D' - gamma U'): without that mean, it is of D' and U' that theirs is left out
+        return scale_moments(
+            per_decision_moments(walk, discounts, offsets=ahead, sources=sources), shift
+        )
+    # D = its mean over actions + w (gamma D' - gamma U'): without that mean, it is of
+    # D' and U' that theirs is left out
     mean = walk.sum_actions(walk.act * known)
     ahead[:-1] -= walk.discount * mean[1:]
     walk = walk._replace(rewards=as_readonly(np.zeros_like(walk.rewards)))
-    moments = per_decision_moments(walk, discounts, offsets=ahead, start=mean[0], sources=sources)
+    moments = per_decision_moments(
+        walk, discounts, offsets=ahead, start=mean[0], sources=sources
+    )
     return scale_moments(moments, shift)

@@ -23,11 +23,19 @@ from oee_tabular.mdp.horizons import optional_horizon_length
 
 @overload
 def occupancy(
-    mdp: Model, policy: PolicyLike, *, horizon: int | None = ..., of: Literal["state", "state_action"] = ...
+    mdp: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int | None = ...,
+    of: Literal["state", "state_action"] = ...,
 ) -> Array: ...
 @overload
 def occupancy(
-    mdp: Model, policy: PolicyLike, *, horizon: int | None = ..., of: Literal["transition"]
+    mdp: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int | None = ...,
+    of: Literal["transition"],
 ) -> sparse.csr_array: ...
 
 
@@ -68,11 +76,17 @@ def occupancy(
     if steps is None:
         pi = check_policy(policy, mdp)
         if mdp.discount == 1.0:
-            raise ValueError("horizon must be given: at discount 1 an infinite occupancy cannot be normalised")
+            raise ValueError(
+                "horizon must be given: at discount 1 an infinite occupancy cannot be"
+                " normalised"
+            )
         pairs = (1.0 - mdp.discount) * infinite_visits(mdp, pi)[:, None] * pi
     else:
         pi = check_policy(policy, mdp, horizon=steps)
-        pairs = visits(mdp, pi, steps) / (mdp.discount ** np.arange(steps, dtype=np.float64)).sum()
+        pairs = (
+            visits(mdp, pi, steps)
+            / (mdp.discount ** np.arange(steps, dtype=np.float64)).sum()
+        )
     if of == "state":
         return np.asarray(pairs.sum(axis=1))
     if of == "state_action":
@@ -86,7 +100,10 @@ def infinite_visits(model: Model, policy: Array) -> Array:
 
     DivergentKernelError at discount 1 where the policy is not absorbed in states with reward 0. Cost: one sparse solve.
     """
-    system, over = policy_system(model, policy), np.zeros(model.n_states, dtype=np.bool_)
+    system, over = (
+        policy_system(model, policy),
+        np.zeros(model.n_states, dtype=np.bool_),
+    )
     if model.discount == 1.0:
         over = recurrent_states(system, policy_rewards(model, policy), model.names)
         system = drop_states(system, over)
@@ -98,7 +115,8 @@ def time_in_pairs(model: Model, policy: Array, horizon: int | None) -> Array:
     """``occupancy`` of state-action pairs; at discount 1 without a horizon shares of the time until the policy is absorbed."""
     if horizon is None and model.discount == 1.0:
         visits = infinite_visits(model, policy)[:, None] * policy
-        return np.asarray(visits / (float(visits.sum()) or 1.0))  # 0 where all is over at once
+        # 0 where all is over at once
+        return np.asarray(visits / (float(visits.sum()) or 1.0))
     return occupancy(model, policy, horizon=horizon)
 
 
@@ -142,7 +160,8 @@ def transition_gradient(
         require_model(values_of, "values_of")
         if values_of.rewards.shape != model.rewards.shape:
             raise ValueError(
-                f"values_of must have the model's states and actions, {model.rewards.shape}; it has {values_of.rewards.shape}"
+                "values_of must have the model's states and actions,"
+                f" {model.rewards.shape}; it has {values_of.rewards.shape}"
             )
     steps = optional_horizon_length(horizon, model, kept=model.n_states)
     pi = check_policy(policy, model)

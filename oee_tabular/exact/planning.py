@@ -23,7 +23,8 @@ from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.mdp.horizons import limit_horizon
 
 N_TURNS = 100  # of modified policy iteration, at most
-N_TURNS_NARROW = 3  # where a graph is narrow: exact evaluation is then as quick as some sweeps
+# where a graph is narrow: exact evaluation is then as quick as some sweeps
+N_TURNS_NARROW = 3
 
 
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
@@ -57,14 +58,21 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     steps = _checks.optional_horizon(horizon)
     model = rows_of(mdp.csr), mdp.rewards, mdp.discount
     if steps is not None:
-        length = limit_horizon(steps, 1.0, work=mdp.transitions.nnz, kept=mdp.rewards.size)
+        length = limit_horizon(
+            steps, 1.0, work=mdp.transitions.nnz, kept=mdp.rewards.size
+        )
         return np.asarray(np.eye(mdp.n_actions)[induce_backward(model, length)])
-    if mdp.discount == 1.0:  # a greedy start may never be absorbed; the uniform policy is, if any is
+    # a greedy start may never be absorbed; the uniform policy is, if any is
+    if mdp.discount == 1.0:
         actions, values = action_values(mdp, uniform_policy(mdp)).argmax(axis=1), None
     else:
         n_turns = N_TURNS_NARROW if is_narrow(mdp) else N_TURNS
         actions, values = iterate_modified(model, 1e-9, n_turns)
-    rounding = 1e-11 if mdp.discount == 1.0 else min(max(1e-6 * (1.0 - mdp.discount), 1e-14), 1e-11)
+    rounding = (
+        1e-11
+        if mdp.discount == 1.0
+        else min(max(1e-6 * (1.0 - mdp.discount), 1e-14), 1e-11)
+    )
     met: set[bytes] = set()
     choices: Array = np.eye(mdp.n_actions)
     while True:
@@ -74,7 +82,8 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         first, actions = find_better_actions(model, values, actions, rounding)
         if actions.tobytes() not in met:
             continue
-        # among equals the first; at discount 1 an equal action may never be absorbed, so the one evaluated stays
+        # among equals the first; at discount 1 an equal action may never be absorbed,
+        # so the one evaluated stays
         return policy if mdp.discount == 1.0 else np.asarray(choices[first])
 
 
@@ -82,8 +91,11 @@ def is_narrow(mdp: FiniteMDP) -> bool:
     """Whether LU in a band is quick for the values of most policies."""
     if mdp.n_states <= 100:
         return False
-    rows = rows_of(mdp.csr)  # those of a state side by side lead wherever its actions do
-    if _system.expands(Kernel(as_readonly(rows.indptr[:: mdp.n_actions]), rows.indices, rows.data, 1.0)):
+    # those of a state side by side lead wherever its actions do
+    rows = rows_of(mdp.csr)
+    if _system.expands(
+        Kernel(as_readonly(rows.indptr[:: mdp.n_actions]), rows.indices, rows.data, 1.0)
+    ):
         return False
     return EnvelopeLU(is_narrow=True).suits(policy_system(mdp, uniform_policy(mdp)))
 
@@ -132,7 +144,11 @@ def sweep_actions(model, actions, values, new):
 def induce_backward(model, horizon):
     """(T, S): the best actions with T - t rewards to go."""
     n = len(model[1])
-    value, ahead, actions = np.zeros(n), np.zeros(n), np.zeros((horizon, n), dtype=np.int64)
+    value, ahead, actions = (
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros((horizon, n), dtype=np.int64),
+    )
     for t in range(horizon - 1, -1, -1):
         improve(model, ahead, value, actions[t])
         value, ahead = ahead, value
@@ -162,7 +178,9 @@ def iterate_modified(model, relative, n_turns):
         low, high = sweep_actions(model, actions, values, new)
         values, new = new, values
         shift = factor * 0.5 * (low + high)
-        if not high - low > 2e-16 * max(largest, abs(shift)) or (turn % 4 == 0 and high - low > allowed):
+        if not high - low > 2e-16 * max(largest, abs(shift)) or (
+            turn % 4 == 0 and high - low > allowed
+        ):
             break
         if turn % 4 == 0:
             allowed = 0.5 * (high - low)

@@ -51,35 +51,55 @@ class Moments:
     bias: float = 0.0
     by_step: Array | None = field(default=None, repr=False)
     by_state: Array | None = field(default=None, repr=False)
-    _deviation: float | None = field(default=None, repr=False)  # where the variance leaves the range of floats
+    # where the variance leaves the range of floats
+    _deviation: float | None = field(default=None, repr=False)
 
     @property
     def standard_deviation(self) -> float:
         """sqrt(variance), also where the variance is too large or too small for a float."""
-        return float(np.sqrt(self.variance)) if self._deviation is None else self._deviation
+        return (
+            float(np.sqrt(self.variance))
+            if self._deviation is None
+            else self._deviation
+        )
 
     def _repr_html_(self) -> str:
         rows: list[tuple[str, object]] = [
-            ("mean", f"{self.mean:.6g}"), ("variance (squared units)", f"{self.variance:.6g}"),
-            ("standard deviation", f"{self.standard_deviation:.6g}"), ("bias", f"{self.bias:.4g}"),
-        ]  # fmt: skip
+            ("mean", f"{self.mean:.6g}"),
+            ("variance (squared units)", f"{self.variance:.6g}"),
+            ("standard deviation", f"{self.standard_deviation:.6g}"),
+            ("bias", f"{self.bias:.4g}"),
+        ]
         return _printing.facts(f"Moments of one episode: {_printing.SUM}", rows)
 
 
 def compute_moments(
-    walk: Walk, horizon: int | None, *, is_trajectory: bool, self_normalized: bool, sources: bool
+    walk: Walk,
+    horizon: int | None,
+    *,
+    is_trajectory: bool,
+    self_normalized: bool,
+    sources: bool,
 ) -> Moments:
     """Of the product of ratios on one walk, with one weight for the whole return or one for each reward."""
     shift = exponent(walk.rewards)
     if shift != 0:  # rewards that are never reached may be of any size
-        taken = (walk.act.max(axis=0) > 0.0) & np.repeat(walk.reachable_states(), walk.act.shape[1] // walk.n_states)
-        shift = exponent(walk.rewards[0, taken[walk.rows] if walk.by_transition else taken])
+        taken = (walk.act.max(axis=0) > 0.0) & np.repeat(
+            walk.reachable_states(), walk.act.shape[1] // walk.n_states
+        )
+        shift = exponent(
+            walk.rewards[0, taken[walk.rows] if walk.by_transition else taken]
+        )
         walk = walk._replace(rewards=as_readonly(np.ldexp(walk.rewards, -shift)))
-    with np.errstate(over="ignore", invalid="ignore"):  # of weights: scale_moments warns
+    # of weights: scale_moments warns
+    with np.errstate(over="ignore", invalid="ignore"):
         if horizon is None:
             if is_trajectory or self_normalized:
                 what = "trajectory" if is_trajectory else "self-normalised"
-                raise ValueError(f"horizon must be given: the infinite sum has no variance for {what} weights")
+                raise ValueError(
+                    "horizon must be given: the infinite sum has no variance for"
+                    f" {what} weights"
+                )
             return scale_moments(infinite_moments(walk, sources), shift)
         horizon = limit_walk(walk, horizon, is_trajectory or self_normalized, sources)
         discounts = np.full(horizon, walk.discount)
@@ -101,7 +121,9 @@ def limit_walk(walk: Walk, horizon: int, is_lasting: bool, sources: bool) -> int
         first, second = (radius_of(walk.weighted_kernel(power)) for power in (1, 2))
         rate = 1.0 if is_lasting else max(rate, rate * first, rate**2 * second)
     kept = 10.0 * walk.n_states if sources or is_lasting else 4.0
-    return limit_horizon(horizon, rate, ahead=walk.n_states, work=4.0 * len(walk.prob), kept=kept)
+    return limit_horizon(
+        horizon, rate, ahead=walk.n_states, work=4.0 * len(walk.prob), kept=kept
+    )
 
 
 def per_decision_moments(
@@ -118,13 +140,17 @@ def per_decision_moments(
         out, local = _merged_backward(walk, discounts, offsets, sources)
     else:
         shape = (1, walk.n_states) if offsets is None else (len(offsets), walk.n_states)
-        shifts = as_readonly(np.broadcast_to(0.0 if offsets is None else offsets, shape))
+        shifts = as_readonly(
+            np.broadcast_to(0.0 if offsets is None else offsets, shape)
+        )
         out, local = _moments.backward(walk, discounts, shifts, False, sources)
     out[1] += start / q
     return _combine(walk, discounts, out, local, 0.0, q)
 
 
-def _merged_backward(walk: Walk, discounts: Array, offsets: Array | None, keep: bool) -> tuple[Array, Array]:
+def _merged_backward(
+    walk: Walk, discounts: Array, offsets: Array | None, keep: bool
+) -> tuple[Array, Array]:
     """The same of merged actions."""
     n = walk.n_states
     strips = _moments.lay_strips(*_moments.merge(walk))
@@ -134,13 +160,22 @@ def _merged_backward(walk: Walk, discounts: Array, offsets: Array | None, keep: 
         shifts[:, :n] = offsets[:, order] if offsets.shape[1] > 1 else offsets
     mean, variance, own = _moments.backward_merged(strips, discounts, shifts, keep)
     out, local = np.zeros((5, n)), np.empty((len(own), 1, n))
-    out[0], out[1, order], out[4, order], local[:, 0, order] = 1.0, mean[:n], variance[:n], own[:, :n]
+    out[0], out[1, order], out[4, order], local[:, 0, order] = (
+        1.0,
+        mean[:n],
+        variance[:n],
+        own[:, :n],
+    )
     return out, local
 
 
-def trajectory_moments(walk: Walk, discounts: Array, self_normalized: bool, sources: bool) -> Moments:
+def trajectory_moments(
+    walk: Walk, discounts: Array, self_normalized: bool, sources: bool
+) -> Moments:
     """X = W G, or W (G - its mean) / E W where it is self-normalised."""
-    out, local = _moments.backward(walk, discounts, as_readonly(np.zeros((1, walk.n_states))), True, sources)
+    out, local = _moments.backward(
+        walk, discounts, as_readonly(np.zeros((1, walk.n_states))), True, sources
+    )
     if not self_normalized:
         return _combine(walk, discounts, out, local, 0.0, 1.0)
     begin = np.flatnonzero(walk.initial)
@@ -149,40 +184,63 @@ def trajectory_moments(walk: Walk, discounts: Array, self_normalized: bool, sour
         return Moments(float("nan"), float("nan"), float("nan"))
     mean = float(total / np.float64(weight))
     moments = _combine(walk, discounts, out, local, -mean / weight, 1.0 / weight)
-    return Moments(mean, moments.variance, moments.bias / weight, moments.by_step, moments.by_state)
+    return Moments(
+        mean, moments.variance, moments.bias / weight, moments.by_step, moments.by_state
+    )
 
 
 def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Moments:
     """sum_t gamma^t (sum_i W_it r_it) / (sum_i W_it): to first order the mean of sum_t gamma^t W_t (r_t - j_t) / E W_t."""
     horizon = len(discounts)
-    (mass, rewards), (square, square_rewards) = (_step_weights(walk, horizon, power) for power in (1, 2))
+    (mass, rewards), (square, square_rewards) = (
+        _step_weights(walk, horizon, power) for power in (1, 2)
+    )
     if np.any(mass == 0.0):
         return Moments(float("nan"), float("nan"), float("nan"))
-    level, factor = rewards / mass, walk.discount ** np.arange(horizon, dtype=np.float64)
+    level, factor = (
+        rewards / mass,
+        walk.discount ** np.arange(horizon, dtype=np.float64),
+    )
     bias = -dot(factor, (square_rewards - level * square) / mass**2)
     # of X_t E W_t, so that a step multiplies by gamma E W_t / E W_{t+1}
     discounts = discounts * np.append(mass[:-1] / mass[1:], 1.0)
-    offsets = level[:, None]  # w (r - j) where the reward carries the weight of its own step,
-    if not walk.by_transition and np.all(walk.u == 1.0):  # r - j where it does not: j is then the next step's
+    # w (r - j) where the reward carries the weight of its own step,
+    offsets = level[:, None]
+    # r - j where it does not: j is then the next step's
+    if not walk.by_transition and np.all(walk.u == 1.0):
         offsets = discounts[:, None] * np.append(level[1:], 0.0)[:, None]
-    moments = per_decision_moments(walk, discounts, sources=sources, offsets=offsets, q=1.0 / mass[0])
-    return Moments(dot(factor, level), moments.variance, bias, moments.by_step, moments.by_state)
+    moments = per_decision_moments(
+        walk, discounts, sources=sources, offsets=offsets, q=1.0 / mass[0]
+    )
+    return Moments(
+        dot(factor, level), moments.variance, bias, moments.by_step, moments.by_state
+    )
 
 
 def _step_weights(walk: Walk, horizon: int, power: int) -> tuple[Array, Array]:
     """E[W^power] and E[W^power r_t] of the weight that each step's reward carries."""
     before = walk.weights_by_state(horizon, power=power)[:horizon, 0]
-    chance, mass, rewards = walk.act * walk.u**power, np.ones(walk.act.shape[1]), walk.rewards[0]
+    chance, mass, rewards = (
+        walk.act * walk.u**power,
+        np.ones(walk.act.shape[1]),
+        walk.rewards[0],
+    )
     if walk.by_transition:
         weighted = walk.row_matrix(walk.prob * walk.w**power)
         mass, rewards = row_sums(weighted), row_sums(weighted, weighted.data * rewards)
-    weight, total = (np.asarray((before * walk.sum_actions(chance * x)).sum(axis=1)) for x in (mass, rewards))
+    weight, total = (
+        np.asarray((before * walk.sum_actions(chance * x)).sum(axis=1))
+        for x in (mass, rewards)
+    )
     return weight, total
 
 
-def _combine(walk: Walk, discounts: Array, out: Array, local: Array, p: float, q: float) -> Moments:
+def _combine(
+    walk: Walk, discounts: Array, out: Array, local: Array, p: float, q: float
+) -> Moments:
     """Of X = p L + q R, with -Cov(L, X) as its ``bias``; by step and state where the kernel kept what each step adds."""
-    begin = np.flatnonzero(walk.initial)  # what other states have must not count, even infinite
+    # what other states have must not count, even infinite
+    begin = np.flatnonzero(walk.initial)
     initial, (mean_l, mean_r, var_l, cov, var_r) = walk.initial[begin], out[:, begin]
     length, total = dot(initial, mean_l), dot(initial, mean_r)
     off, variance = q * (mean_r - total), q * q * var_r
@@ -192,12 +250,17 @@ def _combine(walk: Walk, discounts: Array, out: Array, local: Array, p: float, q
         variance += p * p * var_l + 2.0 * p * q * cov
         bias = -dot(initial, (mean_l - length) * off + p * var_l + q * cov)
     start = dot(initial, off**2)
-    result = Moments(q * total + p * length, start + max(dot(initial, variance), 0.0), bias)
+    result = Moments(
+        q * total + p * length, start + max(dot(initial, variance), 0.0), bias
+    )
     if len(local) == 0:
         return result
     is_trajectory = local.shape[1] == 3
-    before = walk.weights_by_state(len(discounts), power=2, with_returns=is_trajectory)[:-1]
-    factor = (q * np.cumprod(np.append(1.0, discounts[:-1])))[:, None]  # q_t = factor W, p_t = W (p + q G)
+    before = walk.weights_by_state(len(discounts), power=2, with_returns=is_trajectory)[
+        :-1
+    ]
+    # q_t = factor W, p_t = W (p + q G)
+    factor = (q * np.cumprod(np.append(1.0, discounts[:-1])))[:, None]
     shares = factor**2 * before[:, 0] * local[:, -1]
     if is_trajectory:
         b0, b1, b2 = before[:, 0], before[:, 1], before[:, 2]
@@ -212,19 +275,26 @@ def infinite_moments(walk: Walk, sources: bool) -> Moments:
     first, second = (walk.weighted_kernel(power) for power in (1, 2))
     gamma, n, rows = walk.discount, walk.n_states, walk.rows
     if gamma == 1.0:
-        raise ValueError("horizon must be given: at discount 1 the infinite sum's variance is not worked out")
+        raise ValueError(
+            "horizon must be given: at discount 1 the infinite sum's variance is not"
+            " worked out"
+        )
     chance, f = walk.act[0][rows] * walk.prob, walk.u[0][rows]
     state = rows // (walk.act.shape[1] // n)
     rewards = walk.w * walk.rewards[0] if walk.by_transition else walk.rewards[0][rows]
-    mean = solve_policy_system(first, np.bincount(state, chance * f * rewards, n).astype(np.float64), gamma).x
+    mean = solve_policy_system(
+        first, np.bincount(state, chance * f * rewards, n).astype(np.float64), gamma
+    ).x
     value = f * (rewards + gamma * walk.w * mean[walk.indices])
-    own: Array = np.bincount(state, chance * (value - mean[state]) ** 2, n).astype(np.float64)
+    own: Array = np.bincount(state, chance * (value - mean[state]) ** 2, n).astype(
+        np.float64
+    )
     try:
         variance = solve_policy_system(second, own, gamma**2).x
     except DivergentKernelError as error:
         raise DivergentKernelError(
-            "horizon must be given: the infinite sum has no variance, the second moment of its weights grows too fast "
-            f"({error})"
+            "horizon must be given: the infinite sum has no variance, the second"
+            f" moment of its weights grows too fast ({error})"
         ) from None
     out = np.zeros((5, n))
     out[1], out[4] = mean, np.maximum(variance, 0.0)
@@ -240,17 +310,28 @@ def scale_moments(moments: Moments, shift: int) -> Moments:
     if shift != 0:
         with np.errstate(over="ignore", under="ignore"):
             deviation = float(np.ldexp(moments.standard_deviation, shift))
-            mean, bias = (float(np.ldexp(x, shift)) for x in (moments.mean, moments.bias))
+            mean, bias = (
+                float(np.ldexp(x, shift)) for x in (moments.mean, moments.bias)
+            )
             variance = float(np.ldexp(moments.variance, 2 * shift))
             by_step, by_state = (
-                None if x is None else np.ldexp(x, 2 * shift) for x in (moments.by_step, moments.by_state)
+                None if x is None else np.ldexp(x, 2 * shift)
+                for x in (moments.by_step, moments.by_state)
             )
             moments = Moments(mean, variance, bias, by_step, by_state, deviation)
-        if moments.variance < np.finfo(float).tiny < deviation or moments.variance == np.inf > deviation:
+        if (
+            moments.variance < np.finfo(float).tiny < deviation
+            or moments.variance == np.inf > deviation
+        ):
             warnings.warn(
-                f"the variance {moments.variance:g} is beyond floats; standard_deviation has its root", stacklevel=4
+                f"the variance {moments.variance:g} is beyond floats;"
+                " standard_deviation has its root",
+                stacklevel=4,
             )
     if not np.isfinite([moments.mean, moments.standard_deviation]).all():
-        what = "beyond the largest float: the weights or the rewards are too large; or all weights of a step are 0"
+        what = (
+            "beyond the largest float: the weights or the rewards are too large; or all"
+            " weights of a step are 0"
+        )
         warnings.warn(f"a moment is {what}", stacklevel=4)
     return moments

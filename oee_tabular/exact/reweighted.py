@@ -91,7 +91,9 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
     [[0.4, 0.6], [0.4, 0.6]]
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
-    return with_rows(mdp, entries_of_ratio(mdp, ratio, "ratio") * mdp.transitions.data, own=True)
+    return with_rows(
+        mdp, entries_of_ratio(mdp, ratio, "ratio") * mdp.transitions.data, own=True
+    )
 
 
 def entries_of_ratio(mdp: FiniteMDP, ratio: Any, name: str) -> Array:
@@ -100,7 +102,9 @@ def entries_of_ratio(mdp: FiniteMDP, ratio: Any, name: str) -> Array:
     if not 0.0 <= zeta.min() <= zeta.max() < np.inf:
         bad = int(np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))[0])
         where = name_transition(mdp.transitions, bad, mdp.n_actions, mdp.names)
-        raise ValueError(f"{name} must be finite and nonnegative; at {where} it is {zeta[bad]}")
+        raise ValueError(
+            f"{name} must be finite and nonnegative; at {where} it is {zeta[bad]}"
+        )
     return zeta
 
 
@@ -109,6 +113,10 @@ def with_rows(mdp: FiniteMDP, rows: Array, *, own: bool = False) -> ReweightedMo
     kernel = csr_on_pattern(mdp.transitions, rows, own=own)
     rewards = mdp.rewards
     if mdp.reward_data is not None:
-        rewards = freeze(row_sums(kernel, kernel.data * mdp.reward_data).reshape(mdp.rewards.shape))
+        rewards = freeze(
+            row_sums(kernel, kernel.data * mdp.reward_data).reshape(mdp.rewards.shape)
+        )
     about = (mdp.initial, mdp.discount, mdp.terminal_state, mdp.layout, mdp.names)
-    return ReweightedModel(mdp.n_states, mdp.n_actions, kernel, rewards, mdp.reward_data, *about)
+    return ReweightedModel(
+        mdp.n_states, mdp.n_actions, kernel, rewards, mdp.reward_data, *about
+    )

@@ -22,7 +22,15 @@ from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import check_csr
 from oee_tabular.exact import _system, finite, solvers
 from oee_tabular.exact.reweighted import Model, require_model
-from oee_tabular.exact.system import Kernel, System, drop_states, exponent, policy_system, recurrent_states, rows_of
+from oee_tabular.exact.system import (
+    Kernel,
+    System,
+    drop_states,
+    exponent,
+    policy_system,
+    recurrent_states,
+    rows_of,
+)
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
 
@@ -82,15 +90,22 @@ def solve_policy_system(
     [0.6667, 0.3333]
     """
     _checks.boolean(transpose, "transpose")
-    rows, gamma = _check_kernel(kernel), _checks.number_in(discount, "discount", 0.0, 1.0)
+    rows, gamma = (
+        _check_kernel(kernel),
+        _checks.number_in(discount, "discount", 0.0, 1.0),
+    )
     right = _checks.float_array(b, "b", ndim=1)
     if len(right) != rows.shape[0]:
-        raise ValueError(f"b must have {rows.shape[0]} entries, one a state; it has {len(right)}")
+        raise ValueError(
+            f"b must have {rows.shape[0]} entries, one a state; it has {len(right)}"
+        )
     _checks.require_finite(right, "b")
     return solve(System(Kernel(*rows_of(rows), gamma), transpose), right)
 
 
-def solve(system: System, b: Array, *, rounding: float = 0.0, near: Array | None = None) -> LinearSolution:
+def solve(
+    system: System, b: Array, *, rounding: float = 0.0, near: Array | None = None
+) -> LinearSolution:
     """M x = b where every number has been checked; each entry of b is ``rounding`` from what it stands for, at most.
 
     ``near`` : about x, to begin with.
@@ -98,10 +113,16 @@ def solve(system: System, b: Array, *, rounding: float = 0.0, near: Array | None
     norm, shift = solvers.inverse_norm(system), exponent(b)
     if shift == 0:
         solution = solvers.answer(system, b, near)
-        return LinearSolution(solution.x, float(norm * (solution.bound + rounding)), solution.method)
-    solution = solvers.answer(system, np.ldexp(b, -shift))  # dot products would leave the range of floats
+        return LinearSolution(
+            solution.x, float(norm * (solution.bound + rounding)), solution.method
+        )
+    # dot products would leave the range of floats
+    solution = solvers.answer(system, np.ldexp(b, -shift))
     with np.errstate(over="ignore", under="ignore"):
-        x, bound = np.ldexp(solution.x, shift), float(np.ldexp(norm * solution.bound, shift))
+        x, bound = (
+            np.ldexp(solution.x, shift),
+            float(np.ldexp(norm * solution.bound, shift)),
+        )
     bound += norm * rounding + len(x) * 5e-324  # what is subnormal is rounded once more
     return LinearSolution(x, bound if np.isfinite(x).all() else np.inf, solution.method)
 
@@ -115,9 +136,13 @@ def _check_kernel(kernel: Any) -> sparse.csr_array:
     rows = check_csr(kernel, "kernel")
     bad = np.flatnonzero(~(np.isfinite(rows.data) & (rows.data >= 0.0)))
     if bad.size:
-        place = int(np.searchsorted(rows.indptr, bad[0], side="right")) - 1, int(rows.indices[bad[0]])
+        place = (
+            int(np.searchsorted(rows.indptr, bad[0], side="right")) - 1,
+            int(rows.indices[bad[0]]),
+        )
         raise ValueError(
-            f"kernel must be finite and nonnegative; kernel[{place[0]}, {place[1]}] is {rows.data[bad[0]]}"
+            f"kernel must be finite and nonnegative; kernel[{place[0]}, {place[1]}] is"
+            f" {rows.data[bad[0]]}"
         )
     return rows
 
@@ -141,10 +166,14 @@ class PolicyValues:
 
 def policy_rewards(model: Model, policy: Array) -> Array:
     """(S,): sum_a policy[s, a] r(s, a)."""
-    return np.asarray(_system.average_rewards(np.ascontiguousarray(policy), model.rewards)[0])
+    return np.asarray(
+        _system.average_rewards(np.ascontiguousarray(policy), model.rewards)[0]
+    )
 
 
-def evaluate_policy(model: Model, policy: PolicyLike, *, horizon: int | None = None) -> PolicyValues:
+def evaluate_policy(
+    model: Model, policy: PolicyLike, *, horizon: int | None = None
+) -> PolicyValues:
     """Compute V, J and a bound on their error.
 
     Finite horizon: V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0; infinite: (I - gamma P_pi) V = r_pi.
@@ -187,15 +216,21 @@ def evaluate_policy(model: Model, policy: PolicyLike, *, horizon: int | None = N
         return infinite_values(model, pi)
     values = _backward(model, pi, steps)
     bound = 0.0 if np.isfinite(values).all() else np.inf
-    return PolicyValues(values, finite.initial_mean(model, values), bound, "backward recursion")
+    return PolicyValues(
+        values, finite.initial_mean(model, values), bound, "backward recursion"
+    )
 
 
-def infinite_values(model: Model, policy: Array, near: Array | None = None) -> PolicyValues:
+def infinite_values(
+    model: Model, policy: Array, near: Array | None = None
+) -> PolicyValues:
     """V of the infinite sum; the bound on its error counts the rounding of the policy's kernel and rewards.
 
     ``near`` (S,): about V, to begin with.
     """
-    rewards, largest = _system.average_rewards(np.ascontiguousarray(policy), model.rewards)
+    rewards, largest = _system.average_rewards(
+        np.ascontiguousarray(policy), model.rewards
+    )
     system = policy_system(model, policy)
     if model.discount == 1.0:
         recurrent = recurrent_states(system, rewards, model.names)
@@ -204,20 +239,32 @@ def infinite_values(model: Model, policy: Array, near: Array | None = None) -> P
         system = drop_states(system, recurrent)
     rounding = (model.n_actions + 1) * (EPS * largest + 5e-324)
     solution = solve(system, rewards, rounding=rounding, near=near)
-    return PolicyValues(solution.x, finite.initial_mean(model, solution.x), solution.error_bound, solution.method)
+    return PolicyValues(
+        solution.x,
+        finite.initial_mean(model, solution.x),
+        solution.error_bound,
+        solution.method,
+    )
 
 
 def warn_if_not_finite(values: Any) -> Any:
     """The same values, with a warning where one is not finite."""
     if not np.isfinite(values).all():
-        warnings.warn("a value is beyond the largest float: it is infinite, or not a number", stacklevel=3)
+        warnings.warn(
+            "a value is beyond the largest float: it is infinite, or not a number",
+            stacklevel=3,
+        )
     return values
 
 
 def finite_values(solution: PolicyValues) -> Array:
     """V, with a warning where a value is not finite."""
     is_finite = isfinite(solution.error_bound)  # which it is of finite values alone
-    return solution.values if is_finite else np.asarray(warn_if_not_finite(solution.values))
+    return (
+        solution.values
+        if is_finite
+        else np.asarray(warn_if_not_finite(solution.values))
+    )
 
 
 def _backward(model: Model, policy: Array, steps: int) -> Array:
@@ -234,10 +281,18 @@ def backup(model: Model, value: Array) -> Array:
     """(S, A): r(s, a) + gamma sum_s' K(s' | s, a) V(s')."""
     following = np.empty(model.rewards.size)
     _system.multiply(Kernel(*rows_of(model.csr), 1.0), False, value, following)
-    return np.asarray(model.rewards + model.discount * following.reshape(model.rewards.shape))
+    return np.asarray(
+        model.rewards + model.discount * following.reshape(model.rewards.shape)
+    )
 
 
-def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, normalized: bool = False) -> float:
+def policy_value(
+    mdp: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int | None = None,
+    normalized: bool = False,
+) -> float:
     """Compute J = E[sum_t gamma^t r_t] exactly by dynamic programming (eq. 3.1).
 
     Parameters
@@ -259,18 +314,25 @@ def policy_value(mdp: Model, policy: PolicyLike, *, horizon: int | None = None, 
     """
     require_model(mdp)
     if _checks.boolean(normalized, "normalized") and mdp.discount == 1.0:
-        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
+        raise ValueError(
+            "normalized must be False at discount 1: the factor (1 - discount) would"
+            " be 0"
+        )
     factor = 1.0 - mdp.discount if normalized else 1.0
     if horizon is None:
         value = factor * evaluate_policy(mdp, policy).value
     else:
         steps = horizon_length(horizon, mdp, policy)
         pi = check_policy(policy, mdp, horizon=steps)
-        value = factor * float(finite.values_by_horizon(mdp, pi, steps, is_each=False)[-1])
+        value = factor * float(
+            finite.values_by_horizon(mdp, pi, steps, is_each=False)[-1]
+        )
     return value if isfinite(value) else float(warn_if_not_finite(value))
 
 
-def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
+def state_values(
+    mdp: Model, policy: PolicyLike, *, horizon: int | None = None
+) -> Array:
     """Compute V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised (eq. 4.1).
 
     Parameters
@@ -289,7 +351,9 @@ def state_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) 
     return finite_values(evaluate_policy(mdp, policy, horizon=horizon))
 
 
-def action_values(mdp: Model, policy: PolicyLike, *, horizon: int | None = None) -> Array:
+def action_values(
+    mdp: Model, policy: PolicyLike, *, horizon: int | None = None
+) -> Array:
     """Compute Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], shape (S, A); with a horizon, V has one step less to go.
 
     Parameters

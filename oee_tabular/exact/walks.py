@@ -61,19 +61,27 @@ class Walk(NamedTuple):
         """(S*A, S) with these values on the transitions."""
         kind = np.int32 if self.indptr.dtype == np.uint32 else np.int64
         shape = self.act.shape[1], self.n_states
-        return sparse.csr_array((data, self.indices.view(kind), self.indptr.view(kind)), shape=shape)
+        return sparse.csr_array(
+            (data, self.indices.view(kind), self.indptr.view(kind)), shape=shape
+        )
 
     def state_matrix(self, data: Array) -> sparse.csr_array:
         """(S, S) with the sums over the actions of these values on the transitions."""
         n = self.n_states
-        return sparse.csr_array((data, (self.rows // (self.act.shape[1] // n), self.indices)), shape=(n, n))
+        return sparse.csr_array(
+            (data, (self.rows // (self.act.shape[1] // n), self.indices)), shape=(n, n)
+        )
 
     def weighted_kernel(self, power: int) -> sparse.csr_array:
         """(S, S): sum_a act u^power sum P w^power."""
         rows = self.rows
-        return self.state_matrix(self.act[0][rows] * self.u[0][rows] ** power * self.prob * self.w**power)
+        return self.state_matrix(
+            self.act[0][rows] * self.u[0][rows] ** power * self.prob * self.w**power
+        )
 
-    def weights_by_state(self, horizon: int, *, power: int, with_returns: bool = False) -> Array:
+    def weights_by_state(
+        self, horizon: int, *, power: int, with_returns: bool = False
+    ) -> Array:
         """(T + 1, 3 or 1, S): E[W^power G^i 1{s_t = s}]; without ``with_returns`` i = 0 alone."""
         return np.asarray(_moments.forward(self, horizon, power, with_returns))
 
@@ -81,7 +89,9 @@ class Walk(NamedTuple):
         """(S,): whether a path may be there at some t below the horizon."""
         graph = self.state_matrix(self.act.max(axis=0)[self.rows] * self.prob).T
         reached = self.initial > 0.0
-        for _ in range(self.n_states if horizon is None else min(horizon - 1, self.n_states)):
+        for _ in range(
+            self.n_states if horizon is None else min(horizon - 1, self.n_states)
+        ):
             ahead = reached | (graph @ reached > 0.0)
             if (ahead == reached).all():
                 break
@@ -89,32 +99,57 @@ class Walk(NamedTuple):
         return np.asarray(reached)
 
 
-def walk_of(mdp: FiniteMDP, behavior: Array, *, ratio: object = None, policy: Array | None = None) -> Walk:
+def walk_of(
+    mdp: FiniteMDP,
+    behavior: Array,
+    *,
+    ratio: object = None,
+    policy: Array | None = None,
+) -> Walk:
     """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on transitions or by policy / behavior on actions.
 
     The weights are constant in absorbing states. Behaviour policies without support are the callers' concern.
     """
     matrix, absorbing = mdp.csr, mdp.absorbing()
-    w = np.ones(matrix.nnz) if ratio is None else transition_factors(mdp, ratio, absorbing)
+    w = (
+        np.ones(matrix.nnz)
+        if ratio is None
+        else transition_factors(mdp, ratio, absorbing)
+    )
     act = np.atleast_2d(behavior.reshape(-1, mdp.n_states * mdp.n_actions))
     u = np.ones_like(act)
     if policy is not None:
-        evaluated = np.broadcast_to(policy.reshape(-1, mdp.n_states * mdp.n_actions), act.shape)
+        evaluated = np.broadcast_to(
+            policy.reshape(-1, mdp.n_states * mdp.n_actions), act.shape
+        )
         u = np.divide(evaluated, act, out=np.zeros_like(act), where=act > 0)
         u = np.where(np.repeat(absorbing, mdp.n_actions), 1.0, u)
     by_transition = mdp.reward_data is not None
-    rewards = mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
+    rewards = (
+        mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
+    )
     drawn = as_readonly(w), as_readonly(act), as_readonly(u)
-    return Walk(*rows_of(matrix), *drawn, by_transition, as_readonly(rewards[None]), mdp.initial, mdp.discount)
+    return Walk(
+        *rows_of(matrix),
+        *drawn,
+        by_transition,
+        as_readonly(rewards[None]),
+        mdp.initial,
+        mdp.discount,
+    )
 
 
 def transition_factors(mdp: FiniteMDP, ratio: object, absorbing: BoolArray) -> Array:
     """(entries,) zeta on the transitions; 1 in absorbing states."""
     entries = np.diff(mdp.csr.indptr[:: mdp.n_actions])
-    return np.where(np.repeat(absorbing, entries), 1.0, entries_of_ratio(mdp, ratio, "zeta"))
+    return np.where(
+        np.repeat(absorbing, entries), 1.0, entries_of_ratio(mdp, ratio, "zeta")
+    )
 
 
-def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int) -> tuple[Array, Array]:
+def weight_moments(
+    simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int
+) -> tuple[Array, Array]:
     """Compute E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,) arrays.
 
     In absorbing states with reward 0, where an episode has ended, W_t is constant.
@@ -139,8 +174,12 @@ def weight_moments(simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, ho
     length = _checks.positive_integer(horizon, "horizon")
     pi = check_policy(policy, simulator, horizon=length)
     walk = walk_of(simulator, pi, ratio=zeta)
-    length = limit_horizon(length, 1.0, work=4.0 * len(walk.prob), kept=6.0 * walk.n_states)
-    first, second = (walk.weights_by_state(length, power=power)[:, 0].sum(axis=1) for power in (1, 2))
+    length = limit_horizon(
+        length, 1.0, work=4.0 * len(walk.prob), kept=6.0 * walk.n_states
+    )
+    first, second = (
+        walk.weights_by_state(length, power=power)[:, 0].sum(axis=1) for power in (1, 2)
+    )
     return first, second
 
 

@@ -31,7 +31,13 @@ from __future__ import annotations
 import importlib
 
 from oee_tabular.inference.changes import RowChanges, row_changes
-from oee_tabular.inference.comparison import Comparison, Decision, Selection, compare_policies, selection_measures
+from oee_tabular.inference.comparison import (
+    Comparison,
+    Decision,
+    Selection,
+    compare_policies,
+    selection_measures,
+)
 from oee_tabular.inference.intervals import Interval, interval, value_range
 
 TYPE_CHECKING = False

@@ -14,15 +14,22 @@ from numba import njit
 
 from oee_tabular.inference.robust import greedy_row
 
-# an ascent's numbers, as records: their fields are attributes without numba too; ``value`` is J of its rows and ``reference``
-# that of the frequencies, ``change`` the last step's
-NAMES = "sign limit reference settled value step tau change divergence slack quiet iterations reached"
+# an ascent's numbers, as records: their fields are attributes without numba too;
+# ``value`` is J of its rows and ``reference`` that of the frequencies, ``change`` the
+# last step's
+NAMES = (
+    "sign limit reference settled value step tau change divergence slack quiet"
+    " iterations reached"
+)
 NUMBERS = np.dtype((np.record, [(name, "f8") for name in NAMES.split()]))
 N_ITERATIONS = 200  # at most; ten are usual
-N_QUIET = 4  # iterations that move the end by less than a share ``settled`` of the way from ``reference`` are the last
+# iterations that move the end by less than a share ``settled`` of the way from
+# ``reference`` are the last
+N_QUIET = 4
 EXACT = 1e-8  # of the limit: how closely it is met in the end
 SOLVED = 1e-3  # of the last iteration's change: how far J of an iteration may be off
-GROWTH = 1.2  # of the step, after one that was no worse; doubling it is refused every other time
+# of the step, after one that was no worse; doubling it is refused every other time
+GROWTH = 1.2
 LEAST_STEP = 1e-3  # from which on steps are taken as they are
 ROUNDING = 1e-14  # of the values: a smaller difference of two of them is none
 TINY = 1e-300
@@ -34,7 +41,9 @@ def ascend(rows, ascent):
     is_over = False
     while not is_over:
         propose(rows, ascent)
-        value = fill_values(rows, ascent.trial, ascent.values, ascent.visits, ascent.slope)
+        value = fill_values(
+            rows, ascent.trial, ascent.values, ascent.visits, ascent.slope
+        )
         is_over = accept(ascent, value)
 
 
@@ -47,7 +56,9 @@ def propose(rows, ascent):
     ascent.trial[:] = ascent.p
     share = s.step if rows.n_steps > 0 else 1.0
     room = min(max(s.slack / width, EXACT), 1e-3)
-    s.tau, s.reached = best_rows(rows, ascent.x, share, s.limit, room, s.tau, ascent.trial)
+    s.tau, s.reached = best_rows(
+        rows, ascent.x, share, s.limit, room, s.tau, ascent.trial
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -56,19 +67,36 @@ def accept(ascent, value):
     s = ascent.numbers[0]
     gain = s.sign * (value - s.value)
     is_first, is_last = s.iterations == 0, s.iterations >= N_ITERATIONS - 1
-    is_worse = gain < -max(2.0 * s.slack, 1e-12 * max(1.0, abs(s.value))) and s.step >= LEAST_STEP and not is_first
+    is_worse = (
+        gain < -max(2.0 * s.slack, 1e-12 * max(1.0, abs(s.value)))
+        and s.step >= LEAST_STEP
+        and not is_first
+    )
     s.iterations += 1
     if is_worse:
         s.step *= 0.5
     else:
         s.change = s.change if is_first else abs(gain)
-        is_still = abs(gain) <= s.settled * abs(value - s.reference) + 1e-14 * abs(s.reference)
+        is_still = abs(gain) <= s.settled * abs(value - s.reference) + 1e-14 * abs(
+            s.reference
+        )
         s.quiet = s.quiet + 1 if is_still else 0
-        is_last = is_last or s.quiet >= N_QUIET or (is_still and np.abs(ascent.trial - ascent.p).max() <= 1e-9)
-        if is_first:  # drawn directions get the gradient's size, so that they can be mixed
-            ascent.x[:] *= np.abs(ascent.slope).sum() / max(np.abs(ascent.x).sum(), TINY)
+        is_last = (
+            is_last
+            or s.quiet >= N_QUIET
+            or (is_still and np.abs(ascent.trial - ascent.p).max() <= 1e-9)
+        )
+        # drawn directions get the gradient's size, so that they can be mixed
+        if is_first:
+            ascent.x[:] *= np.abs(ascent.slope).sum() / max(
+                np.abs(ascent.x).sum(), TINY
+            )
         s.value, s.divergence, s.step = value, s.reached, min(1.0, GROWTH * s.step)
-        ascent.p[:], ascent.last_x[:], ascent.gradient[:] = ascent.trial, ascent.x, s.sign * ascent.slope
+        ascent.p[:], ascent.last_x[:], ascent.gradient[:] = (
+            ascent.trial,
+            ascent.x,
+            s.sign * ascent.slope,
+        )
     ascent.x[:] = ascent.last_x + s.step * (ascent.gradient - ascent.last_x)
     return is_last
 
@@ -82,7 +110,9 @@ def fill_values(rows, p, values, visits, gradient):
         n = len(values)
         matrix, paid = np.eye(n), np.zeros(n)
         for i in range(len(p)):
-            matrix[rows.state[i], rows.column[i]] -= rows.discount * rows.weight[i] * p[i]
+            matrix[rows.state[i], rows.column[i]] -= (
+                rows.discount * rows.weight[i] * p[i]
+            )
             paid[rows.state[i]] += rows.weight[i] * p[i] * rows.pay[i]
         values[:] = np.linalg.solve(matrix, paid)
         visits[:] = np.linalg.solve(matrix.T.copy(), rows.initial)
@@ -116,7 +146,11 @@ def fill_values_of_steps(rows, p, values, visits, gradient):
     V_t = r_pi + gamma P_pi V_{t+1},   d = sum_t gamma^t alpha_t,   dJ / dP_i = pi sum_t gamma^t alpha_t (pay_i + gamma V_{t+1})
     """
     n, gamma = len(rows.initial), rows.discount
-    to_go, worth, share = np.zeros((rows.n_steps + 1, n)), np.zeros(len(rows.columns)), np.zeros(len(rows.columns))
+    to_go, worth, share = (
+        np.zeros((rows.n_steps + 1, n)),
+        np.zeros(len(rows.columns)),
+        np.zeros(len(rows.columns)),
+    )
     paid = np.zeros(n)
     for i in range(len(p)):
         share[rows.edge[i]] += rows.weight[i] * p[i]
@@ -141,7 +175,9 @@ def fill_values_of_steps(rows, p, values, visits, gradient):
     for r in range(len(rows.n)):
         smallest, largest = np.inf, -np.inf
         for i in range(rows.indptr[r], rows.indptr[r + 1]):
-            gradient[i] = rows.weight[i] * (visits[rows.state[i]] * rows.pay[i] + worth[rows.edge[i]])
+            gradient[i] = rows.weight[i] * (
+                visits[rows.state[i]] * rows.pay[i] + worth[rows.edge[i]]
+            )
             smallest, largest = min(smallest, gradient[i]), max(largest, gradient[i])
         if rows.n[r] == 0.0 and smallest == largest:
             for i in range(rows.indptr[r], rows.indptr[r + 1]):
@@ -156,14 +192,19 @@ def best_rows(rows, x, share, limit, room, tau, p):
     without data; states that the log never reached) only ``share`` moves.
     """
     n_rows = len(rows.n)
-    spread, curvature, best = np.zeros(n_rows), np.zeros(n_rows), np.zeros(n_rows, np.int64)
+    spread, curvature, best = (
+        np.zeros(n_rows),
+        np.zeros(n_rows),
+        np.zeros(n_rows, np.int64),
+    )
     v, new, total, reached = x.copy(), rows.phat.copy(), 0.0, 0.0
     for r in range(n_rows):
         start, stop, n = rows.indptr[r], rows.indptr[r + 1], rows.n[r]
         if n == 0.0:
             greedy_row(v, rows.low, rows.high, start, stop, new)
             continue
-        for _ in range(2):  # once more for the rounding, which is all where v hardly varies
+        # once more for the rounding, which is all where v hardly varies
+        for _ in range(2):
             mean = 0.0
             for i in range(start, stop):
                 mean += rows.phat[i] * v[i]
@@ -180,9 +221,12 @@ def best_rows(rows, x, share, limit, room, tau, p):
     if size > 0.0:
         moving = np.flatnonzero(spread > 1e-14 * size)
         second_order = np.sqrt(2.0 * limit / total) if total > 0.0 else 1.0 / size
-        if not 1e-3 * second_order < tau < 1e3 * second_order:  # a far guess has all its u in rounding, or none
+        # a far guess has all its u in rounding, or none
+        if not 1e-3 * second_order < tau < 1e3 * second_order:
             tau = second_order
-        tau, reached = meet_limit(tau, moving, rows, v, best, curvature, limit, room, new)
+        tau, reached = meet_limit(
+            tau, moving, rows, v, best, curvature, limit, room, new
+        )
     if share < 1.0:
         blend(rows, share, new, p)
     else:
@@ -207,9 +251,17 @@ def meet_limit(tau, moving, rows, v, best, curvature, limit, room, p):
             far = tau
         trial = 0.0
         if reached > 0.0 and growth > 0.0 and reached < np.inf:
-            trial = tau * np.exp(np.log(limit * (1.0 - 0.3 * room) / reached) * reached / growth)
+            trial = tau * np.exp(
+                np.log(limit * (1.0 - 0.3 * room) / reached) * reached / growth
+            )
         if not near < trial < far:
-            trial = 2.0 * near if far == np.inf else 0.5 * far if near == 0.0 else np.sqrt(near * far)
+            trial = (
+                2.0 * near
+                if far == np.inf
+                else 0.5 * far
+                if near == 0.0
+                else np.sqrt(near * far)
+            )
         if far <= near * (1.0 + 1e-14) or trial == np.inf:
             break
         tau = trial
@@ -226,9 +278,15 @@ def tilt(tau, moving, rows, v, best, curvature, p):
     """
     total, growth, phat = 0.0, 0.0, rows.phat
     for r in moving:
-        start, stop, slope, top = rows.indptr[r], rows.indptr[r + 1], tau / rows.n[r], best[r]
+        start, stop, slope, top = (
+            rows.indptr[r],
+            rows.indptr[r + 1],
+            tau / rows.n[r],
+            best[r],
+        )
         excess = slope * v[top] - 1.0
-        if curvature[r] == 0.0 and excess <= 0.0:  # v is 0 at all that was observed, as where that is one next state
+        # v is 0 at all that was observed, as where that is one next state
+        if curvature[r] == 0.0 and excess <= 0.0:
             p[start:stop] = phat[start:stop]
             continue
         e = find_root(start, stop, phat, v, slope, tau * tau * curvature[r])
@@ -267,14 +325,16 @@ def find_root(start, stop, phat, v, slope, e):
         excess, square, least = 0.0, 0.0, 1.0
         for i in range(start, stop):
             if phat[i] > 0.0:
-                x = max(e - slope * v[i], phat[i] - 1.0)  # no p is above 1, which 1 + e - u loses where u is huge
+                # no p is above 1, which 1 + e - u loses where u is huge
+                x = max(e - slope * v[i], phat[i] - 1.0)
                 share = phat[i] / (1.0 + x)
                 excess -= share * x
                 square += share / (1.0 + x)
                 least = min(least, 1.0 + x)
         step = (1.0 + excess) * excess / square
         e = max(e + step, low)
-        if not abs(step) > max(1e-15 * e, 1e-9 * least * min(e, 1.0), 1e-17):  # what is left is as its square / least
+        # what is left is as its square / least
+        if not abs(step) > max(1e-15 * e, 1e-9 * least * min(e, 1.0), 1e-17):
             break
     return e
 

@@ -49,17 +49,28 @@ def value_covariances(evidences: list[Evidence], prior: float) -> tuple[Array, A
     first = evidences[0]
     rows, n = first.rows, first.rows.spread(first.n)
     law = (n * first.phat + prior * rows.weights) / np.maximum(n + prior, 1e-300)
-    gradients = [transition_gradient(e.fitted, e.policy, horizon=e.horizon) for e in evidences]
+    gradients = [
+        transition_gradient(e.fitted, e.policy, horizon=e.horizon) for e in evidences
+    ]
     centred = np.array([g - rows.spread(rows.mean(law, g)) for g in gradients])
     weight = law / np.maximum(n, 1.0)
-    recorded, never = ((centred * np.where(chosen, weight, 0.0)) @ centred.T for chosen in (n > 0, n == 0))
+    recorded, never = (
+        (centred * np.where(chosen, weight, 0.0)) @ centred.T
+        for chosen in (n > 0, n == 0)
+    )
     return np.asarray(recorded), np.asarray(never)
 
 
-def bootstrap_values(problem: Problem, evidence: Evidence, *, by: str, n_bootstrap: int, seed: Seed) -> Array:
+def bootstrap_values(
+    problem: Problem, evidence: Evidence, *, by: str, n_bootstrap: int, seed: Seed
+) -> Array:
     """J of the models of ``n_bootstrap`` resamples of transitions or of whole episodes; rows without data the simulator's."""
     generator, log, rows = _checks.generator(seed), problem.log, evidence.rows
-    entry, _ = find(evidence.model.transitions, log.state * rows.n_actions + log.action, log.next_state)
+    entry, _ = find(
+        evidence.model.transitions,
+        log.state * rows.n_actions + log.action,
+        log.next_state,
+    )
     weight = log.moves().number
     if (weight != np.floor(weight)).any():
         raise ValueError("counts must be whole numbers to be resampled; some are not")
@@ -67,10 +78,13 @@ def bootstrap_values(problem: Problem, evidence: Evidence, *, by: str, n_bootstr
     n_episodes = 0 if starts is None else len(starts) - 1
     if by == "episodes":
         if starts is None:
-            raise ValueError("log must have episodes to be resampled by episodes; it has none")
+            raise ValueError(
+                "log must have episodes to be resampled by episodes; it has none"
+            )
         if n_episodes < FEWEST_EPISODES:
             raise ValueError(
-                f"log must have at least {FEWEST_EPISODES} episodes to be resampled by episodes; it has {n_episodes}"
+                f"log must have at least {FEWEST_EPISODES} episodes to be resampled by"
+                f" episodes; it has {n_episodes}"
             )
         episode = np.repeat(np.arange(n_episodes), np.diff(starts))
     share = np.bincount(entry, weights=weight, minlength=size) / n
@@ -78,15 +92,23 @@ def bootstrap_values(problem: Problem, evidence: Evidence, *, by: str, n_bootstr
     is_quick = not taken.is_sparse and (taken.n_steps > 0 or taken.discount < 1.0)
     for b in range(n_bootstrap):
         if by == "episodes":
-            number = np.bincount(generator.integers(0, n_episodes, n_episodes), minlength=n_episodes)
-            drawn = np.bincount(entry, weights=number[episode], minlength=size).astype(np.float64)
+            number = np.bincount(
+                generator.integers(0, n_episodes, n_episodes), minlength=n_episodes
+            )
+            drawn = np.bincount(entry, weights=number[episode], minlength=size).astype(
+                np.float64
+            )
         else:
             drawn = generator.multinomial(n, share).astype(np.float64)
-        p = np.where(rows.spread(rows.sums(drawn)) > 0, rows.frequencies(drawn), rows.weights)
+        p = np.where(
+            rows.spread(rows.sums(drawn)) > 0, rows.frequencies(drawn), rows.weights
+        )
         if is_quick:
             values[b] = value_of_rows(taken, p[taken.entries])
         else:
-            values[b] = policy_value(evidence.with_rows(p), evidence.policy, horizon=evidence.horizon)
+            values[b] = policy_value(
+                evidence.with_rows(p), evidence.policy, horizon=evidence.horizon
+            )
     return values
 
 
@@ -102,8 +124,17 @@ class Margin(NamedTuple):
     def widen(self, lower: float, upper: float, z: float) -> tuple[float, float]:
         """The ends for this simulator, from those for one that is known and rules nothing out wrongly."""
         spread = z * np.sqrt(self.variance)
-        low = self.value - float(np.hypot(max(self.value - lower, 0.0), spread)) - self.down
-        return low, self.value + float(np.hypot(max(upper - self.value, 0.0), spread)) + self.up
+        low = (
+            self.value
+            - float(np.hypot(max(self.value - lower, 0.0), spread))
+            - self.down
+        )
+        return (
+            low,
+            self.value
+            + float(np.hypot(max(upper - self.value, 0.0), spread))
+            + self.up,
+        )
 
 
 def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
@@ -111,13 +142,24 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     sampling = problem.simulator.sampling
     if sampling is None and not problem.dropped.any():
         return None
-    policy, horizon, fitted, rows = evidence.policy, evidence.horizon, evidence.fitted, evidence.rows
+    policy, horizon, fitted, rows = (
+        evidence.policy,
+        evidence.horizon,
+        evidence.fitted,
+        evidence.rows,
+    )
     share = occupancy(fitted, policy, horizon=horizon).reshape(-1)
     unmet, variance = np.zeros(len(share)), 0.0
     if sampling is not None:
-        initial, values = evidence.model.initial, state_values(fitted, policy, horizon=horizon)
+        initial, values = (
+            evidence.model.initial,
+            state_values(fitted, policy, horizon=horizon),
+        )
         unmet = _unmet_share(evidence, sampling.pairs)
-        variance = max(float(initial @ values**2) - float(initial @ values) ** 2, 0.0) / sampling.starts
+        variance = (
+            max(float(initial @ values**2) - float(initial @ values) ** 2, 0.0)
+            / sampling.starts
+        )
         if sampling.reward_error is not None:
             time = total_discount(fitted.discount, horizon) * share
             each, _ = align(sampling.reward_error, evidence.model.transitions)
@@ -126,18 +168,33 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     down, up = _band(evidence, np.minimum(unmet + dropped, 1.0))
     facts: dict[str, float] = {}
     if sampling is not None:
-        facts = {"unmet_share": float(share @ unmet), "sampling_error": float(np.sqrt(variance))}
+        facts = {
+            "unmet_share": float(share @ unmet),
+            "sampling_error": float(np.sqrt(variance)),
+        }
     if problem.dropped.any():
-        facts |= {"dropped_transitions": float(problem.dropped.sum()), "dropped_share": float(share @ dropped)}
-    return Margin(policy_value(fitted, policy, horizon=horizon), variance, down, up, facts)
+        facts |= {
+            "dropped_transitions": float(problem.dropped.sum()),
+            "dropped_share": float(share @ dropped),
+        }
+    return Margin(
+        policy_value(fitted, policy, horizon=horizon), variance, down, up, facts
+    )
 
 
 def _unmet_share(evidence: Evidence, pairs: Array) -> Array:
     """(S*A,) Good and Turing's estimate in each row; ``pairs`` are the simulator's samples, inf where it is known."""
-    rows, known, samples = evidence.rows, ~np.isfinite(pairs), np.where(np.isfinite(pairs), pairs, 0.0)
+    rows, known, samples = (
+        evidence.rows,
+        ~np.isfinite(pairs),
+        np.where(np.isfinite(pairs), pairs, 0.0),
+    )
     simulated = rows.spread(samples) * evidence.model.transitions.data
     number = np.rint(simulated) + rows.spread(evidence.n) * evidence.phat
-    once, total = rows.sums((np.abs(number - 1.0) < 0.5).astype(float)), samples + evidence.n
+    once, total = (
+        rows.sums((np.abs(number - 1.0) < 0.5).astype(float)),
+        samples + evidence.n,
+    )
     share = np.where(total > 0, np.minimum(once / np.maximum(total, 1.0), 1.0), 1.0)
     return np.where(known, 0.0, share)
 
@@ -151,9 +208,17 @@ def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
         return float(down), float(up)
     values, beyond = np.zeros(len(policy)), np.zeros((len(policy), 2))
     for _ in range(horizon_length(evidence.horizon, fitted)):
-        ahead = q[:, None] * _reach(evidence, values) + gamma * (fitted.transitions @ beyond)
+        ahead = q[:, None] * _reach(evidence, values) + gamma * (
+            fitted.transitions @ beyond
+        )
         beyond = np.einsum("sa,sak->sk", policy, ahead.reshape(*policy.shape, 2))
-        values = (policy * (fitted.rewards + gamma * (fitted.transitions @ values).reshape(policy.shape))).sum(axis=1)
+        values = (
+            policy
+            * (
+                fitted.rewards
+                + gamma * (fitted.transitions @ values).reshape(policy.shape)
+            )
+        ).sum(axis=1)
     down, up = fitted.initial @ beyond
     return float(down), float(up)
 
@@ -161,7 +226,13 @@ def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
 def _reach(evidence: Evidence, values: Array) -> Array:
     """(S*A, 2) by how much the worst and the best r + gamma V of any transition differ from the row's own mean."""
     rewards, gamma = evidence.model.reward_data, evidence.model.discount
-    rewards_or_0 = np.zeros(1) if rewards is None else rewards  # r(s, a) is the row's own wherever the transition leads
-    mean = evidence.rows.mean(evidence.phat, gamma * values[evidence.rows.arrival] + rewards_or_0)
-    worst, best = gamma * values.min() + rewards_or_0.min(), gamma * values.max() + rewards_or_0.max()
+    # r(s, a) is the row's own wherever the transition leads
+    rewards_or_0 = np.zeros(1) if rewards is None else rewards
+    mean = evidence.rows.mean(
+        evidence.phat, gamma * values[evidence.rows.arrival] + rewards_or_0
+    )
+    worst, best = (
+        gamma * values.min() + rewards_or_0.min(),
+        gamma * values.max() + rewards_or_0.max(),
+    )
     return np.asarray(np.maximum(np.column_stack([mean - worst, best - mean]), 0.0))

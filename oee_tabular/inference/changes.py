@@ -93,7 +93,12 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     _checks.instance(problem, Problem, "problem")
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     evidence = gather(problem, uniform_policy(problem.simulator))
-    n, phat, rows, simulated = evidence.n, evidence.phat, evidence.rows, evidence.rows.weights
+    n, phat, rows, simulated = (
+        evidence.n,
+        evidence.phat,
+        evidence.rows,
+        evidence.rows.weights,
+    )
     tested, have, shape = (n > 0) & evidence.open_rows, n > 0, evidence.policy.shape
     number = int(tested.sum())
     radius = anytime_radius if problem.log.by_episodes else independent_radius
@@ -102,7 +107,9 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     seen_mass = np.minimum(rows.sums(np.where(more, phat, 0.0)), 1.0)
     least = lower_mass(seen_mass, epsilon) - rows.sums(np.where(more, simulated, 0.0))
     is_largest = change == rows.spread(rows.largest(change))
-    entry = np.minimum.reduceat(np.where(is_largest, np.arange(len(change)), len(change)), rows.indptr[:-1])
+    entry = np.minimum.reduceat(
+        np.where(is_largest, np.arange(len(change)), len(change)), rows.indptr[:-1]
+    )
     return RowChanges(
         np.where(tested, np.maximum(least, 0.0), 0.0).reshape(shape),
         np.where(have, 0.5 * rows.sums(change), 0.0).reshape(shape),
@@ -121,6 +128,9 @@ def lower_mass(frequency: Array, epsilon: Array) -> Array:
     low, high = np.zeros(len(frequency)), np.array(frequency)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        outside = rel_entr(frequency, middle) + rel_entr(1.0 - frequency, 1.0 - middle) > epsilon
+        outside = (
+            rel_entr(frequency, middle) + rel_entr(1.0 - frequency, 1.0 - middle)
+            > epsilon
+        )
         low, high = np.where(outside, middle, low), np.where(outside, high, middle)
     return low

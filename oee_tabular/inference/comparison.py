@@ -17,7 +17,11 @@ from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.inference.asymptotic import bootstrap_values, outside_margin, value_covariances
+from oee_tabular.inference.asymptotic import (
+    bootstrap_values,
+    outside_margin,
+    value_covariances,
+)
 from oee_tabular.inference.evidence import Evidence, gather, require_squares
 from oee_tabular.inference.intervals import Interval
 from oee_tabular.mdp import FiniteMDP
@@ -27,7 +31,9 @@ from oee_tabular.plots import plot_intervals
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ENOUGH = 0.9  # of a policy's time in pairs that the log has: below it what counts the log's noise alone says nothing
+# of a policy's time in pairs that the log has: below it what counts the log's noise
+# alone says nothing
+ENOUGH = 0.9
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,9 @@ class Comparison:
     confidence: float
 
     def decide(
-        self, values: Mapping[str, float] | None = None, intervals: Mapping[str, Interval] | None = None
+        self,
+        values: Mapping[str, float] | None = None,
+        intervals: Mapping[str, Interval] | None = None,
     ) -> Decision:
         """Say which policy is worth most: one rule for the ranking, P(best) and every sentence.
 
@@ -114,32 +122,57 @@ class Comparison:
         values : policy -> the value that is shown; None: the comparison's own
         intervals : policy -> likelihood interval, where there is one
         """
-        shown = dict(zip(self.names, self.values.tolist(), strict=True)) if values is None else values
+        shown = (
+            dict(zip(self.names, self.values.tolist(), strict=True))
+            if values is None
+            else values
+        )
         known, place = intervals or {}, self.names.index
-        order = sorted(shown, key=lambda name: -shown[name] if math.isfinite(shown[name]) else math.inf)
+        order = sorted(
+            shown,
+            key=lambda name: -shown[name] if math.isfinite(shown[name]) else math.inf,
+        )
 
         def is_better(one: str, other: str) -> bool:
             return self.bounds(one, other, known)[0] > 0
 
-        candidates = [a for a in order if a == order[0] or not any(is_better(b, a) for b in order)]
+        candidates = [
+            a for a in order if a == order[0] or not any(is_better(b, a) for b in order)
+        ]
         rows = np.ix_(*[[place(name) for name in candidates]] * 2)
         scale = max((abs(x) for x in shown.values() if math.isfinite(x)), default=0.0)
         is_one = len(candidates) == 1
-        are_equal = not is_one and bool(np.abs([self.lower[rows], self.upper[rows]]).max() <= 1e-12 * scale)
+        are_equal = not is_one and bool(
+            np.abs([self.lower[rows], self.upper[rows]]).max() <= 1e-12 * scale
+        )
         level = 1.0 - (len(order) - 1) * (1.0 - self.confidence)
         is_sure = (
-            self.probability_best.max() > level if not is_one else self.probability_best[place(candidates[0])] > level
+            self.probability_best.max() > level
+            if not is_one
+            else self.probability_best[place(candidates[0])] > level
         )
-        says = self.unrecorded_share.max() <= 1.0 - ENOUGH and (are_equal or is_sure == is_one)
-        best = {name: float(self.probability_best[place(name)]) if says else None for name in order}
+        says = self.unrecorded_share.max() <= 1.0 - ENOUGH and (
+            are_equal or is_sure == is_one
+        )
+        best = {
+            name: float(self.probability_best[place(name)]) if says else None
+            for name in order
+        }
         if not is_one:
             return Decision(tuple(candidates), are_equal, best, None)
         one, other = order[:2]
         difference = shown[one] - shown[other]
         lower, upper = self.bounds(one, other, known)
-        return Decision((one,), False, best, (difference, min(lower, difference), max(upper, difference)))
+        return Decision(
+            (one,),
+            False,
+            best,
+            (difference, min(lower, difference), max(upper, difference)),
+        )
 
-    def bounds(self, one: str, other: str, intervals: Mapping[str, Interval] | None = None) -> tuple[float, float]:
+    def bounds(
+        self, one: str, other: str, intervals: Mapping[str, Interval] | None = None
+    ) -> tuple[float, float]:
         """An interval for the value of one policy minus that of another, which includes unrecorded pairs.
 
         The paired one where the log has ``ENOUGH`` of both policies' time, the difference of the likelihood intervals' ends
@@ -161,26 +194,49 @@ class Comparison:
             return separate
         paired = float(self.lower[i, j]), float(self.upper[i, j])
         return min(
-            paired, separate, key=lambda ends: (not ends[0] > 0, not ends[1] - ends[0] < math.inf, ends[1] - ends[0])
+            paired,
+            separate,
+            key=lambda ends: (
+                not ends[0] > 0,
+                not ends[1] - ends[0] < math.inf,
+                ends[1] - ends[0],
+            ),
         )
 
     def __str__(self) -> str:
         width = max(len(name) for name in self.names)
         lines = [
-            f"{row[0]:<{width}}  {row[1]:>10}  {row[2]:>10}  {row[3]:>7}  {row[4]}".rstrip() for row in self._rows()
+            f"{row[0]:<{width}}  {row[1]:>10}  {row[2]:>10}  {row[3]:>7}  {row[4]}".rstrip()
+            for row in self._rows()
         ]
-        return "\n".join([*lines, f"values: {_printing.SUM}; intervals at {100 * self.confidence:.4g}%"])
+        return "\n".join(
+            [
+                *lines,
+                f"values: {_printing.SUM}; intervals at {100 * self.confidence:.4g}%",
+            ]
+        )
 
     def _rows(self) -> list[list[str]]:
         """The header, then a row each policy; P(best) is left out where the log cannot say."""
-        rows = [["policy", "value", "std. error", "P(best)", "difference from the best"]]
+        rows = [
+            ["policy", "value", "std. error", "P(best)", "difference from the best"]
+        ]
         best = self.decide().probability_best
         for i, name in enumerate(self.names):
-            difference, share, ends = "", best[name], (self.lower[i, 0], self.upper[i, 0])
+            difference, share, ends = (
+                "",
+                best[name],
+                (self.lower[i, 0], self.upper[i, 0]),
+            )
             if i:
-                difference = f"{self.differences[i, 0]:{_printing.spec(*ends)}} {_printing.interval(*ends)}"
+                difference = (
+                    f"{self.differences[i, 0]:{_printing.spec(*ends)}}"
+                    f" {_printing.interval(*ends)}"
+                )
             numbers = f"{self.values[i]:.5g}", f"{self.standard_errors[i]:.2g}"
-            rows.append([name, *numbers, "-" if share is None else f"{share:.1%}", difference])
+            rows.append(
+                [name, *numbers, "-" if share is None else f"{share:.1%}", difference]
+            )
         return rows
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -189,14 +245,25 @@ class Comparison:
         names = [f"{name} less {self.names[0]}" for name in self.names[1:]]
         best = self.decide().best
         return plot_intervals(
-            names, *ends, ax, truth=0.0, truth_label="no difference:", xlabel="difference (discounted sum of rewards)",
-            title="The log cannot say which policy is worth most" if best is None else f"“{best}” is worth most",
-        )  # fmt: skip
+            names,
+            *ends,
+            ax,
+            truth=0.0,
+            truth_label="no difference:",
+            xlabel="difference (discounted sum of rewards)",
+            title=(
+                "The log cannot say which policy is worth most"
+                if best is None
+                else f"“{best}” is worth most"
+            ),
+        )
 
     def _repr_html_(self) -> str:
         header, *rows = self._rows()
         header[4] += f", {100 * self.confidence:.4g}% interval"
-        return _printing.table(header, rows, caption=f"Policies on one log; values: {_printing.SUM}")
+        return _printing.table(
+            header, rows, caption=f"Policies on one log; values: {_printing.SUM}"
+        )
 
 
 @one_thread
@@ -257,20 +324,34 @@ def compare_policies(
     require_squares(problem.model)
     number = _checks.positive_integer(n_draws, "n_draws")
     _checks.require_memory(4.0 * number * len(named), "n_draws", n_draws)
-    evidences = [gather(problem, policy, lower_ratio, upper_ratio) for policy in named.values()]
-    values = np.array([policy_value(e.fitted, e.policy, horizon=e.horizon) for e in evidences])
+    evidences = [
+        gather(problem, policy, lower_ratio, upper_ratio) for policy in named.values()
+    ]
+    values = np.array(
+        [policy_value(e.fitted, e.policy, horizon=e.horizon) for e in evidences]
+    )
     recorded, never = value_covariances(evidences, prior=1.0)
-    room = (1.0 - (lower_ratio or 0.0)) * ((np.inf if upper_ratio is None else upper_ratio) - 1.0)
+    room = (1.0 - (lower_ratio or 0.0)) * (
+        (np.inf if upper_ratio is None else upper_ratio) - 1.0
+    )
     never = never * min(1.0, room)
     generator = _checks.generator(seed)
     if method == "delta":
         covariance = recorded + never
-        draws = values + generator.standard_normal((number, len(values))) @ _root(covariance).T
+        draws = (
+            values
+            + generator.standard_normal((number, len(values))) @ _root(covariance).T
+        )
     else:
         number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
         fixed = int(generator.integers(1 << 62))  # the same resamples for every policy
         draws = np.column_stack(
-            [bootstrap_values(problem, e, by="transitions", n_bootstrap=number, seed=fixed) for e in evidences]
+            [
+                bootstrap_values(
+                    problem, e, by="transitions", n_bootstrap=number, seed=fixed
+                )
+                for e in evidences
+            ]
         )
         covariance = np.atleast_2d(np.cov(draws.T)) + never
         draws = draws + generator.standard_normal(draws.shape) @ _root(never).T
@@ -282,7 +363,9 @@ def compare_policies(
     values, covariance = values[order], covariance[np.ix_(order, order)]
     variance = np.maximum(np.diag(covariance), 0.0)
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
-    half = z * np.sqrt(np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0))
+    half = z * np.sqrt(
+        np.maximum(variance[:, None] + variance[None, :] - 2.0 * covariance, 0.0)
+    )
     down, up = np.array([_outside_changes(problem, evidences[i], z) for i in order]).T
     outside = (down[:, None] + up[None, :]) * (1.0 - np.eye(len(values)))
     difference = values[:, None] - values[None, :]
@@ -304,7 +387,10 @@ def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
     """Name -> (S, A) of at least two; a ValueError where there are fewer."""
     named = check_policies(policies, mdp)
     if len(named) < 2:
-        raise ValueError(f"policies must be at least two to compare; there is {', '.join(map(repr, named)) or 'none'}")
+        raise ValueError(
+            "policies must be at least two to compare; there is"
+            f" {', '.join(map(repr, named)) or 'none'}"
+        )
     return named
 
 
@@ -316,7 +402,9 @@ def _unrecorded_share(problem: Problem, evidence: Evidence) -> float:
     return float(time.reshape(-1) @ unknown) / max(float(time[left].sum()), 1e-300)
 
 
-def _outside_changes(problem: Problem, evidence: Evidence, z: float) -> tuple[float, float]:
+def _outside_changes(
+    problem: Problem, evidence: Evidence, z: float
+) -> tuple[float, float]:
     """By how much dropped transitions, and the simulator's own sampling, may change a value: down, up."""
     margin = outside_margin(problem, evidence)
     if margin is None:
@@ -354,7 +442,9 @@ class Selection:
     absolute_error: float
 
 
-def selection_measures(estimates: ArrayLike, truths: ArrayLike, *, k: int = 1) -> Selection:
+def selection_measures(
+    estimates: ArrayLike, truths: ArrayLike, *, k: int = 1
+) -> Selection:
     """Compute Spearman's rank correlation, regret@k (a share of the range of true values) and mean absolute error.
 
     Parameters
@@ -371,18 +461,27 @@ def selection_measures(estimates: ArrayLike, truths: ArrayLike, *, k: int = 1) -
     truth = _checks.float_array(truths, "truths", ndim=1)
     if guess.shape != truth.shape or len(guess) < 2:
         raise ValueError(
-            f"estimates and truths must have one length of at least 2; they have {len(guess)} and {len(truth)}"
+            "estimates and truths must have one length of at least 2; they have"
+            f" {len(guess)} and {len(truth)}"
         )
     for array, name in ((guess, "estimates"), (truth, "truths")):
         _checks.require_finite(array, name)
     number = _checks.positive_integer(k, "k")
     if number > len(guess):
-        raise ValueError(f"k must be at most the number of policies, {len(guess)}; it is {number}")
+        raise ValueError(
+            f"k must be at most the number of policies, {len(guess)}; it is {number}"
+        )
     flat = np.ptp(guess) == 0 or np.ptp(truth) == 0
     from scipy import stats  # a quarter of a second
 
-    correlation = float("nan") if flat else float(stats.spearmanr(guess, truth).statistic)
+    correlation = (
+        float("nan") if flat else float(stats.spearmanr(guess, truth).statistic)
+    )
     chosen = np.argsort(-guess, kind="stable")[:number]
     short = float(truth.max() - truth[chosen].max())
     width = float(np.ptp(truth))
-    return Selection(correlation, short / width if width > 0 else 0.0, float(np.abs(guess - truth).mean()))
+    return Selection(
+        correlation,
+        short / width if width > 0 else 0.0,
+        float(np.abs(guess - truth).mean()),
+    )

@@ -49,7 +49,9 @@ class Evidence:
     def pay(self) -> Array:
         """(entries,) r(s, a, s')."""
         data = self.model.reward_data
-        return self.rows.spread(self.model.rewards.reshape(-1)) if data is None else data
+        return (
+            self.rows.spread(self.model.rewards.reshape(-1)) if data is None else data
+        )
 
     @cached_property
     def reachable(self) -> BoolArray:
@@ -67,11 +69,16 @@ class Evidence:
 
 
 def gather(
-    problem: Problem, policy: PolicyLike, lower_ratio: float | None = None, upper_ratio: float | None = None
+    problem: Problem,
+    policy: PolicyLike,
+    lower_ratio: float | None = None,
+    upper_ratio: float | None = None,
 ) -> Evidence:
     """Counts and box, checked: 0 <= lower_ratio <= 1 <= upper_ratio."""
     pi, counts = check_policy(policy, problem.model), problem.counts
-    return evidence_of(problem.model, pi, problem.horizon, counts, lower_ratio, upper_ratio)
+    return evidence_of(
+        problem.model, pi, problem.horizon, counts, lower_ratio, upper_ratio
+    )
 
 
 def evidence_of(
@@ -83,24 +90,41 @@ def evidence_of(
     upper_ratio: float | None,
 ) -> Evidence:
     """The same of a model and counts on its support, or None, for a policy that was checked."""
-    nu = 0.0 if lower_ratio is None else _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
-    mu = np.inf if upper_ratio is None else _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
+    nu = (
+        0.0
+        if lower_ratio is None
+        else _checks.number_in(lower_ratio, "lower_ratio", 0.0, 1.0)
+    )
+    mu = (
+        np.inf
+        if upper_ratio is None
+        else _checks.number_in(upper_ratio, "upper_ratio", 1.0, np.inf, infinite=True)
+    )
     rows = Rows.of(model)
-    observed = np.zeros(len(rows.weights)) if counts is None else align(counts, model.transitions)[0]
+    observed = (
+        np.zeros(len(rows.weights))
+        if counts is None
+        else align(counts, model.transitions)[0]
+    )
     n = rows.sums(observed)
     phat = np.where(rows.spread(n) > 0, rows.frequencies(observed), rows.weights)
     high = np.minimum(mu * rows.weights, 1.0) if np.isfinite(mu) else np.ones(len(phat))
     has_box = lower_ratio is not None or upper_ratio is not None
-    return Evidence(model, policy, horizon, rows, phat, n, nu * rows.weights, high, has_box)
+    return Evidence(
+        model, policy, horizon, rows, phat, n, nu * rows.weights, high, has_box
+    )
 
 
 def require_squares(model: FiniteMDP) -> None:
     """Rewards so small that floats hold the squares of values: what multiplies two of them would be nan."""
-    largest = float(np.abs(model.rewards if model.reward_data is None else model.reward_data).max())
+    largest = float(
+        np.abs(model.rewards if model.reward_data is None else model.reward_data).max()
+    )
     if largest > LARGEST_REWARD:
         raise ValueError(
-            f"the simulator's rewards must be at most {LARGEST_REWARD:g}, so that floats hold the squares of values; they "
-            f"reach {largest:g}: give them in a larger unit"
+            f"the simulator's rewards must be at most {LARGEST_REWARD:g}, so that"
+            f" floats hold the squares of values; they reach {largest:g}: give them in"
+            " a larger unit"
         )
 
 
@@ -114,19 +138,30 @@ def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
     """``reachable``; with ``steps``, as one of the policy's first."""
     taken, size = evidence.policy > 0, evidence.model.n_states
     state, _, following = evidence.rows.select(taken.reshape(-1)).transitions
-    starts = np.flatnonzero(evidence.model.initial > 0)  # a node of its own leads to every start
-    tail, head = np.append(state, np.full(len(starts), size)), np.append(following, starts)
-    graph = sparse.csr_array((np.ones(len(tail)), (tail, head)), shape=(size + 1, size + 1))
+    # a node of its own leads to every start
+    starts = np.flatnonzero(evidence.model.initial > 0)
+    tail, head = (
+        np.append(state, np.full(len(starts), size)),
+        np.append(following, starts),
+    )
+    graph = sparse.csr_array(
+        (np.ones(len(tail)), (tail, head)), shape=(size + 1, size + 1)
+    )
     seen = np.zeros(size + 1, dtype=np.bool_)
     if steps is None or steps >= size:
         seen[csgraph.breadth_first_order(graph, size, return_predecessors=False)] = True
     else:
-        seen = np.isfinite(csgraph.dijkstra(graph, indices=size, unweighted=True, limit=steps))
+        seen = np.isfinite(
+            csgraph.dijkstra(graph, indices=size, unweighted=True, limit=steps)
+        )
     return np.asarray((seen[:size, None] & taken).reshape(-1))
 
 
 def describe_rows(evidence: Evidence, rows: Any) -> str:
     """The first rows, as (s, a) with their counts."""
     n_actions, names = evidence.model.n_actions, evidence.model.names
-    named = ", ".join(f"({names.pair(*divmod(int(r), n_actions))}, n={evidence.n[r]:g})" for r in rows[:5])
+    named = ", ".join(
+        f"({names.pair(*divmod(int(r), n_actions))}, n={evidence.n[r]:g})"
+        for r in rows[:5]
+    )
     return named + ("" if len(rows) <= 5 else f" and {len(rows) - 5} more")

@@ -13,7 +13,11 @@ from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.exact import policy_value
-from oee_tabular.inference.asymptotic import bootstrap_values, outside_margin, value_covariances
+from oee_tabular.inference.asymptotic import (
+    bootstrap_values,
+    outside_margin,
+    value_covariances,
+)
 from oee_tabular.inference.evidence import (
     Evidence,
     describe_rows,
@@ -23,8 +27,17 @@ from oee_tabular.inference.evidence import (
     require_squares,
     unrecorded_share,
 )
-from oee_tabular.inference.likelihood import likelihood_ends, shared_directions, shared_ends
-from oee_tabular.inference.robust import extreme_value, find_contradictions, radii, require_end
+from oee_tabular.inference.likelihood import (
+    likelihood_ends,
+    shared_directions,
+    shared_ends,
+)
+from oee_tabular.inference.robust import (
+    extreme_value,
+    find_contradictions,
+    radii,
+    require_end,
+)
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.plots import plot_intervals
 
@@ -33,7 +46,8 @@ if TYPE_CHECKING:
 
 METHODS = ("likelihood", "delta", "bootstrap", "robust")
 NO_VARIATION = (
-    "the log's transitions that affect the value never vary: no spread can be estimated; use method='likelihood'"
+    "the log's transitions that affect the value never vary: no spread can be"
+    " estimated; use method='likelihood'"
 )
 
 
@@ -95,18 +109,33 @@ class Interval:
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the interval on a line (``oee_tabular.plots.plot_intervals``); without ``ax`` on new axes."""
-        return plot_intervals(["value"], [np.nan], [self.lower], [self.upper], ax, title=str(self))
+        return plot_intervals(
+            ["value"], [np.nan], [self.lower], [self.upper], ax, title=str(self)
+        )
 
     def _repr_html_(self) -> str:
         spec = _printing.spec(self.lower, self.upper)
         rows: list[tuple[str, object]] = [
-            ("lower", format(self.lower, spec)), ("upper", format(self.upper, spec)), ("width", f"{self.width:.4g}"),
-            ("confidence", f"{100 * self.confidence:.4g}%"), ("method", self.method),
-        ]  # fmt: skip
+            ("lower", format(self.lower, spec)),
+            ("upper", format(self.upper, spec)),
+            ("width", f"{self.width:.4g}"),
+            ("confidence", f"{100 * self.confidence:.4g}%"),
+            ("method", self.method),
+        ]
         if self.sampling is not None:
-            rows.append(("from the recorded transitions alone", _printing.interval(*self.sampling)))
-        rows += [(name, f"{x:.4g}" if isinstance(x, float) else x) for name, x in self.diagnostics.items()]
-        return _printing.facts(f"Interval for a value: {_printing.SUM}", [*rows, ("status", self.status)])
+            rows.append(
+                (
+                    "from the recorded transitions alone",
+                    _printing.interval(*self.sampling),
+                )
+            )
+        rows += [
+            (name, f"{x:.4g}" if isinstance(x, float) else x)
+            for name, x in self.diagnostics.items()
+        ]
+        return _printing.facts(
+            f"Interval for a value: {_printing.SUM}", [*rows, ("status", self.status)]
+        )
 
 
 @one_thread
@@ -180,30 +209,49 @@ def interval(
         raise ValueError("horizon must be given at discount 1")
     if tie is not None or features is not None:
         has_box = lower_ratio is not None or upper_ratio is not None
-        return _interval_under(problem, policy, tie, features, level, method, has_box=has_box)
+        return _interval_under(
+            problem, policy, tie, features, level, method, has_box=has_box
+        )
     evidence = gather(problem, policy, lower_ratio, upper_ratio)
     has_dropped = bool(problem.dropped.any())
     if has_dropped and method not in ("likelihood", "robust"):
         raise ValueError(
-            f"method must be 'likelihood' or 'robust' if impossible transitions were dropped; it is {_checks.show(method)}"
+            "method must be 'likelihood' or 'robust' if impossible transitions were"
+            f" dropped; it is {_checks.show(method)}"
         )
     if has_dropped and evidence.has_box:
         raise ValueError(
-            "lower_ratio and upper_ratio must be None if impossible transitions were dropped: no box contains those"
+            "lower_ratio and upper_ratio must be None if impossible transitions were"
+            " dropped: no box contains those"
         )
-    kind = ("anytime" if problem.log.by_episodes else "independent") if radius == "auto" else radius
-    z, margin = NormalDist().inv_cdf(0.5 + level / 2.0), outside_margin(problem, evidence)
+    kind = (
+        ("anytime" if problem.log.by_episodes else "independent")
+        if radius == "auto"
+        else radius
+    )
+    z, margin = (
+        NormalDist().inv_cdf(0.5 + level / 2.0),
+        outside_margin(problem, evidence),
+    )
     unrecorded = _count_unrecorded(evidence)
-    facts: dict[str, Any] = {"unrecorded_share": unrecorded_share(evidence), "unrecorded_pairs": unrecorded}
+    facts: dict[str, Any] = {
+        "unrecorded_share": unrecorded_share(evidence),
+        "unrecorded_pairs": unrecorded,
+    }
     facts |= {} if margin is None else margin.diagnostics
-    wrong = find_contradictions(evidence, level, kind) if evidence.has_box else np.zeros(0)
+    wrong = (
+        find_contradictions(evidence, level, kind) if evidence.has_box else np.zeros(0)
+    )
     if wrong.size:
         status = (
-            f"the counts contradict the box [{lower_ratio or 0:g}, {np.inf if upper_ratio is None else upper_ratio:g}] in "
-            f"{wrong.size} state-action pair{'s' * (wrong.size > 1)}, with confidence {level:g}: "
-            f"{describe_rows(evidence, wrong)}; widen it"
+            f"the counts contradict the box [{lower_ratio or 0:g},"
+            f" {np.inf if upper_ratio is None else upper_ratio:g}] in {wrong.size}"
+            f" state-action pair{'s' * (wrong.size > 1)}, with confidence {level:g}:"
+            f" {describe_rows(evidence, wrong)}; widen it"
         )
-        return Interval(np.nan, np.nan, level, method, facts | {"contradicted_rows": wrong}, status)
+        return Interval(
+            np.nan, np.nan, level, method, facts | {"contradicted_rows": wrong}, status
+        )
     sampling: tuple[float, float] | None = None
     if method == "likelihood":
         low, high = likelihood_ends(evidence, level)
@@ -214,7 +262,10 @@ def interval(
             "change": "last_change",
             "promised": "promised",
         }
-        facts |= {shown: max(getattr(low, name), getattr(high, name)) for name, shown in names.items()}
+        facts |= {
+            shown: max(getattr(low, name), getattr(high, name))
+            for name, shown in names.items()
+        }
         sampling = lower, upper
         if has_dropped or unrecorded:
             sampling = _interval_as_estimated(problem, evidence, z, sampling)
@@ -225,21 +276,35 @@ def interval(
         ends = [extreme_value(evidence, radius_of_row, sign) for sign in (-1.0, 1.0)]
         lower, upper = (end.bound for end in ends)
         beyond = max(abs(end.bound - end.value) for end in ends)
-        facts |= {"radius": kind, "sweeps": max(end.sweeps for end in ends), "certified_beyond": beyond}
+        facts |= {
+            "radius": kind,
+            "sweeps": max(end.sweeps for end in ends),
+            "certified_beyond": beyond,
+        }
     else:
         if method == "delta":
-            value = policy_value(evidence.fitted, evidence.policy, horizon=evidence.horizon)
+            value = policy_value(
+                evidence.fitted, evidence.policy, horizon=evidence.horizon
+            )
             error = float(np.sqrt(value_covariances([evidence], prior=0.0)[0][0, 0]))
             lower, upper = value - z * error, value + z * error
         else:
             number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
-            values = bootstrap_values(problem, evidence, by=resample, n_bootstrap=number, seed=seed)
-            lower, upper = (float(x) for x in np.quantile(values, [(1.0 - level) / 2.0, (1.0 + level) / 2.0]))
+            values = bootstrap_values(
+                problem, evidence, by=resample, n_bootstrap=number, seed=seed
+            )
+            lower, upper = (
+                float(x)
+                for x in np.quantile(values, [(1.0 - level) / 2.0, (1.0 + level) / 2.0])
+            )
             error = float(values.std(ddof=1))
         facts["standard_error"] = error
     if margin is not None:
         lower, upper = margin.widen(lower, upper, z)
-    varies = upper - lower > 1e-12 * max(abs(lower), abs(upper)) or not (evidence.open_rows & evidence.reachable).any()
+    varies = (
+        upper - lower > 1e-12 * max(abs(lower), abs(upper))
+        or not (evidence.open_rows & evidence.reachable).any()
+    )
     if method in ("delta", "bootstrap") and not varies:
         facts["standard_error"] = np.nan
         return Interval(np.nan, np.nan, level, method, facts, NO_VARIATION)
@@ -303,21 +368,42 @@ def value_range(
 
 
 def _interval_under(
-    problem: Problem, policy: PolicyLike, tie: Any, features: Any, level: float, method: str, *, has_box: bool
+    problem: Problem,
+    policy: PolicyLike,
+    tie: Any,
+    features: Any,
+    level: float,
+    method: str,
+    *,
+    has_box: bool,
 ) -> Interval:
     """The likelihood interval of a model whose rows share parameters."""
     if method != "likelihood" or has_box:
-        what = "lower_ratio and upper_ratio must be None" if has_box else "method must be 'likelihood'"
-        raise ValueError(f"{what} with {'features' if tie is None else 'tie'}, which defines the model")
+        what = (
+            "lower_ratio and upper_ratio must be None"
+            if has_box
+            else "method must be 'likelihood'"
+        )
+        raise ValueError(
+            f"{what} with {'features' if tie is None else 'tie'}, which defines the"
+            " model"
+        )
     if problem.dropped.any():
         raise ValueError(
-            "tie and features must be left out if impossible transitions were dropped, which they do not describe"
+            "tie and features must be left out if impossible transitions were dropped,"
+            " which they do not describe"
         )
     directions = shared_directions(problem.simulator, tie, features)
     pi = check_policy(policy, problem.simulator)
     lower, upper, estimate = shared_ends(problem, pi, directions, level)
     name = f"likelihood under the {'features' if tie is None else 'tie'}"
-    return Interval(lower, upper, level, name, {"estimate": estimate, "n_parameters": len(directions.names)})
+    return Interval(
+        lower,
+        upper,
+        level,
+        name,
+        {"estimate": estimate, "n_parameters": len(directions.names)},
+    )
 
 
 def _interval_as_estimated(
@@ -327,7 +413,10 @@ def _interval_as_estimated(
     estimate = OffEnvironment()(problem, evidence.policy)  # exact: no seed matters
     if estimate.standard_error is None or not np.isfinite(estimate.standard_error):
         return None
-    ends = estimate.value - z * estimate.standard_error, estimate.value + z * estimate.standard_error
+    ends = (
+        estimate.value - z * estimate.standard_error,
+        estimate.value + z * estimate.standard_error,
+    )
     return tuple(np.clip(ends, *quoted).tolist()) if evidence.has_box else ends
 
 

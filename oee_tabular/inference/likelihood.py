@@ -62,12 +62,21 @@ from oee_tabular.ratio.ties import tie_keys
 
 N_DENSE = 128  # states up to which LAPACK takes no longer than sweeps (.1 ms)
 N_DRAWS = 16  # ascents from drawn directions, at most, of small problems
-DRAWS_EACH = 4  # such ascents for each transition that the log lacks; without any 0 of 800 ends needed one
-AFFORDED = 10**6  # transitions of the simulator, times the steps of a value, that share such ascents among them
+# such ascents for each transition that the log lacks; without any 0 of 800 ends needed
+# one
+DRAWS_EACH = 4
+# transitions of the simulator, times the steps of a value, that share such ascents
+# among them
+AFFORDED = 10**6
 N_SWEEPS = 15  # steps of a value without a horizon, in time
-SETTLED = 3e-8  # of the way from the frequencies' value: by how much the last iterations may move an end
-SCOUTED = 1e-3  # the same of all ascents of large problems, of which the best is continued
-ROUGH = 1e-3  # of what V and d of the rows before miss in new rows: what is left of it, in large problems
+# of the way from the frequencies' value: by how much the last iterations may move an
+# end
+SETTLED = 3e-8
+# the same of all ascents of large problems, of which the best is continued
+SCOUTED = 1e-3
+# of what V and d of the rows before miss in new rows: what is left of it, in large
+# problems
+ROUGH = 1e-3
 FINE = 1e-9  # the same, where nothing is near
 
 
@@ -176,16 +185,30 @@ def likelihood_ends(evidence: Evidence, confidence: float) -> tuple[End, End]:
     Ascents begin along the gradient at the frequencies, along r + gamma V of the simulator, and along drawn directions.
     """
     rows = PolicyRows.from_evidence(evidence)
-    base, own = _begin(rows, rows.phat), _begin(rows, evidence.rows.weights[rows.entries])
-    base.numbers["limit"] = float(gammaincinv(0.5, confidence))  # half of chi-square's quantile
-    drawn, ahead = _draw_directions(rows), rows.pay + rows.discount * own.values[rows.column]
+    base, own = (
+        _begin(rows, rows.phat),
+        _begin(rows, evidence.rows.weights[rows.entries]),
+    )
+    # half of chi-square's quantile
+    base.numbers["limit"] = float(gammaincinv(0.5, confidence))
+    drawn, ahead = (
+        _draw_directions(rows),
+        rows.pay + rows.discount * own.values[rows.column],
+    )
     low, high = (
-        _find_end(rows, evidence, base, [sign * base.slope, sign * ahead, *drawn], sign) for sign in (-1.0, 1.0)
+        _find_end(rows, evidence, base, [sign * base.slope, sign * ahead, *drawn], sign)
+        for sign in (-1.0, 1.0)
     )
     return low, high
 
 
-def _find_end(rows: PolicyRows, evidence: Evidence, base: Ascent, directions: list[Array], sign: float) -> End:
+def _find_end(
+    rows: PolicyRows,
+    evidence: Evidence,
+    base: Ascent,
+    directions: list[Array],
+    sign: float,
+) -> End:
     """The farthest end of ascents from several directions: its value to rounding, its rows, and what is promised."""
     is_large, end = len(rows.initial) > N_DENSE, base
     for x in directions:
@@ -199,13 +222,26 @@ def _find_end(rows: PolicyRows, evidence: Evidence, base: Ascent, directions: li
     _fill_values(rows, end.p, end, FINE)
     end.trial[:] = end.p
     numbers = end.numbers[0]
-    kernels.best_rows(rows, sign * end.slope, 1.0, numbers["limit"], kernels.EXACT, 0.0, end.trial)
-    promised = np.where(rows.has_data, sign * end.slope * (end.trial - end.p), 0.0).sum()
+    kernels.best_rows(
+        rows, sign * end.slope, 1.0, numbers["limit"], kernels.EXACT, 0.0, end.trial
+    )
+    promised = np.where(
+        rows.has_data, sign * end.slope * (end.trial - end.p), 0.0
+    ).sum()
     whole = evidence.phat.copy()
     whole[rows.entries] = end.p
-    value = policy_value(evidence.with_rows(whole), evidence.policy, horizon=evidence.horizon)
+    value = policy_value(
+        evidence.with_rows(whole), evidence.policy, horizon=evidence.horizon
+    )
     promised, change = rows.unit * float(promised), rows.unit * float(numbers["change"])
-    return End(value, whole, promised, int(numbers["iterations"]), float(numbers["divergence"]), change)
+    return End(
+        value,
+        whole,
+        promised,
+        int(numbers["iterations"]),
+        float(numbers["divergence"]),
+        change,
+    )
 
 
 def _draw_directions(rows: PolicyRows) -> Array:
@@ -214,7 +250,9 @@ def _draw_directions(rows: PolicyRows) -> Array:
     affordable = max(AFFORDED // (len(rows.phat) * (rows.n_steps or N_SWEEPS)), 1)
     number = min(DRAWS_EACH * int((~is_observed).sum()), affordable, N_DRAWS)
     drawn = np.random.default_rng(5).random((number, len(rows.initial)))[:, rows.column]
-    largest = np.repeat(np.maximum.reduceat(drawn, rows.indptr[:-1], axis=1), lengths, axis=1)
+    largest = np.repeat(
+        np.maximum.reduceat(drawn, rows.indptr[:-1], axis=1), lengths, axis=1
+    )
     drawn[1::2] = (drawn == largest)[1::2]
     return drawn
 
@@ -224,20 +262,38 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
     n, k = len(rows.initial), len(p)
     start = np.full(n, 1.0 / ((1.0 - rows.discount) * n) if rows.is_sparse else 0.0)
     last_x, gradient, x, trial, slope = np.zeros((5, k))
-    ascent = Ascent(np.zeros(1, dtype=kernels.NUMBERS), p, last_x, gradient, x, trial, np.zeros(n), start, slope)
-    ascent.numbers["value"] = ascent.numbers["reference"] = _fill_values(rows, p, ascent, FINE)
+    ascent = Ascent(
+        np.zeros(1, dtype=kernels.NUMBERS),
+        p,
+        last_x,
+        gradient,
+        x,
+        trial,
+        np.zeros(n),
+        start,
+        slope,
+    )
+    ascent.numbers["value"] = ascent.numbers["reference"] = _fill_values(
+        rows, p, ascent, FINE
+    )
     ascent.numbers["step"], ascent.numbers["change"] = 1.0, np.inf
     return ascent
 
 
 def _ascend(rows: PolicyRows, ascent: Ascent, settled: float) -> None:
     """Run the loop above, or continue it, until iterations move the end by a share ``settled``."""
-    ascent.numbers["settled"], ascent.numbers["quiet"], is_over = settled, 0.0, not rows.is_sparse
+    ascent.numbers["settled"], ascent.numbers["quiet"], is_over = (
+        settled,
+        0.0,
+        not rows.is_sparse,
+    )
     if is_over:
         kernels.ascend(rows, ascent)
     while not is_over:
         kernels.propose(rows, ascent)
-        is_over = kernels.accept(ascent, _fill_values(rows, ascent.trial, ascent, ROUGH))
+        is_over = kernels.accept(
+            ascent, _fill_values(rows, ascent.trial, ascent, ROUGH)
+        )
 
 
 def value_of_rows(rows: PolicyRows, p: Array) -> float:
@@ -255,7 +311,10 @@ def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> flo
     if not rows.is_sparse:
         return float(kernels.fill_values(rows, p, values, visits, ascent.slope))
     weights = rows.weight * p
-    share, rewards = np.bincount(rows.edge, weights), np.bincount(rows.state, weights * rows.pay).astype(np.float64)
+    share, rewards = (
+        np.bincount(rows.edge, weights),
+        np.bincount(rows.state, weights * rows.pay).astype(np.float64),
+    )
     system = Kernel(rows.edges, rows.columns, as_readonly(share), rows.discount)
     solution = solvers.answer(System(system), rewards, values, left)
     value = rows.initial @ solution.x + visits @ solution.missed
@@ -266,55 +325,81 @@ def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> flo
 
 
 N_LINEARISATIONS = 200
-TOLERANCE = 1e-7  # of the width, by which the last linearisation may still have moved an end
+# of the width, by which the last linearisation may still have moved an end
+TOLERANCE = 1e-7
 LARGEST_LOG_FORCE = 60.0  # of c: beyond it rounding is all that the set has to give
 
 
-def shared_directions(simulator: FiniteMDP, tie: object, features: object) -> Directions:
+def shared_directions(
+    simulator: FiniteMDP, tie: object, features: object
+) -> Directions:
     """The directions of a tie or of features, checked; both as in ``transition_ratio``."""
     if tie is not None and features is not None:
-        raise ValueError("tie and features must not be given together: they are two different models")
+        raise ValueError(
+            "tie and features must not be given together: they are two different models"
+        )
     rows = Rows.of(simulator)
     if tie is not None:
         return own_directions(simulator, keys=tie_keys(tie, rows, simulator))
     array = feature_array(features, simulator)
     spread = np.abs(rows.center(array)).max(axis=0)
-    constant = np.flatnonzero(spread <= 1e-12 * np.maximum(np.abs(array).max(axis=0), 1e-300))
+    constant = np.flatnonzero(
+        spread <= 1e-12 * np.maximum(np.abs(array).max(axis=0), 1e-300)
+    )
     if constant.size:
         raise ValueError(
-            f"features must differ between the next states of some state-action pair; feature {constant[0]} is constant in "
-            "every one"
+            "features must differ between the next states of some state-action pair;"
+            f" feature {constant[0]} is constant in every one"
         )
     return own_directions(simulator, array)
 
 
-def shared_ends(problem: Problem, policy: Array, directions: Directions, level: float) -> tuple[float, float, float]:
+def shared_ends(
+    problem: Problem, policy: Array, directions: Directions, level: float
+) -> tuple[float, float, float]:
     """Lower end, upper end, and J at theta_hat."""
     rows, horizon = Rows.of(problem.simulator), problem.horizon
     counts = aligned_counts(problem.counts, problem.simulator)
     visited = rows.select((rows.sums(counts) > 0) & (np.diff(rows.indptr) > 1))
     if not len(visited):
-        raise ValueError("log must have a transition of a state-action pair with more than one next state; it has none")
+        raise ValueError(
+            "log must have a transition of a state-action pair with more than one next"
+            " state; it has none"
+        )
     observed, columns = counts[visited.entries], directions.columns(visited)
     fit = fit_ridge(directions, visited, observed, None, by_evidence=False)
-    mass, pulled = visited.sums(observed), sum_columns(columns, observed, visited.n_actions)
+    mass, pulled = (
+        visited.sums(observed),
+        sum_columns(columns, observed, visited.n_actions),
+    )
     action = np.zeros((len(fit.theta), 1))
     action[0] = 1.0  # no parameters of an action alone
     least = penalized_risk(columns, (mass, pulled), fit.theta, fit.penalty)[0]
     limit = least + float(gammaincinv(0.5, level))  # half of chi-square's quantile
 
     def value(theta: Array) -> float:
-        return policy_value(with_rows(problem.model, replace(fit, theta=theta).at(rows)), policy, horizon=horizon)
+        return policy_value(
+            with_rows(problem.model, replace(fit, theta=theta).at(rows)),
+            policy,
+            horizon=horizon,
+        )
 
     def gradient(theta: Array) -> Array:
         tilt = replace(fit, theta=theta)
         target = with_rows(problem.model, tilt.at(rows))
         slope = transition_gradient(target, policy, horizon=horizon)
-        return np.asarray(action * tilt.pull(rows, slope * target.transitions.data).sum(axis=0))
+        return np.asarray(
+            action * tilt.pull(rows, slope * target.transitions.data).sum(axis=0)
+        )
 
     def minimise_against(force: Array) -> Array:
         """argmin f(theta) - force . theta."""
-        return np.asarray(action * minimise(columns, (mass, pulled + force[:-1]), fit.theta, fit.penalty, 1e-22)[0])
+        return np.asarray(
+            action
+            * minimise(
+                columns, (mass, pulled + force[:-1]), fit.theta, fit.penalty, 1e-22
+            )[0]
+        )
 
     def maximise_on_boundary(force: Array) -> Array:
         """argmax force . theta where f is at most the limit."""
@@ -322,7 +407,9 @@ def shared_ends(problem: Problem, policy: Array, directions: Directions, level: 
 
         def excess(log_c: float) -> float:
             theta = minimise_against(np.exp(log_c) * force)
-            rise: float = penalized_risk(columns, (mass, pulled), theta, fit.penalty)[0] - limit
+            rise: float = (
+                penalized_risk(columns, (mass, pulled), theta, fit.penalty)[0] - limit
+            )
             return rise
 
         low = high = 0.0
@@ -345,7 +432,10 @@ def shared_ends(problem: Problem, policy: Array, directions: Directions, level: 
                 break
             step = maximise_on_boundary(force) - theta
             length, last = 1.0, end
-            while length > 1e-3 and sign * (end := value(theta + length * step)) <= sign * last:
+            while (
+                length > 1e-3
+                and sign * (end := value(theta + length * step)) <= sign * last
+            ):
                 length *= 0.5  # what lies between two members is one: the set is convex
             if sign * (end - last) <= TOLERANCE * abs(end - middle):
                 return sign * max(sign * end, sign * last)

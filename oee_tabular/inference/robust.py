@@ -52,7 +52,8 @@ def independent_radius(n: Array, k: IntArray, level: float) -> Array:
     c = n epsilon solves e^-c (e c / (k - 1))^(k - 1) = level, c > k - 1. inf where n = 0.
     """
     order = np.maximum(k - 1.0, 1.0)
-    # -c + (k-1) (1 + log(c / (k-1))) = log level: with y = c / (k-1), y e^-y = exp(log level / (k-1) - 1)
+    # -c + (k-1) (1 + log(c / (k-1))) = log level: with y = c / (k-1), y e^-y = exp(log
+    # level / (k-1) - 1)
     c = -order * special.lambertw(-np.exp(np.log(level) / order - 1.0), k=-1).real
     return np.where(n > 0, c / np.maximum(n, 1.0), np.inf)
 
@@ -66,7 +67,9 @@ def anytime_radius(n: Array, k: IntArray, level: float) -> Array:
 
 def radii(evidence: Evidence, confidence: float, kind: str) -> Array:
     """(S*A,) radius of each row, the failure probability shared evenly by the rows that are reached and open."""
-    level = (1.0 - confidence) / max(int((evidence.open_rows & evidence.reachable).sum()), 1)
+    level = (1.0 - confidence) / max(
+        int((evidence.open_rows & evidence.reachable).sum()), 1
+    )
     radius = independent_radius if kind == "independent" else anytime_radius
     return radius(evidence.n, np.diff(evidence.rows.indptr), level)
 
@@ -106,7 +109,10 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
         rise = max(float((sign * (backed - values)).max()), 0.0)
         last, residual = residual, float(np.abs(backed - values).max())
         stalled = stalled + 1 if residual >= 0.5 * last else 0
-        if residual <= 1e-12 * max(1.0, float(np.abs(values).max())) or stalled >= N_STALLED:
+        if (
+            residual <= 1e-12 * max(1.0, float(np.abs(values).max()))
+            or stalled >= N_STALLED
+        ):
             break
         values = evaluate_policy(evidence.with_rows(p), policy).values
     value = dot(model.initial, values)
@@ -121,11 +127,24 @@ def find_contradictions(evidence: Evidence, confidence: float, kind: str) -> Int
     return np.flatnonzero(np.isfinite(radius) & (kl > radius * (1.0 + 1e-9) + 1e-15))
 
 
-def _solve_rows(evidence: Evidence, radius: Array, v: Array, guesses: Array, p: Array) -> tuple[Array, Array]:
+def _solve_rows(
+    evidence: Evidence, radius: Array, v: Array, guesses: Array, p: Array
+) -> tuple[Array, Array]:
     """(S*A,) certified bounds on max sum P v, and the KL of the maximisers, which go into p."""
     bound, kl = np.empty((2, len(radius)))
     part = evidence
-    worst_rows(radius, part.phat, v, part.low, part.high, part.rows.indptr, guesses, p, bound, kl)
+    worst_rows(
+        radius,
+        part.phat,
+        v,
+        part.low,
+        part.high,
+        part.rows.indptr,
+        guesses,
+        p,
+        bound,
+        kl,
+    )
     return bound, kl
 
 
@@ -136,8 +155,12 @@ def require_end(evidence: Evidence) -> None:
     take all mass (mu P(X) >= 1).
     """
     model, rows = evidence.model, evidence.rows
-    system, rewards = policy_system(model, evidence.policy), (evidence.policy * model.rewards).sum(axis=1)
-    inside = ~recurrent_states(system, rewards, model.names)  # which refuses a simulator whose own sum diverges
+    system, rewards = (
+        policy_system(model, evidence.policy),
+        (evidence.policy * model.rewards).sum(axis=1),
+    )
+    # which refuses a simulator whose own sum diverges
+    inside = ~recurrent_states(system, rewards, model.names)
     taken = evidence.policy.reshape(-1) > 0
     while inside.any():
         kept = inside[rows.arrival]
@@ -148,8 +171,10 @@ def require_end(evidence: Evidence) -> None:
         if (smaller == inside).all():
             state = model.names.state(np.flatnonzero(inside)[0])
             raise ValueError(
-                "horizon must be given: at discount 1 the infinite sum exists only where the policy is absorbed in every "
-                f"model of the box; with lower_ratio 0 it may stay for ever among states of which s={state} is one"
+                "horizon must be given: at discount 1 the infinite sum exists only"
+                " where the policy is absorbed in every model of the box; with"
+                f" lower_ratio 0 it may stay for ever among states of which s={state}"
+                " is one"
             )
         inside = smaller
 
@@ -196,7 +221,10 @@ def row_at(lam, phat, v, low, high, start, stop, out, spare):
         least += low[i]
         smallest, largest = min(smallest, v[i]), max(largest, v[i])
     left, room = smallest, max(1.0 - least, 1e-300)
-    right = largest + max(lam / room, 1e-12 * max(abs(largest), abs(smallest), largest - smallest) + 1e-300)
+    right = largest + max(
+        lam / room,
+        1e-12 * max(abs(largest), abs(smallest), largest - smallest) + 1e-300,
+    )
     eta = right
     for _ in range(200):
         total, slope = fill_at(eta, lam, phat, v, low, high, start, stop, out)
@@ -214,9 +242,13 @@ def row_at(lam, phat, v, low, high, start, stop, out, spare):
         eta = trial
     upper, _ = fill_at(left, lam, phat, v, low, high, start, stop, out)
     lower, _ = fill_at(right, lam, phat, v, low, high, start, stop, spare)
-    share = min(max((1.0 - lower) / (upper - lower), 0.0), 1.0) if upper > lower else 0.0
+    share = (
+        min(max((1.0 - lower) / (upper - lower), 0.0), 1.0) if upper > lower else 0.0
+    )
     for i in range(start, stop):
-        out[i] = spare[i] if out[i] == spare[i] else spare[i] + share * (out[i] - spare[i])
+        out[i] = (
+            spare[i] if out[i] == spare[i] else spare[i] + share * (out[i] - spare[i])
+        )
     return right
 
 
@@ -226,7 +258,8 @@ def divergence(phat, p, start, stop):
     total = 0.0
     for i in range(start, stop):
         if phat[i] == 0.0:
-            total += p[i]  # sum P = sum phat = 1: the mass that the logarithm's terms leave out
+            # sum P = sum phat = 1: the mass that the logarithm's terms leave out
+            total += p[i]
         elif p[i] <= 0.0:
             return np.inf
         else:
@@ -234,7 +267,9 @@ def divergence(phat, p, start, stop):
             if abs(u) < 1e-4:
                 total += phat[i] * 0.5 * u * u * (1.0 - 2.0 * u / 3.0 + 0.5 * u * u)
             else:
-                total += phat[i] * (u - (np.log(p[i] / phat[i]) if u < -0.5 else np.log1p(u)))
+                total += phat[i] * (
+                    u - (np.log(p[i] / phat[i]) if u < -0.5 else np.log1p(u))
+                )
     return total
 
 
@@ -265,9 +300,11 @@ def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
     if kl <= epsilon:
         return 0.0, bound_above(eta, 0.0, 0.0, phat, v, low, high, start, stop), kl
     if spread <= 0.0:
-        row_at(1e30, phat, v, low, high, start, stop, out, spare)  # the nearest point of the box to the counts
+        # the nearest point of the box to the counts
+        row_at(1e30, phat, v, low, high, start, stop, out, spare)
         return 0.0, v[start], divergence(phat, out, start, stop)
-    near, far, above, below = 0.0, np.inf, 1.0, -1.0  # lambdas outside and inside the ball, log(KL / epsilon) there
+    # lambdas outside and inside the ball, log(KL / epsilon) there
+    near, far, above, below = 0.0, np.inf, 1.0, -1.0
     lam = guess if guess > 0.0 else spread / np.sqrt(2.0 * epsilon + 1e-300)
     for step in range(200):
         row_at(lam, phat, v, low, high, start, stop, out, spare)
@@ -276,7 +313,12 @@ def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
             near, above = lam, excess
         else:
             far, below = lam, excess
-        if -1e-12 < excess <= 0.0 or far <= near * (1.0 + 1e-13) or far < 1e-15 * spread or near > 1e15 * spread:
+        if (
+            -1e-12 < excess <= 0.0
+            or far <= near * (1.0 + 1e-13)
+            or far < 1e-15 * spread
+            or near > 1e15 * spread
+        ):
             break
         if far == np.inf:
             lam = 4.0 * near
@@ -285,7 +327,9 @@ def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
         elif step % 3 == 2 or not above < np.inf:
             lam = np.sqrt(near * far)
         else:  # regula falsi in log lambda, log KL
-            lam = near * (far / near) ** min(max(above / (above - below), 1e-3), 1.0 - 1e-3)
+            lam = near * (far / near) ** min(
+                max(above / (above - below), 1e-3), 1.0 - 1e-3
+            )
     lam = far if far < np.inf else near
     eta = row_at(lam, phat, v, low, high, start, stop, out, spare)
     kl = divergence(phat, out, start, stop)
@@ -298,4 +342,6 @@ def worst_rows(epsilon, phat, v, low, high, indptr, lam, out, above, kl):
     spare = np.empty(len(phat))
     for k in range(len(indptr) - 1):
         start, stop = indptr[k], indptr[k + 1]
-        lam[k], above[k], kl[k] = worst_row(epsilon[k], phat, v, low, high, start, stop, lam[k], out, spare)
+        lam[k], above[k], kl[k] = worst_row(
+            epsilon[k], phat, v, low, high, start, stop, lam[k], out, spare
+        )

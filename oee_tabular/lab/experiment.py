@@ -41,8 +41,12 @@ class Stream:
 
     def sequence(self, *names: str, use: str = "") -> np.random.SeedSequence:
         """The seed sequence of the named settings of the cell; of all without names."""
-        settings = {name: self.cell[name] for name in names or self.cell if name != "repetition"}
-        text = json.dumps([self.experiment, settings, *([use] if use else [])], sort_keys=True)
+        settings = {
+            name: self.cell[name] for name in names or self.cell if name != "repetition"
+        }
+        text = json.dumps(
+            [self.experiment, settings, *([use] if use else [])], sort_keys=True
+        )
         words = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], dtype=">u4")
         key = (*(int(word) for word in words), int(self.cell.get("repetition", 0)))
         return np.random.SeedSequence(self.seed, spawn_key=key)
@@ -92,17 +96,25 @@ class Experiment:
         """What the figure shows, in which units."""
         return " ".join((self.run.__doc__ or "").split())
 
-    def settings(self, *, smoke: bool = False, repetitions: int | None = None, seed: int = 0) -> RunSettings:
+    def settings(
+        self, *, smoke: bool = False, repetitions: int | None = None, seed: int = 0
+    ) -> RunSettings:
         """The full sweep, or its smoke subset; ``repetitions`` instead of the experiment's own."""
         first = {name: values[:1] for name, values in self.axes.items()}
         axes = {**self.axes, **first, **self.smoke} if smoke else self.axes
-        return RunSettings(self, axes, repetitions or (1 if smoke else self.repetitions), seed)
+        return RunSettings(
+            self, axes, repetitions or (1 if smoke else self.repetitions), seed
+        )
 
 
-def experiment(title: str, *, draw: Any, **options: Any) -> Callable[[Callable[[Cell, Stream], list[Row]]], Experiment]:
+def experiment(
+    title: str, *, draw: Any, **options: Any
+) -> Callable[[Callable[[Cell, Stream], list[Row]]], Experiment]:
     """Make the function below an experiment of its name; without ``finding``, that of ``draw``, which is ``Panels``."""
     options = {"finding": getattr(draw, "find", None), **options}
-    return lambda run: Experiment(id=run.__name__, title=title, run=run, draw=draw, **options)
+    return lambda run: Experiment(
+        id=run.__name__, title=title, run=run, draw=draw, **options
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,12 +135,20 @@ class RunSettings:
     def cells(self) -> list[Cell]:
         """Every cell, in the order of the table."""
         axes = {**self.axes, "repetition": range(self.repetitions)}
-        return [dict(zip(axes, point, strict=True)) for point in itertools.product(*axes.values())]
+        return [
+            dict(zip(axes, point, strict=True))
+            for point in itertools.product(*axes.values())
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """For a JSON file."""
         axes = {name: list(values) for name, values in self.axes.items()}
-        own = {"experiment": self.experiment.id, "axes": axes, "repetitions": self.repetitions, "seed": self.seed}
+        own = {
+            "experiment": self.experiment.id,
+            "axes": axes,
+            "repetitions": self.repetitions,
+            "seed": self.seed,
+        }
         return own | ({"asked": dict(self.asked)} if self.asked else {})
 
 
@@ -181,11 +201,17 @@ class Panels:
 
     def __call__(self, table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
         """Draw a panel for each group, and those beside it."""
-        groups: list[Any] = list(table.groupby(list(self.by), sort=False)) if self.by else [((), table)]
-        parts = [(panel, rows, key) for key, rows in groups for panel in (self, *self.beside)]
+        groups: list[Any] = (
+            list(table.groupby(list(self.by), sort=False)) if self.by else [((), table)]
+        )
+        parts = [
+            (panel, rows, key) for key, rows in groups for panel in (self, *self.beside)
+        ]
         named = ", ".join(f"{name} = {{{name}}}" for name in self.by)
         titles = [
-            (named if panel.title is None else panel.title).format(**dict(zip(self.by, key, strict=True)))
+            (named if panel.title is None else panel.title).format(
+                **dict(zip(self.by, key, strict=True))
+            )
             for panel, _, key in parts
         ]
         axes = panels(figure, titles, columns=self.columns, size=self.size)
@@ -196,7 +222,12 @@ class Panels:
         """The three lowest curves at the largest x: "RMSE at n = 31623: 0.0041 (default), 0.012 (simulator)"."""
         rows = self.only(table)
         last = rows[self.x].max()
-        values = rows[rows[self.x] == last].groupby(self.curves)[self.y].agg(self.how).sort_values()
+        values = (
+            rows[rows[self.x] == last]
+            .groupby(self.curves)[self.y]
+            .agg(self.how)
+            .sort_values()
+        )
         return f"{self.ylabel} at {self.x} = {last:g}: {listed(values.head(3))}"
 
     def _draw(self, rows: pd.DataFrame, ax: Any) -> None:
@@ -205,7 +236,10 @@ class Panels:
         bands = {}
         if self.curves is not None:
             own = rows.groupby([self.x, self.curves], sort=False)[self.y]
-            points, low, high = (own.agg(how).unstack().sort_index() for how in (self.how, "min", "max"))  # noqa: PD010
+            points, low, high = (
+                own.agg(how).unstack().sort_index()  # noqa: PD010
+                for how in (self.how, "min", "max")
+            )
             names = rows[self.curves].unique()
             curves = {str(name): points[name] for name in names} | curves
             bands = {str(name): (low[name], high[name]) for name in names if self.bands}
@@ -216,18 +250,32 @@ class Panels:
             self.beneath(ax, rows)
         if self.slope is not None:
             add_slope(ax, where, next(iter(curves.values())).to_numpy(), self.slope)
-        plot_curves(where, curves, ax, bands=bands, xlabel=self.xlabel, ylabel=self.ylabel)
+        plot_curves(
+            where, curves, ax, bands=bands, xlabel=self.xlabel, ylabel=self.ylabel
+        )
         ax.set(**{"yscale": "log" if self.log else "linear"} | dict(self.axes))
 
 
 def add_slope(ax: Any, n: Any, errors: Any, slope: float) -> None:
     """Add a line of this slope in logarithmic axes, from the first error."""
     label = f"slope {slope:g}"
-    ax.plot(n, errors[0] * (n / n[0]) ** slope, color=INK, lw=1.0, ls=":", zorder=0, label=label)
+    ax.plot(
+        n,
+        errors[0] * (n / n[0]) ** slope,
+        color=INK,
+        lw=1.0,
+        ls=":",
+        zorder=0,
+        label=label,
+    )
 
 
 def panels(
-    figure: Any, names: Sequence[Any], *, columns: int | None = None, size: tuple[float, float] = SIZE
+    figure: Any,
+    names: Sequence[Any],
+    *,
+    columns: int | None = None,
+    size: tuple[float, float] = SIZE,
 ) -> list[Any]:
     """Titled axes side by side, each of ``size`` inches."""
     across = len(names) if columns is None else min(columns, len(names))
@@ -288,11 +336,15 @@ def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
     parts: list[Any] = [grouped.size().rename("seeds")]
     for measure in experiment.measures:
         columns = [f"{measure}_{name}" for name in ("mean", "sd", "se")]
-        parts.append(grouped[measure].agg(["mean", "std", "sem"]).set_axis(columns, axis=1))
+        parts.append(
+            grouped[measure].agg(["mean", "std", "sem"]).set_axis(columns, axis=1)
+        )
     summary: pd.DataFrame = pd.concat(parts, axis=1).reset_index()
     if experiment.paper is not None:
         summary["paper"] = [experiment.paper(row) for row in summary.to_dict("records")]
-        summary["ours / paper"] = summary[f"{experiment.measures[0]}_mean"] / summary["paper"]
+        summary["ours / paper"] = (
+            summary[f"{experiment.measures[0]}_mean"] / summary["paper"]
+        )
     return summary
 
 
@@ -310,11 +362,16 @@ def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
         "table.csv": _files.csv_bytes(table),
         "summary.csv": _files.csv_bytes(summary, float_format="%.6g"),
         "summary.md": page(settings, finding, summary).encode(),
-        **{f"figure.{kind}": content for kind, content in draw_bytes(draw, salt=experiment.id).items()},
+        **{
+            f"figure.{kind}": content
+            for kind, content in draw_bytes(draw, salt=experiment.id).items()
+        },
     }
 
 
-def draw_bytes(draw: Callable[[Any], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")) -> dict[str, bytes]:
+def draw_bytes(
+    draw: Callable[[Any], None], *, salt: str, kinds: tuple[str, ...] = ("svg", "png")
+) -> dict[str, bytes]:
     """The bytes of the figure that ``draw`` makes, by kind, without a date."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -334,14 +391,25 @@ def draw_bytes(draw: Callable[[Any], None], *, salt: str, kinds: tuple[str, ...]
 def share_legend(figure: Any) -> None:
     """One legend below the panels instead of one in each, where one panel has the series of all and more than three."""
     drawn = [ax for ax in figure.axes if ax.get_legend() is not None]
-    entries = [dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True)) for ax in drawn]
+    entries = [
+        dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+        for ax in drawn
+    ]
     most: dict[str, Any] = max(entries, key=len, default={})
     if len(most) <= 3 or any(entry.keys() - most.keys() for entry in entries):
         return
     for ax in drawn:
         ax.legend().remove()
-    columns = min(max(1, int(figure.get_figwidth() * 11 / (max(map(len, most)) + 8))), len(most))
-    figure.legend(list(most.values()), list(most), loc="outside lower center", ncols=columns, fontsize="small")
+    columns = min(
+        max(1, int(figure.get_figwidth() * 11 / (max(map(len, most)) + 8))), len(most)
+    )
+    figure.legend(
+        list(most.values()),
+        list(most),
+        loc="outside lower center",
+        ncols=columns,
+        fontsize="small",
+    )
 
 
 def set_title(figure: Any, text: str) -> None:
@@ -357,9 +425,15 @@ def page(settings: RunSettings, finding: str, summary: pd.DataFrame) -> str:
     """The summary as markdown: its title, the figure with what it shows, how it was made, the numbers."""
     experiment = settings.experiment
     is_full = settings.as_dict()["axes"] == experiment.settings().as_dict()["axes"]
-    command = f"oee reproduce {experiment.id}{'' if is_full else ' --smoke'} --seeds {settings.repetitions}"
+    command = (
+        f"oee reproduce {experiment.id}{'' if is_full else ' --smoke'} --seeds"
+        f" {settings.repetitions}"
+    )
     command += f" --seed {settings.seed}" if settings.seed else ""
-    axes = "; ".join(f"{name} {', '.join(map(str, values))}" for name, values in settings.axes.items())
+    axes = "; ".join(
+        f"{name} {', '.join(map(str, values))}"
+        for name, values in settings.axes.items()
+    )
     parts = [
         f"# {experiment.title}",
         f"![{finding or experiment.title}](figure.png)",
@@ -378,6 +452,9 @@ def pipe_table(frame: pd.DataFrame) -> str:
             return "" if np.isnan(value) else f"{value:.4g}"
         return str(value).replace("|", "\\|")
 
-    rows: list[Iterable[object]] = [frame.columns, *frame.itertuples(index=False, name=None)]
+    rows: list[Iterable[object]] = [
+        frame.columns,
+        *frame.itertuples(index=False, name=None),
+    ]
     lines = ["| " + " | ".join(map(text, row)) + " |" for row in rows]
     return "\n".join([lines[0], "|" + "---|" * len(frame.columns), *lines[1:]])

@@ -35,17 +35,43 @@ from oee_tabular._arguments import own_modules
 from oee_tabular._checks import show
 from oee_tabular._parallel import backend, parallel
 from oee_tabular._progress import progress_bar
-from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Scalar, Stream
+from oee_tabular.lab.experiment import (
+    Cell,
+    Experiment,
+    Row,
+    RunSettings,
+    Scalar,
+    Stream,
+)
 
 PACKAGE = Path(__file__).parents[1]
 LOCK, SETTINGS, CELLS = ".lock", "settings.json", "cells.jsonl"
 FILES = (
-    SETTINGS, CELLS, "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png",
-    "cells.csv", "league.csv", "league.md", "league.tex", "sizes.png", "profile.png", "heat.png",
-)  # fmt: skip
+    SETTINGS,
+    CELLS,
+    "table.csv",
+    "summary.csv",
+    "summary.md",
+    "figure.svg",
+    "figure.png",
+    "cells.csv",
+    "league.csv",
+    "league.md",
+    "league.tex",
+    "sizes.png",
+    "profile.png",
+    "heat.png",
+)
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # a flag that Windows lacks
 # of damaged text, of lists a thousand deep, and of what is not what it should be
-DAMAGE = (ValueError, RecursionError, AttributeError, KeyError, TypeError, OverflowError)
+DAMAGE = (
+    ValueError,
+    RecursionError,
+    AttributeError,
+    KeyError,
+    TypeError,
+    OverflowError,
+)
 
 
 @functools.cache
@@ -55,17 +81,27 @@ def code_version(*modules: str) -> str:
     The files of a user's ``modules`` count as well, each by itself (not what it imports).
     """
     digest = hashlib.sha256()
-    for path in sorted(path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".csv", ".xml", ".npz")):
+    for path in sorted(
+        path
+        for path in PACKAGE.rglob("*")
+        if path.suffix in (".py", ".csv", ".xml", ".npz")
+    ):
         digest.update(path.relative_to(PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
     with own_modules():
         for spec in map(importlib.util.find_spec, modules):
-            if spec is not None and spec.origin is not None and Path(spec.origin).is_file():
+            if (
+                spec is not None
+                and spec.origin is not None
+                and Path(spec.origin).is_file()
+            ):
                 digest.update(Path(spec.origin).read_bytes())
     return f"{importlib.metadata.version('oee-tabular')}+{digest.hexdigest()[:12]}"
 
 
-def refuse_links(folder: Path, names: Iterable[str] = (*FILES, LOCK), *, are_folders: bool = False) -> None:
+def refuse_links(
+    folder: Path, names: Iterable[str] = (*FILES, LOCK), *, are_folders: bool = False
+) -> None:
     """ValueError where what a run writes is a link, or no plain file (no folder): it could lead out of the folder."""
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} must be a folder; it is a file")
@@ -73,7 +109,10 @@ def refuse_links(folder: Path, names: Iterable[str] = (*FILES, LOCK), *, are_fol
         is_right = path.is_dir() if are_folders else path.is_file()
         if path.is_symlink() or (path.exists() and not is_right):
             rule = "a folder" if are_folders else "a plain file"
-            raise ValueError(f"{str(path)!r} must be {rule}; it is a link or something else: remove it")
+            raise ValueError(
+                f"{str(path)!r} must be {rule}; it is a link or something else:"
+                " remove it"
+            )
 
 
 @contextlib.contextmanager
@@ -94,11 +133,14 @@ def alone(folder: Path) -> Iterator[None]:
     except Timeout:
         holder = path.read_text(errors="replace")[:20].strip() if path.is_file() else ""
         raise ValueError(
-            f"{folder} must be used by one command at a time; another{f' (process {holder})' if holder else ''} is at "
-            "work in it: wait for it, or name another folder with --output"
+            f"{folder} must be used by one command at a time;"
+            f" another{f' (process {holder})' if holder else ''} is at work in it: wait"
+            " for it, or name another folder with --output"
         ) from None
     except OSError as error:
-        raise OSError(error.errno, f"cannot be written ({error.strerror})", str(path)) from None
+        raise OSError(
+            error.errno, f"cannot be written ({error.strerror})", str(path)
+        ) from None
     try:
         path.write_text(f"{os.getpid()}\n")
         yield
@@ -126,7 +168,14 @@ class Store:
         More repetitions are no other settings, nor are fewer where the sweep was interrupted: finished cells are kept.
     """
 
-    def __init__(self, folder: Path, settings: RunSettings, *, fresh: bool = False, code: str | None = None):
+    def __init__(
+        self,
+        folder: Path,
+        settings: RunSettings,
+        *,
+        fresh: bool = False,
+        code: str | None = None,
+    ):
         self.folder, self.settings = folder, settings
         self.code = code_version(*settings.modules) if code is None else code
         refuse_links(folder)
@@ -146,30 +195,59 @@ class Store:
     def __str__(self) -> str:
         text = f"{self.folder}: {self.computed} cells computed"
         text += f", {self.cached} from the cache" if self.cached else ""
-        text += f", {self.stale} of another version of the code left aside" if self.stale else ""
-        return text + (f"; lines of {CELLS} that did not fit and are left out: {self.damaged}" if self.damaged else "")
+        text += (
+            f", {self.stale} of another version of the code left aside"
+            if self.stale
+            else ""
+        )
+        return text + (
+            f"; lines of {CELLS} that did not fit and are left out: {self.damaged}"
+            if self.damaged
+            else ""
+        )
 
     def _empty(self) -> None:
         present = [path for path in self.folder.iterdir() if path.name != LOCK]
         if present and not (self.folder / SETTINGS).is_file():
-            raise ValueError(f"{self.folder} must be a results folder to be emptied; it has no {SETTINGS}")
-        others = sorted(path.name for path in present if path.name not in FILES and path.suffix != ".part")
+            raise ValueError(
+                f"{self.folder} must be a results folder to be emptied; it has no"
+                f" {SETTINGS}"
+            )
+        others = sorted(
+            path.name
+            for path in present
+            if path.name not in FILES and path.suffix != ".part"
+        )
         if others:
-            raise ValueError(f"{self.folder} must hold results only to be emptied; it holds {', '.join(others[:3])}")
+            raise ValueError(
+                f"{self.folder} must hold results only to be emptied; it holds"
+                f" {', '.join(others[:3])}"
+            )
         for path in present:
             path.unlink()
 
     def _compare(self) -> None:
         """ValueError where the folder has other settings, with the difference."""
-        there, asked = _read_settings(self.folder / SETTINGS), _flatten(self.settings.as_dict())
-        names = [name for name in {**there, **asked} if there.get(name) != asked.get(name)]
+        there, asked = (
+            _read_settings(self.folder / SETTINGS),
+            _flatten(self.settings.as_dict()),
+        )
+        names = [
+            name for name in {**there, **asked} if there.get(name) != asked.get(name)
+        ]
         is_written = any((self.folder / name).exists() for name in FILES[2:])
-        if not names or (names == ["repetitions"] and (not is_written or there[names[0]] < asked[names[0]])):
+        if not names or (
+            names == ["repetitions"]
+            and (not is_written or there[names[0]] < asked[names[0]])
+        ):
             return
-        parts = [f"{name} {show(there.get(name))} there, {show(asked.get(name))} asked" for name in names]
+        parts = [
+            f"{name} {show(there.get(name))} there, {show(asked.get(name))} asked"
+            for name in names
+        ]
         raise ValueError(
-            f"{self.folder} holds results of other settings: {'; '.join(parts)} (--fresh empties it; --output names "
-            "another folder)"
+            f"{self.folder} holds results of other settings: {'; '.join(parts)}"
+            " (--fresh empties it; --output names another folder)"
         )
 
     def _read(self, line: bytes) -> None:
@@ -177,7 +255,9 @@ class Store:
         try:
             content = json.loads(line)["content"]
             cell, rows, code = content["of"]["cell"], content["rows"], content["code"]
-            is_whole = line + b"\n" == self._line(cell, rows, code).encode() and self._fits(cell, rows)
+            is_whole = line + b"\n" == self._line(
+                cell, rows, code
+            ).encode() and self._fits(cell, rows)
         except DAMAGE:
             is_whole = False
         if not is_whole:
@@ -190,14 +270,24 @@ class Store:
     def _fits(self, cell: Cell, rows: list[Row]) -> bool:
         """Whether it is a cell of the axes, and its rows hold plain values, every key, and numbers as measures."""
         experiment, axes = self.settings.experiment, self.settings.axes
-        is_cell = {*cell} == {*axes, "repetition"} and all(cell[name] in values for name, values in axes.items())
-        if not is_cell or not isinstance(cell["repetition"], int) or not rows or not isinstance(rows, list):
+        is_cell = {*cell} == {*axes, "repetition"} and all(
+            cell[name] in values for name, values in axes.items()
+        )
+        if (
+            not is_cell
+            or not isinstance(cell["repetition"], int)
+            or not rows
+            or not isinstance(rows, list)
+        ):
             return False
         for row in rows:
             numbers = [row[name] for name in experiment.measures if name in row]
-            first = [row[name] for name in experiment.measures[:1]]  # in every row, and finite
+            # in every row, and finite
+            first = [row[name] for name in experiment.measures[:1]]
             are_plain = all(isinstance(value, Scalar | None) for value in row.values())
-            are_numbers = all(isinstance(value, float | int) for value in numbers) and all(map(math.isfinite, first))
+            are_numbers = all(
+                isinstance(value, float | int) for value in numbers
+            ) and all(map(math.isfinite, first))
             if not (are_plain and are_numbers and {*experiment.keys} <= {*cell, *row}):
                 return False
         return True
@@ -206,14 +296,28 @@ class Store:
         """Make the folder and say what it will hold; what did not fit leaves cells.jsonl."""
         self.folder.mkdir(parents=True, exist_ok=True)
         settings = json.dumps(self.settings.as_dict(), indent=1) + "\n"
-        lines = [*self._others, *(self._line(json.loads(name), rows, self.code) for name, rows in self._done.items())]
-        _files.write_all(self.folder, {SETTINGS: settings.encode(), CELLS: "".join(lines).encode()})
+        lines = [
+            *self._others,
+            *(
+                self._line(json.loads(name), rows, self.code)
+                for name, rows in self._done.items()
+            ),
+        ]
+        _files.write_all(
+            self.folder, {SETTINGS: settings.encode(), CELLS: "".join(lines).encode()}
+        )
 
     def _line(self, cell: Cell, rows: list[Row], code: str) -> str:
         settings = self.settings
-        own = {"experiment": settings.experiment.id, "seed": settings.seed, "asked": dict(settings.asked)}
+        own = {
+            "experiment": settings.experiment.id,
+            "seed": settings.seed,
+            "asked": dict(settings.asked),
+        }
         content = {"of": own | {"cell": dict(cell)}, "code": code, "rows": rows}
-        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        digest = hashlib.sha256(
+            json.dumps(content, sort_keys=True).encode()
+        ).hexdigest()
         return json.dumps({"content": content, "sha256": digest}) + "\n"
 
     def missing(self) -> list[Cell]:
@@ -225,10 +329,16 @@ class Store:
         """Keep a finished cell, written before this returns."""
         line, path = self._line(cell, rows, self.code), self.folder / CELLS
         try:
-            with open(path, "a", opener=lambda name, flags: os.open(name, flags | NO_LINK, 0o666)) as handle:
+            with open(
+                path,
+                "a",
+                opener=lambda name, flags: os.open(name, flags | NO_LINK, 0o666),
+            ) as handle:
                 handle.write(line)
         except OSError as error:
-            raise OSError(error.errno, f"cannot be written ({error.strerror})", str(path)) from None
+            raise OSError(
+                error.errno, f"cannot be written ({error.strerror})", str(path)
+            ) from None
         self._done[_name(cell)] = json.loads(line)["content"]["rows"]
 
     def save(self, contents: Mapping[str, bytes]) -> None:
@@ -240,8 +350,13 @@ class Store:
         """All rows, in the order of the cells, each with its cell's settings first."""
         missing, cells = len(self.missing()), self.settings.cells()
         if missing:
-            raise ValueError(f"{self.folder} lacks {missing} of {len(cells)} cells; run the experiment again")
-        return pd.DataFrame([{**cell, **row} for cell in cells for row in self._done[_name(cell)]])
+            raise ValueError(
+                f"{self.folder} lacks {missing} of {len(cells)} cells; run the"
+                " experiment again"
+            )
+        return pd.DataFrame(
+            [{**cell, **row} for cell in cells for row in self._done[_name(cell)]]
+        )
 
 
 def _name(cell: Cell) -> str:
@@ -252,20 +367,30 @@ def _read_settings(path: Path) -> dict[str, Any]:
     """The settings of a results folder by name; ValueError where the file has none."""
     with contextlib.suppress(*DAMAGE):
         settings = json.loads(path.read_bytes())
-        if isinstance(settings["experiment"], str) and isinstance(settings["repetitions"], int):
+        if isinstance(settings["experiment"], str) and isinstance(
+            settings["repetitions"], int
+        ):
             return _flatten(settings)
-    raise ValueError(f"{path} must be the settings of a results folder; it is not (--output names another folder)")
+    raise ValueError(
+        f"{path} must be the settings of a results folder; it is not (--output names"
+        " another folder)"
+    )
 
 
 def _flatten(settings: dict[str, Any]) -> dict[str, Any]:
     own = {name: settings.get(name) for name in ("experiment", "repetitions", "seed")}
-    return own | dict(sorted(settings.get("axes", {}).items())) | dict(sorted(settings.get("asked", {}).items()))
+    return (
+        own
+        | dict(sorted(settings.get("axes", {}).items()))
+        | dict(sorted(settings.get("asked", {}).items()))
+    )
 
 
 # ---- the runner
 
 ATTEMPTS = 3  # of a cell whose worker died
-DEATHS = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")  # of a worker, in loky and dask
+# of a worker, in loky and dask
+DEATHS = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
 
 
 def run_and_write(
@@ -298,21 +423,35 @@ def run_experiment(
     ``jobs``: processes on this machine, no more than cells are left; -1: one a core. ``dask``: address of a scheduler, where
     the cells go instead. ``fresh``: empty the folder first. Nothing is written before the workers are there and have this code.
     """
-    if isinstance(jobs, bool) or not isinstance(jobs, int | np.integer) or jobs == 0 or jobs < -1:
-        raise ValueError(f"jobs must be a positive number, or -1 for one a core; got {jobs!r}")
+    if (
+        isinstance(jobs, bool)
+        or not isinstance(jobs, int | np.integer)
+        or jobs == 0
+        or jobs < -1
+    ):
+        raise ValueError(
+            f"jobs must be a positive number, or -1 for one a core; got {jobs!r}"
+        )
     require_modules(settings.experiment)
     with backend(jobs, dask) as cluster:
         if cluster is not None:
             _check_workers(cluster)
-        elif settings.modules:  # workers of an earlier run may stand in another folder, with modules of the same names
+        elif settings.modules:
+            # workers of an earlier run may stand in another folder, with modules of the
+            # same names
             joblib.externals.loky.get_reusable_executor().shutdown(wait=True)
         store = Store(folder, settings, fresh=fresh)
         store.open()
         todo, total = store.missing(), len(settings.cells())
         with progress_bar(
-            settings.experiment.id, total=total, initial=total - len(todo), unit="cell", delay=0.0,
-            disable=not progress, leave=True,
-        ) as bar:  # fmt: skip
+            settings.experiment.id,
+            total=total,
+            initial=total - len(todo),
+            unit="cell",
+            delay=0.0,
+            disable=not progress,
+            leave=True,
+        ) as bar:
             _compute(store, dict(enumerate(todo)), jobs, dask, bar)
     store.computed, store.cached = len(todo), total - len(todo)
     return store
@@ -320,7 +459,9 @@ def run_experiment(
 
 def require_modules(experiment: Experiment) -> None:
     """ImportError that names the extra where an experiment's modules are missing."""
-    missing = [name for name in experiment.requires if importlib.util.find_spec(name) is None]
+    missing = [
+        name for name in experiment.requires if importlib.util.find_spec(name) is None
+    ]
     if missing:
         raise ImportError(
             f"{experiment.id} needs {', '.join(missing)}, which is not installed: "
@@ -328,17 +469,26 @@ def require_modules(experiment: Experiment) -> None:
         )
 
 
-def _compute(store: Store, left: dict[int, Cell], jobs: int, dask: str | None, bar: Any) -> None:
+def _compute(
+    store: Store, left: dict[int, Cell], jobs: int, dask: str | None, bar: Any
+) -> None:
     """Compute and keep the cells; those of a worker that was killed are tried again."""
     settings, own, attempt = store.settings, store.settings.experiment, 0
     run = joblib.delayed(_run_cell)
     while left:
         before = len(left)
-        streams = {number: Stream(own.id, settings.seed, cell) for number, cell in left.items()}
-        tasks = [run(number, own.run, stream, settings.modules, store.code) for number, stream in streams.items()]
+        streams = {
+            number: Stream(own.id, settings.seed, cell) for number, cell in left.items()
+        }
+        tasks = [
+            run(number, own.run, stream, settings.modules, store.code)
+            for number, stream in streams.items()
+        ]
         try:
             with _hold_interrupts():
-                results = parallel(before, jobs, dask, return_as="generator_unordered")(tasks)
+                results = parallel(before, jobs, dask, return_as="generator_unordered")(
+                    tasks
+                )
             for number, rows in results:
                 store.add(left.pop(number), rows)
                 bar.update()
@@ -349,12 +499,17 @@ def _compute(store: Store, left: dict[int, Cell], jobs: int, dask: str | None, b
             if attempt == ATTEMPTS:
                 first = "; ".join(str(dict(cell)) for cell in list(left.values())[:3])
                 raise RuntimeError(
-                    f"a worker was killed {ATTEMPTS} times in a row without a finished cell; unfinished: {first}"
+                    f"a worker was killed {ATTEMPTS} times in a row without a finished"
+                    f" cell; unfinished: {first}"
                 ) from error
 
 
 def _run_cell(
-    number: int, run: Callable[[Cell, Stream], list[Row]], stream: Stream, modules: tuple[str, ...], code: str
+    number: int,
+    run: Callable[[Cell, Stream], list[Row]],
+    stream: Stream,
+    modules: tuple[str, ...],
+    code: str,
 ) -> tuple[int, list[Row]]:
     """The rows of one cell, with one thread; refused where the package is another version than the one that asks."""
     from threadpoolctl import threadpool_limits
@@ -363,7 +518,11 @@ def _run_cell(
     with threadpool_limits(limits=1):
         rows = run(stream.cell, stream)
     return number, [
-        {key: value.item() if isinstance(value, np.generic) else value for key, value in row.items()} for row in rows
+        {
+            key: value.item() if isinstance(value, np.generic) else value
+            for key, value in row.items()
+        }
+        for row in rows
     ]
 
 
@@ -372,7 +531,8 @@ def _check_workers(client: Any) -> None:
     for address, threads in client.nthreads().items():
         if threads > 1:
             raise RuntimeError(
-                f"dask workers must have one thread each; {address} has {threads} (dask worker ADDRESS --nthreads 1)"
+                f"dask workers must have one thread each; {address} has {threads} (dask"
+                " worker ADDRESS --nthreads 1)"
             )
     for address, version in client.run(code_version, on_error="return").items():
         _refuse_other_code(f"the worker at {address}", version, code_version())
@@ -381,7 +541,8 @@ def _check_workers(client: Any) -> None:
 def _refuse_other_code(worker: str, found: object, asked: str) -> None:
     if found != asked:
         raise RuntimeError(
-            f"{worker} must have this version of oee_tabular, {asked}; it has {found} (install the same there)"
+            f"{worker} must have this version of oee_tabular, {asked}; it has {found}"
+            " (install the same there)"
         )
 
 

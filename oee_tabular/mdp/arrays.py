@@ -9,10 +9,21 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, BoolArray, IntArray, freeze
-from oee_tabular._sparse import align, align_to, canonical, check_csr, csr_on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import (
+    align,
+    align_to,
+    canonical,
+    check_csr,
+    csr_on_pattern,
+    row_of_entry,
+    row_sums,
+)
 from oee_tabular.mdp.naming import NAMELESS, Names
 
-_SHAPES = "have shape (S, A, S), or (S*A, S) as a scipy.sparse array, with at least one state and one action"
+_SHAPES = (
+    "have shape (S, A, S), or (S*A, S) as a scipy.sparse array, with at least one state"
+    " and one action"
+)
 
 
 class CsrArrays(NamedTuple):
@@ -34,7 +45,12 @@ class CsrArrays(NamedTuple):
         row, column = (rows if mask is None else mask).nonzero()
         kind = np.int32 if max(len(row), *rows.shape) < 2**31 else np.int64
         indptr = row.searchsorted(np.arange(len(rows) + 1)).astype(kind)
-        return cls(freeze(indptr), freeze(column.astype(kind)), freeze(rows[row, column]), rows.shape)
+        return cls(
+            freeze(indptr),
+            freeze(column.astype(kind)),
+            freeze(rows[row, column]),
+            rows.shape,
+        )
 
     @classmethod
     def from_matrix(cls, matrix: sparse.csr_array) -> CsrArrays:
@@ -44,35 +60,53 @@ class CsrArrays(NamedTuple):
     def to_matrix(self) -> sparse.csr_array:
         """scipy's matrix of these arrays."""
         matrix = csr_on_pattern(self, self.data, own=True)
-        matrix.indptr, matrix.indices, matrix.data = self.indptr, self.indices, self.data  # scipy took views of them
+        # scipy took views of them
+        matrix.indptr, matrix.indices, matrix.data = (
+            self.indptr,
+            self.indices,
+            self.data,
+        )
         return matrix
 
 
-def name_transition(matrix: Any, entry: int, n_actions: int, names: Names = NAMELESS) -> str:
+def name_transition(
+    matrix: Any, entry: int, n_actions: int, names: Names = NAMELESS
+) -> str:
     """``s=3, a=1 -> s'=7`` for an entry of rows s*A + a; names in place of numbers where there are some."""
     row = int(np.searchsorted(matrix.indptr, entry, side="right")) - 1
     return names.transition(*divmod(row, n_actions), matrix.indices[entry])
 
 
-def csr_from_entries(rows: object, columns: object, data: Array, shape: tuple[int, int]) -> sparse.csr_array:
+def csr_from_entries(
+    rows: object, columns: object, data: Array, shape: tuple[int, int]
+) -> sparse.csr_array:
     """The csr of exactly these entries, explicit zeros included."""
-    return canonical(sparse.csr_array((data, (rows, columns)), shape=shape), drop_zeros=False)
+    return canonical(
+        sparse.csr_array((data, (rows, columns)), shape=shape), drop_zeros=False
+    )
 
 
 def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
     """Return the entries of P, S and A; what another MDP has checked (``CsrArrays``) is taken as it is."""
     if isinstance(transitions, CsrArrays):
         csr = transitions
-        for part in (csr.indptr, csr.indices, csr.data):  # those of a pickle can be written to
+        # those of a pickle can be written to
+        for part in (csr.indptr, csr.indices, csr.data):
             freeze(part)
     elif sparse.issparse(transitions):
         csr = _check_sparse_transitions(transitions)
     else:
         dense = _checks.float_array(transitions, "transitions")
         if dense.ndim != 3 or dense.shape[0] != dense.shape[2] or dense.size == 0:
-            is_swapped = dense.ndim == 3 and dense.shape[0] != dense.shape[1] == dense.shape[2]
-            hint = ": the axes look like (A, S, S); use P.transpose(1, 0, 2)" * is_swapped
-            raise ValueError(f"transitions must {_SHAPES}; it has shape {dense.shape}{hint}")
+            is_swapped = (
+                dense.ndim == 3 and dense.shape[0] != dense.shape[1] == dense.shape[2]
+            )
+            hint = (
+                ": the axes look like (A, S, S); use P.transpose(1, 0, 2)" * is_swapped
+            )
+            raise ValueError(
+                f"transitions must {_SHAPES}; it has shape {dense.shape}{hint}"
+            )
         _checks.require_nonnegative(dense, "transitions")
         dense = _checks.scale_if_single(dense, transitions)
         _checks.require_sums_to_one(dense.sum(axis=2), "transitions")
@@ -91,13 +125,17 @@ def _check_sparse_transitions(transitions: Any) -> CsrArrays:
     if bad.size:
         rule = "nonnegative" if np.isfinite(raw.data[bad[0]]) else "finite"
         where = name_transition(raw, int(bad[0]), n_actions)
-        raise ValueError(f"transitions must be {rule}; at {where} it is {raw.data[bad[0]]}")
+        raise ValueError(
+            f"transitions must be {rule}; at {where} it is {raw.data[bad[0]]}"
+        )
     matrix = canonical(raw, drop_zeros=True)
     _checks.require_sums_to_one(row_sums(matrix).reshape(-1, n_actions), "transitions")
     return CsrArrays.from_matrix(matrix)
 
 
-def check_rewards(rewards: Any, csr: CsrArrays, n_actions: int) -> tuple[Array, Array | None, Any]:
+def check_rewards(
+    rewards: Any, csr: CsrArrays, n_actions: int
+) -> tuple[Array, Array | None, Any]:
     """Return r(s, a); and of r(s, a, s') its values on the entries of P and its table, where nan or no entry is undefined.
 
     r(s, a) = sum_s' P(s' | s, a) r(s, a, s').
@@ -109,43 +147,82 @@ def check_rewards(rewards: Any, csr: CsrArrays, n_actions: int) -> tuple[Array, 
     else:
         array = freeze(_checks.float_array(rewards, "rewards", ndim=(1, 2, 3)))
         if array.shape != shape[: array.ndim]:
-            raise ValueError(f"rewards must have shape {shape[: array.ndim]}; it has shape {array.shape}")
+            raise ValueError(
+                f"rewards must have shape {shape[: array.ndim]}; it has shape"
+                f" {array.shape}"
+            )
         if array.ndim < 3:
             _checks.require_finite(array, "rewards")
-            return array if array.ndim == 2 else freeze(np.repeat(array[:, None], n_actions, axis=1)), None, None
+            return (
+                (
+                    array
+                    if array.ndim == 2
+                    else freeze(np.repeat(array[:, None], n_actions, axis=1))
+                ),
+                None,
+                None,
+            )
         if np.isinf(array).any():
             first = tuple(np.argwhere(np.isinf(array))[0])
-            raise ValueError(f"{_checks.place('rewards', first)} must be finite; it is {array[first]}")
+            raise ValueError(
+                f"{_checks.place('rewards', first)} must be finite; it is"
+                f" {array[first]}"
+            )
         row, table = row_of_entry(csr), array
         data = freeze(array.reshape(csr.shape)[row, csr.indices])
         if (bad := np.flatnonzero(np.isnan(data))).size:
-            where = _checks.place("rewards", (*divmod(int(row[bad[0]]), n_actions), csr.indices[bad[0]]))
-            raise ValueError(f"{where} must be finite where the transition has a probability; it is nan")
-    return freeze(row_sums(csr, csr.data * data).reshape(n_states, n_actions)), data, table
+            where = _checks.place(
+                "rewards", (*divmod(int(row[bad[0]]), n_actions), csr.indices[bad[0]])
+            )
+            raise ValueError(
+                f"{where} must be finite where the transition has a probability; it"
+                " is nan"
+            )
+    return (
+        freeze(row_sums(csr, csr.data * data).reshape(n_states, n_actions)),
+        data,
+        table,
+    )
 
 
-def _check_sparse_rewards(rewards: Any, csr: CsrArrays, n_actions: int) -> sparse.csr_array:
+def _check_sparse_rewards(
+    rewards: Any, csr: CsrArrays, n_actions: int
+) -> sparse.csr_array:
     """The table with a 0 wherever P has an entry and it has none."""
     if rewards.shape != csr.shape:
-        raise ValueError(f"rewards must have shape {csr.shape} when sparse; it has shape {rewards.shape}")
+        raise ValueError(
+            f"rewards must have shape {csr.shape} when sparse; it has shape"
+            f" {rewards.shape}"
+        )
     given = canonical(check_csr(rewards, "rewards"), drop_zeros=False)
     bad = np.flatnonzero(~np.isfinite(given.data))
     if bad.size:
         where = name_transition(given, int(bad[0]), n_actions)
-        raise ValueError(f"rewards must be finite; at {where} it is {given.data[bad[0]]}")
+        raise ValueError(
+            f"rewards must be finite; at {where} it is {given.data[bad[0]]}"
+        )
     absent = ~align(given, csr)[1]
     if not absent.any():
         return given
     rows = np.concatenate([row_of_entry(given), row_of_entry(csr)[absent]])
     columns = np.concatenate([given.indices, csr.indices[absent]])
-    return csr_from_entries(rows, columns, np.pad(given.data, (0, len(rows) - given.nnz)), csr.shape)
+    return csr_from_entries(
+        rows, columns, np.pad(given.data, (0, len(rows) - given.nnz)), csr.shape
+    )
 
 
 def check_terminal_state(value: object, n_states: int) -> IntArray:
     """Return (S0,) numbers of states."""
     array = _checks.as_array(value, "terminal_state")
-    if array.ndim != 1 or array.dtype.kind not in "iu" or not 0 < array.size <= n_states:
-        raise ValueError(f"terminal_state must be 1 to {n_states} integers; got {array.dtype} of shape {array.shape}")
+    if (
+        array.ndim != 1
+        or array.dtype.kind not in "iu"
+        or not 0 < array.size <= n_states
+    ):
+        raise ValueError(
+            f"terminal_state must be 1 to {n_states} integers; got {array.dtype} of"
+            f" shape {array.shape}"
+        )
     require_numbers(array, n_states, "terminal_state")
     return array.astype(np.int64)
 
@@ -154,7 +231,9 @@ def require_numbers(values: Any, size: int, name: str, whose: str = "") -> None:
     """Every one of (n,) integers is a number of ``size`` states or actions."""
     bad = np.flatnonzero((values < 0) | (values >= size))
     if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] must be in 0..{size - 1}{whose}; it is {values[bad[0]]}")
+        raise ValueError(
+            f"{name}[{bad[0]}] must be in 0..{size - 1}{whose}; it is {values[bad[0]]}"
+        )
 
 
 def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
@@ -163,18 +242,28 @@ def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
     In a grid state s lies in row s // width, column s % width. A tuple of two integers is a grid's shape; of two states it may
     also be their coordinates, where its product is not 2.
     """
-    if isinstance(value, tuple) and len(value) == 2 and all(_checks.is_integer(part) for part in value):
+    if (
+        isinstance(value, tuple)
+        and len(value) == 2
+        and all(_checks.is_integer(part) for part in value)
+    ):
         height, width = (int(part) for part in value)
         if min(height, width) > 0 and height * width == n_states:
-            return freeze(np.stack(np.divmod(np.arange(n_states), width), axis=1).astype(np.float64))
+            return freeze(
+                np.stack(np.divmod(np.arange(n_states), width), axis=1).astype(
+                    np.float64
+                )
+            )
         if n_states != 2:
             raise ValueError(
-                f"{name} must be (height, width) with height * width = {n_states}, the number of states; it is {value!r:.80}"
+                f"{name} must be (height, width) with height * width = {n_states}, the"
+                f" number of states; it is {value!r:.80}"
             )
     array = _checks.float_array(value, name, ndim=(1, 2))
     if len(array) != n_states or array.size == 0:
         raise ValueError(
-            f"{name} must have shape ({n_states},) or ({n_states}, c), a place for each state; it has shape {array.shape}"
+            f"{name} must have shape ({n_states},) or ({n_states}, c), a place for each"
+            f" state; it has shape {array.shape}"
         )
     _checks.require_finite(array, name)
     return freeze(array.reshape(n_states, -1))

@@ -24,7 +24,14 @@ from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular._sparse import check_csr, csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.mdp.arrays import check_layout, csr_from_entries
 from oee_tabular.mdp.gymnasium_table import Outcomes, build_arguments
-from oee_tabular.mdp.naming import Name, Names, check_names, initial_distribution, renumber, to_plain
+from oee_tabular.mdp.naming import (
+    Name,
+    Names,
+    check_names,
+    initial_distribution,
+    renumber,
+    to_plain,
+)
 from oee_tabular.mdp.support import require_log
 
 
@@ -44,77 +51,153 @@ class Sampling(NamedTuple):
 
 
 def log_arguments(
-    log: Any, rewards: Any, initial: object, sizes: tuple[Any, Any], names: tuple[Any, Any], layout: object
+    log: Any,
+    rewards: Any,
+    initial: object,
+    sizes: tuple[Any, Any],
+    names: tuple[Any, Any],
+    layout: object,
 ) -> dict[str, Any]:
     """Return the arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_log`` explains these."""
     require_log(log)
-    n_states, states, (state, following) = _resolve(log, "state", ("state", "next_state"), sizes[0], names[0])
-    n_actions, actions, (action,) = _resolve(log, "action", ("action",), sizes[1], names[1])
+    n_states, states, (state, following) = _resolve(
+        log, "state", ("state", "next_state"), sizes[0], names[0]
+    )
+    n_actions, actions, (action,) = _resolve(
+        log, "action", ("action",), sizes[1], names[1]
+    )
     reward = np.zeros(len(state)) if log.reward is None else log.reward
     if rewards is None and (log.reward is None or np.isnan(reward).any()):
-        lacking = "the log has none" if log.reward is None else "some rows of the log have none"
+        lacking = (
+            "the log has none"
+            if log.reward is None
+            else "some rows of the log have none"
+        )
         raise ValueError(f"rewards must be given where {lacking}; they are None")
-    samples = Outcomes(state, action, following, np.ones(len(state)), np.nan_to_num(reward), log.terminated)
+    samples = Outcomes(
+        state,
+        action,
+        following,
+        np.ones(len(state)),
+        np.nan_to_num(reward),
+        log.terminated,
+    )
     starts = state if log.episode_starts is None else state[log.episode_starts[:-1]]
     law: Array | None = None
     if initial is not None:
-        law = _checks.distribution(initial_distribution(initial, states, n_states), "initial", (n_states,))
-    return _empirical_arguments(samples, starts, law, Names(states, actions), (n_states, n_actions), rewards, layout)
+        law = _checks.distribution(
+            initial_distribution(initial, states, n_states), "initial", (n_states,)
+        )
+    return _empirical_arguments(
+        samples,
+        starts,
+        law,
+        Names(states, actions),
+        (n_states, n_actions),
+        rewards,
+        layout,
+    )
 
 
 def _resolve(
     log: Any, label: str, columns: tuple[str, ...], size: object, names: object
 ) -> tuple[int, tuple[Name, ...] | None, list[IntArray]]:
     """Return the number of states or actions, their names, and the log's columns of them in these numbers."""
-    own, codes = getattr(log, f"{label}_names"), [getattr(log, column) for column in columns]
-    called = own if names is None else _checks.collection(names, f"{label}_names", "a sequence of texts or tuples")
+    own, codes = (
+        getattr(log, f"{label}_names"),
+        [getattr(log, column) for column in columns],
+    )
+    called = (
+        own
+        if names is None
+        else _checks.collection(
+            names, f"{label}_names", "a sequence of texts or tuples"
+        )
+    )
     largest = max(int(each.max()) for each in codes)
     if size is None:
         size = largest + 1 if called is None else len(called)
     number = _checks.positive_integer(size, f"n_{label}s")
     if own is None and number <= largest:
-        rule = f"n_{label}s must be at least {largest + 1}, for the log has {label} {largest}"
+        rule = (
+            f"n_{label}s must be at least {largest + 1}, for the log has {label}"
+            f" {largest}"
+        )
         raise ValueError(f"{rule}; it is {number}")
     called = None if called is None else check_names(called, f"{label}_names", number)
     if own is not None:
-        codes = [renumber(each, own, called, number, f"log.{name}") for each, name in zip(codes, columns, strict=True)]
+        codes = [
+            renumber(each, own, called, number, f"log.{name}")
+            for each, name in zip(codes, columns, strict=True)
+        ]
     return number, called, codes
 
 
-def env_arguments(env: Any, samples_per_pair: object, seed: Seed, max_steps: object) -> dict[str, Any]:
+def env_arguments(
+    env: Any, samples_per_pair: object, seed: Seed, max_steps: object
+) -> dict[str, Any]:
     """Return the arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_env`` explains these."""
     n_wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
     limit = _checks.positive_integer(max_steps, "max_steps")
     if not hasattr(env, "step") or not hasattr(env, "reset"):
         hint = f" (gymnasium.make({_checks.show(env)}))" if isinstance(env, str) else ""
-        raise ValueError(f"env must be a Gymnasium environment; got {type(env).__name__}{hint}")
-    space, actions = getattr(env, "observation_space", None), getattr(env, "action_space", None)
+        raise ValueError(
+            f"env must be a Gymnasium environment; got {type(env).__name__}{hint}"
+        )
+    space, actions = (
+        getattr(env, "observation_space", None),
+        getattr(env, "action_space", None),
+    )
     if not hasattr(actions, "n") or int(getattr(actions, "start", 0)) != 0:
         raise ValueError(f"env.action_space must be Discrete, from 0; it is {actions}")
     if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
         raise ValueError(
-            f"env.observation_space must be discrete (cut a continuous one into cells first); it is {space}"
+            "env.observation_space must be discrete (cut a continuous one into cells"
+            f" first); it is {space}"
         )
-    explorer = Explorer(env, int(getattr(actions, "n", 0)), n_wanted, _checks.generator(seed))
+    explorer = Explorer(
+        env, int(getattr(actions, "n", 0)), n_wanted, _checks.generator(seed)
+    )
     explorer.explore(limit)
     met, state_names = list(explorer.states), None
     if all(isinstance(state, int) and state >= 0 for state in met):
         number = np.array(met)
         n_states = max(int(getattr(space, "n", 0)), 1 + max(met))
     else:
-        state_names = check_names(_sort_states(met), "the environment's observations", len(met))
+        state_names = check_names(
+            _sort_states(met), "the environment's observations", len(met)
+        )
         places = {name: k for k, name in enumerate(state_names)}
         number, n_states = np.array([places[state] for state in met]), len(met)
     names = Names(state_names)
     if explorer.lacking:
-        rule = f"samples_per_pair, {n_wanted}, was not reached within max_steps, {limit}"
+        rule = (
+            f"samples_per_pair, {n_wanted}, was not reached within max_steps, {limit}"
+        )
         total = f"{explorer.n_actions * len(explorer.open)} reached state-action pairs"
         short = [(number[s], a) for s, a in sorted(explorer.lacking)]
-        _checks.warn(f"{rule}, in {len(short)} of the {total}: {_list_pairs(short, names)}")
-    state, action, following, reward, terminated = (np.array(c) for c in zip(*explorer.transitions, strict=True))
-    samples = Outcomes(number[state], action, number[following], np.ones(len(state)), reward, terminated)
+        _checks.warn(
+            f"{rule}, in {len(short)} of the {total}: {_list_pairs(short, names)}"
+        )
+    state, action, following, reward, terminated = (
+        np.array(c) for c in zip(*explorer.transitions, strict=True)
+    )
+    samples = Outcomes(
+        number[state],
+        action,
+        number[following],
+        np.ones(len(state)),
+        reward,
+        terminated,
+    )
     return _empirical_arguments(
-        samples, number[explorer.starts], None, names, (n_states, explorer.n_actions), None, None
+        samples,
+        number[explorer.starts],
+        None,
+        names,
+        (n_states, explorer.n_actions),
+        None,
+        None,
     )
 
 
@@ -128,26 +211,39 @@ def _sort_states(states: list[Any]) -> list[Any]:
 
 def _list_pairs(pairs: Any, names: Names) -> str:
     """Name the first three state-action pairs."""
-    return "; ".join(names.pair(s, a) for s, a in pairs[:3]) + "; ..." * (len(pairs) > 3)
+    return "; ".join(names.pair(s, a) for s, a in pairs[:3]) + "; ..." * (
+        len(pairs) > 3
+    )
 
 
 def _empirical_arguments(
-    samples: Outcomes, starts: IntArray, initial: Array | None, names: Names, shape: tuple[int, int], rewards: Any,
+    samples: Outcomes,
+    starts: IntArray,
+    initial: Array | None,
+    names: Names,
+    shape: tuple[int, int],
+    rewards: Any,
     layout: object,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Return the arguments of the MDP of samples, and what they are known by.
 
     ``initial`` None: the frequencies of ``starts``. ``rewards`` None: the mean reward of each transition.
     """
     n_states, n_actions = shape
-    law = np.bincount(starts, minlength=n_states) / len(starts) if initial is None else initial
+    law = (
+        np.bincount(starts, minlength=n_states) / len(starts)
+        if initial is None
+        else initial
+    )
     outcomes, by_pair = _fill_pairs(samples, law, n_actions, names), None
     if rewards is not None:
         table = _check_rewards(rewards, n_states, n_actions)
         if table.ndim < 3:
             by_pair = table.reshape(n_states, -1)
         else:
-            outcomes = outcomes._replace(reward=table[outcomes.state, outcomes.action, outcomes.next_state])
+            outcomes = outcomes._replace(
+                reward=table[outcomes.state, outcomes.action, outcomes.next_state]
+            )
     arguments = build_arguments(
         outcomes,
         law,
@@ -158,25 +254,35 @@ def _empirical_arguments(
         action_names=names.actions,
     )
     counts, terminal = arguments["transitions"], arguments["terminal_state"]
-    frequencies = csr_on_pattern(counts, counts.data / row_sums(counts)[row_of_entry(counts)], own=True)
+    frequencies = csr_on_pattern(
+        counts, counts.data / row_sums(counts)[row_of_entry(counts)], own=True
+    )
     n_starts = float(len(starts)) if initial is None else np.inf
-    sampling = _count_samples(samples, terminal, counts.shape, n_starts, has_rewards=rewards is None)
+    sampling = _count_samples(
+        samples, terminal, counts.shape, n_starts, has_rewards=rewards is None
+    )
     return arguments | {"transitions": frequencies, "sampling": sampling}
 
 
 def _check_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
     """Return given rewards, (S,), (S, A) or (S, A, S) of the log's own states, dense."""
     shape = n_states, n_actions, n_states
-    given = check_csr(rewards, "rewards").toarray() if sparse.issparse(rewards) else rewards
+    given = (
+        check_csr(rewards, "rewards").toarray() if sparse.issparse(rewards) else rewards
+    )
     table = _checks.float_array(given, "rewards", ndim=(1, 2, 3))
     if sparse.issparse(rewards) and table.shape == (n_states * n_actions, n_states):
         table = table.reshape(shape)
     if table.shape != shape[: table.ndim]:
-        raise ValueError(f"rewards must have shape {shape[: table.ndim]}; it has shape {table.shape}")
+        raise ValueError(
+            f"rewards must have shape {shape[: table.ndim]}; it has shape {table.shape}"
+        )
     return table
 
 
-def _fill_pairs(samples: Outcomes, initial: Array, n_actions: int, names: Names) -> Outcomes:
+def _fill_pairs(
+    samples: Outcomes, initial: Array, n_actions: int, names: Names
+) -> Outcomes:
     """Return the samples, and others for pairs (s, a) that have none.
 
     An action never taken in a state does what the other actions did there; a state never left is absorbing with reward 0,
@@ -184,27 +290,45 @@ def _fill_pairs(samples: Outcomes, initial: Array, n_actions: int, names: Names)
     """
     state, action, following, _, _, terminated = samples
     n_states = len(initial)
-    counts = np.bincount(state * n_actions + action, minlength=n_states * n_actions).reshape(n_states, n_actions)
+    counts = np.bincount(
+        state * n_actions + action, minlength=n_states * n_actions
+    ).reshape(n_states, n_actions)
     is_left = counts.any(axis=1)
-    is_alive = is_left | (initial > 0) | (np.bincount(following[~terminated], minlength=n_states) > 0)
+    is_alive = (
+        is_left
+        | (initial > 0)
+        | (np.bincount(following[~terminated], minlength=n_states) > 0)
+    )
     is_ended = np.bincount(following[terminated], minlength=n_states) > 0
     filled = np.argwhere((counts == 0) & is_alive[:, None])
     if len(filled):
         _checks.warn(
-            f"{len(filled)} state-action pairs were never recorded and are filled in (by the state's other "
-            f"actions; without any the state is absorbing, reward 0): {_list_pairs(filled, names)}"
+            f"{len(filled)} state-action pairs were never recorded and are filled in"
+            " (by the state's other actions; without any the state is absorbing,"
+            f" reward 0): {_list_pairs(filled, names)}"
         )
     stays = np.flatnonzero(~is_left & (is_alive | ~is_ended))
     one, parts = np.ones(len(stays)), [samples]
     for a in range(n_actions):
         others = np.flatnonzero((is_left & (counts[:, a] == 0))[state])
-        parts.append(Outcomes._make(part[others] for part in samples)._replace(action=np.full(len(others), a)))
-        parts.append(Outcomes(stays, np.full(len(stays), a), stays, one, 0.0 * one, one < 0))
+        parts.append(
+            Outcomes._make(part[others] for part in samples)._replace(
+                action=np.full(len(others), a)
+            )
+        )
+        parts.append(
+            Outcomes(stays, np.full(len(stays), a), stays, one, 0.0 * one, one < 0)
+        )
     return Outcomes._make(np.concatenate(part) for part in zip(*parts, strict=True))
 
 
 def _count_samples(
-    samples: Outcomes, terminal: IntArray, shape: tuple[int, int], starts: float, *, has_rewards: bool
+    samples: Outcomes,
+    terminal: IntArray,
+    shape: tuple[int, int],
+    starts: float,
+    *,
+    has_rewards: bool,
 ) -> Sampling:
     """Count the samples of each pair, and compute the variance of each transition's mean reward where they have rewards.
 
@@ -218,18 +342,27 @@ def _count_samples(
     pairs[np.repeat(is_terminal, n_rows // n_states)] = np.inf
     if not has_rewards:
         return Sampling(pairs, starts, None)
-    number, total, squares = (csr_from_entries(row, to, samples.reward**k, shape) for k in range(3))
+    number, total, squares = (
+        csr_from_entries(row, to, samples.reward**k, shape) for k in range(3)
+    )
     deviation = np.maximum(squares.data - total.data**2 / number.data, 0.0)
     freedom = float((number.data - 1.0).sum())
     pooled = float(deviation.sum()) / freedom if freedom else 0.0
-    variance = np.where(number.data > 1, deviation / np.maximum(number.data - 1.0, 1.0), pooled) / number.data
+    variance = (
+        np.where(
+            number.data > 1, deviation / np.maximum(number.data - 1.0, 1.0), pooled
+        )
+        / number.data
+    )
     return Sampling(pairs, starts, csr_on_pattern(number, variance, own=True))
 
 
 GAMMA = 0.99  # of the exploration alone: a pair 1000 steps away still counts 4e-5
 TOLERANCE, MAX_SWEEPS = 1e-6, 2000  # of value iteration
 MIN_PLAN_AGE = 64  # steps, or half the number of states: a younger plan is not renewed
-RANDOM_SHARE = 0.05  # of the steps that a plan decides: an environment that is not Markov cannot lead it in circles
+# of the steps that a plan decides: an environment that is not Markov cannot lead it in
+# circles
+RANDOM_SHARE = 0.05
 MAX_CUTS = 10  # episodes truncated in a state, before it counts as out of reach
 RESET = -1  # the action of leaving an episode; the next state where it terminates
 
@@ -241,15 +374,24 @@ class Explorer:
     act; ``lacking``: their pairs (state, action) with too few samples.
     """
 
-    def __init__(self, env: Any, n_actions: int, n_wanted: int, generator: np.random.Generator) -> None:
-        self.env, self.n_actions, self.n_wanted, self.generator = env, n_actions, n_wanted, generator
+    def __init__(
+        self, env: Any, n_actions: int, n_wanted: int, generator: np.random.Generator
+    ) -> None:
+        self.env, self.n_actions, self.n_wanted, self.generator = (
+            env,
+            n_actions,
+            n_wanted,
+            generator,
+        )
         self.states: dict[Any, int] = {}
         self.transitions: list[tuple[int, int, int, float, bool]] = []
         self.starts: list[int] = []
         self.lacking: set[tuple[int, int]] = set()
         self.open: set[int] = set()
         self._counts: Counter[tuple[int, int]] = Counter()
-        self._outcomes: defaultdict[tuple[int, int], Counter[int]] = defaultdict(Counter)
+        self._outcomes: defaultdict[tuple[int, int], Counter[int]] = defaultdict(
+            Counter
+        )
         self._cuts: Counter[int] = Counter()
         self._best: list[int] = []
         self._values: list[list[float]] = []
@@ -259,7 +401,9 @@ class Explorer:
         """Step until no pair lacks samples, or ``max_steps`` times."""
         seed: int | None = int(self.generator.integers(2**31))
         is_over, state = True, 0
-        while len(self.transitions) < max_steps and (self.lacking or not self.transitions):
+        while len(self.transitions) < max_steps and (
+            self.lacking or not self.transitions
+        ):
             is_first = is_over
             if is_over:
                 state, seed = self._number(self.env.reset(seed=seed)[0]), None
@@ -275,12 +419,18 @@ class Explorer:
         """Take an action; return the next state and whether the episode is over."""
         observation, reward, terminated, truncated, _ = self.env.step(action)
         following = self._number(observation)
-        self.transitions.append((state, action, following, float(reward), bool(terminated)))
+        self.transitions.append(
+            (state, action, following, float(reward), bool(terminated))
+        )
         self._outcomes[state, action][RESET if terminated else following] += 1
         self._counts[state, action] += 1
         if self._counts[state, action] == self.n_wanted:
             self.lacking.discard((state, action))
-        if not terminated and truncated and not any(self._counts[following, a] for a in range(self.n_actions)):
+        if (
+            not terminated
+            and truncated
+            and not any(self._counts[following, a] for a in range(self.n_actions))
+        ):
             self._cuts[following] += 1
             self._set_open(following, self._cuts[following] < MAX_CUTS)
         elif not terminated:
@@ -291,7 +441,9 @@ class Explorer:
         return self.states.setdefault(to_plain(observation), len(self.states))
 
     def _actions_that_lack(self, state: int) -> list[int]:
-        return [a for a in range(self.n_actions) if self._counts[state, a] < self.n_wanted]
+        return [
+            a for a in range(self.n_actions) if self._counts[state, a] < self.n_wanted
+        ]
 
     def _set_open(self, state: int, is_open: bool) -> None:
         """Keep whether an episode can act in a state, so that its pairs are to have samples."""
@@ -314,7 +466,9 @@ class Explorer:
         if self.generator.random() < RANDOM_SHARE:
             return int(self.generator.integers(self.n_actions))
         best = self._best[state]
-        return int(np.argmax(self._values[state])) if best == RESET and is_first else best
+        return (
+            int(np.argmax(self._values[state])) if best == RESET and is_first else best
+        )
 
     def _plan(self) -> None:
         """Solve for V by value iteration from 0, and keep the best actions and gamma sum_s' P_n V of each pair."""
@@ -325,12 +479,18 @@ class Explorer:
         for pair in self._counts:
             is_taken[pair] = True
         entries = [
-            (number / self._counts[s, a], s * self.n_actions + a, n if k == RESET else k)
+            (
+                number / self._counts[s, a],
+                s * self.n_actions + a,
+                n if k == RESET else k,
+            )
             for (s, a), met in self._outcomes.items()
             for k, number in met.items()
         ]
         share, rows, columns = (np.array(part) for part in zip(*entries, strict=True))
-        frequencies = sparse.csr_array((share, (rows, columns)), shape=(n * self.n_actions, n + 1))
+        frequencies = sparse.csr_array(
+            (share, (rows, columns)), shape=(n * self.n_actions, n + 1)
+        )
         starts = np.bincount(self.starts, minlength=n) / len(self.starts)
         values = np.zeros(n + 1)  # the last one is V_0
         for _ in range(MAX_SWEEPS):
@@ -343,6 +503,8 @@ class Explorer:
             if change < TOLERANCE:
                 break
         actions = np.where(is_lacking, 1.0, ahead).argmax(axis=1)
-        self._best = np.where(best < GAMMA * values[n] - TOLERANCE, RESET, actions).tolist()
+        self._best = np.where(
+            best < GAMMA * values[n] - TOLERANCE, RESET, actions
+        ).tolist()
         self._values = np.where(is_taken, ahead, 1.0).tolist()
         self._plan_step = len(self.transitions)

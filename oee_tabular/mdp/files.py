@@ -31,20 +31,36 @@ def file_arrays(mdp: Any, layout: object) -> dict[str, Any]:
         "state_names": mdp.state_names and to_text(mdp.state_names),
         "action_names": mdp.action_names and to_text(mdp.action_names),
     }
-    tables = {"transitions": mdp.csr, "rewards": mdp.transition_rewards, "sampling_error": error}
+    tables = {
+        "transitions": mdp.csr,
+        "rewards": mdp.transition_rewards,
+        "sampling_error": error,
+    }
     for name, table in tables.items():
-        arrays |= {f"{name}_{part}": None if table is None else getattr(table, part) for part in _PARTS}
-    return {name: np.asarray(array) for name, array in arrays.items() if array is not None}
+        arrays |= {
+            f"{name}_{part}": None if table is None else getattr(table, part)
+            for part in _PARTS
+        }
+    return {
+        name: np.asarray(array) for name, array in arrays.items() if array is not None
+    }
 
 
 def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of ``FiniteMDP`` from what a file holds; KeyError or ValueError for what is none."""
     sizes = arrays["shape"]
     if sizes.shape != (2,) or sizes.dtype.kind not in "iu" or sizes.min() < 1:
-        raise ValueError(f"shape must be two positive integers, states and actions; it is {sizes.tolist()!r:.80}")
+        raise ValueError(
+            "shape must be two positive integers, states and actions; it is"
+            f" {sizes.tolist()!r:.80}"
+        )
     n_states, n_actions = sizes.tolist()
     shape = n_states * n_actions, n_states
-    rewards = arrays["rewards"] if "rewards" in arrays else _read_csr(arrays, "rewards", shape)
+    rewards = (
+        arrays["rewards"]
+        if "rewards" in arrays
+        else _read_csr(arrays, "rewards", shape)
+    )
     return {
         "transitions": _read_csr(arrays, "transitions", shape),
         "rewards": rewards,
@@ -52,19 +68,36 @@ def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
         "discount": float(_checks.float_array(arrays["discount"], "discount", ndim=0)),
         "terminal_state": arrays["terminal_state"],
         "layout": arrays.get("layout"),
-        "sampling": _read_sampling(arrays, shape) if "sampling_pairs" in arrays else None,
-    } | {name: from_text(arrays[name], name) for name in ("state_names", "action_names") if name in arrays}
+        "sampling": (
+            _read_sampling(arrays, shape) if "sampling_pairs" in arrays else None
+        ),
+    } | {
+        name: from_text(arrays[name], name)
+        for name in ("state_names", "action_names")
+        if name in arrays
+    }
 
 
-def _read_csr(arrays: Mapping[str, Any], name: str, shape: tuple[int, int]) -> sparse.csr_array:
+def _read_csr(
+    arrays: Mapping[str, Any], name: str, shape: tuple[int, int]
+) -> sparse.csr_array:
     data, indices, indptr = (arrays[f"{name}_{part}"] for part in _PARTS)
     return csr_from_parts(data, indices, indptr, shape, name)
 
 
 def _read_sampling(arrays: Mapping[str, Any], shape: tuple[int, int]) -> Sampling:
     pairs = _checks.float_array(arrays["sampling_pairs"], "sampling_pairs", ndim=1)
-    starts = float(_checks.float_array(arrays["sampling_starts"], "sampling_starts", ndim=0))
+    starts = float(
+        _checks.float_array(arrays["sampling_starts"], "sampling_starts", ndim=0)
+    )
     if pairs.shape != shape[:1] or not (pairs >= 0).all() or not starts > 0:
-        raise ValueError(f"sampling_pairs must be {shape[0]} numbers of samples, and sampling_starts positive")
-    error = _read_csr(arrays, "sampling_error", shape) if "sampling_error_data" in arrays else None
+        raise ValueError(
+            f"sampling_pairs must be {shape[0]} numbers of samples, and sampling_starts"
+            " positive"
+        )
+    error = (
+        _read_csr(arrays, "sampling_error", shape)
+        if "sampling_error_data" in arrays
+        else None
+    )
     return Sampling(pairs, starts, error)

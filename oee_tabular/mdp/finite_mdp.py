@@ -24,7 +24,13 @@ from oee_tabular.mdp.arrays import (
 from oee_tabular.mdp.empirical import Sampling, env_arguments, log_arguments
 from oee_tabular.mdp.files import constructor_arguments, file_arrays
 from oee_tabular.mdp.gymnasium_table import read_table
-from oee_tabular.mdp.naming import Name, Names, check_names, coordinates, initial_distribution
+from oee_tabular.mdp.naming import (
+    Name,
+    Names,
+    check_names,
+    coordinates,
+    initial_distribution,
+)
 from oee_tabular.mdp.support import add_action_noise, add_support
 
 KIND = "finite_mdp"
@@ -94,7 +100,8 @@ class FiniteMDP:
     state_names: tuple[Name, ...] | None
     action_names: tuple[Name, ...] | None
     sampling: Sampling | None
-    _reward_table: Any  # csr, or dense (S, A, S) with nan where r(s, a, s') is undefined
+    # csr, or dense (S, A, S) with nan where r(s, a, s') is undefined
+    _reward_table: Any
     _own_layout: Array | None  # as given, without the names' coordinates
 
     def __init__(
@@ -112,10 +119,18 @@ class FiniteMDP:
     ) -> None:
         csr, n_states, n_actions = check_transitions(transitions)
         expected, data, table = check_rewards(rewards, csr, n_actions)
-        names = None if state_names is None else check_names(state_names, "state_names", n_states)
+        names = (
+            None
+            if state_names is None
+            else check_names(state_names, "state_names", n_states)
+        )
         start = initial_distribution(initial, names, n_states)
         own = None if layout is None else check_layout(layout, n_states)
-        terminal = np.arange(n_states) if terminal_state is None else check_terminal_state(terminal_state, n_states)
+        terminal = (
+            np.arange(n_states)
+            if terminal_state is None
+            else check_terminal_state(terminal_state, n_states)
+        )
         vars(self).update(
             n_states=n_states,
             n_actions=n_actions,
@@ -127,14 +142,20 @@ class FiniteMDP:
             terminal_state=freeze(terminal),
             layout=coordinates(names) if own is None else own,
             state_names=names,
-            action_names=None if action_names is None else check_names(action_names, "action_names", n_actions),
+            action_names=(
+                None
+                if action_names is None
+                else check_names(action_names, "action_names", n_actions)
+            ),
             sampling=sampling,
             _reward_table=table,
             _own_layout=own,
         )
 
     def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"FiniteMDP is immutable; cannot set {name!r} (make a new one)")
+        raise AttributeError(
+            f"FiniteMDP is immutable; cannot set {name!r} (make a new one)"
+        )
 
     def __delattr__(self, name: str) -> None:
         raise AttributeError(f"FiniteMDP is immutable; cannot delete {name!r}")
@@ -143,17 +164,32 @@ class FiniteMDP:
         return partial(type(self), **self._arguments()), ()
 
     def __repr__(self) -> str:
-        sizes = f"{self.n_states} states, {self.n_actions} actions, {self.csr.nnz} transitions"
-        return f"FiniteMDP({sizes}, rewards {self._reward_form}, discount {self.discount:g})"
+        sizes = (
+            f"{self.n_states} states, {self.n_actions} actions, {self.csr.nnz}"
+            " transitions"
+        )
+        return (
+            f"FiniteMDP({sizes}, rewards {self._reward_form}, discount"
+            f" {self.discount:g})"
+        )
 
     def _repr_html_(self) -> str:
         values = self.rewards if self.reward_data is None else self.reward_data
         rows = [
-            ("states", self.n_states), ("actions", self.n_actions), ("transitions", self.csr.nnz),
-            ("rewards", f"{self._reward_form}, {values.min() + 0.0:.4g} to {values.max() + 0.0:.4g}"),
-            ("discount", f"{self.discount:g}"), ("first states", int((self.initial > 0).sum())),
+            ("states", self.n_states),
+            ("actions", self.n_actions),
+            ("transitions", self.csr.nnz),
+            (
+                "rewards",
+                (
+                    f"{self._reward_form}, {values.min() + 0.0:.4g} to"
+                    f" {values.max() + 0.0:.4g}"
+                ),
+            ),
+            ("discount", f"{self.discount:g}"),
+            ("first states", int((self.initial > 0).sum())),
             ("terminal states", int(self.absorbing().sum())),
-        ]  # fmt: skip
+        ]
         return _printing.facts("FiniteMDP: rewards in units of the return", rows)
 
     @property
@@ -171,7 +207,9 @@ class FiniteMDP:
         if not isinstance(self._reward_table, np.ndarray):
             return self._reward_table
         rows = self._reward_table.reshape(self.csr.shape)
-        return align_to(CsrArrays.from_dense(rows, ~np.isnan(rows)).to_matrix(), self.csr)[0]
+        return align_to(
+            CsrArrays.from_dense(rows, ~np.isnan(rows)).to_matrix(), self.csr
+        )[0]
 
     @property
     def names(self) -> Names:
@@ -200,18 +238,29 @@ class FiniteMDP:
             raise ValueError(f"new {error}") from None
         if tuple(sizes) != self.rewards.shape:
             own = "{} states and {} actions".format(*self.rewards.shape)
-            raise ValueError(f"new transitions must be for {own}; they are for {sizes[0]} and {sizes[1]}")
+            raise ValueError(
+                f"new transitions must be for {own}; they are for {sizes[0]} and"
+                f" {sizes[1]}"
+            )
         if self.reward_data is not None:
             undefined = np.flatnonzero(~align(self.transition_rewards, csr)[1])
             if undefined.size:
-                first = "; ".join(name_transition(csr, k, self.n_actions, self.names) for k in undefined[:3])
+                first = "; ".join(
+                    name_transition(csr, k, self.n_actions, self.names)
+                    for k in undefined[:3]
+                )
                 rule = "new transitions must stay where r(s, a, s') is defined"
-                raise ValueError(f"{rule}; {undefined.size} transitions do not, the first: {first}")
+                raise ValueError(
+                    f"{rule}; {undefined.size} transitions do not, the first: {first}"
+                )
         return self._replace(transitions=csr, sampling=None)
 
     def with_rewards(self, rewards: object) -> Self:
         """The same dynamics with other rewards, in any of the constructor's forms."""
-        return self._replace(rewards=rewards, sampling=self.sampling and self.sampling._replace(reward_error=None))
+        return self._replace(
+            rewards=rewards,
+            sampling=self.sampling and self.sampling._replace(reward_error=None),
+        )
 
     def with_discount(self, discount: float) -> Self:
         """The same MDP with another discount."""
@@ -219,13 +268,18 @@ class FiniteMDP:
 
     def with_initial(self, initial: object) -> Self:
         """The same MDP with another first state, or another distribution of it, in any of the constructor's forms."""
-        return self._replace(initial=initial, sampling=self.sampling and self.sampling._replace(starts=np.inf))
+        return self._replace(
+            initial=initial,
+            sampling=self.sampling and self.sampling._replace(starts=np.inf),
+        )
 
     def with_layout(self, layout: ArrayLike | None) -> Self:
         """The same MDP with other coordinates of its states; None: those in its names, or none."""
         return self._replace(layout=layout)
 
-    def with_names(self, state_names: object = None, action_names: object = None) -> Self:
+    def with_names(
+        self, state_names: object = None, action_names: object = None
+    ) -> Self:
         """The same MDP with these names of its states and of its actions; None: with none."""
         return self._replace(state_names=state_names, action_names=action_names)
 
@@ -270,7 +324,10 @@ class FiniteMDP:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read what ``save`` wrote; the same checks as in the constructor."""
-        hint = "make one with FiniteMDP(transitions, rewards, initial, discount).save(path)"
+        hint = (
+            "make one with FiniteMDP(transitions, rewards, initial,"
+            " discount).save(path)"
+        )
         stored = _files.load_npz(path, KIND, hint=hint)
         with _files.parts_of(path, "a FiniteMDP"):
             return cls(**constructor_arguments(stored))
@@ -336,11 +393,20 @@ class FiniteMDP:
         [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
         sizes, names = (n_states, n_actions), (state_names, action_names)
-        return cls(**log_arguments(log, rewards, initial, sizes, names, layout), discount=discount)
+        return cls(
+            **log_arguments(log, rewards, initial, sizes, names, layout),
+            discount=discount,
+        )
 
     @classmethod
     def from_env(
-        cls, env: Any, *, samples_per_pair: int, seed: Any = None, discount: float = 0.99, max_steps: int = 1_000_000
+        cls,
+        env: Any,
+        *,
+        samples_per_pair: int,
+        seed: Any = None,
+        discount: float = 0.99,
+        max_steps: int = 1_000_000,
     ) -> Self:
         """The MDP of the frequencies of a Gymnasium environment that can only be stepped.
 
@@ -371,14 +437,25 @@ class FiniteMDP:
         >>> bool(abs(sampled.transitions - FiniteMDP.from_gymnasium(lake).transitions).max() == 0)
         True
         """
-        return cls(**env_arguments(env, samples_per_pair, seed, max_steps), discount=discount)
+        return cls(
+            **env_arguments(env, samples_per_pair, seed, max_steps), discount=discount
+        )
 
     def _arguments(self) -> dict[str, Any]:
         """The arguments of the constructor that make it."""
-        same = ("initial", "discount", "terminal_state", "state_names", "action_names", "sampling")
+        same = (
+            "initial",
+            "discount",
+            "terminal_state",
+            "state_names",
+            "action_names",
+            "sampling",
+        )
         return {
             "transitions": self.csr,
-            "rewards": self.rewards if self._reward_table is None else self._reward_table,
+            "rewards": (
+                self.rewards if self._reward_table is None else self._reward_table
+            ),
             "layout": self._own_layout,
         } | {name: getattr(self, name) for name in same}
 

@@ -16,11 +16,19 @@ from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.mdp.arrays import csr_from_entries
 from oee_tabular.mdp.naming import Name, check_names, coordinates
 
-# wrappers of Gymnasium that change neither actions nor observations nor rewards (a time limit is a horizon)
-_HARMLESS = frozenset((
-    "HumanRendering", "OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "RenderCollection",
-    "TimeLimit",
-))  # fmt: skip
+# wrappers of Gymnasium that change neither actions nor observations nor rewards (a time
+# limit is a horizon)
+_HARMLESS = frozenset(
+    (
+        "HumanRendering",
+        "OrderEnforcing",
+        "PassiveEnvChecker",
+        "RecordEpisodeStatistics",
+        "RecordVideo",
+        "RenderCollection",
+        "TimeLimit",
+    )
+)
 
 
 class Outcomes(NamedTuple):
@@ -41,14 +49,18 @@ def read_table(env: Any) -> dict[str, Any]:
     table = getattr(base, "P", None)
     if table is None or not hasattr(base, "initial_state_distrib"):
         raise ValueError(
-            f"env must have a toy-text table env.unwrapped.P and an initial_state_distrib; {type(base).__name__} has none "
-            "(build the FiniteMDP from its arrays, or sample it: FiniteMDP.from_env(env, samples_per_pair=...); of an "
-            "environment with continuous states make a tasks.GymnasiumTask)"
+            "env must have a toy-text table env.unwrapped.P and an"
+            f" initial_state_distrib; {type(base).__name__} has none (build the"
+            " FiniteMDP from its arrays, or sample it: FiniteMDP.from_env(env,"
+            " samples_per_pair=...); of an environment with continuous states make a"
+            " tasks.GymnasiumTask)"
         )
     if getattr(base, "fickle_passenger", False):
         raise ValueError(
-            "env must have all its dynamics in the table P; a fickle Taxi passenger changes its destination outside it "
-            f"(fickle_probability={base.fickle_probability:g}): use fickle_passenger=False"
+            "env must have all its dynamics in the table P; a fickle Taxi passenger"
+            " changes its destination outside it"
+            f" (fickle_probability={base.fickle_probability:g}): use"
+            " fickle_passenger=False"
         )
     n_states, n_actions = len(table), len(table[0])
     rows = [
@@ -59,7 +71,9 @@ def read_table(env: Any) -> dict[str, Any]:
         if probability > 0
     ]
     columns = np.array(rows, dtype=np.float64).T
-    outcomes = Outcomes._make([*columns[:3].astype(np.int64), *columns[3:5], columns[5] > 0])
+    outcomes = Outcomes._make(
+        [*columns[:3].astype(np.int64), *columns[3:5], columns[5] > 0]
+    )
     return build_arguments(
         outcomes,
         np.array(base.initial_state_distrib, dtype=np.float64),
@@ -93,13 +107,26 @@ def build_arguments(
     terminal_state[twins] = n_own + np.arange(len(twins))
     terminal = terminal_state[is_ended]
     kept, stay = ~np.isin(state, terminal), np.zeros(len(terminal) * n_actions)
-    rows = (state * n_actions + action)[kept], (terminal[:, None] * n_actions + np.arange(n_actions)).reshape(-1)
-    columns = np.where(terminated, terminal_state[to], to)[kept], np.repeat(terminal, n_actions)
-    places, n_states = (np.concatenate(rows), np.concatenate(columns)), n_own + len(twins)
+    rows = (
+        (state * n_actions + action)[kept],
+        (terminal[:, None] * n_actions + np.arange(n_actions)).reshape(-1),
+    )
+    columns = (
+        np.where(terminated, terminal_state[to], to)[kept],
+        np.repeat(terminal, n_actions),
+    )
+    places, n_states = (
+        (np.concatenate(rows), np.concatenate(columns)),
+        n_own + len(twins),
+    )
     shape = n_states * n_actions, n_states
-    transitions = csr_from_entries(*places, np.concatenate([weight[kept], stay + 1.0]), shape)
+    transitions = csr_from_entries(
+        *places, np.concatenate([weight[kept], stay + 1.0]), shape
+    )
     if rewards is None:
-        flow = csr_from_entries(*places, np.concatenate([(weight * reward)[kept], stay]), shape)
+        flow = csr_from_entries(
+            *places, np.concatenate([(weight * reward)[kept], stay]), shape
+        )
         table: Any = csr_on_pattern(transitions, flow.data / transitions.data, own=True)
     else:
         table = np.zeros((n_states, n_actions))
@@ -108,7 +135,10 @@ def build_arguments(
     layout = coordinates(state_names) if layout is None else layout
     if state_names is not None:  # a twin is its state, over
         again = [state_names[s] for s in twins]
-        state_names += tuple((*name, "over") if isinstance(name, tuple) else f"{name} (over)" for name in again)
+        state_names += tuple(
+            (*name, "over") if isinstance(name, tuple) else f"{name} (over)"
+            for name in again
+        )
     return {
         "transitions": transitions,
         "rewards": table,
@@ -125,19 +155,29 @@ def _refuse_changing_wrappers(env: object) -> None:
     while hasattr(layer, "env") and layer is not getattr(layer, "unwrapped", layer):
         if type(layer).__name__ not in _HARMLESS:
             raise ValueError(
-                "env must not change actions, observations or rewards outside its table P; "
-                f"the wrapper {type(layer).__name__} may (pass env.unwrapped to leave it out)"
+                "env must not change actions, observations or rewards outside its"
+                f" table P; the wrapper {type(layer).__name__} may (pass env.unwrapped"
+                " to leave it out)"
             )
         layer = layer.env
 
 
 def _map_layout(base: object, n_states: int) -> Array | None:
     """Return (S, 2) row and column of the states of an environment on a map with a cell a state."""
-    shapes: tuple[Any, ...] = (getattr(getattr(base, "desc", None), "shape", None), getattr(base, "shape", None))
+    shapes: tuple[Any, ...] = (
+        getattr(getattr(base, "desc", None), "shape", None),
+        getattr(base, "shape", None),
+    )
     for shape in shapes:
-        is_map = isinstance(shape, tuple) and len(shape) == 2 and all(isinstance(n, int) for n in shape)
+        is_map = (
+            isinstance(shape, tuple)
+            and len(shape) == 2
+            and all(isinstance(n, int) for n in shape)
+        )
         if is_map and shape[0] * shape[1] == n_states:
-            return np.stack(np.divmod(np.arange(n_states), shape[1]), axis=1).astype(np.float64)
+            return np.stack(np.divmod(np.arange(n_states), shape[1]), axis=1).astype(
+                np.float64
+            )
     return None
 
 
@@ -155,5 +195,13 @@ def _action_names(base: object, n_actions: int) -> tuple[Name, ...] | None:
     if given is not None:
         return _valid_names(given, n_actions)
     constants = getattr(sys.modules.get(type(base).__module__), "__dict__", {}).items()
-    numbered = sorted((v, k.lower()) for k, v in constants if k.isupper() and isinstance(v, int) and 0 <= v < n_actions)
-    return tuple(k for _, k in numbered) if [v for v, _ in numbered] == list(range(n_actions)) else None
+    numbered = sorted(
+        (v, k.lower())
+        for k, v in constants
+        if k.isupper() and isinstance(v, int) and 0 <= v < n_actions
+    )
+    return (
+        tuple(k for _, k in numbered)
+        if [v for v, _ in numbered] == list(range(n_actions))
+        else None
+    )

@@ -11,11 +11,14 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.mdp.policies import count_dimensions
 
 SHORT_HORIZON = 10_000  # rewards; such a horizon is carried out as it stands
-LEAST_WEIGHT = 2.0**-200  # of a reward; far below rounding, so that late and unlikely rewards are not lost either
+# of a reward; far below rounding, so that late and unlikely rewards are not lost either
+LEAST_WEIGHT = 2.0**-200
 SLOW, ABSURD = 2e9, 2e10  # multiply-adds: some seconds, and a minute or more
 
 
-def limit_horizon(horizon: int, rate: float, *, ahead: int = 0, work: float = 1.0, kept: float = 1.0) -> int:
+def limit_horizon(
+    horizon: int, rate: float, *, ahead: int = 0, work: float = 1.0, kept: float = 1.0
+) -> int:
     """Return min(horizon, max(10 000, ahead + t)) with rate^t = 2^-200, and warn where that is less or takes long.
 
     ``rate``: what a step multiplies the weight of all later rewards by, at most; from 1 on nothing fades. ``ahead``: steps
@@ -34,37 +37,57 @@ def limit_horizon(horizon: int, rate: float, *, ahead: int = 0, work: float = 1.
     cost = length * work
     if horizon > 10**6 and cost > ABSURD:
         raise ValueError(
-            f"horizon must be one that can be carried out; {horizon} steps take some {cost:.0e} multiply-adds "
-            f"({cost / 3.6e12:.2g} hours), and nothing ends them earlier"
+            f"horizon must be one that can be carried out; {horizon} steps take some"
+            f" {cost:.0e} multiply-adds ({cost / 3.6e12:.2g} hours), and nothing ends"
+            " them earlier"
         )
     _checks.require_memory(length * kept, "horizon", horizon)
     if length < horizon:
-        rule = "from there on the discount leaves less of a reward than 2**-200, which no float shows beside the sum"
+        rule = (
+            "from there on the discount leaves less of a reward than 2**-200, which no"
+            " float shows beside the sum"
+        )
         _checks.warn(f"horizon {horizon} is followed to step {length}: {rule}")
     elif cost > SLOW:
-        _checks.warn(f"horizon {horizon} takes some {cost:.0e} multiply-adds ({cost / 1e9:.2g} seconds)")
+        _checks.warn(
+            f"horizon {horizon} takes some {cost:.0e} multiply-adds ({cost / 1e9:.2g}"
+            " seconds)"
+        )
     return length
 
 
-def horizon_length(horizon: object, model: Any, policy: PolicyLike | None = None, *, kept: float = 1.0) -> int:
+def horizon_length(
+    horizon: object, model: Any, policy: PolicyLike | None = None, *, kept: float = 1.0
+) -> int:
     """Return a horizon as an int, limited in ``model`` (FiniteMDP or ReweightedModel); with a policy (T, S, A) as it is."""
     length = _checks.positive_integer(horizon, "horizon")
     if length <= SHORT_HORIZON or count_dimensions(policy) == 3:
         return length
-    growth = float(row_sums(model.transitions).max())  # rows of zeta * P may sum to more than 1
-    rate = model.discount * (growth if growth > 1.0 + 2.0 * _checks.SUM_TOLERANCE else 1.0)
-    return limit_horizon(length, rate, ahead=model.n_states, work=model.transitions.nnz, kept=kept)
+    # rows of zeta * P may sum to more than 1
+    growth = float(row_sums(model.transitions).max())
+    rate = model.discount * (
+        growth if growth > 1.0 + 2.0 * _checks.SUM_TOLERANCE else 1.0
+    )
+    return limit_horizon(
+        length, rate, ahead=model.n_states, work=model.transitions.nnz, kept=kept
+    )
 
 
 def optional_horizon_length(
     horizon: object, model: Any, policy: PolicyLike | None = None, *, kept: float = 1.0
 ) -> int | None:
     """Return ``horizon_length``, or None for the infinite sum."""
-    return None if horizon is None else horizon_length(horizon, model, policy, kept=kept)
+    return (
+        None if horizon is None else horizon_length(horizon, model, policy, kept=kept)
+    )
 
 
 def total_discount(discount: float, horizon: int | None) -> float:
     """Return sum_t discount^t over the horizon."""
     if horizon is None:
         return 1.0 / (1.0 - discount)
-    return float(horizon) if discount == 1.0 else (1.0 - discount**horizon) / (1.0 - discount)
+    return (
+        float(horizon)
+        if discount == 1.0
+        else (1.0 - discount**horizon) / (1.0 - discount)
+    )

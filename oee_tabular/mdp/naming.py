@@ -71,30 +71,44 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
     """
     given = _checks.collection(value, name, "a sequence of texts or tuples")
     if len(given) != size:
-        raise ValueError(f"{name} must have {size} names, one for each; it has {len(given)}")
+        raise ValueError(
+            f"{name} must have {size} names, one for each; it has {len(given)}"
+        )
     names = tuple(to_plain(item) for item in given)
     first: dict[str, int] = {}
     for k, item in enumerate(names):
         place = f"{name}[{k}]"
         if not is_name(item):
-            raise ValueError(f"{place} must be a text, or a tuple of texts and numbers; it is {_checks.show(item)}")
+            raise ValueError(
+                f"{place} must be a text, or a tuple of texts and numbers; it is"
+                f" {_checks.show(item)}"
+            )
         text = str(item)
         if text.strip() != text or not text:
-            raise ValueError(f"{place} must not be empty, nor begin or end with a blank; it is {_checks.show(text)}")
+            raise ValueError(
+                f"{place} must not be empty, nor begin or end with a blank; it is"
+                f" {_checks.show(text)}"
+            )
         if is_number_text(text):
             raise ValueError(
-                f"{place} must not read as a number, which a file does not tell from the number of a state or an action; "
-                f"it is {text!r} (write {'s' + text!r})"
+                f"{place} must not read as a number, which a file does not tell from"
+                f" the number of a state or an action; it is {text!r} (write"
+                f" {'s' + text!r})"
             )
         if text in first:
-            raise ValueError(f"{name} must differ; {place} is {_checks.show(item)}, as {name}[{first[text]}] is")
+            raise ValueError(
+                f"{name} must differ; {place} is {_checks.show(item)}, as"
+                f" {name}[{first[text]}] is"
+            )
         first[text] = k
     return names
 
 
 def to_plain(item: object, depth: int = 0) -> Any:
     """Return a name without numpy's types; lists and arrays in it become tuples, but for those that are too deep."""
-    if isinstance(item, np.generic) or (isinstance(item, np.ndarray) and item.ndim == 0):
+    if isinstance(item, np.generic) or (
+        isinstance(item, np.ndarray) and item.ndim == 0
+    ):
         return item.item()
     if isinstance(item, tuple | list | np.ndarray) and depth < DEEPEST_NAME:
         return tuple(to_plain(part, depth + 1) for part in item)
@@ -106,7 +120,8 @@ def is_name(item: object) -> bool:
     if not isinstance(item, tuple):
         return isinstance(item, str)
     return bool(item) and all(
-        isinstance(x, int) or (isinstance(x, float) and math.isfinite(x)) or is_name(x) for x in item
+        isinstance(x, int) or (isinstance(x, float) and math.isfinite(x)) or is_name(x)
+        for x in item
     )
 
 
@@ -121,15 +136,20 @@ def is_number_text(text: str) -> bool:
 
 def coordinates(names: tuple[Name, ...] | None) -> Array | None:
     """Return (S, c) of names that are all tuples of c numbers, else None. O(S c)."""
-    if not names or any(isinstance(name, str) or any(not isinstance(x, int | float) for x in name) for name in names):
+    if not names or any(
+        isinstance(name, str) or any(not isinstance(x, int | float) for x in name)
+        for name in names
+    ):
         return None
     try:
         return _checks.freeze(np.array(names, dtype=np.float64))
-    except (OverflowError, ValueError):  # an integer beyond floats; tuples of several lengths
+    except (OverflowError, ValueError):
+        # an integer beyond floats; tuples of several lengths
         return None
 
 
-_LOOKUPS: dict[int, tuple[tuple[Name, ...], dict[Hashable, int]]] = {}  # by identity: O(1), where a hash costs O(S)
+# by identity: O(1), where a hash costs O(S)
+_LOOKUPS: dict[int, tuple[tuple[Name, ...], dict[Hashable, int]]] = {}
 
 
 def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
@@ -137,15 +157,27 @@ def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
     known, numbers = _LOOKUPS.get(id(names), ((), {}))
     if known is not names:
         named: dict[Hashable, int] = {item: k for k, item in enumerate(names)}
-        texts: dict[Hashable, int] = {str(item): k for item, k in named.items() if isinstance(item, tuple)}
-        numbers = {str(text).replace(", ", ","): k for text, k in texts.items()} | texts | named
+        texts: dict[Hashable, int] = {
+            str(item): k for item, k in named.items() if isinstance(item, tuple)
+        }
+        numbers = (
+            {str(text).replace(", ", ","): k for text, k in texts.items()}
+            | texts
+            | named
+        )
         if len(_LOOKUPS) >= 16:
             _LOOKUPS.clear()
         _LOOKUPS[id(names)] = names, numbers
     return numbers
 
 
-def number_of(item: object, names: tuple[Name, ...] | None, size: int, name: str, owner: str = "the MDP's") -> int:
+def number_of(
+    item: object,
+    names: tuple[Name, ...] | None,
+    size: int,
+    name: str,
+    owner: str = "the MDP's",
+) -> int:
     """Return the number of a state or an action that is given by name or number; ValueError with the nearest name.
 
     >>> number_of("lefft", ("left", "right"), 2, "action")
@@ -155,19 +187,26 @@ def number_of(item: object, names: tuple[Name, ...] | None, size: int, name: str
     given = to_plain(item)
     if _checks.is_integer(given):
         if not 0 <= given < size:
-            raise ValueError(f"{name} must be in 0..{size - 1}; it is {_checks.show(given)}")
+            raise ValueError(
+                f"{name} must be in 0..{size - 1}; it is {_checks.show(given)}"
+            )
         return int(given)
     if not is_name(given):
-        raise ValueError(f"{name} must be a name or a number; it is {_checks.show(given)}")
+        raise ValueError(
+            f"{name} must be a name or a number; it is {_checks.show(given)}"
+        )
     if names is None:
         raise ValueError(
-            f"{name} must be a number in 0..{size - 1}, since {owner.removesuffix(chr(39) + 's')} has no names here; it is "
-            f"{_checks.show(given)} (give it names: with_names(state_names=..., action_names=...))"
+            f"{name} must be a number in 0..{size - 1}, since"
+            f" {owner.removesuffix(chr(39) + 's')} has no names here; it is"
+            f" {_checks.show(given)} (give it names: with_names(state_names=...,"
+            " action_names=...))"
         )
     number = numbers_of(names).get(given)
     if number is None:
         raise ValueError(
-            f"{name} must be one of {owner} names; it is {_checks.show(given)}{suggest_name(given, names)}"
+            f"{name} must be one of {owner} names; it is"
+            f" {_checks.show(given)}{suggest_name(given, names)}"
         )
     return number
 
@@ -181,17 +220,33 @@ def suggest_name(item: Name, names: tuple[Name, ...]) -> str:
     return f" (they are {', '.join(map(repr, names[:5]))}{', ...' * (len(names) > 5)})"
 
 
-def renumber(codes: IntArray, own: tuple[Name, ...], names: tuple[Name, ...] | None, size: int, name: str) -> IntArray:
+def renumber(
+    codes: IntArray,
+    own: tuple[Name, ...],
+    names: tuple[Name, ...] | None,
+    size: int,
+    name: str,
+) -> IntArray:
     """Return numbers by a log's own names as numbers by an MDP's; ValueError with the first row whose name it has not."""
     known = {} if names is None else numbers_of(names)
     numbers = np.array([known.get(item, -1) for item in own], dtype=np.int64)[codes]
     bad = np.flatnonzero(numbers < 0)
     if bad.size:
         try:
-            number_of(own[int(codes[bad[0]])], names, size, f"{name}[{bad[0]}]", "the simulator's")
+            number_of(
+                own[int(codes[bad[0]])],
+                names,
+                size,
+                f"{name}[{bad[0]}]",
+                "the simulator's",
+            )
         except ValueError as error:
             missing = len(np.unique(codes[bad]))
-            more = f"; {bad.size} such rows, of {missing} name{'s' * (missing > 1)}" if bad.size > 1 else ""
+            more = (
+                f"; {bad.size} such rows, of {missing} name{'s' * (missing > 1)}"
+                if bad.size > 1
+                else ""
+            )
             raise ValueError(f"{error}{more}") from None
     return numbers
 
@@ -204,20 +259,31 @@ def to_text(names: Any) -> NDArray[Any]:
 def from_text(stored: NDArray[Any], name: str) -> tuple[Name, ...]:
     """Return what ``to_text`` was given; ValueError for other arrays."""
     if stored.ndim != 1 or stored.dtype.kind != "U":
-        raise ValueError(f"{name} must be texts; it has {stored.dtype} of shape {stored.shape}")
+        raise ValueError(
+            f"{name} must be texts; it has {stored.dtype} of shape {stored.shape}"
+        )
     try:
         return tuple(to_plain(json.loads(text)) for text in stored.tolist())
     except (ValueError, RecursionError):
-        raise ValueError(f"{name} must be names as JSON; it has {stored.tolist()[0]!r:.80}") from None
+        raise ValueError(
+            f"{name} must be names as JSON; it has {stored.tolist()[0]!r:.80}"
+        ) from None
 
 
-def initial_distribution(initial: Any, names: tuple[Name, ...] | None, n_states: int) -> Any:
+def initial_distribution(
+    initial: Any, names: tuple[Name, ...] | None, n_states: int
+) -> Any:
     """Return a first state, or a mapping state -> probability, as a distribution (S,); anything else as it is."""
-    is_scalar, is_tuple = getattr(initial, "ndim", 1) == 0, isinstance(initial, tuple) and names is not None
+    is_scalar, is_tuple = (
+        getattr(initial, "ndim", 1) == 0,
+        isinstance(initial, tuple) and names is not None,
+    )
     given = to_plain(initial) if is_scalar or is_tuple else initial
     if is_tuple:  # as many numbers as states are a distribution, unless they are a name
         is_numbers = all(isinstance(part, int | float) for part in given)
-        is_tuple = len(given) != n_states or not is_numbers or given in numbers_of(names or ())
+        is_tuple = (
+            len(given) != n_states or not is_numbers or given in numbers_of(names or ())
+        )
     weights: Mapping[Any, Any] = initial if isinstance(initial, Mapping) else {}
     if is_tuple or isinstance(given, str) or _checks.is_integer(given):
         weights = {given: 1.0}
@@ -225,6 +291,13 @@ def initial_distribution(initial: Any, names: tuple[Name, ...] | None, n_states:
         return initial
     distribution = np.zeros(n_states)
     for state, weight in weights.items():
-        number = number_of(state, names, n_states, "initial's state" if weights is initial else "initial")
-        distribution[number] += _checks.number_in(weight, f"initial[{state!r}]", 0.0, 1.0)
+        number = number_of(
+            state,
+            names,
+            n_states,
+            "initial's state" if weights is initial else "initial",
+        )
+        distribution[number] += _checks.number_in(
+            weight, f"initial[{state!r}]", 0.0, 1.0
+        )
     return distribution

@@ -11,10 +11,19 @@ import numpy as np
 from oee_tabular import _checks, _files
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.mdp.arrays import require_numbers
-from oee_tabular.mdp.naming import Name, is_name, names_of, number_of, numbers_of, to_plain
+from oee_tabular.mdp.naming import (
+    Name,
+    is_name,
+    names_of,
+    number_of,
+    numbers_of,
+    to_plain,
+)
 
 
-def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon: int | None = None) -> Array:
+def check_policy(
+    policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon: int | None = None
+) -> Array:
     """Return ``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is given), rows summing to 1 to 1e-8.
 
     A policy of the environment's own number of states is extended to the twins that termination appended, where any
@@ -52,7 +61,11 @@ def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon:
     horizon = _checks.optional_horizon(horizon)
     n_states, n_actions, n_own = mdp.n_states, mdp.n_actions, len(mdp.terminal_state)
     shapes = (n_states, n_actions), (horizon, n_states, n_actions)
-    if isinstance(policy, np.ndarray) and policy.dtype == np.float64 and policy.shape in shapes:
+    if (
+        isinstance(policy, np.ndarray)
+        and policy.dtype == np.float64
+        and policy.shape in shapes
+    ):
         array = np.array(policy, order="C")
         if _are_distributions(array):
             return array
@@ -60,14 +73,21 @@ def check_policy(policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon:
         policy = policy_table(policy, mdp, name)
     array = _checks.float_array(policy, name)
     if array.shape != (n_states, n_actions):
-        allowed: list[tuple[int, ...]] = [(n, n_actions) for n in dict.fromkeys((n_states, n_own))]
+        allowed: list[tuple[int, ...]] = [
+            (n, n_actions) for n in dict.fromkeys((n_states, n_own))
+        ]
         allowed += [] if horizon is None else [(horizon, *shape) for shape in allowed]
         if array.shape not in allowed:
             rule = " or ".join(str(shape) for shape in allowed)
-            raise ValueError(f"{name} must have shape {rule} (states, actions); it has shape {array.shape}")
+            raise ValueError(
+                f"{name} must have shape {rule} (states, actions); it has shape"
+                f" {array.shape}"
+            )
     array = _check_distributions(array, policy, name)
     if array.shape[-2] < n_states:
-        twins = np.full((*array.shape[:-2], n_states - n_own, n_actions), 1.0 / n_actions)
+        twins = np.full(
+            (*array.shape[:-2], n_states - n_own, n_actions), 1.0 / n_actions
+        )
         array = np.concatenate([array, twins], axis=-2)
     return array
 
@@ -77,7 +97,8 @@ def _are_distributions(array: Array) -> bool:
     from oee_tabular.mdp._policies import is_stochastic_matrix
 
     rows = array.reshape(math.prod(array.shape[:-1]), array.shape[-1])
-    return bool(is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE))  # less by what rounding may do
+    # less by what rounding may do
+    return bool(is_stochastic_matrix(rows, 0.99 * _checks.SUM_TOLERANCE))
 
 
 def _check_distributions(array: Array, given: object, name: str) -> Array:
@@ -90,7 +111,9 @@ def _check_distributions(array: Array, given: object, name: str) -> Array:
     return array
 
 
-def check_policies(policies: Any, mdp: Any, *, name: str = "policies", alone: str = "policy") -> dict[str, Array]:
+def check_policies(
+    policies: Any, mdp: Any, *, name: str = "policies", alone: str = "policy"
+) -> dict[str, Array]:
     """Return name -> (S, A) from a policy (called ``alone``), a list of policies, or a mapping name -> policy.
 
     A mapping all of whose keys are states is one policy.
@@ -98,26 +121,48 @@ def check_policies(policies: Any, mdp: Any, *, name: str = "policies", alone: st
     require_sized(mdp)
     several = split_policies(policies, mdp)
     named = {alone: policies} if several is None else several
-    return {key: check_policy(policy, mdp, name=f"{name} {key!r}") for key, policy in named.items()}
+    return {
+        key: check_policy(policy, mdp, name=f"{name} {key!r}")
+        for key, policy in named.items()
+    }
 
 
 def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
     """Return name -> policy of a mapping of policies, or of a list of them; None for what is one policy."""
-    if isinstance(policies, Mapping) and not _checks.is_sparse(policies):  # a dok_array is a mapping
+    # a dok_array is a mapping
+    if isinstance(policies, Mapping) and not _checks.is_sparse(policies):
         known = numbers_of(names_of(mdp).states or ())
-        are_states = all(to_plain(key) in known or _checks.is_integer(key) for key in policies)
-        are_choices = not any(callable(value) or count_dimensions(value) >= 2 for value in policies.values())
+        are_states = all(
+            to_plain(key) in known or _checks.is_integer(key) for key in policies
+        )
+        are_choices = not any(
+            callable(value) or count_dimensions(value) >= 2
+            for value in policies.values()
+        )
         is_one = bool(policies) and are_states and are_choices
-        return None if is_one else {str(key): policy for key, policy in policies.items()}
+        return (
+            None if is_one else {str(key): policy for key, policy in policies.items()}
+        )
     if not isinstance(policies, list | tuple):
         return None
-    sizes, first = (mdp.n_states, len(mdp.terminal_state)), policies[0] if policies else ()
+    sizes, first = (
+        (mdp.n_states, len(mdp.terminal_state)),
+        policies[0] if policies else (),
+    )
     is_row = (
-        count_dimensions(first) == 1 and len(policies) in sizes and len(first) == mdp.n_actions
+        count_dimensions(first) == 1
+        and len(policies) in sizes
+        and len(first) == mdp.n_actions
     )  # of a table (S, A)
-    is_policy = callable(first) or isinstance(first, Mapping) or count_dimensions(first) >= 2
+    is_policy = (
+        callable(first) or isinstance(first, Mapping) or count_dimensions(first) >= 2
+    )
     is_policy |= count_dimensions(first) == 1 and len(first) in sizes and not is_row
-    return {f"policy {k}": policy for k, policy in enumerate(policies)} if is_policy or not policies else None
+    return (
+        {f"policy {k}": policy for k, policy in enumerate(policies)}
+        if is_policy or not policies
+        else None
+    )
 
 
 def uniform_policy(mdp: Any) -> Array:
@@ -160,14 +205,22 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
     """
     weight = _checks.number_in(weight_of_a, "weight_of_a", 0.0, 1.0)
     arrays = []
-    for policy, name, other in ((policy_a, "policy_a", policy_b), (policy_b, "policy_b", policy_a)):
+    for policy, name, other in (
+        (policy_a, "policy_a", policy_b),
+        (policy_b, "policy_b", policy_a),
+    ):
         given = _checks.as_array(policy, name)
         if given.ndim == 1 and given.dtype.kind in "iu" and np.ndim(other) == 2:
             given = deterministic_policy(given, np.shape(other)[1], name)
-        arrays.append(_check_distributions(_checks.float_array(given, name, ndim=(2, 3)), given, name))
+        arrays.append(
+            _check_distributions(
+                _checks.float_array(given, name, ndim=(2, 3)), given, name
+            )
+        )
     if arrays[0].shape != arrays[1].shape:
         raise ValueError(
-            f"policy_a and policy_b must have one shape; they have {arrays[0].shape} and {arrays[1].shape}"
+            f"policy_a and policy_b must have one shape; they have {arrays[0].shape}"
+            f" and {arrays[1].shape}"
         )
     return np.asarray(weight * arrays[0] + (1.0 - weight) * arrays[1])
 
@@ -177,15 +230,24 @@ def read_policy_array(path: str, name: str) -> Array:
     arrays = _files.read_npz(path)
     kind = _files.npz_kind(arrays)
     if kind is not None:
-        raise ValueError(f"{name} must be a file with an (S, A) array; {path!r} holds a {kind}")
+        raise ValueError(
+            f"{name} must be a file with an (S, A) array; {path!r} holds a {kind}"
+        )
     if "policy" not in arrays and len(arrays) != 1:
-        raise ValueError(f"{name} must be a file with one array, or one named 'policy'; {path!r} has {sorted(arrays)}")
+        raise ValueError(
+            f"{name} must be a file with one array, or one named 'policy'; {path!r} has"
+            f" {sorted(arrays)}"
+        )
     return arrays.get("policy", next(iter(arrays.values())))
 
 
 def require_sized(mdp: object) -> None:
     """Raise a ValueError for what has no states and actions."""
-    is_sized = hasattr(mdp, "n_states") and hasattr(mdp, "n_actions") and hasattr(mdp, "terminal_state")
+    is_sized = (
+        hasattr(mdp, "n_states")
+        and hasattr(mdp, "n_actions")
+        and hasattr(mdp, "terminal_state")
+    )
     if isinstance(mdp, type) or not is_sized:
         raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
 
@@ -193,19 +255,26 @@ def require_sized(mdp: object) -> None:
 def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
     """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an array among it, as it is."""
     if isinstance(policy, str | bytes | int | np.integer) or policy is None:
-        hint = f"the same in every state: lambda state: {_checks.show(policy):.40}; a file: numpy.load"
+        hint = (
+            f"the same in every state: lambda state: {_checks.show(policy):.40}; a"
+            " file: numpy.load"
+        )
         if policy in ("uniform", "optimal"):
             hint = f"oee.{policy}_policy(simulator)"
         raise ValueError(
-            f"{name} must be an action, or a distribution, for each of the {mdp.n_states} states; "
-            f"it is {_checks.show(policy)} ({hint})"
+            f"{name} must be an action, or a distribution, for each of the"
+            f" {mdp.n_states} states; it is {_checks.show(policy)} ({hint})"
         )
-    if isinstance(policy, Mapping) or (callable(policy) and not hasattr(policy, "__array__")):
+    if isinstance(policy, Mapping) or (
+        callable(policy) and not hasattr(policy, "__array__")
+    ):
         return _choice_table(policy, mdp, name)
     if hasattr(policy, "to_dict"):
         raise ValueError(
-            f"{name} must be an array or a mapping by state; got {type(policy).__name__} (of a table with an action a column: "
-            'policy.to_dict("index"); of a series: policy.to_dict(); of either by order: policy.to_numpy())'
+            f"{name} must be an array or a mapping by state; got"
+            f" {type(policy).__name__} (of a table with an action a column:"
+            ' policy.to_dict("index"); of a series: policy.to_dict(); of either by'
+            " order: policy.to_numpy())"
         )
     return _action_table(policy, mdp, name)
 
@@ -213,47 +282,70 @@ def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
 def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
     """Return (S, A) of a mapping or a function of the environment's own states; terminal ones may be left out."""
     names, n_own = names_of(mdp), len(mdp.terminal_state)
-    is_free = mdp.absorbing() if hasattr(mdp, "absorbing") else np.zeros(mdp.n_states, dtype=np.bool_)
+    is_free = (
+        mdp.absorbing()
+        if hasattr(mdp, "absorbing")
+        else np.zeros(mdp.n_states, dtype=np.bool_)
+    )
     table = np.full((mdp.n_states, mdp.n_actions), np.nan)
     states = (names.states or range(mdp.n_states))[:n_own]
     for state, choice, place in _list_choices(policy, states, name):
         s = number_of(state, names.states, mdp.n_states, f"{name}'s state")
         if not np.isnan(table[s, 0]):
-            raise ValueError(f"{name}'s states must differ; state {names.state(s)} is given twice")
+            raise ValueError(
+                f"{name}'s states must differ; state {names.state(s)} is given twice"
+            )
         if choice is not None or not is_free[s]:
             table[s] = _choice_row(choice, names.actions, mdp.n_actions, place)
     missing = np.flatnonzero((np.isnan(table[:, 0]) & ~is_free)[:n_own])
     if missing.size:
         more = f" ({len(missing)} such states in all)" if len(missing) > 1 else ""
         raise ValueError(
-            f"{name} must have every state that is not terminal; state {names.state(missing[0])} is not there{more}"
+            f"{name} must have every state that is not terminal; state"
+            f" {names.state(missing[0])} is not there{more}"
         )
     return np.where(np.isnan(table), 1.0 / mdp.n_actions, table)
 
 
-def _list_choices(policy: Any, states: Any, name: str) -> Iterator[tuple[Any, Any, str]]:
+def _list_choices(
+    policy: Any, states: Any, name: str
+) -> Iterator[tuple[Any, Any, str]]:
     """Each state of a mapping, or of ``states``, with its choice and what errors call that."""
     if isinstance(policy, Mapping):
-        yield from ((state, choice, f"{name}[{_checks.show(state)}]") for state, choice in policy.items())
+        yield from (
+            (state, choice, f"{name}[{_checks.show(state)}]")
+            for state, choice in policy.items()
+        )
         return
     for state in states:
         place = f"{name}({_checks.show(state)})"
         try:
             choice = policy(state)
         except Exception as error:
-            reason = f"it raises {type(error).__name__}: {_checks.escape_controls(str(error)):.300}"
-            raise ValueError(f"{place} must be an action or a distribution; {reason}") from error
+            reason = (
+                f"it raises {type(error).__name__}:"
+                f" {_checks.escape_controls(str(error)):.300}"
+            )
+            raise ValueError(
+                f"{place} must be an action or a distribution; {reason}"
+            ) from error
         yield state, choice, place
 
 
-def _choice_row(choice: Any, names: tuple[Name, ...] | None, n_actions: int, name: str) -> Array:
+def _choice_row(
+    choice: Any, names: tuple[Name, ...] | None, n_actions: int, name: str
+) -> Array:
     """Return an action, a mapping action -> probability, or A probabilities, as (A,)."""
     row, given = np.zeros(n_actions), to_plain(choice)
     if isinstance(choice, Mapping):
         for action, probability in choice.items():
             a = number_of(action, names, n_actions, f"{name}'s action")
-            row[a] += _checks.number_in(probability, f"{name}[{_checks.show(action)}]", 0.0, 1.0)
-    elif _checks.is_integer(given) or (isinstance(choice, str | tuple) and _is_action(given, names)):
+            row[a] += _checks.number_in(
+                probability, f"{name}[{_checks.show(action)}]", 0.0, 1.0
+            )
+    elif _checks.is_integer(given) or (
+        isinstance(choice, str | tuple) and _is_action(given, names)
+    ):
         row[number_of(given, names, n_actions, name)] = 1.0
     elif count_dimensions(choice) == 1 and len(choice) == n_actions:
         row = _checks.float_array(choice, name, ndim=1)
@@ -271,21 +363,34 @@ def _action_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
     except (TypeError, ValueError):  # names of several lengths
         array = np.zeros((0, 0))
     are_numbers = array.ndim == 1 and array.dtype.kind in "iu"
-    are_rows = array.ndim == 2 and array.dtype.kind in "biuf" and array.shape[1] == n_actions
+    are_rows = (
+        array.ndim == 2 and array.dtype.kind in "biuf" and array.shape[1] == n_actions
+    )
     actions: Any = policy
-    if array.ndim == 0 or are_rows or not (are_numbers or all(_is_action(a, names) for a in actions)):
+    if (
+        array.ndim == 0
+        or are_rows
+        or not (are_numbers or all(_is_action(a, names) for a in actions))
+    ):
         return policy
     if len(actions) not in (mdp.n_states, len(mdp.terminal_state)):
         return policy
     if not are_numbers:
-        array = np.array([number_of(a, names, n_actions, f"{name}[{s}]") for s, a in enumerate(actions)])
+        array = np.array(
+            [
+                number_of(a, names, n_actions, f"{name}[{s}]")
+                for s, a in enumerate(actions)
+            ]
+        )
     return deterministic_policy(array, n_actions, name)
 
 
 def _is_action(action: object, names: tuple[Name, ...] | None) -> bool:
     """Say whether it is a text, or a tuple that is an action's name."""
     return isinstance(action, str) or (
-        isinstance(action, tuple) and is_name(action) and action in numbers_of(names or ())
+        isinstance(action, tuple)
+        and is_name(action)
+        and action in numbers_of(names or ())
     )
 
 

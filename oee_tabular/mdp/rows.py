@@ -18,8 +18,11 @@ from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.finite_mdp import FiniteMDP
 
-BLOCK = 2**18  # entries: 16 000 000 of them by blocks take .6 of the time, and no memory to speak of
-SMALL = 5_000  # numbers in (entries, d) up to which reduceat is quicker than a sparse product; at 6 400 000 it takes 20 times
+# entries: 16 000 000 of them by blocks take .6 of the time, and no memory to speak of
+BLOCK = 2**18
+# numbers in (entries, d) up to which reduceat is quicker than a sparse product; at 6
+# 400 000 it takes 20 times
+SMALL = 5_000
 DIGITS = 9  # displacements that differ by less than 1e-9 are one
 
 
@@ -54,16 +57,27 @@ class Rows:
         """All rows of a simulator."""
         csr = simulator.csr
         indptr: IntArray = csr.indptr.astype(np.int64)
-        weights = csr.data / np.repeat(np.add.reduceat(csr.data, indptr[:-1]), np.diff(indptr))
+        weights = csr.data / np.repeat(
+            np.add.reduceat(csr.data, indptr[:-1]), np.diff(indptr)
+        )
         sizes = simulator.n_states, simulator.n_actions
-        return cls(np.arange(csr.shape[0]), csr.indices, weights, indptr, slice(0, len(weights)), *sizes)
+        return cls(
+            np.arange(csr.shape[0]),
+            csr.indices,
+            weights,
+            indptr,
+            slice(0, len(weights)),
+            *sizes,
+        )
 
     def select(self, mask: BoolArray) -> Rows:
         """Those of ``mask`` (rows,)."""
         at = np.flatnonzero(mask)
         lengths = np.diff(self.indptr)[at]
         indptr: IntArray = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-        inside = np.arange(int(indptr[-1])) + np.repeat(self.indptr[:-1][at] - indptr[:-1], lengths)
+        inside = np.arange(int(indptr[-1])) + np.repeat(
+            self.indptr[:-1][at] - indptr[:-1], lengths
+        )
         return self._part(at, inside, indptr)
 
     def blocks(self) -> Iterator[Rows]:
@@ -73,19 +87,35 @@ class Rows:
             yield self
             return
         ends = np.arange(1, n_blocks) * BLOCK
-        for first, last in itertools.pairwise(np.unique([0, *np.searchsorted(self.indptr, ends), len(self)])):
+        for first, last in itertools.pairwise(
+            np.unique([0, *np.searchsorted(self.indptr, ends), len(self)])
+        ):
             low, high = (int(x) for x in self.indptr[[first, last]])
-            yield self._part(slice(first, last), slice(low, high), self.indptr[first : last + 1] - low)
+            yield self._part(
+                slice(first, last),
+                slice(low, high),
+                self.indptr[first : last + 1] - low,
+            )
 
-    def _part(self, at: IntArray | slice, inside: IntArray | slice, indptr: IntArray) -> Rows:
+    def _part(
+        self, at: IntArray | slice, inside: IntArray | slice, indptr: IntArray
+    ) -> Rows:
         """The rows ``at``, which have the entries ``inside``."""
         if not isinstance(self.entries, slice):
             entries: IntArray | slice = self.entries[inside]
         elif isinstance(inside, slice):
-            entries = slice(self.entries.start + inside.start, self.entries.start + inside.stop)
+            entries = slice(
+                self.entries.start + inside.start, self.entries.start + inside.stop
+            )
         else:
             entries = self.entries.start + inside
-        parts = self.number[at], self.arrival[inside], self.weights[inside], indptr, entries
+        parts = (
+            self.number[at],
+            self.arrival[inside],
+            self.weights[inside],
+            indptr,
+            entries,
+        )
         return Rows(*parts, self.n_states, self.n_actions)
 
     def __len__(self) -> int:
@@ -104,7 +134,11 @@ class Rows:
     @property
     def transitions(self) -> tuple[IntArray, IntArray, IntArray]:
         """(state, action, next state) of each entry."""
-        return self.spread(self.state), self.spread(self.action), self.arrival.astype(np.int64)
+        return (
+            self.spread(self.state),
+            self.spread(self.action),
+            self.arrival.astype(np.int64),
+        )
 
     def sums(self, values: Array) -> Array:
         """The sum over each row of (entries,) or (entries, d) values."""
@@ -123,7 +157,9 @@ class Rows:
         if values.ndim == 1 or values.size <= SMALL:
             return self.sums((model if values.ndim == 1 else model[:, None]) * values)
         parts = model, np.arange(len(model)), self.indptr
-        return np.asarray(sparse.csr_array(parts, shape=(len(self), len(model))) @ values)
+        return np.asarray(
+            sparse.csr_array(parts, shape=(len(self), len(model))) @ values
+        )
 
     def variance(self, model: Array, values: Array) -> Array:
         """The variance over each row of (entries,) values under ``model``."""
@@ -158,7 +194,9 @@ def distinct_rows(table: Array) -> tuple[Array, IntArray]:
     return ordered[new], kind
 
 
-def displacements(mdp: FiniteMDP, *, layout: ArrayLike | None = None) -> tuple[Array, IntArray]:
+def displacements(
+    mdp: FiniteMDP, *, layout: ArrayLike | None = None
+) -> tuple[Array, IntArray]:
     """Compute the displacement of each transition: layout[s'] - layout[s], or s' - s in the states' numbers without a layout.
 
     Parameters
@@ -195,11 +233,16 @@ def displacements(mdp: FiniteMDP, *, layout: ArrayLike | None = None) -> tuple[A
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
     given = mdp.layout if layout is None else check_layout(layout, mdp.n_states)
-    places = np.arange(mdp.n_states, dtype=np.float64)[:, None] if given is None else given
+    places = (
+        np.arange(mdp.n_states, dtype=np.float64)[:, None] if given is None else given
+    )
     state = row_of_entry(mdp.csr) // mdp.n_actions
-    kinds, kind = distinct_rows(round_displacements(places[mdp.csr.indices] - places[state]))
+    kinds, kind = distinct_rows(
+        round_displacements(places[mdp.csr.indices] - places[state])
+    )
     mass = np.bincount(kind, weights=mdp.csr.data)
-    order = np.argsort(-np.round(mass / mass.sum(), 12), kind="stable")  # equal but for the order of their sums: equal
+    # equal but for the order of their sums: equal
+    order = np.argsort(-np.round(mass / mass.sum(), 12), kind="stable")
     return kinds[order], np.argsort(order)[kind]
 
 

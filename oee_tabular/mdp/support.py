@@ -9,7 +9,13 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array, IntArray
-from oee_tabular._sparse import align, canonical, check_csr, csr_on_pattern, row_of_entry
+from oee_tabular._sparse import (
+    align,
+    canonical,
+    check_csr,
+    csr_on_pattern,
+    row_of_entry,
+)
 from oee_tabular.mdp.arrays import csr_from_entries, require_numbers
 
 SMALLEST_PROBABILITY = 1e-300  # a smaller one supports no ratio
@@ -19,12 +25,18 @@ def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
     """Return the arguments of P_eps and r_eps (``FiniteMDP.with_action_noise``)."""
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0)
     n_states, n_actions = mdp.rewards.shape
-    noise = sparse.kron(sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions))
-    mixing = sparse.csr_array((1.0 - eps) * sparse.eye_array(n_states * n_actions) + eps * noise)
+    noise = sparse.kron(
+        sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions)
+    )
+    mixing = sparse.csr_array(
+        (1.0 - eps) * sparse.eye_array(n_states * n_actions) + eps * noise
+    )
     matrix = canonical(mixing @ mdp.transitions, drop_zeros=True)
     rewards: object = (mixing @ mdp.rewards.reshape(-1)).reshape(mdp.rewards.shape)
     if mdp.reward_data is not None:
-        flow = mixing @ csr_on_pattern(mdp.transitions, mdp.transitions.data * mdp.reward_data, own=True)
+        flow = mixing @ csr_on_pattern(
+            mdp.transitions, mdp.transitions.data * mdp.reward_data, own=True
+        )
         total, _ = align(canonical(flow, drop_zeros=False), matrix)
         rewards = csr_on_pattern(matrix, total / matrix.data, own=True)
     sampling = mdp.sampling
@@ -46,7 +58,9 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     row, column = row_of_entry(observed)[is_impossible], observed.indices[is_impossible]
     number = np.bincount(row, minlength=matrix.shape[0])
     added = csr_from_entries(row, column, eps / number[row], matrix.shape)
-    kept = sparse.csr_array(sparse.diags_array(np.where(number > 0, 1.0 - eps, 1.0)) @ matrix)
+    kept = sparse.csr_array(
+        sparse.diags_array(np.where(number > 0, 1.0 - eps, 1.0)) @ matrix
+    )
     new = canonical(kept + added, drop_zeros=True)
     table = mdp.transition_rewards
     if table is None:
@@ -56,7 +70,10 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
         has_reward = ~np.isnan(reward)  # some may be missing
         places = rows[has_reward], columns[has_reward]
         weights = reward[has_reward], np.ones(len(places[0]))
-        total, count = (align(csr_from_entries(*places, weight, matrix.shape), added)[0] for weight in weights)
+        total, count = (
+            align(csr_from_entries(*places, weight, matrix.shape), added)[0]
+            for weight in weights
+        )
         value = np.where(count > 0, total / np.maximum(count, 1.0), value)
     is_undefined = ~align(table, added)[1]
     rewards = csr_from_entries(
@@ -73,12 +90,19 @@ def _read_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | N
     shape = mdp.csr.shape
     if sparse.issparse(log):
         if log.shape != shape:
-            raise ValueError(f"log must be of shape {shape} where it is counts; it has shape {log.shape}")
+            raise ValueError(
+                f"log must be of shape {shape} where it is counts; it has shape"
+                f" {log.shape}"
+            )
         counts = canonical(check_csr(log, "log"), drop_zeros=True)
         return row_of_entry(counts), counts.indices.astype(np.int64), None
     require_log(log)
     log = log.numbered(mdp)
-    for name, limit in (("state", mdp.n_states), ("action", mdp.n_actions), ("next_state", mdp.n_states)):
+    for name, limit in (
+        ("state", mdp.n_states),
+        ("action", mdp.n_actions),
+        ("next_state", mdp.n_states),
+    ):
         require_numbers(getattr(log, name), limit, f"log.{name}", ", the simulator's")
     ends = np.arange(mdp.n_states)
     ends[: len(mdp.terminal_state)] = mdp.terminal_state
@@ -90,5 +114,7 @@ def require_log(log: object) -> None:
     """Raise ValueError for what is no log (``data``, which knows its class, stands above)."""
     is_class = isinstance(log, type)
     if is_class or not (hasattr(log, "numbered") and hasattr(log, "episode_starts")):
-        hint = " (of a data frame: Transitions.from_frame(log))" * (hasattr(log, "columns") and not is_class)
+        hint = " (of a data frame: Transitions.from_frame(log))" * (
+            hasattr(log, "columns") and not is_class
+        )
         raise ValueError(f"log must be Transitions; got {type(log).__name__}{hint}")

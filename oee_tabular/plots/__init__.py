@@ -4,13 +4,42 @@ Colours are Okabe and Ito's, which colour-blind readers can tell apart; markers 
 with units. ``figure_png`` and ``figure_svg`` make a file's content of what a function draws.
 """
 
-from oee_tabular.plots.curves import label_ends, plot_curves, plot_errors, plot_variance_growth
-from oee_tabular.plots.grids import Map, detect_grid, map_of, plot_coverage, plot_grid, plot_occupancy, plot_ratio
+from oee_tabular.plots.curves import (
+    label_ends,
+    plot_curves,
+    plot_errors,
+    plot_variance_growth,
+)
+from oee_tabular.plots.grids import (
+    Map,
+    detect_grid,
+    map_of,
+    plot_coverage,
+    plot_grid,
+    plot_occupancy,
+    plot_ratio,
+)
 from oee_tabular.plots.style import COLORS, LINES, MARKERS, figure_png, figure_svg
 from oee_tabular.plots.values import plot_intervals, plot_states, plot_values
 
 __all__ = [
-    "COLORS", "LINES", "MARKERS", "Map", "detect_grid", "figure_png", "figure_svg", "label_ends", "map_of", "plot_coverage",
-    "plot_curves", "plot_errors", "plot_grid", "plot_intervals", "plot_occupancy", "plot_ratio", "plot_states",
-    "plot_values", "plot_variance_growth",
-]  # fmt: skip
+    "COLORS",
+    "LINES",
+    "MARKERS",
+    "Map",
+    "detect_grid",
+    "figure_png",
+    "figure_svg",
+    "label_ends",
+    "map_of",
+    "plot_coverage",
+    "plot_curves",
+    "plot_errors",
+    "plot_grid",
+    "plot_intervals",
+    "plot_occupancy",
+    "plot_ratio",
+    "plot_states",
+    "plot_values",
+    "plot_variance_growth",
+]

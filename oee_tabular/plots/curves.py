@@ -9,7 +9,14 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._checks import Array
-from oee_tabular.plots.style import INK, check_axes, check_texts, disable_math, series, shorten
+from oee_tabular.plots.style import (
+    INK,
+    check_axes,
+    check_texts,
+    disable_math,
+    series,
+    shorten,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,22 +58,37 @@ def plot_curves(
     ends = {}
     for name, pair in _checks.instance(bands or {}, Mapping, "bands").items():
         if name not in drawn:
-            raise ValueError(f"bands must be of names in curves; {_checks.show(name)} is not")
+            raise ValueError(
+                f"bands must be of names in curves; {_checks.show(name)} is not"
+            )
         both = _checks.collection(pair, "bands", "pairs of arrays")
         if len(both) != 2:
-            raise ValueError(f"bands[{name!r}] must be (lower, upper); it has {len(both)} entries")
+            raise ValueError(
+                f"bands[{name!r}] must be (lower, upper); it has {len(both)} entries"
+            )
         ends[name] = [_check_like(end, where, f"bands[{name!r}]") for end in both]
     line = None
     if truth is not None:
         line = _checks.float_array(truth, "truth", ndim=(0, 1))
-        line = _check_like(line if line.ndim else np.full(len(where), line), where, "truth")
+        line = _check_like(
+            line if line.ndim else np.full(len(where), line), where, "truth"
+        )
     ax = check_axes(ax)
     for k, (name, y) in enumerate(drawn.items()):
         ax.plot(where, y, ms=5, lw=1.6, label=shorten(name), **series(k))
         if name in ends:
-            ax.fill_between(where, ends[name][0], ends[name][1], color=series(k)["color"], alpha=0.18, lw=0)
+            ax.fill_between(
+                where,
+                ends[name][0],
+                ends[name][1],
+                color=series(k)["color"],
+                alpha=0.18,
+                lw=0,
+            )
     if line is not None:
-        ax.plot(where, line, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1, label="true value")
+        ax.plot(
+            where, line, color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1, label="true value"
+        )
     ax.set_xlabel(xlabel)
     ax.set_ylabel(ylabel)
     ax.grid(visible=True)
@@ -109,7 +131,9 @@ def plot_errors(
         _checks.number_in(slope, "slope", -100.0, 100.0)
     if slope is not None and start.size and len(where) > 1:
         line = first[start[0]] * (where / where[start[0]]) ** slope
-        ax.plot(where, line, color=INK, lw=1.0, ls=":", zorder=0, label=f"slope {slope:g}")
+        ax.plot(
+            where, line, color=INK, lw=1.0, ls=":", zorder=0, label=f"slope {slope:g}"
+        )
         disable_math(ax.legend(fontsize="small").get_texts())
     ax.set_xscale("log")
     ax.set_yscale("log")
@@ -139,18 +163,28 @@ def plot_variance_growth(
     'log'
     """
     if horizons is None:
-        first = next(iter(_checks.instance(variances, Mapping, "variances").values()), ())
+        first = next(
+            iter(_checks.instance(variances, Mapping, "variances").values()), ()
+        )
         horizons = 1 + np.arange(_checks.float_array(first, "variances").size)
-    where, drawn = _check_curves(horizons, variances, "horizons", "variances", is_logarithmic=True)
+    where, drawn = _check_curves(
+        horizons, variances, "horizons", "variances", is_logarithmic=True
+    )
     ax = plot_curves(where, drawn, ax, xlabel=xlabel, ylabel=ylabel)
     for line in ax.get_lines()[-len(drawn) :]:
-        line.set_markevery(max(1, len(where) // 8))  # markers tell the curves apart, they are not the data
+        # markers tell the curves apart, they are not the data
+        line.set_markevery(max(1, len(where) // 8))
     ax.set_yscale("log")
     return ax
 
 
 def _check_curves(
-    x: object, curves: Mapping[str, object], x_name: str, name: str, *, is_logarithmic: bool = False
+    x: object,
+    curves: Mapping[str, object],
+    x_name: str,
+    name: str,
+    *,
+    is_logarithmic: bool = False,
 ) -> tuple[Array, dict[str, Array]]:
     """x and the curves as arrays; without zeros, which a logarithmic axis cannot show."""
     where = _checks.float_array(x, x_name, ndim=1)
@@ -166,14 +200,18 @@ def _check_curves(
         raise ValueError(f"{name} must hold at least one curve; it is empty")
     if not any(np.isfinite(y).any() for y in arrays.values()):
         rule = "positive number, for a logarithmic axis" if is_logarithmic else "number"
-        raise ValueError(f"{name} must hold at least one finite {rule}; there is nothing to draw")
+        raise ValueError(
+            f"{name} must hold at least one finite {rule}; there is nothing to draw"
+        )
     return where, arrays
 
 
 def _check_like(values: object, where: Array, name: str) -> Array:
     array = _checks.float_array(values, name, ndim=1)
     if len(array) != len(where):
-        raise ValueError(f"{name} must have {len(where)} values, one a point; it has {len(array)}")
+        raise ValueError(
+            f"{name} must have {len(where)} values, one a point; it has {len(array)}"
+        )
     return array
 
 
@@ -206,15 +244,29 @@ def label_ends(ax: Axes) -> Axes:
     if ends:
         ax.get_ylim()  # brings the limits, and with them transData, up to date
         to_axes = ax.transData + ax.transAxes.inverted()
-        heights = np.clip(to_axes.transform([point for _, point in ends])[:, 1], 0.0, 1.0)
-        # heights at least a step apart in the same order, nearest to these (least squares): what is left of the steps
-        # may not fall
+        heights = np.clip(
+            to_axes.transform([point for _, point in ends])[:, 1], 0.0, 1.0
+        )
+        # heights at least a step apart in the same order, nearest to these (least
+        # squares): what is left of the steps may not fall
         order = np.argsort(heights, kind="stable")
-        steps = SPACE * LABEL_SIZE * ax.figure.dpi / (72.0 * ax.get_window_extent().height) * np.arange(len(order))
+        steps = (
+            SPACE
+            * LABEL_SIZE
+            * ax.figure.dpi
+            / (72.0 * ax.get_window_extent().height)
+            * np.arange(len(order))
+        )
         heights[order] = isotonic_regression(heights[order] - steps).x + steps
-        style: dict[str, Any] = {"transform": ax.transAxes, "fontsize": LABEL_SIZE, "va": "center"}
+        style: dict[str, Any] = {
+            "transform": ax.transAxes,
+            "fontsize": LABEL_SIZE,
+            "va": "center",
+        }
         for (line, _), height in zip(ends, heights, strict=True):
-            ax.text(1.02, height, str(line.get_label()), color=line.get_color(), **style)
+            ax.text(
+                1.02, height, str(line.get_label()), color=line.get_color(), **style
+            )
     disable_math(ax.texts)
     if (legend := ax.get_legend()) is not None:
         legend.remove()

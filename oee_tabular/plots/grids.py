@@ -21,9 +21,12 @@ from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shor
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-N_VECTOR_CELLS = 1600  # up to which each cell of a map is a shape of its own; beyond, the map is an image
+# up to which each cell of a map is a shape of its own; beyond, the map is an image
+N_VECTOR_CELLS = 1600
 N_TEXT_CELLS = 12  # rows and columns up to which cells can hold text
-SPARSEST = 0.02  # share of a map's cells that are states, at least: places that are further apart make no map
+# share of a map's cells that are states, at least: places that are further apart make
+# no map
+SPARSEST = 0.02
 CLOSE = 1e-6  # of a cell, by which a place may miss its middle
 
 
@@ -51,9 +54,16 @@ class Map:
     @classmethod
     def of_shape(cls, rows: int, columns: int) -> Map:
         """A state in each cell, numbered row * columns + column."""
-        shape = _checks.positive_integer(rows, "rows"), _checks.positive_integer(columns, "columns")
+        shape = (
+            _checks.positive_integer(rows, "rows"),
+            _checks.positive_integer(columns, "columns"),
+        )
         _checks.require_memory(shape[0] * shape[1], "rows", shape)
-        return cls(tuple(range(shape[0])), tuple(range(shape[1])), np.arange(shape[0] * shape[1]))
+        return cls(
+            tuple(range(shape[0])),
+            tuple(range(shape[1])),
+            np.arange(shape[0] * shape[1]),
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -64,7 +74,10 @@ class Map:
         """(rows * columns,) of (S,): what is in each cell, nan where no state is."""
         given = _checks.float_array(values, "values", ndim=1)
         if len(given) != len(self.cell):
-            raise ValueError(f"values must have {len(self.cell)} entries, one a state; it has {len(given)}")
+            raise ValueError(
+                f"values must have {len(self.cell)} entries, one a state; it has"
+                f" {len(given)}"
+            )
         cells = np.full(len(self.rows) * len(self.columns), np.nan)
         cells[self.cell[self.cell >= 0]] = given[self.cell >= 0]
         return cells
@@ -72,7 +85,10 @@ class Map:
     def place(self, state: int) -> tuple[float, float] | None:
         """The coordinates of a state's row and column; None where it is not drawn."""
         if not _checks.is_integer(state) or not 0 <= state < len(self.cell):
-            raise ValueError(f"state must be an integer from 0 to {len(self.cell) - 1}; got {_checks.show(state)}")
+            raise ValueError(
+                f"state must be an integer from 0 to {len(self.cell) - 1}; got"
+                f" {_checks.show(state)}"
+            )
         if self.cell[state] < 0:
             return None
         row, column = divmod(int(self.cell[state]), len(self.columns))
@@ -123,7 +139,9 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
             is_even = (number < len(layout) / SPARSEST) & (np.abs(at - number) <= CLOSE)
         if not is_even.all():
             return None
-        coordinates.append(tuple((distinct[0] + step * np.arange(int(number.max()) + 1)).tolist()))
+        coordinates.append(
+            tuple((distinct[0] + step * np.arange(int(number.max()) + 1)).tolist())
+        )
         numbers.append(number.astype(np.int64))
     (rows, columns), (row, column) = coordinates, numbers
     if len(layout) < SPARSEST * len(rows) * len(columns):
@@ -132,7 +150,11 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
     order = np.argsort(is_over, kind="stable")  # those that can be left come first
     is_hidden = np.ones(len(cell), dtype=np.bool_)
     is_hidden[order[np.unique(cell[order], return_index=True)[1]]] = False
-    return None if (is_hidden & ~is_over).any() else Map(rows, columns, np.where(is_hidden, -1, cell))
+    return (
+        None
+        if (is_hidden & ~is_over).any()
+        else Map(rows, columns, np.where(is_hidden, -1, cell))
+    )
 
 
 def as_map(shape: tuple[int, int] | Map) -> Map:
@@ -142,8 +164,13 @@ def as_map(shape: tuple[int, int] | Map) -> Map:
     try:
         rows, columns = shape
     except (TypeError, ValueError):
-        raise ValueError(f"shape must be (rows, columns); got {_checks.show(shape)}") from None
-    return Map.of_shape(_checks.positive_integer(rows, "shape[0]"), _checks.positive_integer(columns, "shape[1]"))
+        raise ValueError(
+            f"shape must be (rows, columns); got {_checks.show(shape)}"
+        ) from None
+    return Map.of_shape(
+        _checks.positive_integer(rows, "shape[0]"),
+        _checks.positive_integer(columns, "shape[1]"),
+    )
 
 
 def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
@@ -216,24 +243,53 @@ def plot_grid(
 
     places = as_map(shape)
     rows, columns = places.shape
-    number = _check_states(values, places, "values", allow_blank=text is not None or crossed is not None)
+    number = _check_states(
+        values, places, "values", allow_blank=text is not None or crossed is not None
+    )
     is_crossed = _check_mask(crossed, places, "crossed")
     check_texts(label=label, colormap=colormap)
     if colormap not in matplotlib.colormaps:
-        raise ValueError(f"colormap must be the name of one of matplotlib's; got {_checks.show(colormap)}")
+        raise ValueError(
+            "colormap must be the name of one of matplotlib's; got"
+            f" {_checks.show(colormap)}"
+        )
     if norm is not None:
-        _checks.instance(norm, matplotlib.colors.Normalize, "norm", "norm of matplotlib")
-    words = [] if text is None else [*map(shorten, _checks.collection(text, "text", "words, one a state"))]
+        _checks.instance(
+            norm, matplotlib.colors.Normalize, "norm", "norm of matplotlib"
+        )
+    words = (
+        []
+        if text is None
+        else [*map(shorten, _checks.collection(text, "text", "words, one a state"))]
+    )
     marks = None if ticks is None else _checks.float_array(ticks, "ticks", ndim=1)
     ax = style.check_axes(ax, (5.4, 4.2))
     cells = np.ma.masked_invalid(places.spread(number).reshape(rows, columns))
     is_image = cells.size > N_VECTOR_CELLS
-    mesh = ax.pcolormesh(cells, cmap=colormap, norm=norm, linewidth=0.5, edgecolor="face", rasterized=is_image)
-    ax.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row")
+    mesh = ax.pcolormesh(
+        cells,
+        cmap=colormap,
+        norm=norm,
+        linewidth=0.5,
+        edgecolor="face",
+        rasterized=is_image,
+    )
+    ax.set(
+        xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row"
+    )
     row, column = np.divmod(places.cell[is_crossed & (places.cell >= 0)], columns)
     size = min(9.0, 120.0 / max(rows, columns))
-    for color, width in ((style.PAPER, 3.6), (COLORS[1], 1.8)):  # a halo, so that it is seen on every shade
-        ax.plot(column + 0.5, row + 0.5, "x", ms=size, mec=color, mew=width, rasterized=is_image)
+    # a halo, so that it is seen on every shade
+    for color, width in ((style.PAPER, 3.6), (COLORS[1], 1.8)):
+        ax.plot(
+            column + 0.5,
+            row + 0.5,
+            "x",
+            ms=size,
+            mec=color,
+            mew=width,
+            rasterized=is_image,
+        )
     if max(rows, columns) <= N_TEXT_CELLS:
         _write(ax, mesh, cells, places, words)
     for axis, called in ((ax.xaxis, places.columns), (ax.yaxis, places.rows)):
@@ -241,7 +297,9 @@ def plot_grid(
         axis.set_ticks([k + 0.5 for k in shown], [f"{called[k]:.6g}" for k in shown])
         axis.set_tick_params(length=0)
     ax.spines[:].set_visible(False)
-    bar = ax.figure.colorbar(mesh, ax=ax, fraction=0.05, pad=0.03, ticks=marks, format="%g", label=label)
+    bar = ax.figure.colorbar(
+        mesh, ax=ax, fraction=0.05, pad=0.03, ticks=marks, format="%g", label=label
+    )
     bar.minorticks_off()
     bar.outline.set_visible(False)
     return ax
@@ -275,10 +333,15 @@ def plot_ratio(
     power = min(max(1, int(np.ceil(np.abs(np.log2(positive)).max(initial=0.0)))), 1000)
     reach = 2.0**power
     return plot_grid(
-        np.where(ratio == 0, 1.0 / reach, ratio), shape, ax, label=label, norm=LogNorm(1.0 / reach, reach),
-        colormap=style.DIVERGING, text=["" if np.isnan(r) else f"{r:.2g}" for r in ratio],
+        np.where(ratio == 0, 1.0 / reach, ratio),
+        shape,
+        ax,
+        label=label,
+        norm=LogNorm(1.0 / reach, reach),
+        colormap=style.DIVERGING,
+        text=["" if np.isnan(r) else f"{r:.2g}" for r in ratio],
         ticks=[2.0**k for k in sorted({-power, -(power // 2), 0, power // 2, power})],
-    )  # fmt: skip
+    )
 
 
 def plot_coverage(
@@ -308,14 +371,23 @@ def plot_coverage(
     given = _checks.float_array(counts, "counts", ndim=(1, 2))
     _checks.require_nonnegative(given, "counts")
     places = as_map(shape)
-    total = _check_states(given.sum(axis=1) if given.ndim == 2 else given, places, "counts")
+    total = _check_states(
+        given.sum(axis=1) if given.ndim == 2 else given, places, "counts"
+    )
     is_over = _check_mask(over, places, "over")
     power = max(1, int(np.ceil(np.log10(max(float(total.max()), 1.0)))))
     return plot_grid(
-        np.where((total > 0) & ~is_over, total, np.nan), shape, ax, label=label, norm=LogNorm(1.0, 10.0**power),
-        text=["end" if e else _count_text(n) for n, e in zip(total, is_over, strict=True)],
-        crossed=(total == 0) & ~is_over, ticks=[10.0**k for k in range(power + 1)],
-    )  # fmt: skip
+        np.where((total > 0) & ~is_over, total, np.nan),
+        shape,
+        ax,
+        label=label,
+        norm=LogNorm(1.0, 10.0**power),
+        text=[
+            "end" if e else _count_text(n) for n, e in zip(total, is_over, strict=True)
+        ],
+        crossed=(total == 0) & ~is_over,
+        ticks=[10.0**k for k in range(power + 1)],
+    )
 
 
 def plot_occupancy(
@@ -349,17 +421,38 @@ def plot_occupancy(
     crossed = _check_mask(unrecorded, places, "unrecorded") & ~is_over
     share = np.where(is_over, np.nan, 100.0 * _check_states(time, places, "time"))
     most = float(np.max(share, where=np.isfinite(share), initial=0.0))
-    text = ["end" if e else "" if c else _percent_text(s) for s, e, c in zip(share, is_over, crossed, strict=True)]
-    return plot_grid(share, shape, ax, label=label, norm=PowerNorm(0.5, 0.0, most or 1.0), text=text, crossed=crossed)
+    text = [
+        "end" if e else "" if c else _percent_text(s)
+        for s, e, c in zip(share, is_over, crossed, strict=True)
+    ]
+    return plot_grid(
+        share,
+        shape,
+        ax,
+        label=label,
+        norm=PowerNorm(0.5, 0.0, most or 1.0),
+        text=text,
+        crossed=crossed,
+    )
 
 
 def _write(ax: Axes, mesh: Any, cells: Any, places: Map, words: Sequence[str]) -> None:
     """Write words into cells, black on light shades and white on dark ones."""
     shades = mesh.to_rgba(cells).reshape(-1, 4)[:, :3] @ [0.2126, 0.7152, 0.0722]
-    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 8.0 if cells.shape[1] <= 8 else 7.2}
+    style: dict[str, Any] = {
+        "ha": "center",
+        "va": "center",
+        "fontsize": 8.0 if cells.shape[1] <= 8 else 7.2,
+    }
     for cell, word in zip(places.cell, words, strict=False):
         if cell >= 0 and word:
-            color = INK if np.ma.getmaskarray(cells).flat[cell] else "#000000" if shades[cell] > 0.45 else "#ffffff"
+            color = (
+                INK
+                if np.ma.getmaskarray(cells).flat[cell]
+                else "#000000"
+                if shades[cell] > 0.45
+                else "#ffffff"
+            )
             row, column = divmod(int(cell), cells.shape[1])
             disable_math([ax.text(column + 0.5, row + 0.5, word, color=color, **style)])
 
@@ -367,21 +460,39 @@ def _write(ax: Axes, mesh: Any, cells: Any, places: Map, words: Sequence[str]) -
 def _count_text(count: float) -> str:
     if count < 1000:
         return f"{count:.3g}" if count else ""
-    return f"{count / 1000:.2g}k" if count < 1e4 else f"{count / 1000:.0f}k" if count < 1e6 else f"{count:.0e}"
+    return (
+        f"{count / 1000:.2g}k"
+        if count < 1e4
+        else f"{count / 1000:.0f}k"
+        if count < 1e6
+        else f"{count:.0e}"
+    )
 
 
 def _percent_text(share: float) -> str:
     return "" if share < 0.05 else f"{share:.1f}" if share < 9.95 else f"{share:.0f}"
 
 
-def _check_states(values: object, places: Map, name: str, *, allow_blank: bool = False) -> Any:
+def _check_states(
+    values: object, places: Map, name: str, *, allow_blank: bool = False
+) -> Any:
     array = _checks.float_array(values, name).reshape(-1)
     if array.size != len(places.cell):
-        raise ValueError(f"{name} must have {len(places.cell)} entries, one a cell of the grid; it has {array.size}")
+        raise ValueError(
+            f"{name} must have {len(places.cell)} entries, one a cell of the grid; it"
+            f" has {array.size}"
+        )
     if not allow_blank and not np.isfinite(array).any():
-        raise ValueError(f"{name} must hold at least one finite number; there is nothing to draw")
+        raise ValueError(
+            f"{name} must hold at least one finite number; there is nothing to draw"
+        )
     return array
 
 
 def _check_mask(mask: object, places: Map, name: str) -> Any:
-    return _check_states(np.zeros(len(places.cell)) if mask is None else mask, places, name) != 0
+    return (
+        _check_states(
+            np.zeros(len(places.cell)) if mask is None else mask, places, name
+        )
+        != 0
+    )

@@ -17,25 +17,69 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.text import Text
 
-# Okabe and Ito's, then grey and brown; marker and line of the same index go with them, so that colour is never alone
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F", "#8C6D31")
+# Okabe and Ito's, then grey and brown; marker and line of the same index go with them,
+# so that colour is never alone
+COLORS = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#56B4E9",
+    "#7F7F7F",
+    "#8C6D31",
+)
 MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
-LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 3)), (0, (3, 1)), (0, (1, 3)))
+LINES: tuple[Any, ...] = (
+    "-",
+    "--",
+    "-.",
+    ":",
+    (0, (5, 1, 1, 1, 1, 1)),
+    (0, (8, 3)),
+    (0, (3, 1)),
+    (0, (1, 3)),
+)
 SEQUENTIAL, DIVERGING = "cividis", "PuOr_r"
 # those that reports show by themselves: each has one of the eight series to itself
-ESTIMATORS = ("simulator", "oee", "oee-product", "ratio-of-ratios", "model-based", "pdis", "wpdis", "oracle-product")
+ESTIMATORS = (
+    "simulator",
+    "oee",
+    "oee-product",
+    "ratio-of-ratios",
+    "model-based",
+    "pdis",
+    "wpdis",
+    "oracle-product",
+)
 
-# what an SVG's ink becomes: CSS variables of the page that it stands in, these colours where there are none
+# what an SVG's ink becomes: CSS variables of the page that it stands in, these colours
+# where there are none
 INK, QUIET, PAPER = "#1b1f23", "#8b9198", "#fdfdfe"
-_ON_PAGE = {INK: "ink", QUIET: "quiet", PAPER: "paper"} | {color: f"series-{k}" for k, color in enumerate(COLORS)}
+_ON_PAGE = {INK: "ink", QUIET: "quiet", PAPER: "paper"} | {
+    color: f"series-{k}" for k, color in enumerate(COLORS)
+}
 _SVG_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",  # text stays text
     "svg.hashsalt": "oee_tabular",  # the same picture, the same bytes
-    "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": QUIET, "axes.titlecolor": INK,
-    "xtick.color": QUIET, "ytick.color": QUIET, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
-    "grid.color": QUIET, "grid.alpha": 0.25, "axes.spines.top": False, "axes.spines.right": False, "font.size": 10.0,
-    "figure.facecolor": "none", "axes.facecolor": "none", "savefig.facecolor": "none", "legend.frameon": False,
-}  # fmt: skip
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": QUIET,
+    "axes.titlecolor": INK,
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "grid.color": QUIET,
+    "grid.alpha": 0.25,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "font.size": 10.0,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "legend.frameon": False,
+}
 
 
 def series(k: int) -> dict[str, Any]:
@@ -57,12 +101,19 @@ def places(names: Sequence[str]) -> list[int]:
     """
     numbers = {name: ESTIMATORS.index(name) for name in names if name in ESTIMATORS}
     free = (k for k in itertools.count() if k not in numbers.values())
-    return [numbers[name] if name in numbers else numbers.setdefault(name, next(free)) for name in names]
+    return [
+        numbers[name] if name in numbers else numbers.setdefault(name, next(free))
+        for name in names
+    ]
 
 
 def shorten(name: object, longest: int = 36) -> str:
     """A name as a picture can hold it: no control characters, at most ``longest`` letters."""
-    whole = str(name) if isinstance(name, str | int | float | np.generic) else _checks.show(name)
+    whole = (
+        str(name)
+        if isinstance(name, str | int | float | np.generic)
+        else _checks.show(name)
+    )
     text = "".join(letter if letter.isprintable() else "\ufffd" for letter in whole)
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
@@ -88,7 +139,9 @@ def check_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.8)) -> Axes:
 
         ax = pyplot.subplots(figsize=size, layout="constrained")[1]
     if not hasattr(ax, "get_xaxis"):
-        raise ValueError(f"ax must be matplotlib Axes, or None for new ones; got {_checks.show(ax)}")
+        raise ValueError(
+            f"ax must be matplotlib Axes, or None for new ones; got {_checks.show(ax)}"
+        )
     return ax
 
 
@@ -106,7 +159,9 @@ def check_pair(pair: object, name: str) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
-def figure_png(draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)) -> bytes:
+def figure_png(
+    draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)
+) -> bytes:
     """The picture that ``draw`` makes on one axis, as the bytes of a PNG (no display, no global state).
 
     Parameters
@@ -123,7 +178,12 @@ def figure_png(draw: Callable[[Axes], object], *, size: tuple[float, float] = (9
 
 
 def figure_svg(
-    draw: Callable[[Axes], object], *, name: str, title: str, description: str, size: tuple[float, float] = (4.4, 3.2)
+    draw: Callable[[Axes], object],
+    *,
+    name: str,
+    title: str,
+    description: str,
+    size: tuple[float, float] = (4.4, 3.2),
 ) -> str:
     """The picture that ``draw`` makes on one axis, as an ``<svg>`` to stand inside a page.
 
@@ -147,7 +207,9 @@ def figure_svg(
 
     check_texts(name=name, title=title, description=description)
     with matplotlib.rc_context(_SVG_STYLE):
-        text = _save(draw, size, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type"))).decode()
+        text = _save(
+            draw, size, "svg", dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        ).decode()
     tag, _, inside = text[text.index("<svg") :].partition(">")
     changes = {
         # without what a page does not need or has already
@@ -165,14 +227,20 @@ def figure_svg(
         inside = re.sub(pattern, replacement, inside, flags=re.IGNORECASE | re.DOTALL)
     (box,) = re.findall(r'viewBox="[^"]*"', tag)
     return (
-        f'<svg xmlns:xlink="http://www.w3.org/1999/xlink" xmlns="http://www.w3.org/2000/svg" {box} '
-        f'class="plot" role="img" aria-labelledby="{name}-title {name}-desc">\n'
-        f'<title id="{name}-title">{html.escape(title)}</title>\n<desc id="{name}-desc">{html.escape(description)}</desc>'
-        f"{inside.rstrip()}"
+        '<svg xmlns:xlink="http://www.w3.org/1999/xlink"'
+        f' xmlns="http://www.w3.org/2000/svg" {box} class="plot" role="img"'
+        f' aria-labelledby="{name}-title {name}-desc">\n<title'
+        f' id="{name}-title">{html.escape(title)}</title>\n<desc'
+        f' id="{name}-desc">{html.escape(description)}</desc>{inside.rstrip()}'
     )
 
 
-def _save(draw: Callable[[Axes], object], size: tuple[float, float], form: str, metadata: dict[str, Any]) -> bytes:
+def _save(
+    draw: Callable[[Axes], object],
+    size: tuple[float, float],
+    form: str,
+    metadata: dict[str, Any],
+) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -185,5 +253,6 @@ def _save(draw: Callable[[Axes], object], size: tuple[float, float], form: str, 
     draw(figure.subplots())
     canvas: Any = FigureCanvasAgg(figure) if form == "png" else FigureCanvasSVG(figure)
     buffer = io.BytesIO()
-    getattr(canvas, f"print_{form}")(buffer, metadata=metadata)  # savefig would read SOURCE_DATE_EPOCH
+    # savefig would read SOURCE_DATE_EPOCH
+    getattr(canvas, f"print_{form}")(buffer, metadata=metadata)
     return buffer.getvalue()

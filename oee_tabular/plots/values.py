@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLUMNS = {"policy", "estimator", "value", "lower", "upper", "true_value"}
-REACH = 15.0  # widths of a typical interval: what is further from the intervals than that does not stretch the axis
+# widths of a typical interval: what is further from the intervals than that does not
+# stretch the axis
+REACH = 15.0
 LETTERS = 11.0  # in an inch of text
 
 
@@ -55,17 +57,33 @@ def plot_values(
     rows = _checks.collection(records, "records", "a Report's records()")
     for row in rows:
         if not isinstance(row, Mapping) or not row.keys() >= COLUMNS:
-            raise ValueError(f"records must be mappings with {', '.join(sorted(COLUMNS))}; one is {_checks.show(row)}")
+            raise ValueError(
+                f"records must be mappings with {', '.join(sorted(COLUMNS))}; one is"
+                f" {_checks.show(row)}"
+            )
     if limits is None and not any(math.isfinite(row["value"]) for row in rows):
-        raise ValueError("records must hold at least one finite value; there is nothing to draw")
+        raise ValueError(
+            "records must hold at least one finite value; there is nothing to draw"
+        )
     policies = [row["policy"] for row in rows]
     ordered = sorted(rows, key=lambda row: policies.index(row["policy"]))
     columns = {key: [row[key] for row in ordered] for key in COLUMNS}
     return plot_intervals(
-        columns["estimator"], columns["value"], columns["lower"], columns["upper"], ax, groups=columns["policy"],
-        truth={row["policy"]: row["true_value"] for row in rows if row["true_value"] is not None},
-        limits=limits, xlabel=f"value in the target: {unit}" if unit else "value in the target", title=title,
-    )  # fmt: skip
+        columns["estimator"],
+        columns["value"],
+        columns["lower"],
+        columns["upper"],
+        ax,
+        groups=columns["policy"],
+        truth={
+            row["policy"]: row["true_value"]
+            for row in rows
+            if row["true_value"] is not None
+        },
+        limits=limits,
+        xlabel=f"value in the target: {unit}" if unit else "value in the target",
+        title=title,
+    )
 
 
 def plot_intervals(
@@ -105,9 +123,15 @@ def plot_intervals(
     ['', 'oee', 'pdis']
     """
     given = {"values": values, "lower": lower, "upper": upper}
-    value, low, high = arrays = [_checks.float_array(array, name, ndim=1) for name, array in given.items()]
+    value, low, high = arrays = [
+        _checks.float_array(array, name, ndim=1) for name, array in given.items()
+    ]
     names = _checks.collection(names, "names", "names, one a line")
-    called = [""] * len(names) if groups is None else _checks.collection(groups, "groups", "names, one a line")
+    called = (
+        [""] * len(names)
+        if groups is None
+        else _checks.collection(groups, "groups", "names, one a line")
+    )
     group = np.array([*map(shorten, called)], dtype=object)
     check_texts(truth_label=truth_label, xlabel=xlabel, title=title)
     sizes = [len(column) for column in (names, *arrays, group)]
@@ -117,28 +141,70 @@ def plot_intervals(
             f"they have {', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
         )
     if not len(names) or (limits is None and not np.isfinite(arrays).any()):
-        raise ValueError("values must have a finite number, or lower and upper an interval; there is nothing to draw")
-    truths = truth if isinstance(truth, Mapping) else {} if truth is None else dict.fromkeys(group, truth)
-    exact = {shorten(name): float(_checks.float_array(x, "truth", ndim=0)) for name, x in truths.items()}
-    span = _span(value, low, high, group, [*exact.values()]) if limits is None else style.check_pair(limits, "limits")
+        raise ValueError(
+            "values must have a finite number, or lower and upper an interval; there is"
+            " nothing to draw"
+        )
+    truths = (
+        truth
+        if isinstance(truth, Mapping)
+        else {}
+        if truth is None
+        else dict.fromkeys(group, truth)
+    )
+    exact = {
+        shorten(name): float(_checks.float_array(x, "truth", ndim=0))
+        for name, x in truths.items()
+    }
+    span = (
+        _span(value, low, high, group, [*exact.values()])
+        if limits is None
+        else style.check_pair(limits, "limits")
+    )
     left, right = span
     if not left < right:
         raise ValueError(f"limits must be (low, high) with low < high; got {limits}")
 
     # the lines from the top; above each group one for its name and the truth's
-    starts = [k for k in range(len(names)) if k == 0 or group[k] != group[k - 1]] if exact or groups is not None else []
-    y = np.arange(len(names)) + np.searchsorted(starts, np.arange(len(names)), side="right")
-    labels = np.insert(np.array([*map(shorten, names)], dtype=object), starts, group[starts])
+    starts = (
+        [k for k in range(len(names)) if k == 0 or group[k] != group[k - 1]]
+        if exact or groups is not None
+        else []
+    )
+    y = np.arange(len(names)) + np.searchsorted(
+        starts, np.arange(len(names)), side="right"
+    )
+    labels = np.insert(
+        np.array([*map(shorten, names)], dtype=object), starts, group[starts]
+    )
     ax = style.check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
     for k, series in enumerate(style.places(names)):
         marks = style.series(series) | {"linestyle": "none"}
-        _draw_interval(ax, y[k], value[k], np.clip([low[k], high[k]], *span), span, marks)
+        _draw_interval(
+            ax, y[k], value[k], np.clip([low[k], high[k]], *span), span, marks
+        )
     for start, end in zip(starts, [*starts[1:], len(names)], strict=False):
         x, top = exact.get(group[start], math.nan), y[start] - 1
         if left <= x <= right:
-            ax.plot([x, x], [top + 0.35, y[end - 1] + 0.4], color=INK, lw=1.2, ls=(0, (4, 2)), zorder=1)
-            side = ("left", "center", "center", "right", "right")[int(4.0 * (x - left) / (right - left))]
-            ax.text(x, top, f"{truth_label} {_text_of(x)}", ha=side, va="center", fontsize="small")
+            ax.plot(
+                [x, x],
+                [top + 0.35, y[end - 1] + 0.4],
+                color=INK,
+                lw=1.2,
+                ls=(0, (4, 2)),
+                zorder=1,
+            )
+            side = ("left", "center", "center", "right", "right")[
+                int(4.0 * (x - left) / (right - left))
+            ]
+            ax.text(
+                x,
+                top,
+                f"{truth_label} {_text_of(x)}",
+                ha=side,
+                va="center",
+                fontsize="small",
+            )
     ax.set_xlim(left, right)
     style.label_rows(ax, labels)
     for start in starts:
@@ -154,12 +220,17 @@ def plot_intervals(
     return ax
 
 
-def _draw_interval(ax: Axes, y: float, value: float, ends: Array, span: tuple[float, float], marks: Any) -> None:
+def _draw_interval(
+    ax: Axes, y: float, value: float, ends: Array, span: tuple[float, float], marks: Any
+) -> None:
     """Draw an interval and its value; a value outside the axis as an open marker at the edge, with its number."""
     has_interval = np.isfinite(ends).all()
     if has_interval:
-        marker = "|" if math.isnan(value) else None  # an interval without a value has ends
-        ax.plot(ends, [y, y], color=marks["color"], lw=2.0, marker=marker, ms=9, mew=2.0)
+        # an interval without a value has ends
+        marker = "|" if math.isnan(value) else None
+        ax.plot(
+            ends, [y, y], color=marks["color"], lw=2.0, marker=marker, ms=9, mew=2.0
+        )
     if span[0] <= value <= span[1]:
         ax.plot(value, y, ms=7, **marks)
     elif not math.isnan(value) or not has_interval:
@@ -169,16 +240,28 @@ def _draw_interval(ax: Axes, y: float, value: float, ends: Array, span: tuple[fl
         _write_beside(ax, _text_of(value), (edge, y), shift, ha=side)
 
 
-def _write_beside(ax: Axes, text: str, place: tuple[float, float], shift: float, **options: Any) -> None:
+def _write_beside(
+    ax: Axes, text: str, place: tuple[float, float], shift: float, **options: Any
+) -> None:
     """Write a text some points to the right of a place, to the left where the shift is negative."""
-    ax.annotate(text, place, (shift, 0), textcoords="offset points", va="center", fontsize="small", **options)
+    ax.annotate(
+        text,
+        place,
+        (shift, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize="small",
+        **options,
+    )
 
 
 def _text_of(value: float) -> str:
     return f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
 
 
-def _span(value: Array, low: Array, high: Array, group: Array, truth: list[float]) -> tuple[float, float]:
+def _span(
+    value: Array, low: Array, high: Array, group: Array, truth: list[float]
+) -> tuple[float, float]:
     """The ends of an axis for the truths, in each group the narrower half of the intervals, and what is near to them."""
     with np.errstate(over="ignore", invalid="ignore"):
         width = high - low
@@ -189,12 +272,17 @@ def _span(value: Array, low: Array, high: Array, group: Array, truth: list[float
         widths += width[rows].tolist()
         core += [*low[rows].tolist(), *high[rows].tolist()]
         own = value[(group == name) & np.isfinite(value)]
-        if not len(rows) and len(own):  # without intervals: the half of the values that is nearest to their median
-            core += own[np.argsort(np.abs(own - np.median(own)), kind="stable")][: len(own) // 2 + 1].tolist()
+        # without intervals: the half of the values that is nearest to their median
+        if not len(rows) and len(own):
+            core += own[np.argsort(np.abs(own - np.median(own)), kind="stable")][
+                : len(own) // 2 + 1
+            ].tolist()
     if not core:  # an interval with one end
         core = [x for x in (*low.tolist(), *high.tolist()) if math.isfinite(x)]
     first, last, scale = min(core), max(core), 1e-3 * max(map(abs, core))
-    far = max(0.5 * (last - first), REACH * max(float(np.median(widths or [0.0])), scale))
+    far = max(
+        0.5 * (last - first), REACH * max(float(np.median(widths or [0.0])), scale)
+    )
     points = np.array([*core, *value, *low, *high])
     points = points[(points >= first - far) & (points <= last + far)]
     margin = max(0.06 * float(points.max() - points.min()), scale) or 0.5
@@ -234,12 +322,23 @@ def plot_states(
     if not shares.size:
         raise ValueError("time must hold at least one state; it is empty")
     if counts.shape != shares.shape:
-        raise ValueError(f"recorded must have the shape of time, {shares.shape}; it has {counts.shape}")
+        raise ValueError(
+            f"recorded must have the shape of time, {shares.shape}; it has"
+            f" {counts.shape}"
+        )
     parts = shares, np.where(counts > 0, shares, 0.0), counts
-    share, known, total = (array.reshape(len(shares), -1).sum(axis=1) for array in parts)
-    called: Any = range(len(share)) if names is None else _checks.collection(names, "names", "names, one a state")
+    share, known, total = (
+        array.reshape(len(shares), -1).sum(axis=1) for array in parts
+    )
+    called: Any = (
+        range(len(share))
+        if names is None
+        else _checks.collection(names, "names", "names, one a state")
+    )
     if len(called) != len(share):
-        raise ValueError(f"names must have {len(share)} entries, one a state; it has {len(called)}")
+        raise ValueError(
+            f"names must have {len(share)} entries, one a state; it has {len(called)}"
+        )
     check_texts(xlabel=xlabel)
     order = np.argsort(-share, kind="stable")[: _checks.positive_integer(top, "top")]
     order = order[share[order] > 0]
@@ -247,13 +346,30 @@ def plot_states(
     _checks.require_finite(every, "time")
     ax = style.check_axes(ax, (6.4, 1.1 + 0.25 * len(order)))
     ax.barh(y, good, color=COLORS[0], height=0.72, label="action recorded")
-    rest: dict[str, Any] = {"color": "none", "edgecolor": COLORS[1], "hatch": "////", "label": "never recorded"}
-    ax.barh(y, np.where(good < every, every - good, np.nan), left=good, height=0.72, **rest)
+    rest: dict[str, Any] = {
+        "color": "none",
+        "edgecolor": COLORS[1],
+        "hatch": "////",
+        "label": "never recorded",
+    }
+    ax.barh(
+        y, np.where(good < every, every - good, np.nan), left=good, height=0.72, **rest
+    )
     for place, state in enumerate(order):
-        count = f"{total[state]:,.0f}".replace(",", "\u202f") if total[state] else "none"
+        count = (
+            f"{total[state]:,.0f}".replace(",", "\u202f") if total[state] else "none"
+        )
         _write_beside(ax, f"{count} recorded", (every[place], place), 4, color=INK)
-    style.label_rows(ax, [f"state {s}" if names is None else shorten(called[s]) for s in order])
+    style.label_rows(
+        ax, [f"state {s}" if names is None else shorten(called[s]) for s in order]
+    )
     ax.set_xlim(0.0, 1.25 * every.max(initial=0.0) or 1.0)
     ax.set_xlabel(xlabel)
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, fontsize="small", borderaxespad=0.2)
+    ax.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=2,
+        fontsize="small",
+        borderaxespad=0.2,
+    )
     return ax

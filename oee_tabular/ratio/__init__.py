@@ -63,7 +63,12 @@ from oee_tabular.ratio.network import Network
 from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd, SgdTrace
-from oee_tabular.ratio.support import Assumptions, check_assumptions, refuse_unsupported, uncovered_share
+from oee_tabular.ratio.support import (
+    Assumptions,
+    check_assumptions,
+    refuse_unsupported,
+    uncovered_share,
+)
 from oee_tabular.ratio.ties import Tied
 from oee_tabular.ratio.transition import transition_ratio, true_ratio
 

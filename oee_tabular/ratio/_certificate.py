@@ -25,7 +25,8 @@ def excess(b, a, p, g, lower, upper):
     if not g < np.inf or (p > 0.0 and not g > 0.0):
         return np.inf
     if p > 0.0 and (a > 0.0 or b > 0.0):
-        size = abs(b) + np.sqrt(b * b + 4.0 * a * p)  # the root of a y^2 + b y = p, without cancellation
+        # the root of a y^2 + b y = p, without cancellation
+        size = abs(b) + np.sqrt(b * b + 4.0 * a * p)
         y = 2.0 * p / size if b > 0.0 else 0.5 * size / a
     elif p == 0.0 and a > 0.0:
         y = -b / a
@@ -70,7 +71,9 @@ def row_gaps(program, box, indptr, g, m, tied):
                 slope = (m[k] - 1.0) * q[x] - p[x] - a[x] * c[x]
                 gaps[k] += excess(slope, q[x] + a[x], 0.0, g[x], box.lower, box.upper)
             else:
-                gaps[k] += excess(m[k] * q[x] - a[x] * c[x], a[x], p[x], g[x], box.lower, box.upper)
+                gaps[k] += excess(
+                    m[k] * q[x] - a[x] * c[x], a[x], p[x], g[x], box.lower, box.upper
+                )
         if tied:
             gaps[k] += equality_gap(miss, m[k] - 1.0, indptr[k + 1] - indptr[k])
     return gaps
@@ -95,7 +98,14 @@ def joint_gaps(f, point):
         for x in range(f.indptr[k], f.indptr[k + 1]):
             mass += f.q[x]
             miss += f.q[x] * (moves[x] - b)
-            gaps[k] += excess((1.0 + theta[k]) * f.q[x] - eta[x] + xi[x], f.lam, f.p[x], moves[x], f.nu, f.mu)
+            gaps[k] += excess(
+                (1.0 + theta[k]) * f.q[x] - eta[x] + xi[x],
+                f.lam,
+                f.p[x],
+                moves[x],
+                f.nu,
+                f.mu,
+            )
             above = moves[x] - f.ratio_lower * b
             gaps[k] += eta[x] * abs(above) + (f.p[x] + f.q[x]) * max(-above, 0.0)
             slope += f.ratio_lower * eta[x]

@@ -55,7 +55,11 @@ class Training(NamedTuple):
 
     def held_out_risk(self, g: Array) -> float:
         """The risk on what is held out; nan without."""
-        return np.nan if self.held_p is None or self.held_q is None else self.risk(g, self.held_p, self.held_q)
+        return (
+            np.nan
+            if self.held_p is None or self.held_q is None
+            else self.risk(g, self.held_p, self.held_q)
+        )
 
 
 class Trained(NamedTuple):
@@ -84,16 +88,24 @@ class Perceptron(eqx.Module):  # type: ignore[misc]
         keys = jax.random.split(key, len(inputs) + len(widths))
         scale = 1.0 / math.sqrt(len(inputs) if training.places is None else sum(inputs))
         first = 0.0 if len(widths) == 1 else scale
-        self.tables = [first * jax.random.normal(k, (n, widths[0])) for k, n in zip(keys, inputs, strict=False)]
+        self.tables = [
+            first * jax.random.normal(k, (n, widths[0]))
+            for k, n in zip(keys, inputs, strict=False)
+        ]
         self.bias = jnp.zeros(widths[0])
         self.rest = [
-            eqx.nn.Linear(n, m, key=k) for n, m, k in zip(widths[:-1], widths[1:], keys[len(inputs) :], strict=False)
+            eqx.nn.Linear(n, m, key=k)
+            for n, m, k in zip(
+                widths[:-1], widths[1:], keys[len(inputs) :], strict=False
+            )
         ]
         if self.rest:  # g = 1 at the start
             self.rest[-1] = jax.tree.map(jnp.zeros_like, self.rest[-1])
         self.activation = network.activation
 
-    def __call__(self, places: jax.Array | None, cells: tuple[jax.Array, ...]) -> jax.Array:
+    def __call__(
+        self, places: jax.Array | None, cells: tuple[jax.Array, ...]
+    ) -> jax.Array:
         """f at the cells."""
         h = self.bias
         for k, (table, index) in enumerate(zip(self.tables, cells, strict=True)):
@@ -133,8 +145,18 @@ class NetworkProgram(eqx.Module):  # type: ignore[misc]
         p, q, rows = jnp.asarray(training.p), jnp.asarray(training.q), training.rows
         if rows is None:
             return cls(p, q, span=(math.log(training.lower), math.log(training.upper)))
-        row, indptr = jnp.asarray(rows.spread(np.arange(len(rows)))), jnp.asarray(rows.indptr)
-        return cls(p, q, jnp.asarray(rows.weights), row, indptr, int(np.diff(rows.indptr).max()))
+        row, indptr = (
+            jnp.asarray(rows.spread(np.arange(len(rows)))),
+            jnp.asarray(rows.indptr),
+        )
+        return cls(
+            p,
+            q,
+            jnp.asarray(rows.weights),
+            row,
+            indptr,
+            int(np.diff(rows.indptr).max()),
+        )
 
     def log_ratio(self, f: jax.Array, batch: Batch) -> jax.Array:
         """log g from f on the batch."""
@@ -142,8 +164,12 @@ class NetworkProgram(eqx.Module):  # type: ignore[misc]
             low, high = self.span
             start = math.log(-low / high) if low < 0.0 < high else 0.0
             return low + (high - low) * jax.nn.sigmoid(f + start)
-        top = jax.lax.stop_gradient(jax.ops.segment_max(f, batch.row, num_segments=len(f)))[batch.row]
-        total = jax.ops.segment_sum(batch.known * jnp.exp(f - top), batch.row, num_segments=len(f))
+        top = jax.lax.stop_gradient(
+            jax.ops.segment_max(f, batch.row, num_segments=len(f))
+        )[batch.row]
+        total = jax.ops.segment_sum(
+            batch.known * jnp.exp(f - top), batch.row, num_segments=len(f)
+        )
         return f - top - jnp.log(total[batch.row])
 
     def whole(self) -> Batch:
@@ -163,32 +189,50 @@ class NetworkProgram(eqx.Module):  # type: ignore[misc]
         index = jnp.where(inside, index, begin[:, None])
         known = jnp.where(inside, self.known[index], 0.0)
         row = jnp.repeat(jnp.arange(len(drawn)), self.widest)
-        return Batch(index.ravel(), p.ravel(), known.ravel() / len(drawn), row, known.ravel())
+        return Batch(
+            index.ravel(), p.ravel(), known.ravel() / len(drawn), row, known.ravel()
+        )
 
 
 @functools.lru_cache(maxsize=16)
-def _optimizer(name: str, step_size: float, n_iterations: int) -> optax.GradientTransformation:
+def _optimizer(
+    name: str, step_size: float, n_iterations: int
+) -> optax.GradientTransformation:
     steps = optax.cosine_decay_schedule(step_size, n_iterations)
     return optax.adam(steps) if name == "adam" else optax.sgd(steps)
 
 
 @eqx.filter_jit  # type: ignore[untyped-decorator]
 def _iterate(
-    model: Any, state: Any, optimizer: Any, places: Any, cells: Any, program: Any, ridge: Any, toward: Any, draws: Any,
+    model: Any,
+    state: Any,
+    optimizer: Any,
+    places: Any,
+    cells: Any,
+    program: Any,
+    ridge: Any,
+    toward: Any,
+    draws: Any,
     count: int,
-) -> Any:  # fmt: skip
+) -> Any:
     """``count`` iterations, on the cells that ``draws`` (count, ...) say, or on all; and the risk of each batch."""
     moving, fixed = eqx.partition(model, eqx.is_array)
 
     def risk(moving: Any, batch: Batch) -> Any:
-        f = eqx.combine(moving, fixed)(places, tuple(column[batch.index] for column in cells))
+        f = eqx.combine(moving, fixed)(
+            places, tuple(column[batch.index] for column in cells)
+        )
         log_g = program.log_ratio(f, batch)
         g = jnp.exp(log_g)
-        return jnp.sum(batch.q * (g + ridge[batch.index] / 2 * (g - toward) ** 2) - batch.p * log_g)
+        return jnp.sum(
+            batch.q * (g + ridge[batch.index] / 2 * (g - toward) ** 2) - batch.p * log_g
+        )
 
     def step(carry: Any, drawn: Any) -> Any:
         moving, state = carry
-        value, slope = jax.value_and_grad(risk)(moving, program.whole() if drawn is None else program.batch(drawn))
+        value, slope = jax.value_and_grad(risk)(
+            moving, program.whole() if drawn is None else program.batch(drawn)
+        )
         change, state = optimizer.update(slope, state)
         return (optax.apply_updates(moving, change), state), value
 
@@ -214,66 +258,112 @@ def _cpu() -> Any:
             os.environ["PJRT_NPROC"] = before
 
 
-def train(network: Network, training: Training, generator: np.random.Generator) -> Trained:
+def train(
+    network: Network, training: Training, generator: np.random.Generator
+) -> Trained:
     """Algorithm 1; the parameters of least held-out risk, or the last."""
     with jax.default_device(_cpu()), jax.enable_x64(True):
         return _train(network, training, generator)
 
 
-def _train(network: Network, training: Training, generator: np.random.Generator) -> Trained:
-    model = Perceptron(network, training, jax.random.key(int(generator.integers(2**31))))
-    optimizer = _optimizer(network.optimizer, float(network.step_size), network.n_iterations)
+def _train(
+    network: Network, training: Training, generator: np.random.Generator
+) -> Trained:
+    model = Perceptron(
+        network, training, jax.random.key(int(generator.integers(2**31)))
+    )
+    optimizer = _optimizer(
+        network.optimizer, float(network.step_size), network.n_iterations
+    )
     state = optimizer.init(eqx.filter(model, eqx.is_array))
     places = None if training.places is None else jnp.asarray(training.places)
     cells = tuple(jnp.asarray(column) for column in training.cells)
     program, ridge = NetworkProgram.of(training), jnp.asarray(training.ridge)
     start = training.risk(np.ones(len(training.p)), training.p, training.q)
-    iterations, ratios = [0], [_ratio_everywhere(model, places, cells, program, training)]
+    iterations, ratios = (
+        [0],
+        [_ratio_everywhere(model, places, cells, program, training)],
+    )
     held: list[float] = []
     bar = progress_bar("training", total=network.n_iterations)
     while True:
         held.append(training.held_out_risk(ratios[-1]))
-        kept = len(held) - 1 if math.isnan(held[0]) else int(np.argmin(held))  # the last where nothing is held out
-        if iterations[-1] == network.n_iterations or len(held) - 1 - kept >= network.patience:
+        # the last where nothing is held out
+        kept = len(held) - 1 if math.isnan(held[0]) else int(np.argmin(held))
+        if (
+            iterations[-1] == network.n_iterations
+            or len(held) - 1 - kept >= network.patience
+        ):
             break
         count = min(EVERY, network.n_iterations - iterations[-1])
         drawn = _draw(network.batch_size, program, generator, count)
         model, state, values = _iterate(
-            model, state, optimizer, places, cells, program, ridge, training.toward, drawn, count
+            model,
+            state,
+            optimizer,
+            places,
+            cells,
+            program,
+            ridge,
+            training.toward,
+            drawn,
+            count,
         )
         _refuse_divergence(np.asarray(values), start, iterations[-1], network.step_size)
         iterations.append(iterations[-1] + count)
         ratios.append(_ratio_everywhere(model, places, cells, program, training))
         bar.update(count)
     bar.close()
-    return Trained(ratios[kept], iterations[kept], np.array(iterations), ratios, np.array(held))
+    return Trained(
+        ratios[kept], iterations[kept], np.array(iterations), ratios, np.array(held)
+    )
 
 
-def _ratio_everywhere(model: Any, places: Any, cells: Any, program: NetworkProgram, training: Training) -> Array:
+def _ratio_everywhere(
+    model: Any, places: Any, cells: Any, program: NetworkProgram, training: Training
+) -> Array:
     """g on all cells."""
     n = len(cells[0])
     parts = [slice(low, low + N_CELLS_AT_ONCE) for low in range(0, n, N_CELLS_AT_ONCE)]
-    f = jnp.concatenate([_outputs(model, places, tuple(column[part] for column in cells)) for part in parts])
+    f = jnp.concatenate(
+        [
+            _outputs(model, places, tuple(column[part] for column in cells))
+            for part in parts
+        ]
+    )
     g = jnp.exp(program.log_ratio(f, program.whole()))
     return np.asarray(np.clip(np.asarray(g), training.lower, training.upper))
 
 
-def _draw(size: int | None, program: NetworkProgram, generator: np.random.Generator, count: int) -> Any:
+def _draw(
+    size: int | None,
+    program: NetworkProgram,
+    generator: np.random.Generator,
+    count: int,
+) -> Any:
     """(count, draws): the cells of N draws from each side; None where every iteration has them all."""
     if size is None:
         return None
     sides = (program.p, program.q) if program.row is None else (program.p,)
     sums = [np.cumsum(np.asarray(weights)) for weights in sides]
-    drawn = [np.searchsorted(s, generator.random((count, size)) * s[-1], side="right") for s in sums]
+    drawn = [
+        np.searchsorted(s, generator.random((count, size)) * s[-1], side="right")
+        for s in sums
+    ]
     return jnp.asarray(np.minimum(np.concatenate(drawn, axis=1), len(program.p) - 1))
 
 
-def _refuse_divergence(values: Array, start: float, done: int, step_size: float) -> None:
+def _refuse_divergence(
+    values: Array, start: float, done: int, step_size: float
+) -> None:
     """RuntimeError where a batch's risk is no number, or these batches' mean is 1 nat above that of g = 1."""
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size or values.mean() > start + 1.0:
-        at, value = (bad[0], values[bad[0]]) if bad.size else (len(values) - 1, values.mean())
+        at, value = (
+            (bad[0], values[bad[0]]) if bad.size else (len(values) - 1, values.mean())
+        )
         raise RuntimeError(
-            f"training must not diverge; at iteration {done + at + 1} the risk is {value:.4g}, at the start it was "
-            f"{start:.4g}: give a smaller step_size than {step_size:g}"
+            f"training must not diverge; at iteration {done + at + 1} the risk is"
+            f" {value:.4g}, at the start it was {start:.4g}: give a smaller step_size"
+            f" than {step_size:g}"
         )

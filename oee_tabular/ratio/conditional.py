@@ -23,9 +23,19 @@ from oee_tabular.ratio.dual import check_box, check_ridge
 from oee_tabular.ratio.features import count_rank, feature_array
 from oee_tabular.ratio.method import Method, Population, RatioInput
 from oee_tabular.ratio.network import Network, check_network, fit_rows
-from oee_tabular.ratio.prior.directions import add_values, make_directions, own_directions, values_in
+from oee_tabular.ratio.prior.directions import (
+    add_values,
+    make_directions,
+    own_directions,
+    values_in,
+)
 from oee_tabular.ratio.prior.ridge import Tilt, fit_ridge
-from oee_tabular.ratio.prior.strength import CRITERIA, choose_strength, kinds_of_rows, meaning
+from oee_tabular.ratio.prior.strength import (
+    CRITERIA,
+    choose_strength,
+    kinds_of_rows,
+    meaning,
+)
 from oee_tabular.ratio.result import Influence, TransitionRatio
 
 Ridge = float | str | Callable[[float], float]
@@ -98,20 +108,26 @@ class Conditional(Method):
             check_network(self)
             if prior not in (None, "none"):
                 raise ValueError(
-                    f"prior must be left out with functions=Network(...), which has none; got {_checks.show(prior)}"
+                    "prior must be left out with functions=Network(...), which has"
+                    f" none; got {_checks.show(prior)}"
                 )
             if box != (0.0, np.inf):
                 raise ValueError(
-                    "lower and upper must be left out with functions=Network(...), whose rows sum to 1 without a box; "
-                    f"it is [{box.lower:g}, {box.upper:g}]"
+                    "lower and upper must be left out with functions=Network(...),"
+                    f" whose rows sum to 1 without a box; it is [{box.lower:g},"
+                    f" {box.upper:g}]"
                 )
             prior = "none"
-        if prior in (None, "average"):  # "average": what the first edition called its default
+        # "average": what the first edition called its default
+        if prior in (None, "average"):
             prior = "ridge"
         object.__setattr__(self, "prior", prior)
         _checks.one_of(prior, "prior", tuple(PRIORS))
         if self.features is not None and PRIORS[str(prior)] is _no_tilt:
-            raise ValueError(f"features must be left out with prior {prior!r}, which does not use them")
+            raise ValueError(
+                f"features must be left out with prior {prior!r}, which does not use"
+                " them"
+            )
 
     @property
     def uses(self) -> frozenset[str]:
@@ -131,37 +147,69 @@ class Conditional(Method):
         if self.lower is not None or self.upper is not None or self.ridge != 0.0:
             return fitted
         matrix = population.simulator.transitions
-        exact = align(population.target.transitions, matrix)[0] / np.where(matrix.data > 0, matrix.data, 1.0)
+        exact = align(population.target.transitions, matrix)[0] / np.where(
+            matrix.data > 0, matrix.data, 1.0
+        )
         seen = population.support[row_of_entry(matrix)]
-        return csr_on_pattern(matrix, np.where(seen, exact, fitted.on(population.simulator)))
+        return csr_on_pattern(
+            matrix, np.where(seen, exact, fitted.on(population.simulator))
+        )
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
         observed, rows = given.observed, given.rows
-        box, n_row = check_box(self.lower, self.upper, normalized=True), rows.sums(observed)
+        box, n_row = (
+            check_box(self.lower, self.upper, normalized=True),
+            rows.sums(observed),
+        )
         tilt, details = PRIORS[str(self.prior)](given, self)
         kappa = self._choose_kappa(given, tilt, details)
         lam = self._choose_ridge(given, n_row, details)
-        center = 0.0 if self.toward is None else _checks.number_in(self.toward, "toward", 0.0, np.inf)
+        center = (
+            0.0
+            if self.toward is None
+            else _checks.number_in(self.toward, "toward", 0.0, np.inf)
+        )
         details |= {"prior": self.prior, "lower": box.lower, "upper": box.upper}
-        share = np.divide(n_row, n_row + kappa, out=np.zeros_like(n_row), where=n_row > 0)
-        zeta, curvature, *ends = (np.empty(len(observed)) for _ in range(4 if self.solver == "dual" else 2))
+        share = np.divide(
+            n_row, n_row + kappa, out=np.zeros_like(n_row), where=n_row > 0
+        )
+        zeta, curvature, *ends = (
+            np.empty(len(observed)) for _ in range(4 if self.solver == "dual" else 2)
+        )
         gaps = [0.0 if tilt is None else tilt.gap]
-        whole = self.solver != "dual" or self.functions is not None or len(observed) <= BLOCK
+        whole = (
+            self.solver != "dual"
+            or self.functions is not None
+            or len(observed) <= BLOCK
+        )
         for some in (rows,) if whole else rows.blocks():
             number, at, spread = some.number, some.entries, some.spread
             m = some.weights if tilt is None else tilt.at(some)
             weight = np.maximum(n_row[number] + kappa[number], SMALLEST)
-            p = np.where(spread(n_row[number] == 0), m, (observed[at] + spread(kappa[number]) * m) / spread(weight))
+            p = np.where(
+                spread(n_row[number] == 0),
+                m,
+                (observed[at] + spread(kappa[number]) * m) / spread(weight),
+            )
             bend = spread(lam[number]) * (1.0 if self.toward is None else some.weights)
             program = dual.Coordinates(p, some.weights, bend, np.full(len(p), center))
             if self.functions is not None:
-                fit, excess, more = fit_rows(self.functions, observed, program, rows, seed=given.seed)
+                fit, excess, more = fit_rows(
+                    self.functions, observed, program, rows, seed=given.seed
+                )
                 return given.ratio(fit, "conditional", excess, details | more)
             if self.solver == "dual":
                 solution = dual.solve_rows(program, *box, some.indptr)
-                zeta[at], gap, ends[0][at], ends[1][at] = solution.ratio, solution.gap, solution.below, solution.above
+                zeta[at], gap, ends[0][at], ends[1][at] = (
+                    solution.ratio,
+                    solution.gap,
+                    solution.below,
+                    solution.above,
+                )
             else:
-                zeta[at], eta = statements.solve_rows(program, *box, some.indptr, solver=self.solver)
+                zeta[at], eta = statements.solve_rows(
+                    program, *box, some.indptr, solver=self.solver
+                )
                 gap = dual.row_gaps(program, zeta[at], 1.0 + eta, *box, some.indptr)
             gaps.append(float(gap.max()))
             inside = (zeta[at] > box.lower) & (zeta[at] < box.upper) & (zeta[at] > 0)
@@ -170,81 +218,146 @@ class Conditional(Method):
         if ends:
             details["enclosure"] = tuple(ends)
         return given.ratio(
-            zeta, "conditional", max(gaps), details, Influence(rows, observed, zeta, curvature, share, tilt)
+            zeta,
+            "conditional",
+            max(gaps),
+            details,
+            Influence(rows, observed, zeta, curvature, share, tilt),
         )
 
-    def _choose_kappa(self, given: RatioInput, tilt: Tilt | None, details: dict[str, Any]) -> Array:
+    def _choose_kappa(
+        self, given: RatioInput, tilt: Tilt | None, details: dict[str, Any]
+    ) -> Array:
         """kappa of each row as ``strength`` says, 0 without a prior; ``details`` get the choice."""
         if self.prior == "none" or not isinstance(self.strength, str):
-            kappa = 0.0 if self.prior == "none" else _checks.number_in(self.strength, "strength", 0.0, np.inf)
+            kappa = (
+                0.0
+                if self.prior == "none"
+                else _checks.number_in(self.strength, "strength", 0.0, np.inf)
+            )
             details["strength"] = kappa
             return np.full(len(given.rows), kappa)
         _checks.one_of(self.strength, "strength", CRITERIA)
         rows, kind = given.visited, given.get_or_compute(_kinds)
-        counts, prior = given.observed[rows.entries], rows.weights if tilt is None else tilt.at(rows)
-        choice = choose_strength(counts, prior, rows, self.strength, kind=kind[rows.number])
+        counts, prior = (
+            given.observed[rows.entries],
+            rows.weights if tilt is None else tilt.at(rows),
+        )
+        choice = choose_strength(
+            counts, prior, rows, self.strength, kind=kind[rows.number]
+        )
         details |= {
             "strength": choice.strength,
             "strength_by": choice.criterion,
             "strength_score": choice.score,
             "strength_curve": (choice.grid, choice.curve),
             "strength_kinds": choice.kinds,
-            "meaning": meaning(choice, rows.sums(counts), "simulator" if tilt is None else "tilt"),
+            "meaning": meaning(
+                choice, rows.sums(counts), "simulator" if tilt is None else "tilt"
+            ),
         }
         return np.asarray(choice.by_kind[kind])
 
-    def _choose_ridge(self, given: RatioInput, n_row: Array, details: dict[str, Any]) -> Array:
+    def _choose_ridge(
+        self, given: RatioInput, n_row: Array, details: dict[str, Any]
+    ) -> Array:
         """lambda of each row with data; chosen on them, kappa / n_sa: to second order that of a Dirichlet prior."""
         if isinstance(self.ridge, str):
             _checks.one_of(self.ridge, "ridge", CRITERIA)
-            choice = choose_strength(given.observed, given.rows.weights, given.rows, self.ridge)
-            details |= {"ridge_times_count": choice.strength, "ridge_by": choice.criterion}
-            return np.divide(choice.by_row, n_row, out=np.zeros_like(n_row), where=n_row > 0)
+            choice = choose_strength(
+                given.observed, given.rows.weights, given.rows, self.ridge
+            )
+            details |= {
+                "ridge_times_count": choice.strength,
+                "ridge_by": choice.criterion,
+            }
+            return np.divide(
+                choice.by_row, n_row, out=np.zeros_like(n_row), where=n_row > 0
+            )
         sizes, index = np.unique(n_row, return_inverse=True)
-        return np.array([check_ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes])[index]
+        return np.array(
+            [check_ridge(self.ridge, float(n)) if n > 0 else 0.0 for n in sizes]
+        )[index]
 
 
-def _no_tilt(given: RatioInput, method: Conditional) -> tuple[Tilt | None, dict[str, Any]]:
+def _no_tilt(
+    given: RatioInput, method: Conditional
+) -> tuple[Tilt | None, dict[str, Any]]:
     """The simulator's own rows."""
     return None, {}
 
 
-def _tilt_along_features(given: RatioInput, method: Conditional) -> tuple[Tilt | None, dict[str, Any]]:
+def _tilt_along_features(
+    given: RatioInput, method: Conditional
+) -> tuple[Tilt | None, dict[str, Any]]:
     """The tilt along the user's features alone, or log P, under a unit Gaussian penalty."""
     features, details = _features(given, method)
     rows: Rows = given.get_or_compute(_informative)
     if not len(rows):
         return None, {}
     directions = own_directions(given.simulator, features)
-    tilt = fit_ridge(directions, rows, given.observed[rows.entries], None, by_evidence=False, solver=method.solver)
+    tilt = fit_ridge(
+        directions,
+        rows,
+        given.observed[rows.entries],
+        None,
+        by_evidence=False,
+        solver=method.solver,
+    )
     return tilt, details | {"theta": tilt.theta[0], "tilt_gap": tilt.gap}
 
 
-def _tilt_along_all(given: RatioInput, method: Conditional) -> tuple[Tilt | None, dict[str, Any]]:
+def _tilt_along_all(
+    given: RatioInput, method: Conditional
+) -> tuple[Tilt | None, dict[str, Any]]:
     """The tilt along all directions, shrunk by evidence."""
     rows: Rows = given.get_or_compute(_informative)
     if not len(rows):
         return None, {}
     features, details = _features(given, method)
-    tilt = given.get_or_compute(_fit_without_values) if features is None else _fit_without_values(given, features)
+    tilt = (
+        given.get_or_compute(_fit_without_values)
+        if features is None
+        else _fit_without_values(given, features)
+    )
     values = values_in(given.simulator, given.policies, given.horizon)
     if values or method.solver != "dual":
         directions = add_values(tilt.directions, values) if values else tilt.directions
         kappa = _choice_of_kappa(given)
-        tilt = fit_ridge(directions, rows, given.observed[rows.entries], kappa, start=tilt, solver=method.solver)
-    choice = {"directions": tilt.named_theta(), "direction_strengths": tilt.named_strengths(), "tilt_gap": tilt.gap}
+        tilt = fit_ridge(
+            directions,
+            rows,
+            given.observed[rows.entries],
+            kappa,
+            start=tilt,
+            solver=method.solver,
+        )
+    choice = {
+        "directions": tilt.named_theta(),
+        "direction_strengths": tilt.named_strengths(),
+        "tilt_gap": tilt.gap,
+    }
     return tilt, details | choice
 
 
-PRIORS = {"ridge": _tilt_along_all, "tilt": _tilt_along_features, "simulator": _no_tilt, "none": _no_tilt}
+PRIORS = {
+    "ridge": _tilt_along_all,
+    "tilt": _tilt_along_features,
+    "simulator": _no_tilt,
+    "none": _no_tilt,
+}
 
 
 def _fit_without_values(given: RatioInput, features: Array | None = None) -> Tilt:
     """The tilt along all directions but V, which no policy changes."""
     rows: Rows = given.get_or_compute(_informative)
     none = np.zeros((len(given.observed), 0))
-    directions = make_directions(given.simulator, rows, none if features is None else features)
-    return fit_ridge(directions, rows, given.observed[rows.entries], _choice_of_kappa(given))
+    directions = make_directions(
+        given.simulator, rows, none if features is None else features
+    )
+    return fit_ridge(
+        directions, rows, given.observed[rows.entries], _choice_of_kappa(given)
+    )
 
 
 def _informative(given: RatioInput) -> Rows:
@@ -255,8 +368,13 @@ def _informative(given: RatioInput) -> Rows:
 def _choice_of_kappa(given: RatioInput) -> Callable[[Array], Array]:
     """kappa of the informative rows around given ones, as far as weights notice."""
     rows: Rows = given.get_or_compute(_informative)
-    counts, kind = given.observed[rows.entries], given.get_or_compute(_kinds)[rows.number]
-    return lambda model: choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
+    counts, kind = (
+        given.observed[rows.entries],
+        given.get_or_compute(_kinds)[rows.number],
+    )
+    return lambda model: (
+        choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
+    )
 
 
 def _kinds(given: RatioInput) -> IntArray:
@@ -264,7 +382,9 @@ def _kinds(given: RatioInput) -> IntArray:
     return kinds_of_rows(given.observed, given.rows)
 
 
-def _features(given: RatioInput, method: Conditional) -> tuple[Array | None, dict[str, Any]]:
+def _features(
+    given: RatioInput, method: Conditional
+) -> tuple[Array | None, dict[str, Any]]:
     """The user's features on the simulator's entries, and their rank; a warning where they are collinear within rows."""
     if method.features is None:
         return None, {}

@@ -66,21 +66,33 @@ class RatioFit:
     trace: SgdTrace | None = None
     weights: Array | None = None
     details: dict[str, Any] = field(default_factory=dict)
-    enclosure: tuple[Array, Array] = field(default=(np.empty(0), np.empty(0)), repr=False)
+    enclosure: tuple[Array, Array] = field(
+        default=(np.empty(0), np.empty(0)), repr=False
+    )
 
     def __str__(self) -> str:
-        low, high = (self.ratio.min(), self.ratio.max()) if len(self.ratio) else (np.nan, np.nan)
+        low, high = (
+            (self.ratio.min(), self.ratio.max())
+            if len(self.ratio)
+            else (np.nan, np.nan)
+        )
         return (
-            f"ratio p / q of {len(self.ratio)} cells, without unit, from {low:.4g} to {high:.4g}; KL(p || q) about "
-            f"{self.divergence:.4g} nats; gap {self.gap:.1e} nats; {self.status}"
+            f"ratio p / q of {len(self.ratio)} cells, without unit, from {low:.4g} to"
+            f" {high:.4g}; KL(p || q) about {self.divergence:.4g} nats; gap"
+            f" {self.gap:.1e} nats; {self.status}"
         )
 
     def _repr_html_(self) -> str:
         rows: list[tuple[str, object]] = [
-            ("cells", len(self.ratio)), ("undetermined cells", self.n_undetermined), ("gap (nats)", f"{self.gap:.1e}"),
-            ("KL(p || q), dual estimate (nats)", f"{self.divergence:.6g}"), ("status", self.status),
-        ]  # fmt: skip
-        return _printing.facts("RatioFit: p / q, both scaled to sum to 1, without unit", rows)
+            ("cells", len(self.ratio)),
+            ("undetermined cells", self.n_undetermined),
+            ("gap (nats)", f"{self.gap:.1e}"),
+            ("KL(p || q), dual estimate (nats)", f"{self.divergence:.6g}"),
+            ("status", self.status),
+        ]
+        return _printing.facts(
+            "RatioFit: p / q, both scaled to sum to 1, without unit", rows
+        )
 
 
 @one_thread
@@ -156,7 +168,13 @@ def density_ratio(
     ([1.5, 0.5], 0.0)
     """
     _checks.instance(solver, (str, Sgd), "solver", "name or Sgd(...)")
-    sgd = Sgd(step_size, batch_size, n_iterations) if solver == "sgd" else solver if isinstance(solver, Sgd) else None
+    sgd = (
+        Sgd(step_size, batch_size, n_iterations)
+        if solver == "sgd"
+        else solver
+        if isinstance(solver, Sgd)
+        else None
+    )
     _checks.boolean(normalized, "normalized")
     weights = check_weights(p, q)
     n, totals = len(weights[0]), (float(weights[0].sum()), float(weights[1].sum()))
@@ -166,25 +184,37 @@ def density_ratio(
     in_class = features is not None or kernel is not None
     if in_class and (toward is not None or loss != "kl"):
         raise ValueError(
-            "toward and loss must be left out with features or kernel: their program is the KL risk + |w|^2"
+            "toward and loss must be left out with features or kernel: their program is"
+            " the KL risk + |w|^2"
         )
     if in_class and sgd is not None:
-        raise ValueError('solver "sgd" must be left out with features or kernel: Algorithm 1 is for tables')
+        raise ValueError(
+            'solver "sgd" must be left out with features or kernel: Algorithm 1 is for'
+            " tables"
+        )
     if coordinates is not None and not in_class:
         raise ValueError("coordinates must be given with a kernel; none is given")
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     known: Any = (weights[0] > 0) | (weights[1] > 0)
     known = slice(None) if in_class or known.all() else known
     ps, qs = weights[0][known] / totals[0], weights[1][known] / totals[1]
-    curvature = np.full(len(ps), strength * (not in_class)) if toward is None else strength * qs
-    program = dual.Coordinates(ps, qs, curvature, np.full(len(ps), center), squares=loss == "chi2")
+    curvature = (
+        np.full(len(ps), strength * (not in_class)) if toward is None else strength * qs
+    )
+    program = dual.Coordinates(
+        ps, qs, curvature, np.full(len(ps), center), squares=loss == "chi2"
+    )
     m = 1.0
     ends: tuple[Any, Any] = box
     rest: dict[str, Any] = {}
     if in_class:
         _checks.positive_integer(n_centers, "n_centers")
-        matrix, rest["details"] = class_features(features, kernel, coordinates, n_centers, n)
-        w, g, eta, gap = fit_cells(ps, qs, matrix, box, strength, normalized, str(solver))
+        matrix, rest["details"] = class_features(
+            features, kernel, coordinates, n_centers, n
+        )
+        w, g, eta, gap = fit_cells(
+            ps, qs, matrix, box, strength, normalized, str(solver)
+        )
         m, rest["weights"], penalty = 1.0 + eta, w, 0.5 * strength * float(w @ w)
     else:
         _refuse_unbounded(np.arange(n)[known], program, box)
@@ -193,7 +223,9 @@ def density_ratio(
             _check_sgd(box, normalized, loss)
             g, rest["trace"] = descend(program, *box, sgd, seed)
         elif solver != "dual":
-            g, multiplier = statements.solve_rows(program, *box, whole if normalized else None, solver=str(solver))
+            g, multiplier = statements.solve_rows(
+                program, *box, whole if normalized else None, solver=str(solver)
+            )
             m += float(multiplier.sum())
         elif normalized:
             g, multipliers, _, *enclosure = dual.solve_rows(program, *box, whole)
@@ -201,15 +233,22 @@ def density_ratio(
         else:
             g = dual.solve_free(program, *box)
             ends = g, g
-        gap = float(dual.row_gaps(program, g, np.array([m]) if normalized else None, *box, whole)[0])
+        gap = float(
+            dual.row_gaps(
+                program, g, np.array([m]) if normalized else None, *box, whole
+            )[0]
+        )
         with np.errstate(over="ignore", invalid="ignore"):
             penalty = program.penalty(g)
     if not (np.isfinite(g).all() and np.isfinite([gap, penalty]).all()):
         raise ValueError(
-            f"the program must have numbers that double precision holds; ridge {strength:g} towards {center:g} in the box "
-            f"[{box.lower:g}, {box.upper:g}] does not give a finite ratio"
+            "the program must have numbers that double precision holds; ridge"
+            f" {strength:g} towards {center:g} in the box [{box.lower:g},"
+            f" {box.upper:g}] does not give a finite ratio"
         )
-    ratio = np.full(n, min(max(1.0 if toward is None else center, box.lower), box.upper))
+    ratio = np.full(
+        n, min(max(1.0 if toward is None else center, box.lower), box.upper)
+    )
     below, above, risk = ratio.copy(), ratio.copy(), program.risk(g)
     ratio[known], below[known], above[known] = g, *ends
     return RatioFit(
@@ -218,7 +257,8 @@ def density_ratio(
         dual_bound=risk + penalty - gap,
         gap=gap,
         normalizer=m - 1.0,
-        divergence=float("nan") if program.squares else 1.0 - risk,  # least squares estimate no KL divergence
+        # least squares estimate no KL divergence
+        divergence=float("nan") if program.squares else 1.0 - risk,
         n_undetermined=n - len(ps),
         p_total=totals[0],
         q_total=totals[1],
@@ -234,16 +274,21 @@ def _refuse_unbounded(index: Any, program: dual.Coordinates, box: Box) -> None:
     if bad.size and not np.isfinite(box.upper):
         named = ", ".join(str(int(i)) for i in index[bad[:5]])
         raise ValueError(
-            f"q must be positive where p is: the program is unbounded at the {bad.size} entries with q = 0 < p "
-            f"(the first: {named}); give a finite upper bound, or more data behind q"
+            f"q must be positive where p is: the program is unbounded at the {bad.size}"
+            f" entries with q = 0 < p (the first: {named}); give a finite upper bound,"
+            " or more data behind q"
         )
 
 
 def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
     """Algorithm 1 minimises the KL risk alone, within a box that keeps its gradients bounded."""
     if normalized or loss != "kl":
-        raise ValueError('solver "sgd" must have normalized=False and loss="kl": Algorithm 1 knows no other program')
+        raise ValueError(
+            'solver "sgd" must have normalized=False and loss="kl": Algorithm 1 knows'
+            " no other program"
+        )
     if not (box.lower > 0.0 and np.isfinite(box.upper)):
         raise ValueError(
-            f'solver "sgd" must have 0 < lower and a finite upper; the box is [{box.lower:g}, {box.upper:g}]'
+            'solver "sgd" must have 0 < lower and a finite upper; the box is'
+            f" [{box.lower:g}, {box.upper:g}]"
         )

@@ -27,17 +27,33 @@ class Box(NamedTuple):
     upper: float
 
 
-def check_box(lower: object, upper: object, *, normalized: bool, names: tuple[str, str] = ("lower", "upper")) -> Box:
+def check_box(
+    lower: object,
+    upper: object,
+    *,
+    normalized: bool,
+    names: tuple[str, str] = ("lower", "upper"),
+) -> Box:
     """The bounds of a ratio as floats; errors for a box that is empty or, where g is normalised, excludes 1."""
     nu = 0.0 if lower is None else _checks.number_in(lower, names[0], 0.0, np.inf)
-    mu = np.inf if upper is None else _checks.number_in(upper, names[1], 0.0, np.inf, infinite=True)
+    mu = (
+        np.inf
+        if upper is None
+        else _checks.number_in(upper, names[1], 0.0, np.inf, infinite=True)
+    )
     if nu > mu:
-        raise ValueError(f"{names[0]} must not exceed {names[1]}; they are {nu:g} and {mu:g}")
+        raise ValueError(
+            f"{names[0]} must not exceed {names[1]}; they are {nu:g} and {mu:g}"
+        )
     if mu == 0.0:
-        raise ValueError(f"{names[1]} must be positive: the logarithm of the ratio is part of the objective; it is 0")
+        raise ValueError(
+            f"{names[1]} must be positive: the logarithm of the ratio is part of the"
+            " objective; it is 0"
+        )
     if normalized and not nu <= 1.0 <= mu:
         raise ValueError(
-            f"the box [{', '.join(names)}] must contain 1 for sum q g = 1 to be possible; it is [{nu:g}, {mu:g}]"
+            f"the box [{', '.join(names)}] must contain 1 for sum q g = 1 to be"
+            f" possible; it is [{nu:g}, {mu:g}]"
         )
     return Box(nu, mu)
 
@@ -50,15 +66,22 @@ def check_ridge(value: object, n: float) -> float:
 
 def check_weights(p: object, q: object) -> tuple[Array, Array]:
     """Return p and q, counts or probabilities of the same cells, nonnegative and each with a positive sum."""
-    weights = [_checks.float_array(value, name, ndim=1) for value, name in ((p, "p"), (q, "q"))]
+    weights = [
+        _checks.float_array(value, name, ndim=1) for value, name in ((p, "p"), (q, "q"))
+    ]
     for array, name in zip(weights, ("p", "q"), strict=True):
         _checks.require_nonnegative(array, name)
         with np.errstate(over="ignore"):
             total = float(array.sum())
         if not 0.0 < total < np.inf:
-            raise ValueError(f"{name} must have a positive, finite sum; it is {total:g}")
+            raise ValueError(
+                f"{name} must have a positive, finite sum; it is {total:g}"
+            )
     if len(weights[0]) != len(weights[1]):
-        raise ValueError(f"p and q must have one length; they have {len(weights[0])} and {len(weights[1])}")
+        raise ValueError(
+            f"p and q must have one length; they have {len(weights[0])} and"
+            f" {len(weights[1])}"
+        )
     return weights[0], weights[1]
 
 
@@ -91,14 +114,20 @@ class Coordinates(NamedTuple):
 
     def penalty(self, g: Array) -> float:
         """sum curvature/2 (g - center)^2."""
-        return 0.5 * float(self.curvature @ (g - self.center) ** 2) if self.curvature.any() else 0.0
+        return (
+            0.5 * float(self.curvature @ (g - self.center) ** 2)
+            if self.curvature.any()
+            else 0.0
+        )
 
     def kernel_form(self, lower: float, upper: float) -> Form:
         """q g - p log g - pull g + a/2 g^2, equal to the program up to a constant."""
         pull = self.curvature * self.center
         if self.squares:
             pull, a = self.p + pull + self.q, self.q + self.curvature
-            return Form(np.zeros_like(self.p), self.q, a, pull, float(lower), float(upper))
+            return Form(
+                np.zeros_like(self.p), self.q, a, pull, float(lower), float(upper)
+            )
         return Form(self.p, self.q, self.curvature, pull, float(lower), float(upper))
 
 
@@ -116,7 +145,9 @@ class RowSolution(NamedTuple):
     above: Array
 
 
-def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArray) -> RowSolution:
+def solve_rows(
+    program: Coordinates, lower: float, upper: float, indptr: IntArray
+) -> RowSolution:
     """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the callers.
 
     p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few steps; it
@@ -125,7 +156,9 @@ def solve_rows(program: Coordinates, lower: float, upper: float, indptr: IntArra
     rows, m = indptr.astype(np.int64), np.empty(len(indptr) - 1)
     ratio, below, above = np.empty((3, len(program.p)))
     fill_rows(program.kernel_form(lower, upper), rows, ratio, below, above, m)
-    return RowSolution(ratio, m, row_gaps(program, ratio, m, lower, upper, rows), below, above)
+    return RowSolution(
+        ratio, m, row_gaps(program, ratio, m, lower, upper, rows), below, above
+    )
 
 
 def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
@@ -133,13 +166,25 @@ def solve_free(program: Coordinates, lower: float, upper: float) -> Array:
     return np.asarray(fill_free(program.kernel_form(lower, upper)))
 
 
-def row_gaps(program: Coordinates, g: Array, m: Array | None, lower: float, upper: float, indptr: IntArray) -> Array:
+def row_gaps(
+    program: Coordinates,
+    g: Array,
+    m: Array | None,
+    lower: float,
+    upper: float,
+    indptr: IntArray,
+) -> Array:
     """(rows,) duality gaps of any g with multipliers ``m`` - 1 of the rows' equalities (None: there is no equality).
 
     From the program as stated, by code that no solver uses; what constraints are missed by counts as it is. Cost: O(entries).
     """
-    multiplier, box = np.ones(len(indptr) - 1) if m is None else m, Box(float(lower), float(upper))
-    return np.asarray(_certificate.row_gaps(program, box, indptr, g, multiplier, m is not None))
+    multiplier, box = (
+        np.ones(len(indptr) - 1) if m is None else m,
+        Box(float(lower), float(upper)),
+    )
+    return np.asarray(
+        _certificate.row_gaps(program, box, indptr, g, multiplier, m is not None)
+    )
 
 
 def objective(g: Array, program: Coordinates) -> float:
@@ -186,10 +231,13 @@ def coordinate(b, a, p, lower, upper):
 @njit(cache=True, error_model="numpy")
 def minimiser(m, form, x):
     """g_x(m)."""
-    return coordinate(form.q[x] * m - form.pull[x], form.a[x], form.p[x], form.lower, form.upper)
+    return coordinate(
+        form.q[x] * m - form.pull[x], form.a[x], form.p[x], form.lower, form.upper
+    )
 
 
-@njit(cache=True, error_model="numpy", inline="always")  # rows are short: a call costs as much as its loop
+# rows are short: a call costs as much as its loop
+@njit(cache=True, error_model="numpy", inline="always")
 def fill_row(m, form, low, high, g):
     """g_x(m) for the entries low..high; returns sum q (g - 1) and minus its derivative in m."""
     miss, slope = 0.0, 0.0
@@ -199,7 +247,8 @@ def fill_row(m, form, low, high, g):
         if q > 0.0:
             miss += q * (value - 1.0)
             if form.lower < value < form.upper:
-                mass = q * value  # q^2 / (p / g^2 + a), written so that g^2 cannot underflow
+                # q^2 / (p / g^2 + a), written so that g^2 cannot underflow
+                mass = q * value
                 curvature = form.p[x] + form.a[x] * value * value
                 if curvature > 0.0:
                     slope += mass * (mass / curvature)
@@ -219,13 +268,15 @@ def solve_row(form, low, high, g, below, above):
         if form.q[x] > 0.0:
             mass += form.p[x]
             curved = curved or form.a[x] > 0.0
-    if mass == 0.0 and not curved and low < high and not form.pull[low:high].any():  # every feasible g is a minimiser
+    # every feasible g is a minimiser
+    if mass == 0.0 and not curved and low < high and not form.pull[low:high].any():
         for x in range(low, high):
             g[x] = 1.0 if form.q[x] > 0.0 else minimiser(0.0, form, x)
         below[low:high], above[low:high] = g[low:high], g[low:high]
         return 0.0
     left, right = -np.inf, np.inf
-    if not curved:  # without a bound sum q g >= mass / m; with one all entries are at it once m < 0
+    # without a bound sum q g >= mass / m; with one all entries are at it once m < 0
+    if not curved:
         left = mass if form.upper == np.inf else -TINY
     m, width, reach = 1.0, 1.0, ROUNDING
     for step in range(1, N_STEPS):
@@ -233,7 +284,8 @@ def solve_row(form, low, high, g, below, above):
         if miss == 0.0:
             below[low:high], above[low:high] = g[low:high], g[low:high]
             return m
-        if np.isnan(miss) or (curved and not np.isfinite(miss + slope)):  # numbers that double precision does not hold
+        # numbers that double precision does not hold
+        if np.isnan(miss) or (curved and not np.isfinite(miss + slope)):
             g[low:high] = np.nan
             return np.nan
         if miss > 0.0:
@@ -248,7 +300,8 @@ def solve_row(form, low, high, g, below, above):
             trial += np.copysign(reach * m, miss)
             reach *= 2.0
         if not left < trial < right or step % 16 == 0:
-            if right == np.inf or left == -np.inf:  # g has no bound as m falls, or reaches its bounds as it rises
+            # g has no bound as m falls, or reaches its bounds as it rises
+            if right == np.inf or left == -np.inf:
                 trial = left + width if right == np.inf else right - width
                 width *= 2.0
             else:
@@ -256,10 +309,21 @@ def solve_row(form, low, high, g, below, above):
             if not left < trial < right:
                 break
         m = trial
-    at_left, at_right = fill_row(left, form, low, high, above)[0], fill_row(right, form, low, high, below)[0]
-    share = min(max(-at_right / (at_left - at_right), 0.0), 1.0) if at_left > at_right else 1.0
+    at_left, at_right = (
+        fill_row(left, form, low, high, above)[0],
+        fill_row(right, form, low, high, below)[0],
+    )
+    share = (
+        min(max(-at_right / (at_left - at_right), 0.0), 1.0)
+        if at_left > at_right
+        else 1.0
+    )
     for x in range(low, high):
-        g[x] = below[x] + share * (above[x] - below[x]) if above[x] > below[x] else above[x]
+        g[x] = (
+            below[x] + share * (above[x] - below[x])
+            if above[x] > below[x]
+            else above[x]
+        )
     return left if share >= 0.5 else right
 
 

@@ -64,7 +64,9 @@ class KernelFeatures(NamedTuple):
     residual: float
 
 
-def kernel_features(points: Array, kernel: KernelFunction, n_centers: int) -> KernelFeatures:
+def kernel_features(
+    points: Array, kernel: KernelFunction, n_centers: int
+) -> KernelFeatures:
     """Pivoted Cholesky of the kernel's Gram matrix on ``points`` (n, d); O(n r^2), with r kernel columns evaluated.
 
     Raises ValueError where the kernel is not positive semidefinite on these points.
@@ -73,7 +75,10 @@ def kernel_features(points: Array, kernel: KernelFunction, n_centers: int) -> Ke
     left = np.concatenate([np.diag(_gram(kernel, part, part)) for part in parts])
     if not (left >= 0).all():
         bad = int(np.argmin(left))
-        raise ValueError(f"kernel must be positive semidefinite; k(x, x) is {left[bad]:g} at point {bad}")
+        raise ValueError(
+            f"kernel must be positive semidefinite; k(x, x) is {left[bad]:g} at point"
+            f" {bad}"
+        )
     scale = float(left.max(initial=0.0))
     if scale == 0.0:
         raise ValueError("kernel must not be 0 at every point")
@@ -82,7 +87,10 @@ def kernel_features(points: Array, kernel: KernelFunction, n_centers: int) -> Ke
         pivot = int(np.argmax(left))
         if left[pivot] <= 1e-12 * scale:
             break
-        column = _gram(kernel, points, points[[pivot]])[:, 0] - factor[:, :j] @ factor[pivot, :j]
+        column = (
+            _gram(kernel, points, points[[pivot]])[:, 0]
+            - factor[:, :j] @ factor[pivot, :j]
+        )
         factor[:, j] = column / np.sqrt(left[pivot])
         pivots.append(pivot)
         left = left - factor[:, j] ** 2
@@ -90,17 +98,22 @@ def kernel_features(points: Array, kernel: KernelFunction, n_centers: int) -> Ke
         if left.min() < -1e-6 * scale:
             bad = int(np.argmin(left))
             raise ValueError(
-                f"kernel must be symmetric and positive semidefinite; given the points {pivots[-3:]} point {bad} has the "
-                f"variance {left[bad]:g}"
+                "kernel must be symmetric and positive semidefinite; given the points"
+                f" {pivots[-3:]} point {bad} has the variance {left[bad]:g}"
             )
-    return KernelFeatures(factor[:, : len(pivots)], np.array(pivots), float(np.maximum(left, 0.0).max()))
+    return KernelFeatures(
+        factor[:, : len(pivots)], np.array(pivots), float(np.maximum(left, 0.0).max())
+    )
 
 
 def _gram(kernel: KernelFunction, x: Array, centers: Array) -> Array:
     """kernel(x, centers), checked: finite, of shape (n, m)."""
     array = _checks.float_array(kernel(x, centers), "kernel", ndim=2)
     if array.shape != (len(x), len(centers)):
-        raise ValueError(f"kernel must give an array of shape {(len(x), len(centers))}; it gives {array.shape}")
+        raise ValueError(
+            f"kernel must give an array of shape {(len(x), len(centers))}; it gives"
+            f" {array.shape}"
+        )
     _checks.require_finite(array, "kernel")
     return array
 
@@ -119,24 +132,39 @@ def check_kernel(kernel: object) -> None:
 
 
 def class_features(
-    features: object, kernel: str | KernelFunction | None, coordinates: ArrayLike | None, n_centers: int, n: int
+    features: object,
+    kernel: str | KernelFunction | None,
+    coordinates: ArrayLike | None,
+    n_centers: int,
+    n: int,
 ) -> tuple[Array, dict[str, Any]]:
     """(n, d) features of n cells from the user's, or from a kernel on the cells' coordinates; and what is said of them."""
     if features is not None:
         for value, name in ((kernel, "kernel"), (coordinates, "coordinates")):
             if value is not None:
-                raise ValueError(f"{name} must not be given with features; the two are different classes")
+                raise ValueError(
+                    f"{name} must not be given with features; the two are different"
+                    " classes"
+                )
         array = _checks.float_array(features, "features", ndim=(1, 2))
         if len(array) != n or array.size == 0:
-            raise ValueError(f"features must have {n} rows, one for each entry of p; they have shape {array.shape}")
+            raise ValueError(
+                f"features must have {n} rows, one for each entry of p; they have shape"
+                f" {array.shape}"
+            )
         _checks.require_finite(array, "features")
         array = array.reshape(n, -1)
         return array, {"feature_rank": count_rank(array)}
     if coordinates is None:
-        raise ValueError("coordinates must be given with kernel: the points that the entries of p and q stand for")
+        raise ValueError(
+            "coordinates must be given with kernel: the points that the entries of p"
+            " and q stand for"
+        )
     points = _check_points(coordinates, n, "one for each entry of p")
     check_kernel(kernel)
-    space = kernel_features(points, kernel if callable(kernel) else standard_gaussian(points), n_centers)
+    space = kernel_features(
+        points, kernel if callable(kernel) else standard_gaussian(points), n_centers
+    )
     return space.matrix, {"kernel_residual": space.residual, "centers": space.pivots}
 
 
@@ -148,8 +176,8 @@ def count_rank(features: Array, *, where: str = "") -> int:
     rank = int(np.sum(values > 1e-10 * values.max(initial=0.0)))
     if rank < d:
         _checks.warn(
-            f"features should be linearly independent{where}; they have rank {rank} of {d} (the smallest parameters "
-            "that fit are taken)"
+            f"features should be linearly independent{where}; they have rank {rank} of"
+            f" {d} (the smallest parameters that fit are taken)"
         )
     return rank
 
@@ -167,18 +195,23 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
     moves = rows.transitions
     given = features(*moves) if callable(features) else features
     array = _checks.float_array(given, "features")
-    shape, written = (simulator.n_states, simulator.n_actions, simulator.n_states), array.shape
+    shape, written = (
+        (simulator.n_states, simulator.n_actions, simulator.n_states),
+        array.shape,
+    )
     if array.ndim >= 3 and array.shape[:3] == shape:
         array = array[moves]
     if array.ndim not in (1, 2) or array.shape[0] != matrix.nnz or array.size == 0:
         raise ValueError(
-            f"features must have {matrix.nnz} rows, one for each transition of the simulator, or shape {shape} (+ d); "
-            f"they have shape {written}"
+            f"features must have {matrix.nnz} rows, one for each transition of the"
+            f" simulator, or shape {shape} (+ d); they have shape {written}"
         )
     array = array.reshape(matrix.nnz, -1)
     for entry, k in np.argwhere(~np.isfinite(array))[:1].tolist():
         where = name_transition(matrix, entry, simulator.n_actions, simulator.names)
-        raise ValueError(f"features must be finite; feature {k} at {where} is {array[entry, k]}")
+        raise ValueError(
+            f"features must be finite; feature {k} at {where} is {array[entry, k]}"
+        )
     return array
 
 
@@ -187,15 +220,22 @@ def _check_points(coordinates: object, n: int, rule: str) -> Array:
     points = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
     _checks.require_finite(points, "coordinates")
     if len(points) != n:
-        raise ValueError(f"coordinates must have {n} rows, {rule}; they have {len(points)}")
+        raise ValueError(
+            f"coordinates must have {n} rows, {rule}; they have {len(points)}"
+        )
     return points.reshape(n, -1)
 
 
 def move_points(simulator: FiniteMDP, coordinates: object) -> Array:
     """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of each simulator transition."""
-    places, rows = _check_points(coordinates, simulator.n_states, "one a state"), Rows.of(simulator)
+    places, rows = (
+        _check_points(coordinates, simulator.n_states, "one a state"),
+        Rows.of(simulator),
+    )
     start = rows.spread(places[rows.state])
-    return np.column_stack([rows.spread(rows.action), start, places[rows.arrival] - start])
+    return np.column_stack(
+        [rows.spread(rows.action), start, places[rows.arrival] - start]
+    )
 
 
 def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
@@ -223,7 +263,8 @@ def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
     kinds, kind = distinct_rows(keys)
     mass = np.bincount(kind, weights=simulator.transitions.data)
     reference = [
-        int(np.flatnonzero(kinds[:, 0] == a)[np.argmax(mass[kinds[:, 0] == a])]) for a in np.unique(kinds[:, 0])
+        int(np.flatnonzero(kinds[:, 0] == a)[np.argmax(mass[kinds[:, 0] == a])])
+        for a in np.unique(kinds[:, 0])
     ]
     kept = np.setdiff1d(np.arange(len(kinds)), reference)
     return np.asarray(kind[:, None] == kept, dtype=np.float64)
@@ -233,7 +274,9 @@ NAMELESS = "Unnamed: "  # what pandas calls a column without a name
 WHOLE = 2.0**53  # up to which a float is the integer that was written
 
 
-def features_in(frame: Any, simulator: FiniteMDP, source: str) -> tuple[Array, list[str]]:
+def features_in(
+    frame: Any, simulator: FiniteMDP, source: str
+) -> tuple[Array, list[str]]:
     """(entries, d) finite numbers on ``simulator.transitions.data``, their names; 0 for transitions not in the frame.
 
     ``source`` is what errors call the frame.
@@ -250,36 +293,52 @@ def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
     columns, entry = _moves_of(frame, simulator, source)
     if len(columns) > 1:
         labels = words(column.label for column in columns)
-        raise ValueError(f"{source} must have one column of keys beside {words(MOVE)}; it has {labels}")
+        raise ValueError(
+            f"{source} must have one column of keys beside {words(MOVE)}; it has"
+            f" {labels}"
+        )
     written = columns[0].integers()
     matrix = simulator.transitions
     absent = np.setdiff1d(np.arange(matrix.nnz), entry)
     if absent.size:
-        first = name_transition(matrix, int(absent[0]), simulator.n_actions, simulator.names)
+        first = name_transition(
+            matrix, int(absent[0]), simulator.n_actions, simulator.names
+        )
         raise ValueError(
-            f"{source} must have a key for every transition of the simulator; {absent.size} of {matrix.nnz} have none, "
-            f"the first: {first}"
+            f"{source} must have a key for every transition of the simulator;"
+            f" {absent.size} of {matrix.nnz} have none, the first: {first}"
         )
     keys = np.empty(matrix.nnz, dtype=written.dtype)
     keys[entry] = written
     return keys
 
 
-def _moves_of(frame: Any, simulator: FiniteMDP, source: str) -> tuple[list[_Column], IntArray]:
+def _moves_of(
+    frame: Any, simulator: FiniteMDP, source: str
+) -> tuple[list[_Column], IntArray]:
     """The columns beside the transitions, and the entry of the simulator's transitions that each row is about."""
     table = eager(frame)
     labels = [str(label) for label in table.columns]
     require_columns(source, MOVE, labels)
     own = [label for label in labels if label not in MOVE]
     if any(label.startswith(NAMELESS) for label in own):
-        raise ValueError(f"{source} must have a name for every column; it has {words(labels)} (a written index?)")
+        raise ValueError(
+            f"{source} must have a name for every column; it has {words(labels)} (a"
+            " written index?)"
+        )
     if not own or len(table) == 0:
-        rule = "a column of numbers beside its transitions" if len(table) else "at least one row"
+        rule = (
+            "a column of numbers beside its transitions"
+            if len(table)
+            else "at least one row"
+        )
         raise ValueError(f"{source} must have {rule}; it has none")
     columns = {label: _Column(label, source, table[label]) for label in labels}
     states = (simulator.state_names, simulator.n_states)
     sizes = (states, (simulator.action_names, simulator.n_actions), states)
-    s, a, following = (columns[label].numbered(*size) for label, size in zip(MOVE, sizes, strict=True))
+    s, a, following = (
+        columns[label].numbered(*size) for label, size in zip(MOVE, sizes, strict=True)
+    )
     entry, stored = find(simulator.transitions, s * simulator.n_actions + a, following)
 
     def move(row: int) -> str:
@@ -289,14 +348,17 @@ def _moves_of(frame: Any, simulator: FiniteMDP, source: str) -> tuple[list[_Colu
     if outside.size:
         more = f" ({outside.size} such rows in all)" if outside.size > 1 else ""
         raise ValueError(
-            f"row {outside[0]} of {source} must be a transition of the simulator, which gives probability 0 to "
-            f"{move(int(outside[0]))}{more}"
+            f"row {outside[0]} of {source} must be a transition of the simulator, which"
+            f" gives probability 0 to {move(int(outside[0]))}{more}"
         )
     again = np.setdiff1d(np.arange(len(entry)), np.unique(entry, return_index=True)[1])
     if again.size:
         row = int(again[0])
         before = int(np.argmax(entry == entry[row]))
-        raise ValueError(f"row {row} of {source} must be another transition; {move(row)} is row {before} already")
+        raise ValueError(
+            f"row {row} of {source} must be another transition; {move(row)} is row"
+            f" {before} already"
+        )
     return [columns[label] for label in own], entry
 
 
@@ -312,17 +374,25 @@ class _Column(NamedTuple):
         if bad.any():
             row = int(np.argmax(bad))
             shown = "none or nan" if values is None else values[row]
-            raise ValueError(f"column {self.label!r} of {self.source} must {rule}; row {row} has {shown}")
+            raise ValueError(
+                f"column {self.label!r} of {self.source} must {rule}; row {row} has"
+                f" {shown}"
+            )
 
     def finite(self) -> Array:
         """Finite numbers."""
-        rule, values = "have a finite number in every row", np.asarray(self.series.to_numpy())
+        rule, values = (
+            "have a finite number in every row",
+            np.asarray(self.series.to_numpy()),
+        )
         self.refuse(self.series.is_null().to_numpy(), rule, None)
         numbers: Any = values
         if values.dtype.kind not in "biuf":
             import pandas as pd
 
-            numbers = pd.to_numeric(pd.Series(values, dtype=object), errors="coerce").to_numpy()
+            numbers = pd.to_numeric(
+                pd.Series(values, dtype=object), errors="coerce"
+            ).to_numpy()
         numbers = np.asarray(numbers, dtype=np.float64)
         self.refuse(~np.isfinite(numbers), rule, values)
         return np.asarray(numbers)
@@ -333,7 +403,11 @@ class _Column(NamedTuple):
         if values.dtype.kind in "iu":
             return values
         numbers = self.finite()
-        self.refuse((numbers != np.rint(numbers)) | (np.abs(numbers) >= WHOLE), "have an integer in every row", numbers)
+        self.refuse(
+            (numbers != np.rint(numbers)) | (np.abs(numbers) >= WHOLE),
+            "have an integer in every row",
+            numbers,
+        )
         return numbers.astype(np.int64)
 
     def numbered(self, names: tuple[Name, ...] | None, size: int) -> IntArray:
@@ -341,14 +415,21 @@ class _Column(NamedTuple):
         values = np.asarray(self.series.to_numpy())
         if names is None or values.dtype.kind in "biuf":
             numbers = self.integers()
-            self.refuse((numbers < 0) | (numbers >= size), f"be in 0..{size - 1}", numbers)
+            self.refuse(
+                (numbers < 0) | (numbers >= size), f"be in 0..{size - 1}", numbers
+            )
             return numbers.astype(np.int64)
         self.refuse(self.series.is_null().to_numpy(), "have a name in every row", None)
         source, code = f"column {self.label!r} of {self.source}", {}
-        items = [tuple(item) if isinstance(item, list | np.ndarray) else item for item in values]
+        items = [
+            tuple(item) if isinstance(item, list | np.ndarray) else item
+            for item in values
+        ]
         for k, item in enumerate(items):
             if item not in code:
-                code[item] = number_of(item, names, size, f"{source}, row {k},", "the simulator's")
+                code[item] = number_of(
+                    item, names, size, f"{source}, row {k},", "the simulator's"
+                )
         return np.array([code[item] for item in items], dtype=np.int64)
 
 

@@ -82,35 +82,51 @@ class Joint(Method):
         check_simulator_data(self.data)
 
     def _ratio_box(self) -> Box:
-        return check_box(self.ratio_lower, self.ratio_upper, normalized=True, names=("ratio_lower", "ratio_upper"))
+        return check_box(
+            self.ratio_lower,
+            self.ratio_upper,
+            normalized=True,
+            names=("ratio_lower", "ratio_upper"),
+        )
 
     def _exact(self) -> Joint:
         return replace(self, data=None)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
         counts, rows = given.observed, given.rows
-        box, ratio_box = check_box(self.lower, self.upper, normalized=True), self._ratio_box()
+        box, ratio_box = (
+            check_box(self.lower, self.upper, normalized=True),
+            self._ratio_box(),
+        )
         share = rows.sums(simulator_weights(given, self.data, self.behavior_policy))
         lam = check_ridge(self.ridge, float(counts.sum()))
         p, q = counts / counts.sum(), rows.spread(share / share.sum()) * rows.weights
-        # r is d(s, a) to the last bit as the constraint has it: neither ratio can run away alone
-        program = JointProgram(p, q, rows.sums(p), rows.sums(q), rows.indptr, *box, *ratio_box, lam)
+        # r is d(s, a) to the last bit as the constraint has it: neither ratio can run
+        # away alone
+        program = JointProgram(
+            p, q, rows.sums(p), rows.sums(q), rows.indptr, *box, *ratio_box, lam
+        )
         lost = (program.s > 0) & (share == 0)
         if lost.any() and not np.isfinite(box.upper) and lam == 0:
             raise ValueError(
-                "simulator_data must cover the log's (s, a), or upper be finite: the program is unbounded at "
-                f"{int(lost.sum())} of them"
+                "simulator_data must cover the log's (s, a), or upper be finite: the"
+                f" program is unbounded at {int(lost.sum())} of them"
             )
         if self.solver == "dual":
             point = JointPoint(*solve_all(program))
             gap = float(_certificate.joint_gaps(program, point).sum())
         else:
             point = statements.solve_joint(program, solver=self.solver)
-            # cvxpy's sign of an equality's multiplier is not the same for all programs; either gives a bound
+            # cvxpy's sign of an equality's multiplier is not the same for all programs;
+            # either gives a bound
             signs = (point, point._replace(theta=-point.theta))
-            gap = min(float(_certificate.joint_gaps(program, each).sum()) for each in signs)
+            gap = min(
+                float(_certificate.joint_gaps(program, each).sum()) for each in signs
+            )
         known = rows.spread((share > 0) & (point.pairs > 0))
-        zeta = np.where(known, point.moves / np.where(known, rows.spread(point.pairs), 1.0), 1.0)
+        zeta = np.where(
+            known, point.moves / np.where(known, rows.spread(point.pairs), 1.0), 1.0
+        )
         details = {
             "lower": box.lower,
             "upper": box.upper,
@@ -123,7 +139,8 @@ class Joint(Method):
         return given.ratio(zeta, self._name, gap, details)
 
 
-NEAR = 1e-12  # relative distance at which a bound that moves and one that does not coincide
+# relative distance at which a bound that moves and one that does not coincide
+NEAR = 1e-12
 
 
 @njit(cache=True, error_model="numpy")
@@ -180,7 +197,8 @@ def solve(f, k, moves, at_left, at_right):
     """One (s, a): fills B into ``moves``; returns b and theta."""
     b, phi = minimise(0.0, f, k, moves)
     n = f.indptr[k + 1] - f.indptr[k]
-    if b < np.inf and abs(phi) <= ROUNDING * (n + 2) * f.r[k] * b:  # equal up to the rounding of the sums themselves
+    # equal up to the rounding of the sums themselves
+    if b < np.inf and abs(phi) <= ROUNDING * (n + 2) * f.r[k] * b:
         return b, 0.0
     side, left, right, width = np.sign(phi), 0.0, 0.0, 0.5
     while phi * side > 0.0 and width < 1e300:  # phi(left) >= 0 >= phi(right)
@@ -197,13 +215,20 @@ def solve(f, k, moves, at_left, at_right):
         theta = 0.5 * (left + right)
     b_left, phi_left = minimise(left, f, k, at_left)
     b_right, phi_right = minimise(right, f, k, at_right)
-    share = phi_left / (phi_left - phi_right) if phi_left > phi_right else 0.0  # of the right end
+    # of the right end
+    share = phi_left / (phi_left - phi_right) if phi_left > phi_right else 0.0
     if not 0.0 <= share <= 1.0:
         share = 0.0 if phi_left < np.inf else 1.0
-    b = b_left if b_left == b_right or share == 0.0 else b_left + share * (b_right - b_left)
+    b = (
+        b_left
+        if b_left == b_right or share == 0.0
+        else b_left + share * (b_right - b_left)
+    )
     for x in range(f.indptr[k], f.indptr[k + 1]):
         same = at_left[x] == at_right[x] or share == 0.0
-        moves[x] = at_left[x] if same else at_left[x] + share * (at_right[x] - at_left[x])
+        moves[x] = (
+            at_left[x] if same else at_left[x] + share * (at_right[x] - at_left[x])
+        )
     return b, right if share > 0.5 else left
 
 
@@ -213,11 +238,21 @@ def fill_multipliers(b, theta, f, k, moves, eta, xi):
 
     Where a moving bound coincides with a fixed one its share of the multiplier is what b's own condition asks for.
     """
-    rest, loose = f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0), 0.0
-    moving_lower, moving_upper = f.ratio_lower * b > f.nu * (1.0 + NEAR), f.ratio_upper * b < f.mu * (1.0 - NEAR)
+    rest, loose = (
+        f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0),
+        0.0,
+    )
+    moving_lower, moving_upper = (
+        f.ratio_lower * b > f.nu * (1.0 + NEAR),
+        f.ratio_upper * b < f.mu * (1.0 - NEAR),
+    )
     for x in range(f.indptr[k], f.indptr[k + 1]):
         eta[x], xi[x], slope = 0.0, 0.0, slope_at(x, theta, f, moves[x])
-        if slope > 0.0 and f.ratio_lower > 0.0 and moves[x] <= f.ratio_lower * b * (1.0 + NEAR):
+        if (
+            slope > 0.0
+            and f.ratio_lower > 0.0
+            and moves[x] <= f.ratio_lower * b * (1.0 + NEAR)
+        ):
             eta[x] = slope
             pull, moving = f.ratio_lower * slope, moving_lower
         elif slope < 0.0 and moves[x] >= f.ratio_upper * b * (1.0 - NEAR):
@@ -241,7 +276,13 @@ def fill_multipliers(b, theta, f, k, moves, eta, xi):
 def solve_all(f):
     """Every (s, a) of the program ``f`` by itself: B, b, theta, eta and xi."""
     n, n_rows = len(f.p), len(f.s)
-    moves, eta, xi, at_left, at_right = np.empty(n), np.zeros(n), np.zeros(n), np.empty(n), np.empty(n)
+    moves, eta, xi, at_left, at_right = (
+        np.empty(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.empty(n),
+        np.empty(n),
+    )
     b, theta = np.empty(n_rows), np.empty(n_rows)
     for k in range(n_rows):
         b[k], theta[k] = solve(f, k, moves, at_left, at_right)

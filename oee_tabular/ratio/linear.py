@@ -43,11 +43,14 @@ from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.statements import LinearProgram
 
 N_CENTERS = 200
-STEP_FRACTIONS = (0.8, 0.7, 0.5)  # short steps stall less; one of 270 random programs stalls at each, none at all three
+# short steps stall less; one of 270 random programs stalls at each, none at all three
+STEP_FRACTIONS = (0.8, 0.7, 0.5)
 GAP_TOLERANCE = 1e-11  # nats; the next fraction is tried above it
 VIOLATION_TOLERANCE = 1e-7  # of the constraints, in units of g
-LEAST_SLOPE = 1e-15  # of what is minimised, where only a slope of at least 0 keeps it bounded
-LARGEST_RATIO = 1e6  # that the certificate considers where p = 0 and nothing else bounds g
+# of what is minimised, where only a slope of at least 0 keeps it bounded
+LEAST_SLOPE = 1e-15
+# that the certificate considers where p = 0 and nothing else bounds g
+LARGEST_RATIO = 1e6
 USELESS_GAP = 1.0  # nats
 
 
@@ -66,13 +69,23 @@ def solve_class(program: LinearProgram, solver: str) -> ClassFit:
     Without a ridge the features are first reduced to an orthonormal basis of their span, and the smallest w is given.
     ValueError where no function of the class meets the constraints, RuntimeError where the solver reaches none that does.
     """
-    solver, back, best = "CLARABEL" if solver == "dual" else solver, np.eye(program.features.shape[1]), None
-    if program.penalty == 0.0:  # Phi = Q S R: w = R^T S^-1 c is the smallest with Phi w = Q c
+    solver, back, best = (
+        "CLARABEL" if solver == "dual" else solver,
+        np.eye(program.features.shape[1]),
+        None,
+    )
+    # Phi = Q S R: w = R^T S^-1 c is the smallest with Phi w = Q c
+    if program.penalty == 0.0:
         basis, values, right = np.linalg.svd(program.features, full_matrices=False)
         kept = values > 1e-10 * values.max(initial=0.0)
-        program, back = program._replace(features=basis[:, kept]), right[kept].T / values[kept]
+        program, back = (
+            program._replace(features=basis[:, kept]),
+            right[kept].T / values[kept],
+        )
     for fraction in STEP_FRACTIONS if solver == "CLARABEL" else (1.0,):
-        solution = statements.solve_linear(program, solver=solver, step_fraction=fraction)
+        solution = statements.solve_linear(
+            program, solver=solver, step_fraction=fraction
+        )
         fit = None if solution is None else certify(program, *solution)
         if fit is not None and fit.gap < (USELESS_GAP if best is None else best.gap):
             best = fit
@@ -81,9 +94,13 @@ def solve_class(program: LinearProgram, solver: str) -> ClassFit:
     if best is None:
         _refuse_class_without_room(program)
         if program.penalty > 1e100:
-            raise ValueError(f"ridge must leave a program that double precision holds; it is {program.penalty:g}")
+            raise ValueError(
+                "ridge must leave a program that double precision holds; it is"
+                f" {program.penalty:g}"
+            )
         raise RuntimeError(
-            f"{solver} found no minimum; the program may be unbounded, where q = 0 < p; give a ridge or a finite upper bound"
+            f"{solver} found no minimum; the program may be unbounded, where q = 0 < p;"
+            " give a ridge or a finite upper bound"
         )
     return best._replace(weights=back @ best.weights)
 
@@ -99,22 +116,41 @@ def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> C
     """
     p, q, phi, ridge = program.p, program.q, program.features, program.penalty
     g = program.offset + phi @ weights
-    ratio = np.clip(g, np.maximum(program.lower, np.where(p > 0, np.finfo(float).tiny, 0.0)), program.upper)
+    ratio = np.clip(
+        g,
+        np.maximum(program.lower, np.where(p > 0, np.finfo(float).tiny, 0.0)),
+        program.upper,
+    )
     off = float(q @ ratio) - 1.0 if program.normalized else 0.0
     violation = max(abs(off), float(np.abs(g - ratio).max()))
     free = (p == 0) & (program.upper == np.inf)
-    tie = tie + np.where(free, np.maximum(LEAST_SLOPE - (1.0 + eta) * q - tie, 0.0), 0.0)
+    tie = tie + np.where(
+        free, np.maximum(LEAST_SLOPE - (1.0 + eta) * q - tie, 0.0), 0.0
+    )
     weight = np.where(p > 0, p / np.maximum(ratio, 1e-100) ** 2, 1e-6)
     curvature = phi.T @ (weight[:, None] * phi)
     for _ in range(2):  # twice for rounding's sake
-        tie = tie + weight * (phi @ np.linalg.lstsq(curvature, ridge * weights - phi.T @ tie)[0])
-    rest, top = ridge * weights - phi.T @ tie, np.maximum(np.where(free, LARGEST_RATIO, program.upper), ratio)
-    gap = _certificate.excesses((1.0 + eta) * q + tie, p, ratio, program.lower, top) + abs(eta * off) + violation
+        tie = tie + weight * (
+            phi @ np.linalg.lstsq(curvature, ridge * weights - phi.T @ tie)[0]
+        )
+    rest, top = (
+        ridge * weights - phi.T @ tie,
+        np.maximum(np.where(free, LARGEST_RATIO, program.upper), ratio),
+    )
+    gap = (
+        _certificate.excesses((1.0 + eta) * q + tie, p, ratio, program.lower, top)
+        + abs(eta * off)
+        + violation
+    )
     if ridge > 0.0:
         gap += 0.5 / ridge * float(rest @ rest)
     else:  # what Phi^T v = 0 is missed by counts as it is
-        gap += float(np.abs(rest).sum()) * max(1.0, float(np.abs(weights).max(initial=0.0)))
-    return ClassFit(weights, ratio, eta, gap if violation <= VIOLATION_TOLERANCE else np.inf)
+        gap += float(np.abs(rest).sum()) * max(
+            1.0, float(np.abs(weights).max(initial=0.0))
+        )
+    return ClassFit(
+        weights, ratio, eta, gap if violation <= VIOLATION_TOLERANCE else np.inf
+    )
 
 
 def _refuse_class_without_room(program: LinearProgram) -> None:
@@ -125,23 +161,38 @@ def _refuse_class_without_room(program: LinearProgram) -> None:
     above, below = ("at least", "at most") if miss > 1e-9 else ("above", "below")
     upper = f" and {below} {program.upper:g}" if np.isfinite(program.upper) else ""
     one = ", with sum q g = 1" if program.normalized else ""
-    nearest = f"the nearest misses by {miss:g}" if miss > 1e-9 else "none is at all points"
+    nearest = (
+        f"the nearest misses by {miss:g}" if miss > 1e-9 else "none is at all points"
+    )
     raise ValueError(
-        f"features must span a function that is {above} {program.lower:g}{upper}{one}; {nearest} "
-        "(a constant feature makes one)"
+        f"features must span a function that is {above} {program.lower:g}{upper}{one};"
+        f" {nearest} (a constant feature makes one)"
     )
 
 
-def fit_cells(p: Array, q: Array, features: Array, box: Box, ridge: float, normalized: bool, solver: str) -> ClassFit:
+def fit_cells(
+    p: Array,
+    q: Array,
+    features: Array,
+    box: Box,
+    ridge: float,
+    normalized: bool,
+    solver: str,
+) -> ClassFit:
     """g = Phi w for distributions p and q on the same cells."""
     _refuse_thin_box(box, normalized)
-    return solve_class(LinearProgram(p, q, features, 0.0, ridge, *box, normalized), solver)
+    return solve_class(
+        LinearProgram(p, q, features, 0.0, ridge, *box, normalized), solver
+    )
 
 
 def _refuse_thin_box(box: Box, normalized: bool) -> None:
     if not box.lower < box.upper or (normalized and not box.lower < 1.0 < box.upper):
         rule = "lower < 1 < upper" if normalized else "lower < upper"
-        raise ValueError(f"the box of a linear class must have {rule}; it is [{box.lower:g}, {box.upper:g}]")
+        raise ValueError(
+            f"the box of a linear class must have {rule}; it is [{box.lower:g},"
+            f" {box.upper:g}]"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,13 +242,21 @@ class InClass(Method):
             if self.features is None:
                 raise ValueError('features must be given with method "linear"')
             if self.coordinates is not None:
-                raise ValueError("coordinates must be given with a kernel; none is given")
+                raise ValueError(
+                    "coordinates must be given with a kernel; none is given"
+                )
         else:
             if self.features is not None:
-                raise ValueError("features must be left out with a kernel: the two are different classes")
+                raise ValueError(
+                    "features must be left out with a kernel: the two are different"
+                    " classes"
+                )
             check_kernel(self.kernel)
             if self.coordinates is None:
-                raise ValueError('coordinates must be given with method "kernel": (S,) or (S, c), where each state is')
+                raise ValueError(
+                    'coordinates must be given with method "kernel": (S,) or (S, c),'
+                    " where each state is"
+                )
         _checks.positive_integer(self.n_centers, "n_centers")
         _refuse_thin_box(check_box(self.lower, self.upper, normalized=True), True)
 
@@ -221,17 +280,39 @@ class InClass(Method):
             details["feature_rank"] = count_rank(phi, where=" within rows")
         else:
             points = move_points(simulator, self.coordinates)
-            space = kernel_features(points, self._kernel_of_moves(points), self.n_centers)
+            space = kernel_features(
+                points, self._kernel_of_moves(points), self.n_centers
+            )
             phi = rows.center(space.matrix)
-            details |= {"kernel_residual": space.residual, "centers": points[space.pivots]}
+            details |= {
+                "kernel_residual": space.residual,
+                "centers": points[space.pivots],
+            }
         n = float(observed.sum())
         lam = 1.0 / n if self.ridge is None else check_ridge(self.ridge, n)
         mass = rows.spread(rows.sums(observed) / n) * q
-        solution = solve_class(LinearProgram(observed / n, mass, phi, 1.0, lam, *box, False), self.solver)
+        solution = solve_class(
+            LinearProgram(observed / n, mass, phi, 1.0, lam, *box, False), self.solver
+        )
         zeta = solution.ratio
         safe = np.maximum(zeta, 1e-12)
-        details |= {"weights": solution.weights, "ridge": lam, "lower": box.lower, "upper": box.upper}
-        information = (phi * (observed / safe**2)[:, None]).T @ phi + n * lam * np.eye(phi.shape[1])
+        details |= {
+            "weights": solution.weights,
+            "ridge": lam,
+            "lower": box.lower,
+            "upper": box.upper,
+        }
+        information = (phi * (observed / safe**2)[:, None]).T @ phi + n * lam * np.eye(
+            phi.shape[1]
+        )
         scores, share = phi / safe[:, None], np.zeros(len(rows))
-        influence = Influence(rows, observed, zeta, q / safe, share, scores=scores, information=information)
+        influence = Influence(
+            rows,
+            observed,
+            zeta,
+            q / safe,
+            share,
+            scores=scores,
+            information=information,
+        )
         return given.ratio(zeta, self._name, solution.gap, details, influence)

@@ -25,7 +25,8 @@ from oee_tabular.ratio.support import checked_counts, supported_counts
 SimulatorData = Transitions | str | None
 
 
-_MANY = 1e12  # moves: a limit's stand-in for infinitely many, where a fit is asked for one
+# moves: a limit's stand-in for infinitely many, where a fit is asked for one
+_MANY = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +58,18 @@ class RatioInput:
         return self.cache[make]
 
     def ratio(
-        self, zeta: Array, method: str, gap: float, details: dict[str, Any], influence: Influence | None = None
+        self,
+        zeta: Array,
+        method: str,
+        gap: float,
+        details: dict[str, Any],
+        influence: Influence | None = None,
     ) -> TransitionRatio:
         """What a fit returns, from zeta on the simulator's entries."""
         matrix, rows = self.simulator.transitions, self.rows
-        counts = rows.sums(self.observed).reshape(self.simulator.n_states, self.simulator.n_actions)
+        counts = rows.sums(self.observed).reshape(
+            self.simulator.n_states, self.simulator.n_actions
+        )
         parts = _checks.freeze(zeta), matrix.indices, matrix.indptr
         return TransitionRatio(
             values=sparse.csr_array(parts, shape=matrix.shape),
@@ -104,7 +112,8 @@ class Population:
     def model(self, fallback: sparse.csr_array) -> FiniteMDP:
         """The target's rows where the data have them, ``fallback``'s elsewhere, with the simulator's rewards."""
         keep, rest = (
-            sparse.diags_array(mask.astype(np.float64), format="csr") for mask in (self.support, ~self.support)
+            sparse.diags_array(mask.astype(np.float64), format="csr")
+            for mask in (self.support, ~self.support)
         )
         rows = sparse.csr_array(keep @ self.target.transitions + rest @ fallback)
         return self.simulator.with_transitions(rows)
@@ -127,7 +136,8 @@ class Method:
     ['conditional', 'ratio_of_ratios', 'joint']
     """
 
-    USES: ClassVar[frozenset[str]] = frozenset()  # of values_of, horizon, simulator_data and behavior_policy
+    # of values_of, horizon, simulator_data and behavior_policy
+    USES: ClassVar[frozenset[str]] = frozenset()
 
     @property
     def uses(self) -> frozenset[str]:
@@ -143,7 +153,9 @@ class Method:
         """ValueError that names an input that is given and that ``fit`` would not look at."""
         for name, value in inputs.items():
             if value is not None and name not in self.uses:
-                raise ValueError(f"{name} {self._refusal(name)}; got {_checks.show(value)}")
+                raise ValueError(
+                    f"{name} {self._refusal(name)}; got {_checks.show(value)}"
+                )
 
     def _refusal(self, name: str) -> str:
         """The rule that an input without a use breaks."""
@@ -153,7 +165,8 @@ class Method:
         """A ridge chosen on the data is the conditional program's alone."""
         if isinstance(ridge, str):
             raise ValueError(
-                f"ridge must be a number or a function of n with method {self._name!r}; got {_checks.show(ridge)}"
+                f"ridge must be a number or a function of n with method {self._name!r};"
+                f" got {_checks.show(ridge)}"
             )
 
     @one_thread
@@ -179,18 +192,28 @@ class Method:
         log, cache = None, {} if cache is None else cache
         if isinstance(log_or_counts, Transitions):
             log = log_or_counts.numbered(simulator)
-            counts = log.counts(simulator.n_states, simulator.n_actions, discount=discount)
+            counts = log.counts(
+                simulator.n_states, simulator.n_actions, discount=discount
+            )
         elif not sparse.issparse(log_or_counts):
-            raise ValueError(f"log_or_counts must be Transitions or sparse counts; got {type(log_or_counts).__name__}")
+            raise ValueError(
+                "log_or_counts must be Transitions or sparse counts; got"
+                f" {type(log_or_counts).__name__}"
+            )
         elif discount is not None:
-            raise ValueError("discount must be left out where counts are given: they have no timesteps")
+            raise ValueError(
+                "discount must be left out where counts are given: they have no"
+                " timesteps"
+            )
         else:
             counts = checked_counts(log_or_counts, simulator)
         if Rows not in cache:
             cache[Rows] = Rows.of(simulator)
         observed = supported_counts(counts, simulator)
         if not observed.sum() > 0:
-            raise ValueError("log_or_counts must have at least one transition; it has none")
+            raise ValueError(
+                "log_or_counts must have at least one transition; it has none"
+            )
         given = RatioInput(
             observed,
             simulator,
@@ -200,18 +223,29 @@ class Method:
             () if values_of is None else _policies(values_of, simulator),
             None if horizon is None else horizon_length(horizon, simulator),
             simulator_data,
-            None if behavior_policy is None else check_policy(behavior_policy, simulator, name="behavior_policy"),
+            (
+                None
+                if behavior_policy is None
+                else check_policy(behavior_policy, simulator, name="behavior_policy")
+            ),
             seed,
             cache,
         )
         result = self._fit(given)
         if not result.finite:
-            options = {option.name: getattr(self, option.name) for option in fields(self)}  # type: ignore[arg-type]
-            numbers = [f"{name} {x:g}" for name, x in options.items() if isinstance(x, int | float)]
+            options = {
+                option.name: getattr(self, option.name)
+                for option in fields(self)  # type: ignore[arg-type]
+            }
+            numbers = [
+                f"{name} {x:g}"
+                for name, x in options.items()
+                if isinstance(x, int | float)
+            ]
             functions = [name for name, x in options.items() if callable(x)]
             raise ValueError(
-                f"the options of method {self._name!r} must make a program that double precision holds; they are "
-                f"{', '.join(numbers + functions)}"
+                f"the options of method {self._name!r} must make a program that double"
+                f" precision holds; they are {', '.join(numbers + functions)}"
             )
         return result
 
@@ -236,8 +270,16 @@ class Method:
 
 def _policies(values_of: Any, simulator: FiniteMDP) -> tuple[Array, ...]:
     """The policy or policies given, checked."""
-    several = split_policies(values_of, simulator) if isinstance(values_of, list | tuple) else None
-    named = (
-        {f"values_of[{k}]": each for k, each in enumerate(several.values())} if several else {"values_of": values_of}
+    several = (
+        split_policies(values_of, simulator)
+        if isinstance(values_of, list | tuple)
+        else None
     )
-    return tuple(check_policy(policy, simulator, name=name) for name, policy in named.items())
+    named = (
+        {f"values_of[{k}]": each for k, each in enumerate(several.values())}
+        if several
+        else {"values_of": values_of}
+    )
+    return tuple(
+        check_policy(policy, simulator, name=name) for name, policy in named.items()
+    )

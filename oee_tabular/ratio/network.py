@@ -84,16 +84,25 @@ class Network:
     optimizer: str = "adam"
 
     def __post_init__(self) -> None:
-        widths = _checks.collection(self.layers, "layers", "a collection of widths of hidden layers")
+        widths = _checks.collection(
+            self.layers, "layers", "a collection of widths of hidden layers"
+        )
         object.__setattr__(
-            self, "layers", tuple(_checks.positive_integer(w, f"layers[{k}]") for k, w in enumerate(widths))
+            self,
+            "layers",
+            tuple(
+                _checks.positive_integer(w, f"layers[{k}]")
+                for k, w in enumerate(widths)
+            ),
         )
         _checks.one_of(self.activation, "activation", ACTIVATIONS)
         _checks.one_of(self.optimizer, "optimizer", OPTIMIZERS)
         if isinstance(self.inputs, str):
             _checks.one_of(self.inputs, "inputs", ("one_hot",))
         else:
-            _checks.require_finite(_checks.float_array(self.inputs, "inputs", ndim=(1, 2)), "inputs")
+            _checks.require_finite(
+                _checks.float_array(self.inputs, "inputs", ndim=(1, 2)), "inputs"
+            )
         _checks.number_in(self.step_size, "step_size", 0.0, np.inf, open_ends=True)
         if self.batch_size is not None:
             _checks.positive_integer(self.batch_size, "batch_size")
@@ -108,7 +117,8 @@ def check_network(method: Any) -> None:
     _checks.instance(method.functions, Network, "functions", "Network(...)")
     if method.solver != "dual":
         raise ValueError(
-            f"solver must be left out with functions=Network(...), which has its own; got {_checks.show(method.solver)}"
+            "solver must be left out with functions=Network(...), which has its own;"
+            f" got {_checks.show(method.solver)}"
         )
 
 
@@ -116,15 +126,21 @@ def check_boxed_network(method: Any) -> None:
     """Nor eq. 3.7 without rows."""
     check_network(method)
     if method.normalized:
-        raise ValueError("normalized must be False with functions=Network(...): Algorithm 1 imposes no sum q g = 1")
+        raise ValueError(
+            "normalized must be False with functions=Network(...): Algorithm 1 imposes"
+            " no sum q g = 1"
+        )
     box = check_box(method.lower, method.upper, normalized=False)
     if not 0.0 < box.lower < box.upper < np.inf:
         raise ValueError(
-            "lower and upper must be a box with 0 < lower < upper < inf with functions=Network(...); "
-            f"it is [{box.lower:g}, {box.upper:g}]"
+            "lower and upper must be a box with 0 < lower < upper < inf with"
+            f" functions=Network(...); it is [{box.lower:g}, {box.upper:g}]"
         )
     if method.toward is None and (callable(method.ridge) or method.ridge != 0):
-        raise ValueError("toward must be a number with functions=Network(...) and a ridge: sum g^2 has no batches")
+        raise ValueError(
+            "toward must be a number with functions=Network(...) and a ridge: sum g^2"
+            " has no batches"
+        )
 
 
 def fit_network(
@@ -146,11 +162,28 @@ def fit_network(
     held-out risk at each check.
     """
     neural, generator = _require_neural(), _checks.generator(seed)
-    best = density_ratio(p, q, lower=lower, upper=upper, ridge=ridge, toward=toward, normalized=False)
+    best = density_ratio(
+        p, q, lower=lower, upper=upper, ridge=ridge, toward=toward, normalized=False
+    )
     p_train, p_held = _split(p, "p", network.held_out, generator)
     q_train, q_held = _split(q, "q", network.held_out, generator)
-    lam, places = np.full(len(p), check_ridge(ridge, float(p.sum()))), _places(network, sizes[0])
-    training = neural.Training(cells, sizes, places, p_train, q_train, p_held, q_held, lower, upper, lam, toward or 0.0)
+    lam, places = (
+        np.full(len(p), check_ridge(ridge, float(p.sum()))),
+        _places(network, sizes[0]),
+    )
+    training = neural.Training(
+        cells,
+        sizes,
+        places,
+        p_train,
+        q_train,
+        p_held,
+        q_held,
+        lower,
+        upper,
+        lam,
+        toward or 0.0,
+    )
     trained = neural.train(network, training, generator)
     pk, qk = p / p.sum(), q / q.sum()
     g, value = trained.ratio, training.risk(trained.ratio, pk, qk)
@@ -184,23 +217,40 @@ def fit_rows(
     q_held = None if p_held is None else rows.spread(rows.sums(p_held)) * rows.weights
     sizes, places = (rows.n_states, rows.n_actions), _places(network, rows.n_states)
     training = neural.Training(
-        rows.transitions, sizes, places, p_train, q_train, p_held, q_held, 0.0, np.inf, program.curvature / rows.weights,
-        float(program.center[0]), rows,
-    )  # fmt: skip
+        rows.transitions,
+        sizes,
+        places,
+        p_train,
+        q_train,
+        p_held,
+        q_held,
+        0.0,
+        np.inf,
+        program.curvature / rows.weights,
+        float(program.center[0]),
+        rows,
+    )
     trained = neural.train(network, training, generator)
     best = dual.solve_rows(program, 0.0, np.inf, rows.indptr)
-    weighted = program._replace(p=p, q=share * rows.weights, curvature=share * program.curvature)
+    weighted = program._replace(
+        p=p, q=share * rows.weights, curvature=share * program.curvature
+    )
     least = dual.objective(best.ratio, weighted)
     excess = dual.objective(trained.ratio, weighted) - least
     details = {
         "trace": _trace(
-            trained, [dual.objective(each, weighted) for each in trained.checked], least, best.ratio, share > 0
+            trained,
+            [dual.objective(each, weighted) for each in trained.checked],
+            least,
+            best.ratio,
+            share > 0,
         ),
         "iterations": int(trained.iteration[-1]),
         "kept": trained.kept,
         "held_out_risk": trained.held_out,
     }
-    return trained.ratio, max(excess + float(rows.sums(p) @ best.gap), 0.0), details  # but for rounding
+    # but for rounding
+    return trained.ratio, max(excess + float(rows.sums(p) @ best.gap), 0.0), details
 
 
 def _require_neural() -> Any:
@@ -209,12 +259,15 @@ def _require_neural() -> Any:
         from oee_tabular.ratio import _neural
     except ImportError:
         raise ImportError(
-            "Network needs jax, equinox and optax, which are not installed; in a clone: pip install '.[neural]'"
+            "Network needs jax, equinox and optax, which are not installed; in a clone:"
+            " pip install '.[neural]'"
         ) from None
     return _neural
 
 
-def _trace(trained: Any, risks: list[float], least: float, ratio: Array, known: BoolArray) -> SgdTrace:
+def _trace(
+    trained: Any, risks: list[float], least: float, ratio: Array, known: BoolArray
+) -> SgdTrace:
     """Excess risk and error of each check against the optimum, ``least`` at ``ratio``; the error where something is known."""
     errors = [np.abs(each - ratio)[known].mean() for each in trained.checked]
     return SgdTrace(trained.iteration, np.array(risks) - least, np.array(errors))
@@ -226,20 +279,32 @@ def _places(network: Network, n_states: int) -> Array | None:
         return None
     places = check_layout(network.inputs, n_states, "inputs")
     spread = places.std(axis=0)
-    return np.asarray((places - places.mean(axis=0)) / np.where(spread > 0, spread, 1.0))
+    return np.asarray(
+        (places - places.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
+    )
 
 
-def _split(weights: Array, name: str, held_out: float, generator: np.random.Generator) -> tuple[Array, Array | None]:
+def _split(
+    weights: Array, name: str, held_out: float, generator: np.random.Generator
+) -> tuple[Array, Array | None]:
     """Shares to train on and to stop on. Probabilities (q of an exact simulator) are both, whole."""
     if held_out == 0.0:
         return weights / weights.sum(), None
     if (weights != np.round(weights)).any():
         if name == "q":
             return (weights / weights.sum(),) * 2
-        raise ValueError("held_out must be 0 if the log's transitions are weighted (discount) or are probabilities")
+        raise ValueError(
+            "held_out must be 0 if the log's transitions are weighted (discount) or are"
+            " probabilities"
+        )
     total = int(weights.sum())
     size = max(round(held_out * total), 1)
     if size >= total:
-        raise ValueError(f"held_out must leave transitions to train on; it keeps out {size} of {total}")
-    held = generator.multivariate_hypergeometric(weights.astype(np.int64), size, method="marginals").astype(np.float64)
+        raise ValueError(
+            f"held_out must leave transitions to train on; it keeps out {size} of"
+            f" {total}"
+        )
+    held = generator.multivariate_hypergeometric(
+        weights.astype(np.int64), size, method="marginals"
+    ).astype(np.float64)
     return (weights - held) / (total - size), held / size

@@ -22,7 +22,8 @@ from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.simulate.sampler import episodes_holding
 
-_LONGEST_EPISODE = 1000  # the paper's episodes, where the log does not say how long its own were
+# the paper's episodes, where the log does not say how long its own were
+_LONGEST_EPISODE = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,9 @@ class Quotient(Method):
     def __post_init__(self) -> None:
         _checks.boolean(self.normalized, "normalized")
         if not isinstance(self.solver, str | Sgd):
-            raise ValueError(f"solver must be a name or Sgd(...); got {_checks.show(self.solver)}")
+            raise ValueError(
+                f"solver must be a name or Sgd(...); got {_checks.show(self.solver)}"
+            )
         self._refuse_words(self.ridge)
         check_box(self.lower, self.upper, normalized=self.normalized)
         check_simulator_data(self.data)
@@ -97,19 +100,30 @@ class Quotient(Method):
         given = replace(given, seed=_checks.generator(given.seed))
         observed, rows = given.observed, given.rows
         expected = simulator_weights(given, self.data, self.behavior_policy)
-        moves = self._beta(observed, expected, (rows.spread(rows.number), rows.arrival), given)
-        pairs = self._beta(rows.sums(observed), rows.sums(expected), (rows.number,), given)
+        moves = self._beta(
+            observed, expected, (rows.spread(rows.number), rows.arrival), given
+        )
+        pairs = self._beta(
+            rows.sums(observed), rows.sums(expected), (rows.number,), given
+        )
         below = rows.spread(pairs.ratio)
         undetermined = ((observed == 0) & (expected == 0)) | (below == 0)
         if self.functions is not None:  # a network has a value everywhere
             undetermined[:] = False
-        zeta = np.where(undetermined, 1.0, moves.ratio / np.where(below > 0, below, 1.0))
-        lowest, highest = self.lower or 0.0, np.inf if self.upper is None else self.upper
+        zeta = np.where(
+            undetermined, 1.0, moves.ratio / np.where(below > 0, below, 1.0)
+        )
+        lowest, highest = (
+            self.lower or 0.0,
+            np.inf if self.upper is None else self.upper,
+        )
         details = {
             "lower": self.lower,
             "upper": self.upper,
             "undetermined_moves": int(undetermined.sum()),
-            "share_at_the_box": float(np.mean((moves.ratio <= lowest) | (moves.ratio >= highest))),
+            "share_at_the_box": float(
+                np.mean((moves.ratio <= lowest) | (moves.ratio >= highest))
+            ),
             "moves_only_in_log": int(((observed > 0) & (expected == 0)).sum()),
             "divergence_moves": moves.divergence,
             "divergence_pairs": pairs.divergence,
@@ -118,25 +132,49 @@ class Quotient(Method):
         gap = max(moves.gap, pairs.gap)
         return given.ratio(zeta, self._name, gap, details)
 
-    def _beta(self, p: Array, q: Array, cells: tuple[IntArray, ...], given: RatioInput) -> RatioFit:
+    def _beta(
+        self, p: Array, q: Array, cells: tuple[IntArray, ...], given: RatioInput
+    ) -> RatioFit:
         """Eq. 3.7 on the cells, whose columns are the row and, for moves, s'."""
         options: dict[str, Any] = {
-            "lower": self.lower, "upper": self.upper, "ridge": self.ridge, "toward": self.toward, "seed": given.seed
-        }  # fmt: skip
+            "lower": self.lower,
+            "upper": self.upper,
+            "ridge": self.ridge,
+            "toward": self.toward,
+            "seed": given.seed,
+        }
         if self.functions is None:
-            return density_ratio(p, q, normalized=self.normalized, solver=self.solver, **options)
+            return density_ratio(
+                p, q, normalized=self.normalized, solver=self.solver, **options
+            )
         n_actions = given.simulator.n_actions
         columns = (*np.divmod(cells[0], n_actions), *cells[1:])
-        return fit_network(self.functions, p, q, columns, (given.simulator.n_states, n_actions), **options)
+        return fit_network(
+            self.functions,
+            p,
+            q,
+            columns,
+            (given.simulator.n_states, n_actions),
+            **options,
+        )
 
 
 def check_simulator_data(value: object) -> None:
     """Transitions, "exact" or None."""
-    if not (value is None or isinstance(value, Transitions) or (isinstance(value, str) and value == "exact")):
-        raise ValueError(f"simulator_data must be Transitions, 'exact' or None; got {_checks.show(value)}")
+    if not (
+        value is None
+        or isinstance(value, Transitions)
+        or (isinstance(value, str) and value == "exact")
+    ):
+        raise ValueError(
+            "simulator_data must be Transitions, 'exact' or None; got"
+            f" {_checks.show(value)}"
+        )
 
 
-def simulator_weights(given: RatioInput, data: SimulatorData, behavior_policy: PolicyLike | None) -> Array:
+def simulator_weights(
+    given: RatioInput, data: SimulatorData, behavior_policy: PolicyLike | None
+) -> Array:
     """Counts or probabilities of the simulator's transitions, on its entries; weighted by discount^t where one is given.
 
     ``data`` and ``behavior_policy`` are a method's own; without them those that are given, without these the estimates.
@@ -146,24 +184,38 @@ def simulator_weights(given: RatioInput, data: SimulatorData, behavior_policy: P
     check_simulator_data(simulator_data)
     if isinstance(simulator_data, Transitions):
         numbered = simulator_data.numbered(simulator, "simulator_data")
-        counts = numbered.counts(simulator.n_states, simulator.n_actions, discount=discount)
+        counts = numbered.counts(
+            simulator.n_states, simulator.n_actions, discount=discount
+        )
         return aligned_counts(counts, simulator)
     if behavior_policy is not None:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
     elif given.behavior_policy is not None:
         behavior = given.behavior_policy
-    else:  # the share of each action in the counts of its state; uniform in states without counts
-        pairs = given.rows.sums(observed).reshape(simulator.n_states, simulator.n_actions)
+    else:
+        # the share of each action in the counts of its state; uniform in states without
+        # counts
+        pairs = given.rows.sums(observed).reshape(
+            simulator.n_states, simulator.n_actions
+        )
         total = pairs.sum(axis=1, keepdims=True)
-        behavior = np.where(total > 0, pairs / np.maximum(total, 1e-300), 1.0 / simulator.n_actions)
+        behavior = np.where(
+            total > 0, pairs / np.maximum(total, 1e-300), 1.0 / simulator.n_actions
+        )
     timestep = None if given.log is None else given.log.timestep
     steps = _LONGEST_EPISODE if timestep is None else int(timestep.max()) + 1
     if simulator_data is not None:
         weighted = simulator.with_discount(1.0 if discount is None else discount)
         share = occupancy(weighted, behavior, horizon=steps, of="transition")
         over = given.rows.spread(simulator.absorbing()[given.rows.state])
-        return np.where(over, 0.0, share.data) if not over.all() else share.data  # logs stop where an episode is over
+        # logs stop where an episode is over
+        return np.where(over, 0.0, share.data) if not over.all() else share.data
     n = max(round(float(observed.sum())), 1) if given.log is None else len(given.log)
     generator = _checks.generator(given.seed)
-    drawn = episodes_holding(simulator, behavior, n, steps, seed=generator).draw(n, seed=generator)
-    return aligned_counts(drawn.counts(simulator.n_states, simulator.n_actions, discount=discount), simulator)
+    drawn = episodes_holding(simulator, behavior, n, steps, seed=generator).draw(
+        n, seed=generator
+    )
+    return aligned_counts(
+        drawn.counts(simulator.n_states, simulator.n_actions, discount=discount),
+        simulator,
+    )

@@ -13,7 +13,14 @@ from scipy import sparse
 from oee_tabular import _checks, _printing
 from oee_tabular._checks import Array, BoolArray
 from oee_tabular._parallel import one_thread
-from oee_tabular._sparse import align, canonical, check_csr, csr_on_pattern, row_of_entry, row_sums
+from oee_tabular._sparse import (
+    align,
+    canonical,
+    check_csr,
+    csr_on_pattern,
+    row_of_entry,
+    row_sums,
+)
 from oee_tabular.exact.system import exponent
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
@@ -59,34 +66,47 @@ class TransitionRatio:
     def __repr__(self) -> str:
         data = self.values.data
         return (
-            f"TransitionRatio({self.method}: {len(data)} values from {data.min():.4g} to {data.max():.4g}, "
-            f"{int(self.visited.sum())} of {self.visited.size} pairs recorded, gap {self.gap:.1e}, "
-            f"row-sum error {self.row_sum_error:.1e})"
+            f"TransitionRatio({self.method}: {len(data)} values from {data.min():.4g}"
+            f" to {data.max():.4g}, {int(self.visited.sum())} of {self.visited.size}"
+            f" pairs recorded, gap {self.gap:.1e}, row-sum error"
+            f" {self.row_sum_error:.1e})"
         )
 
     def _repr_html_(self) -> str:
         data = self.values.data
         rows = [
-            ("method", self.method), ("values", f"{len(data)}, from {data.min():.4g} to {data.max():.4g}"),
-            ("pairs recorded", f"{int(self.visited.sum())} of {self.visited.size}"), ("largest gap (nats)", f"{self.gap:.1e}"),
+            ("method", self.method),
+            ("values", f"{len(data)}, from {data.min():.4g} to {data.max():.4g}"),
+            ("pairs recorded", f"{int(self.visited.sum())} of {self.visited.size}"),
+            ("largest gap (nats)", f"{self.gap:.1e}"),
             ("row-sum error", f"{self.row_sum_error:.1e}"),
-        ]  # fmt: skip
-        return _printing.facts("TransitionRatio: P_target / P_simulator, without unit", rows)
+        ]
+        return _printing.facts(
+            "TransitionRatio: P_target / P_simulator, without unit", rows
+        )
 
     def on(self, simulator: FiniteMDP) -> Array:
         """The values on the entries of ``simulator.transitions``; ValueError where they are another simulator's."""
         _checks.instance(simulator, FiniteMDP, "simulator")
         if self.values.shape != simulator.transitions.shape:
             raise ValueError(
-                f"ratio must be for {simulator.transitions.shape} rows and states; it is for {self.values.shape}, "
-                "another simulator's"
+                f"ratio must be for {simulator.transitions.shape} rows and states; it"
+                f" is for {self.values.shape}, another simulator's"
             )
-        zeta, stored = align(canonical(check_csr(self.values, "ratio"), drop_zeros=False), simulator.transitions)
+        zeta, stored = align(
+            canonical(check_csr(self.values, "ratio"), drop_zeros=False),
+            simulator.transitions,
+        )
         if not stored.all() or self.values.nnz != simulator.transitions.nnz:
-            raise ValueError("ratio must have the support of this simulator's transitions; it is another simulator's")
+            raise ValueError(
+                "ratio must have the support of this simulator's transitions; it is"
+                " another simulator's"
+            )
         return zeta
 
-    def target_model(self, simulator: FiniteMDP, *, normalize: bool = False) -> FiniteMDP:
+    def target_model(
+        self, simulator: FiniteMDP, *, normalize: bool = False
+    ) -> FiniteMDP:
         """zeta * P as a FiniteMDP.
 
         Raises ValueError where its rows do not sum to 1 (the paper's quotient), unless ``normalize`` divides them.
@@ -99,8 +119,10 @@ class TransitionRatio:
             data = data / sums[row_of_entry(simulator.transitions)]
         elif np.abs(sums - 1.0).max() > _checks.SUM_TOLERANCE:
             raise ValueError(
-                f"rows of zeta * P must sum to 1; they sum to {sums.min():.4g} to {sums.max():.4g} (method {self.method!r} "
-                "does not make them; normalize=True divides each row, exact.reweight keeps them as they are)"
+                f"rows of zeta * P must sum to 1; they sum to {sums.min():.4g} to"
+                f" {sums.max():.4g} (method {self.method!r} does not make them;"
+                " normalize=True divides each row, exact.reweight keeps them as they"
+                " are)"
             )
         return simulator.with_transitions(csr_on_pattern(simulator.transitions, data))
 
@@ -109,7 +131,8 @@ class TransitionRatio:
         self.on(simulator)  # or an error
         if self._influence is None:
             raise ValueError(
-                f"a ratio of method {self.method!r} has no maximum-likelihood model: it keeps no frequencies"
+                f"a ratio of method {self.method!r} has no maximum-likelihood model: it"
+                " keeps no frequencies"
             )
         rows = self._influence.maximum_likelihood_rows()
         return simulator.with_transitions(csr_on_pattern(simulator.transitions, rows))
@@ -117,7 +140,11 @@ class TransitionRatio:
     @property
     def maximum_likelihood_rows(self) -> Array | None:
         """(entries,) the rows of ``maximum_likelihood_model``; None where no log is known."""
-        return None if self._influence is None else self._influence.maximum_likelihood_rows()
+        return (
+            None
+            if self._influence is None
+            else self._influence.maximum_likelihood_rows()
+        )
 
     @property
     def finite(self) -> bool:
@@ -139,7 +166,11 @@ class TransitionRatio:
         The error that a wrong prior makes is not in it. None where no formula is known.
         """
         scaled, shift = self._scale(gradient)
-        return None if self._influence is None else float(np.ldexp(self._influence.standard_error(scaled), shift))
+        return (
+            None
+            if self._influence is None
+            else float(np.ldexp(self._influence.standard_error(scaled), shift))
+        )
 
     @one_thread
     def one_step(self, gradient: Array) -> OneStep | None:
@@ -152,7 +183,12 @@ class TransitionRatio:
         scaled, shift = self._scale(gradient)
         if self._influence is None:
             return None
-        return OneStep(*(float(np.ldexp(part, shift)) for part in astuple(self._influence.one_step(scaled))))
+        return OneStep(
+            *(
+                float(np.ldexp(part, shift))
+                for part in astuple(self._influence.one_step(scaled))
+            )
+        )
 
     def _scale(self, gradient: ArrayLike) -> tuple[Array, int]:
         """A checked gradient divided by the power of two 2^shift that makes its squares numbers, and shift."""
@@ -160,7 +196,8 @@ class TransitionRatio:
         _checks.require_finite(array, "gradient")
         if len(array) != self.values.nnz:
             raise ValueError(
-                f"gradient must have an entry for each of the {self.values.nnz} transitions; it has {len(array)}"
+                f"gradient must have an entry for each of the {self.values.nnz}"
+                f" transitions; it has {len(array)}"
             )
         shift = exponent(array)
         return array if shift == 0 else np.ldexp(array, -shift), shift
@@ -223,18 +260,30 @@ class Influence:
         total, step = 0.0, None
         if self.scores is not None:
             assert self.information is not None
-            free = self._by_probability(gradient, self.rows) * self.rows.spread(1.0 - self.share)
-            step = np.linalg.lstsq(self.information, (free * self.ratio * self.rows.weights) @ self.scores)[0]
+            free = self._by_probability(gradient, self.rows) * self.rows.spread(
+                1.0 - self.share
+            )
+            step = np.linalg.lstsq(
+                self.information, (free * self.ratio * self.rows.weights) @ self.scores
+            )[0]
         for rows in self.rows.select(self.n > 0).blocks():
             n = self.n[rows.number]
-            psi = rows.spread(self.share[rows.number] / n) * self._by_probability(gradient, rows)
+            psi = rows.spread(self.share[rows.number] / n) * self._by_probability(
+                gradient, rows
+            )
             if step is not None and self.scores is not None:
                 psi += self.scores[rows.entries] @ step
-            total += float(np.sum(n * rows.variance(rows.frequencies(self.counts[rows.entries]), psi)))
+            total += float(
+                np.sum(
+                    n * rows.variance(rows.frequencies(self.counts[rows.entries]), psi)
+                )
+            )
         if self.tilt is not None:
             pull: Any = 0.0
             for rows in self.rows.blocks():
-                free = rows.spread(1.0 - self.share[rows.number]) * self._by_probability(gradient, rows)
+                free = rows.spread(
+                    1.0 - self.share[rows.number]
+                ) * self._by_probability(gradient, rows)
                 pull = pull + self.tilt.pull(rows, free * self.tilt.at(rows))
             total += self.tilt.variance(pull)
         return float(np.sqrt(total))
@@ -250,21 +299,40 @@ class Influence:
         """See ``TransitionRatio.one_step``; the variances of a row are those under zeta P, the prior taken as given."""
         variance, change = np.empty(len(self.rows)), 0.0
         for rows in self.rows.blocks():
-            kernel, slope = self.ratio[rows.entries] * rows.weights, gradient[rows.entries]
+            kernel, slope = (
+                self.ratio[rows.entries] * rows.weights,
+                gradient[rows.entries],
+            )
             variance[rows.number] = rows.variance(kernel, slope)
             seen = rows.spread(self.n[rows.number] > 0)
-            change += float(slope[seen] @ (rows.frequencies(self.counts[rows.entries]) - kernel)[seen])
+            change += float(
+                slope[seen]
+                @ (rows.frequencies(self.counts[rows.entries]) - kernel)[seen]
+            )
         visited = self.n > 0
         each = np.where(visited, variance / np.maximum(self.n, 1.0), 0.0)
-        squares = each.sum(), variance[~visited].sum(), np.sum((1.0 - self.share) ** 2 * each)
+        squares = (
+            each.sum(),
+            variance[~visited].sum(),
+            np.sum((1.0 - self.share) ** 2 * each),
+        )
         return OneStep(change, *(float(np.sqrt(x)) for x in squares))
 
     def _by_probability(self, gradient: Array, rows: Rows) -> Array:
         """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q dg = 0 in each of the rows."""
-        q, zeta, curvature = rows.weights, self.ratio[rows.entries], self.curvature[rows.entries]
+        q, zeta, curvature = (
+            rows.weights,
+            self.ratio[rows.entries],
+            self.curvature[rows.entries],
+        )
         soft = np.divide(1.0, curvature, out=np.zeros_like(q), where=curvature > 0)
         pull = gradient[rows.entries] * q
-        slope, scale = rows.spread(rows.sums(pull * q * soft)), rows.spread(rows.sums(q * q * soft))
+        slope, scale = (
+            rows.spread(rows.sums(pull * q * soft)),
+            rows.spread(rows.sums(q * q * soft)),
+        )
         mean = np.divide(slope, scale, out=np.zeros_like(slope), where=scale > 0)
-        moved: Array = np.divide((pull - q * mean) * soft, zeta, out=np.zeros_like(q), where=zeta > 0)
+        moved: Array = np.divide(
+            (pull - q * mean) * soft, zeta, out=np.zeros_like(q), where=zeta > 0
+        )
         return moved

@@ -68,7 +68,9 @@ class SgdTrace:
     error: Array
 
 
-def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd, seed: Seed) -> tuple[Array, SgdTrace]:
+def descend(
+    program: dual.Coordinates, lower: float, upper: float, options: Sgd, seed: Seed
+) -> tuple[Array, SgdTrace]:
     """g after all iterations, from g = 1, and its trace at about fifty of them, even in the logarithm of the iteration.
 
     ``program`` is that of the KL risk; 0 < lower, upper finite.
@@ -76,15 +78,21 @@ def descend(program: dual.Coordinates, lower: float, upper: float, options: Sgd,
     best = dual.solve_free(program, lower, upper)
     optimum, generator = dual.objective(best, program), _checks.generator(seed)
     sums = np.cumsum(program.p), np.cumsum(program.q)
-    checks = np.unique(np.round(np.geomspace(1, options.n_iterations, 50)).astype(np.int64))
+    checks = np.unique(
+        np.round(np.geomspace(1, options.n_iterations, 50)).astype(np.int64)
+    )
     trace: list[tuple[float, float]] = []
     g = np.full(len(program.p), min(max(1.0, lower), upper))
     for iteration in range(1, options.n_iterations + 1):
-        from_p, from_q = (_draw_shares(each, options.batch_size, generator) for each in sums)
+        from_p, from_q = (
+            _draw_shares(each, options.batch_size, generator) for each in sums
+        )
         slope = from_q - from_p / g + program.curvature * (g - program.center)
         g = np.clip(g - options.step_size * slope, lower, upper)
         if iteration == checks[len(trace)]:
-            trace.append((dual.objective(g, program) - optimum, float(np.abs(g - best).mean())))
+            trace.append(
+                (dual.objective(g, program) - optimum, float(np.abs(g - best).mean()))
+            )
     excess, error = np.array(trace).T
     return g, SgdTrace(checks, excess, error)
 

@@ -15,7 +15,8 @@ from scipy import sparse
 from oee_tabular._checks import Array, IntArray, show
 from oee_tabular.ratio.dual import Coordinates
 
-# Clarabel is asked for the tightest of these that it can call "optimal"; 1e-8, its default, leaves ratios off by 1e-4
+# Clarabel is asked for the tightest of these that it can call "optimal"; 1e-8, its
+# default, leaves ratios off by 1e-4
 TOLERANCES = (1e-12, 1e-10, 1e-8)
 SMALLEST = np.finfo(float).tiny  # the least g that has a logarithm
 
@@ -84,7 +85,12 @@ class TiltProgram(NamedTuple):
 
 
 def solve_rows(
-    program: Coordinates, lower: float, upper: float, indptr: IntArray | None, *, solver: str = "CLARABEL"
+    program: Coordinates,
+    lower: float,
+    upper: float,
+    indptr: IntArray | None,
+    *,
+    solver: str = "CLARABEL",
 ) -> tuple[Array, Array]:
     """minimise sum q g - p log g + A/2 (g - c)^2 over the box, with sum q g = sum q in each row (indptr None: free).
 
@@ -103,7 +109,9 @@ def solve_rows(
     cost = (-p if program.squares else q) @ g
     if seen.size:
         cost = cost - p[seen] @ cp.log(g[seen])
-    for weight, center in [(curvature, program.center)] + [(q, np.zeros(len(q)))] * program.squares:
+    for weight, center in [(curvature, program.center)] + [
+        (q, np.zeros(len(q)))
+    ] * program.squares:
         curved = np.flatnonzero(weight > 0)
         if curved.size:
             height = cp.Variable(curved.size)
@@ -122,7 +130,10 @@ def solve_rows(
 
 def _sums_over_rows(weights: Array, indptr: IntArray) -> sparse.csr_array:
     """The matrix that takes (entries,) values to their weighted sums over the rows."""
-    return sparse.csr_array((weights, np.arange(len(weights)), indptr), shape=(len(indptr) - 1, len(weights)))
+    return sparse.csr_array(
+        (weights, np.arange(len(weights)), indptr),
+        shape=(len(indptr) - 1, len(weights)),
+    )
 
 
 def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoint:
@@ -137,7 +148,9 @@ def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoin
     for weights, variable in ((program.p, moves), (program.s, pairs)):
         seen = np.flatnonzero(weights > 0)
         cost = cost - weights[seen] @ cp.log(variable[seen])
-        constraints += [variable >= program.nu] + [variable <= program.mu] * (program.mu < np.inf)
+        constraints += [variable >= program.nu] + [variable <= program.mu] * (
+            program.mu < np.inf
+        )
         if program.lam > 0:
             height = cp.Variable(len(weights))
             constraints.append(cp.square(variable) <= height)
@@ -145,10 +158,19 @@ def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoin
     at_entry = pairs[np.repeat(np.arange(len(program.s)), np.diff(program.indptr))]
     below = [moves >= program.ratio_lower * at_entry] * (program.ratio_lower > 0)
     above = [moves <= program.ratio_upper * at_entry] * (program.ratio_upper < np.inf)
-    _require_optimal(run(cp.Problem(cp.Minimize(cost), constraints + below + above), solver), solver)
-    ratios = [np.clip(variable.value, max(program.nu, SMALLEST), program.mu) for variable in (moves, pairs)]
+    _require_optimal(
+        run(cp.Problem(cp.Minimize(cost), constraints + below + above), solver), solver
+    )
+    ratios = [
+        np.clip(variable.value, max(program.nu, SMALLEST), program.mu)
+        for variable in (moves, pairs)
+    ]
     eta, xi = (
-        np.maximum(np.ravel(bound[0].dual_value), 0.0) if bound else np.zeros(len(program.q))
+        (
+            np.maximum(np.ravel(bound[0].dual_value), 0.0)
+            if bound
+            else np.zeros(len(program.q))
+        )
         for bound in (below, above)
     )
     return JointPoint(ratios[0], ratios[1], np.ravel(consistency.dual_value), eta, xi)
@@ -168,12 +190,23 @@ def solve_linear(
     p, q = program.p, program.q
     g, weights = cp.Variable(len(p)), cp.Variable(program.features.shape[1])
     tie, one = g == program.offset + program.features @ weights, q @ g == 1
-    bounds = [g >= program.lower] + [g <= program.upper] * (program.upper < np.inf) + [one] * program.normalized
+    bounds = (
+        [g >= program.lower]
+        + [g <= program.upper] * (program.upper < np.inf)
+        + [one] * program.normalized
+    )
     seen = np.flatnonzero(p > 0)
-    cost = q @ g - p[seen] @ cp.log(g[seen]) + 0.5 * program.penalty * cp.sum_squares(weights)
+    cost = (
+        q @ g
+        - p[seen] @ cp.log(g[seen])
+        + 0.5 * program.penalty * cp.sum_squares(weights)
+    )
     problem = cp.Problem(cp.Minimize(cost), [tie, *bounds])
     if solver == "CLARABEL":
-        settings = clarabel_options(TOLERANCES[0]) | {"equilibrate_enable": False, "max_step_fraction": step_fraction}
+        settings = clarabel_options(TOLERANCES[0]) | {
+            "equilibrate_enable": False,
+            "max_step_fraction": step_fraction,
+        }
         status = _attempt(problem, solver, settings)
     else:
         status = _attempt(problem, solver, {})
@@ -194,8 +227,13 @@ def nearest_miss(program: LinearProgram) -> float:
 
     weights, miss = cp.Variable(program.features.shape[1]), cp.Variable()
     g = program.offset + program.features @ weights
-    bounds = [miss >= -1, g >= program.lower - miss] + [program.q @ g == 1] * program.normalized
-    problem = cp.Problem(cp.Minimize(miss), bounds + [g <= program.upper + miss] * (program.upper < np.inf))
+    bounds = [miss >= -1, g >= program.lower - miss] + [
+        program.q @ g == 1
+    ] * program.normalized
+    problem = cp.Problem(
+        cp.Minimize(miss),
+        bounds + [g <= program.upper + miss] * (program.upper < np.inf),
+    )
     return float(miss.value) if run(problem, "CLARABEL") == "optimal" else np.inf
 
 
@@ -224,7 +262,9 @@ def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
 def run(problem: Any, solver: str, tolerances: tuple[float, ...] = TOLERANCES) -> str:
     """Solve, Clarabel at falling demands; the status that was reached (a failure is one)."""
     status = "failed"
-    for options in [clarabel_options(t) for t in tolerances] if solver == "CLARABEL" else [{}]:
+    for options in (
+        [clarabel_options(t) for t in tolerances] if solver == "CLARABEL" else [{}]
+    ):
         status = _attempt(problem, solver, options)
         if status == "optimal":
             break
@@ -237,7 +277,8 @@ def _attempt(problem: Any, solver: str, options: dict[str, Any]) -> str:
 
     if solver not in cp.installed_solvers():
         raise ValueError(
-            f"solver must be 'dual' or one of {', '.join(sorted(cp.installed_solvers()))}; got {show(solver)}"
+            "solver must be 'dual' or one of"
+            f" {', '.join(sorted(cp.installed_solvers()))}; got {show(solver)}"
         )
     try:
         with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
@@ -252,5 +293,6 @@ def _require_optimal(status: str, solver: str) -> None:
     """SolverStatusError for any other status."""
     if status != "optimal":
         raise SolverStatusError(
-            f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not used (use solver='dual')"
+            f"{solver} ended with status {status!r}, not 'optimal'; its numbers are not"
+            " used (use solver='dual')"
         )

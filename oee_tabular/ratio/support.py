@@ -20,7 +20,9 @@ LEAST_PROBABILITY = 1e-300  # of a smaller one a ratio overflows
 LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1
 
 
-def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: str = "log") -> None:
+def refuse_unsupported(
+    moves: sparse.csr_array, simulator: FiniteMDP, *, what: str = "log"
+) -> None:
     """Raise a ValueError if ``moves`` leave the simulator's support.
 
     Parameters
@@ -51,43 +53,82 @@ def refuse_unsupported(moves: sparse.csr_array, simulator: FiniteMDP, *, what: s
     if bad.size == 0:
         return
     heaviest = bad[np.argsort(-moves.data[bad], kind="stable")][:4]
-    names = [name_transition(moves, int(k), simulator.n_actions, simulator.names) for k in heaviest]
-    named = "; ".join(f"{name} ({moves.data[k]:g})" for name, k in zip(names, heaviest, strict=True))
+    names = [
+        name_transition(moves, int(k), simulator.n_actions, simulator.names)
+        for k in heaviest
+    ]
+    named = "; ".join(
+        f"{name} ({moves.data[k]:g})" for name, k in zip(names, heaviest, strict=True)
+    )
     share = moves.data[bad].sum()
-    faint = f"0 or below {LEAST_PROBABILITY:g}" if align(simulator.transitions, moves)[0][bad].any() else "0"
+    faint = (
+        f"0 or below {LEAST_PROBABILITY:g}"
+        if align(simulator.transitions, moves)[0][bad].any()
+        else "0"
+    )
     raise ValueError(
-        f"{what} must stay in the simulator's support: the simulator gives probability {faint} to {bad.size} of its "
-        f"transitions ({share:g} of {moves.data.sum():g} with repetitions): {named}{', ...' * (bad.size > 4)}. "
+        f"{what} must stay in the simulator's support: the simulator gives probability"
+        f" {faint} to {bad.size} of its transitions ({share:g} of {moves.data.sum():g}"
+        f" with repetitions): {named}{', ...' * (bad.size > 4)}. "
         + _suggest_remedies(moves, bad, simulator)
     )
 
 
 def _suggest_remedies(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -> str:
     """Say what would give these transitions probability."""
-    n_actions, rows, to = simulator.n_actions, row_of_entry(moves), moves.indices.astype(np.int64)
+    n_actions, rows, to = (
+        simulator.n_actions,
+        row_of_entry(moves),
+        moves.indices.astype(np.int64),
+    )
     start, action = np.divmod(rows, n_actions)
-    if min(start.min(), to.min()) >= 1 and find(simulator.transitions, rows - n_actions, to - 1)[1].all():
-        return "With 1 subtracted from every state all transitions are possible: states are numbered from 0"
-    someone = np.zeros(len(rows), dtype=np.bool_)  # whether any action of the state leads there
+    if (
+        min(start.min(), to.min()) >= 1
+        and find(simulator.transitions, rows - n_actions, to - 1)[1].all()
+    ):
+        return (
+            "With 1 subtracted from every state all transitions are possible: states"
+            " are numbered from 0"
+        )
+    # whether any action of the state leads there
+    someone = np.zeros(len(rows), dtype=np.bool_)
     for a in range(n_actions):
         someone |= find(simulator.transitions, start * n_actions + a, to)[1]
     ways = [
-        "simulator.with_support_of(log, epsilon) (--impossible allow=0.01) gives each of them some probability",
-        'Problem(..., impossible="drop") (--impossible drop) leaves them out, and intervals let them lead anywhere',
-        "use a mixture of simulator parameters, or states that distinguish such transitions",
+        (
+            "simulator.with_support_of(log, epsilon) (--impossible allow=0.01) gives"
+            " each of them some probability"
+        ),
+        (
+            'Problem(..., impossible="drop") (--impossible drop) leaves them out, and'
+            " intervals let them lead anywhere"
+        ),
+        (
+            "use a mixture of simulator parameters, or states that distinguish such"
+            " transitions"
+        ),
     ]
     if someone[bad].all():
-        return _number(["simulator.with_action_noise(epsilon) (--action-noise) makes them possible", *ways])
+        return _number(
+            [
+                "simulator.with_action_noise(epsilon) (--action-noise) makes them possible",
+                *ways,
+            ]
+        )
     k = int(bad[~someone[bad]][np.argmax(moves.data[bad[~someone[bad]]])])
     s, a, j = int(start[k]), int(action[k]), int(to[k])
     could = int(someone[bad].sum())
     here, there = simulator.names.state(s), simulator.names.state(j)
     return (
-        f"No action leads from {here} to {there} in the simulator, so action noise does not help"
+        f"No action leads from {here} to {there} in the simulator, so action noise does"
+        " not help"
         + (f" (it does for {could} of the {bad.size}). " if could else ". ")
         + _number(
             [
-                f"if the target can do this, give it probability: P[{s}, {a}] *= 0.99; P[{s}, {a}, {j}] += 0.01",
+                (
+                    f"if the target can do this, give it probability: P[{s}, {a}] *= 0.99;"
+                    f" P[{s}, {a}, {j}] += 0.01"
+                ),
                 "if the log is wrong, remove these transitions from it",
                 *ways,
             ]
@@ -96,7 +137,10 @@ def _suggest_remedies(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -
 
 
 def _number(ways: list[str]) -> str:
-    return f"Fix one of these: {'; '.join(f'({k}) {way}' for k, way in enumerate(ways, 1))}"
+    return (
+        "Fix one of these:"
+        f" {'; '.join(f'({k}) {way}' for k, way in enumerate(ways, 1))}"
+    )
 
 
 def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
@@ -121,20 +165,25 @@ def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
     return float(moves.data[~possible].sum() / total)
 
 
-def _possible(moves: Any, simulator: FiniteMDP, name: str = "moves") -> tuple[sparse.csr_array, _checks.BoolArray]:
+def _possible(
+    moves: Any, simulator: FiniteMDP, name: str = "moves"
+) -> tuple[sparse.csr_array, _checks.BoolArray]:
     """The transitions as csr, and which of them have a probability in the simulator that a ratio can be taken of."""
     _checks.instance(simulator, FiniteMDP, "simulator")
     matrix = simulator.transitions
     if not sparse.issparse(moves) or moves.shape != matrix.shape:
         raise ValueError(
-            f"{name} must be sparse of shape {matrix.shape}; got {getattr(moves, 'shape', type(moves).__name__)}"
+            f"{name} must be sparse of shape {matrix.shape}; got"
+            f" {getattr(moves, 'shape', type(moves).__name__)}"
         )
     rows = check_csr(moves, name)
     position, stored = find(matrix, row_of_entry(rows), rows.indices.astype(np.int64))
     return rows, stored & (matrix.data[position] >= LEAST_PROBABILITY)
 
 
-def without_impossible(counts: sparse.csr_array, simulator: FiniteMDP) -> tuple[sparse.csr_array, Array]:
+def without_impossible(
+    counts: sparse.csr_array, simulator: FiniteMDP
+) -> tuple[sparse.csr_array, Array]:
     """Canonical counts without transitions of simulator probability 0, and (S*A,) how many those were.
 
     Examples
@@ -145,9 +194,13 @@ def without_impossible(counts: sparse.csr_array, simulator: FiniteMDP) -> tuple[
     ([[2.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]], [3.0, 0.0, 0.0])
     """
     moves, possible = _possible(counts, simulator, "counts")
-    kept = sparse.csr_array((np.where(possible, moves.data, 0.0), moves.indices, moves.indptr), moves.shape)
+    kept = sparse.csr_array(
+        (np.where(possible, moves.data, 0.0), moves.indices, moves.indptr), moves.shape
+    )
     rows = row_of_entry(moves)[~possible]
-    dropped = np.bincount(rows, moves.data[~possible], counts.shape[0]).astype(np.float64)
+    dropped = np.bincount(rows, moves.data[~possible], counts.shape[0]).astype(
+        np.float64
+    )
     return canonical(kept, drop_zeros=True), dropped
 
 
@@ -155,18 +208,28 @@ def checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
     """Counts as a canonical csr of the simulator's shape; errors for shape, sign and size that name the place."""
     shape = simulator.transitions.shape
     if not sparse.issparse(counts):
-        raise ValueError(f"counts must be sparse, of shape {shape}; got {type(counts).__name__}")
+        raise ValueError(
+            f"counts must be sparse, of shape {shape}; got {type(counts).__name__}"
+        )
     if counts.shape != shape:
-        raise ValueError(f"counts must have shape {shape} (row s*A + a, column s'); they have shape {counts.shape}")
+        raise ValueError(
+            f"counts must have shape {shape} (row s*A + a, column s'); they have shape"
+            f" {counts.shape}"
+        )
     if counts.dtype.kind not in "fiub":
         raise ValueError(f"counts must be real numbers; they are {counts.dtype}")
     matrix = canonical(check_csr(counts, "counts"), drop_zeros=True)
     is_count = np.isfinite(matrix.data) & (matrix.data >= 0)
-    for fine, rule in ((is_count, "finite and nonnegative"), (matrix.data <= LARGEST_COUNT, "at most 2**53")):
+    for fine, rule in (
+        (is_count, "finite and nonnegative"),
+        (matrix.data <= LARGEST_COUNT, "at most 2**53"),
+    ):
         if not fine.all():
             k = int(np.flatnonzero(~fine)[0])
             where = name_transition(matrix, k, simulator.n_actions, simulator.names)
-            raise ValueError(f"counts must be {rule}; at {where} there is {matrix.data[k]:g}")
+            raise ValueError(
+                f"counts must be {rule}; at {where} there is {matrix.data[k]:g}"
+            )
     return matrix
 
 
@@ -178,7 +241,10 @@ def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
 def supported_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
     """The same of canonical counts: errors for support alone."""
     values, stored = align(counts, simulator.transitions)
-    if np.count_nonzero(stored) < counts.nnz or (simulator.transitions.data[values > 0] < LEAST_PROBABILITY).any():
+    if (
+        np.count_nonzero(stored) < counts.nnz
+        or (simulator.transitions.data[values > 0] < LEAST_PROBABILITY).any()
+    ):
         refuse_unsupported(counts, simulator)
     return values
 
@@ -189,8 +255,8 @@ def require_pair(target: object, simulator: object) -> None:
     second = _checks.instance(simulator, FiniteMDP, "simulator").transitions
     if first.shape != second.shape:
         raise ValueError(
-            f"target and simulator must have the same states and actions; their transitions have shapes "
-            f"{first.shape} and {second.shape}"
+            "target and simulator must have the same states and actions; their"
+            f" transitions have shapes {first.shape} and {second.shape}"
         )
 
 
@@ -226,15 +292,22 @@ class Assumptions:
 
     def __str__(self) -> str:
         box = "holds" if self.box_contains_one else "fails"
-        inside = "holds" if self.inside else f"fails ({self.below} entries below, {self.above} above)"
+        inside = (
+            "holds"
+            if self.inside
+            else f"fails ({self.below} entries below, {self.above} above)"
+        )
         support = "holds" if self.supported else f"fails at {self.unsupported} entries"
         return (
-            f"nu < 1 < mu: {box}; nu <= p/q <= mu: {inside}, p/q from {self.smallest:.4g} to {self.largest:.4g}; support: "
-            f"{support}; D_inf = {self.renyi_infinity:.4g}"
+            f"nu < 1 < mu: {box}; nu <= p/q <= mu: {inside}, p/q from"
+            f" {self.smallest:.4g} to {self.largest:.4g}; support: {support}; D_inf ="
+            f" {self.renyi_infinity:.4g}"
         )
 
 
-def check_assumptions(p: ArrayLike, q: ArrayLike, *, lower: float, upper: float) -> Assumptions:
+def check_assumptions(
+    p: ArrayLike, q: ArrayLike, *, lower: float, upper: float
+) -> Assumptions:
     """Check assumptions V.1 and V.2 for the distributions p, q (counts are scaled) and the box [lower, upper].
 
     Parameters
@@ -251,7 +324,9 @@ def check_assumptions(p: ArrayLike, q: ArrayLike, *, lower: float, upper: float)
     nu = _checks.number_in(lower, "lower", 0.0, np.inf)
     mu = _checks.number_in(upper, "upper", 0.0, np.inf, infinite=True)
     ratio = ps[qs > 0] / qs[qs > 0]
-    unsupported, below, above = (int(np.sum(x)) for x in ((qs == 0) & (ps > 0), ratio < nu, ratio > mu))
+    unsupported, below, above = (
+        int(np.sum(x)) for x in ((qs == 0) & (ps > 0), ratio < nu, ratio > mu)
+    )
     return Assumptions(
         box_contains_one=nu < 1.0 < mu,
         inside=below == above == 0,

@@ -80,19 +80,32 @@ class Tied(Method):
 
     def __post_init__(self) -> None:
         if self.tie is None:
-            raise ValueError("tie must be given with method 'tied': a key for each entry, or a function of (s, a, s')")
+            raise ValueError(
+                "tie must be given with method 'tied': a key for each entry, or a"
+                " function of (s, a, s')"
+            )
         if isinstance(self.strength, str):
-            raise ValueError(f"strength must be a number with method 'tied'; got {_checks.show(self.strength)}")
+            raise ValueError(
+                "strength must be a number with method 'tied'; got"
+                f" {_checks.show(self.strength)}"
+            )
         _checks.number_in(self.strength, "strength", 0.0, np.inf)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
-        observed, simulator, kappa = given.observed, given.simulator, float(self.strength)
+        observed, simulator, kappa = (
+            given.observed,
+            given.simulator,
+            float(self.strength),
+        )
         matrix, rows = simulator.transitions, given.rows
         keys = tie_keys(self.tie, rows, simulator)
         visits = rows.sums(observed)
         expected = rows.spread(visits) * matrix.data
         n_keys = int(keys.max()) + 1
-        seen, foreseen = np.bincount(keys, observed, n_keys), np.bincount(keys, expected, n_keys)
+        seen, foreseen = (
+            np.bincount(keys, observed, n_keys),
+            np.bincount(keys, expected, n_keys),
+        )
         n_groups, group = _groups(rows, keys, n_keys)
         known = np.flatnonzero(foreseen > 0)
         known = known[np.argsort(group[known], kind="stable")]
@@ -109,8 +122,9 @@ class Tied(Method):
         if empty.size:
             s, a = divmod(int(empty[0]), simulator.n_actions)
             raise ValueError(
-                f"strength must be positive here: no key of row ({simulator.names.pair(s, a)}) was recorded, and zeta * P "
-                f"would have no mass there ({empty.size} such rows in all); it is {kappa:g}"
+                "strength must be positive here: no key of row"
+                f" ({simulator.names.pair(s, a)}) was recorded, and zeta * P would have"
+                f" no mass there ({empty.size} such rows in all); it is {kappa:g}"
             )
         zeta = zeta / rows.spread(sums)
         used = sums[visits > 0] if (visits > 0).any() else sums
@@ -121,7 +135,9 @@ class Tied(Method):
             "pooled_row_sums": (float(used.min()), float(used.max())),
             "strength": kappa,
         }
-        return replace(given.ratio(zeta, "tied", float(fit.gap.max()), details), tied=True)
+        return replace(
+            given.ratio(zeta, "tied", float(fit.gap.max()), details), tied=True
+        )
 
 
 def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
@@ -135,8 +151,8 @@ def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
         given = given[rows.transitions]
     if given.shape != rows.arrival.shape:
         raise ValueError(
-            f"tie must have shape {rows.arrival.shape}, a key for each entry of simulator.transitions; it has shape "
-            f"{given.shape}"
+            f"tie must have shape {rows.arrival.shape}, a key for each entry of"
+            f" simulator.transitions; it has shape {given.shape}"
         )
     if given.dtype.kind not in "iu":
         raise ValueError(f"tie must have integer keys; they are {given.dtype}")
@@ -145,8 +161,11 @@ def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
 
 def _groups(rows: Rows, keys: IntArray, n_keys: int) -> tuple[int, IntArray]:
     """How many groups of keys occur together in rows, and the group of each key."""
-    lead = keys[rows.indptr[:-1]]  # every row has an entry; the others of the row are joined to its first
+    # every row has an entry; the others of the row are joined to its first
+    lead = keys[rows.indptr[:-1]]
     pairs = np.unique(rows.spread(lead) * n_keys + keys)
-    joined = sparse.csr_array((np.ones(len(pairs)), np.divmod(pairs, n_keys)), shape=(n_keys, n_keys))
+    joined = sparse.csr_array(
+        (np.ones(len(pairs)), np.divmod(pairs, n_keys)), shape=(n_keys, n_keys)
+    )
     n_groups, group = sparse.csgraph.connected_components(joined, directed=False)
     return int(n_groups), np.asarray(group, dtype=np.int64)

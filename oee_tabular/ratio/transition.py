@@ -22,7 +22,8 @@ from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 from oee_tabular.ratio.ties import Tied
 
-# What a method's name stands for: a class, those of its fields that are no options, and those that the name settles
+# What a method's name stands for: a class, those of its fields that are no options, and
+# those that the name settles
 METHODS: dict[str, tuple[Any, set[str], dict[str, Any]]] = {
     "conditional": (Conditional, set(), {}),
     "tied": (Tied, set(), {}),
@@ -31,7 +32,10 @@ METHODS: dict[str, tuple[Any, set[str], dict[str, Any]]] = {
     "ratio_of_ratios": (Quotient, set(), {}),
     "joint": (Joint, set(), {}),
 }
-OPTIONS = {name: {each.name for each in fields(make)} - without for name, (make, without, _) in METHODS.items()}
+OPTIONS = {
+    name: {each.name for each in fields(make)} - without
+    for name, (make, without, _) in METHODS.items()
+}
 
 
 def method_named(name: str, **options: Any) -> Method:
@@ -43,13 +47,21 @@ def method_named(name: str, **options: Any) -> Method:
     _checks.one_of(name, "method", tuple(METHODS))
     make, _, settled = METHODS[name]
     known = sorted(set().union(*OPTIONS.values()))
-    given = {option: value for option, value in options.items() if value is not None or option == "toward"}
+    given = {
+        option: value
+        for option, value in options.items()
+        if value is not None or option == "toward"
+    }
     for option, value in given.items():
         if option not in known:
-            raise TypeError(f"{option} must be an option of a method: {', '.join(known)}; got {_checks.show(value)}")
+            raise TypeError(
+                f"{option} must be an option of a method: {', '.join(known)}; got"
+                f" {_checks.show(value)}"
+            )
         if option not in OPTIONS[name]:
             raise ValueError(
-                f"{option} must not be given with method {name!r}, which does not use it; got {_checks.show(value)}"
+                f"{option} must not be given with method {name!r}, which does not use"
+                f" it; got {_checks.show(value)}"
             )
     made: Method = make(**{**settled, **given})
     return made
@@ -114,7 +126,10 @@ def transition_ratio(
     """
     if isinstance(method, Method):
         if options:
-            raise TypeError(f"{next(iter(options))} must be given to the method object; the method is {method!r}")
+            raise TypeError(
+                f"{next(iter(options))} must be given to the method object; the method"
+                f" is {method!r}"
+            )
         chosen = method
     else:
         pooled = method == "conditional" and options.get("tie") is not None
@@ -127,7 +142,9 @@ def transition_ratio(
     }
     chosen.refuse_unused(**inputs)
     if horizon is not None and values_of is None:
-        raise ValueError("horizon must be left out without values_of: it is that of the values")
+        raise ValueError(
+            "horizon must be left out without values_of: it is that of the values"
+        )
     return chosen.fit(log_or_counts, simulator, discount=discount, seed=seed, **inputs)
 
 
@@ -153,4 +170,6 @@ def true_ratio(target: FiniteMDP, simulator: FiniteMDP) -> TransitionRatio:
     require_pair(target, simulator)
     refuse_unsupported(target.transitions, simulator, what="target")
     data, _ = align(target.transitions, simulator.transitions)
-    return RatioInput(data, simulator, Rows.of(simulator)).ratio(data / simulator.transitions.data, "true", 0.0, {})
+    return RatioInput(data, simulator, Rows.of(simulator)).ratio(
+        data / simulator.transitions.data, "true", 0.0, {}
+    )

@@ -12,7 +12,12 @@ from oee_tabular import _checks, _progress
 from oee_tabular._checks import Array, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import Estimator, Problem
-from oee_tabular.estimators.findings import FEW_WEIGHTED, MADE_FROM_LOG, WEIGHTLESS, Finding
+from oee_tabular.estimators.findings import (
+    FEW_WEIGHTED,
+    MADE_FROM_LOG,
+    WEIGHTLESS,
+    Finding,
+)
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
@@ -22,7 +27,14 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.report import text
 from oee_tabular.report.results import Report, Result, first_results
-from oee_tabular.report.uncertainty import LIKELIHOOD, SHARED, Premises, add_comparison, choose_interval, find_intervals
+from oee_tabular.report.uncertainty import (
+    LIKELIHOOD,
+    SHARED,
+    Premises,
+    add_comparison,
+    choose_interval,
+    find_intervals,
+)
 
 
 @one_thread
@@ -83,10 +95,16 @@ def evaluate(
     'The data reject the simulator in 6 of the 6 recorded state-action pairs.'
     """
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
-    for flag, name in ((normalized, "normalized"), (guaranteed, "guaranteed"), (quick, "quick")):
+    for flag, name in (
+        (normalized, "normalized"),
+        (guaranteed, "guaranteed"),
+        (quick, "quick"),
+    ):
         _checks.boolean(flag, name)
     if quick and guaranteed:
-        raise ValueError("guaranteed must be False where quick is True: it leaves intervals out")
+        raise ValueError(
+            "guaranteed must be False where quick is True: it leaves intervals out"
+        )
     if facts is not None:
         _checks.instance(facts, Mapping, "facts")
     simulator = problem.simulator
@@ -94,24 +112,32 @@ def evaluate(
         _checks.instance(target, FiniteMDP, "target")
         if target.transitions.shape != simulator.transitions.shape:
             raise ValueError(
-                f"target must have the simulator's {simulator.n_states} states and {simulator.n_actions} actions; "
-                f"it has {target.n_states} and {target.n_actions}"
+                f"target must have the simulator's {simulator.n_states} states and"
+                f" {simulator.n_actions} actions; it has {target.n_states} and"
+                f" {target.n_actions}"
             )
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if normalized and simulator.discount == 1.0:
-        raise ValueError("normalized must be False at discount 1: the factor (1 - discount) would be 0")
+        raise ValueError(
+            "normalized must be False at discount 1: the factor (1 - discount) would"
+            " be 0"
+        )
     named = check_policies(policies, simulator, name="policy")
     if not named:
         raise ValueError("policies must hold at least one; it is empty")
     known = Premises(**assumed)
     if quick and str(known):
         raise ValueError(
-            "quick must be False with lower_ratio or upper_ratio: it leaves out the intervals that they narrow"
+            "quick must be False with lower_ratio or upper_ratio: it leaves out the"
+            " intervals that they narrow"
         )
     chosen, left_out = _choose_estimators(problem, estimators, target)
     truth = {}
     if target is not None:
-        truth = {name: policy_value(target, pi, horizon=problem.horizon) for name, pi in named.items()}
+        truth = {
+            name: policy_value(target, pi, horizon=problem.horizon)
+            for name, pi in named.items()
+        }
     scale = 1.0 - simulator.discount if normalized else 1.0
     with _progress.show_steps(only_terminal=True):
         results = _run_estimators(problem, named, chosen | known.estimators, seed)
@@ -119,25 +145,63 @@ def evaluate(
         if estimators is None:
             results, reasons = _drop_weightless(results)
             left_out += reasons
-            uncertain = (r for r in results if any(f.kind == FEW_WEIGHTED for f in r.estimate.findings))
+            uncertain = (
+                r
+                for r in results
+                if any(f.kind == FEW_WEIGHTED for f in r.estimate.findings)
+            )
             hidden = frozenset((r.policy, r.estimator) for r in uncertain)
-        uncertainty = find_intervals(problem, named, level, known, guaranteed=guaranteed, quick=quick)
+        uncertainty = find_intervals(
+            problem, named, level, known, guaranteed=guaranteed, quick=quick
+        )
         for k, result in enumerate(results):
             key = SHARED if result.estimator in known.estimators else LIKELIHOOD
             likelihood = uncertainty.intervals.get(result.policy, {}).get(key)
-            results[k] = replace(result, estimate=choose_interval(result.estimate, likelihood, level, scale))
-        front = {name: result.estimate for name, result in first_results(results).items()}
-        uncertainty = add_comparison(uncertainty, problem, named, level, known, front, scale)
-    models = [(r.policy, r.estimator) for r in results if not r.estimate.is_from_episodes]
-    warnings_and_rows: list[tuple[str, list[Pair]]] = [(sentence, []) for sentence in left_out]
-    warnings_and_rows += [(str(finding), models if finding.severity > 0 else []) for finding in problem.findings]
-    warnings, notes = number_notes(results, [*warnings_and_rows, *group_findings(results)])
-    about = {"simulator": repr(simulator), "log": problem.log.describe(), "rewards": problem.rewards}
+            results[k] = replace(
+                result,
+                estimate=choose_interval(result.estimate, likelihood, level, scale),
+            )
+        front = {
+            name: result.estimate for name, result in first_results(results).items()
+        }
+        uncertainty = add_comparison(
+            uncertainty, problem, named, level, known, front, scale
+        )
+    models = [
+        (r.policy, r.estimator) for r in results if not r.estimate.is_from_episodes
+    ]
+    warnings_and_rows: list[tuple[str, list[Pair]]] = [
+        (sentence, []) for sentence in left_out
+    ]
+    warnings_and_rows += [
+        (str(finding), models if finding.severity > 0 else [])
+        for finding in problem.findings
+    ]
+    warnings, notes = number_notes(
+        results, [*warnings_and_rows, *group_findings(results)]
+    )
+    about = {
+        "simulator": repr(simulator),
+        "log": problem.log.describe(),
+        "rewards": problem.rewards,
+    }
     about |= {"target": str(known)} if str(known) else {}
     return Report(
-        tuple(results), truth, warnings, notes, level, normalized, simulator.discount, problem.horizon, seed,
-        about | dict(facts or {}), uncertainty, problem, named, hidden,
-    )  # fmt: skip
+        tuple(results),
+        truth,
+        warnings,
+        notes,
+        level,
+        normalized,
+        simulator.discount,
+        problem.horizon,
+        seed,
+        about | dict(facts or {}),
+        uncertainty,
+        problem,
+        named,
+        hidden,
+    )
 
 
 def contest(problem: Problem, policies: object, **options: Any) -> Report:
@@ -185,7 +249,9 @@ def is_best_in_log(problem: Problem, policy: Array) -> bool:
     if problem.simulator.discount == 1.0:
         return False
     evidence = gather(problem, policy)
-    return _is_optimal(evidence.fitted, policy) and not _is_optimal(problem.model, policy)
+    return _is_optimal(evidence.fitted, policy) and not _is_optimal(
+        problem.model, policy
+    )
 
 
 def _is_optimal(model: Model, policy: Array) -> bool:
@@ -197,7 +263,9 @@ def _is_optimal(model: Model, policy: Array) -> bool:
 
 
 def _choose_estimators(
-    problem: Problem, estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None, target: FiniteMDP | None
+    problem: Problem,
+    estimators: Sequence[str | Estimator] | Mapping[str, Estimator] | None,
+    target: FiniteMDP | None,
 ) -> tuple[dict[str, Estimator], list[str]]:
     """The estimators by name, and sentences on those that are left out."""
     if estimators is None:
@@ -219,25 +287,35 @@ def _choose_estimators(
                     label += "'"
                 chosen[label] = item
             else:
-                raise ValueError(f"estimators must be names or callables; got {_checks.show(item)}")
+                raise ValueError(
+                    f"estimators must be names or callables; got {_checks.show(item)}"
+                )
     if not chosen:
         raise ValueError("estimators must name at least one; it is empty")
     return chosen, []
 
 
 def _run_estimators(
-    problem: Problem, policies: Mapping[str, Array], chosen: Mapping[str, Estimator], seed: Any
+    problem: Problem,
+    policies: Mapping[str, Array],
+    chosen: Mapping[str, Estimator],
+    seed: Any,
 ) -> list[Result]:
     """Every estimate of every policy; of a policy that was made from the log with a finding about that."""
     results = []
     for i, (name, policy) in enumerate(policies.items()):
         is_from_log = is_best_in_log(problem, policy)
         for j, (label, estimator) in enumerate(chosen.items()):
-            _progress.report_step(f"{label} of “{name}” (policy {i + 1} of {len(policies)})")
-            run = as_estimator(estimator, f"estimators[{label!r}]")  # functions are taken, too
+            _progress.report_step(
+                f"{label} of “{name}” (policy {i + 1} of {len(policies)})"
+            )
+            # functions are taken, too
+            run = as_estimator(estimator, f"estimators[{label!r}]")
             estimate = run(problem, policy, seed=_checks.seed_sequence(seed, (i, j)))
             if is_from_log and estimate.is_from_log and estimate.status == "ok":
-                estimate = replace(estimate, findings=(MADE_FROM_LOG, *estimate.findings))
+                estimate = replace(
+                    estimate, findings=(MADE_FROM_LOG, *estimate.findings)
+                )
             results.append(Result(name, label, estimate))
     return results
 
@@ -247,7 +325,9 @@ def _drop_weightless(results: Sequence[Result]) -> tuple[list[Result], list[str]
     kept = [result for result in results if WEIGHTLESS not in result.estimate.findings]
     lost = [result for result in results if WEIGHTLESS in result.estimate.findings]
     names = ", ".join(dict.fromkeys(result.policy for result in lost))
-    return kept, [text.MISSING_WEIGHTS.format(names, lost[0].estimate.status)] if lost else []
+    return kept, (
+        [text.MISSING_WEIGHTS.format(names, lost[0].estimate.status)] if lost else []
+    )
 
 
 Pair = tuple[str, str]  # (policy, estimator)
@@ -263,19 +343,31 @@ def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
             group.append((finding, result.policy, result.estimator))
     sentences = []
     for members in groups.values():
-        by_policies: dict[tuple[str, ...], list[str]] = {}  # the policies it is said of -> the estimators
+        # the policies it is said of -> the estimators
+        by_policies: dict[tuple[str, ...], list[str]] = {}
         for label in dict.fromkeys(member[2] for member in members):
             own = tuple(member[1] for member in members if member[2] == label)
             by_policies.setdefault(own, []).append(label)
-        about = "; ".join(f"{', '.join(labels)} ({', '.join(own)})" for own, labels in by_policies.items())
-        figures: dict[str, str] = {}  # the worst of each policy, or of each estimator of a single one
+        about = "; ".join(
+            f"{', '.join(labels)} ({', '.join(own)})"
+            for own, labels in by_policies.items()
+        )
+        # the worst of each policy, or of each estimator of a single one
+        figures: dict[str, str] = {}
         several = len({policy for _, policy, _ in members}) > 1
         worst = sorted(members, key=lambda member: -member[0].severity)
         for finding, policy, label in worst:
             figures.setdefault(policy if several else label, finding.figure)
-        listed = ", ".join(f"{figure} ({name})" for name, figure in list(figures.items())[:N_FIGURES])
+        listed = ", ".join(
+            f"{figure} ({name})" for name, figure in list(figures.items())[:N_FIGURES]
+        )
         figure = worst[0][0].figure if len(set(figures.values())) == 1 else listed
-        sentences.append((f"{about}: {worst[0][0].sentence(figure)}", [member[1:] for member in members]))
+        sentences.append(
+            (
+                f"{about}: {worst[0][0].sentence(figure)}",
+                [member[1:] for member in members],
+            )
+        )
     return sentences
 
 
@@ -284,5 +376,10 @@ def number_notes(
 ) -> tuple[tuple[str, ...], dict[Pair, tuple[int, ...]]]:
     """The sentences, numbered from 1, and the numbers of those that are about each (policy, estimator)."""
     every = [(result.policy, result.estimator) for result in results]
-    notes = {pair: tuple(k for k, (_, pairs) in enumerate(warnings, start=1) if pair in pairs) for pair in every}
+    notes = {
+        pair: tuple(
+            k for k, (_, pairs) in enumerate(warnings, start=1) if pair in pairs
+        )
+        for pair in every
+    }
     return tuple(sentence for sentence, _ in warnings), notes

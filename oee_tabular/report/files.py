@@ -40,13 +40,16 @@ def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
     while not nearest.exists() and nearest != nearest.parent:
         nearest = nearest.parent
     if not nearest.is_dir():
-        raise ValueError(f"{name} must be a folder that can be written; {str(nearest)!r} is a file")
+        raise ValueError(
+            f"{name} must be a folder that can be written; {str(nearest)!r} is a file"
+        )
     try:
         with tempfile.TemporaryFile(dir=nearest):
             pass
     except OSError as error:
         raise ValueError(
-            f"{name} must be a folder that can be written; {str(nearest)!r} is not writable ({error.strerror})"
+            f"{name} must be a folder that can be written; {str(nearest)!r} is not"
+            f" writable ({error.strerror})"
         ) from None
 
 
@@ -76,9 +79,13 @@ def check_page(path: str | os.PathLike[str]) -> Path:
     """
     file = Path(_files.local(path))
     if file.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"path of the report must end in .html or .htm; it is {str(file)!r}")
+        raise ValueError(
+            f"path of the report must end in .html or .htm; it is {str(file)!r}"
+        )
     if file.is_dir():
-        raise ValueError(f"path of the report must be a file; {str(file)!r} is a folder")
+        raise ValueError(
+            f"path of the report must be a file; {str(file)!r} is a folder"
+        )
     check_output(file.parent, "report's folder")
     return file
 
@@ -101,11 +108,20 @@ def summary(path: Path) -> str:
     try:
         report = json.loads(path.read_text())
         lines = [f"Report of {report['unit']}"]
-        lines += [f"{key.capitalize()}: {report['facts'][key]}" for key in ("simulator", "log")]
+        lines += [
+            f"{key.capitalize()}: {report['facts'][key]}"
+            for key in ("simulator", "log")
+        ]
         for row in report["results"]:
             lower, upper = row["lower"], row["upper"]
-            ends = "" if None in (lower, upper) else f"  {_printing.interval(lower, upper)} ({row['interval_method']})"
+            ends = (
+                ""
+                if None in (lower, upper)
+                else f"  {_printing.interval(lower, upper)} ({row['interval_method']})"
+            )
             lines.append(f"{row['policy']}  {row['estimator']}  {row['value']}{ends}")
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{str(path)!r} must be a report that oee evaluate wrote; {error}") from None
+        raise ValueError(
+            f"{str(path)!r} must be a report that oee evaluate wrote; {error}"
+        ) from None
     return "\n".join(lines)

@@ -26,8 +26,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 VALUES = IN_VALUES_UNIT | {  # columns that (1 - discount) multiplies
-    "value", "standard_error", "lower", "upper", "sampling_lower", "sampling_upper", "true_value", "error"
-}  # fmt: skip
+    "value",
+    "standard_error",
+    "lower",
+    "upper",
+    "sampling_lower",
+    "sampling_upper",
+    "true_value",
+    "error",
+}
 
 
 @dataclass(frozen=True)
@@ -55,10 +62,18 @@ def first_results(results: Sequence[Result]) -> dict[str, Result]:
 
     def order(result: Result) -> tuple[bool, bool, bool, bool]:
         found = result.estimate
-        return not math.isfinite(found.value), not found.is_headline, found.model_value is None, not found.is_from_log
+        return (
+            not math.isfinite(found.value),
+            not found.is_headline,
+            found.model_value is None,
+            not found.is_from_log,
+        )
 
     names = dict.fromkeys(result.policy for result in results)
-    return {name: min((result for result in results if result.policy == name), key=order) for name in names}
+    return {
+        name: min((result for result in results if result.policy == name), key=order)
+        for name in names
+    }
 
 
 @dataclass(frozen=True)
@@ -99,7 +114,9 @@ class Report:
     facts: Mapping[str, Any]
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     problem: Problem | None = field(default=None, repr=False, compare=False)
-    policies: Mapping[str, Array] = field(default_factory=dict, repr=False, compare=False)
+    policies: Mapping[str, Array] = field(
+        default_factory=dict, repr=False, compare=False
+    )
     hidden: frozenset[tuple[str, str]] = frozenset()
 
     @property
@@ -107,13 +124,20 @@ class Report:
         """What a value is, as a formula."""
         span = "t >= 0" if self.horizon is None else f"t = 0..{self.horizon - 1}"
         factor = "(1 - discount) * " if self.normalized else ""
-        return f"{factor}sum of discount^t * reward over {span}, discount {self.discount:g}"
+        return (
+            f"{factor}sum of discount^t * reward over {span}, discount"
+            f" {self.discount:g}"
+        )
 
     @property
     def meaning(self) -> str:
         """What a value is, in words."""
         factor = f"{1.0 - self.discount:.4g} × " if self.normalized else ""
-        discounted, end = ("", "") if self.discount == 1.0 else ("discounted ", f" (discount {self.discount:g})")
+        discounted, end = (
+            ("", "")
+            if self.discount == 1.0
+            else ("discounted ", f" (discount {self.discount:g})")
+        )
         span = "the rewards" if self.horizon is None else f"{self.horizon} rewards"
         return f"{factor}the {discounted}sum of {span}{end}"
 
@@ -128,17 +152,34 @@ class Report:
         answers = []
         for policy, first in first_results(self.results).items():
             row = self._record(first)
-            alone = (r for r in self.results if r.policy == policy and not r.estimate.is_from_log)
+            alone = (
+                r
+                for r in self.results
+                if r.policy == policy and not r.estimate.is_from_log
+            )
             simulator = next(map(self._record, alone), {})
             likelihood = self.uncertainty.intervals.get(policy, {}).get(LIKELIHOOD)
-            unrecorded = 0 if likelihood is None else int(likelihood.diagnostics.get("unrecorded_pairs", 0))
+            unrecorded = (
+                0
+                if likelihood is None
+                else int(likelihood.diagnostics.get("unrecorded_pairs", 0))
+            )
             answers.append(
                 Answer(
-                    policy, row["estimator"], row["value"], row["lower"], row["upper"], row["interval_method"],
-                    simulator.get("value"), simulator.get("standard_error"), row["true_value"], row.get("coverage"),
-                    unrecorded, first.estimate.is_from_log,
+                    policy,
+                    row["estimator"],
+                    row["value"],
+                    row["lower"],
+                    row["upper"],
+                    row["interval_method"],
+                    simulator.get("value"),
+                    simulator.get("standard_error"),
+                    row["true_value"],
+                    row.get("coverage"),
+                    unrecorded,
+                    first.estimate.is_from_log,
                 )
-            )  # fmt: skip
+            )
         return answers
 
     @property
@@ -154,10 +195,16 @@ class Report:
         if len(self.answers) > 1 and self.uncertainty.ranking:
             sentences = [text.silent_log(answers), self.uncertainty.ranking]
         sentences.insert(0, self.uncertainty.caveat)
-        conflict = None if self.problem is None or self.problem.rewards == "log" else self.problem.reward_conflict
+        conflict = (
+            None
+            if self.problem is None or self.problem.rewards == "log"
+            else self.problem.reward_conflict
+        )
         if conflict is not None:
             where = str(conflict)
-            sentences.insert(0, text.REWARD_CONFLICT.format(f"{where[0].upper()}{where[1:]}"))
+            sentences.insert(
+                0, text.REWARD_CONFLICT.format(f"{where[0].upper()}{where[1:]}")
+            )
         return " ".join(filter(None, sentences))
 
     @property
@@ -173,7 +220,12 @@ class Report:
         if len(self.answers) == 1 or not answers or not self.uncertainty.ranking:
             return self.headline
         ordered = sorted(answers, key=lambda answer: descending_key(answer.value))
-        return " ".join([self.headline, *(text.policy_worth(answer, self.confidence) for answer in ordered)])
+        return " ".join(
+            [
+                self.headline,
+                *(text.policy_worth(answer, self.confidence) for answer in ordered),
+            ]
+        )
 
     def records(self) -> list[dict[str, Any]]:
         """The results as plain rows, in the report's unit (diagnostics that are values as well)."""
@@ -190,7 +242,11 @@ class Report:
             "standard_error": estimate.standard_error,
             "lower": lower,
             "upper": upper,
-            **sampling_columns(self.uncertainty.likelihood.get(result.policy) if method == LIKELIHOOD else None),
+            **sampling_columns(
+                self.uncertainty.likelihood.get(result.policy)
+                if method == LIKELIHOOD
+                else None
+            ),
             "interval_method": None if lower is None else method,
             "true_value": truth,
             "error": None if truth is None else estimate.value - truth,
@@ -201,7 +257,10 @@ class Report:
 
     def _in_unit(self, row: Mapping[str, Any]) -> dict[str, Any]:
         """A row whose values are in the report's unit."""
-        return {key: x * self.scale if key in VALUES and x is not None else x for key, x in row.items()}
+        return {
+            key: x * self.scale if key in VALUES and x is not None else x
+            for key, x in row.items()
+        }
 
     @property
     def table(self) -> pd.DataFrame:
@@ -225,14 +284,19 @@ class Report:
         best, *_ = rows = sorted(rows, key=lambda row: descending_key(row["value"]))
         for row in rows:
             policy, less = row["policy"], best["value"] - row["value"]
-            lower, upper = (self.scale * end for end in compared.bounds(best["policy"], policy, known))
+            lower, upper = (
+                self.scale * end
+                for end in compared.bounds(best["policy"], policy, known)
+            )
             has_ends = row is not best and math.isfinite(lower)
             table.append(
                 {key: row[key] for key in ("policy", "value", "lower", "upper")}
                 | self._in_unit(sampling_columns(known.get(policy)))
                 | {
                     "probability_best": decision.probability_best[policy],
-                    "unrecorded_share": float(compared.unrecorded_share[compared.names.index(policy)]),
+                    "unrecorded_share": float(
+                        compared.unrecorded_share[compared.names.index(policy)]
+                    ),
                     "less_by": None if row is best else less,
                     "less_by_lower": min(lower, less) if has_ends else None,
                     "less_by_upper": max(upper, less) if has_ends else None,
@@ -243,7 +307,11 @@ class Report:
     @property
     def best(self) -> str | None:
         """The policy that is worth most; None where the log cannot say, or several are worth the same."""
-        return None if self.uncertainty.decision is None else self.uncertainty.decision.best
+        return (
+            None
+            if self.uncertainty.decision is None
+            else self.uncertainty.decision.best
+        )
 
     def __repr__(self) -> str:
         return self.to_text()
@@ -256,22 +324,40 @@ class Report:
         all : whether rows stand there that a short report leaves out (importance sampling that rests on a few episodes)
         verbose : whether every note stands there, and the table has columns of diagnostics
         """
-        return tables.render(self, all=_checks.boolean(all, "all"), verbose=_checks.boolean(verbose, "verbose"))
+        return tables.render(
+            self,
+            all=_checks.boolean(all, "all"),
+            verbose=_checks.boolean(verbose, "verbose"),
+        )
 
     def rows(self, *, all: bool = False) -> list[dict[str, Any]]:
         """The records that stand in the table: ``all``, or those of a short report."""
         shows_all = _checks.boolean(all, "all")
-        return [row for row in self.records() if shows_all or (row["policy"], row["estimator"]) not in self.hidden]
+        return [
+            row
+            for row in self.records()
+            if shows_all or (row["policy"], row["estimator"]) not in self.hidden
+        ]
 
     def legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
         """What the intervals of the table are, for each method; ``rows`` are some of ``records()``."""
         members: dict[str, dict[str, None]] = {}
         for row in _checks.collection(rows, "rows", "a Report's records()"):
-            if not isinstance(row, Mapping) or not row.keys() >= {"interval_method", "estimator"}:
-                raise ValueError(f"rows must be a Report's records(); one is {_checks.show(row)}")
+            if not isinstance(row, Mapping) or not row.keys() >= {
+                "interval_method",
+                "estimator",
+            }:
+                raise ValueError(
+                    f"rows must be a Report's records(); one is {_checks.show(row)}"
+                )
             if row["interval_method"] is not None:
-                members.setdefault(str(row["interval_method"]), {})[str(row["estimator"])] = None
-        return [text.legend(method, list(names), self.confidence) for method, names in members.items()]
+                members.setdefault(str(row["interval_method"]), {})[
+                    str(row["estimator"])
+                ] = None
+        return [
+            text.legend(method, list(names), self.confidence)
+            for method, names in members.items()
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, as plain values (nan and infinities become None)."""
@@ -288,7 +374,9 @@ class Report:
             "facts": dict(self.facts),
             "results": self.records(),
             "intervals": [
-                self._in_unit({"policy": policy, "method": method, **interval_columns(found)})
+                self._in_unit(
+                    {"policy": policy, "method": method, **interval_columns(found)}
+                )
                 for policy, methods in self.uncertainty.intervals.items()
                 for method, found in methods.items()
             ],
@@ -312,8 +400,13 @@ class Report:
         all : whether rows stand there that a short report leaves out
         """
         rows = self.rows(all=all)
-        limits = None if any(math.isfinite(row["value"]) for row in rows) else (0.0, 1.0)  # lines that say "no value"
-        return plot_values(rows, ax, title=self.headline, unit=self.meaning, limits=limits)
+        # lines that say "no value"
+        limits = (
+            None if any(math.isfinite(row["value"]) for row in rows) else (0.0, 1.0)
+        )
+        return plot_values(
+            rows, ax, title=self.headline, unit=self.meaning, limits=limits
+        )
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write report.json, table.csv and values.png into ``folder``: all of them or none."""
@@ -322,7 +415,10 @@ class Report:
         contents = {
             "report.json": (self.to_json() + "\n").encode(),
             "table.csv": _files.csv_bytes(self.table),
-            "values.png": figure_png(self.plot, size=(7.2, 1.8 + 0.27 * (len(self.rows()) + len(self.answers)))),
+            "values.png": figure_png(
+                self.plot,
+                size=(7.2, 1.8 + 0.27 * (len(self.rows()) + len(self.answers))),
+            ),
         }
         _files.write_all(target, contents)
         return [target / name for name in contents]
@@ -378,10 +474,18 @@ class Report:
 def interval_columns(interval: Interval) -> dict[str, Any]:
     """An interval as columns of a table."""
     about = {"confidence": interval.confidence, "status": interval.status}
-    return {"lower": interval.lower, "upper": interval.upper} | sampling_columns(interval) | about
+    return (
+        {"lower": interval.lower, "upper": interval.upper}
+        | sampling_columns(interval)
+        | about
+    )
 
 
 def sampling_columns(interval: Interval | None) -> dict[str, float | None]:
     """The interval from the recorded transitions alone, as columns of a table; None where there is none."""
-    lower, upper = (None, None) if interval is None or interval.sampling is None else interval.sampling
+    lower, upper = (
+        (None, None)
+        if interval is None or interval.sampling is None
+        else interval.sampling
+    )
     return {"sampling_lower": lower, "sampling_upper": upper}

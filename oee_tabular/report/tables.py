@@ -36,7 +36,11 @@ def render(report: Report, *, all: bool, verbose: bool) -> str:
 
 def render_comparison(report: Report) -> str:
     """What ``oee compare`` prints: the answer and a row each policy."""
-    return join(fold([report.headline]), comparison_table(report), fold([*details(report), *inputs(report)]))
+    return join(
+        fold([report.headline]),
+        comparison_table(report),
+        fold([*details(report), *inputs(report)]),
+    )
 
 
 def render_html(report: Report) -> str:
@@ -69,7 +73,9 @@ def value_columns(report: Report) -> Columns:
     """A value, and its interval."""
     return {
         "value": lambda row: write_value(row["value"], row["lower"], row["upper"]),
-        f"{report.confidence:.0%} interval": lambda row: write_interval(row["lower"], row["upper"]),
+        f"{report.confidence:.0%} interval": lambda row: write_interval(
+            row["lower"], row["upper"]
+        ),
     }
 
 
@@ -81,7 +87,9 @@ def diagnostic_columns(report: Report) -> Columns:
         "eff. n": number_cell("effective_sample_size", "{:.0f}".format),
         "coverage": number_cell("coverage", _printing.share),
         "max weight": number_cell("largest_weight", "{:.3g}".format),
-        "row-sum err.": number_cell("row_sum_error", lambda error: "0" if error < 1e-9 else f"{error:.2g}"),
+        "row-sum err.": number_cell(
+            "row_sum_error", lambda error: "0" if error < 1e-9 else f"{error:.2g}"
+        ),
     }
 
 
@@ -96,10 +104,21 @@ def comparison_table(report: Report) -> list[str]:
         **value_columns(report),
         "P(best)": lambda row: best(row) or "-",
         "below the top row by": write_difference,
-        **({"exact value": lambda row: f"{report.truth[row['policy']] * report.scale:.6g}"} if report.truth else {}),
+        **(
+            {
+                "exact value": lambda row: (
+                    f"{report.truth[row['policy']] * report.scale:.6g}"
+                )
+            }
+            if report.truth
+            else {}
+        ),
     }
     has_no_best = any(row["probability_best"] is None for row in rows)
-    return [*align(columns, rows, n_texts=1), *([text.NO_P_BEST] if has_no_best else [])]
+    return [
+        *align(columns, rows, n_texts=1),
+        *([text.NO_P_BEST] if has_no_best else []),
+    ]
 
 
 def write_value(value: float, lower: float | None, upper: float | None) -> str:
@@ -117,7 +136,11 @@ def write_interval(lower: float | None, upper: float | None) -> str:
 def write_difference(row: Row) -> str:
     """Write by how much a policy is worth less than the best; "" of the best."""
     less, ends = row["less_by"], (row["less_by_lower"], row["less_by_upper"])
-    return "" if less is None else f"{write_value(less, *ends)} {write_interval(*ends)}".strip()
+    return (
+        ""
+        if less is None
+        else f"{write_value(less, *ends)} {write_interval(*ends)}".strip()
+    )
 
 
 def number_cell(key: str, form: Callable[[float], str]) -> Callable[[Row], str]:
@@ -131,8 +154,12 @@ def align(columns: Columns, rows: Sequence[Row], *, n_texts: int) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []
     for cells in table:
-        padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)][:n_texts]
-        padded += [cell.rjust(width) for cell, width in zip(cells, widths, strict=True)][n_texts:]
+        padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)][
+            :n_texts
+        ]
+        padded += [
+            cell.rjust(width) for cell, width in zip(cells, widths, strict=True)
+        ][n_texts:]
         lines.append("  ".join(padded).rstrip())
     return lines
 
@@ -141,25 +168,40 @@ def number_notes(report: Report, rows: Sequence[Row]) -> tuple[list[Row], list[s
     """The rows with their notes numbered from 1, and the notes; a warning about no row in particular has no number."""
     cited = sorted({k for row in rows for k in row["notes"]})
     about_rows = {k for notes in report.notes.values() for k in notes}
-    general = [warning for k, warning in enumerate(report.warnings, start=1) if k not in about_rows]
+    general = [
+        warning
+        for k, warning in enumerate(report.warnings, start=1)
+        if k not in about_rows
+    ]
     numbered = [f"[{i}] {report.warnings[k - 1]}" for i, k in enumerate(cited, start=1)]
-    return [{**row, "notes": [1 + cited.index(k) for k in row["notes"]]} for row in rows], [*general, *numbered]
+    return [
+        {**row, "notes": [1 + cited.index(k) for k in row["notes"]]} for row in rows
+    ], [*general, *numbered]
 
 
 def details(report: Report) -> list[str]:
     """What is said below the table; the ranking of the policies stands above it."""
-    return [sentence for sentence in report.uncertainty.sentences if sentence != report.uncertainty.ranking]
+    return [
+        sentence
+        for sentence in report.uncertainty.sentences
+        if sentence != report.uncertainty.ranking
+    ]
 
 
 def inputs(report: Report) -> list[str]:
     """What a value is, and what it was made from."""
     keys = [key for key in ("simulator", "log", "target") if key in report.facts]
-    return [f"Value: {report.unit}", *(f"{key.capitalize()}: {report.facts[key]}" for key in keys)]
+    return [
+        f"Value: {report.unit}",
+        *(f"{key.capitalize()}: {report.facts[key]}" for key in keys),
+    ]
 
 
 def fold(sentences: Iterable[str], indent: str = "") -> list[str]:
     """Sentences, each from a line of its own, in lines of ``LINE`` characters."""
-    wrapper = textwrap.TextWrapper(LINE, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    wrapper = textwrap.TextWrapper(
+        LINE, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
     return [line for sentence in sentences for line in wrapper.wrap(sentence)]
 
 

@@ -12,42 +12,83 @@ from dataclasses import dataclass
 
 from oee_tabular import _printing
 
-NEARLY_SILENT = 0.5  # share of the policy's time that the log covers: below it that is what a reader must know first
+# share of the policy's time that the log covers: below it that is what a reader must
+# know first
+NEARLY_SILENT = 0.5
 METHODS: Mapping[str, str] = {  # kinds of intervals
     "likelihood": "every value that the log does not reject at this confidence.",
-    "likelihood under the tie": "every value of the model with this tie that the log does not reject.",
-    "likelihood under the features": "every value of the model along the features that the log does not reject.",
-    "one-step": "value ± normal quantile × standard error. An unrecorded pair has the variance of one transition.",
-    "refits": "value ± t quantile × standard error from resampled episodes. It includes the rollouts' noise.",
-    "calibrated": "value ± normal quantile × standard error. It includes the gap between two calibrations.",
-    "simulator's samples": "value ± normal quantile × standard error. It includes only the simulator's sampling noise.",
+    "likelihood under the tie": (
+        "every value of the model with this tie that the log does not reject."
+    ),
+    "likelihood under the features": (
+        "every value of the model along the features that the log does not reject."
+    ),
+    "one-step": (
+        "value ± normal quantile × standard error. An unrecorded pair has the variance"
+        " of one transition."
+    ),
+    "refits": (
+        "value ± t quantile × standard error from resampled episodes. It includes the"
+        " rollouts' noise."
+    ),
+    "calibrated": (
+        "value ± normal quantile × standard error. It includes the gap between two"
+        " calibrations."
+    ),
+    "simulator's samples": (
+        "value ± normal quantile × standard error. It includes only the simulator's"
+        " sampling noise."
+    ),
     "the estimator's own": "as the estimator gives it.",
     "standard error": "value ± quantile × standard error (sampling noise).",
-    "guaranteed": "it covers with at least this confidence for any number of transitions. It is the widest.",
-    "sampling": "value ± normal quantile × standard error. Unrecorded state-action pairs behave as estimated.",
+    "guaranteed": (
+        "it covers with at least this confidence for any number of transitions. It is"
+        " the widest."
+    ),
+    "sampling": (
+        "value ± normal quantile × standard error. Unrecorded state-action pairs behave"
+        " as estimated."
+    ),
 }
 COLUMNS: Mapping[str, str] = {  # of the page's tables
-    "P(best)": "The probability that this policy is worth most, given the sampling noise alone.",
+    "P(best)": (
+        "The probability that this policy is worth most, given the sampling noise"
+        " alone."
+    ),
     "std. error": "Standard error, in the unit of the value.",
-    "eff. n": "Effective sample size: how many equally informative transitions (or episodes) the value rests on.",
-    "coverage": "Share of the policy's discounted time, in the estimator's model, in recorded state-action pairs.",
+    "eff. n": (
+        "Effective sample size: how many equally informative transitions (or episodes)"
+        " the value rests on."
+    ),
+    "coverage": (
+        "Share of the policy's discounted time, in the estimator's model, in recorded"
+        " state-action pairs."
+    ),
     "max weight": "The largest ratio, target over simulator or policy over behaviour.",
     "row-sum err.": "How far rows of corrected probabilities are from summing to 1.",
 }
-NO_VALUE = "No estimator could give the value of a policy in the target. The notes say why."
+NO_VALUE = (
+    "No estimator could give the value of a policy in the target. The notes say why."
+)
 REWARD_CONFLICT = "{}, so this rests on rewards that may be wrong."
 MISSING_WEIGHTS = "Importance sampling is left out ({}): {}."
-NOT_TESTED = "The simulator has one possible next state in every recorded state-action pair, so it cannot be tested."
+NOT_TESTED = (
+    "The simulator has one possible next state in every recorded state-action pair, so"
+    " it cannot be tested."
+)
 SOFT = (
-    "The counts were given beside the log. Tests of the simulator and likelihood intervals need whole and independent "
-    "transitions, so they are left out."
+    "The counts were given beside the log. Tests of the simulator and likelihood"
+    " intervals need whole and independent transitions, so they are left out."
 )
 MISSING_INTERVALS = "There are no likelihood intervals: {}."
 NO_P_BEST = (
-    "There is no P(best), because it includes sampling noise alone, and here other uncertainty decides the ranking."
+    "There is no P(best), because it includes sampling noise alone, and here other"
+    " uncertainty decides the ranking."
 )
 INTERVAL_AT_ANY_SIZE = "The interval that is guaranteed at any sample size is {}."
-NEEDS_HORIZON = "At discount 1 policies are ranked only with a horizon (horizon=, --horizon)."
+NEEDS_HORIZON = (
+    "At discount 1 policies are ranked only with a horizon (horizon=, --horizon)."
+)
 
 
 @dataclass(frozen=True)
@@ -104,11 +145,15 @@ def format_value(value: float | None, lower: float | None, upper: float | None) 
     return format(value, _printing.spec(lower, upper)).replace("-", "−")
 
 
-def format_interval(lower: float | None, upper: float | None, joint: str = " to ") -> str:
+def format_interval(
+    lower: float | None, upper: float | None, joint: str = " to "
+) -> str:
     """Write an interval."""
     if lower is None or upper is None:
         return "–"
-    return f"{format_value(lower, lower, upper)}{joint}{format_value(upper, lower, upper)}"
+    return (
+        f"{format_value(lower, lower, upper)}{joint}{format_value(upper, lower, upper)}"
+    )
 
 
 def format_level(confidence: float) -> str:
@@ -128,17 +173,36 @@ def policy_worth(answer: Answer, confidence: float) -> str:
     """Say what one policy is worth, beside what the simulator says."""
     ends, level = (answer.lower, answer.upper), format_level(confidence)
     if answer.is_nearly_silent and answer.coverage is not None:
-        sentence = f"The log covers {_printing.share(answer.coverage)} of what the policy “{answer.policy}” does: "
+        sentence = (
+            f"The log covers {_printing.share(answer.coverage)} of what the policy"
+            f" “{answer.policy}” does: "
+        )
         known = f"between {format_interval(*ends, ' and ')} ({level} interval)"
-        sentence += known if answer.lower is not None else f"about {format_number(answer.value)}, without an interval"
+        sentence += (
+            known
+            if answer.lower is not None
+            else f"about {format_number(answer.value)}, without an interval"
+        )
     else:
-        where = "target" if answer.is_from_log or answer.truth is not None else "simulator"
-        sentence = f"In the {where}, the policy “{answer.policy}” is worth about {format_value(answer.value, *ends)}"
-        sentence += f" ({level} interval: {format_interval(*ends)})" if answer.lower is not None else ""
+        where = (
+            "target" if answer.is_from_log or answer.truth is not None else "simulator"
+        )
+        sentence = (
+            f"In the {where}, the policy “{answer.policy}” is worth about"
+            f" {format_value(answer.value, *ends)}"
+        )
+        sentence += (
+            f" ({level} interval: {format_interval(*ends)})"
+            if answer.lower is not None
+            else ""
+        )
     if answer.simulator is not None and answer.is_from_log:
         sentence += f"; the simulator says {format_value(answer.simulator, *ends)}"
         if answer.simulator_error is not None:
-            sentence += f" (standard error {format_number(answer.simulator_error, 2)}, because it was sampled)"
+            sentence += (
+                f" (standard error {format_number(answer.simulator_error, 2)}, because"
+                " it was sampled)"
+            )
     if answer.truth is not None:
         sentence += f". The exact value, known here, is {format_number(answer.truth)}"
     return f"{sentence}."
@@ -147,7 +211,10 @@ def policy_worth(answer: Answer, confidence: float) -> str:
 def silent_log(answers: Sequence[Answer]) -> str:
     """Say of which policies the log is nearly silent; "" of none."""
     silent = [answer for answer in answers if answer.is_nearly_silent]
-    shares = ", ".join(f"{_printing.share(a.coverage or 0.0)} of what “{a.policy}” does" for a in silent)
+    shares = ", ".join(
+        f"{_printing.share(a.coverage or 0.0)} of what “{a.policy}” does"
+        for a in silent
+    )
     return f"The log covers only {shares}." if silent else ""
 
 
@@ -155,7 +222,13 @@ def silent_log(answers: Sequence[Answer]) -> str:
 
 
 def best_policy(
-    best: str, following: str, n_policies: int, margin: tuple[float, float, float], confidence: float, *, overlap: bool
+    best: str,
+    following: str,
+    n_policies: int,
+    margin: tuple[float, float, float],
+    confidence: float,
+    *,
+    overlap: bool,
 ) -> str:
     """Say which policy is worth most, and by how much: ``margin`` (difference, lower, upper)."""
     sentence = f"Of {n_policies} policies, “{best}” is worth most in the target."
@@ -164,17 +237,24 @@ def best_policy(
         sentence += f" ({format_level(confidence)}: {format_interval(*margin[1:])})."
         if overlap:
             sentence += (
-                " The difference is known more precisely than either value because both rest on the same transitions."
+                " The difference is known more precisely than either value because both"
+                " rest on the same transitions."
             )
     return sentence
 
 
-def no_best_policy(candidates: Sequence[str], n_policies: int, *, are_equal: bool) -> str:
+def no_best_policy(
+    candidates: Sequence[str], n_policies: int, *, are_equal: bool
+) -> str:
     """Say that the log cannot say, or that the candidates are worth the same."""
     *first, last = (f"“{name}”" for name in candidates)
     names = f"{', '.join(first)} and {last}" if first else last
     others = n_policies - len(candidates)
-    less = f"; the other {others} {'is' if others == 1 else 'are'} worth less" if others else ""
+    less = (
+        f"; the other {others} {'is' if others == 1 else 'are'} worth less"
+        if others
+        else ""
+    )
     if are_equal:
         return f"{names} are worth the same in the target{less}."
     return f"The log cannot say which of {names} is worth most in the target{less}."
@@ -185,23 +265,36 @@ def no_best_policy(candidates: Sequence[str], n_policies: int, *, are_equal: boo
 
 def pair_rejections(rejected: int, tested: int) -> str:
     """Say in how many pairs the data reject the simulator."""
-    rest = " In the others the log shows no significant difference." if rejected < tested else ""
-    return f"The data reject the simulator in {rejected} of the {tested} recorded state-action pairs.{rest}"
+    rest = (
+        " In the others the log shows no significant difference."
+        if rejected < tested
+        else ""
+    )
+    return (
+        f"The data reject the simulator in {rejected} of the {tested} recorded"
+        f" state-action pairs.{rest}"
+    )
 
 
 def joint_rejection(z: float) -> str:
     """Say that the data reject the simulator, though in no single pair."""
     return (
-        f"The data as a whole reject the simulator (z = {z:.1f}), although no single state-action pair does. Transitions that "
-        f"the simulator calls likely are {'more' if z > 0 else 'less'} frequent in the target."
+        f"The data as a whole reject the simulator (z = {z:.1f}), although no single"
+        " state-action pair does. Transitions that the simulator calls likely are"
+        f" {'more' if z > 0 else 'less'} frequent in the target."
     )
 
 
 def agreement(tested: int) -> str:
     """Say that the data agree with the simulator."""
-    pairs = f"the {tested} recorded state-action pairs" if tested > 1 else "the one recorded state-action pair"
+    pairs = (
+        f"the {tested} recorded state-action pairs"
+        if tested > 1
+        else "the one recorded state-action pair"
+    )
     return (
-        f"The data show no significant difference from the simulator in {pairs}. A short log cannot show a small one."
+        f"The data show no significant difference from the simulator in {pairs}. A"
+        " short log cannot show a small one."
     )
 
 
@@ -210,14 +303,22 @@ def worst_case(unrecorded: int, share: float | None, *, dropped: bool) -> str:
     sentences = []
     if unrecorded:
         pairs = f"{unrecorded} unrecorded pair{'s' * (unrecorded > 1)}"
-        of_time = "" if share is None else f" ({_printing.share(share)} of the policy's time)"
+        of_time = (
+            "" if share is None else f" ({_printing.share(share)} of the policy's time)"
+        )
         sentences.append(f"The interval allows any outcome in {pairs}{of_time}.")
-    return " ".join([*sentences, *["It lets dropped transitions lead anywhere."] * dropped])
+    return " ".join(
+        [*sentences, *["It lets dropped transitions lead anywhere."] * dropped]
+    )
 
 
 def sampling_interval(lower: float, upper: float, *, unrecorded: int) -> str:
     """Say what sampling noise alone leaves open."""
-    condition = "If such pairs behave as estimated" if unrecorded else "Without these transitions"
+    condition = (
+        "If such pairs behave as estimated"
+        if unrecorded
+        else "Without these transitions"
+    )
     return f"{condition}, the interval is {format_interval(lower, upper)}."
 
 
@@ -226,7 +327,10 @@ def sampling_interval(lower: float, upper: float, *, unrecorded: int) -> str:
 
 def legend(method: str, estimators: Sequence[str], confidence: float) -> str:
     """Say what the intervals of some estimators are."""
-    return f"{format_level(confidence)} interval of {', '.join(estimators)} ({method}): {METHODS.get(method, method)}"
+    return (
+        f"{format_level(confidence)} interval of {', '.join(estimators)} ({method}):"
+        f" {METHODS.get(method, method)}"
+    )
 
 
 def omissions(notes: int, rows: int) -> str:

@@ -23,7 +23,9 @@ _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _ONE, _TWO = np.uint64(1), np.uint64(2)
 N_BLOCKS = 16  # drawn at once: 7.6 ns a step, of 8 blocks 12.6, of one 14.5
-N_LANES = 4  # episodes in step, whose waits for memory overlap: 8.1 ns a step on a 30 x 30 grid, of one lane 11.3
+# episodes in step, whose waits for memory overlap: 8.1 ns a step on a 30 x 30 grid, of
+# one lane 11.3
+N_LANES = 4
 # a state's code: first slot * 2^8 + terminal * 2^7 + k
 _PLACE, _SIZE, _TERMINAL = np.uint64(8), np.uint64(63), np.uint64(128)
 
@@ -116,7 +118,10 @@ def fill_words(key, stream, trajectory, block, words):
     k0, k1, c2, c3 = key & _LOW, key >> _SHIFT, trajectory & _LOW, trajectory >> _SHIFT
     for b in range(words.shape[1]):
         x0, x1, x2, x3 = philox(block + np.uint64(b), stream, c2, c3, k0, k1)
-        words[0, b], words[1, b] = (x1 << _SHIFT | x0) >> _TWO, (x3 << _SHIFT | x2) >> _TWO
+        words[0, b], words[1, b] = (
+            (x1 << _SHIFT | x0) >> _TWO,
+            (x3 << _SHIFT | x2) >> _TWO,
+        )
 
 
 @njit(cache=True, inline="always")
@@ -129,7 +134,20 @@ def choose_slot(code, x, word):
 
 
 @njit(cache=True, nogil=True)
-def draw_episodes(begin, end, key, stream, horizon, discount, by_transition, table, sums, lengths, last, path):
+def draw_episodes(
+    begin,
+    end,
+    key,
+    stream,
+    horizon,
+    discount,
+    by_transition,
+    table,
+    sums,
+    lengths,
+    last,
+    path,
+):
     """G += gamma^t r_t, X += gamma^t W r_t, W_{t+1} = W_t zeta_{t+1}, for the trajectories begin .. end - 1.
 
     ``sums`` (4, n): G; X, where a reward has the weight W_t, or W_{t+1} ``by_transition``; the weight of the whole; the
@@ -139,7 +157,10 @@ def draw_episodes(begin, end, key, stream, horizon, discount, by_transition, tab
     code, word, following, reward, factor, entry = table
     weighted, record, used = len(factor) > 0, len(path) > 0, 0
     n_lanes = 1 if record else N_LANES
-    words, here = np.empty((n_lanes, 2, N_BLOCKS), np.uint64), np.empty(n_lanes, np.uint64)
+    words, here = (
+        np.empty((n_lanes, 2, N_BLOCKS), np.uint64),
+        np.empty(n_lanes, np.uint64),
+    )
     for first in range(begin, end, n_lanes):
         n_together = min(n_lanes, end - first)
         for lane in range(n_together):
@@ -155,7 +176,9 @@ def draw_episodes(begin, end, key, stream, horizon, discount, by_transition, tab
                     continue
                 i = first + lane
                 if at == 0:
-                    fill_words(key, stream, np.uint64(i), np.uint64((t + 1) // 2), words[lane])
+                    fill_words(
+                        key, stream, np.uint64(i), np.uint64((t + 1) // 2), words[lane]
+                    )
                 slot = choose_slot(here[lane], words[lane, at & 1, at >> 1], word)
                 here[lane] = following[slot]
                 gain = scale * reward[slot]
@@ -163,7 +186,8 @@ def draw_episodes(begin, end, key, stream, horizon, discount, by_transition, tab
                 if weighted:
                     before, after = sums[2, i], sums[2, i] * factor[slot]
                     carried = after if by_transition else before
-                    sums[1, i] += gain * carried if gain != 0.0 else 0.0  # a weight may be infinite
+                    # a weight may be infinite
+                    sums[1, i] += gain * carried if gain != 0.0 else 0.0
                     sums[3, i] = max(sums[3, i], carried)
                     sums[2, i] = after if by_transition or t + 1 < horizon else before
                 if record:
@@ -181,7 +205,18 @@ def draw_episodes(begin, end, key, stream, horizon, discount, by_transition, tab
 
 
 @njit(cache=True)
-def write_columns(path, lengths, row_of_entry, indices, rewards, policy, terminal, integers, numbers, flags):
+def write_columns(
+    path,
+    lengths,
+    row_of_entry,
+    indices,
+    rewards,
+    policy,
+    terminal,
+    integers,
+    numbers,
+    flags,
+):
     """The columns of a log, row by row of its path: ``integers`` (5, n) state, action, next state, timestep, episode;
     ``numbers`` (2, n) reward, behaviour probability; ``flags`` (2, n) terminated, truncated, which begin as zeros.
     """

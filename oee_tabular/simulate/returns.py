@@ -54,16 +54,19 @@ class SampledReturns:
     def __repr__(self) -> str:
         what = "" if self.values is self.returns else f", weighted {self.kind}"
         return (
-            f"SampledReturns({len(self)} episodes, {int(self.lengths.sum())} transitions: "
-            f"mean {self.mean:.6g}, standard error {self.standard_error:.2g}{what})"
+            f"SampledReturns({len(self)} episodes, {int(self.lengths.sum())}"
+            f" transitions: mean {self.mean:.6g}, standard error"
+            f" {self.standard_error:.2g}{what})"
         )
 
     def _repr_html_(self) -> str:
         rows: list[tuple[str, object]] = [
-            ("episodes", len(self)), ("transitions", int(self.lengths.sum())),
-            ("mean", f"{self.mean:.6g}"), ("standard error", f"{self.standard_error:.2g}"),
+            ("episodes", len(self)),
+            ("transitions", int(self.lengths.sum())),
+            ("mean", f"{self.mean:.6g}"),
+            ("standard error", f"{self.standard_error:.2g}"),
             ("largest weight", f"{self.weights.max():.4g}"),
-        ]  # fmt: skip
+        ]
         return _printing.facts(f"Sampled returns: {_printing.SUM}", rows)
 
     @property
@@ -135,7 +138,23 @@ def sample_returns(
     _checks.boolean(record, "record")
     n = _checks.positive_integer(n_episodes, "n_episodes")
     pi = check_policy(policy, mdp)
-    drawn = draw(mdp, pi, n, horizon_length(horizon, mdp), seed=seed, zeta=zeta, record=record)
-    values = drawn.returns if zeta is None else drawn.weighted if kind == "per_decision" else drawn.whole
+    drawn = draw(
+        mdp, pi, n, horizon_length(horizon, mdp), seed=seed, zeta=zeta, record=record
+    )
+    values = (
+        drawn.returns
+        if zeta is None
+        else drawn.weighted
+        if kind == "per_decision"
+        else drawn.whole
+    )
     log = episode_log(mdp, drawn, pi) if record else None
-    return SampledReturns(values, drawn.returns, drawn.weights, drawn.lengths, drawn.final_state, log, kind)
+    return SampledReturns(
+        values,
+        drawn.returns,
+        drawn.weights,
+        drawn.lengths,
+        drawn.final_state,
+        log,
+        kind,
+    )

@@ -15,8 +15,10 @@ from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
 
-LOG_STREAM, RETURN_STREAM, BAG_STREAM = (np.uint64(number) for number in range(3))  # one seed, three different samples
-N_THREADED_STEPS = 1 << 20  # shorter runs, of some milliseconds, stay on the calling thread
+# one seed, three different samples
+LOG_STREAM, RETURN_STREAM, BAG_STREAM = (np.uint64(number) for number in range(3))
+# shorter runs, of some milliseconds, stay on the calling thread
+N_THREADED_STEPS = 1 << 20
 N_RECORDED_STEPS = 1 << 24  # room for a path at first; it doubles
 CHUNK = 1 << 10  # episodes that a thread takes at a time
 
@@ -70,7 +72,12 @@ class Drawn:
     def whole(self) -> Array:
         """W G; a return of 0 is 0 under any weight, even an infinite one."""
         with np.errstate(over="ignore"):
-            return np.multiply(self.weights, self.returns, out=np.zeros_like(self.returns), where=self.returns != 0)
+            return np.multiply(
+                self.weights,
+                self.returns,
+                out=np.zeros_like(self.returns),
+                where=self.returns != 0,
+            )
 
     @property
     def starts(self) -> IntArray:
@@ -79,9 +86,18 @@ class Drawn:
 
 
 def draw(
-    mdp: FiniteMDP, policy: Array, n: int, horizon: int, *, seed: Seed, zeta: object = None, record: bool = False,
-    pairs: Array | None = None, stream: np.uint64 = RETURN_STREAM, name: str = "n_episodes",
-) -> Drawn:  # fmt: skip
+    mdp: FiniteMDP,
+    policy: Array,
+    n: int,
+    horizon: int,
+    *,
+    seed: Seed,
+    zeta: object = None,
+    record: bool = False,
+    pairs: Array | None = None,
+    stream: np.uint64 = RETURN_STREAM,
+    name: str = "n_episodes",
+) -> Drawn:
     """n episodes of a checked policy: sums along each, weighted by ``zeta`` if given, and its path if it is to be recorded.
 
     ``pairs`` (S*A,): the distribution of the first pair, for episodes of one step whose states are pairs; ``policy`` is then
@@ -89,59 +105,110 @@ def draw(
     """
     import numba
 
-    from oee_tabular.exact.walks import transition_factors  # not at import: logs do without
+    # not at import: logs do without
+    from oee_tabular.exact.walks import transition_factors
     from oee_tabular.simulate._rollout import draw_episodes
 
     _checks.require_memory(9.0 * n, name, n)
-    terminal = mdp.absorbing() if pairs is None else np.zeros(len(pairs), dtype=np.bool_)
+    terminal = (
+        mdp.absorbing() if pairs is None else np.zeros(len(pairs), dtype=np.bool_)
+    )
     ratio = np.zeros(0) if zeta is None else transition_factors(mdp, zeta, terminal)
-    table = alias_table(mdp, policy, mdp.initial if pairs is None else pairs, terminal, ratio)
+    table = alias_table(
+        mdp, policy, mdp.initial if pairs is None else pairs, terminal, ratio
+    )
     key = np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
     sums, (lengths, last) = np.empty((4, n)), np.empty((2, n), dtype=np.int64)
-    options = key, stream, horizon, mdp.discount, mdp.reward_data is not None, table, sums, lengths, last
-    pieces, done, room = [np.empty(0, dtype=np.int64)], 0, min(n * horizon, N_RECORDED_STEPS)
+    options = (
+        key,
+        stream,
+        horizon,
+        mdp.discount,
+        mdp.reward_data is not None,
+        table,
+        sums,
+        lengths,
+        last,
+    )
+    pieces, done, room = (
+        [np.empty(0, dtype=np.int64)],
+        0,
+        min(n * horizon, N_RECORDED_STEPS),
+    )
     while record and done < n:
         _checks.require_memory(2.0 * room, name, n)
-        done, used = draw_episodes(done, n, *options, path := np.empty(room, dtype=np.int64))
+        done, used = draw_episodes(
+            done, n, *options, path := np.empty(room, dtype=np.int64)
+        )
         pieces.append(path[:used])
         room *= 2
     if not record and n * horizon < N_THREADED_STEPS:
         draw_episodes(0, n, *options, pieces[0])
     elif not record:
         with ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS) as pool:  # type: ignore[attr-defined]
-            list(pool.map(lambda i: draw_episodes(i, min(i + CHUNK, n), *options, pieces[0]), range(0, n, CHUNK)))
-    path = pieces[-1] if len(pieces) <= 2 else np.concatenate(pieces)  # of all transitions: not copied without need
+            list(
+                pool.map(
+                    lambda i: draw_episodes(i, min(i + CHUNK, n), *options, pieces[0]),
+                    range(0, n, CHUNK),
+                )
+            )
+    # of all transitions: not copied without need
+    path = pieces[-1] if len(pieces) <= 2 else np.concatenate(pieces)
     returns, weighted, weights, largest = sums
     final_state = mdp.transitions.indices[last].astype(np.int64)
     return Drawn(returns, weighted, weights, largest, lengths, final_state, path, ratio)
 
 
-def alias_table(mdp: FiniteMDP, policy: Array, initial: Array, terminal: BoolArray, ratio: Array) -> AliasTable:
+def alias_table(
+    mdp: FiniteMDP, policy: Array, initial: Array, terminal: BoolArray, ratio: Array
+) -> AliasTable:
     """Of every state's (a, s') under ``policy`` (S, A), and of the first state; or (S*A, 1): of every pair's s'."""
     from oee_tabular.simulate._rollout import fill_table
 
     matrix, begin = mdp.transitions, np.flatnonzero(initial)
-    indptr = np.append(matrix.indptr, np.full(policy.shape[1], matrix.nnz + len(begin))).astype(np.int64)
-    indices, prob = np.append(matrix.indices, begin), np.append(matrix.data, initial[begin])
+    indptr = np.append(
+        matrix.indptr, np.full(policy.shape[1], matrix.nnz + len(begin))
+    ).astype(np.int64)
+    indices, prob = (
+        np.append(matrix.indices, begin),
+        np.append(matrix.data, initial[begin]),
+    )
     pi = np.concatenate([policy, np.eye(1, policy.shape[1])])
     n_outcomes = (np.diff(indptr).reshape(pi.shape) * (pi > 0.0)).sum(axis=1)
-    size = np.frexp(n_outcomes - 1)[1].astype(np.int64)  # the least k with 2^k slots for them
+    # the least k with 2^k slots for them
+    size = np.frexp(n_outcomes - 1)[1].astype(np.int64)
     ends = np.cumsum(1 << size)
     first = ends - (1 << size)
     word, entry = np.empty((2, ends[-1]), dtype=np.int64)
     fill_table(indptr, prob, pi, first, size, word, entry)
     code = first << 8 | np.append(terminal, False) * 128 | size
-    reward, factor = (np.append(x, np.ones(len(begin)))[entry] if len(x) else x for x in (entry_rewards(mdp), ratio))
+    reward, factor = (
+        np.append(x, np.ones(len(begin)))[entry] if len(x) else x
+        for x in (entry_rewards(mdp), ratio)
+    )
     following = code[indices[entry]]
-    return AliasTable(code.view(np.uint64), word.view(np.uint64), following.view(np.uint64), reward, factor, entry)
+    return AliasTable(
+        code.view(np.uint64),
+        word.view(np.uint64),
+        following.view(np.uint64),
+        reward,
+        factor,
+        entry,
+    )
 
 
 def entry_rewards(mdp: FiniteMDP) -> Array:
     """The reward of each entry of P: r(s, a, s'), or r(s, a)."""
-    return mdp.rewards.reshape(-1)[row_of_entry(mdp.transitions)] if mdp.reward_data is None else mdp.reward_data
+    return (
+        mdp.rewards.reshape(-1)[row_of_entry(mdp.transitions)]
+        if mdp.reward_data is None
+        else mdp.reward_data
+    )
 
 
-def sample_episodes(mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon: int, *, seed: Seed) -> Transitions:
+def sample_episodes(
+    mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon: int, *, seed: Seed
+) -> Transitions:
     """Sample episodes from the initial distribution, each of at most ``horizon`` steps.
 
     An episode terminates on entering an absorbing state with reward 0; one that reaches the horizon is
@@ -183,7 +250,9 @@ def sample_episodes(mdp: FiniteMDP, policy: PolicyLike, n_episodes: int, horizon
     return episode_log(mdp, drawn, pi)
 
 
-def episodes_holding(mdp: FiniteMDP, policy: PolicyLike, n: int, horizon: int, *, seed: Seed) -> Transitions:
+def episodes_holding(
+    mdp: FiniteMDP, policy: PolicyLike, n: int, horizon: int, *, seed: Seed
+) -> Transitions:
     """Whole episodes that together have at least n transitions.
 
     As many as would do if none ended early, and more where they do. A Generator draws afresh at each try;
@@ -195,7 +264,9 @@ def episodes_holding(mdp: FiniteMDP, policy: PolicyLike, n: int, horizon: int, *
     return log
 
 
-def sample_transitions(mdp: FiniteMDP, distribution: object, n: int, *, seed: Seed) -> Transitions:
+def sample_transitions(
+    mdp: FiniteMDP, distribution: object, n: int, *, seed: Seed
+) -> Transitions:
     """Sample n independent transitions: (s, a) from ``distribution`` (S, A), s' from P(. | s, a).
 
     There are no episodes and no termination: absorbing states are sampled like any other.
@@ -226,13 +297,30 @@ def sample_transitions(mdp: FiniteMDP, distribution: object, n: int, *, seed: Se
     size = _checks.positive_integer(n, "n")
     weights = _checks.float_array(distribution, "distribution", ndim=2)
     own = len(mdp.terminal_state)
-    if weights.shape == (own, mdp.n_actions):  # of the environment's own shape: twins are not drawn from
-        weights = np.concatenate([weights, np.zeros((mdp.n_states - own, mdp.n_actions))])
-    weights = _checks.distribution(weights, "distribution", (mdp.n_states, mdp.n_actions))
+    # of the environment's own shape: twins are not drawn from
+    if weights.shape == (own, mdp.n_actions):
+        weights = np.concatenate(
+            [weights, np.zeros((mdp.n_states - own, mdp.n_actions))]
+        )
+    weights = _checks.distribution(
+        weights, "distribution", (mdp.n_states, mdp.n_actions)
+    )
     pairs, every = weights.reshape(-1), np.ones((weights.size, 1))
-    path = draw(mdp, every, size, 1, seed=seed, record=True, pairs=pairs, stream=BAG_STREAM, name="n").path
+    path = draw(
+        mdp,
+        every,
+        size,
+        1,
+        seed=seed,
+        record=True,
+        pairs=pairs,
+        stream=BAG_STREAM,
+        name="n",
+    ).path
     state, action = np.divmod(row_of_entry(mdp.transitions)[path], mdp.n_actions)
-    return Transitions(state, action, mdp.transitions.indices[path], entry_rewards(mdp)[path])
+    return Transitions(
+        state, action, mdp.transitions.indices[path], entry_rewards(mdp)[path]
+    )
 
 
 def episode_log(mdp: FiniteMDP, drawn: Drawn, policy: Array) -> Transitions:
@@ -240,13 +328,39 @@ def episode_log(mdp: FiniteMDP, drawn: Drawn, policy: Array) -> Transitions:
     from oee_tabular.simulate._rollout import write_columns
 
     n, indices = len(drawn.path), mdp.transitions.indices
-    integers, numbers, flags = np.empty((5, n), dtype=np.int64), np.empty((2, n)), np.zeros((2, n), dtype=np.bool_)
+    integers, numbers, flags = (
+        np.empty((5, n), dtype=np.int64),
+        np.empty((2, n)),
+        np.zeros((2, n), dtype=np.bool_),
+    )
     entries = row_of_entry(mdp.transitions), indices, entry_rewards(mdp)
-    write_columns(drawn.path, drawn.lengths, *entries, policy, mdp.absorbing(), integers, numbers, flags)
-    columns = dict(zip(("state", "action", "next_state", "timestep", "episode"), integers, strict=True))
-    columns |= {"reward": numbers[0], "behavior_probability": numbers[1], "terminated": flags[0], "truncated": flags[1]}
+    write_columns(
+        drawn.path,
+        drawn.lengths,
+        *entries,
+        policy,
+        mdp.absorbing(),
+        integers,
+        numbers,
+        flags,
+    )
+    columns = dict(
+        zip(
+            ("state", "action", "next_state", "timestep", "episode"),
+            integers,
+            strict=True,
+        )
+    )
+    columns |= {
+        "reward": numbers[0],
+        "behavior_probability": numbers[1],
+        "terminated": flags[0],
+        "truncated": flags[1],
+    }
     log = object.__new__(Transitions)
     for field in fields(Transitions):
         column = columns.get(field.name)
-        object.__setattr__(log, field.name, None if column is None else _checks.freeze(column))
+        object.__setattr__(
+            log, field.name, None if column is None else _checks.freeze(column)
+        )
     return log

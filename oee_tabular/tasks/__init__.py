@@ -5,47 +5,107 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from oee_tabular.tasks.gridworld import Embedded, embedded_default, gridworld, gridworld_expert, gridworld_policy
+from oee_tabular.tasks.gridworld import (
+    Embedded,
+    embedded_default,
+    gridworld,
+    gridworld_expert,
+    gridworld_policy,
+)
 from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_text
 
 if TYPE_CHECKING:  # the rest is the wing's, imported on use
-    # fmt: off
     # isort: off
     from oee_tabular.continuous.cartpole import CartPole, cartpole_policy, train_expert
     from oee_tabular.continuous.correction import ParameterFit, fit_parameters
-    from oee_tabular.continuous.discretization import GridInterpolation, VisitedCells, discretize, visited_states
+    from oee_tabular.continuous.discretization import (
+        GridInterpolation,
+        VisitedCells,
+        discretize,
+        visited_states,
+    )
     from oee_tabular.continuous.discretized import Discretization
-    from oee_tabular.continuous.episodes import MonteCarlo, monte_carlo_value, record, resimulate
+    from oee_tabular.continuous.episodes import (
+        MonteCarlo,
+        monte_carlo_value,
+        record,
+        resimulate,
+    )
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
     from oee_tabular.continuous.gymnasium_task import GymnasiumTask
     from oee_tabular.continuous.history import HistoryTask
     from oee_tabular.continuous.kinova import KinovaArm, KinovaHand, fit_hand
-    from oee_tabular.continuous.gen3 import hand_log, kinova_policy, load_kinova_log, record_goals
+    from oee_tabular.continuous.gen3 import (
+        hand_log,
+        kinova_policy,
+        load_kinova_log,
+        record_goals,
+    )
     from oee_tabular.continuous.reacher import Reacher, reacher_log, reacher_policy
     from oee_tabular.continuous.regression import LinearModel
     from oee_tabular.continuous.residual import ResidualSimulator
     from oee_tabular.continuous.rows import corrected_value
     from oee_tabular.continuous.simulator import ContinuousSimulator, Settings
     from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
+
     # isort: on
-    # fmt: on
+
 
 __all__ = [
-    "CartPole", "ContinuousSimulator", "ContinuousTask", "Discretization", "Embedded", "GridInterpolation",
-    "GymnasiumTask", "HistoryTask", "KinovaArm", "KinovaHand", "LinearModel", "MonteCarlo", "Moves",
-    "NamedTask", "ParameterFit", "Reacher", "ResidualSimulator", "Settings", "StatePolicy", "VisitedCells",
-    "cartpole_policy", "corrected_value", "discretize", "embedded_default", "evaluate_continuous", "fit_hand",
-    "fit_parameters", "gridworld", "gridworld_expert", "gridworld_policy", "gymnasium_simulator", "hand_log",
-    "kinova_policy", "load_kinova_log", "make_environment", "monte_carlo_value", "named_task", "reacher_log",
-    "reacher_policy", "record", "record_episodes", "record_goals", "resimulate", "toy_text", "train_expert",
+    "CartPole",
+    "ContinuousSimulator",
+    "ContinuousTask",
+    "Discretization",
+    "Embedded",
+    "GridInterpolation",
+    "GymnasiumTask",
+    "HistoryTask",
+    "KinovaArm",
+    "KinovaHand",
+    "LinearModel",
+    "MonteCarlo",
+    "Moves",
+    "NamedTask",
+    "ParameterFit",
+    "Reacher",
+    "ResidualSimulator",
+    "Settings",
+    "StatePolicy",
+    "VisitedCells",
+    "cartpole_policy",
+    "corrected_value",
+    "discretize",
+    "embedded_default",
+    "evaluate_continuous",
+    "fit_hand",
+    "fit_parameters",
+    "gridworld",
+    "gridworld_expert",
+    "gridworld_policy",
+    "gymnasium_simulator",
+    "hand_log",
+    "kinova_policy",
+    "load_kinova_log",
+    "make_environment",
+    "monte_carlo_value",
+    "named_task",
+    "reacher_log",
+    "reacher_policy",
+    "record",
+    "record_episodes",
+    "record_goals",
+    "resimulate",
+    "toy_text",
+    "train_expert",
     "visited_states",
-]  # fmt: skip
+]
 
 
 def __getattr__(name: str) -> Any:
-    if name == "kinova":  # the wing's package of the arm, under the name by which notebook 09 reads it
+    # the wing's package of the arm, under the name by which notebook 09 reads it
+    if name == "kinova":
         return importlib.import_module("oee_tabular.continuous.kinova")
     if name in __all__:
         return getattr(importlib.import_module("oee_tabular.continuous"), name)

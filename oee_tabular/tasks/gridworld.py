@@ -25,7 +25,13 @@ MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 STATE_BYTES = 1800.0  # that are taken for each state while an MDP is made, measured
 
 
-def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next", discount: float = 0.99) -> FiniteMDP:
+def gridworld(
+    size: int,
+    slip: float,
+    *,
+    pay: Literal["next", "current"] = "next",
+    discount: float = 0.99,
+) -> FiniteMDP:
     """The gridworld of ``size`` x ``size`` cells as a FiniteMDP.
 
     Parameters
@@ -50,14 +56,19 @@ def gridworld(size: int, slip: float, *, pay: Literal["next", "current"] = "next
     wrong = _checks.number_in(slip, "slip", 0.0, 1.0)
     _checks.one_of(pay, "pay", ("next", "current"))
     cells = np.stack(np.divmod(np.arange(n * n), n), axis=1)
-    row, column = np.clip(cells[:, None] + MOVES, 0, n - 1).transpose(2, 0, 1)  # (S, 4), walls included
-    next_cells = np.repeat(row * n + column, 4, axis=0)  # for each action, the four directions
+    # (S, 4), walls included
+    row, column = np.clip(cells[:, None] + MOVES, 0, n - 1).transpose(2, 0, 1)
+    # for each action, the four directions
+    next_cells = np.repeat(row * n + column, 4, axis=0)
     weights = np.full((4, 4), wrong / 3.0)
     np.fill_diagonal(weights, 1.0 - wrong)
     weights = np.tile(weights, (n * n, 1))
-    weights[-4:] = [1.0, 0.0, 0.0, 0.0]  # the goal's first direction, into a wall; a sum of four need not be exactly 1
+    # the goal's first direction, into a wall; a sum of four need not be exactly 1
+    weights[-4:] = [1.0, 0.0, 0.0, 0.0]
     pointers = np.arange(0, 16 * n * n + 1, 4)
-    transitions = sparse.csr_array((weights.ravel(), next_cells.ravel(), pointers), shape=(4 * n * n, n * n))
+    transitions = sparse.csr_array(
+        (weights.ravel(), next_cells.ravel(), pointers), shape=(4 * n * n, n * n)
+    )
     rewards: Array | sparse.csr_array = 0.2 * (cells.sum(axis=1) - (2 * n - 2))
     if pay == "next":
         transitions.sum_duplicates()
@@ -99,7 +110,9 @@ def gridworld_policy(size: int, delta: float) -> Array:
     [0.85, 0.05, 0.05, 0.05]
     """
     expert = gridworld_expert(size)
-    return mix(expert, np.full_like(expert, 0.25), _checks.number_in(delta, "delta", 0.0, 1.0))
+    return mix(
+        expert, np.full_like(expert, 0.25), _checks.number_in(delta, "delta", 0.0, 1.0)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,5 +162,7 @@ def embedded_default(*, seed: int, discount: float = 0.99) -> Embedded:
     behavior = uniform_policy(target)
     episodes = sample_episodes(target, behavior, 50, 1000, seed=generator)
     log = episodes.draw(3162, seed=generator)
-    policies = {f"{delta:.0%} expert": gridworld_policy(10, delta) for delta in (0.1, 0.5, 0.9)}
+    policies = {
+        f"{delta:.0%} expert": gridworld_policy(10, delta) for delta in (0.1, 0.5, 0.9)
+    }
     return Embedded(simulator, target, log, episodes, behavior, policies)

@@ -19,7 +19,8 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
 
-FINITE = ("gridworld",)  # tasks of numbered states that ``named_task`` knows, beside Gymnasium's
+# tasks of numbered states that ``named_task`` knows, beside Gymnasium's
+FINITE = ("gridworld",)
 
 
 @dataclass(frozen=True)
@@ -87,20 +88,31 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
         try:
             bound = inspect.signature(gridworld).bind(*positional, **(keywords | given))
         except TypeError as error:
-            raise ValueError(f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}") from None
+            raise ValueError(
+                f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}"
+            ) from None
         size = bound.arguments["size"]
-        return NamedTask(spec, gridworld(*bound.args, **bound.kwargs), lambda: gridworld_expert(size), grid=size)
+        return NamedTask(
+            spec,
+            gridworld(*bound.args, **bound.kwargs),
+            lambda: gridworld_expert(size),
+            grid=size,
+        )
     wing = importlib.import_module("oee_tabular.continuous.command")
     if wing.is_continuous(spec):
         simulator = wing.continuous_simulator(spec)
         model = simulator.discretize(**({"discount": 0.99} | given))
         expert = lambda: model.policy(simulator.policy("expert"))  # noqa: E731
-        return NamedTask(spec, model.mdp, expert, continuous=simulator, discretization=model)
+        return NamedTask(
+            spec, model.mdp, expert, continuous=simulator, discretization=model
+        )
     environment_exists(name, (*FINITE, *wing.CONTINUOUS))
     _, keywords = parse_spec(spec)
     mdp = toy_text(name, **(keywords | given))
     keywords.pop("discount", None)
-    return NamedTask(spec, mdp, lambda: _plan(mdp), lambda: make_environment(name, **keywords))
+    return NamedTask(
+        spec, mdp, lambda: _plan(mdp), lambda: make_environment(name, **keywords)
+    )
 
 
 def _plan(mdp: FiniteMDP) -> Array:

@@ -24,11 +24,13 @@ def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
 
     _checks.instance(identifier, str, "identifier")
     if identifier not in registry:
-        near = difflib.get_close_matches(identifier, [*others, *registry], n=3, cutoff=0.5)
+        near = difflib.get_close_matches(
+            identifier, [*others, *registry], n=3, cutoff=0.5
+        )
         hint = f"; near: {', '.join(near)}" if near else ""
         raise ValueError(
-            f"environment must be a task or a Gymnasium id; {identifier!r} is neither{hint} (your own: module:Class or "
-            "module:EnvId-v0)"
+            f"environment must be a task or a Gymnasium id; {identifier!r} is"
+            f" neither{hint} (your own: module:Class or module:EnvId-v0)"
         )
 
 
@@ -59,9 +61,21 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
     try:
         return gymnasium.make(identifier, **kwargs)
     except gymnasium.error.Error as error:
-        raise ValueError(f"environment {identifier!r} cannot be made: {error}") from None
-    except (TypeError, LookupError, ValueError, ArithmeticError, AttributeError, AssertionError) as error:
-        raise ValueError(f"environment {identifier!r} does not take these arguments {kwargs}: {error}") from None
+        raise ValueError(
+            f"environment {identifier!r} cannot be made: {error}"
+        ) from None
+    except (
+        TypeError,
+        LookupError,
+        ValueError,
+        ArithmeticError,
+        AttributeError,
+        AssertionError,
+    ) as error:
+        raise ValueError(
+            f"environment {identifier!r} does not take these arguments {kwargs}:"
+            f" {error}"
+        ) from None
 
 
 def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: object) -> FiniteMDP:
@@ -83,8 +97,14 @@ def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: object) -> Fi
     try:
         return FiniteMDP.from_gymnasium(env, discount=gamma)
     except ValueError as error:
-        options = f" with {', '.join(f'{name}={value!r}' for name, value in kwargs.items())}" if kwargs else ""
-        raise ValueError(f"environment {identifier!r}{options} is no finite MDP: {error}") from None
+        options = (
+            f" with {', '.join(f'{name}={value!r}' for name, value in kwargs.items())}"
+            if kwargs
+            else ""
+        )
+        raise ValueError(
+            f"environment {identifier!r}{options} is no finite MDP: {error}"
+        ) from None
     finally:
         env.close()
 
@@ -129,20 +149,38 @@ def record_episodes(
     """
     if (n_transitions is None) == (n_episodes is None):
         raise ValueError("one of n_transitions and n_episodes must be given")
-    limit = None if n_transitions is None else _checks.positive_integer(n_transitions, "n_transitions")
+    limit = (
+        None
+        if n_transitions is None
+        else _checks.positive_integer(n_transitions, "n_transitions")
+    )
     _checks.require_memory(8.0 * (limit or 0), "n_transitions", limit)
-    episodes = None if n_episodes is None else _checks.positive_integer(n_episodes, "n_episodes")
-    longest = None if max_steps is None else _checks.positive_integer(max_steps, "max_steps")
+    episodes = (
+        None
+        if n_episodes is None
+        else _checks.positive_integer(n_episodes, "n_episodes")
+    )
+    longest = (
+        None if max_steps is None else _checks.positive_integer(max_steps, "max_steps")
+    )
     sizes = [_count(env, name) for name in ("observation_space", "action_space")]
     n_rows = len(policy) if count_dimensions(policy) == 2 else 0  # type: ignore[arg-type]
-    numbered = SimpleNamespace(n_states=max(n_rows, sizes[0]), n_actions=sizes[1], terminal_state=np.arange(sizes[0]))
+    numbered = SimpleNamespace(
+        n_states=max(n_rows, sizes[0]),
+        n_actions=sizes[1],
+        terminal_state=np.arange(sizes[0]),
+    )
     pi = check_policy(policy, numbered)
     rows, progress = [], progress_bar("recording", total=limit or episodes)
-    for row in itertools.islice(_step(env, pi, episodes, longest, _checks.generator(seed)), limit):
+    for row in itertools.islice(
+        _step(env, pi, episodes, longest, _checks.generator(seed)), limit
+    ):
         rows.append(row)
         progress.update(1 if episodes is None else int(row[4] or row[5]))
     progress.close()
-    states, actions, next_states, rewards, terminated, truncated, episode = map(np.array, zip(*rows, strict=True))
+    states, actions, next_states, rewards, terminated, truncated, episode = map(
+        np.array, zip(*rows, strict=True)
+    )
     truncated[-1] = True  # unless it terminated
     return Transitions(
         states,
@@ -165,7 +203,11 @@ def _count(env: object, name: str) -> int:
 
 
 def _step(
-    env: Any, pi: Array, episodes: int | None, longest: int | None, generator: np.random.Generator
+    env: Any,
+    pi: Array,
+    episodes: int | None,
+    longest: int | None,
+    generator: np.random.Generator,
 ) -> Iterator[tuple[int, int, int, float, bool, bool, int]]:
     """Rows s, a, s', r, terminated, truncated, episode: those of so many ``episodes``, or without an end."""
     cumulative = np.cumsum(pi, axis=1)
@@ -175,9 +217,19 @@ def _step(
         state, has_ended, steps = int(env.reset(seed=first_seed)[0]), False, 0
         first_seed = None
         while not has_ended:
-            action = int(np.searchsorted(cumulative[state], generator.random(), side="right"))
+            action = int(
+                np.searchsorted(cumulative[state], generator.random(), side="right")
+            )
             next_state, reward, terminated, truncated, _ = env.step(action)
             steps += 1
             truncated = bool(truncated) or steps == longest
-            yield state, action, int(next_state), float(reward), bool(terminated), truncated, episode
+            yield (
+                state,
+                action,
+                int(next_state),
+                float(reward),
+                bool(terminated),
+                truncated,
+                episode,
+            )
             state, has_ended = int(next_state), bool(terminated) or truncated

@@ -36,16 +36,33 @@ if TYPE_CHECKING:
 
 _STRATEGIES = ("horizons", "logs", "mdp_pairs", "mdps", "policies")
 __all__ = [
-    "CASES", "CLAIMS", "DEFAULT", "LAWS", "Case", "OracleComparison", "Verdict", "Verdicts", "case", "check_estimator",
-    "claims_of", "compare_with_oracle", "horizons", "logs", "mdp_pairs", "mdps", "padded_log", "policies",
+    "CASES",
+    "CLAIMS",
+    "DEFAULT",
+    "LAWS",
+    "Case",
+    "OracleComparison",
+    "Verdict",
+    "Verdicts",
+    "case",
+    "check_estimator",
+    "claims_of",
+    "compare_with_oracle",
+    "horizons",
+    "logs",
+    "mdp_pairs",
+    "mdps",
+    "padded_log",
+    "policies",
     "relabelled_log",
-]  # fmt: skip
+]
 
 
 def __getattr__(name: str) -> Any:
     if name not in _STRATEGIES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module("oee_tabular.testing.strategies"), name)  # hypothesis is imported on use
+    # hypothesis is imported on use
+    return getattr(importlib.import_module("oee_tabular.testing.strategies"), name)
 
 
 def __dir__() -> list[str]:

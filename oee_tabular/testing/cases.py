@@ -78,7 +78,9 @@ class Case:
         assert starts is not None
         for k in range(repetitions):
             rows = slice(starts[k * n], starts[(k + 1) * n])
-            yield Transitions(**{name: column[rows] for name, column in columns.items()})
+            yield Transitions(
+                **{name: column[rows] for name, column in columns.items()}
+            )
 
     def problem(self, n: int, *, seed: Seed) -> Problem:
         """The problem of a log of ``n`` episodes."""
@@ -87,7 +89,12 @@ class Case:
     def problem_of(self, log: Transitions) -> Problem:
         """The problem of a log, on copies of everything."""
         simulator, own_log = copy.deepcopy(self.simulator), Transitions(**log.columns())
-        return Problem(simulator, own_log, horizon=self.horizon, behavior_policy=self.behavior.copy())
+        return Problem(
+            simulator,
+            own_log,
+            horizon=self.horizon,
+            behavior_policy=self.behavior.copy(),
+        )
 
     def with_rewards(self, scale: float, shift: float) -> Case:
         """The same with rewards scale * r + shift, in every state."""
@@ -105,8 +112,16 @@ class Case:
         new_states = _permutation(states, "states", self.simulator.n_states)
         new_actions = _permutation(actions, "actions", self.simulator.n_actions)
         old = np.ix_(np.argsort(new_states), np.argsort(new_actions))
-        simulator, target = (_relabel(mdp, old) for mdp in (self.simulator, self.target))
-        return replace(self, simulator=simulator, target=target, policy=self.policy[old], behavior=self.behavior[old])
+        simulator, target = (
+            _relabel(mdp, old) for mdp in (self.simulator, self.target)
+        )
+        return replace(
+            self,
+            simulator=simulator,
+            target=target,
+            policy=self.policy[old],
+            behavior=self.behavior[old],
+        )
 
 
 def pair_shares(target: FiniteMDP, behavior: Array, steps: int) -> Array:
@@ -117,7 +132,9 @@ def pair_shares(target: FiniteMDP, behavior: Array, steps: int) -> Array:
     return np.asarray(shares / shares.sum())
 
 
-def relabelled_log(log: Transitions, states: ArrayLike, actions: ArrayLike) -> Transitions:
+def relabelled_log(
+    log: Transitions, states: ArrayLike, actions: ArrayLike
+) -> Transitions:
     """The log of ``Case.relabelled``.
 
     Parameters
@@ -138,24 +155,38 @@ def relabelled_log(log: Transitions, states: ArrayLike, actions: ArrayLike) -> T
     ([0, 0, 1, 1], [1, 1, 0, 0])
     """
     columns = _checks.instance(log, Transitions, "log", "Transitions").columns()
-    for name, numbers in (("state", states), ("action", actions), ("next_state", states)):
+    for name, numbers in (
+        ("state", states),
+        ("action", actions),
+        ("next_state", states),
+    ):
         if columns[name].dtype.kind in "iu":
             most = int(columns[name].max()) + 1
-            columns[name] = _permutation(numbers, "actions" if name == "action" else "states", most)[columns[name]]
+            columns[name] = _permutation(
+                numbers, "actions" if name == "action" else "states", most
+            )[columns[name]]
     return Transitions(**columns)
 
 
 def _permutation(value: ArrayLike, name: str, most: int) -> IntArray:
     """``value`` as an array; ValueError where it is no permutation, or of fewer than ``most``."""
     array = _checks.as_array(value, name)
-    if array.dtype.kind not in "iuf" or not np.array_equal(np.sort(array, axis=None), np.arange(len(array))):
-        raise ValueError(f"{name} must be a permutation of 0, 1, ...; it is {_checks.show(value)}")
+    if array.dtype.kind not in "iuf" or not np.array_equal(
+        np.sort(array, axis=None), np.arange(len(array))
+    ):
+        raise ValueError(
+            f"{name} must be a permutation of 0, 1, ...; it is {_checks.show(value)}"
+        )
     if len(array) < most:
-        raise ValueError(f"{name} must have a number for each of {most} {name}; it has {len(array)}")
+        raise ValueError(
+            f"{name} must have a number for each of {most} {name}; it has {len(array)}"
+        )
     return array.astype(np.int64)
 
 
-def padded_log(log: Transitions, actions: Sequence[int], probability: float) -> Transitions:
+def padded_log(
+    log: Transitions, actions: Sequence[int], probability: float
+) -> Transitions:
     """Further transitions in the absorbing state, with these actions, after every episode that ended there.
 
     Parameters
@@ -188,7 +219,13 @@ def padded_log(log: Transitions, actions: Sequence[int], probability: float) -> 
         "behavior_probability": probability,
     }
     after = np.repeat(last + 1, n)
-    return Transitions(**{name: np.insert(columns[name], after, new) for name, new in more.items() if name in columns})
+    return Transitions(
+        **{
+            name: np.insert(columns[name], after, new)
+            for name, new in more.items()
+            if name in columns
+        }
+    )
 
 
 def _relabel(mdp: FiniteMDP, old: tuple[IntArray, ...]) -> FiniteMDP:
@@ -199,12 +236,21 @@ def _relabel(mdp: FiniteMDP, old: tuple[IntArray, ...]) -> FiniteMDP:
     if mdp.transition_rewards is not None:
         rewards = mdp.transition_rewards[rows][:, states]
     layout = None if mdp.layout is None else mdp.layout[states]
-    new = FiniteMDP(mdp.transitions[rows][:, states], rewards, mdp.initial[states], mdp.discount, layout=layout)
+    new = FiniteMDP(
+        mdp.transitions[rows][:, states],
+        rewards,
+        mdp.initial[states],
+        mdp.discount,
+        layout=layout,
+    )
     names = ((mdp.state_names, states), (mdp.action_names, actions))
-    return new.with_names(*(None if own is None else [own[k] for k in index] for own, index in names))
+    return new.with_names(
+        *(None if own is None else [own[k] for k in index] for own, index in names)
+    )
 
 
-# ---- the cases ----------------------------------------------------------------------------------------------------------
+# ---- the cases
+# ----------------------------------------------------------------------------------------------------------
 
 
 class _Pair(NamedTuple):
@@ -222,12 +268,26 @@ class _Pair(NamedTuple):
         n, n_actions, n_states = transitions.shape
         absorbing = np.tile(np.eye(n_states)[n:, None], (1, n_actions, 1))
         transitions = np.concatenate([transitions, absorbing])
-        return FiniteMDP(transitions, self.rewards, self.initial, discount, layout=np.arange(n_states))
+        return FiniteMDP(
+            transitions,
+            self.rewards,
+            self.initial,
+            discount,
+            layout=np.arange(n_states),
+        )
 
 
 _RAGGED = _Pair(  # three states that pay, each left for an absorbing one
-    simulator=[[[2, 2, 3, 3], [1, 2, 3, 4]], [[4, 1, 2, 3], [3, 3, 2, 2]], [[2, 2, 2, 4], [2, 2, 2, 4]]],
-    target=[[[3, 3, 3, 1], [1, 2, 2, 5]], [[5, 1, 1, 3], [2, 5, 2, 1]], [[1, 2, 2, 5], [3, 1, 3, 3]]],
+    simulator=[
+        [[2, 2, 3, 3], [1, 2, 3, 4]],
+        [[4, 1, 2, 3], [3, 3, 2, 2]],
+        [[2, 2, 2, 4], [2, 2, 2, 4]],
+    ],
+    target=[
+        [[3, 3, 3, 1], [1, 2, 2, 5]],
+        [[5, 1, 1, 3], [2, 5, 2, 1]],
+        [[1, 2, 2, 5], [3, 1, 3, 3]],
+    ],
     rewards=[[4.0, -1.0], [2.0, 7.0], [-3.0, 5.0], [0.0, 0.0]],
     initial=[0.8, 0.2, 0.0, 0.0],
     policy=[[0.8, 0.2], [0.3, 0.7], [0.5, 0.5], [1.0, 0.0]],
@@ -236,19 +296,32 @@ _RAGGED = _Pair(  # three states that pay, each left for an absorbing one
 _MOVES = _Pair(  # nothing ends, and a reward belongs to the transition
     simulator=[[[2, 5, 3], [4, 0, 6]], [[0, 4, 6], [4, 3, 3]], [[6, 4, 0], [4, 3, 3]]],
     target=[[[1, 7, 2], [5, 0, 5]], [[0, 2, 8], [6, 2, 2]], [[8, 2, 0], [3, 4, 3]]],
-    rewards=[[[1, 4, 0], [11, 3, -1]], [[10, 2, -2], [9, 1, -3]], [[8, 0, 7], [7, -1, 6]]],
+    rewards=[
+        [[1, 4, 0], [11, 3, -1]],
+        [[10, 2, -2], [9, 1, -3]],
+        [[8, 0, 7], [7, -1, 6]],
+    ],
     initial=[0.5, 0.5, 0.0],
     policy=[[0.7, 0.3], [0.2, 0.8], [0.6, 0.4]],
     behavior=[[0.5, 0.5]] * 3,
 )
-_SURVIVAL = _Pair(  # alive pays 1. Episodes that ended count: without them the value would be sum gamma^t
-    [[[5, 5]]], [[[7, 3]]], rewards=[1.0, 0.0], initial=[1.0, 0.0], policy=np.ones((2, 1)), behavior=np.ones((2, 1))
+# alive pays 1. Episodes that ended count: without them the value would be sum gamma^t
+_SURVIVAL = _Pair(
+    [[[5, 5]]],
+    [[[7, 3]]],
+    rewards=[1.0, 0.0],
+    initial=[1.0, 0.0],
+    policy=np.ones((2, 1)),
+    behavior=np.ones((2, 1)),
 )
 # the policy takes an action that is never recorded
 _PARTIAL = _RAGGED._replace(behavior=[[0.6, 0.4], [1.0, 0.0], [0.6, 0.4], [1.0, 0.0]])
 # the simulator never moves from state 0 to state 2
-_VIOLATED = _RAGGED._replace(simulator=[[[2, 2, 0, 6], [1, 2, 0, 7]], *_RAGGED.simulator[1:]])
-_MADE: Mapping[str, tuple[_Pair, float, int | None, int]] = {  # discount, horizon, steps
+_VIOLATED = _RAGGED._replace(
+    simulator=[[[2, 2, 0, 6], [1, 2, 0, 7]], *_RAGGED.simulator[1:]]
+)
+# discount, horizon, steps
+_MADE: Mapping[str, tuple[_Pair, float, int | None, int]] = {
     "ragged": (_RAGGED, 0.9, 6, 6),
     "ragged infinite": (_RAGGED, 0.8, None, 80),
     "moves": (_MOVES, 1.0, 4, 5),
@@ -282,17 +355,27 @@ def case(name: str) -> Case:
     pair, discount, horizon, steps = _MADE[bare]
     simulator = pair.make(pair.simulator if bare == name else pair.target, discount)
     policy, behavior = np.array(pair.policy), np.array(pair.behavior)
-    return Case(name, simulator, pair.make(pair.target, discount), policy, behavior, horizon, steps)
+    return Case(
+        name,
+        simulator,
+        pair.make(pair.target, discount),
+        policy,
+        behavior,
+        horizon,
+        steps,
+    )
 
 
 def odd_cases() -> Iterator[Case]:
     """One state, one action, discounts 0 and 1, one reward, nothing random, actions that are never recorded."""
     single = FiniteMDP([[[1.0]]], [2.0], [1.0], 0.5)
-    fork = [[[0.5, 0.5], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]]  # half the starts are terminal
+    # half the starts are terminal
+    fork = [[[0.5, 0.5], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]]
     leave = FiniteMDP(fork, [[1.0, 3.0], [0.0, 0.0]], [0.5, 0.5], 1.0)
     certain = FiniteMDP([[[0.0, 1.0]], [[1.0, 0.0]]], [1.0, -1.0], [1.0, 0.0], 0.9)
     first, even, one = [[1.0, 0.0]] * 2, [[0.5, 0.5]] * 2, [[1.0]]
-    rows: list[tuple[str, FiniteMDP, Any, Any, int | None, int]] = [  # policy, behaviour, horizon, steps
+    # policy, behaviour, horizon, steps
+    rows: list[tuple[str, FiniteMDP, Any, Any, int | None, int]] = [
         ("one state", single, one, one, 3, 3),
         ("one state", single, one, one, None, 60),
         ("discount 0", leave.with_discount(0.0), first, even, None, 5),

@@ -24,7 +24,14 @@ from oee_tabular.estimators import Simulator
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.testing import laws
 from oee_tabular.testing.cases import case
-from oee_tabular.testing.subject import Broken, Subject, Verdict, Verdicts, claims_of, name_of
+from oee_tabular.testing.subject import (
+    Broken,
+    Subject,
+    Verdict,
+    Verdicts,
+    claims_of,
+    name_of,
+)
 
 
 @dataclass(frozen=True)
@@ -120,20 +127,34 @@ def check_estimator(
     for name in chosen:
         _checks.one_of(name, "laws", tuple(LAWS))
     check_numbers(seed, repetitions)
-    subject = make_subject(estimator, seed, repetitions, claims=claims, from_pair=from_pair)
-    return Verdicts(subject.name, subject.claims, seed, {name: check_law(name, subject) for name in chosen})
+    subject = make_subject(
+        estimator, seed, repetitions, claims=claims, from_pair=from_pair
+    )
+    return Verdicts(
+        subject.name,
+        subject.claims,
+        seed,
+        {name: check_law(name, subject) for name in chosen},
+    )
 
 
 def check_numbers(seed: object, repetitions: object) -> None:
     """ValueError where they are not what ``check_estimator`` takes."""
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise ValueError(f"seed must be an integer of at least 0; got {_checks.show(seed)}")
+        raise ValueError(
+            f"seed must be an integer of at least 0; got {_checks.show(seed)}"
+        )
     if _checks.positive_integer(repetitions, "repetitions") < 3:
         raise ValueError(f"repetitions must be at least 3; it is {repetitions}")
 
 
 def make_subject(
-    estimator: Any, seed: int, repetitions: int, *, claims: Iterable[str] | None = None, from_pair: bool = False
+    estimator: Any,
+    seed: int,
+    repetitions: int,
+    *,
+    claims: Iterable[str] | None = None,
+    from_pair: bool = False,
 ) -> Subject:
     """What the laws are checked on; ValueError where it is no estimator."""
     given = estimator
@@ -143,11 +164,21 @@ def make_subject(
         try:
             given = estimator(pair.simulator, pair.target)
         except Exception as error:
-            text = f"estimator must be a function (simulator, target) -> estimator; it raises {error!r}"
+            text = (
+                "estimator must be a function (simulator, target) -> estimator; it"
+                f" raises {error!r}"
+            )
             raise ValueError(text) from error
     own = as_estimator(given).function
     make = estimator if from_pair else lambda simulator, target: own
-    return Subject(name_of(own), make, claims_of(own, claims), seed, repetitions, is_oracle=from_pair)
+    return Subject(
+        name_of(own),
+        make,
+        claims_of(own, claims),
+        seed,
+        repetitions,
+        is_oracle=from_pair,
+    )
 
 
 def check_law(name: str, subject: Subject) -> Verdict:
@@ -164,11 +195,15 @@ def check_law(name: str, subject: Subject) -> Verdict:
 
 EXAMPLE = "my_package.mine:MyEstimator"
 LONGEST = 1e6  # seconds; operating systems wait for little more
-PREPARING = 3600.0  # seconds that compilation and import of this package may take: no fault of the estimator's
+# seconds that compilation and import of this package may take: no fault of the
+# estimator's
+PREPARING = 3600.0
 MOST_HANGS = 3  # laws that may hang before the rest is left
 
 
-def check_module(spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60.0) -> Verdicts:
+def check_module(
+    spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60.0
+) -> Verdicts:
     """Import an estimator, from the current directory or what is installed, in a process of its own, and check it there.
 
     A law that ends the process, or takes longer than ``timeout`` seconds, is broken; another process goes on with the next law,
@@ -192,7 +227,9 @@ def check_module(spec: str, *, seed: int = 0, repetitions: int = 8, timeout: flo
     module_and_path(spec, "the estimator", EXAMPLE)
     verdicts: dict[str, Verdict] = {}
     n_hangs = 0
-    while (left := [name for name in LAWS if name not in verdicts]) and n_hangs < MOST_HANGS:
+    while (
+        left := [name for name in LAWS if name not in verdicts]
+    ) and n_hangs < MOST_HANGS:
         with _process(spec, seed, repetitions, left) as answer:
             answer(PREPARING)
             try:
@@ -209,7 +246,14 @@ def check_module(spec: str, *, seed: int = 0, repetitions: int = 8, timeout: flo
                     break
     for name in left:
         is_claimed = LAWS[name].is_claimed(claims)
-        verdicts[name] = Verdict(name, *(("not run", f"{MOST_HANGS} laws hang") if is_claimed else ("not claimed", "")))
+        verdicts[name] = Verdict(
+            name,
+            *(
+                ("not run", f"{MOST_HANGS} laws hang")
+                if is_claimed
+                else ("not claimed", "")
+            ),
+        )
     return Verdicts(title, claims, seed, verdicts)
 
 
@@ -222,7 +266,9 @@ class Ended(Exception):
 
 
 @contextmanager
-def _process(spec: str, seed: int, repetitions: int, laws: list[str]) -> Iterator[Callable[[float], Any]]:
+def _process(
+    spec: str, seed: int, repetitions: int, laws: list[str]
+) -> Iterator[Callable[[float], Any]]:
     """A process that checks the laws, as a function: seconds -> its next answer, or ``Ended``. It is killed on leaving."""
     context = multiprocessing.get_context("spawn")
     reader, writer = context.Pipe(duplex=False)
@@ -236,12 +282,17 @@ def _process(spec: str, seed: int, repetitions: int, laws: list[str]) -> Iterato
         while isinstance(message, str):  # the title of a case that is begun
             title = f"{message}: " if message else ""
             if not reader.poll(max(end - time.monotonic(), 0.0)):
-                raise Ended("hangs", f"{title}no answer within {seconds:g} s (--timeout gives it more)")
+                raise Ended(
+                    "hangs",
+                    f"{title}no answer within {seconds:g} s (--timeout gives it more)",
+                )
             try:
                 message = reader.recv()
             except (EOFError, OSError):
                 process.join(5.0)
-                raise Ended("exits", f"{title}{_describe_end(process.exitcode)}") from None
+                raise Ended(
+                    "exits", f"{title}{_describe_end(process.exitcode)}"
+                ) from None
         if isinstance(message, ValueError):
             raise message
         return message
@@ -249,8 +300,10 @@ def _process(spec: str, seed: int, repetitions: int, laws: list[str]) -> Iterato
     try:
         yield answer
     finally:
-        with suppress(ProcessLookupError, PermissionError, AttributeError):  # none left; on Windows, no groups
-            os.killpg(process.pid or 0, signal.SIGKILL)  # with those that it has started
+        # none left; on Windows, no groups
+        with suppress(ProcessLookupError, PermissionError, AttributeError):
+            # with those that it has started
+            os.killpg(process.pid or 0, signal.SIGKILL)
         process.kill()
         process.join()
         process.close()
@@ -267,18 +320,25 @@ def _describe_end(code: int | None) -> str:
     return f"the process is killed by signal {-code}"
 
 
-def _run(answers: Connection, spec: str, seed: int, repetitions: int, laws: list[str]) -> None:
+def _run(
+    answers: Connection, spec: str, seed: int, repetitions: int, laws: list[str]
+) -> None:
     """What the process does: it says that it is ready, what the estimator is or why there is none, and each verdict."""
     if hasattr(os, "setsid"):
         os.setsid()  # a group, with what the estimator starts
     end_with_parent(os.getppid(), with_group=True)
-    check_estimator(Simulator(), repetitions=3)  # compiles what laws need: the seconds are not the estimator's
+    # compiles what laws need: the seconds are not the estimator's
+    check_estimator(Simulator(), repetitions=3)
     answers.send(None)  # ready
     with own_modules():
         try:
             subject = make_subject(own_estimator(spec), seed, repetitions)
         except Exception as error:
-            text = str(error) if isinstance(error, ValueError) else f"{spec!r} raises {type(error).__name__}: {error}"
+            text = (
+                str(error)
+                if isinstance(error, ValueError)
+                else f"{spec!r} raises {type(error).__name__}: {error}"
+            )
             answers.send(ValueError(text))
             return
         answers.send((subject.name, subject.claims))

@@ -30,23 +30,42 @@ def check(exercise: str, answer: Any) -> None:
     >>> check("00_a", 0.99**13)
     Right.
     """
-    text = resources.files("oee_tabular.testing").joinpath("exercises.toml").read_text(encoding="utf-8")
+    text = (
+        resources.files("oee_tabular.testing")
+        .joinpath("exercises.toml")
+        .read_text(encoding="utf-8")
+    )
     exercises: dict[str, dict[str, Any]] = tomllib.loads(text)
     if exercise not in exercises:
-        raise ValueError(f"exercise must be one of {', '.join(exercises)}; it is {exercise!r}")
+        raise ValueError(
+            f"exercise must be one of {', '.join(exercises)}; it is {exercise!r}"
+        )
     expected, hint = exercises[exercise]["answer"], exercises[exercise]["hint"]
     if answer is None:
-        print("Not answered yet: put your answer in place of None and run the cell again.")
+        print(
+            "Not answered yet: put your answer in place of None and run the cell again."
+        )
         return
     if isinstance(expected, bool):
-        kind, has_kind, is_right = "True or False", isinstance(answer, bool), answer is expected
+        kind, has_kind, is_right = (
+            "True or False",
+            isinstance(answer, bool),
+            answer is expected,
+        )
     else:
-        kind = f"a list of {len(expected)} numbers" if isinstance(expected, list) else "one number"
+        kind = (
+            f"a list of {len(expected)} numbers"
+            if isinstance(expected, list)
+            else "one number"
+        )
         numbers = np.empty(0, dtype=object)
         with suppress(ValueError):  # a ragged list
             numbers = np.asarray(answer)
         has_kind = numbers.dtype.kind in "iuf" and numbers.shape == np.shape(expected)
         allowed = exercises[exercise].get("tolerance", TOLERANCE) * np.abs(expected)
         is_right = has_kind and bool(np.all(np.abs(numbers - expected) <= allowed))
-    assert is_right, f"{answer!r} is not right. Hint: {'' if has_kind else f'the answer is {kind}; '}{hint}"
+    assert is_right, (
+        f"{answer!r} is not right. Hint:"
+        f" {'' if has_kind else f'the answer is {kind}; '}{hint}"
+    )
     print("Right.")

@@ -23,7 +23,16 @@ from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.functions import RETURNED, as_estimator
 from oee_tabular.exact import policy_value
 from oee_tabular.testing.cases import Case, odd_cases, padded_log, relabelled_log
-from oee_tabular.testing.subject import Broken, NotClaimed, Raises, Refused, Subject, call, on_cases, shorten
+from oee_tabular.testing.subject import (
+    Broken,
+    NotClaimed,
+    Raises,
+    Refused,
+    Subject,
+    call,
+    on_cases,
+    shorten,
+)
 
 SMALL, LARGE = 300, 4800  # episodes
 ROLLOUTS = {SMALL: 100, LARGE: 1000}  # of an estimator that has such a field, at least
@@ -33,7 +42,8 @@ N_ERRORS = 4.0  # standard errors that a mean may be off
 EPISODES, FEW_EPISODES = 300, 40  # of the logs of laws that compare two estimates
 SCALE, SHIFT = -2.5, 3.0
 SEEDS = 16
-ODD_EPISODES, PROTOCOL_EPISODES = 20, 200  # of the logs of odd problems, and of those that look at side effects
+# of the logs of odd problems, and of those that look at side effects
+ODD_EPISODES, PROTOCOL_EPISODES = 20, 200
 
 
 def well_formed(subject: Subject) -> str:
@@ -47,7 +57,9 @@ def well_formed(subject: Subject) -> str:
         except Refused as refusal:
             refusals.setdefault(str(refusal.__cause__), pair.title)
             n_refused += 1
-    reasons = "; ".join(f"{title} {shorten(text, 160)}" for text, title in refusals.items())
+    reasons = "; ".join(
+        f"{title} {shorten(text, 160)}" for text, title in refusals.items()
+    )
     if not answers:
         raise Raises(f"all {n_refused} problems are refused: {reasons}")
     text = f"{len(answers)} of {len(answers) + n_refused} odd problems answered"
@@ -63,13 +75,21 @@ def _odd_problems(subject: Subject) -> Iterator[tuple[Case, Transitions]]:
         yield pair, pair.log(ODD_EPISODES, seed=subject.log_seed("odd", k))
     for pair in subject.cases("ragged", "ragged infinite"):
         yield pair, pair.log(1, seed=subject.log_seed("odd", "one episode"))
-        yield pair, pair.log(ODD_EPISODES, seed=subject.log_seed("odd", "no episodes")).draw(10, seed=0)
+        yield (
+            pair,
+            pair.log(ODD_EPISODES, seed=subject.log_seed("odd", "no episodes")).draw(
+                10, seed=0
+            ),
+        )
 
 
 @on_cases("ragged", "ragged infinite", "moves")
 def input_unchanged(subject: Subject, pair: Case) -> str:
     """Problem, log, simulator and policy are after the call what they were, to the bit (their arrays made writable)."""
-    problem, policy = pair.problem(PROTOCOL_EPISODES, seed=subject.log_seed("input", pair.name)), pair.policy.copy()
+    problem, policy = (
+        pair.problem(PROTOCOL_EPISODES, seed=subject.log_seed("input", pair.name)),
+        pair.policy.copy(),
+    )
     fields = {name: getattr(problem, name) for name in Problem.__dataclass_fields__}
     arrays = dict(_arrays(problem, policy))
     for array in arrays.values():
@@ -82,7 +102,9 @@ def input_unchanged(subject: Subject, pair: Case) -> str:
             if getattr(problem, name) is not value:
                 raise Broken(f"problem.{name} is another object after the call")
         for name, array in arrays.items():
-            if not np.array_equal(array, before[name], equal_nan=array.dtype.kind == "f"):
+            if not np.array_equal(
+                array, before[name], equal_nan=array.dtype.kind == "f"
+            ):
                 n_changed = int(np.sum(array != before[name]))
                 raise Broken(f"{name} is changed in {n_changed} of {array.size} places")
     return f"{len(arrays)} arrays and every field as before"
@@ -92,13 +114,24 @@ def _arrays(problem: Problem, policy: PolicyLike) -> Iterator[tuple[str, Any]]:
     simulator = problem.simulator
     yield "policy", policy
     yield "problem.behavior_policy", problem.behavior_policy
-    yield from ((f"log.{name}", column) for name, column in problem.log.columns().items())
-    yield from ((f"simulator.{name}", getattr(simulator, name)) for name in ("rewards", "initial", "terminal_state"))
-    tables = {"simulator.transitions": simulator.transitions, "problem.counts": problem.counts}
+    yield from (
+        (f"log.{name}", column) for name, column in problem.log.columns().items()
+    )
+    yield from (
+        (f"simulator.{name}", getattr(simulator, name))
+        for name in ("rewards", "initial", "terminal_state")
+    )
+    tables = {
+        "simulator.transitions": simulator.transitions,
+        "problem.counts": problem.counts,
+    }
     if simulator.transition_rewards is not None:
         tables["simulator.transition_rewards"] = simulator.transition_rewards
     for name, table in tables.items():
-        yield from ((f"{name}.{part}", getattr(table, part)) for part in ("data", "indices", "indptr"))
+        yield from (
+            (f"{name}.{part}", getattr(table, part))
+            for part in ("data", "indices", "indptr")
+        )
 
 
 @on_cases("ragged", "ragged infinite")
@@ -110,12 +143,17 @@ def reproducible(subject: Subject, pair: Case) -> str:
         values = getattr(first, name), getattr(second, name)
         before, after = (np.array(value, dtype=np.float64) for value in values)
         if not np.array_equal(before, after, equal_nan=True):
-            text = f"{name} of seed 7 is {values[0]!r}, and when called again {values[1]!r}"
+            text = (
+                f"{name} of seed 7 is {values[0]!r}, and when called again"
+                f" {values[1]!r}"
+            )
             raise Broken(text, "the same problem twice, seed=7")
     return f"seed 7 gives {first.value!r} twice"
 
 
-def _estimate_in_state(subject: Subject, pair: Case, log: Transitions, state: int) -> Estimate:
+def _estimate_in_state(
+    subject: Subject, pair: Case, log: Transitions, state: int
+) -> Estimate:
     """An estimate of seed 7 under a global random state of ours, or ``Broken`` where it has changed that."""
     estimator, states = as_estimator(subject.estimator(pair)), []
 
@@ -175,17 +213,21 @@ def _check_oracle(subject: Subject, pair: Case) -> str:
         answer = subject.estimate(pair, log, 0)
     except Refused as refused:
         return f"oracle: {shorten(refused.text, 60)}"
-    if answer.value != subject.estimate(inside, log, 0).value:  # else it does not look at the target
+    # else it does not look at the target
+    if answer.value != subject.estimate(inside, log, 0).value:
         _require_status(answer, pair)
     return "oracle: no number of its own"
 
 
 def _require_status(estimate: Estimate, pair: Case) -> None:
     """``Broken`` where a value other than J_target has the status "ok"."""
-    if estimate.status == "ok" and abs(estimate.value - pair.truth) > 1e-8 * max(1.0, abs(pair.truth)):
+    if estimate.status == "ok" and abs(estimate.value - pair.truth) > 1e-8 * max(
+        1.0, abs(pair.truth)
+    ):
         simulator = policy_value(pair.simulator, pair.policy, horizon=pair.horizon)
         raise Broken(
-            f"{estimate.value:.6g} without a word, J_target {pair.truth:.6g}, J_simulator {simulator:.6g}",
+            f"{estimate.value:.6g} without a word, J_target {pair.truth:.6g},"
+            f" J_simulator {simulator:.6g}",
             "s=0 -> s'=2 has probability 0 in the simulator",
         )
 
@@ -229,16 +271,27 @@ def ragged(subject: Subject, pair: Case) -> str:
 def unbiased(subject: Subject, pair: Case) -> str:
     """The mean over many logs of few episodes is J_target within 4 standard errors."""
     logs = pair.logs(FEW, MANY, seed=subject.log_seed(pair.name, FEW))
-    values: Array = np.array([subject.value(pair, log, seed=k) for k, log in enumerate(logs)])
+    values: Array = np.array(
+        [subject.value(pair, log, seed=k) for k, log in enumerate(logs)]
+    )
     mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(MANY))
     distance = abs(mean - pair.truth)
-    numbers = f"mean {mean:.5g} of {MANY} logs of {FEW} episodes, J_target {pair.truth:.5g}"
+    numbers = (
+        f"mean {mean:.5g} of {MANY} logs of {FEW} episodes, J_target {pair.truth:.5g}"
+    )
     allowed = N_ERRORS * error + 1e-9 * max(1.0, abs(pair.truth))
     if distance <= allowed:
         return f"{numbers}, tolerance {allowed:.2g}"
     does_vary = error > 1e-12 * abs(mean)
-    off_by = f"{distance / error:.1f} standard errors" if does_vary else f"{distance:.3g}, and does not vary"
-    raise Broken(f"{numbers}: off by {off_by}", f"mean over seeds of the value on pair.problem({FEW}, seed=seed)")
+    off_by = (
+        f"{distance / error:.1f} standard errors"
+        if does_vary
+        else f"{distance:.3g}, and does not vary"
+    )
+    raise Broken(
+        f"{numbers}: off by {off_by}",
+        f"mean over seeds of the value on pair.problem({FEW}, seed=seed)",
+    )
 
 
 @on_cases("ragged", "ragged infinite", "moves")
@@ -247,7 +300,10 @@ def relabelling(subject: Subject, pair: Case) -> str:
     states = np.roll(np.arange(pair.simulator.n_states), 1)
     actions = np.arange(pair.simulator.n_actions)[::-1].copy()
     log = pair.log(EPISODES, seed=subject.log_seed("relabelling", pair.name))
-    runs = ((pair, log), (pair.relabelled(states, actions), relabelled_log(log, states, actions)))
+    runs = (
+        (pair, log),
+        (pair.relabelled(states, actions), relabelled_log(log, states, actions)),
+    )
     before, after = (subject.value(*run) for run in runs)
     permutations = f"{states.tolist()}, {actions.tolist()}"
     example = f"pair.relabelled({permutations}) and relabelled_log(log, {permutations})"
@@ -255,7 +311,10 @@ def relabelling(subject: Subject, pair: Case) -> str:
         return _equals(after, before, before, "value after renaming", example)
     except Broken:
         first, second = (
-            np.array([subject.value(*run, seed=seed, rollouts=1000) for seed in range(SEEDS)]) for run in runs
+            np.array(
+                [subject.value(*run, seed=seed, rollouts=1000) for seed in range(SEEDS)]
+            )
+            for run in runs
         )
         if np.ptp(first) == 0.0 and np.ptp(second) == 0.0:  # the seed does not matter
             raise
@@ -276,7 +335,9 @@ def shift(subject: Subject, pair: Case) -> str:
     """
     behavior = pair.behavior.copy()
     behavior[-1] = [1.0, 0.0]
-    return _compare_rewards(subject, replace(pair, behavior=behavior), FEW_EPISODES, 1.0, SHIFT)
+    return _compare_rewards(
+        subject, replace(pair, behavior=behavior), FEW_EPISODES, 1.0, SHIFT
+    )
 
 
 @on_cases("ragged", "ragged infinite")
@@ -290,23 +351,32 @@ def after_end(subject: Subject, pair: Case) -> str:
     """Rows in the absorbing state change nothing, also where policy and behaviour take other actions there."""
     policy, behavior = pair.policy.copy(), pair.behavior.copy()
     policy[-1], behavior[-1] = [0.9, 0.1], [0.5, 0.5]
-    return _compare_padding(subject, replace(pair, policy=policy, behavior=behavior), (0, 1, 0), 0.5)
+    return _compare_padding(
+        subject, replace(pair, policy=policy, behavior=behavior), (0, 1, 0), 0.5
+    )
 
 
-# ---- does the mean of an estimator's values tend to a number? ----------------------------------------------------------
+# ---- does the mean of an estimator's values tend to a number?
+# ----------------------------------------------------------
 
 
 def _tends_to_truth(subject: Subject, pair: Case) -> str:
     for data in ({}, _data(pair)):
         own = subject.limit(pair, **data)
         if own is not None:
-            example = f"estimator.limit(pair.simulator, pair.target, pair.policy, horizon={pair.horizon})"
+            example = (
+                "estimator.limit(pair.simulator, pair.target, pair.policy,"
+                f" horizon={pair.horizon})"
+            )
             _equals(own, pair.truth, own, "its limit is not J_target", example)
     return _tends_to(subject, pair, pair.truth, "J_target")
 
 
 def _data(pair: Case) -> dict[str, Any]:
-    return {"behavior_policy": pair.behavior.copy(), "data_distribution": pair.data_distribution}
+    return {
+        "behavior_policy": pair.behavior.copy(),
+        "data_distribution": pair.data_distribution,
+    }
 
 
 def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
@@ -317,10 +387,15 @@ def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
     """
     if pair.name not in subject.values:
         small = _draw_values(subject, pair, SMALL, max(subject.repetitions // 2, 2), 0)
-        subject.values[pair.name] = small, _draw_values(subject, pair, LARGE, subject.repetitions, 1000)
+        subject.values[pair.name] = (
+            small,
+            _draw_values(subject, pair, LARGE, subject.repetitions, 1000),
+        )
     small, large = subject.values[pair.name]
     n, mean = len(large), float(large.mean())
-    allowed = _chance(float(large.std(ddof=1) / np.sqrt(n)), n) + 1e-9 * max(1.0, abs(goal))
+    allowed = _chance(float(large.std(ddof=1) / np.sqrt(n)), n) + 1e-9 * max(
+        1.0, abs(goal)
+    )
     allowed += abs(float(small.mean()) - mean) / 3.0 if len(small) else 0.0
     numbers = f"mean {mean:.5g} (of {n} logs of {LARGE} episodes), {what} {goal:.5g}"
     if abs(mean - goal) <= allowed:
@@ -328,16 +403,23 @@ def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
     truth = "" if goal == pair.truth else f", J_target {pair.truth:.5g}"
     raise Broken(
         f"{numbers}: off by {abs(mean - goal):.3g}, tolerance {allowed:.2g}{truth}",
-        f"estimator(pair.problem({LARGE}, seed=0), pair.policy, seed=0) against {goal:.5g}",
+        f"estimator(pair.problem({LARGE}, seed=0), pair.policy, seed=0) against"
+        f" {goal:.5g}",
     )
 
 
-def _draw_values(subject: Subject, pair: Case, n: int, repetitions: int, first_seed: int) -> Array:
+def _draw_values(
+    subject: Subject, pair: Case, n: int, repetitions: int, first_seed: int
+) -> Array:
     """Values of independent logs of ``n`` episodes; small logs may have none."""
     values = []
-    for k, log in enumerate(pair.logs(n, repetitions, seed=subject.log_seed(pair.name, n))):
+    for k, log in enumerate(
+        pair.logs(n, repetitions, seed=subject.log_seed(pair.name, n))
+    ):
         try:
-            values.append(subject.value(pair, log, seed=first_seed + k, rollouts=ROLLOUTS[n]))
+            values.append(
+                subject.value(pair, log, seed=first_seed + k, rollouts=ROLLOUTS[n])
+            )
         except Broken as broken:
             if n == LARGE or isinstance(broken, Raises):
                 raise
@@ -349,34 +431,52 @@ def _chance(error: float, n: int) -> float:
     return float(stdtrit(n - 1, 1.0 - FAILURE_CHANCE / 2)) * error
 
 
-# ---- two estimates -----------------------------------------------------------------------------------------------------
+# ---- two estimates
+# -----------------------------------------------------------------------------------------------------
 
 
-def _equals(value: float, expected: float, before: float, what: str, example: str) -> str:
+def _equals(
+    value: float, expected: float, before: float, what: str, example: str
+) -> str:
     """``Broken`` where two numbers differ by more than rounding."""
     distance = abs(value - expected)
     if not distance <= 1e-8 * max(1.0, abs(expected)):
-        raise Broken(f"{what}: {value:.10g}, expected {expected:.10g} (off by {distance:.2g})", example)
-    return f"{before:.6g} both" if before == expected else f"{before:.6g} to {value:.6g}"
+        raise Broken(
+            f"{what}: {value:.10g}, expected {expected:.10g} (off by {distance:.2g})",
+            example,
+        )
+    return (
+        f"{before:.6g} both" if before == expected else f"{before:.6g} to {value:.6g}"
+    )
 
 
 def _have_same_mean(first: Array, second: Array, what: str, example: str) -> str:
     """``Broken`` where the means of two samples of one size differ by more than chance allows."""
     n = len(first)
-    allowed = _chance(float(np.sqrt((first.var(ddof=1) + second.var(ddof=1)) / n)), n) + 1e-9
+    allowed = (
+        _chance(float(np.sqrt((first.var(ddof=1) + second.var(ddof=1)) / n)), n) + 1e-9
+    )
     distance = abs(float(first.mean() - second.mean()))
     numbers = f"{what}: means {first.mean():.5g} and {second.mean():.5g} over {n} seeds"
     if not distance <= allowed:
-        raise Broken(f"{numbers}, apart by {distance:.2g}, tolerance {allowed:.2g}", example)
+        raise Broken(
+            f"{numbers}, apart by {distance:.2g}, tolerance {allowed:.2g}", example
+        )
     return f"{numbers}, tolerance {allowed:.2g}"
 
 
-def _compare_rewards(subject: Subject, pair: Case, n: int, factor: float, added: float) -> str:
+def _compare_rewards(
+    subject: Subject, pair: Case, n: int, factor: float, added: float
+) -> str:
     """Rewards factor * r + added give factor * J + added * sum_t gamma^t."""
     log = pair.log(n, seed=subject.log_seed("rewards", pair.name))
     columns, gamma = log.columns(), pair.simulator.discount
     other = Transitions(**(columns | {"reward": factor * columns["reward"] + added}))
-    total = 1.0 / (1.0 - gamma) if pair.horizon is None else float(np.sum(gamma ** np.arange(pair.horizon)))
+    total = (
+        1.0 / (1.0 - gamma)
+        if pair.horizon is None
+        else float(np.sum(gamma ** np.arange(pair.horizon)))
+    )
     before = subject.value(pair, log)
     after = subject.value(pair.with_rewards(factor, added), other)
     example = f"pair.with_rewards({factor}, {added}), and the same of log.reward"
@@ -384,9 +484,13 @@ def _compare_rewards(subject: Subject, pair: Case, n: int, factor: float, added:
     return _equals(after, factor * before + added * total, before, what, example)
 
 
-def _compare_padding(subject: Subject, pair: Case, actions: tuple[int, ...], probability: float) -> str:
+def _compare_padding(
+    subject: Subject, pair: Case, actions: tuple[int, ...], probability: float
+) -> str:
     log = pair.log(EPISODES, seed=subject.log_seed("padding", pair.name))
     before = subject.value(pair, log)
     after = subject.value(pair, padded_log(log, actions, probability))
     example = f"padded_log(pair.log({EPISODES}, seed=0), {actions}, {probability})"
-    return _equals(after, before, before, f"value with {len(actions)} rows after each end", example)
+    return _equals(
+        after, before, before, f"value with {len(actions)} rows after each end", example
+    )

@@ -17,7 +17,11 @@ from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.rollouts import rollout_horizon
-from oee_tabular.exact import efficiency_bound, policy_value, trajectory_efficiency_bound
+from oee_tabular.exact import (
+    efficiency_bound,
+    policy_value,
+    trajectory_efficiency_bound,
+)
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio.support import require_pair
@@ -84,7 +88,11 @@ class OracleComparison:
     @property
     def rmse(self) -> float:
         """Root of the mean squared error."""
-        return float(np.sqrt(np.mean((self.values - self.truth) ** 2))) if len(self.values) else math.nan
+        return (
+            float(np.sqrt(np.mean((self.values - self.truth) ** 2)))
+            if len(self.values)
+            else math.nan
+        )
 
     @property
     def rmse_error(self) -> float:
@@ -92,7 +100,11 @@ class OracleComparison:
         n = len(self.values)
         if n < 2 or self.rmse == 0.0:
             return math.nan if n < 2 else 0.0
-        return float(np.std((self.values - self.truth) ** 2, ddof=1) / np.sqrt(n) / (2.0 * self.rmse))
+        return float(
+            np.std((self.values - self.truth) ** 2, ddof=1)
+            / np.sqrt(n)
+            / (2.0 * self.rmse)
+        )
 
     @property
     def inefficiency(self) -> float:
@@ -101,12 +113,20 @@ class OracleComparison:
         With ``behavior_policy`` the bound is that of time-indexed dynamics and starts that are estimated, too: an estimator
         that knows the dynamics to be stationary can be below it.
         """
-        return self.n * self.variance / self.bound if 0.0 < self.bound < math.inf else math.nan
+        return (
+            self.n * self.variance / self.bound
+            if 0.0 < self.bound < math.inf
+            else math.nan
+        )
 
     @property
     def inefficiency_error(self) -> float:
         """Standard error of ``inefficiency``."""
-        return self.n * self.variance_error / self.bound if 0.0 < self.bound < math.inf else math.nan
+        return (
+            self.n * self.variance_error / self.bound
+            if 0.0 < self.bound < math.inf
+            else math.nan
+        )
 
     def __str__(self) -> str:
         lines = [f"{self.estimator}: {len(self.values)} logs of {self.n} {self.unit}"]
@@ -123,7 +143,9 @@ class OracleComparison:
             shown = "" if error is None else f" ± {error:.2g}"
             lines += [] if value is None else [f"  {name:32}{value:11.5g}{shown}"]
         if self.failures:
-            lines.append(f"  without a value: {self.failures} more logs ({self.reasons})")
+            lines.append(
+                f"  without a value: {self.failures} more logs ({self.reasons})"
+            )
         return "\n".join(lines)
 
     __repr__ = __str__
@@ -187,7 +209,10 @@ def compare_with_oracle(
     simulator, target = both
     require_pair(target, simulator)
     own, pi = as_estimator(estimator), check_policy(policy, simulator)
-    size, times = _checks.positive_integer(n, "n"), _checks.positive_integer(repetitions, "repetitions")
+    size, times = (
+        _checks.positive_integer(n, "n"),
+        _checks.positive_integer(repetitions, "repetitions"),
+    )
     if times < 2:
         raise ValueError(f"repetitions must be at least 2; it is {times}")
     _checks.require_memory(4.0 * times, "repetitions", times)
@@ -196,32 +221,50 @@ def compare_with_oracle(
     behavior: Array | None = None
     draw: Callable[..., Transitions]
     if behavior_policy is None:
-        share = _checks.distribution(data_distribution, "data_distribution", (simulator.n_states, simulator.n_actions))
+        share = _checks.distribution(
+            data_distribution,
+            "data_distribution",
+            (simulator.n_states, simulator.n_actions),
+        )
         draw = partial(sample_transitions, target, share, size)
         bound = efficiency_bound(target, pi, share, horizon=horizon)
         data = {"data_distribution": share}
     else:
         behavior = check_policy(behavior_policy, simulator, name="behavior_policy")
-        steps = rollout_horizon(target.discount, optional_horizon_length(horizon, target))
+        steps = rollout_horizon(
+            target.discount, optional_horizon_length(horizon, target)
+        )
         draw = partial(sample_episodes, target, behavior, size, steps)
         try:
             bound = trajectory_efficiency_bound(target, behavior, pi, horizon=steps)
         except ValueError:
             if not np.any((pi > 0) & (behavior == 0)):
                 raise
-            bound = math.inf  # the behaviour policy never takes an action that the policy takes
-        data = {"data_distribution": pair_shares(target, behavior, steps), "behavior_policy": behavior}
+            # the behaviour policy never takes an action that the policy takes
+            bound = math.inf
+        data = {
+            "data_distribution": pair_shares(target, behavior, steps),
+            "behavior_policy": behavior,
+        }
     values, statuses = [], []
     for k in range(times):
         log = draw(seed=_checks.seed_sequence(seed, (k,)))
-        estimate = own(Problem(simulator, log, horizon=horizon, behavior_policy=behavior), pi.copy(), seed=k)
+        estimate = own(
+            Problem(simulator, log, horizon=horizon, behavior_policy=behavior),
+            pi.copy(),
+            seed=k,
+        )
         values += [float(estimate.value)] if estimate.status == "ok" else []
         statuses += [estimate.status] if estimate.status != "ok" else []
     limit = getattr(own.function, "limit", None)
     return OracleComparison(
         estimator=name_of(own.function),
         truth=policy_value(target, pi, horizon=horizon),
-        limit=None if limit is None else float(limit(simulator, target, pi, horizon=horizon, **data)),
+        limit=(
+            None
+            if limit is None
+            else float(limit(simulator, target, pi, horizon=horizon, **data))
+        ),
         bound=bound,
         n=size,
         unit="transitions" if behavior is None else "episodes",

@@ -24,10 +24,12 @@ try:
     from hypothesis import strategies as st
 except ImportError as error:  # pragma: no cover (tested in a process without it)
     raise ImportError(
-        "oee_tabular.testing.strategies needs hypothesis, which is not installed; in a clone: pip install '.[testing]'"
+        "oee_tabular.testing.strategies needs hypothesis, which is not installed; in a"
+        " clone: pip install '.[testing]'"
     ) from error
 
-WEIGHTS = (1, 0, 2, 0, 0, 5)  # of which probabilities are made; the first is what they shrink to
+# of which probabilities are made; the first is what they shrink to
+WEIGHTS = (1, 0, 2, 0, 0, 5)
 REWARDS = ("s", "sa", "sas")
 KINDS = ("episodes", "transitions")
 SUPPORTS = ("equal", "inside", "violated")
@@ -66,9 +68,14 @@ def mdps(
     ...     assert mdp.n_states <= 3 and abs(mdp.transitions.sum(axis=1) - 1).max() < 1e-12
     >>> law()
     """
-    low, high = (_checks.positive_integer(n, f"{end}_states") for n, end in ((min_states, "min"), (max_states, "max")))
+    low, high = (
+        _checks.positive_integer(n, f"{end}_states")
+        for n, end in ((min_states, "min"), (max_states, "max"))
+    )
     if low > high:
-        raise ValueError(f"min_states must be at most max_states; they are {low} and {high}")
+        raise ValueError(
+            f"min_states must be at most max_states; they are {low} and {high}"
+        )
     most_actions = _checks.positive_integer(max_actions, "max_actions")
     for name, values in (("discounts", discounts), ("rewards", rewards)):
         if not len(values):
@@ -81,12 +88,17 @@ def mdps(
     def draw_mdp(draw: st.DrawFn) -> FiniteMDP:
         n, a = draw(st.integers(low, high)), draw(st.integers(1, most_actions))
         discount = draw(st.sampled_from(factors))
-        does_end = draw(st.booleans() if absorbing is None else st.just(absorbing)) or discount == 1.0
+        does_end = (
+            draw(st.booleans() if absorbing is None else st.just(absorbing))
+            or discount == 1.0
+        )
         row = _rows(n, [n - 1] if discount == 1.0 else [])
         transitions = np.array([[draw(row) for _ in range(a)] for _ in range(n)])
         shape = (n, a, n)[: len(draw(st.sampled_from(rewards)))]
         size = int(np.prod(shape))
-        table = np.reshape(draw(st.lists(st.integers(-5, 5), min_size=size, max_size=size)), shape)
+        table = np.reshape(
+            draw(st.lists(st.integers(-5, 5), min_size=size, max_size=size)), shape
+        )
         if does_end:
             transitions[-1] = np.eye(n)[-1]
             table[-1] = 0
@@ -116,7 +128,9 @@ def policies(mdp: FiniteMDP, *, zeros: bool = True) -> st.SearchStrategy[Array]:
     _checks.boolean(zeros, "zeros")
     model = _checks.instance(mdp, FiniteMDP, "mdp")
     rows = _rows(model.n_actions, [] if zeros else range(model.n_actions))
-    return st.lists(rows, min_size=model.n_states, max_size=model.n_states).map(np.array)
+    return st.lists(rows, min_size=model.n_states, max_size=model.n_states).map(
+        np.array
+    )
 
 
 def mdp_pairs(
@@ -149,28 +163,38 @@ def mdp_pairs(
     if support == "violated":
         options = {"min_states": 2} | options
         if _checks.positive_integer(options["min_states"], "min_states") < 2:
-            raise ValueError("min_states must be at least 2 for support 'violated'; it is 1")
+            raise ValueError(
+                "min_states must be at least 2 for support 'violated'; it is 1"
+            )
     simulators = mdps(**options)
 
     @st.composite
     def draw_pair(draw: st.DrawFn) -> tuple[FiniteMDP, FiniteMDP]:
         simulator = draw(simulators)
         n, a = simulator.n_states, simulator.n_actions
-        last = [n - 1] if simulator.discount == 1.0 else []  # where every row must be able to end
+        # where every row must be able to end
+        last = [n - 1] if simulator.discount == 1.0 else []
         matrix = simulator.transitions.toarray()
-        if support == "violated":  # the simulator has no chance of a transition that the target makes
-            start, action, to = (draw(st.integers(0, most)) for most in (n - 2, a - 1, n - 2))
+        # the simulator has no chance of a transition that the target makes
+        if support == "violated":
+            start, action, to = (
+                draw(st.integers(0, most)) for most in (n - 2, a - 1, n - 2)
+            )
             row, initial = start * a + action, simulator.initial
             matrix[row] = np.insert(draw(_rows(n - 1, [k - 1 for k in last])), to, 0.0)
             if initial[start] == 0.0:
                 initial = (initial + np.eye(n)[start]) / 2.0
-            simulator = simulator.with_transitions(matrix.reshape(n, a, n)).with_initial(initial)
+            simulator = simulator.with_transitions(
+                matrix.reshape(n, a, n)
+            ).with_initial(initial)
             matrix[row] = draw(_rows(n, [*last, to]))
         else:
             for chances in matrix:
                 where = np.flatnonzero(chances)
                 certain = where if support == "equal" else last
-                chances[where] = draw(_rows(len(where), np.flatnonzero(np.isin(where, certain))))
+                chances[where] = draw(
+                    _rows(len(where), np.flatnonzero(np.isin(where, certain)))
+                )
         return simulator, simulator.with_transitions(matrix.reshape(n, a, n))
 
     return draw_pair()
@@ -196,7 +220,9 @@ def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int |
     model = _checks.instance(mdp, FiniteMDP, "mdp")
     finite = st.integers(1, _checks.positive_integer(max_horizon, "max_horizon"))
     ended = model.absorbing()
-    ends_anyhow = bool(ended.any() and (model.transitions[:, ended].sum(axis=1) > 0).all())
+    ends_anyhow = bool(
+        ended.any() and (model.transitions[:, ended].sum(axis=1) > 0).all()
+    )
     return st.none() | finite if model.discount < 1.0 or ends_anyhow else finite
 
 
@@ -235,14 +261,28 @@ def logs(
     if kind is not None:
         _checks.one_of(kind, "kind", KINDS)
     even = np.full((model.n_states, model.n_actions), 1.0 / model.n_actions)
-    behavior = even if behavior_policy is None else check_policy(behavior_policy, model, name="behavior_policy")
-    n, steps = _checks.positive_integer(max_episodes, "max_episodes"), _checks.positive_integer(max_steps, "max_steps")
+    behavior = (
+        even
+        if behavior_policy is None
+        else check_policy(behavior_policy, model, name="behavior_policy")
+    )
+    n, steps = (
+        _checks.positive_integer(max_episodes, "max_episodes"),
+        _checks.positive_integer(max_steps, "max_steps"),
+    )
     ended = model.absorbing()
 
     @st.composite
     def draw_log(draw: st.DrawFn) -> Transitions:
-        is_bag = draw(st.sampled_from(KINDS) if kind is None else st.just(kind)) == "transitions"
-        starts = list(range(model.n_states)) if is_bag else np.flatnonzero(model.initial).tolist()
+        is_bag = (
+            draw(st.sampled_from(KINDS) if kind is None else st.just(kind))
+            == "transitions"
+        )
+        starts = (
+            list(range(model.n_states))
+            if is_bag
+            else np.flatnonzero(model.initial).tolist()
+        )
         made = []
         for k in range(draw(st.integers(1, n * steps if is_bag else n))):
             state = draw(st.sampled_from(starts))
@@ -257,8 +297,12 @@ def logs(
         states, actions, next_states, episode = np.array(made).T
         reward = model.rewards[states, actions]
         if model.transition_rewards is not None:
-            reward = model.transition_rewards.toarray()[states * model.n_actions + actions, next_states]
-        columns = {"behavior_probability": behavior[states, actions]} | ({"reward": reward} if rewards else {})
+            reward = model.transition_rewards.toarray()[
+                states * model.n_actions + actions, next_states
+            ]
+        columns = {"behavior_probability": behavior[states, actions]} | (
+            {"reward": reward} if rewards else {}
+        )
         if not is_bag:
             columns |= {"episode": episode, "terminated": ended[next_states]}
         return Transitions(states, actions, next_states, **columns)
@@ -275,4 +319,6 @@ def _rows(size: int, certain: Iterable[int] = ()) -> st.SearchStrategy[Array]:
         weights[0] += weights.sum() == 0.0
         return np.asarray(weights / weights.sum())
 
-    return st.lists(st.sampled_from(WEIGHTS), min_size=size, max_size=size).map(normalize)
+    return st.lists(st.sampled_from(WEIGHTS), min_size=size, max_size=size).map(
+        normalize
+    )

@@ -27,17 +27,33 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.testing.cases import Case, case
 
 CLAIMS: Mapping[str, str] = {
-    "consistent": "its value tends to J_target as the log (and its rollouts) grow, where the log's behaviour has support",
+    "consistent": (
+        "its value tends to J_target as the log (and its rollouts) grow, where the"
+        " log's behaviour has support"
+    ),
     "unbiased": "its mean over logs is J_target at every number of episodes",
     "identical": "it is right where the target is the simulator (part of consistent)",
-    "relabelling": "names of states and actions do not matter where the states keep their places (layout)",
+    "relabelling": (
+        "names of states and actions do not matter where the states keep their places"
+        " (layout)"
+    ),
     "scale": "rewards a r give a J, to 1e-8, from the same log and seed",
-    "shift": "rewards r + b give J + b sum gamma^t, to 1e-8, from the same log and seed, nothing being absorbing",
+    "shift": (
+        "rewards r + b give J + b sum gamma^t, to 1e-8, from the same log and seed,"
+        " nothing being absorbing"
+    ),
     "padding": "rows in an absorbing state after the end of an episode change nothing",
     "after_end": "padding, whatever actions those rows have",
-    "random": "other seeds may give other values; without this word they must give the same bits",
-    "finite": "it answers problems with a horizon; claimed without infinite, those alone",
-    "infinite": "it answers problems without a horizon; claimed without finite, those alone",
+    "random": (
+        "other seeds may give other values; without this word they must give the same"
+        " bits"
+    ),
+    "finite": (
+        "it answers problems with a horizon; claimed without infinite, those alone"
+    ),
+    "infinite": (
+        "it answers problems without a horizon; claimed without finite, those alone"
+    ),
 }
 DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
 
@@ -73,13 +89,17 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
             words = getattr(estimator, "claims", None)
             words = words() if callable(words) else words
         except Exception as error:
-            raise ValueError(f"{name} must be a collection of words; it raises {error!r}") from None
+            raise ValueError(
+                f"{name} must be a collection of words; it raises {error!r}"
+            ) from None
         if words is None:
             return DEFAULT
     words = _checks.collection(words, name, "a collection of words")
     for word in words:
         near = difflib.get_close_matches(str(word), CLAIMS, n=1)
-        _checks.one_of(word, name, tuple(CLAIMS), f" (did you mean {near[0]!r}?)" if near else "")
+        _checks.one_of(
+            word, name, tuple(CLAIMS), f" (did you mean {near[0]!r}?)" if near else ""
+        )
     return frozenset(words)
 
 
@@ -144,7 +164,9 @@ class Verdicts(Mapping[str, Verdict]):
     def broken(self) -> tuple[str, ...]:
         """The laws that do not hold though they are owed or claimed."""
         kept = ("holds", "not claimed", "not run")
-        return tuple(law for law, verdict in self.verdicts.items() if verdict.outcome not in kept)
+        return tuple(
+            law for law, verdict in self.verdicts.items() if verdict.outcome not in kept
+        )
 
     @property
     def conclusion(self) -> str:
@@ -166,14 +188,23 @@ class Verdicts(Mapping[str, Verdict]):
 
     def __str__(self) -> str:
         outcomes = [verdict.outcome for verdict in self.verdicts.values()]
-        n_kept, n_idle, n_left = (outcomes.count(word) for word in ("holds", "not claimed", "not run"))
+        n_kept, n_idle, n_left = (
+            outcomes.count(word) for word in ("holds", "not claimed", "not run")
+        )
         kept = f"{n_kept} law{' holds' if n_kept == 1 else 's hold'}"
         summary = f"{kept}, {len(self.broken)} broken, {n_idle} not claimed"
         summary += f", {n_left} not run" if n_left else ""
-        lines = [f"{self.estimator}: {'passed' if self.passed else 'NOT PASSED'} ({summary}; seed {self.seed})"]
+        lines = [
+            f"{self.estimator}: {'passed' if self.passed else 'NOT PASSED'} ({summary};"
+            f" seed {self.seed})"
+        ]
         lines.append(f"claims: {', '.join(sorted(self.claims)) or 'none'}")
         for verdict in self.verdicts.values():
-            example = f"see it: {verdict.example}" if verdict.example and verdict.outcome != "holds" else ""
+            example = (
+                f"see it: {verdict.example}"
+                if verdict.example and verdict.outcome != "holds"
+                else ""
+            )
             body = [*textwrap.wrap(verdict.text, 92), *textwrap.wrap(example, 92), ""]
             lines.append(f"{verdict.law:16}{verdict.outcome:12}{body[0]}".rstrip())
             lines += [" " * 28 + line for line in body[1:-1]]
@@ -237,7 +268,8 @@ class Subject:
 
     def cases(self, *names: str) -> list[Case]:
         """The cases, each without its horizon (or with it) where the estimator claims to answer only those."""
-        asked = self.claims & {"finite", "infinite"}  # claiming neither is claiming both
+        # claiming neither is claiming both
+        asked = self.claims & {"finite", "infinite"}
         if len(asked) == 1:
             end = " infinite" if "infinite" in asked else ""
             names = tuple(name.removesuffix(" infinite") + end for name in names)
@@ -253,7 +285,9 @@ class Subject:
             raise
         except Broken as broken:
             example = f"{example}{broken.example}".rstrip("; ")
-            raise type(broken)(f"{pair.title}{more}: {broken.text}", example) from broken
+            raise type(broken)(
+                f"{pair.title}{more}: {broken.text}", example
+            ) from broken
 
     def log_seed(self, *words: object) -> np.random.SeedSequence:
         """The seed of a log, by a law's name, a case's name or a size."""
@@ -265,20 +299,28 @@ class Subject:
         with capture_errors("making the estimator"):
             return self.make(copy.deepcopy(pair.simulator), copy.deepcopy(pair.target))
 
-    def estimate(self, pair: Case, log: Transitions, seed: int, *, rollouts: int = 0) -> Estimate:
+    def estimate(
+        self, pair: Case, log: Transitions, seed: int, *, rollouts: int = 0
+    ) -> Estimate:
         """One well-formed estimate, or ``Broken``; ``rollouts``: at least so many, for an estimator that has such a field."""
         estimator = self.estimator(pair)
         own = getattr(estimator, "n_rollouts", None)
         if rollouts and isinstance(own, int) and dataclasses.is_dataclass(estimator):
             with capture_errors("dataclasses.replace(estimator, n_rollouts=...)"):
-                estimator = dataclasses.replace(estimator, n_rollouts=max(own, rollouts))  # type: ignore[type-var]
+                estimator = dataclasses.replace(
+                    estimator, n_rollouts=max(own, rollouts)
+                )  # type: ignore[type-var]
         return call(estimator, pair.problem_of(log), pair.policy.copy(), seed)
 
-    def value(self, pair: Case, log: Transitions, seed: int = 0, *, rollouts: int = 0) -> float:
+    def value(
+        self, pair: Case, log: Transitions, seed: int = 0, *, rollouts: int = 0
+    ) -> float:
         """The value of one estimate; ``Broken`` where its status is not "ok"."""
         estimate = self.estimate(pair, log, seed, rollouts=rollouts)
         if estimate.status != "ok":
-            raise Broken(f"no value: status {shorten(estimate.status)!r}", f"seed={seed}")
+            raise Broken(
+                f"no value: status {shorten(estimate.status)!r}", f"seed={seed}"
+            )
         return float(estimate.value)
 
     def limit(self, pair: Case, **data: object) -> float | None:
@@ -288,14 +330,20 @@ class Subject:
             method = getattr(estimator, "limit", None)
             if not callable(method):
                 return None
-            copies = copy.deepcopy(pair.simulator), copy.deepcopy(pair.target), pair.policy.copy()
+            copies = (
+                copy.deepcopy(pair.simulator),
+                copy.deepcopy(pair.target),
+                pair.policy.copy(),
+            )
             limit = method(*copies, horizon=pair.horizon, **data)
         if not is_number(limit):
             raise Broken(f"limit must be a float; it is {type(limit).__name__}")
         return float(limit)
 
 
-def on_cases(*names: str) -> Callable[[Callable[[Subject, Case], str]], Callable[[Subject], str]]:
+def on_cases(
+    *names: str,
+) -> Callable[[Callable[[Subject, Case], str]], Callable[[Subject], str]]:
     """A law that is checked on each of these cases, and says what it found on each."""
 
     def repeat(check: Callable[[Subject, Case], str]) -> Callable[[Subject], str]:
@@ -336,18 +384,30 @@ def find_defect(estimate: Any) -> str:
         return 'status must be "ok" or say what is wrong; it is empty'
     if estimate.status in ("ok", UNEXPLAINED) and not np.isfinite(value):
         return f'value must be finite where status is "ok"; it is {float(value)}'
-    if error is not None and not (is_number(error) and np.isfinite(error) and error >= 0):
+    if error is not None and not (
+        is_number(error) and np.isfinite(error) and error >= 0
+    ):
         return f"standard_error must be None or a nonnegative number; it is {error!r}"
     if not is_ordered:
-        return f"interval must be None or (lower, upper) with lower <= upper; it is {interval!r}"
+        return (
+            "interval must be None or (lower, upper) with lower <= upper; it is"
+            f" {interval!r}"
+        )
     is_fine = isinstance(estimate.diagnostics, dict)
-    return "" if is_fine else f"diagnostics must be a dict; it is {type(estimate.diagnostics).__name__}"
+    return (
+        ""
+        if is_fine
+        else f"diagnostics must be a dict; it is {type(estimate.diagnostics).__name__}"
+    )
 
 
 @contextmanager
 def capture_errors(what: str) -> Iterator[None]:
     """Errors of the estimator's become ``Broken``; its warnings are not shown, its global random state is put back."""
-    state, numpy_state = random.getstate(), np.random.get_state()  # noqa: NPY002 (what is watched over is the global one)
+    state, numpy_state = (
+        random.getstate(),
+        np.random.get_state(),  # noqa: NPY002 (what is watched over is the global one)
+    )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -355,9 +415,13 @@ def capture_errors(what: str) -> Iterator[None]:
     except AnswerError as error:
         raise Broken(str(error)) from error
     except (Exception, SystemExit) as error:
-        is_refusal = isinstance(error, ValueError) and not isinstance(error, np.linalg.LinAlgError)
+        is_refusal = isinstance(error, ValueError) and not isinstance(
+            error, np.linalg.LinAlgError
+        )
         raised = "ValueError" if is_refusal else type(error).__name__
-        raise (Refused if is_refusal else Raises)(f"{what} raises {raised}: {shorten(str(error))}") from error
+        raise (Refused if is_refusal else Raises)(
+            f"{what} raises {raised}: {shorten(str(error))}"
+        ) from error
     finally:
         random.setstate(state)
         np.random.set_state(numpy_state)  # noqa: NPY002
@@ -372,4 +436,8 @@ def shorten(text: str, length: int = 160) -> str:
 def name_of(estimator: object) -> str:
     """What to call an estimator in a table: a function's name, a representation that says something, or the class's name."""
     name, text = getattr(estimator, "__name__", ""), repr(estimator)
-    return str(name or type(estimator).__name__) if name or text.startswith("<") or len(text) > 100 else text
+    return (
+        str(name or type(estimator).__name__)
+        if name or text.startswith("<") or len(text) > 100
+        else text
+    )

@@ -33,20 +33,64 @@ in the second case. The simulation lemma (``theorem_2``) is an equality for any 
 """
 
 # isort: off
-from oee_tabular.theory.bounds import kl_path_bound, kl_path_sides, normalised_bound, normalised_sides, path_kl
+from oee_tabular.theory.bounds import (
+    kl_path_bound,
+    kl_path_sides,
+    normalised_bound,
+    normalised_sides,
+    path_kl,
+)
 from oee_tabular.theory.bounds import unnormalised_bound, unnormalised_sides
-from oee_tabular.theory.theorem_1 import EstimationCounterexample, Sides, estimation_bound, estimation_sides
-from oee_tabular.theory.theorem_1 import excess_risk, renyi_divergence, squared_error_sides, sup_error_bound
+from oee_tabular.theory.theorem_1 import (
+    EstimationCounterexample,
+    Sides,
+    estimation_bound,
+    estimation_sides,
+)
+from oee_tabular.theory.theorem_1 import (
+    excess_risk,
+    renyi_divergence,
+    squared_error_sides,
+    sup_error_bound,
+)
 from oee_tabular.theory.theorem_1 import universal_constant_counterexample
-from oee_tabular.theory.theorem_2 import SimulationLemma, corrected_value_error_bound, ratio_error_bound
-from oee_tabular.theory.theorem_2 import ratio_error_sides, simulation_lemma, value_bound_counterexample
+from oee_tabular.theory.theorem_2 import (
+    SimulationLemma,
+    corrected_value_error_bound,
+    ratio_error_bound,
+)
+from oee_tabular.theory.theorem_2 import (
+    ratio_error_sides,
+    simulation_lemma,
+    value_bound_counterexample,
+)
 from oee_tabular.theory.theorem_2 import value_error_bound, value_error_sides
+
 # isort: on
 
 __all__ = [
-    "EstimationCounterexample", "Sides", "SimulationLemma", "corrected_value_error_bound", "estimation_bound",
-    "estimation_sides", "excess_risk", "kl_path_bound", "kl_path_sides", "normalised_bound", "normalised_sides", "path_kl",
-    "ratio_error_bound", "ratio_error_sides", "renyi_divergence", "simulation_lemma", "squared_error_sides",
-    "sup_error_bound", "universal_constant_counterexample", "unnormalised_bound", "unnormalised_sides",
-    "value_bound_counterexample", "value_error_bound", "value_error_sides",
-]  # fmt: skip
+    "EstimationCounterexample",
+    "Sides",
+    "SimulationLemma",
+    "corrected_value_error_bound",
+    "estimation_bound",
+    "estimation_sides",
+    "excess_risk",
+    "kl_path_bound",
+    "kl_path_sides",
+    "normalised_bound",
+    "normalised_sides",
+    "path_kl",
+    "ratio_error_bound",
+    "ratio_error_sides",
+    "renyi_divergence",
+    "simulation_lemma",
+    "squared_error_sides",
+    "sup_error_bound",
+    "universal_constant_counterexample",
+    "unnormalised_bound",
+    "unnormalised_sides",
+    "value_bound_counterexample",
+    "value_error_bound",
+    "value_error_sides",
+]

@@ -21,11 +21,17 @@ from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
 from oee_tabular.theory.theorem_1 import Sides, divergence_terms
 from oee_tabular.theory.theorem_2 import check_pair, forward_distributions
 
-N_TERMS, NEGLIGIBLE = 100_000, 1e-12  # infinite sums: terms that are added up, and the discount^t where that ends
+# infinite sums: terms that are added up, and the discount^t where that ends
+N_TERMS, NEGLIGIBLE = 100_000, 1e-12
 
 
 def unnormalised_bound(
-    eta: float, reward_bound: float, discount: float, *, horizon: int | None = None, rewards_on_moves: bool = False
+    eta: float,
+    reward_bound: float,
+    discount: float,
+    *,
+    horizon: int | None = None,
+    rewards_on_moves: bool = False,
 ) -> float:
     """(A): |J(K) - J'| <= R sum_t g^t ((1 + eta)^t - 1), whatever the rows of K sum to.
 
@@ -55,15 +61,28 @@ def unnormalised_bound(
         return bound * shift * eta
     if steps is None:
         rest = 1.0 - gamma * (1.0 + eta)
-        return bound * eta * (1.0 if shift else gamma) / ((1.0 - gamma) * rest) if rest > 0.0 else math.inf
-    t = np.arange(limit_horizon(steps, min(1.0, gamma * (1.0 + eta)), work=100.0, kept=8))
+        return (
+            bound * eta * (1.0 if shift else gamma) / ((1.0 - gamma) * rest)
+            if rest > 0.0
+            else math.inf
+        )
+    t = np.arange(
+        limit_horizon(steps, min(1.0, gamma * (1.0 + eta)), work=100.0, kept=8)
+    )
     growth = (t + shift) * np.log1p(eta)
     with np.errstate(over="ignore"):
-        return float(bound * np.sum(np.exp(t * np.log(gamma) + growth) * -np.expm1(-growth)))
+        return float(
+            bound * np.sum(np.exp(t * np.log(gamma) + growth) * -np.expm1(-growth))
+        )
 
 
 def unnormalised_sides(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: object = None
+    target: FiniteMDP,
+    model: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int | None = None,
+    ratio: object = None,
 ) -> Sides:
     """(A) on a pair: |J(K) - J'| by dynamic programming, and ``unnormalised_bound`` at the pair's own eta and R.
 
@@ -83,11 +102,18 @@ def unnormalised_sides(
     kernel = check_pair(target, model, ratio)
     left = _value_error(target, kernel, policy, horizon)
     constants, on_moves = _constants(target, kernel), target.reward_data is not None
-    return Sides(left, unnormalised_bound(*constants, horizon=horizon, rewards_on_moves=on_moves))
+    return Sides(
+        left, unnormalised_bound(*constants, horizon=horizon, rewards_on_moves=on_moves)
+    )
 
 
 def normalised_bound(
-    eta: float, reward_bound: float, discount: float, *, horizon: int | None = None, rewards_on_moves: bool = False
+    eta: float,
+    reward_bound: float,
+    discount: float,
+    *,
+    horizon: int | None = None,
+    rewards_on_moves: bool = False,
 ) -> float:
     """(B), where the rows of K sum to 1: |J(K) - J'| <= R sum_t g^t min(2, t eta) <= R g eta / (1 - g)^2.
 
@@ -111,16 +137,29 @@ def normalised_bound(
         return 0.0
     if steps is None and gamma == 1.0:
         return math.inf
-    length = _n_terms(gamma) if steps is None else limit_horizon(steps, gamma, work=100.0, kept=8)
+    length = (
+        _n_terms(gamma)
+        if steps is None
+        else limit_horizon(steps, gamma, work=100.0, kept=8)
+    )
     t = np.arange(length)
     total = float(np.sum(gamma**t * np.minimum(2.0, (t + shift) * eta)))
     if steps is None:
-        total += gamma**length / (1.0 - gamma) * min(2.0, (length + shift + gamma / (1.0 - gamma)) * eta)
+        total += (
+            gamma**length
+            / (1.0 - gamma)
+            * min(2.0, (length + shift + gamma / (1.0 - gamma)) * eta)
+        )
     return bound * total
 
 
 def normalised_sides(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: object = None
+    target: FiniteMDP,
+    model: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int | None = None,
+    ratio: object = None,
 ) -> Sides:
     """(B) on a pair: |J(K) - J'| by dynamic programming, and ``normalised_bound`` at the pair's own eta and R.
 
@@ -137,10 +176,19 @@ def normalised_sides(
     kernel = _check_normalised_pair(target, model, ratio)
     left = _value_error(target, kernel, policy, horizon)
     constants, on_moves = _constants(target, kernel), target.reward_data is not None
-    return Sides(left, normalised_bound(*constants, horizon=horizon, rewards_on_moves=on_moves))
+    return Sides(
+        left, normalised_bound(*constants, horizon=horizon, rewards_on_moves=on_moves)
+    )
 
 
-def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, ratio: object = None) -> Array:
+def path_kl(
+    target: FiniteMDP,
+    model: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int,
+    ratio: object = None,
+) -> Array:
     """KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)] in nats for t = 0..T, shape (T + 1,).
 
     By the chain rule [1] the divergence of the first t transitions under K from those under P'; inf from the first one
@@ -158,7 +206,9 @@ def path_kl(target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int
     [0.0, 0.0204, 0.0408, 0.0612]
     """
     kernel = _check_normalised_pair(target, model, ratio)
-    steps = limit_horizon(_checks.positive_integer(horizon, "horizon"), 1.0, work=kernel.transitions.nnz)
+    steps = limit_horizon(
+        _checks.positive_integer(horizon, "horizon"), 1.0, work=kernel.transitions.nnz
+    )
     pi = check_policy(policy, target, horizon=steps)
     return _accumulate_kl(kernel, pi, steps, _row_kl(target, kernel))
 
@@ -176,11 +226,20 @@ def _row_kl(target: Model, kernel: Model) -> Array:
     """(S*A,): KL(K || P') of each row."""
     on_kernel, _ = align(target.transitions, kernel.transitions)
     _, shared = align(kernel.transitions, target.transitions)
-    elsewhere = row_sums(target.transitions, np.where(shared, 0.0, target.transitions.data))
-    return row_sums(kernel.transitions, divergence_terms(kernel.transitions.data, on_kernel)) + elsewhere
+    elsewhere = row_sums(
+        target.transitions, np.where(shared, 0.0, target.transitions.data)
+    )
+    return (
+        row_sums(
+            kernel.transitions, divergence_terms(kernel.transitions.data, on_kernel)
+        )
+        + elsewhere
+    )
 
 
-def kl_path_bound(path_divergence: object, reward_bound: float, discount: float) -> float:
+def kl_path_bound(
+    path_divergence: object, reward_bound: float, discount: float
+) -> float:
     """(C), where the rows of K sum to 1: |J(K) - J'| <= R sum_{t<T} g^t min(2, sqrt(2 KL_t)).
 
     Parameters
@@ -203,13 +262,22 @@ def kl_path_bound(path_divergence: object, reward_bound: float, discount: float)
     kl = _checks.float_array(path_divergence, "path_divergence", ndim=1)
     bad = np.flatnonzero(~(kl >= 0.0))
     if bad.size:
-        raise ValueError(f"path_divergence[{bad[0]}] must be nonnegative; it is {kl[bad[0]]}")
+        raise ValueError(
+            f"path_divergence[{bad[0]}] must be nonnegative; it is {kl[bad[0]]}"
+        )
     _, bound, gamma, _ = _check_constants(0.0, reward_bound, discount, None)
-    return float(bound * np.sum(gamma ** np.arange(len(kl)) * np.minimum(2.0, np.sqrt(2.0 * kl))))
+    return float(
+        bound * np.sum(gamma ** np.arange(len(kl)) * np.minimum(2.0, np.sqrt(2.0 * kl)))
+    )
 
 
 def kl_path_sides(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: object = None
+    target: FiniteMDP,
+    model: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int | None = None,
+    ratio: object = None,
 ) -> Sides:
     """(C) on a pair: |J(K) - J'| by dynamic programming, and ``kl_path_bound`` of the pair's own path divergence.
 
@@ -233,9 +301,17 @@ def kl_path_sides(
     steps = optional_horizon_length(horizon, kernel, policy)
     pi = check_policy(policy, target, horizon=steps)
     if steps is not None:
-        return Sides(left, kl_path_bound(_accumulate_kl(kernel, pi, steps, row_kl)[shift:][:steps], bound, gamma))
+        return Sides(
+            left,
+            kl_path_bound(
+                _accumulate_kl(kernel, pi, steps, row_kl)[shift:][:steps], bound, gamma
+            ),
+        )
     if gamma == 1.0:  # every state that is reached is reached in S transitions
-        is_zero = bound == 0.0 or _accumulate_kl(kernel, pi, kernel.n_states, row_kl)[-1] == 0.0
+        is_zero = (
+            bound == 0.0
+            or _accumulate_kl(kernel, pi, kernel.n_states, row_kl)[-1] == 0.0
+        )
         return Sides(left, 0.0 if is_zero else math.inf)
     length = _n_terms(gamma)
     kl = _accumulate_kl(kernel, pi, length + shift, row_kl)[shift:]
@@ -246,7 +322,11 @@ def kl_path_sides(
 
 def _n_terms(gamma: float) -> int:
     """How many terms of an infinite sum are added up (gamma < 1); the rest is bounded by Jensen's inequality."""
-    return 1 if gamma == 0.0 else min(N_TERMS, math.ceil(math.log(NEGLIGIBLE) / math.log(gamma)))
+    return (
+        1
+        if gamma == 0.0
+        else min(N_TERMS, math.ceil(math.log(NEGLIGIBLE) / math.log(gamma)))
+    )
 
 
 def _check_normalised_pair(target: object, model: object, ratio: object) -> Model:
@@ -271,12 +351,16 @@ def _check_constants(
 def _constants(target: Model, kernel: Model) -> tuple[float, float, float]:
     """eta = max over (s, a) of sum_s' |K - P'|, R = max |r| over the transitions of either, and the discount."""
     change = row_sums(sparse.csr_array(abs(kernel.transitions - target.transitions)))
-    tables = [m.rewards if m.reward_data is None else m.reward_data for m in (target, kernel)]
+    tables = [
+        m.rewards if m.reward_data is None else m.reward_data for m in (target, kernel)
+    ]
     largest = max(float(np.abs(table).max(initial=0.0)) for table in tables)
     return float(change.max(initial=0.0)), largest, target.discount
 
 
-def _value_error(target: FiniteMDP, kernel: Model, policy: PolicyLike, horizon: int | None) -> float:
+def _value_error(
+    target: FiniteMDP, kernel: Model, policy: PolicyLike, horizon: int | None
+) -> float:
     """|J(K) - J'|; inf where J(K) does not exist (0 if all rewards are 0)."""
     truth = policy_value(target, policy, horizon=horizon)
     pi = check_policy(policy, target, horizon=horizon)

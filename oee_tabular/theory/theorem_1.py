@@ -76,7 +76,8 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
     if math.isinf(a):
         return max(0.0, float(log_ratio.max()))
     powers = (a - 1.0) * log_ratio
-    if np.abs(powers).max() < 0.5 and unshared_mass < 0.5:  # the sum is near 1: its distance from 1, for orders near 1
+    # the sum is near 1: its distance from 1, for orders near 1
+    if np.abs(powers).max() < 0.5 and unshared_mass < 0.5:
         log_sum = math.log1p(float(ps[shared] @ np.expm1(powers)) - unshared_mass)
     else:
         log_sum = float(special.logsumexp(powers + np.log(ps[shared])))
@@ -92,7 +93,9 @@ def divergence_terms(p: Array, q: Array) -> Array:
     return terms
 
 
-def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: float, constant: float) -> float:
+def estimation_bound(
+    n: int, mu: float, nu: float, confidence: float, renyi: float, constant: float
+) -> float:
     """Theorem V.1's right-hand side (eq. 5.1): of the SQUARE |ghat_n - g*|_inf^2, with probability ``confidence`` = 1 - delta.
 
     K e^{D_inf(P || Q)} (sqrt(1/n) (mu + max(log mu, -log nu)) + sqrt(2 log(1/delta) / n)).
@@ -121,12 +124,24 @@ def estimation_bound(n: int, mu: float, nu: float, confidence: float, renyi: flo
     k = _checks.number_in(constant, "constant", 0.0, math.inf, open_ends=True)
     with np.errstate(over="ignore"):
         scale = float(np.exp(divergence))
-    spread = upper + max(math.log(upper), -math.log(lower)) + math.sqrt(-2.0 * math.log(delta))
+    spread = (
+        upper
+        + max(math.log(upper), -math.log(lower))
+        + math.sqrt(-2.0 * math.log(delta))
+    )
     return k * scale * spread / math.sqrt(samples)
 
 
 def estimation_sides(
-    g: ArrayLike, p: ArrayLike, q: ArrayLike, *, n: int, mu: float, nu: float, confidence: float, constant: float
+    g: ArrayLike,
+    p: ArrayLike,
+    q: ArrayLike,
+    *,
+    n: int,
+    mu: float,
+    nu: float,
+    confidence: float,
+    constant: float,
 ) -> Sides:
     """Theorem 1 on tables: left = max |g - p/q|^2 where p + q > 0, right = ``estimation_bound``; both inf where p > 0 = q.
 
@@ -144,9 +159,13 @@ def estimation_sides(
     ps, qs = check_distributions(p, q)
     values = check_ratio(g, "g", *check_box(nu, mu))
     _check_same_length(values, ps)
-    right = estimation_bound(n, mu, nu, confidence, renyi_divergence(ps, qs, math.inf), constant)
+    right = estimation_bound(
+        n, mu, nu, confidence, renyi_divergence(ps, qs, math.inf), constant
+    )
     with np.errstate(over="ignore"):  # a square beyond floats is infinite
-        return Sides(float(np.max(np.abs(values - _ratio(ps, qs))[ps + qs > 0.0]) ** 2), right)
+        return Sides(
+            float(np.max(np.abs(values - _ratio(ps, qs))[ps + qs > 0.0]) ** 2), right
+        )
 
 
 @dataclass(frozen=True)
@@ -193,10 +212,14 @@ def universal_constant_counterexample(
         raise ValueError(f"n must be at least 2; it is {samples}")
     right = estimation_bound(samples, mu, nu, confidence, 0.0, 1.0)
     unseen = math.exp(samples * math.log1p(-1.0 / samples))
-    return EstimationCounterexample((mu - 1.0) * (mu - 1.0), right, unseen**2, unseen * (1.0 - unseen))
+    return EstimationCounterexample(
+        (mu - 1.0) * (mu - 1.0), right, unseen**2, unseen * (1.0 - unseen)
+    )
 
 
-def sup_error_bound(n: int, p_min: float, q_min: float, n_cells: int, mu: float, confidence: float) -> float:
+def sup_error_bound(
+    n: int, p_min: float, q_min: float, n_cells: int, mu: float, confidence: float
+) -> float:
     """A true bound in place of Theorem 1 for tables, ghat = phat/qhat, with probability ``confidence`` = 1 - delta.
 
     |ghat - g*|_inf <= mu (e_p + e_q) / (1 - e_q),   e_p = sqrt(3 log(4 n_cells / delta) / (n p_min)), e_q likewise.
@@ -220,8 +243,14 @@ def sup_error_bound(n: int, p_min: float, q_min: float, n_cells: int, mu: float,
     >>> round(sup_error_bound(100_000, 0.1, 0.2, 4, 1.5, 0.95), 4)
     0.1097
     """
-    samples, cells = _checks.positive_integer(n, "n"), _checks.positive_integer(n_cells, "n_cells")
-    smallest = [_checks.number_in(x, name, 0.0, 1.0) for x, name in ((p_min, "p_min"), (q_min, "q_min"))]
+    samples, cells = (
+        _checks.positive_integer(n, "n"),
+        _checks.positive_integer(n_cells, "n_cells"),
+    )
+    smallest = [
+        _checks.number_in(x, name, 0.0, 1.0)
+        for x, name in ((p_min, "p_min"), (q_min, "q_min"))
+    ]
     largest = _checks.number_in(mu, "mu", 1.0, math.inf)
     delta = 1.0 - _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     log_term = math.log(4.0 * cells / delta)
@@ -234,7 +263,11 @@ def _chernoff(log_term: float, mean: float) -> float:
     if mean == 0.0:
         return math.inf
     small = math.sqrt(3.0 * log_term / mean)
-    return small if small <= 1.0 else (log_term + math.sqrt(log_term**2 + 8.0 * log_term * mean)) / (2.0 * mean)
+    return (
+        small
+        if small <= 1.0
+        else (log_term + math.sqrt(log_term**2 + 8.0 * log_term * mean)) / (2.0 * mean)
+    )
 
 
 def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
@@ -267,7 +300,9 @@ def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
     return Sides(risks[0] - risks[1], right)
 
 
-def squared_error_sides(g: ArrayLike, p: ArrayLike, q: ArrayLike, *, mu: float | None = None) -> Sides:
+def squared_error_sides(
+    g: ArrayLike, p: ArrayLike, q: ArrayLike, *, mu: float | None = None
+) -> Sides:
     """E_p (g - g*)^2 <= 2 mu^2 (L(g) - L(g*)) where g, g* <= mu: a risk bound controls L2(P), not the sup norm.
 
     Parameters
@@ -284,9 +319,15 @@ def squared_error_sides(g: ArrayLike, p: ArrayLike, q: ArrayLike, *, mu: float |
     ps, qs = check_distributions(p, q)
     values, best = _checks.float_array(g, "g")[ps > 0.0], _ratio(ps, qs)[ps > 0.0]
     largest = float(max(values.max(), best.max()))
-    bound = largest if mu is None else _checks.number_in(mu, "mu", 0.0, math.inf, infinite=True)
+    bound = (
+        largest
+        if mu is None
+        else _checks.number_in(mu, "mu", 0.0, math.inf, infinite=True)
+    )
     if bound < largest:
-        raise ValueError(f"mu must be at least g and p/q, which reach {largest:g}; it is {bound:g}")
+        raise ValueError(
+            f"mu must be at least g and p/q, which reach {largest:g}; it is {bound:g}"
+        )
     left = float(ps[ps > 0.0] @ (values - best) ** 2)
     return Sides(left, 0.0 if risk == 0.0 else 2.0 * bound * bound * risk)
 
@@ -312,5 +353,8 @@ def check_ratio(value: object, name: str, nu: float, mu: float) -> Array:
     array = _checks.float_array(value, name, ndim=1)
     bad = np.flatnonzero(~((array >= nu) & (array <= mu)))
     if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] must be in [nu, mu] = [{nu:g}, {mu:g}]; it is {array[bad[0]]}")
+        raise ValueError(
+            f"{name}[{bad[0]}] must be in [nu, mu] = [{nu:g}, {mu:g}]; it is"
+            f" {array[bad[0]]}"
+        )
     return array

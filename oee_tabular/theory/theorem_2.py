@@ -15,7 +15,13 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import align, csr_on_pattern
-from oee_tabular.exact import ReweightedModel, occupancy, policy_value, reweight, state_values
+from oee_tabular.exact import (
+    ReweightedModel,
+    occupancy,
+    policy_value,
+    reweight,
+    state_values,
+)
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.arrays import name_transition
@@ -46,7 +52,12 @@ class SimulationLemma:
 
 
 def simulation_lemma(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int | None = None, ratio: object = None
+    target: FiniteMDP,
+    model: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int | None = None,
+    ratio: object = None,
 ) -> SimulationLemma:
     """J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>, for any nonnegative kernel K [1].
 
@@ -80,14 +91,26 @@ def simulation_lemma(
     kernel = check_pair(target, model, ratio)
     steps = optional_horizon_length(horizon, kernel, policy, kept=kernel.n_states)
     pi = check_policy(policy, target, horizon=steps)
-    difference = policy_value(target, pi, horizon=steps) - policy_value(kernel, pi, horizon=steps)
-    first = _error_by_occupancy(target, kernel, pi, steps, measured=target, valued=kernel)
-    second = _error_by_occupancy(target, kernel, pi, steps, measured=kernel, valued=target)
+    difference = policy_value(target, pi, horizon=steps) - policy_value(
+        kernel, pi, horizon=steps
+    )
+    first = _error_by_occupancy(
+        target, kernel, pi, steps, measured=target, valued=kernel
+    )
+    second = _error_by_occupancy(
+        target, kernel, pi, steps, measured=kernel, valued=target
+    )
     return SimulationLemma(difference, first, second)
 
 
 def _error_by_occupancy(
-    target: Model, kernel: Model, pi: Array, steps: int | None, *, measured: Model, valued: Model
+    target: Model,
+    kernel: Model,
+    pi: Array,
+    steps: int | None,
+    *,
+    measured: Model,
+    valued: Model,
 ) -> float:
     """sum_t g^t <alpha_t, r' - r_K + g (P' - K) V_{t+1}>: alpha of ``measured``, V of ``valued``."""
     gamma, reward_error = target.discount, target.rewards - kernel.rewards
@@ -101,10 +124,15 @@ def _error_by_occupancy(
         return float(np.sum(occupancy(measured, pi) * errors) / (1.0 - gamma))
     to_go = np.zeros((steps + 1, target.n_states))
     for t in range(steps - 1, -1, -1):
-        q = valued.rewards + gamma * (valued.transitions @ to_go[t + 1]).reshape(reward_error.shape)
+        q = valued.rewards + gamma * (valued.transitions @ to_go[t + 1]).reshape(
+            reward_error.shape
+        )
         to_go[t] = np.sum((pi if pi.ndim == 2 else pi[t]) * q, axis=1)
     alphas = enumerate(forward_distributions(measured, pi, steps))
-    return sum(gamma**t * float(np.sum(pairs * row_errors(to_go[t + 1]))) for t, pairs in alphas)
+    return sum(
+        gamma**t * float(np.sum(pairs * row_errors(to_go[t + 1])))
+        for t, pairs in alphas
+    )
 
 
 def forward_distributions(model: Model, pi: Array, steps: int) -> Iterator[Array]:
@@ -117,24 +145,40 @@ def forward_distributions(model: Model, pi: Array, steps: int) -> Iterator[Array
         states = transposed @ pairs.reshape(-1)
 
 
-def check_pair(target: object, model: object, ratio: object = None) -> FiniteMDP | ReweightedModel:
+def check_pair(
+    target: object, model: object, ratio: object = None
+) -> FiniteMDP | ReweightedModel:
     """K: ``model``, or ratio * model; a ValueError where it is not the target's MDP under other dynamics."""
     target = _checks.instance(target, FiniteMDP, "target")
     if ratio is not None:
-        model = reweight(_checks.instance(model, FiniteMDP, "model", "FiniteMDP (the simulator) with a ratio"), ratio)
+        model = reweight(
+            _checks.instance(
+                model, FiniteMDP, "model", "FiniteMDP (the simulator) with a ratio"
+            ),
+            ratio,
+        )
     if not isinstance(model, FiniteMDP | ReweightedModel):
-        raise ValueError(f"model must be a FiniteMDP or a ReweightedModel; got {type(model).__name__}")
+        raise ValueError(
+            "model must be a FiniteMDP or a ReweightedModel; got"
+            f" {type(model).__name__}"
+        )
     if target.transitions.shape != model.transitions.shape:
         raise ValueError(
-            f"target and model must have the same states and actions; their transitions have shapes "
-            f"{target.transitions.shape} and {model.transitions.shape}"
+            "target and model must have the same states and actions; their transitions"
+            f" have shapes {target.transitions.shape} and {model.transitions.shape}"
         )
     if target.discount != model.discount:
-        raise ValueError(f"model must have the target's discount {target.discount:g}; it has {model.discount:g}")
+        raise ValueError(
+            f"model must have the target's discount {target.discount:g}; it has"
+            f" {model.discount:g}"
+        )
     bad = np.flatnonzero(np.abs(target.initial - model.initial) > _checks.SUM_TOLERANCE)
     if bad.size:
         s = bad[0]
-        raise ValueError(f"model.initial[{s}] must be the target's {target.initial[s]:g}; it is {model.initial[s]:g}")
+        raise ValueError(
+            f"model.initial[{s}] must be the target's {target.initial[s]:g}; it is"
+            f" {model.initial[s]:g}"
+        )
     _check_rewards(target, model)
     return model
 
@@ -143,25 +187,43 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
     """Check the form of rewards, and their values (r(s, a, s') on the transitions that both make)."""
     if target.reward_data is None or model.reward_data is None:
         if target.reward_data is not model.reward_data:
-            forms = ["r(s, a)" if m.reward_data is None else "r(s, a, s')" for m in (target, model)]
-            raise ValueError(f"model must have the target's form of rewards, {forms[0]}; it has {forms[1]}")
-        bad = np.argwhere(~np.isclose(target.rewards, model.rewards, rtol=1e-9, atol=1e-12))
+            forms = [
+                "r(s, a)" if m.reward_data is None else "r(s, a, s')"
+                for m in (target, model)
+            ]
+            raise ValueError(
+                f"model must have the target's form of rewards, {forms[0]}; it has"
+                f" {forms[1]}"
+            )
+        bad = np.argwhere(
+            ~np.isclose(target.rewards, model.rewards, rtol=1e-9, atol=1e-12)
+        )
         if bad.size:
             s, a = bad[0]
             wanted, found = target.rewards[s, a], model.rewards[s, a]
-            raise ValueError(f"model.rewards[{s}, {a}] must be the target's {wanted:g}; it is {found:g}")
+            raise ValueError(
+                f"model.rewards[{s}, {a}] must be the target's {wanted:g}; it is"
+                f" {found:g}"
+            )
         return
-    found, shared = align(csr_on_pattern(model.transitions, model.reward_data), target.transitions)
-    wrong = np.flatnonzero(shared & ~np.isclose(found, target.reward_data, rtol=1e-9, atol=1e-12))
+    found, shared = align(
+        csr_on_pattern(model.transitions, model.reward_data), target.transitions
+    )
+    wrong = np.flatnonzero(
+        shared & ~np.isclose(found, target.reward_data, rtol=1e-9, atol=1e-12)
+    )
     if wrong.size:
         k = int(wrong[0])
         where = name_transition(target.transitions, k, target.n_actions, target.names)
         raise ValueError(
-            f"model's reward at {where} must be the target's {target.reward_data[k]:g}; it is {found[k]:g}"
+            f"model's reward at {where} must be the target's {target.reward_data[k]:g};"
+            f" it is {found[k]:g}"
         )
 
 
-def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False) -> float:
+def ratio_error_bound(
+    error: float, mu: float, nu: float, *, tight: bool = False
+) -> float:
     """Lemma V.1 (eq. 5.2): |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 * error; ``tight``: (mu + nu) / nu^2 * error.
 
     The paper has M(G, delta) / n^{1/4} for ``error``; M already contains n.
@@ -183,11 +245,22 @@ def ratio_error_bound(error: float, mu: float, nu: float, *, tight: bool = False
     square = lower**2
     if size == 0.0:
         return 0.0
-    return (upper + lower if tight else upper * (1.0 + lower * upper)) / square * size if square > 0.0 else math.inf
+    return (
+        (upper + lower if tight else upper * (1.0 + lower * upper)) / square * size
+        if square > 0.0
+        else math.inf
+    )
 
 
 def ratio_error_sides(
-    moves: object, pairs: object, true_moves: object, true_pairs: object, *, mu: float, nu: float, tight: bool = False
+    moves: object,
+    pairs: object,
+    true_moves: object,
+    true_pairs: object,
+    *,
+    mu: float,
+    nu: float,
+    tight: bool = False,
 ) -> Sides:
     """The Lemma on tables: left = max |zhat - zeta|, right = the bound at the larger of the two sup errors.
 
@@ -203,20 +276,41 @@ def ratio_error_sides(
     0.139
     """
     _checks.boolean(tight, "tight")
-    named = {"moves": moves, "pairs": pairs, "true_moves": true_moves, "true_pairs": true_pairs}
-    top, bottom, best_top, best_bottom = (check_ratio(value, name, *check_box(nu, mu)) for name, value in named.items())
-    for array, name in ((bottom, "pairs"), (best_top, "true_moves"), (best_bottom, "true_pairs")):
+    named = {
+        "moves": moves,
+        "pairs": pairs,
+        "true_moves": true_moves,
+        "true_pairs": true_pairs,
+    }
+    top, bottom, best_top, best_bottom = (
+        check_ratio(value, name, *check_box(nu, mu)) for name, value in named.items()
+    )
+    for array, name in (
+        (bottom, "pairs"),
+        (best_top, "true_moves"),
+        (best_bottom, "true_pairs"),
+    ):
         if array.shape != top.shape:
-            raise ValueError(f"{name} must have the length of moves, {len(top)}; it has {len(array)}")
-    error = float(max(np.abs(top - best_top).max(initial=0.0), np.abs(bottom - best_bottom).max(initial=0.0)))
-    with np.errstate(over="ignore"):  # a quotient beyond the largest float is infinite: nothing from another such one
+            raise ValueError(
+                f"{name} must have the length of moves, {len(top)}; it has {len(array)}"
+            )
+    error = float(
+        max(
+            np.abs(top - best_top).max(initial=0.0),
+            np.abs(bottom - best_bottom).max(initial=0.0),
+        )
+    )
+    # a quotient beyond the largest float is infinite: nothing from another such one
+    with np.errstate(over="ignore"):
         quotient, best = top / bottom, best_top / best_bottom
     differs = quotient != best
     left = float(np.abs(quotient[differs] - best[differs]).max(initial=0.0))
     return Sides(left, ratio_error_bound(error, mu, nu, tight=tight))
 
 
-def value_error_bound(horizon: int, reward_bound: float, discount: float, *, error: float, nu: float) -> float:
+def value_error_bound(
+    horizon: int, reward_bound: float, discount: float, *, error: float, nu: float
+) -> float:
     """Theorem V.2's right-hand side (eq. 5.3): of the SQUARE (J' - J(zhat P))^2, FALSE as stated (x = gamma / nu).
 
     T M^2 R^2 x / sqrt(n) * (1 - (T+1) x^T + T x^{T+1}) / (1 - x)^2  =  T R^2 error^2 sum_{t=1..T} t x^t.
@@ -250,11 +344,20 @@ def value_error_bound(horizon: int, reward_bound: float, discount: float, *, err
     last = limit_horizon(steps, min(1.0, gamma / lower), work=100.0, kept=8)
     t = np.arange(1.0, last + 1.0)
     with np.errstate(over="ignore"):
-        return float(steps * (bound * size) * (bound * size) * np.sum(t * (gamma / lower) ** t))
+        return float(
+            steps * (bound * size) * (bound * size) * np.sum(t * (gamma / lower) ** t)
+        )
 
 
 def value_error_sides(
-    target: FiniteMDP, model: Model, policy: PolicyLike, *, horizon: int, error: float, nu: float, ratio: object = None
+    target: FiniteMDP,
+    model: Model,
+    policy: PolicyLike,
+    *,
+    horizon: int,
+    error: float,
+    nu: float,
+    ratio: object = None,
 ) -> Sides:
     """Theorem 2 on a pair: left = (J' - J(K))^2 over t = 0..T, exactly; right = ``value_error_bound`` with R = max |r(s, a)|.
 
@@ -272,14 +375,19 @@ def value_error_sides(
     kernel = check_pair(target, model, ratio)
     steps = _checks.positive_integer(horizon, "horizon")
     if target.reward_data is not None:
-        raise ValueError("target must have rewards r(s, a): Theorem 2 is about those; it has r(s, a, s')")
+        raise ValueError(
+            "target must have rewards r(s, a): Theorem 2 is about those; it has r(s,"
+            " a, s')"
+        )
     largest = float(np.abs(target.rewards).max())
     right = value_error_bound(horizon, largest, target.discount, error=error, nu=nu)
     values = [policy_value(mdp, policy, horizon=steps + 1) for mdp in (target, kernel)]
     return Sides((values[0] - values[1]) * (values[0] - values[1]), right)
 
 
-def value_bound_counterexample(horizon: int, discount: float, epsilon: float, nu: float) -> Sides:
+def value_bound_counterexample(
+    horizon: int, discount: float, epsilon: float, nu: float
+) -> Sides:
     """Theorem 2 where P' = P, r = 1, betahat_sas' = 1 + epsilon and betahat_sa = 1: zhat = 1 + epsilon, sup error epsilon.
 
     left = (sum_{t<=T} gamma^t ((1 + epsilon)^t - 1))^2, by dynamic programming; right = the theorem's bound.
@@ -297,10 +405,14 @@ def value_bound_counterexample(horizon: int, discount: float, epsilon: float, nu
     size = _checks.number_in(epsilon, "epsilon", 0.0, math.inf)
     mdp = FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], discount)
     ratio = sparse.csr_array([[1.0 + size]])
-    return value_error_sides(mdp, mdp, np.ones((1, 1)), horizon=horizon, error=size, nu=nu, ratio=ratio)
+    return value_error_sides(
+        mdp, mdp, np.ones((1, 1)), horizon=horizon, error=size, nu=nu, ratio=ratio
+    )
 
 
-def corrected_value_error_bound(horizon: int, reward_bound: float, discount: float, *, error: float) -> float:
+def corrected_value_error_bound(
+    horizon: int, reward_bound: float, discount: float, *, error: float
+) -> float:
     """In place of Theorem 2, where rows of zhat * P sum to 1: (J' - J(zhat P))^2 <= 2 T R^2 error^2 sum_{t=1..T} t gamma^{2t}.
 
     The paper's shape without 1/nu: from (C) with KL_t <= t error^2, and Cauchy's inequality. For T of order
@@ -320,6 +432,9 @@ def corrected_value_error_bound(horizon: int, reward_bound: float, discount: flo
     gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     size = _checks.number_in(error, "error", 0.0, math.inf)
     steps = _checks.positive_integer(horizon, "horizon")
-    last = limit_horizon(steps, gamma, work=100.0, kept=8)  # of the terms; the factor T stays
+    # of the terms; the factor T stays
+    last = limit_horizon(steps, gamma, work=100.0, kept=8)
     t = np.arange(1.0, last + 1.0)
-    return float(2.0 * steps * (bound * size) * (bound * size) * np.sum(t * gamma ** (2.0 * t)))
+    return float(
+        2.0 * steps * (bound * size) * (bound * size) * np.sum(t * gamma ** (2.0 * t))
+    )

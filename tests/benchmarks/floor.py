@@ -26,7 +26,13 @@ def minimax_ratios():
     x = np.linspace(-TOP - 8.0, TOP + 8.0, 2401)
     inside = np.abs(x) <= TOP
     basis = (
-        np.array([np.sign(x) * np.interp(np.abs(x), NODES, unit) for unit in np.eye(len(NODES))]).T * inside[:, None]
+        np.array(
+            [
+                np.sign(x) * np.interp(np.abs(x), NODES, unit)
+                for unit in np.eye(len(NODES))
+            ]
+        ).T
+        * inside[:, None]
     )
     beyond = np.where(inside, 0.0, x)
 
@@ -36,11 +42,15 @@ def minimax_ratios():
     rule, worst = cp.Variable(len(NODES)), cp.Variable()
     rules = []
     for b in BIASES:  # a triangular factor in place of 2401 points
-        factor = np.linalg.qr(weighted(b)[:, None] * np.column_stack([basis, beyond - b]), mode="r")
+        factor = np.linalg.qr(
+            weighted(b)[:, None] * np.column_stack([basis, beyond - b]), mode="r"
+        )
         rules.append(cp.norm(factor[:, :-1] @ rule + factor[:, -1]) <= worst)
     cp.Problem(cp.Minimize(worst), rules).solve(solver="CLARABEL")
     delta = basis @ rule.value + beyond
-    return float(worst.value), np.array([np.linalg.norm(weighted(b) * (delta - b)) for b in ERRORS])
+    return float(worst.value), np.array(
+        [np.linalg.norm(weighted(b) * (delta - b)) for b in ERRORS]
+    )
 
 
 if __name__ == "__main__":

@@ -11,17 +11,33 @@ NAME = "FrozenLake-v1:map_name=8x8,success_rate="
 
 def main():
     """A line for each estimator."""
-    simulator, task = named_task(f"{NAME}1/3", discount=0.99).mdp, named_task(f"{NAME}0.6", discount=0.99)
+    simulator, task = (
+        named_task(f"{NAME}1/3", discount=0.99).mdp,
+        named_task(f"{NAME}0.6", discount=0.99),
+    )
     best, uniform = oee.optimal_policy(task.mdp), oee.uniform_policy(task.mdp)
     policy, behavior = oee.mix(best, uniform, 0.7), oee.mix(best, uniform, 0.49)
     truth = oee.policy_value(task.mdp, policy)
     off = abs(oee.policy_value(simulator, policy) - truth)
-    logs = [oee.record_episodes(task.environment(), behavior, n_transitions=20_000, seed=seed) for seed in range(40)]
-    for name, estimate in {"oee": OffEnvironment(), "model-based": ModelBased()}.items():
-        errors = np.array([estimate(Problem(simulator, log), policy).value - truth for log in logs])
+    logs = [
+        oee.record_episodes(
+            task.environment(), behavior, n_transitions=20_000, seed=seed
+        )
+        for seed in range(40)
+    ]
+    for name, estimate in {
+        "oee": OffEnvironment(),
+        "model-based": ModelBased(),
+    }.items():
+        errors = np.array(
+            [estimate(Problem(simulator, log), policy).value - truth for log in logs]
+        )
         rmse = np.sqrt(np.mean(errors**2))
-        print(f"{name:<12} RMSE {rmse:.4f}, {rmse / off:.1%} of the simulator's error ({off:.4f}); "
-              f"below a quarter of it: {(np.abs(errors) < off / 4).sum()} of {len(logs)}")  # fmt: skip
+        print(
+            f"{name:<12} RMSE {rmse:.4f}, {rmse / off:.1%} of the simulator's error"
+            f" ({off:.4f}); below a quarter of it: {(np.abs(errors) < off / 4).sum()}"
+            f" of {len(logs)}"
+        )
 
 
 if __name__ == "__main__":

@@ -36,7 +36,11 @@ class Delay(Hidden):
         last = states[:, self.task.n_state :]
         done = np.where(last[:, -1] == NONE, actions, last[:, -1]).astype(np.int64)
         moved = self.task.moves(self.own(states), done, disturbance)
-        return Moves(np.column_stack([moved.next_state, actions, last[:, :-1]]), moved.reward, moved.terminated)
+        return Moves(
+            np.column_stack([moved.next_state, actions, last[:, :-1]]),
+            moved.reward,
+            moved.terminated,
+        )
 
 
 class Lag(Hidden):
@@ -48,11 +52,24 @@ class Lag(Hidden):
 
     def moves(self, states, actions, disturbance):
         own, force = self.own(states), states[:, -1]
-        force = self.lag * np.where(force == NONE, 0.0, force) + (1.0 - self.lag) * self.actions[actions]
-        ends = [self.task.moves(own, np.full(len(own), a), disturbance).next_state for a in (0, 1)]
-        share = ((force - self.actions[0]) / (self.actions[1] - self.actions[0]))[:, None]
-        following = ends[0] * (1.0 - share) + ends[1] * share  # a step is linear in the force
-        return Moves(np.column_stack([following, force]), np.ones(len(own)), self.task.terminated(following))
+        force = (
+            self.lag * np.where(force == NONE, 0.0, force)
+            + (1.0 - self.lag) * self.actions[actions]
+        )
+        ends = [
+            self.task.moves(own, np.full(len(own), a), disturbance).next_state
+            for a in (0, 1)
+        ]
+        share = ((force - self.actions[0]) / (self.actions[1] - self.actions[0]))[
+            :, None
+        ]
+        # a step is linear in the force
+        following = ends[0] * (1.0 - share) + ends[1] * share
+        return Moves(
+            np.column_stack([following, force]),
+            np.ones(len(own)),
+            self.task.terminated(following),
+        )
 
 
 class SensorNoise(Hidden):
@@ -60,17 +77,26 @@ class SensorNoise(Hidden):
 
     def __init__(self, task, deviation):
         super().__init__(task, task.n_state)
-        self.deviation, self.n_disturbances = deviation, task.n_disturbances + task.n_state
+        self.deviation, self.n_disturbances = (
+            deviation,
+            task.n_disturbances + task.n_state,
+        )
 
     def initial_states(self, n, rng):
         own = self.task.initial_states(n, rng)
-        return np.column_stack([own + self.deviation * rng.standard_normal(own.shape), own])
+        return np.column_stack(
+            [own + self.deviation * rng.standard_normal(own.shape), own]
+        )
 
     def moves(self, states, actions, disturbance):
         d, k = self.task.n_state, self.task.n_disturbances
-        moved = self.task.moves(np.ascontiguousarray(states[:, d:]), actions, disturbance[:, :k])
+        moved = self.task.moves(
+            np.ascontiguousarray(states[:, d:]), actions, disturbance[:, :k]
+        )
         shown = moved.next_state + self.deviation * disturbance[:, k:]
-        return Moves(np.column_stack([shown, moved.next_state]), moved.reward, moved.terminated)
+        return Moves(
+            np.column_stack([shown, moved.next_state]), moved.reward, moved.terminated
+        )
 
 
 class RandomActions(DerivedTask):
@@ -96,15 +122,23 @@ class Cogging(classic.Pendulum):
 
     def moves(self, states, actions, disturbance):
         moved = super().moves(states, actions, disturbance)
-        torque = self.cogging * np.sin(4.0 * states[:, 0]) + self.dry * np.tanh(10.0 * states[:, 1])
+        torque = self.cogging * np.sin(4.0 * states[:, 0]) + self.dry * np.tanh(
+            10.0 * states[:, 1]
+        )
         speed = np.clip(moved.next_state[:, 1] - 0.15 * torque, -8.0, 8.0)
-        return Moves(np.column_stack([states[:, 0] + 0.05 * speed, speed]), moved.reward, moved.terminated)
+        return Moves(
+            np.column_stack([states[:, 0] + 0.05 * speed, speed]),
+            moved.reward,
+            moved.terminated,
+        )
 
 
 def shown(log, d):
     """The log without the hidden coordinates."""
     columns = log.columns()
-    return ContinuousTransitions(**(columns | {k: columns[k][:, :d] for k in ("state", "next_state")}))
+    return ContinuousTransitions(
+        **(columns | {k: columns[k][:, :d] for k in ("state", "next_state")})
+    )
 
 
 def of_own(policy, d):

@@ -29,38 +29,70 @@ HORIZON = 200  # of rollouts
 
 def intervals(most):
     """The likelihood interval from 100 000 transitions of the simulator itself, of a policy that is mostly its best."""
-    cases = {"grid 30": (gridworld(30, 0.1), None), "random graph 1000": (mdps.garnet(1000), None)}
-    cases |= {"grid 100": (gridworld(100, 0.1), None), "random graph 10000": (mdps.garnet(10_000), None)}
+    cases = {
+        "grid 30": (gridworld(30, 0.1), None),
+        "random graph 1000": (mdps.garnet(1000), None),
+    }
+    cases |= {
+        "grid 100": (gridworld(100, 0.1), None),
+        "random graph 10000": (mdps.garnet(10_000), None),
+    }
     cases |= {"grid 45, horizon 500": (gridworld(45, 0.1), 500)}
     for name, (simulator, horizon) in cases.items():
         if simulator.n_states <= most:
             log = mdps.draw_log(simulator, 100_000)
-            policy = oee.mix(oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.8)
-            call = partial(oee.interval, oee.Problem(simulator, log, horizon=horizon), policy)
+            policy = oee.mix(
+                oee.optimal_policy(simulator), oee.uniform_policy(simulator), 0.8
+            )
+            call = partial(
+                oee.interval, oee.Problem(simulator, log, horizon=horizon), policy
+            )
             yield from compare("main job", f"interval, {name}", {"ours": call})
 
 
 def counts(most):
     """Counts of a parquet file and of a tenth of it, ours and DuckDB's sums; 10^9 are projected from the slope."""
     n, simulator = min(10**7, 50 * most), mdps.garnet(1000)
-    sums = "state, action, next_state, terminated, count(*), sum(reward), min(reward), max(reward)"
+    sums = (
+        "state, action, next_state, terminated, count(*), sum(reward), min(reward),"
+        " max(reward)"
+    )
 
     def duckdb():
         import duckdb
 
         connection = duckdb.connect(config={"threads": 1})
-        return lambda: connection.sql(f"select {sums} from '{files[1]}' group by all").fetchnumpy()
+        return lambda: connection.sql(
+            f"select {sums} from '{files[1]}' group by all"
+        ).fetchnumpy()
 
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / f"{size}.parquet" for size in (n // 10, n)]
         for file, size in zip(files, (n // 10, n), strict=True):
             mdps.draw_log(simulator, size).save(file)
-        ours = {name: partial(oee.Transitions.open, file) for name, file in zip(("ours, a tenth", "ours"), files)}  # noqa: B905
-        rows = list(compare("main job", f"counts of {n} transitions", ours, {"DuckDB": duckdb}, seconds=3.0))
+        ours = {
+            name: partial(oee.Transitions.open, file)
+            for name, file in zip(("ours, a tenth", "ours"), files)  # noqa: B905
+        }
+        rows = list(
+            compare(
+                "main job",
+                f"counts of {n} transitions",
+                ours,
+                {"DuckDB": duckdb},
+                seconds=3.0,
+            )
+        )
     yield from rows
     if rows:
         slope = (rows[1]["seconds"] - rows[0]["seconds"]) / (0.9 * n)
-        yield row("main job", "counts of 10^9 transitions", "ours", 1e9 * slope, note="projected")
+        yield row(
+            "main job",
+            "counts of 10^9 transitions",
+            "ours",
+            1e9 * slope,
+            note="projected",
+        )
 
 
 def small_calls(most):
@@ -82,23 +114,38 @@ def small_calls(most):
     build = partial(oee.FiniteMDP, p, r, first, discount)
     for name, ours, peer in (
         ("FiniteMDP", build, check),
-        ("FiniteMDP and policy_value", lambda: oee.policy_value(build(), policy), value),
+        (
+            "FiniteMDP and policy_value",
+            lambda: oee.policy_value(build(), policy),
+            value,
+        ),
         ("policy_value", lambda: oee.policy_value(mdp, policy), value),
         ("occupancy", lambda: oee.occupancy(mdp, policy), value),
     ):
         name = f"{name}, {n} states"
-        yield from compare("small calls", name, {"ours": ours}, {"numpy": lambda peer=peer: peer}, repeat=200)
+        yield from compare(
+            "small calls",
+            name,
+            {"ours": ours},
+            {"numpy": lambda peer=peer: peer},
+            repeat=200,
+        )
 
 
 def start(code):
     """Run ``code`` in a new interpreter, which imports what this one imports: -c looks into the folder where it is run."""
     folder = Path(oee.__file__).parents[1]
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, cwd=folder)
+    subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, cwd=folder
+    )
 
 
 def write_files(folder, simulator, log, policy):
     """The arguments of ``oee`` for own files."""
-    files = {name: str(Path(folder) / name) for name in ("simulator.npz", "log.npz", "policy.npy")}
+    files = {
+        name: str(Path(folder) / name)
+        for name in ("simulator.npz", "log.npz", "policy.npy")
+    }
     simulator.save(files["simulator.npz"])
     log.save(files["log.npz"])
     np.save(files["policy.npy"], policy)
@@ -118,7 +165,9 @@ def starts(most):
         }
         imports = {IMPORTS: lambda: partial(start, IMPORTS)}
         for name, code in programs.items():
-            yield from compare("start", name, {"ours": partial(start, code)}, imports, seconds=6.0)
+            yield from compare(
+                "start", name, {"ours": partial(start, code)}, imports, seconds=6.0
+            )
 
 
 def millions(most):
@@ -147,22 +196,38 @@ def small_estimates(most):
         prior, m = simulator.transitions.toarray(), simulator.n_actions
 
         def likelihood(log=log, n=n, m=m, prior=prior, simulator=simulator):
-            counts = np.bincount((log.state * m + log.action) * n + log.next_state, minlength=n * m * n).reshape(-1, n)
+            counts = np.bincount(
+                (log.state * m + log.action) * n + log.next_state, minlength=n * m * n
+            ).reshape(-1, n)
             sums = counts.sum(axis=1, keepdims=True)
-            model = np.where(sums > 0, counts / np.maximum(sums, 1), prior).reshape(n, m, n).mean(axis=1)
-            return simulator.initial @ np.linalg.solve(np.eye(n) - 0.99 * model, simulator.rewards.mean(axis=1))
+            model = (
+                np.where(sums > 0, counts / np.maximum(sums, 1), prior)
+                .reshape(n, m, n)
+                .mean(axis=1)
+            )
+            return simulator.initial @ np.linalg.solve(
+                np.eye(n) - 0.99 * model, simulator.rewards.mean(axis=1)
+            )
 
         call = partial(OffEnvironment(), oee.Problem(simulator, log), policy)
         peers = {"numpy, maximum likelihood": lambda call=likelihood: call}
-        yield from compare("OffEnvironment", f"{n} states", {"ours": call}, peers, repeat=5)
+        yield from compare(
+            "OffEnvironment", f"{n} states", {"ours": call}, peers, repeat=5
+        )
 
 
 def reports(most):
     """A report of several policies, quick and with intervals, and the page of one."""
     n = min(2_500, most)
     simulator = mdps.garnet(n)
-    problem, best = oee.Problem(simulator, mdps.draw_log(simulator, 10 * n)), oee.optimal_policy(simulator)
-    mixed = {f"policy {k}": oee.mix(best, oee.uniform_policy(simulator), k / 20) for k in range(1, 21)}
+    problem, best = (
+        oee.Problem(simulator, mdps.draw_log(simulator, 10 * n)),
+        oee.optimal_policy(simulator),
+    )
+    mixed = {
+        f"policy {k}": oee.mix(best, oee.uniform_policy(simulator), k / 20)
+        for k in range(1, 21)
+    }
     some = {name: mixed[name] for name in list(mixed)[:5]}
     evaluation = oee.evaluate(problem, mixed["policy 1"], seed=0, quick=True)
     calls = {
@@ -200,16 +265,29 @@ def rollouts(most):
     """Episodes of 200 steps under the uniform policy; the loop draws s' from the policy's chain in place of (a, s')."""
     for size in (10, 30, 100):
         if size**2 <= most:
-            yield from roll_out(gridworld(size, 0.3), f"a transition, grid {size}", 20_000)
+            yield from roll_out(
+                gridworld(size, 0.3), f"a transition, grid {size}", 20_000
+            )
 
 
 def roll_out(grid, name, n):
     """``error``: the mean return's distance from the exact value in standard errors, where a program sums returns."""
     policy = oee.uniform_policy(grid)
     chain, rewards = form(grid, policy)
-    sums = np.cumsum(chain.data) - np.repeat(np.arange(grid.n_states), np.diff(chain.indptr))
+    sums = np.cumsum(chain.data) - np.repeat(
+        np.arange(grid.n_states), np.diff(chain.indptr)
+    )
     sums[chain.indptr[1:] - 1] = 1.0
-    numbers = chain.indptr, chain.indices, sums, rewards, grid.discount, grid.absorbing(), n, HORIZON
+    numbers = (
+        chain.indptr,
+        chain.indices,
+        sums,
+        rewards,
+        grid.discount,
+        grid.absorbing(),
+        n,
+        HORIZON,
+    )
     value = oee.policy_value(grid, policy, horizon=HORIZON)
 
     def returns():
@@ -218,14 +296,27 @@ def roll_out(grid, name, n):
 
     def miss(result):
         drawn = result[1]
-        return np.nan if drawn is None else abs(drawn.mean() - value) / drawn.std() * np.sqrt(len(drawn))
+        return (
+            np.nan
+            if drawn is None
+            else abs(drawn.mean() - value) / drawn.std() * np.sqrt(len(drawn))
+        )
 
     ours = {
         "ours, sample_returns": returns,
-        "ours, sample_episodes": lambda: (len(oee.sample_episodes(grid, policy, n // 4, HORIZON, seed=0)), None),
+        "ours, sample_episodes": lambda: (
+            len(oee.sample_episodes(grid, policy, n // 4, HORIZON, seed=0)),
+            None,
+        ),
     }
-    loop = {"plain numba loop, s' alone": lambda: lambda: plain_loop(*numbers, np.random.default_rng(0))}
-    yield from compare("rollouts", name, ours, loop, miss=miss, units=lambda result: result[0])
+    loop = {
+        "plain numba loop, s' alone": lambda: (
+            lambda: plain_loop(*numbers, np.random.default_rng(0))
+        )
+    }
+    yield from compare(
+        "rollouts", name, ours, loop, miss=miss, units=lambda result: result[0]
+    )
 
 
 # ---- the ratio programs
@@ -241,20 +332,38 @@ def ratio(most):
 def compare_solvers(size, n=100_000):
     """Counts of the target and exact probabilities of the simulator on the gridworld's triples."""
     simulator, target = gridworld(size, 0.3), gridworld(size, 0.1)
-    log = oee.sample_episodes(target, oee.uniform_policy(target), 20 + n // 400, 1000, seed=0)
-    probability, starts = simulator.transitions.data, simulator.transitions.indptr.astype(np.int64)
+    log = oee.sample_episodes(
+        target, oee.uniform_policy(target), 20 + n // 400, 1000, seed=0
+    )
+    probability, starts = (
+        simulator.transitions.data,
+        simulator.transitions.indptr.astype(np.int64),
+    )
     lengths, zero = np.diff(starts), np.zeros(len(probability))
     rows = np.repeat(np.arange(len(lengths)), lengths)
-    observed = np.asarray(log.counts(size * size, 4)[rows, simulator.transitions.indices]).reshape(-1)
+    observed = np.asarray(
+        log.counts(size * size, 4)[rows, simulator.transitions.indices]
+    ).reshape(-1)
     n_row = np.bincount(rows, observed)[rows]
     for name, p, q, pointers in (
-        ("normalised, box", observed / observed.sum(), probability / len(lengths), starts[[0, -1]]),
+        (
+            "normalised, box",
+            observed / observed.sum(),
+            probability / len(lengths),
+            starts[[0, -1]],
+        ),
         ("rows, box", (observed + probability) / (n_row + 1.0), probability, starts),
     ):
         program = dual.Coordinates(p, q, zero, zero), 0.01, 10.0, pointers
-        clarabel = {"cvxpy, Clarabel": lambda program=program: partial(statements.solve_rows, *program)}
+        clarabel = {
+            "cvxpy, Clarabel": lambda program=program: partial(
+                statements.solve_rows, *program
+            )
+        }
         name = f"{size} x {size}, {len(rows)} triples, {name}"
-        yield from compare("ratio", name, {"ours": partial(dual.solve_rows, *program)}, clarabel)
+        yield from compare(
+            "ratio", name, {"ours": partial(dual.solve_rows, *program)}, clarabel
+        )
 
 
 def fit_cells(most):
@@ -262,16 +371,36 @@ def fit_cells(most):
     rng, n = np.random.default_rng(0), 10**6
     p, q = rng.integers(1, 6, n).astype(float), rng.integers(1, 5, n).astype(float)
     once = {"numpy.log(p / q)": lambda: lambda: np.log(p / q)}
-    for options in ({}, {"lower": 0.1, "upper": 2.0}, {"ridge": 0.1}, {"ridge": 0.1, "toward": 1.0, "upper": 5.0}):
+    for options in (
+        {},
+        {"lower": 0.1, "upper": 2.0},
+        {"ridge": 0.1},
+        {"ridge": 0.1, "toward": 1.0, "upper": 5.0},
+    ):
         fit = partial(oee.density_ratio, p, q, **options)
-        yield from compare("density_ratio", f"{n} cells, {options}", {"ours": fit}, once)
+        yield from compare(
+            "density_ratio", f"{n} cells, {options}", {"ours": fit}, once
+        )
 
 
 def solve_large():
     """10^7 triples, normalised by rows, in memory."""
     rng = np.random.default_rng(0)
     x, y = (rng.dirichlet(np.ones(4), 10**7 // 4).reshape(-1) for _ in range(2))
-    program = dual.Coordinates(x, y, *np.zeros((2, 10**7))), 0.01, 10.0, np.arange(0, 10**7 + 1, 4)
-    yield from compare("ratio", "10^7 triples, rows, box", {"ours": partial(dual.solve_rows, *program)})
+    program = (
+        dual.Coordinates(x, y, *np.zeros((2, 10**7))),
+        0.01,
+        10.0,
+        np.arange(0, 10**7 + 1, 4),
+    )
+    yield from compare(
+        "ratio", "10^7 triples, rows, box", {"ours": partial(dual.solve_rows, *program)}
+    )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    yield row("ratio", "10^7 triples, rows, box", "peak memory", np.nan, note=f"{peak:.2f} GiB")
+    yield row(
+        "ratio",
+        "10^7 triples, rows, box",
+        "peak memory",
+        np.nan,
+        note=f"{peak:.2f} GiB",
+    )

@@ -11,9 +11,13 @@ def garnet(n, actions=4, entries=5, discount=0.99, seed=0):
     rng = np.random.default_rng(seed)
     chances = rng.dirichlet(np.ones(entries), size=n * actions).reshape(-1)
     starts = np.arange(0, n * actions * entries + 1, entries)
-    matrix = sparse.csr_array((chances, rng.integers(0, n, len(chances)), starts), shape=(n * actions, n))
+    matrix = sparse.csr_array(
+        (chances, rng.integers(0, n, len(chances)), starts), shape=(n * actions, n)
+    )
     matrix.sum_duplicates()
-    return oee.FiniteMDP(matrix, rng.normal(size=(n, actions)), np.full(n, 1 / n), discount)
+    return oee.FiniteMDP(
+        matrix, rng.normal(size=(n, actions)), np.full(n, 1 / n), discount
+    )
 
 
 def dense(n, actions=2, discount=0.99):
@@ -21,12 +25,19 @@ def dense(n, actions=2, discount=0.99):
     rng = np.random.default_rng(1)
     rows = rng.random((n * actions, n))
     rows /= rows.sum(axis=1, keepdims=True)
-    return oee.FiniteMDP(sparse.csr_array(rows), rng.normal(size=(n, actions)), np.full(n, 1 / n), discount)
+    return oee.FiniteMDP(
+        sparse.csr_array(rows),
+        rng.normal(size=(n, actions)),
+        np.full(n, 1 / n),
+        discount,
+    )
 
 
 def fixed_policy(mdp, seed=3):
     """A deterministic policy that is drawn."""
-    return np.eye(mdp.n_actions)[np.random.default_rng(seed).integers(0, mdp.n_actions, mdp.n_states)]
+    return np.eye(mdp.n_actions)[
+        np.random.default_rng(seed).integers(0, mdp.n_actions, mdp.n_states)
+    ]
 
 
 # ---- graphs of one action: (n, rng) -> edges
@@ -45,7 +56,9 @@ def ring(n, rng, reach=3, far=0.0):
 def chain(n, rng):
     """A step up or down; staying at the ends."""
     at = np.arange(n)
-    return np.tile(at, 2), np.concatenate([np.minimum(at + 1, n - 1), np.maximum(at - 1, 0)])
+    return np.tile(at, 2), np.concatenate(
+        [np.minimum(at + 1, n - 1), np.maximum(at - 1, 0)]
+    )
 
 
 def queue(n, rng, batch=10):
@@ -57,7 +70,9 @@ def queue(n, rng, batch=10):
 def layers(n, rng, width=4, entries=4):
     """Levels of a few states that lead to their own level or one of the next two; states in any order."""
     rows = np.repeat(np.arange(n), entries)
-    ahead = (rows // width + rng.integers(0, 3, len(rows))) * width + rng.integers(0, width, len(rows))
+    ahead = (rows // width + rng.integers(0, 3, len(rows))) * width + rng.integers(
+        0, width, len(rows)
+    )
     new = rng.permutation(n)
     return new[rows], new[np.minimum(ahead, n - 1)]
 
@@ -65,14 +80,21 @@ def layers(n, rng, width=4, entries=4):
 def banded(n, rng, reach=8, entries=5):
     """Some of the neighbours within reach; states in any order."""
     rows, new = np.repeat(np.arange(n), entries), rng.permutation(n)
-    return new[rows], new[np.clip(rows + rng.integers(-reach, reach + 1, len(rows)), 0, n - 1)]
+    return (
+        new[rows],
+        new[np.clip(rows + rng.integers(-reach, reach + 1, len(rows)), 0, n - 1)],
+    )
 
 
 GRAPHS = {
     "ring, 10 a side": lambda n, rng: ring(n, rng, reach=10),
-    "ring": ring, "chain": chain, "queue": queue, "layered": layers, "banded": banded,
+    "ring": ring,
+    "chain": chain,
+    "queue": queue,
+    "layered": layers,
+    "banded": banded,
     "small world": lambda n, rng: ring(n, rng, far=0.01),
-}  # fmt: skip
+}
 
 
 def graph(name, n, discount, actions=1):
@@ -82,9 +104,13 @@ def graph(name, n, discount, actions=1):
     every = np.arange(actions)[:, None]
     chances = rng.random((actions, len(rows))).reshape(-1) + 0.1
     pairs, columns = (actions * rows + every).reshape(-1), np.tile(columns, actions)
-    kernel = sparse.coo_array((chances, (pairs, columns)), shape=(actions * n, n)).tocsr()
+    kernel = sparse.coo_array(
+        (chances, (pairs, columns)), shape=(actions * n, n)
+    ).tocsr()
     kernel = sparse.csr_array(sparse.diags_array(1.0 / kernel.sum(axis=1)) @ kernel)
-    return oee.FiniteMDP(kernel, rng.normal(size=(n, actions)), np.full(n, 1 / n), discount)
+    return oee.FiniteMDP(
+        kernel, rng.normal(size=(n, actions)), np.full(n, 1 / n), discount
+    )
 
 
 # ---- logs
@@ -93,9 +119,16 @@ def graph(name, n, discount, actions=1):
 def draw_log(mdp, n, seed=0):
     """Transitions from pairs that are drawn alike, the same in every state of the package."""
     rng, kernel = np.random.default_rng(seed), mdp.transitions
-    pairs, sums = rng.integers(0, kernel.shape[0], n), np.concatenate([[0.0], np.cumsum(kernel.data)])
+    pairs, sums = (
+        rng.integers(0, kernel.shape[0], n),
+        np.concatenate([[0.0], np.cumsum(kernel.data)]),
+    )
     low, high = sums[kernel.indptr[pairs]], sums[kernel.indptr[pairs + 1]]
-    entries = np.searchsorted(sums, low + (high - low) * rng.random(n), side="right") - 1
+    entries = (
+        np.searchsorted(sums, low + (high - low) * rng.random(n), side="right") - 1
+    )
     entries = np.clip(entries, kernel.indptr[pairs], kernel.indptr[pairs + 1] - 1)
     states, actions = np.divmod(pairs, mdp.n_actions)
-    return oee.Transitions(states, actions, kernel.indices[entries], mdp.rewards[states, actions])
+    return oee.Transitions(
+        states, actions, kernel.indices[entries], mdp.rewards[states, actions]
+    )

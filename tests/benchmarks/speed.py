@@ -28,10 +28,22 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 TASKS = {
-    "small_calls": "jobs", "small_estimates": "jobs", "solve": "values", "plan": "values", "occupy": "values",
-    "rollouts": "jobs", "fit_cells": "jobs", "intervals": "jobs", "reports": "jobs", "starts": "jobs", "counts": "jobs",
-    "millions": "jobs", "memory": "values", "horizon": "values", "ratio": "jobs",
-}  # fmt: skip
+    "small_calls": "jobs",
+    "small_estimates": "jobs",
+    "solve": "values",
+    "plan": "values",
+    "occupy": "values",
+    "rollouts": "jobs",
+    "fit_cells": "jobs",
+    "intervals": "jobs",
+    "reports": "jobs",
+    "starts": "jobs",
+    "counts": "jobs",
+    "millions": "jobs",
+    "memory": "values",
+    "horizon": "values",
+    "ratio": "jobs",
+}
 QUICK = 2_000  # states of the largest problem with --quick
 LEAST, MOST = 3, 200  # times that a program is timed
 BEFORE = "before: "  # a program of ours in the other checkout
@@ -47,7 +59,9 @@ class Other:
     def begin(cls, folder, words):
         command = [sys.executable, __file__, *words, "--answer"]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        cls.process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": str(folder.resolve())}, **pipes)
+        cls.process = subprocess.Popen(
+            command, env=os.environ | {"PYTHONPATH": str(folder.resolve())}, **pipes
+        )
 
     @classmethod
     def ask(cls, program):
@@ -55,7 +69,11 @@ class Other:
         with contextlib.suppress(BrokenPipeError):
             cls.process.stdin.write(json.dumps(program) + "\n")
             cls.process.stdin.flush()
-        return None if program is None else json.loads(cls.process.stdout.readline() or '"it ended"')
+        return (
+            None
+            if program is None
+            else json.loads(cls.process.stdout.readline() or '"it ended"')
+        )
 
     @staticmethod
     def answer(calls, repeat):
@@ -89,7 +107,9 @@ def row(task, case, program, seconds, error=np.nan, note=""):
     return {"task": task, "case": case, "program": program, "note": note} | numbers
 
 
-def compare(task, case, ours, peers=None, *, miss=None, repeat=1, seconds=0.5, units=None):
+def compare(
+    task, case, ours, peers=None, *, miss=None, repeat=1, seconds=0.5, units=None
+):
     """Rows of a case.
 
     ours    : name -> call
@@ -103,24 +123,35 @@ def compare(task, case, ours, peers=None, *, miss=None, repeat=1, seconds=0.5, u
         return Other.answer(ours, repeat)
     run = {name: partial(measure, call, repeat) for name, call in ours.items()}
     if Other.process:
-        run |= {BEFORE + name: lambda name=name: (Other.ask(name), None) for name in ours}
+        run |= {
+            BEFORE + name: lambda name=name: (Other.ask(name), None) for name in ours
+        }
     times, results = {}, {}
     for program in [*run, *(peers or {})]:
         try:
             if program not in run:
                 run[program] = partial(measure, peers[program](), repeat)
-            if isinstance(answer := run[program]()[0], str):  # the first run may compile
+            # the first run may compile
+            if isinstance(answer := run[program]()[0], str):
                 raise RuntimeError(answer)
             times[program] = []
         except Exception as error:
-            yield row(task, case, program, np.nan, note=f"{type(error).__name__}: {error}"[:120])
+            yield row(
+                task,
+                case,
+                program,
+                np.nan,
+                note=f"{type(error).__name__}: {error}"[:120],
+            )
     left = set(times)
     while left:
         for program in sorted(left):
             taken = times[program]
             last, results[program] = run[program]()
             taken.append(last)
-            if seconds == 0 or (len(taken) >= LEAST and (sum(taken) >= seconds or len(taken) >= MOST)):
+            if seconds == 0 or (
+                len(taken) >= LEAST and (sum(taken) >= seconds or len(taken) >= MOST)
+            ):
                 left.discard(program)
     if Other.process:
         Other.ask(None)
@@ -136,20 +167,38 @@ def markdown(rows):
     yield "| task | case | program | seconds | error | time / ours | note |"
     yield "|" + "---|" * 7
     for r in rows:
-        case = {o["program"]: o["seconds"] for o in rows if (o["task"], o["case"]) == (r["task"], r["case"])}
+        case = {
+            o["program"]: o["seconds"]
+            for o in rows
+            if (o["task"], o["case"]) == (r["task"], r["case"])
+        }
         first = next((program for program in case if program.startswith("ours")), None)
-        ours = case.get(r["program"].removeprefix(BEFORE) if r["program"].startswith(BEFORE) else first, np.nan)
-        yield "| {task} | {case} | {program} | {seconds:.3g} | {error:.1g} | {0:.3g} | {note} |".format(
-            r["seconds"] / ours, **r
+        ours = case.get(
+            (
+                r["program"].removeprefix(BEFORE)
+                if r["program"].startswith(BEFORE)
+                else first
+            ),
+            np.nan,
+        )
+        yield (
+            "| {task} | {case} | {program} | {seconds:.3g} | {error:.1g} | {0:.3g} |"
+            " {note} |".format(r["seconds"] / ours, **r)
         )
 
 
 def main():
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("tasks", nargs="*", choices=[*TASKS, []], default=[], metavar="TASK")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "tasks", nargs="*", choices=[*TASKS, []], default=[], metavar="TASK"
+    )
     parser.add_argument("--before", type=Path, help="another checkout of the package")
-    parser.add_argument("--quick", action="store_true", help=f"problems of at most {QUICK} states")
+    parser.add_argument(
+        "--quick", action="store_true", help=f"problems of at most {QUICK} states"
+    )
     parser.add_argument("--answer", action="store_true", help=argparse.SUPPRESS)
     options, rows = parser.parse_args(), []
     tasks = options.tasks or list(TASKS)
@@ -158,11 +207,20 @@ def main():
         Other.begin(options.before, [*tasks, *["--quick"] * options.quick])
     with threadpool_limits(limits=1):
         for task in tasks:
-            for new in getattr(importlib.import_module(TASKS[task]), task)(QUICK if options.quick else 10**9):
+            for new in getattr(importlib.import_module(TASKS[task]), task)(
+                QUICK if options.quick else 10**9
+            ):
                 rows.append(new)
-                print(f"  {new['task']} | {new['case']} | {new['program']}: {new['seconds']:.3g} s", file=sys.stderr)
+                print(
+                    f"  {new['task']} | {new['case']} | {new['program']}:"
+                    f" {new['seconds']:.3g} s",
+                    file=sys.stderr,
+                )
     if not Other.is_self:
-        print(f"`python {' '.join(sys.argv)}`, {datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores,")
+        print(
+            f"`python {' '.join(sys.argv)}`, {datetime.date.today()},"
+            f" {platform.machine()}, {os.cpu_count()} cores,"
+        )
         print(f"Python {platform.python_version()}\n")
         print("\n".join(markdown(rows)))
 

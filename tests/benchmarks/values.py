@@ -28,11 +28,19 @@ from oee_tabular.tasks import gridworld, gridworld_policy
 
 STEPS, EPSILON = 200, 1e-6
 GRAPHS = (  # name, states, discount, whether elimination fills much
-    ("ring", 20_000, 0.999, False), ("ring", 20_000, 0.9999, False), ("ring, 10 a side", 20_000, 0.999, False),
-    ("chain", 10_000, 0.9999, False), ("queue", 5_000, 0.999, False), ("queue", 20_000, 0.9999, False),
-    ("layered", 20_000, 0.99, False), ("banded", 500, 0.99, False), ("small world", 500, 0.999, False),
-    ("small world", 5_000, 0.99, True), ("small world", 5_000, 0.9999, True), ("small world", 20_000, 0.999, True),
-)  # fmt: skip
+    ("ring", 20_000, 0.999, False),
+    ("ring", 20_000, 0.9999, False),
+    ("ring, 10 a side", 20_000, 0.999, False),
+    ("chain", 10_000, 0.9999, False),
+    ("queue", 5_000, 0.999, False),
+    ("queue", 20_000, 0.9999, False),
+    ("layered", 20_000, 0.99, False),
+    ("banded", 500, 0.99, False),
+    ("small world", 500, 0.999, False),
+    ("small world", 5_000, 0.99, True),
+    ("small world", 5_000, 0.9999, True),
+    ("small world", 20_000, 0.999, True),
+)
 
 
 # ---- V: peers (P_pi, r_pi, discount) -> a call
@@ -43,17 +51,25 @@ def quantecon_model(transitions, rewards, discount):
     from quantecon.markov import DiscreteDP
 
     pairs = np.indices(rewards.shape).reshape(2, -1)
-    return DiscreteDP(rewards.reshape(-1), sparse.csr_matrix(transitions), discount, *pairs)
+    return DiscreteDP(
+        rewards.reshape(-1), sparse.csr_matrix(transitions), discount, *pairs
+    )
 
 
 def quantecon(kernel, rewards, discount):
-    model, one = quantecon_model(kernel, rewards[:, None], discount), np.zeros(len(rewards), dtype=np.int64)
+    model, one = (
+        quantecon_model(kernel, rewards[:, None], discount),
+        np.zeros(len(rewards), dtype=np.int64),
+    )
     return lambda: model.evaluate_policy(one)
 
 
 def splu(kernel, rewards, discount, **options):
     """SuperLU, by default with the order and mode that suit a symmetric pattern."""
-    options = options or {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
+    options = options or {
+        "permc_spec": "MMD_AT_PLUS_A",
+        "options": {"SymmetricMode": True},
+    }
     matrix = sparse.csc_array(sparse.eye_array(len(rewards)) - discount * kernel)
     return lambda: linalg.splu(matrix, **options).solve(rewards)
 
@@ -80,13 +96,17 @@ def pardiso(kernel, rewards, discount):
 
 
 def lapack(kernel, rewards, discount):
-    return lambda: np.linalg.solve(np.eye(len(rewards)) - discount * kernel.toarray(), rewards)
+    return lambda: np.linalg.solve(
+        np.eye(len(rewards)) - discount * kernel.toarray(), rewards
+    )
 
 
 DIRECT = {
-    "quantecon": quantecon, "scipy splu, symmetric": splu, "MKL PARDISO": pardiso,
+    "quantecon": quantecon,
+    "scipy splu, symmetric": splu,
+    "MKL PARDISO": pardiso,
     "scipy spsolve": partial(splu, permc_spec="COLAMD"),
-}  # fmt: skip
+}
 
 
 def form(mdp, policy):
@@ -95,8 +115,12 @@ def form(mdp, policy):
     if policy.max(axis=1).min() == 1.0:
         pairs = np.arange(n) * m + policy.argmax(axis=1)
         return sparse.csr_array(mdp.transitions[pairs]), mdp.rewards.reshape(-1)[pairs]
-    mean = sparse.csr_array((policy.reshape(-1), np.arange(n * m), np.arange(n + 1) * m), shape=(n, n * m))
-    return sparse.csr_array(mean @ mdp.transitions), np.einsum("sa,sa->s", policy, mdp.rewards)
+    mean = sparse.csr_array(
+        (policy.reshape(-1), np.arange(n * m), np.arange(n + 1) * m), shape=(n, n * m)
+    )
+    return sparse.csr_array(mean @ mdp.transitions), np.einsum(
+        "sa,sa->s", policy, mdp.rewards
+    )
 
 
 def evaluate(name, mdp, policy=None, *, fills=False, **options):
@@ -114,31 +138,58 @@ def evaluate(name, mdp, policy=None, *, fills=False, **options):
 
     ours = {"ours": lambda: exact.evaluate_policy(mdp, policy).values}
     peers = {peer: partial(prepare, solver) for peer, solver in solvers.items()}
-    yield from compare("V", name, ours, peers, miss=miss, repeat=1 + 2_000 // mdp.n_states, **options)
+    yield from compare(
+        "V", name, ours, peers, miss=miss, repeat=1 + 2_000 // mdp.n_states, **options
+    )
 
 
 def solve(most):
     """Grids, random graphs, dense rows, and graphs of narrow bands near discount 1."""
-    for side, discount in ((8, 0.99), (40, 0.99), (100, 0.99), (300, 0.99), (300, 0.9999), (1000, 0.99)):
+    for side, discount in (
+        (8, 0.99),
+        (40, 0.99),
+        (100, 0.99),
+        (300, 0.99),
+        (300, 0.9999),
+        (1000, 0.99),
+    ):
         if side**2 <= most:
             grid = gridworld(side, 0.3, discount=discount)
-            yield from evaluate(f"grid {side}, {discount}", grid, gridworld_policy(side, 0.5))
-    for n, discount in ((4, 0.99), (64, 0.99), (200, 0.99), (1_000, 0.99), (10_000, 0.99), (10_000, 0.99999)):
+            yield from evaluate(
+                f"grid {side}, {discount}", grid, gridworld_policy(side, 0.5)
+            )
+    for n, discount in (
+        (4, 0.99),
+        (64, 0.99),
+        (200, 0.99),
+        (1_000, 0.99),
+        (10_000, 0.99),
+        (10_000, 0.99999),
+    ):
         if n <= most:
             mdp = mdps.garnet(n, entries=min(n, 5), discount=discount)
             one = mdps.fixed_policy(mdp)
-            yield from evaluate(f"random {n}, one action, {discount}", mdp, one, fills=n > 200)
+            yield from evaluate(
+                f"random {n}, one action, {discount}", mdp, one, fills=n > 200
+            )
             yield from evaluate(f"random {n}, {discount}", mdp, fills=n > 200)
     for n in (64, 100, 500, 2_000):
         yield from evaluate(f"dense {n}", mdps.dense(n), fills=True)
     for name, n, discount, fills in GRAPHS:
         if n <= most:
-            yield from evaluate(f"{name} {n}, {discount}", mdps.graph(name, n, discount, actions=2), fills=fills)
+            yield from evaluate(
+                f"{name} {n}, {discount}",
+                mdps.graph(name, n, discount, actions=2),
+                fills=fills,
+            )
 
 
 def memory(most):
     """Seconds, and what the resident set of a process of its own grew by, of one V on large grids."""
-    for n, program in (*((1000, program) for program in ("ours", *DIRECT)), (3000, "ours")):
+    for n, program in (
+        *((1000, program) for program in ("ours", *DIRECT)),
+        (3000, "ours"),
+    ):
         with multiprocessing.get_context("spawn").Pool(1) as pool:
             try:
                 seconds, size = pool.apply(measure_memory, (n, program))
@@ -155,9 +206,15 @@ def measure_memory(n, program):
     call = partial(exact.evaluate_policy, mdp, policy)
     if program != "ours":
         call = DIRECT[program](*form(mdp, policy), mdp.discount)
-    before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    before, start = (
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+        time.process_time(),
+    )
     call()
-    return time.process_time() - start, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 2**20
+    return (
+        time.process_time() - start,
+        (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 2**20,
+    )
 
 
 def occupy(most):
@@ -165,7 +222,11 @@ def occupy(most):
     for name, n, make in (
         ("grid 100", 100**2, lambda: gridworld(100, 0.3)),
         ("grid 300", 300**2, lambda: gridworld(300, 0.3)),
-        ("ring 20000, .999", 20_000, lambda: mdps.graph("ring", 20_000, 0.999, actions=2)),
+        (
+            "ring 20000, .999",
+            20_000,
+            lambda: mdps.graph("ring", 20_000, 0.999, actions=2),
+        ),
     ):
         if n > most:
             continue
@@ -174,13 +235,27 @@ def occupy(most):
 
         def matrix(mdp=mdp, policy=policy):
             kernel, _ = form(mdp, policy)
-            return sparse.csc_array((sparse.eye_array(mdp.n_states) - mdp.discount * kernel).T)
+            return sparse.csc_array(
+                (sparse.eye_array(mdp.n_states) - mdp.discount * kernel).T
+            )
 
         peers = {
-            "SuperLU": lambda a=matrix, m=mdp: lambda: linalg.splu(a()).solve((1 - m.discount) * m.initial),
-            "bicgstab": lambda a=matrix, m=mdp: lambda: linalg.bicgstab(a(), (1 - m.discount) * m.initial, rtol=1e-12)[0],
-        }  # fmt: skip
-        yield from compare("occupancy", name, {"ours": partial(oee.occupancy, mdp, policy)}, peers, repeat=3)
+            "SuperLU": lambda a=matrix, m=mdp: (
+                lambda: linalg.splu(a()).solve((1 - m.discount) * m.initial)
+            ),
+            "bicgstab": lambda a=matrix, m=mdp: (
+                lambda: linalg.bicgstab(a(), (1 - m.discount) * m.initial, rtol=1e-12)[
+                    0
+                ]
+            ),
+        }
+        yield from compare(
+            "occupancy",
+            name,
+            {"ours": partial(oee.occupancy, mdp, policy)},
+            peers,
+            repeat=3,
+        )
 
 
 # ---- T = 200 rewards
@@ -220,12 +295,20 @@ def horizon(most):
 def evaluate_horizon(size):
     """Rows of V and of J on a grid."""
     grid, policy = gridworld(size, 0.3), gridworld_policy(size, 0.0)
-    (kernel, rewards), discount, name = form(grid, policy), grid.discount, f"grid {size}"
-    truth = scipy_sweeps(kernel.astype(np.longdouble), rewards, np.longdouble(discount))().astype(float)
+    (kernel, rewards), discount, name = (
+        form(grid, policy),
+        grid.discount,
+        f"grid {size}",
+    )
+    truth = scipy_sweeps(
+        kernel.astype(np.longdouble), rewards, np.longdouble(discount)
+    )().astype(float)
     peers = {
         "scipy": partial(scipy_sweeps, kernel, rewards, discount),
         "quantecon": partial(quantecon_sweeps, kernel, rewards, discount),
-        "scipy, with its matrices": lambda: lambda: scipy_sweeps(*form(grid, policy), discount)(),
+        "scipy, with its matrices": lambda: (
+            lambda: scipy_sweeps(*form(grid, policy), discount)()
+        ),
     }
     ours = {"ours": lambda: exact.state_values(grid, policy, horizon=STEPS)}
     miss = lambda v: np.abs(v - truth).max() / np.abs(truth).max()  # noqa: E731
@@ -244,17 +327,28 @@ def moments(size):
     grid, policy = gridworld(size, 0.3), gridworld_policy(size, 0.0)
     zeta = oee.true_ratio(gridworld(size, 0.1), grid)
     w, r, gamma, n = zeta.values.data, grid.reward_data, grid.discount, grid.n_states
-    mean = sparse.csr_array((policy.reshape(-1), np.arange(4 * n), 4 * np.arange(n + 1)))
+    mean = sparse.csr_array(
+        (policy.reshape(-1), np.arange(4 * n), 4 * np.arange(n + 1))
+    )
 
     def merge(factor):
         """The mean over actions of factor * P, its indices in 32 bits."""
-        weighted = (factor * grid.transitions.data, grid.transitions.indices, grid.transitions.indptr)
+        weighted = (
+            factor * grid.transitions.data,
+            grid.transitions.indices,
+            grid.transitions.indptr,
+        )
         merged = mean @ sparse.csr_array(weighted, shape=grid.transitions.shape)
-        merged.indices, merged.indptr = merged.indices.astype(np.int32), merged.indptr.astype(np.int32)
+        merged.indices, merged.indptr = (
+            merged.indices.astype(np.int32),
+            merged.indptr.astype(np.int32),
+        )
         return merged
 
     def make_matrices():
-        both = sparse.csr_array(sparse.vstack([merge(gamma * w), merge(2 * gamma * w**2 * r)]))
+        both = sparse.csr_array(
+            sparse.vstack([merge(gamma * w), merge(2 * gamma * w**2 * r)])
+        )
         means = [merge(factor) @ np.ones(n) for factor in (w * r, w**2 * r**2)]
         return both, merge(gamma**2 * w**2), np.concatenate(means)
 
@@ -269,18 +363,33 @@ def moments(size):
         return (square - first**2)[0]
 
     def moments_of(**options):
-        return lambda: oee.weighted_return_moments(grid, zeta, policy, horizon=STEPS, **options).variance
+        return lambda: (
+            oee.weighted_return_moments(
+                grid, zeta, policy, horizon=STEPS, **options
+            ).variance
+        )
 
     ready, known = make_matrices(), moments_of()()
     peers = {"scipy": lambda: partial(variance, *ready)}
     peers["scipy, with its matrices"] = lambda: lambda: variance(*make_matrices())
     miss = lambda v: abs(v / known - 1.0)  # noqa: E731
-    yield from compare("moments, T = 200", f"grid {size}", {"ours": moments_of()}, peers, miss=miss)
+    yield from compare(
+        "moments, T = 200", f"grid {size}", {"ours": moments_of()}, peers, miss=miss
+    )
     if size == 10:
         value = partial(oee.state_values, grid, policy, horizon=STEPS)
-        kinds = {"per decision": {}, "self-normalised": {"self_normalized": True}, "trajectory": {"kind": "trajectory"}}
-        peers = {kind: lambda options=options: moments_of(**options) for kind, options in kinds.items()}
-        yield from compare("moments, T = 200", "grid 10, beside V", {"ours": value}, peers)
+        kinds = {
+            "per decision": {},
+            "self-normalised": {"self_normalized": True},
+            "trajectory": {"kind": "trajectory"},
+        }
+        peers = {
+            kind: lambda options=options: moments_of(**options)
+            for kind, options in kinds.items()
+        }
+        yield from compare(
+            "moments, T = 200", "grid 10, beside V", {"ours": value}, peers
+        )
 
 
 # ---- plans
@@ -290,16 +399,32 @@ def plan_mdpsolver(mdp, update):
     """Modified policy iteration; the model is made once, each call begins with values of 0."""
     import mdpsolver
 
-    (n, m), starts, model = mdp.rewards.shape, mdp.transitions.indptr.tolist(), mdpsolver.model()
+    (n, m), starts, model = (
+        mdp.rewards.shape,
+        mdp.transitions.indptr.tolist(),
+        mdpsolver.model(),
+    )
     parts = list(zip(starts[:-1], starts[1:], strict=True))
-    chances, columns = ([x[i:j].tolist() for i, j in parts] for x in (mdp.transitions.data, mdp.transitions.indices))
+    chances, columns = (
+        [x[i:j].tolist() for i, j in parts]
+        for x in (mdp.transitions.data, mdp.transitions.indices)
+    )
     model.mdp(
-        discount=mdp.discount, rewards=mdp.rewards.tolist(),
+        discount=mdp.discount,
+        rewards=mdp.rewards.tolist(),
         tranMatProbs=[chances[k : k + m] for k in range(0, n * m, m)],
         tranMatColumns=[columns[k : k + m] for k in range(0, n * m, m)],
-    )  # fmt: skip
-    options = {"algorithm": "mpi", "update": update, "tolerance": EPSILON, "parallel": False}
-    return lambda: (model.solve(**options, initValueVector=[0.0] * n), np.array(model.getPolicy()))[1]
+    )
+    options = {
+        "algorithm": "mpi",
+        "update": update,
+        "tolerance": EPSILON,
+        "parallel": False,
+    }
+    return lambda: (
+        model.solve(**options, initValueVector=[0.0] * n),
+        np.array(model.getPolicy()),
+    )[1]
 
 
 def plan_quantecon(mdp, method):
@@ -307,30 +432,55 @@ def plan_quantecon(mdp, method):
     return lambda: model.solve(method=method, epsilon=EPSILON, max_iter=100_000).sigma
 
 
-JACOBI = {"mdpsolver": (plan_mdpsolver, "standard"), "quantecon": (plan_quantecon, "modified_policy_iteration")}
-SWEEPS = JACOBI | {f"mdpsolver {update}": (plan_mdpsolver, update) for update in ("gs", "sor")}
-PLANNERS = SWEEPS | {"quantecon policy_iteration": (plan_quantecon, "policy_iteration")}  # 85 s on a grid of 20
+JACOBI = {
+    "mdpsolver": (plan_mdpsolver, "standard"),
+    "quantecon": (plan_quantecon, "modified_policy_iteration"),
+}
+SWEEPS = JACOBI | {
+    f"mdpsolver {update}": (plan_mdpsolver, update) for update in ("gs", "sor")
+}
+# 85 s on a grid of 20
+PLANNERS = SWEEPS | {"quantecon policy_iteration": (plan_quantecon, "policy_iteration")}
 
 
 def plan(most):
     """Graphs that mix, where sweeps in place take a hundred times as long; grids, a queue, a ring, layers."""
     for n, options, discount in (
-        (100, {}, 0.99), (1_000, {}, 0.99), (1_000, {}, 0.9), (10_000, {}, 0.99), (10_000, {}, 0.99999),
-        (2_000, {"actions": 50}, 0.99), (10_000, {"entries": 2}, 0.99),
-    ):  # fmt: skip
+        (100, {}, 0.99),
+        (1_000, {}, 0.99),
+        (1_000, {}, 0.9),
+        (10_000, {}, 0.99),
+        (10_000, {}, 0.99999),
+        (2_000, {"actions": 50}, 0.99),
+        (10_000, {"entries": 2}, 0.99),
+    ):
         if n <= most:
             words = "".join(f", {value} {name}" for name, value in options.items())
             yield from compare_plans(
-                f"random {n}{words}, {discount}", mdps.garnet(n, discount=discount, **options), JACOBI
+                f"random {n}{words}, {discount}",
+                mdps.garnet(n, discount=discount, **options),
+                JACOBI,
             )
     yield from compare_plans("dense 500", mdps.dense(500, actions=4), JACOBI)
-    for side, discount in ((8, 0.99), (20, 0.99), (40, 0.99), (100, 0.99), (100, 0.999)):
+    for side, discount in (
+        (8, 0.99),
+        (20, 0.99),
+        (40, 0.99),
+        (100, 0.99),
+        (100, 0.999),
+    ):
         if side**2 <= most:
             mdp = gridworld(side, 0.3, discount=discount)
             yield from compare_plans(f"grid {side}, slip .3, {discount}", mdp, SWEEPS)
-    for name, n, discount in (("queue", 2_000, 0.999), ("ring", 5_000, 0.999), ("layered", 20_000, 0.99)):
+    for name, n, discount in (
+        ("queue", 2_000, 0.999),
+        ("ring", 5_000, 0.999),
+        ("layered", 20_000, 0.99),
+    ):
         if n <= most:
-            yield from compare_plans(f"{name} {n}, {discount}", mdps.graph(name, n, discount, actions=2))
+            yield from compare_plans(
+                f"{name} {n}, {discount}", mdps.graph(name, n, discount, actions=2)
+            )
 
 
 def compare_plans(name, mdp, peers=PLANNERS):
@@ -338,8 +488,14 @@ def compare_plans(name, mdp, peers=PLANNERS):
     best = oee.state_values(mdp, oee.optimal_policy(mdp))
 
     def miss(actions):
-        return (best - oee.state_values(mdp, np.eye(mdp.n_actions)[actions])).max() / np.abs(best).max()
+        return (
+            best - oee.state_values(mdp, np.eye(mdp.n_actions)[actions])
+        ).max() / np.abs(best).max()
 
     ours = {"ours": lambda: oee.optimal_policy(mdp).argmax(axis=1)}
-    peers = {peer: partial(prepare, mdp, option) for peer, (prepare, option) in peers.items()}
-    yield from compare("planning", name, ours, peers, miss=miss, repeat=1 + 200 // mdp.n_states)
+    peers = {
+        peer: partial(prepare, mdp, option) for peer, (prepare, option) in peers.items()
+    }
+    yield from compare(
+        "planning", name, ours, peers, miss=miss, repeat=1 + 200 // mdp.n_states
+    )

@@ -14,19 +14,40 @@ from oee_tabular.cli import app
 
 COMMANDS = typer.main.get_command(app).commands
 SAMPLE = "sample gridworld:3,slip=0.1 --output"
-SLOW = {"cvxpy", "pandas", "pyarrow", "gymnasium", "matplotlib", "oee_tabular.testing", "oee_tabular.continuous.task"}
+SLOW = {
+    "cvxpy",
+    "pandas",
+    "pyarrow",
+    "gymnasium",
+    "matplotlib",
+    "oee_tabular.testing",
+    "oee_tabular.continuous.task",
+}
 
 
 def test_nothing_slow_is_imported_without_need(folder):
     np.save("p.npy", np.full((9, 4), 0.25))
-    evaluate = ["evaluate", "--simulator", "sim.npz", "--log", "log.csv", "--policy", "p.npy"]
+    evaluate = [
+        "evaluate",
+        "--simulator",
+        "sim.npz",
+        "--log",
+        "log.csv",
+        "--policy",
+        "p.npy",
+    ]
     for words, slow, text in (
         (["--help"], SLOW | {"numba", "scipy"}, "evaluate"),
         (evaluate, SLOW, "95% interval of oee (likelihood)"),
     ):
-        script = f"import sys, oee_tabular.cli as c\ntry:\n    c.main({words})\nexcept SystemExit:\n    pass\n"
+        script = (
+            f"import sys, oee_tabular.cli as c\ntry:\n    c.main({words})\nexcept"
+            " SystemExit:\n    pass\n"
+        )
         script += f"print(sorted({slow} & set(sys.modules)))"
-        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, check=True
+        )
         assert text in done.stdout
         assert done.stdout.endswith("\n[]\n")
 
@@ -34,7 +55,11 @@ def test_nothing_slow_is_imported_without_need(folder):
 @pytest.mark.parametrize("asked", ["-h", "--help"])
 def test_help_in_groups(run, asked):
     text = run("evaluate", asked)
-    titles = [line for line in text.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    titles = [
+        line
+        for line in text.splitlines()
+        if line.endswith(":") and not line.startswith(" ")
+    ]
     assert titles == ["Input:", "Value:", "Output:", "Options:"]
     assert "--simulator SIM" in text
     assert "<" not in text.replace("0 < EPS", "")
@@ -70,56 +95,98 @@ SINGLE = [
 ]
 
 
-@pytest.mark.parametrize(("name", "option"), SINGLE, ids=lambda value: getattr(value, "name", value))
+@pytest.mark.parametrize(
+    ("name", "option"), SINGLE, ids=lambda value: getattr(value, "name", value)
+)
 def test_an_option_given_twice_is_refused(run, name, option):
     word = option.opts[0] if option.is_flag else f"{option.opts[0]} 1"
-    places = " ".join("1" for p in COMMANDS[name].params if p.param_type_name == "argument")
-    needed = [p for p in COMMANDS[name].params if p.required and p.param_type_name == "option" and p is not option]
+    places = " ".join(
+        "1" for p in COMMANDS[name].params if p.param_type_name == "argument"
+    )
+    needed = [
+        p
+        for p in COMMANDS[name].params
+        if p.required and p.param_type_name == "option" and p is not option
+    ]
     words = " ".join(f"{p.opts[0]} 1" for p in needed)
     said = run(name, places, words, word, word, code=2)
     assert said == f"oee: {option.opts[0]} must be given once; it is given 2 times\n"
 
 
-@pytest.mark.parametrize(("words", "text"), [
-    ("evaluate --simulator gridworld:4,slip=0.3", "--log must be given with --simulator"),
-    ("evaluate --log x.npz", "--simulator must be given with --log"),
-    ("evaluate --estimators oe", "got 'oe' (did you mean 'oee'?)"),
-    ("evaluate --target gridworld:10,slip=0.1", "--target needs --simulator and --log"),
-    ("evaluate --initial 1", "--initial needs --simulator and --log"),
-    ("evaluate --features f.npy", "--features needs --simulator and --log"),
-    ("evaluate --confidence 1.5", "--confidence must be in (0, 1); it is 1.5"),
-    ("evaluate --horizon 0", "--horizon must be a positive integer; it is 0"),
-    ("evaluate --rewards mine", "--rewards must be one of 'simulator', 'log'; got 'mine'"),
-    ("evaluate --policy mix:x", "--policy must be like mix:0.5; got 'mix:x'"),
-    ("evaluate --policy best", "or a .npy, .npz or .csv file; got 'best'"),
-    ("evaluate --policy optimum", "got 'optimum' (did you mean 'optimal'?)"),
-    ("evaluate --policy a=uniform --policy a=optimal", "--policy names must differ; 'a' is given twice"),
-    ("evaluate --policy =uniform", "--policy must have a name before its '='; got '=uniform'"),
-    ("evaluate --policy nowhere.npy", "no such file: nowhere.npy"),
-    ("evaluate --output /proc/version/below", "--output must be a folder that can be written"),
-    ("evaluate --report x", "must end in .html or .htm; it is 'x'"),
-    ("evaluate --report title=", "must end in .html"),
-    ("evaluate --quick --guaranteed", "--guaranteed must be given once"),
-    (f"{SAMPLE} l.npz", "one of --transitions and --episodes must be given"),
-    (f"{SAMPLE} l.npz --transitions 0", "--transitions must be a positive integer; it is 0"),
-    (f"{SAMPLE} l.npz --episodes 1 --horizon 0", "--horizon must be a positive integer; it is 0"),
-    (f"{SAMPLE} l.npz --episodes 1 --seed -1", "Invalid value for '--seed'"),
-    (f"{SAMPLE} l.txt --episodes 1", "must end in .npz, .csv, .csv.gz, .parquet"),
-    ("sample FrozenLake-v1 --output l.npz --episodes 0", "--episodes must be a positive integer; it is 0"),
-    ("sample nowhere-v1 --episodes 1 --output l.npz", "'nowhere-v1' is neither"),
-    ("compare --policy uniform --policy expert", "Missing option '--simulator'"),
-    ("info nowhere.npz", "no such file: nowhere.npz"),
-    ("info nofile", "no such file: nofile"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (
+            "evaluate --simulator gridworld:4,slip=0.3",
+            "--log must be given with --simulator",
+        ),
+        ("evaluate --log x.npz", "--simulator must be given with --log"),
+        ("evaluate --estimators oe", "got 'oe' (did you mean 'oee'?)"),
+        (
+            "evaluate --target gridworld:10,slip=0.1",
+            "--target needs --simulator and --log",
+        ),
+        ("evaluate --initial 1", "--initial needs --simulator and --log"),
+        ("evaluate --features f.npy", "--features needs --simulator and --log"),
+        ("evaluate --confidence 1.5", "--confidence must be in (0, 1); it is 1.5"),
+        ("evaluate --horizon 0", "--horizon must be a positive integer; it is 0"),
+        (
+            "evaluate --rewards mine",
+            "--rewards must be one of 'simulator', 'log'; got 'mine'",
+        ),
+        ("evaluate --policy mix:x", "--policy must be like mix:0.5; got 'mix:x'"),
+        ("evaluate --policy best", "or a .npy, .npz or .csv file; got 'best'"),
+        ("evaluate --policy optimum", "got 'optimum' (did you mean 'optimal'?)"),
+        (
+            "evaluate --policy a=uniform --policy a=optimal",
+            "--policy names must differ; 'a' is given twice",
+        ),
+        (
+            "evaluate --policy =uniform",
+            "--policy must have a name before its '='; got '=uniform'",
+        ),
+        ("evaluate --policy nowhere.npy", "no such file: nowhere.npy"),
+        (
+            "evaluate --output /proc/version/below",
+            "--output must be a folder that can be written",
+        ),
+        ("evaluate --report x", "must end in .html or .htm; it is 'x'"),
+        ("evaluate --report title=", "must end in .html"),
+        ("evaluate --quick --guaranteed", "--guaranteed must be given once"),
+        (f"{SAMPLE} l.npz", "one of --transitions and --episodes must be given"),
+        (
+            f"{SAMPLE} l.npz --transitions 0",
+            "--transitions must be a positive integer; it is 0",
+        ),
+        (
+            f"{SAMPLE} l.npz --episodes 1 --horizon 0",
+            "--horizon must be a positive integer; it is 0",
+        ),
+        (f"{SAMPLE} l.npz --episodes 1 --seed -1", "Invalid value for '--seed'"),
+        (f"{SAMPLE} l.txt --episodes 1", "must end in .npz, .csv, .csv.gz, .parquet"),
+        (
+            "sample FrozenLake-v1 --output l.npz --episodes 0",
+            "--episodes must be a positive integer; it is 0",
+        ),
+        ("sample nowhere-v1 --episodes 1 --output l.npz", "'nowhere-v1' is neither"),
+        ("compare --policy uniform --policy expert", "Missing option '--simulator'"),
+        ("info nowhere.npz", "no such file: nowhere.npz"),
+        ("info nofile", "no such file: nofile"),
+    ],
+)
 def test_errors_are_one_line_and_leave_nothing(run, tmp_path, words, text):
     assert text in " ".join(run(words, code=2).split())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_warnings_are_lines_not_python(tmp_path):
-    (tmp_path / "typo.csv").write_text("state,action,next_state,behaviour_probability\n0,0,3,0.25\n")
+    (tmp_path / "typo.csv").write_text(
+        "state,action,next_state,behaviour_probability\n0,0,3,0.25\n"
+    )
     words = [sys.executable, "-m", "oee_tabular", "info", "typo.csv"]
-    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=tmp_path)
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=True, cwd=tmp_path
+    )
     assert done.stderr.startswith("oee: warning: ")
     assert "behaviour_probability (did you mean behavior_probability?)" in done.stderr
     assert ".py" not in done.stderr
@@ -143,19 +210,31 @@ SHORT = {
 
 def test_every_command_has_json_with_the_keys_of_its_help(run, folder):
     assert set(SHORT) == set(COMMANDS)
-    for name in set(SHORT) - {"bench", "check"}:  # which take longer, and have tests of their own
+    # which take longer, and have tests of their own
+    for name in set(SHORT) - {"bench", "check"}:
         found = json.loads(run(name, SHORT[name], "--json"))
         (option,) = (p for p in COMMANDS[name].params if p.name == "json")
-        keys = re.sub(r" \([^)]*\)", "", option.help.removeprefix("Print JSON instead, with ")[:-1]).split(", ")
+        keys = re.sub(
+            r" \([^)]*\)",
+            "",
+            option.help.removeprefix("Print JSON instead, with ")[:-1],
+        ).split(", ")
         assert set(found) == set(keys)
         assert found["version"] == oee.__version__
 
 
 def test_json_is_alone_on_stdout(folder):
-    script = "import sys; from oee_tabular import _progress; _progress.SECONDS = 0.001\n"
+    script = (
+        "import sys; from oee_tabular import _progress; _progress.SECONDS = 0.001\n"
+    )
     script += "from oee_tabular.cli import main; main(sys.argv[1:])"
     words = f"evaluate {SHORT['evaluate']} --json".split()
-    done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script, *words],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert "results" in json.loads(done.stdout)
     assert re.match(r"oee: \d+ s: ", done.stderr)
 
@@ -163,7 +242,16 @@ def test_json_is_alone_on_stdout(folder):
 def test_progress_names_policies_and_intervals(folder, monkeypatch):
     steps = []
     monkeypatch.setattr("oee_tabular._progress.report_step", steps.append)
-    problem = oee.Problem(oee.FiniteMDP.load("sim.npz"), oee.Transitions.load("log.csv"))
-    oee.evaluate(problem, {"a": np.full((9, 4), 0.25), "b": [0] * 9}, estimators=["oee"])
-    work = [f"{work} of “a” (policy 1 of 2) {work} of “b” (policy 2 of 2)" for work in ("oee", "likelihood interval")]
-    assert " ".join(steps) == " ".join([*work, "comparison of the policies, and what to record next"])
+    problem = oee.Problem(
+        oee.FiniteMDP.load("sim.npz"), oee.Transitions.load("log.csv")
+    )
+    oee.evaluate(
+        problem, {"a": np.full((9, 4), 0.25), "b": [0] * 9}, estimators=["oee"]
+    )
+    work = [
+        f"{work} of “a” (policy 1 of 2) {work} of “b” (policy 2 of 2)"
+        for work in ("oee", "likelihood interval")
+    ]
+    assert " ".join(steps) == " ".join(
+        [*work, "comparison of the policies, and what to record next"]
+    )

@@ -13,33 +13,49 @@ GRID = "gridworld:3,slip=0.3"
 
 
 def test_sampling_steps_gymnasium(run):
-    run("sample FrozenLake-v1:map_name=4x4 --transitions 200 --seed 3 --output lake.npz")
+    run(
+        "sample FrozenLake-v1:map_name=4x4 --transitions 200 --seed 3 --output lake.npz"
+    )
     import gymnasium
 
-    log = oee.record_episodes(gymnasium.make("FrozenLake-v1"), np.full((16, 4), 0.25), n_transitions=200, seed=3)
+    log = oee.record_episodes(
+        gymnasium.make("FrozenLake-v1"),
+        np.full((16, 4), 0.25),
+        n_transitions=200,
+        seed=3,
+    )
     assert_array_equal(oee.Transitions.load("lake.npz").next_state, log.next_state)
 
 
 def test_the_horizon_ends_episodes_that_would_not(run):
     """CliffWalking has no limit of its own; going up for ever would never end."""
     np.save("up.npy", np.eye(4)[np.zeros(48, dtype=int)])
-    words = "sample CliffWalking-v1 --policy up.npy --episodes 2 --horizon 7 --output l.npz"
+    words = (
+        "sample CliffWalking-v1 --policy up.npy --episodes 2 --horizon 7 --output l.npz"
+    )
     assert "14 transitions in 2 episodes of 7 steps" in run(words)
 
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet", ".npz"])
 def test_what_is_sampled_has_names_and_is_read_again(run, folder, ending):
-    mdp = oee.tasks.gridworld(3, slip=0.2).with_names([(s // 3, s % 3) for s in range(9)], ["n", "e", "s", "w"])
+    mdp = oee.tasks.gridworld(3, slip=0.2).with_names(
+        [(s // 3, s % 3) for s in range(9)], ["n", "e", "s", "w"]
+    )
     mdp.save("named.npz")
     run(f"sample named.npz --transitions 300 --output by_name{ending}")
     log = oee.Transitions.load(f"by_name{ending}")
     assert log.action_names is not None
-    same = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 60, 1000, seed=0).first(300)
+    same = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 60, 1000, seed=0).first(
+        300
+    )
     assert_allclose(log.numbered(mdp).next_state, same.next_state)
     assert "named states" in run(f"info by_name{ending}")
     run(f"counts by_name{ending} --simulator named.npz --output counts.npz")
     ask = "evaluate --simulator named.npz --estimators oee --json --log"
-    values = [json.loads(run(ask, file))["results"][0]["value"] for file in (f"by_name{ending}", "counts.npz")]
+    values = [
+        json.loads(run(ask, file))["results"][0]["value"]
+        for file in (f"by_name{ending}", "counts.npz")
+    ]
     assert values[0] == values[1]
 
 
@@ -53,7 +69,9 @@ def test_info(run, tmp_path):
     assert "Transitions(1 transitions" in run("info l.csv")
     np.savez("p.npz", policy=np.full((9, 4), 0.25), other=np.ones((9, 4)))
     said = run("info p.npz")
-    assert "policy of 9 states and 4 actions ('policy'): float64 of shape (9, 4)" in said
+    assert (
+        "policy of 9 states and 4 actions ('policy'): float64 of shape (9, 4)" in said
+    )
     assert "array ('other')" in said
     run("evaluate --estimators oee --output out")
     for path in ("out", "out/report.json"):
@@ -80,13 +98,21 @@ def parts(run, tmp_path):
     return tmp_path / "log"
 
 
-WAYS = {"files": [f"log/part-{k}.parquet" for k in range(3)], "pattern": ["'log/part-*.parquet'"], "folder": ["log"]}
+WAYS = {
+    "files": [f"log/part-{k}.parquet" for k in range(3)],
+    "pattern": ["'log/part-*.parquet'"],
+    "folder": ["log"],
+}
 
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(
     "command",
-    ["evaluate --quick --policy uniform", "compare --quick --policy uniform --policy expert", "plan --transitions 10"],
+    [
+        "evaluate --quick --policy uniform",
+        "compare --quick --policy uniform --policy expert",
+        "plan --transitions 10",
+    ],
 )
 def test_a_log_may_be_several_files(run, parts, command, way):
     records = []
@@ -103,8 +129,12 @@ def test_counts_stand_for_the_log(run, parts):
     assert told.startswith("counts.npz: ")
     assert "of 3 files in 30 episodes" in told
     ask = f"evaluate --simulator {GRID} --json --log"
-    ours, plain = (json.loads(run(ask, file))["results"] for file in ("counts.npz", "joined.npz"))
-    assert [(row["value"], row["lower"]) for row in ours] == [(row["value"], row["lower"]) for row in plain]
+    ours, plain = (
+        json.loads(run(ask, file))["results"] for file in ("counts.npz", "joined.npz")
+    )
+    assert [(row["value"], row["lower"]) for row in ours] == [
+        (row["value"], row["lower"]) for row in plain
+    ]
     assert "TransitionCounts(" in run("info counts.npz")
     run(f"plan --simulator {GRID} --log counts.npz --transitions 50")
 
@@ -121,5 +151,7 @@ def test_bad_rows_are_refused_or_dropped(run, parts, tmp_path):
     assert "part-1.parquet': state[5] must be in 0..8; it is 77" in told
     evaluated = run(f"evaluate --simulator {GRID} --log c.npz --quick")
     assert "1 invalid rows of the log were not counted" in " ".join(evaluated.split())
-    assert "--output must be a new file, or be given with --overwrite" in run(words, code=2)
+    assert "--output must be a new file, or be given with --overwrite" in run(
+        words, code=2
+    )
     run(words, "--bad-rows drop --overwrite")

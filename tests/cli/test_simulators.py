@@ -58,7 +58,14 @@ def own(folder):
     sys.modules.pop("own_worlds", None)
 
 
-@pytest.mark.parametrize("spec", ["own_worlds:Corridor", "own_worlds:OwnCorridor-v0", "own_worlds:Corridor,chance=0.5"])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "own_worlds:Corridor",
+        "own_worlds:OwnCorridor-v0",
+        "own_worlds:Corridor,chance=0.5",
+    ],
+)
 def test_environments_of_one_s_own(run, spec):
     run("export", spec, "--output made.npz --discount 0.9")
     chance = 0.5 if "0.5" in spec else 0.75
@@ -73,34 +80,69 @@ def test_a_function_s_mdp_and_one_that_is_sampled(run):
     run("export own_worlds:named,slip=0.2 --output made.npz")
     made = oee.FiniteMDP.load("made.npz")
     assert made.action_names == ("n", "e", "s", "w")
-    assert abs(made.transitions - oee.tasks.gridworld(3, slip=0.2).transitions).max() == 0
+    assert (
+        abs(made.transitions - oee.tasks.gridworld(3, slip=0.2).transitions).max() == 0
+    )
     run("export own_worlds:named --discount 0.5 --output made.npz")
     assert oee.FiniteMDP.load("made.npz").discount == 0.5
-    run("export own_worlds:Corridor,table=False --output sampled.npz --samples-per-pair 400")
+    run(
+        "export own_worlds:Corridor,table=False --output sampled.npz"
+        " --samples-per-pair 400"
+    )
     sampled = oee.FiniteMDP.load("sampled.npz")
     assert_allclose(sampled.transitions.toarray()[1], [0.25, 0.75, 0.0], atol=0.1)
 
 
-@pytest.mark.parametrize(("spec", "text"), [
-    ("own_worlds:nothing", "has no object 'nothing' (it has Corridor, broken, named, north_then_east, unsure)"),
-    ("own_worlds:number", "or a Gymnasium environment, or a class or function that makes one; found int"),
-    ("own_worlds:broken", "'own_worlds:broken' cannot be made; it raises KeyError: 'gone'"),
-    ("own_worlds:named,slop=1", "cannot be made; it raises TypeError"),
-    ("not_a_module:Thing", "module 'not_a_module' cannot be found, neither in "),
-    ("own_worlds:OwnCorridor-v7", "near: OwnCorridor-v0"),
-    ("own_worlds:Corridor,table=False", "export own_worlds:Corridor,table=False --samples-per-pair 100"),
-    ("Unheard-v0", "(your own: module:Class or module:EnvId-v0)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("spec", "text"),
+    [
+        (
+            "own_worlds:nothing",
+            (
+                "has no object 'nothing' (it has Corridor, broken, named,"
+                " north_then_east, unsure)"
+            ),
+        ),
+        (
+            "own_worlds:number",
+            (
+                "or a Gymnasium environment, or a class or function that makes one;"
+                " found int"
+            ),
+        ),
+        (
+            "own_worlds:broken",
+            "'own_worlds:broken' cannot be made; it raises KeyError: 'gone'",
+        ),
+        ("own_worlds:named,slop=1", "cannot be made; it raises TypeError"),
+        ("not_a_module:Thing", "module 'not_a_module' cannot be found, neither in "),
+        ("own_worlds:OwnCorridor-v7", "near: OwnCorridor-v0"),
+        (
+            "own_worlds:Corridor,table=False",
+            "export own_worlds:Corridor,table=False --samples-per-pair 100",
+        ),
+        ("Unheard-v0", "(your own: module:Class or module:EnvId-v0)"),
+    ],
+)
 def test_what_is_no_simulator(run, spec, text):
     assert text in run("export", spec, "--output made.npz", code=2)
 
 
 ACTIONS = oee.tasks.gridworld_expert(3).argmax(axis=1)
 TABLES = {
-    "words": ["state,action", *(f"r{s // 3}c{s % 3},{'nesw'[a]}" for s, a in enumerate(ACTIONS))],
+    "words": [
+        "state,action",
+        *(f"r{s // 3}c{s % 3},{'nesw'[a]}" for s, a in enumerate(ACTIONS)),
+    ],
     "numbers": ["action,state", *(f"{a},{s}" for s, a in enumerate(ACTIONS))],
-    "wide": ["state,n,e,s,w", *(",".join(map(str, [s, *np.eye(4)[a]])) for s, a in enumerate(ACTIONS))],
-    "long": ["state,action,probability", *(f"{s},{a},.75\n{s},{(a + 1) % 4},.25" for s, a in enumerate(ACTIONS))],
+    "wide": [
+        "state,n,e,s,w",
+        *(",".join(map(str, [s, *np.eye(4)[a]])) for s, a in enumerate(ACTIONS)),
+    ],
+    "long": [
+        "state,action,probability",
+        *(f"{s},{a},.75\n{s},{(a + 1) % 4},.25" for s, a in enumerate(ACTIONS)),
+    ],
 }
 
 
@@ -118,22 +160,49 @@ def test_policies_from_files(run, folder):
     assert said == "made.npy (replaced): policy of 9 states and 4 actions\n"
 
 
-@pytest.mark.parametrize(("table", "text"), [
-    ("state,act\nr0c0,n", "must have the columns state and action, with probability or without, or state and one"),
-    ("place,action\nr0c0,n", "it has place, action and 1 rows"),
-    ("state,action\n", "and 0 rows"),
-    ("state,action\nr0c0,north", "must be one of the MDP's names; it is 'north'"),
-    ("state,action\nr0c9,n", "state must be one of the MDP's names; it is 'r0c9' (did you mean 'r0c"),
-    ("state,action\nr0c0,n\nr0c0,e", "must have one row for each state; state r0c0 has two"),
-    ("state,n,e,s,w\nr0c0,1,0,0,0\nr0c0,1,0,0,0", "must have one row for each state; state r0c0 has two"),
-    ("state,action\nr0c0,n", "must have every state that is not terminal; state r0c1 is not there (7 such"),
-    ("state,action,probability\nr0c0,n,0.4", "it sums to 0.4"),
-    ("state,action,probability\nr0c0,n,much", "must have numbers as probabilities; could not convert string"),
-    (
-        "state,action,probability\nr0c0,n,.5\nr0c0,n,.5",
-        "one row for each state and action; state r0c0, action n has",
-    ),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("table", "text"),
+    [
+        (
+            "state,act\nr0c0,n",
+            (
+                "must have the columns state and action, with probability or without,"
+                " or state and one"
+            ),
+        ),
+        ("place,action\nr0c0,n", "it has place, action and 1 rows"),
+        ("state,action\n", "and 0 rows"),
+        ("state,action\nr0c0,north", "must be one of the MDP's names; it is 'north'"),
+        (
+            "state,action\nr0c9,n",
+            "state must be one of the MDP's names; it is 'r0c9' (did you mean 'r0c",
+        ),
+        (
+            "state,action\nr0c0,n\nr0c0,e",
+            "must have one row for each state; state r0c0 has two",
+        ),
+        (
+            "state,n,e,s,w\nr0c0,1,0,0,0\nr0c0,1,0,0,0",
+            "must have one row for each state; state r0c0 has two",
+        ),
+        (
+            "state,action\nr0c0,n",
+            (
+                "must have every state that is not terminal; state r0c1 is not there (7"
+                " such"
+            ),
+        ),
+        ("state,action,probability\nr0c0,n,0.4", "it sums to 0.4"),
+        (
+            "state,action,probability\nr0c0,n,much",
+            "must have numbers as probabilities; could not convert string",
+        ),
+        (
+            "state,action,probability\nr0c0,n,.5\nr0c0,n,.5",
+            "one row for each state and action; state r0c0, action n has",
+        ),
+    ],
+)
 def test_tables_that_are_no_policy(run, folder, table, text):
     (folder / "pi.csv").write_text(table)
     assert text in run("policy sim.npz pi.csv --output made.npy", code=2)
@@ -144,15 +213,25 @@ def test_a_policy_that_is_a_function_of_one_s_own(run):
     expected = np.zeros((9, 4))
     expected[:, 0], expected[0] = 1.0, [0.5, 0.5, 0.0, 0.0]
     assert_allclose(np.load("made.npy"), expected)
-    for name, text in (("unsure", "it sums to 0.5"), ("north", "'own_worlds' has no object 'north' (it has Corridor")):
-        assert text in run(f"policy sim.npz own_worlds:{name} --output other.npy", code=2)
+    for name, text in (
+        ("unsure", "it sums to 0.5"),
+        ("north", "'own_worlds' has no object 'north' (it has Corridor"),
+    ):
+        assert text in run(
+            f"policy sim.npz own_worlds:{name} --output other.npy", code=2
+        )
 
 
 def test_another_start(run):
-    words = "evaluate --simulator sim.npz --log log.csv --estimators simulator --json --initial"
+    words = (
+        "evaluate --simulator sim.npz --log log.csv --estimators simulator --json"
+        " --initial"
+    )
     first, second = run(words, "r2c1"), run(words, "7")
     assert first.replace('"r2c1"', '"7"') == second
     grid = oee.FiniteMDP.load("sim.npz").with_initial(7)
     assert f'"value": {oee.policy_value(grid, oee.optimal_policy(grid))!r}' in first
-    assert "--initial must be one of the MDP's names; it is 'r2c7'" in run(words, "r2c7", code=2)
+    assert "--initial must be one of the MDP's names; it is 'r2c7'" in run(
+        words, "r2c7", code=2
+    )
     assert "--initial must be in 0..8; it is 9" in run(words, "9", code=2)

@@ -6,12 +6,25 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
-from benchmarks.hidden_state import Cogging, Delay, Lag, RandomActions, SensorNoise, of_own, shown
+from benchmarks.hidden_state import (
+    Cogging,
+    Delay,
+    Lag,
+    RandomActions,
+    SensorNoise,
+    of_own,
+    shown,
+)
 from continuous.test_residual import Line, line_log
 from numpy.testing import assert_allclose, assert_array_equal
 
 from oee_tabular.continuous.command import continuous_simulator
-from oee_tabular.continuous.correction import choose_correction, describe_history, difference, parameters_of
+from oee_tabular.continuous.correction import (
+    choose_correction,
+    describe_history,
+    difference,
+    parameters_of,
+)
 from oee_tabular.continuous.episodes import MonteCarlo, compare_returns
 from oee_tabular.continuous.history import earlier_rows, hidden_state, history_effects
 from oee_tabular.continuous.rows import calibrated_row, refuse_impossible
@@ -36,7 +49,13 @@ SIMULATOR = CartPole(10.0)
 
 
 def log_of(target, n=3000, seed=0, delta=0.3):
-    log = record(target, of_own(cartpole_policy(delta), 4), n_transitions=n, max_steps=100, seed=seed)
+    log = record(
+        target,
+        of_own(cartpole_policy(delta), 4),
+        n_transitions=n,
+        max_steps=100,
+        seed=seed,
+    )
     return shown(log, 4)
 
 
@@ -45,7 +64,8 @@ def value(task, delta=0.4):
     return compare_returns([task], policy, 400, 100, discount=0.99, seed=seed).mean()
 
 
-# ---------------------------------------------------------------- the state with the last actions
+# ---------------------------------------------------------------- the state with the
+# last actions
 
 
 def test_states_hold_the_last_actions():
@@ -60,18 +80,24 @@ def test_states_hold_the_last_actions():
     assert_array_equal(whole.next_state[:-1][goes_on], whole.state[1:][goes_on])
     moved = task.moves(whole.state, log.action, np.zeros((60, 4)))
     assert_array_equal(moved.next_state[:, 4:], whole.next_state[:, 4:])
-    assert_array_equal(moved.next_state[:, :4], SIMULATOR.moves(log.state, log.action, np.zeros((60, 4))).next_state)
+    assert_array_equal(
+        moved.next_state[:, :4],
+        SIMULATOR.moves(log.state, log.action, np.zeros((60, 4))).next_state,
+    )
     assert_array_equal(HistoryTask(SIMULATOR, 0).log(log).state, log.state)
 
 
 def test_a_history_is_the_task_with_more_in_its_state():
     task = HistoryTask(Line(lambda s, a: 0.1 * s, noise=0.1, end=1.0))
     states = np.array([[0.5, 0.0, 1.0], [0.95, 0.0, 0.0]])
-    assert_array_equal(HistoryTask(Line(end=0.75)).terminated(states), [False, True])  # by its own state
+    # by its own state
+    assert_array_equal(HistoryTask(Line(end=0.75)).terminated(states), [False, True])
     moved = task.moves(states, np.array([1, 1]), np.zeros((2, 1)))
     assert_allclose(moved.next_state, [[0.8, 0.0, 1.0], [1.295, 0.0, 1.0]])
     assert_array_equal(task.terminated(moved.next_state), moved.terminated)
-    assert_allclose(task.reward_between(states, np.array([1, 1]), moved.next_state), moved.reward)
+    assert_allclose(
+        task.reward_between(states, np.array([1, 1]), moved.next_state), moved.reward
+    )
     assert_array_equal(task.embed(task.features(states)), states)
     own, last = task.displacements(states, np.array([0, 0]), moved.next_state)
     assert_allclose(own, [[0.3], [0.345]])
@@ -83,7 +109,9 @@ def test_a_log_without_episodes_is_chained_by_its_states():
     log = line_log(Line(noise=0.1), 100)
     columns = log.columns() | dict.fromkeys(("episode", "timestep", "truncated"))
     chained = ContinuousTransitions(**columns)
-    assert_array_equal(HistoryTask(Line(), 2).log(chained).state, HistoryTask(Line(), 2).log(log).state)
+    assert_array_equal(
+        HistoryTask(Line(), 2).log(chained).state, HistoryTask(Line(), 2).log(log).state
+    )
 
 
 # ---------------------------------------------------------------- what history explains
@@ -97,12 +125,18 @@ def test_a_delay_is_named_and_its_history_kept(steps):
     assert (effect.lag, effect.of) == (steps, "action")
     assert effect.lag_r_squared > 0.7
     words = ("one step", "two steps", "three steps")[steps - 1]
-    assert hidden_state(chosen.plain).startswith(f"the action of {words} ago explains 8")
+    assert hidden_state(chosen.plain).startswith(
+        f"the action of {words} ago explains 8"
+    )
     more = " At most 5 are tried; history 8 keeps more."
     assert not chosen.reason.endswith(more)
-    assert describe_history(chosen.plain, chosen.learned, 5, True).endswith(f"of a step's standard deviation.{more}")
+    assert describe_history(chosen.plain, chosen.learned, 5, True).endswith(
+        f"of a step's standard deviation.{more}"
+    )
     assert (chosen.steps, chosen.is_trusted, chosen.status) == (steps, True, "ok")
-    assert abs(value(chosen.learned) - value(target)) < 0.05 * abs(value(SIMULATOR) - value(target))
+    assert abs(value(chosen.learned) - value(target)) < 0.05 * abs(
+        value(SIMULATOR) - value(target)
+    )
 
 
 def test_what_history_explains_is_no_effect_below_the_least():
@@ -111,7 +145,14 @@ def test_what_history_explains_is_no_effect_below_the_least():
     every, group = np.ones(len(log), dtype=np.bool_), log.episode % 40
     for share, is_effect in ((0.5, True), (2.0, False)):
         effect = history_effects(
-            SIMULATOR, log, log.action, left, group, is_smooth=every, is_free=every, least=share * left.std(axis=0)
+            SIMULATOR,
+            log,
+            log.action,
+            left,
+            group,
+            is_smooth=every,
+            is_free=every,
+            least=share * left.std(axis=0),
         )[3]
         assert (effect.r_squared > 0.5) == (effect.part > 0.0) == is_effect
 
@@ -120,10 +161,19 @@ def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
     """Half of the residual is the last action's, the rest noise, of which a row tells nothing to itself."""
     log = line_log(Line(noise=0.1), 4000)
     last = earlier_rows(log, 1)[:, 0]
-    residual = np.where(last >= 0, 2.0 * log.action[last] - 1.0, 0.0) + np.random.default_rng(0).normal(size=4000)
+    residual = np.where(
+        last >= 0, 2.0 * log.action[last] - 1.0, 0.0
+    ) + np.random.default_rng(0).normal(size=4000)
     every = np.ones(4000, dtype=np.bool_)
     effect = history_effects(
-        Line(), log, log.action, residual[:, None], log.episode % 40, is_smooth=every, is_free=every, least=np.zeros(1)
+        Line(),
+        log,
+        log.action,
+        residual[:, None],
+        log.episode % 40,
+        is_smooth=every,
+        is_free=every,
+        least=np.zeros(1),
     )[0]
     assert (effect.lag, effect.of) == (1, "action")
     assert_allclose(effect.r_squared, 0.5, atol=0.03)
@@ -145,7 +195,13 @@ def test_sentences_speak_of_the_row_in_front():
 def test_a_delay_of_a_command_that_rarely_changes():
     """Large residuals in few rows are no contacts where an earlier action explains them."""
     target = Delay(classic.Pendulum(), 2)
-    recorded = record(target, of_own(classic.swinging(0.05), 2), n_transitions=4000, max_steps=200, seed=0)
+    recorded = record(
+        target,
+        of_own(classic.swinging(0.05), 2),
+        n_transitions=4000,
+        max_steps=200,
+        seed=0,
+    )
     chosen = choose_correction(classic.Pendulum(), shown(recorded, 2), seed=0)
     assert chosen.steps == 2
     assert not any(c.hidden for c in chosen.learned.coordinates)
@@ -162,14 +218,18 @@ def test_a_slow_motor_keeps_as_many_actions_as_help():
 @pytest.mark.parametrize(
     ("simulator", "target", "policy"),
     [
-        (classic.Pendulum(), Cogging(cogging=1.2), classic.swinging(0.3)),  # rougher than any g
+        # rougher than any g
+        (classic.Pendulum(), Cogging(cogging=1.2), classic.swinging(0.3)),
         (SIMULATOR, RandomActions(SIMULATOR, 0.1), cartpole_policy(0.3)),
-        (classic.MountainCar(), classic.MountainCar(0.003), classic.rocking(0.3)),  # a wall
+        # a wall
+        (classic.MountainCar(), classic.MountainCar(0.003), classic.rocking(0.3)),
     ],
 )
 def test_what_is_rough_or_random_is_not_hidden(simulator, target, policy):
     log = record(target, policy, n_transitions=4000, max_steps=200, seed=0)
-    assert not any(c.hidden for c in ResidualSimulator(simulator, log, seed=0).coordinates)
+    assert not any(
+        c.hidden for c in ResidualSimulator(simulator, log, seed=0).coordinates
+    )
 
 
 @pytest.mark.parametrize(("count", "is_spike"), [(2, False), (40, False), (5, True)])
@@ -194,19 +254,36 @@ def test_sensor_noise_puts_the_simulator_in_front():
     target = SensorNoise(SIMULATOR, 0.01)
     policies = {"near": cartpole_policy(0.3), "far": cartpole_policy(0.8)}
     report = evaluate_continuous(
-        SIMULATOR, log_of(target), policies, settings=Settings(episodes=500), horizon=100, seed=0
+        SIMULATOR,
+        log_of(target),
+        policies,
+        settings=Settings(episodes=500),
+        horizon=100,
+        seed=0,
     )
     answers = {answer.policy: answer for answer in report.answers}
-    assert [answer.estimator for answer in answers.values()] == ["simulator (continuous)"] * 2
+    assert [answer.estimator for answer in answers.values()] == [
+        "simulator (continuous)"
+    ] * 2
     assert all(answer.lower is None for answer in answers.values())
     assert report.headline.startswith(
-        "No correction can be trusted, because the next state depends on more than the state"
+        "No correction can be trusted, because the next state depends on more than the"
+        " state"
     )
     assert "In the simulator, the policy “near” is worth about" in report.headline
-    assert "Keeping the last actions in the state, up to 5, does not help." in report.uncertainty.sentences[0]
-    learned = [row for row in report.records() if row["estimator"] in ("oee (residual)", "linear model of the log")]
+    assert (
+        "Keeping the last actions in the state, up to 5, does not help."
+        in report.uncertainty.sentences[0]
+    )
+    learned = [
+        row
+        for row in report.records()
+        if row["estimator"] in ("oee (residual)", "linear model of the log")
+    ]
     assert len(learned) == 4
-    assert all(row["lower"] is None and "hidden state" in row["status"] for row in learned)
+    assert all(
+        row["lower"] is None and "hidden state" in row["status"] for row in learned
+    )
 
 
 def test_history_may_be_given(monkeypatch):
@@ -218,47 +295,81 @@ def test_history_may_be_given(monkeypatch):
     for history in (0, 1, 3, "auto"):
         steps.clear()
         report = evaluate_continuous(
-            SIMULATOR, log, {"p": cartpole_policy(0.3)}, settings=settings, horizon=30, history=history, seed=0,
+            SIMULATOR,
+            log,
+            {"p": cartpole_policy(0.3)},
+            settings=settings,
+            horizon=30,
+            history=history,
+            seed=0,
             estimators=["oee"],
-        )  # fmt: skip
+        )
         names[history] = [row["estimator"] for row in report.records()]
         is_short = history in (0, 1)
-        assert report.uncertainty.sentences[0].startswith("Use history auto") == is_short
-    assert names["auto"] == ["oee (residual, last 2 actions)", "oee (residual)", "simulator (continuous)"]
+        assert (
+            report.uncertainty.sentences[0].startswith("Use history auto") == is_short
+        )
+    assert names["auto"] == [
+        "oee (residual, last 2 actions)",
+        "oee (residual)",
+        "simulator (continuous)",
+    ]
     assert "correction with 2 earlier actions in the state" in steps
     assert "oee (residual, last 2 actions) of “p”" in steps
     assert names[0] == ["simulator (continuous)", "oee (residual)"]
-    assert names[1] == ["simulator (continuous)", "oee (residual, last action)", "oee (residual)"]  # too short
+    # too short
+    assert names[1] == [
+        "simulator (continuous)",
+        "oee (residual, last action)",
+        "oee (residual)",
+    ]
     assert names[3][0] == "oee (residual, last 3 actions)"
 
 
-# ---------------------------------------------------------------- parameters by least squares
+# ---------------------------------------------------------------- parameters by least
+# squares
 
 
 def cartpole_log(target, n=300, seed=0):
-    return record(target, cartpole_policy(0.3), n_transitions=n, max_steps=100, seed=seed)
+    return record(
+        target, cartpole_policy(0.3), n_transitions=n, max_steps=100, seed=seed
+    )
 
 
 def pendulum_log(target, n=300, seed=0):
-    return record(target, classic.swinging(0.3), n_transitions=n, max_steps=200, seed=seed)
+    return record(
+        target, classic.swinging(0.3), n_transitions=n, max_steps=200, seed=seed
+    )
 
 
 def test_the_right_structure_is_found_exactly():
     """Without noise: all of the parameters, and nothing is left."""
     target = classic.Pendulum(mass=1.2, gravity=11.0, friction=0.1)
     log = pendulum_log(target)
-    fit = fit_parameters(*parameters_of(classic.Pendulum(), ["mass", "gravity", "friction"]), log)
-    assert_allclose([fit.parameters[name] for name in ("mass", "gravity", "friction")], [1.2, 11.0, 0.1], rtol=1e-6)
+    fit = fit_parameters(
+        *parameters_of(classic.Pendulum(), ["mass", "gravity", "friction"]), log
+    )
+    assert_allclose(
+        [fit.parameters[name] for name in ("mass", "gravity", "friction")],
+        [1.2, 11.0, 0.1],
+        rtol=1e-6,
+    )
     assert fit.start == {"mass": 1.0, "gravity": 10.0, "friction": 0.0}
     assert_allclose(fit.residual, 0.0, atol=1e-8)
     states, actions = log.state[:9], log.action[:9]
     none = np.zeros((9, 0))
-    assert_allclose(fit.task.moves(states, actions, none).next_state, target.moves(states, actions, none).next_state)
+    assert_allclose(
+        fit.task.moves(states, actions, none).next_state,
+        target.moves(states, actions, none).next_state,
+    )
 
 
 def test_standard_errors_are_those_of_other_logs():
     fits = [
-        fit_parameters(*parameters_of(CartPole(10.0), ["gravity"]), cartpole_log(CartPole(12.0), seed=seed))
+        fit_parameters(
+            *parameters_of(CartPole(10.0), ["gravity"]),
+            cartpole_log(CartPole(12.0), seed=seed),
+        )
         for seed in range(30)
     ]
     found = np.array([fit.parameters["gravity"] for fit in fits])
@@ -269,20 +380,31 @@ def test_standard_errors_are_those_of_other_logs():
 
 def test_rows_that_no_structure_explains_pull_little():
     log = cartpole_log(RandomActions(classic.ChangedCartPole(12.5), 0.1), 2000)
-    fit = fit_parameters(*parameters_of(classic.ChangedCartPole(10.0), ["gravity", "force"]), log)
-    assert_allclose([fit.parameters["gravity"], fit.parameters["force"]], [12.5, 1.0], rtol=0.01)
+    fit = fit_parameters(
+        *parameters_of(classic.ChangedCartPole(10.0), ["gravity", "force"]), log
+    )
+    assert_allclose(
+        [fit.parameters["gravity"], fit.parameters["force"]], [12.5, 1.0], rtol=0.01
+    )
 
 
 def test_what_a_log_does_not_determine_is_reported():
     """Steps depend on gravity / length and 1 / (mass length^2) alone."""
     log = pendulum_log(classic.Pendulum(mass=1.2, gravity=11.0))
-    fit = fit_parameters(*parameters_of(classic.Pendulum(), ["mass", "length", "gravity"]), log)
+    fit = fit_parameters(
+        *parameters_of(classic.Pendulum(), ["mass", "length", "gravity"]), log
+    )
     assert np.isinf(list(fit.standard_error.values())).all()
     assert "The log does not determine mass, length, gravity." in fit.describe()
 
 
 def test_a_fit_at_its_bound_is_reported():
-    fit = fit_parameters(CartPole, {"gravity": 10.0}, cartpole_log(CartPole(15.0)), {"gravity": (5.0, 12.0)})
+    fit = fit_parameters(
+        CartPole,
+        {"gravity": 10.0},
+        cartpole_log(CartPole(15.0)),
+        {"gravity": (5.0, 12.0)},
+    )
     assert_allclose(fit.parameters["gravity"], 12.0, rtol=1e-3)
     assert fit.at_bounds == ("gravity",)
     assert "The fit stopped at a bound of gravity." in fit.describe()
@@ -292,20 +414,33 @@ def test_a_fit_at_its_bound_is_reported():
     ("spec", "truth"),
     [
         ("Pendulum-v1", {"g": 9.0, "m": 1.3}),
-        ("CartPole-v1", {"length": 0.7, "gravity": 11.0}),  # from which the environment computes others
+        # from which the environment computes others
+        ("CartPole-v1", {"length": 0.7, "gravity": 11.0}),
     ],
 )
 def test_gymnasium(spec, truth):
-    target = gymnasium_simulator(f"{spec}:" + ",".join(f"{key}={x}" for key, x in truth.items())).task
-    policy = lambda states: np.full((len(states), target.n_actions), 1.0 / target.n_actions)  # noqa: E731
+    target = gymnasium_simulator(
+        f"{spec}:" + ",".join(f"{key}={x}" for key, x in truth.items())
+    ).task
+    policy = lambda states: np.full(  # noqa: E731
+        (len(states), target.n_actions), 1.0 / target.n_actions
+    )
     log = target.record(policy, n_transitions=300, max_steps=100, seed=0)
-    fit = fit_parameters(*parameters_of(gymnasium_simulator(spec).task, list(truth)), log)
-    assert_allclose([fit.parameters[name] for name in truth], list(truth.values()), rtol=1e-4)
+    fit = fit_parameters(
+        *parameters_of(gymnasium_simulator(spec).task, list(truth)), log
+    )
+    assert_allclose(
+        [fit.parameters[name] for name in truth], list(truth.values()), rtol=1e-4
+    )
 
 
 def test_mujoco():
     pytest.importorskip("mujoco")
-    truth = {"body_mass.pole": 8.0, "dof_damping.slider": 2.0, "actuator_gear.slide": 80.0}
+    truth = {
+        "body_mass.pole": 8.0,
+        "dof_damping.slider": 2.0,
+        "actuator_gear.slide": 80.0,
+    }
     simulator = gymnasium_simulator("InvertedPendulum-v5", actions=5).task
     model = gymnasium.make("InvertedPendulum-v5").unwrapped.model
     assert simulator.family.known()["body_mass.pole"] == model.body("pole").mass[0]
@@ -313,7 +448,9 @@ def test_mujoco():
     policy = lambda states: np.full((len(states), 5), 0.2)  # noqa: E731
     log = target.record(policy, n_transitions=300, max_steps=30, seed=0)
     fit = fit_parameters(*parameters_of(simulator, list(truth)), log)
-    assert_allclose([fit.parameters[name] for name in truth], list(truth.values()), rtol=1e-2)
+    assert_allclose(
+        [fit.parameters[name] for name in truth], list(truth.values()), rtol=1e-2
+    )
 
 
 def test_parameters_come_first_and_the_residual_on_top():
@@ -324,20 +461,34 @@ def test_parameters_come_first_and_the_residual_on_top():
     assert chosen.name == "oee (parameters, residual)"
     assert chosen.learned.task is fit.task
     assert (
-        "corrects the residuals of the fitted simulator, because its held-out one-step error is no larger"
-        in chosen.reason
+        "corrects the residuals of the fitted simulator, because its held-out one-step"
+        " error is no larger" in chosen.reason
     )
-    worse = fit_parameters(classic.Pendulum, {"gravity": 3.0}, log, {"gravity": (2.0, 4.0)})
-    assert choose_correction(classic.Pendulum(), log.first(400), fit=worse, seed=0).fit is None
+    worse = fit_parameters(
+        classic.Pendulum, {"gravity": 3.0}, log, {"gravity": (2.0, 4.0)}
+    )
+    assert (
+        choose_correction(classic.Pendulum(), log.first(400), fit=worse, seed=0).fit
+        is None
+    )
 
 
 def test_a_report_fits_by_name():
     log = cartpole_log(CartPole(14.0), 1000)
     report = evaluate_continuous(
-        CartPole(10.0), log, {"p": cartpole_policy(0.5)}, settings=Settings(episodes=200), horizon=50, seed=0,
-        fit=["gravity"], estimators=["oee"],
-    )  # fmt: skip
-    assert [r["estimator"] for r in report.records()][:2] == ["oee (parameters, residual)", "oee (residual)"]
+        CartPole(10.0),
+        log,
+        {"p": cartpole_policy(0.5)},
+        settings=Settings(episodes=200),
+        horizon=50,
+        seed=0,
+        fit=["gravity"],
+        estimators=["oee"],
+    )
+    assert [r["estimator"] for r in report.records()][:2] == [
+        "oee (parameters, residual)",
+        "oee (residual)",
+    ]
     assert report.uncertainty.sentences[0].startswith("Least squares gives gravity 14")
 
 
@@ -360,24 +511,47 @@ def test_values_that_cannot_be_are_refused(value, error, found):
     estimate = refuse_impossible(given, 0.0, 10.0, 10)
     assert estimate.value == pytest.approx(found, nan_ok=True)
     if np.isnan(found):
-        assert estimate.status == f"{value:.4g} is impossible: a sum of 10 rewards is between 0 and 10"
+        assert (
+            estimate.status
+            == f"{value:.4g} is impossible: a sum of 10 rewards is between 0 and 10"
+        )
         assert estimate.interval is None
-    assert refuse_impossible(given, -np.inf, np.inf, 10) is given  # rewards without bounds refuse no value
+    # rewards without bounds refuse no value
+    assert refuse_impossible(given, -np.inf, np.inf, 10) is given
 
 
-@pytest.mark.parametrize(("raw", "below", "said"), [(5.0, 6.0, False), (9.0, 6.0, True)])
-def test_calibration_that_changes_more_than_the_simulator_has_a_warning(raw, below, said):
+@pytest.mark.parametrize(
+    ("raw", "below", "said"), [(5.0, 6.0, False), (9.0, 6.0, True)]
+)
+def test_calibration_that_changes_more_than_the_simulator_has_a_warning(
+    raw, below, said
+):
     """By the ratio 9/6 a raw 9 moves by 4.5, the simulator's own value by 3."""
-    raw = Estimate(raw, 0.1, (raw - 0.2, raw + 0.2), {"interval_method": "one-step", "one_step_value": 9.9})
+    raw = Estimate(
+        raw,
+        0.1,
+        (raw - 0.2, raw + 0.2),
+        {"interval_method": "one-step", "one_step_value": 9.9},
+    )
     estimate = calibrated_row(raw, MonteCarlo(9.0, 0.01, 1.0, 100), below, "ratio", 1.0)
     assert estimate.value == pytest.approx(raw.value * 1.5)
     assert estimate.interval == pytest.approx(
-        (estimate.value - 1.96 * estimate.standard_error, estimate.value + 1.96 * estimate.standard_error)
+        (
+            estimate.value - 1.96 * estimate.standard_error,
+            estimate.value + 1.96 * estimate.standard_error,
+        )
     )
-    assert any("Rely on the corrected simulator instead" in str(finding) for finding in estimate.findings) == said
+    assert (
+        any(
+            "Rely on the corrected simulator instead" in str(finding)
+            for finding in estimate.findings
+        )
+        == said
+    )
 
 
-# ---------------------------------------------------------------- the linear model, rewards
+# ---------------------------------------------------------------- the linear model,
+# rewards
 
 
 def test_a_linear_model_is_least_squares_with_the_log_s_residuals():
@@ -389,12 +563,16 @@ def test_a_linear_model_is_least_squares_with_the_log_s_residuals():
     left = log.next_state[a] - log.state[a] - x @ by_hand
     np.testing.assert_allclose(model.residuals[a], left, atol=1e-9)
     states, actions = np.zeros((4000, 4)), np.ones(4000, dtype=np.int64)
-    moved = model.step(states, actions, np.random.default_rng(0)).next_state - by_hand[0]
+    moved = (
+        model.step(states, actions, np.random.default_rng(0)).next_state - by_hand[0]
+    )
     assert np.abs(moved.std(axis=0) / model.residuals[a].std(axis=0) - 1).max() < 0.1
     again = model.resampled(0)
     assert 0 < np.abs(again.coefficients - model.coefficients).max() < 0.1
     truth, found, before = (
-        monte_carlo_value(task, cartpole_policy(0.4), 4000, 100, seed=0, normalized=True).value
+        monte_carlo_value(
+            task, cartpole_policy(0.4), 4000, 100, seed=0, normalized=True
+        ).value
         for task in (CartPole(15.0), model, CartPole(10.0))
     )
     assert abs(found - truth) < 0.3 * abs(before - truth)
@@ -413,18 +591,26 @@ def test_rewards_that_are_not_the_task_s_are_reported():
 
     simulator = replace(continuous_simulator("cartpole"), task=Paid(10.0))
     log = cartpole_log(CartPole(10.0), 400)
-    odd = ContinuousTransitions(**(log.columns() | {"reward": np.where(np.arange(400) < 3, 2.0, 1.0)}))
+    odd = ContinuousTransitions(
+        **(log.columns() | {"reward": np.where(np.arange(400) < 3, 2.0, 1.0)})
+    )
     policies, settings = {"mixed": cartpole_policy(0.4)}, Settings(episodes=50)
     right, wrong = (
-        evaluate_continuous(simulator, each, policies, settings=settings, seed=0, estimators=["oee"]).warnings
+        evaluate_continuous(
+            simulator, each, policies, settings=settings, seed=0, estimators=["oee"]
+        ).warnings
         for each in (log, odd)
     )
     assert not any("contradict" in text for text in right)
-    said = "rewards contradict the simulator's r(s, a, s') in 3 of 400 transitions. The reward of row 0 is 2"
+    said = (
+        "rewards contradict the simulator's r(s, a, s') in 3 of 400 transitions. The"
+        " reward of row 0 is 2"
+    )
     assert any(said in text for text in wrong)
 
 
-# ---------------------------------------------------------------- units, and places that the log has not seen
+# ---------------------------------------------------------------- units, and places
+# that the log has not seen
 
 
 def in_units(log, columns, factor):
@@ -448,31 +634,47 @@ def in_units(log, columns, factor):
 @pytest.mark.parametrize("gusts", [0.0, 0.1])
 def test_columns_in_another_unit(columns, factor, said, gusts):
     """Whatever else has changed: gravity, and gusts as large as a push."""
-    log = in_units(cartpole_log(classic.ChangedCartPole(15.0, gusts=gusts), 1000), columns, factor)
+    log = in_units(
+        cartpole_log(classic.ChangedCartPole(15.0, gusts=gusts), 1000), columns, factor
+    )
     assert ResidualSimulator(CartPole(10.0), log, seed=0).units == said
 
 
 def test_another_unit_is_no_hidden_state():
     """An angle in degrees: told of with the unit, in the first sentence and in the row's status."""
     task = classic.Acrobot()
-    log = in_units(record(task, classic.pumping(0.3), n_transitions=3000, max_steps=500, seed=0), (1,), 180 / np.pi)
+    log = in_units(
+        record(task, classic.pumping(0.3), n_transitions=3000, max_steps=500, seed=0),
+        (1,),
+        180 / np.pi,
+    )
     corrected = ResidualSimulator(task, log, seed=0)
-    told = "The log's columns seem to be in another unit than the simulator's: angle_2 (degrees for radians)"
+    told = (
+        "The log's columns seem to be in another unit than the simulator's: angle_2"
+        " (degrees for radians)"
+    )
     assert difference(corrected).startswith(told)
     assert "Hidden state" not in difference(corrected)
-    found = corrected_value(corrected, classic.pumping(0.1), 20, 20, refits=2, paths=10, seed=0)
+    found = corrected_value(
+        corrected, classic.pumping(0.1), 20, 20, refits=2, paths=10, seed=0
+    )
     assert "degrees for radians" in found.status
     assert "hidden state" not in found.status
 
 
 def test_a_policy_beyond_the_log_is_reported():
     """The log's cart is pushed at random from the middle; a policy that always pushes right is soon where it never was."""
-    log = record(CartPole(15.0), cartpole_policy(1.0), n_transitions=2000, max_steps=8, seed=0)
+    log = record(
+        CartPole(15.0), cartpole_policy(1.0), n_transitions=2000, max_steps=8, seed=0
+    )
     corrected = ResidualSimulator(CartPole(10.0), log, seed=0)
     away = np.array([log.state[5], 2.0 * log.state.max(axis=0)])
     assert corrected.beyond(away).tolist() == [False, True]
     far, near = (
-        corrected_value(corrected, cartpole_policy(1.0), 300, steps, refits=2, paths=100, seed=0) for steps in (60, 5)
+        corrected_value(
+            corrected, cartpole_policy(1.0), 300, steps, refits=2, paths=100, seed=0
+        )
+        for steps in (60, 5)
     )
     assert far.diagnostics["beyond_log"] > 0.04
     assert near.diagnostics["beyond_log"] < 0.01
@@ -483,15 +685,31 @@ def test_a_policy_beyond_the_log_is_reported():
 
 def test_without_cells_a_value_of_the_wrong_sign_is_refused(monkeypatch):
     """Rewards are at most 0, in the log and in the simulator: no value above 0 stands."""
-    log = record(classic.MountainCar(force=0.0012), classic.rocking(0.3), n_transitions=600, max_steps=200, seed=0)
-    monkeypatch.setattr(ResidualSimulator, "_reward", lambda self, states, *rest: np.ones(len(states)))
+    log = record(
+        classic.MountainCar(force=0.0012),
+        classic.rocking(0.3),
+        n_transitions=600,
+        max_steps=200,
+        seed=0,
+    )
+    monkeypatch.setattr(
+        ResidualSimulator, "_reward", lambda self, states, *rest: np.ones(len(states))
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         report = evaluate_continuous(
-            classic.MountainCar(), log, {"mixed": classic.rocking(0.4)}, settings=Settings(episodes=50),
-            horizon=20, seed=0, estimators=["oee"],
-        )  # fmt: skip
+            classic.MountainCar(),
+            log,
+            {"mixed": classic.rocking(0.4)},
+            settings=Settings(episodes=50),
+            horizon=20,
+            seed=0,
+            estimators=["oee"],
+        )
     residual = report.results[0]
     assert residual.estimator == "oee (residual)"
     assert np.isnan(residual.estimate.value)
-    assert "is impossible: a sum of 20 rewards is between -inf and 0" in residual.estimate.status
+    assert (
+        "is impossible: a sum of 20 rewards is between -inf and 0"
+        in residual.estimate.status
+    )

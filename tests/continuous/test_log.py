@@ -41,10 +41,14 @@ def logs(draw):
     following = draw(hnp.arrays(float, (n, d), elements=numbers))
     commands = draw(st.booleans())
     action = draw(
-        hnp.arrays(float, (n, 2), elements=numbers) if commands else hnp.arrays(int, n, elements=st.integers(0, 9))
+        hnp.arrays(float, (n, 2), elements=numbers)
+        if commands
+        else hnp.arrays(int, n, elements=st.integers(0, 9))
     )
     reward = draw(st.none() | hnp.arrays(float, n, elements=numbers))
-    return ContinuousTransitions(state, action, following, reward, terminated=draw(hnp.arrays(bool, n)))
+    return ContinuousTransitions(
+        state, action, following, reward, terminated=draw(hnp.arrays(bool, n))
+    )
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".csv", ".parquet"])
@@ -60,8 +64,9 @@ def test_columns_of_a_table(tmp_path):
     path = tmp_path / "log.csv"
     log().save(path)
     header = path.read_text().splitlines()[0]
-    assert header == (
-        "state_0,state_1,action,next_state_0,next_state_1,reward,terminated,truncated,episode,timestep,behavior_probability"
+    assert (
+        header
+        == "state_0,state_1,action,next_state_0,next_state_1,reward,terminated,truncated,episode,timestep,behavior_probability"
     )
     frame = pd.read_csv(path)
     frame[frame.columns[::-1]].assign(comment="x").to_csv(path, index=False)
@@ -77,7 +82,10 @@ def test_what_is_filled_in():
     assert_array_equal(found.timestep, [0, 1, 2, 0])
     assert_array_equal(found.truncated, [False, False, False, True])
     assert (len(found), found.n_state) == (4, 2)
-    assert "4 transitions of 2-dimensional states in 2 episodes: 1 terminated, 1 truncated" in repr(found)
+    assert (
+        "4 transitions of 2-dimensional states in 2 episodes: 1 terminated, 1 truncated"
+        in repr(found)
+    )
     with pytest.raises(ValueError, match="read-only"):
         found.state[0, 0] = 1.0
     assert_array_equal(found.first(2).truncated, [False, True])
@@ -93,7 +101,11 @@ def test_commands_are_matched_to_the_nearest_action():
     assert_array_equal(exact.action_numbers(table, strict=True), [0, 2, 1, 1])
     near = log(action=[[-1.9], [2.0], [0.7], [0.0]])
     with pytest.warns(
-        UserWarning, match=r"2 of 4 rows are none of them; the farthest, row 2, is \[0.7\], 0.7 from \[0.0\]"
+        UserWarning,
+        match=(
+            r"2 of 4 rows are none of them; the farthest, row 2, is \[0.7\], 0.7 from"
+            r" \[0.0\]"
+        ),
     ):
         assert_array_equal(near.action_numbers(table), [0, 2, 1, 1])
     assert_array_equal(log().action_numbers([-10.0, 10.0]), [0, 1, 0, 1])
@@ -104,13 +116,28 @@ def test_float32_copies_of_one_state_are_the_same_state():
 
 
 FILES = {
-    "a missing column": ("state_0,action,next_state_1\n1,0,2\n", "must have every column .*; next_state_0 is missing"),
-    "no action": ("state_0,next_state_0\n1,2\n", "must have the columns state_0, .* it has no action, only "),
-    "both forms": ("state_0,state,action,next_state_0\n1,1,0,2\n", "must have either state or state_0, ...; it has both"),
-    "an empty field": ("state_0,action,next_state_0\n1,0,2\n,0,2\n", r"state_0\[1\] must have a value; it has none"),
+    "a missing column": (
+        "state_0,action,next_state_1\n1,0,2\n",
+        "must have every column .*; next_state_0 is missing",
+    ),
+    "no action": (
+        "state_0,next_state_0\n1,2\n",
+        "must have the columns state_0, .* it has no action, only ",
+    ),
+    "both forms": (
+        "state_0,state,action,next_state_0\n1,1,0,2\n",
+        "must have either state or state_0, ...; it has both",
+    ),
+    "an empty field": (
+        "state_0,action,next_state_0\n1,0,2\n,0,2\n",
+        r"state_0\[1\] must have a value; it has none",
+    ),
     "no table": ("", "must have the columns state_0"),
-    "words": ("state_0,action,next_state_0\nx,0,2\n", r"state_0\[0\] must be finite; it is .x."),
-}  # fmt: skip
+    "words": (
+        "state_0,action,next_state_0\nx,0,2\n",
+        r"state_0\[0\] must be finite; it is .x.",
+    ),
+}
 
 
 @pytest.mark.parametrize(("text", "message"), FILES.values(), ids=FILES)

@@ -33,17 +33,23 @@ CARTPOLES = {
     "pole": classic.ChangedCartPole(10.0, pole=1.3),
     "wind": classic.ChangedCartPole(10.0, push=0.5),
     "gusts": classic.ChangedCartPole(10.0, gusts=0.1),
-    "all": classic.ChangedCartPole(11.3, pole=1.3, force=0.8, joint=2e-4, cart=0.05, gusts=0.03),
+    "all": classic.ChangedCartPole(
+        11.3, pole=1.3, force=0.8, joint=2e-4, cart=0.05, gusts=0.03
+    ),
 }
 
 
 def cartpole_log(target, n=6000, seed=0):
-    return record(target, cartpole_policy(0.3), n_transitions=n, max_steps=100, seed=seed)
+    return record(
+        target, cartpole_policy(0.3), n_transitions=n, max_steps=100, seed=seed
+    )
 
 
 def value(task, policy, episodes, horizon):
     """By random numbers that belong to the episode and the step: tasks that are alike go alike."""
-    return compare_returns([task], policy, episodes, horizon, discount=0.99, seed=np.random.SeedSequence(1)).mean()
+    return compare_returns(
+        [task], policy, episodes, horizon, discount=0.99, seed=np.random.SeedSequence(1)
+    ).mean()
 
 
 def errors(target, corrected, simulator, episodes, deltas=(0.0, 0.5)):
@@ -51,7 +57,8 @@ def errors(target, corrected, simulator, episodes, deltas=(0.0, 0.5)):
     rows = []
     for delta in deltas:
         truth, before, after = (
-            0.01 * value(task, cartpole_policy(delta), episodes, 100) for task in (target, simulator, corrected)
+            0.01 * value(task, cartpole_policy(delta), episodes, 100)
+            for task in (target, simulator, corrected)
         )
         rows.append([before - truth, after - truth])
     return np.abs(np.array(rows)).T
@@ -62,7 +69,9 @@ def test_cartpole(change):
     """Nothing is tuned: one setting for every change. Other noise has other paths: more of Monte Carlo's error is left."""
     target = CARTPOLES[change]
     corrected = ResidualSimulator(CartPole(10.0), cartpole_log(target, 3000), seed=0)
-    before, after = errors(target, corrected, CartPole(10.0), 4000 if target.gusts else 500)
+    before, after = errors(
+        target, corrected, CartPole(10.0), 4000 if target.gusts else 500
+    )
     assert after.mean() < (0.003 if target.gusts else 0.0005)
     assert after.mean() < 0.5 * before.mean()
     assert not any(c.hidden for c in corrected.coordinates)
@@ -76,27 +85,40 @@ def test_an_unchanged_target_is_the_simulator_to_the_last_bit():
     assert [c.scatter for c in corrected.coordinates] == ["simulator"] * 4 + ["none"]
     assert not any(c.differs or c.hidden for c in corrected.coordinates)
     rng = np.random.default_rng(0)
-    states, actions, xi = rng.normal(size=(50, 4)) / 10, rng.integers(2, size=50), rng.normal(size=(50, 4))
+    states, actions, xi = (
+        rng.normal(size=(50, 4)) / 10,
+        rng.integers(2, size=50),
+        rng.normal(size=(50, 4)),
+    )
     assert corrected.n_disturbances == 4
     mine, own = corrected.moves(states, actions, xi), task.moves(states, actions, xi)
     assert_allclose(mine.next_state, own.next_state, rtol=0, atol=1e-15)
     assert_array_equal(mine.terminated, own.terminated)
-    values = [monte_carlo_value(t, cartpole_policy(0.3), 500, 100, seed=0).value for t in (task, corrected)]
+    values = [
+        monte_carlo_value(t, cartpole_policy(0.3), 500, 100, seed=0).value
+        for t in (task, corrected)
+    ]
     assert values[0] == values[1]  # common random numbers
 
 
 def test_pendulum():
     """The environment's steps are Gymnasium's (test_experiments.py)."""
     target, simulator = classic.Pendulum(mass=1.2, gravity=11.0), classic.Pendulum()
-    log = record(target, classic.swinging(0.3), n_transitions=4000, max_steps=200, seed=0)
+    log = record(
+        target, classic.swinging(0.3), n_transitions=4000, max_steps=200, seed=0
+    )
     corrected = ResidualSimulator(simulator, log, seed=0)
     assert corrected._stops.bounds[0, 1] == -8.0
     assert corrected._stops.bounds[1, 1] == 8.0
     for delta in (0.1, 0.5):
         policy = classic.swinging(delta)
-        truth, found, before = (value(task, policy, 200, 200) for task in (target, corrected, simulator))
+        truth, found, before = (
+            value(task, policy, 200, 200) for task in (target, corrected, simulator)
+        )
         assert abs(found - truth) < 0.1 * abs(before - truth)
-    stepped = corrected.moves(np.array([[3.0, 7.99], [3.0, -7.99]]), np.array([2, 0]), np.zeros((2, 1))).next_state
+    stepped = corrected.moves(
+        np.array([[3.0, 7.99], [3.0, -7.99]]), np.array([2, 0]), np.zeros((2, 1))
+    ).next_state
     assert np.abs(stepped[:, 1]).max() <= 8.0
 
 
@@ -104,23 +126,31 @@ class Unknowing(classic.MountainCar):
     """Steps end, but no state tells whether it is over."""
 
     def moves(self, states, actions, disturbance):
-        return classic.MountainCar(self.gravity, self.force).moves(states, actions, disturbance)
+        return classic.MountainCar(self.gravity, self.force).moves(
+            states, actions, disturbance
+        )
 
     def terminated(self, states):
         return np.zeros(len(states), dtype=bool)
 
 
-@pytest.mark.parametrize(("simulator", "within"), [(classic.MountainCar(), 0.001), (Unknowing(), 0.1)])
+@pytest.mark.parametrize(
+    ("simulator", "within"), [(classic.MountainCar(), 0.001), (Unknowing(), 0.1)]
+)
 def test_mountain_car(simulator, within):
     """The wall is a stop; where the task cannot say which states are over, the nearest known one does."""
     target = classic.MountainCar(0.0027, 0.0009)
-    log = record(target, classic.rocking(0.3), n_transitions=4000, max_steps=200, seed=0)
+    log = record(
+        target, classic.rocking(0.3), n_transitions=4000, max_steps=200, seed=0
+    )
     corrected = ResidualSimulator(simulator, log, seed=0)
     assert corrected._knows_ends == (not isinstance(simulator, Unknowing))
     assert corrected._stops.bounds[0, 0] == -1.2
     for delta in (0.1, 0.5):
         policy = classic.rocking(delta)
-        truth, found, before = (value(task, policy, 100, 200) for task in (target, corrected, simulator))
+        truth, found, before = (
+            value(task, policy, 100, 200) for task in (target, corrected, simulator)
+        )
         assert abs(found - truth) < within * abs(before - truth)
 
 
@@ -130,17 +160,33 @@ def test_mountain_car(simulator, within):
 class Line(ContinuousTask):
     """s' = s + push + drift(s) + noise xi; paid by where it leads."""
 
-    def __init__(self, drift=lambda s, a: 0.0, noise=0.0, *, knows_reward=True, wall=np.inf, end=np.inf):
+    def __init__(
+        self,
+        drift=lambda s, a: 0.0,
+        noise=0.0,
+        *,
+        knows_reward=True,
+        wall=np.inf,
+        end=np.inf,
+    ):
         self.name, self.state_names, self.feature_names = "Line", ("s",), ("s",)
         self.actions, self.n_disturbances = np.array([-0.25, 0.25]), 1
-        self.feature_low, self.feature_high, self.periodic = np.array([-2.0]), np.array([2.0]), (False,)
+        self.feature_low, self.feature_high, self.periodic = (
+            np.array([-2.0]),
+            np.array([2.0]),
+            (False,),
+        )
         self.terminates, self.drift, self.noise = np.isfinite(end), drift, noise
         self.knows_reward, self.wall, self.end = knows_reward, wall, end
 
     def moves(self, states, actions, disturbance):
         shift = self.actions[actions] + self.drift(states[:, 0], actions)
-        following = np.clip(states + shift[:, None] + self.noise * disturbance, -self.wall, self.wall)
-        return Moves(following, following[:, 0] - states[:, 0], self.terminated(following))
+        following = np.clip(
+            states + shift[:, None] + self.noise * disturbance, -self.wall, self.wall
+        )
+        return Moves(
+            following, following[:, 0] - states[:, 0], self.terminated(following)
+        )
 
     def initial_states(self, n, rng):
         return rng.uniform(-1.0, 1.0, (n, 1))
@@ -170,7 +216,9 @@ def line_log(target, n=2000, seed=0, steps=20):
     ],
 )
 def test_the_simplest_class_that_does(drift, kind, per_action):
-    corrected = ResidualSimulator(Line(noise=0.01), line_log(Line(drift, noise=0.01)), seed=0)
+    corrected = ResidualSimulator(
+        Line(noise=0.01), line_log(Line(drift, noise=0.01)), seed=0
+    )
     learned = corrected.coordinates[0]
     assert learned.kind == kind
     if per_action is not None:
@@ -186,13 +234,21 @@ def test_the_simplest_class_that_does(drift, kind, per_action):
 
 def test_a_correction_stays_within_the_residuals_that_were_logged():
     """They are -.3 and .3; the fit alone reaches .97; what it leaves, which is drawn, adds to what is cut off."""
-    target, simulator = Line(lambda s, a: np.where(s > 0, 0.3, -0.3), knows_reward=False), Line(knows_reward=False)
-    corrected = ResidualSimulator(simulator, line_log(target, 100, seed=2, steps=4), seed=0)
+    target, simulator = (
+        Line(lambda s, a: np.where(s > 0, 0.3, -0.3), knows_reward=False),
+        Line(knows_reward=False),
+    )
+    corrected = ResidualSimulator(
+        simulator, line_log(target, 100, seed=2, steps=4), seed=0
+    )
     for reach in (3.0, 50.0):
-        states, actions = np.linspace(-reach, reach, 2001)[:, None], np.zeros(2001, dtype=int)
-        added = corrected.moves(states, actions, np.zeros((2001, corrected.n_disturbances))).next_state - (
-            states - 0.25
+        states, actions = (
+            np.linspace(-reach, reach, 2001)[:, None],
+            np.zeros(2001, dtype=int),
         )
+        added = corrected.moves(
+            states, actions, np.zeros((2001, corrected.n_disturbances))
+        ).next_state - (states - 0.25)
         assert 0.3 < np.abs(added).max() < 0.45
 
 
@@ -201,7 +257,10 @@ def test_a_reward_that_the_task_cannot_tell_is_learned():
     target, simulator = Line(lambda s, a: -0.3 * s), Line(knows_reward=False)
     corrected = ResidualSimulator(simulator, line_log(target), seed=0)
     states, actions = np.linspace(-0.8, 0.8, 30)[:, None], np.arange(30) % 2
-    found, right = (t.moves(states, actions, np.zeros((30, t.n_disturbances))) for t in (corrected, target))
+    found, right = (
+        t.moves(states, actions, np.zeros((30, t.n_disturbances)))
+        for t in (corrected, target)
+    )
     assert_allclose(found.reward, right.reward, atol=1e-5)
     assert corrected.coordinates[-1].name == "reward"
     assert len(ResidualSimulator(Line(), line_log(target), seed=0).coordinates) == 1
@@ -213,13 +272,18 @@ def test_noise_is_drawn_from_the_log_where_it_is_another():
     assert (corrected.coordinates[0].scatter, corrected.n_disturbances) == ("log", 2)
     assert not corrected._scatter.local
     states, actions = np.zeros((20_000, 1)), np.ones(20_000, dtype=np.int64)
-    spread = corrected.step(states, actions, np.random.default_rng(0)).next_state[:, 0] - 0.25
+    spread = (
+        corrected.step(states, actions, np.random.default_rng(0)).next_state[:, 0]
+        - 0.25
+    )
     assert_allclose([spread.mean(), spread.std()], [0.0, 0.05], atol=0.0015)
 
 
 class Gusty(Line):
     def moves(self, states, actions, disturbance):
-        return super().moves(states, actions, disturbance * np.where(states > 0, 5.0, 0.5))
+        return super().moves(
+            states, actions, disturbance * np.where(states > 0, 5.0, 0.5)
+        )
 
 
 @pytest.mark.parametrize("kind", [Line, Gusty])
@@ -229,32 +293,50 @@ def test_noise_is_the_simulator_s_own_where_it_is_alike(kind):
     corrected = ResidualSimulator(task, line_log(task, 3000), seed=0)
     assert corrected.coordinates[0].scatter == "simulator"
     rng = np.random.default_rng(0)
-    states, actions, xi = rng.uniform(-1, 1, (500, 1)), rng.integers(2, size=500), rng.standard_normal((500, 1))
-    found, still = (corrected.moves(states, actions, x).next_state for x in (xi, 0.0 * xi))
+    states, actions, xi = (
+        rng.uniform(-1, 1, (500, 1)),
+        rng.integers(2, size=500),
+        rng.standard_normal((500, 1)),
+    )
+    found, still = (
+        corrected.moves(states, actions, x).next_state for x in (xi, 0.0 * xi)
+    )
     right, rest = (task.moves(states, actions, x).next_state for x in (xi, 0.0 * xi))
     assert_allclose(found - still, right - rest, rtol=0, atol=1e-14)
 
 
 def test_noise_that_depends_on_the_place_is_drawn_near_by():
-    corrected = ResidualSimulator(Line(noise=0.01), line_log(Gusty(noise=0.02), 6000), seed=0)
+    corrected = ResidualSimulator(
+        Line(noise=0.01), line_log(Gusty(noise=0.02), 6000), seed=0
+    )
     assert corrected._scatter.local
     for place, right in ((-0.7, 0.01), (0.7, 0.1)):
-        states = np.full((4000, 1), place) + np.random.default_rng(1).uniform(-0.2, 0.2, (4000, 1))
-        moved = corrected.step(states, np.zeros(4000, dtype=np.int64), np.random.default_rng(0)).next_state
+        states = np.full((4000, 1), place) + np.random.default_rng(1).uniform(
+            -0.2, 0.2, (4000, 1)
+        )
+        moved = corrected.step(
+            states, np.zeros(4000, dtype=np.int64), np.random.default_rng(0)
+        ).next_state
         assert_allclose((moved - states).std(), right, rtol=0.2)
 
 
 def test_an_action_that_was_never_logged_has_the_others_correction():
     log = line_log(Line(lambda s, a: 0.1 + 0 * s, noise=0.02))
     corrected = ResidualSimulator(Line(), log.select(log.action == 0), seed=0)
-    moved = corrected.step(np.zeros((4000, 1)), np.ones(4000, dtype=np.int64), np.random.default_rng(0)).next_state
+    moved = corrected.step(
+        np.zeros((4000, 1)), np.ones(4000, dtype=np.int64), np.random.default_rng(0)
+    ).next_state
     assert_allclose(moved.mean(), 0.35, atol=0.002)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 30])
 def test_a_handful_of_transitions(n):
-    corrected = ResidualSimulator(CartPole(10.0), cartpole_log(CartPole(15.0), n), seed=0)
-    value = monte_carlo_value(corrected, cartpole_policy(0.3), 200, 100, seed=0, normalized=True).value
+    corrected = ResidualSimulator(
+        CartPole(10.0), cartpole_log(CartPole(15.0), n), seed=0
+    )
+    value = monte_carlo_value(
+        corrected, cartpole_policy(0.3), 200, 100, seed=0, normalized=True
+    ).value
     assert 0.0 < value < 0.64
 
 
@@ -262,9 +344,15 @@ def test_everything_goes_on_from_there():
     """Cells of the corrected simulator; a log of it; corrected again, nothing is left."""
     target = CARTPOLES["gravity"]
     corrected = ResidualSimulator(CartPole(10.0), cartpole_log(target, 3000), seed=0)
-    model, right = (discretize(task, cells=(40, 40), closure_episodes=0) for task in (corrected, CartPole(12.5)))
+    model, right = (
+        discretize(task, cells=(40, 40), closure_episodes=0)
+        for task in (corrected, CartPole(12.5))
+    )
     values = [
-        oee.policy_value(m.mdp, m.policy(cartpole_policy(0.4)), horizon=100, normalized=True) for m in (model, right)
+        oee.policy_value(
+            m.mdp, m.policy(cartpole_policy(0.4)), horizon=100, normalized=True
+        )
+        for m in (model, right)
     ]
     assert_allclose(values[0], values[1], atol=0.002)
     again = ResidualSimulator(corrected, cartpole_log(corrected, 2000, seed=1), seed=0)
@@ -277,12 +365,20 @@ def test_the_explained_share_counts_every_row():
     """Rows that g was not fitted to, contacts, are left over all the same."""
     log = line_log(Line(lambda s, a: 0.1 * s, noise=0.01), 1000)
     columns = log.columns()
-    columns["next_state"] = columns["next_state"] + np.where(np.arange(1000) % 20 == 0, 2.0, 0.0)[:, None]
+    columns["next_state"] = (
+        columns["next_state"] + np.where(np.arange(1000) % 20 == 0, 2.0, 0.0)[:, None]
+    )
     for name in ("episode", "timestep", "truncated"):
         columns[name] = None
-    learned = ResidualSimulator(Line(noise=0.01), ContinuousTransitions(**columns), seed=0).coordinates[0]
+    learned = ResidualSimulator(
+        Line(noise=0.01), ContinuousTransitions(**columns), seed=0
+    ).coordinates[0]
     assert learned.kind == "linear"
-    assert_allclose(learned.explained, 1.0 - (learned.left_over / learned.residual_scatter) ** 2, atol=0.001)
+    assert_allclose(
+        learned.explained,
+        1.0 - (learned.left_over / learned.residual_scatter) ** 2,
+        atol=0.001,
+    )
     assert learned.explained < 0.5
 
 
@@ -290,9 +386,15 @@ def test_a_value_s_standard_error_has_the_rollouts_noise_in_it():
     """sqrt(log^2 + rollouts^2), which the rows of a report say."""
     target = Line(lambda s, a: 0.1 * s, noise=0.2)
     corrected = ResidualSimulator(Line(noise=0.2), line_log(target, 500), seed=0)
-    found = {n: corrected_value(corrected, half, n, 10, refits=5, paths=50, seed=0) for n in (50, 800)}
+    found = {
+        n: corrected_value(corrected, half, n, 10, refits=5, paths=50, seed=0)
+        for n in (50, 800)
+    }
     for n, estimate in found.items():
-        facts, rollouts = estimate.diagnostics, monte_carlo_value(corrected, half, n, 10, seed=0)
+        facts, rollouts = (
+            estimate.diagnostics,
+            monte_carlo_value(corrected, half, n, 10, seed=0),
+        )
         assert facts["standard_error_of"] == "log and rollouts"
         assert facts["n_rollouts"] == n
         both = np.hypot(facts["standard_error_of_the_log"], rollouts.standard_error)
@@ -300,7 +402,8 @@ def test_a_value_s_standard_error_has_the_rollouts_noise_in_it():
     assert found[50].standard_error > found[800].standard_error
 
 
-# ---------------------------------------------------------------- its parts, in plain numpy
+# ---------------------------------------------------------------- its parts, in plain
+# numpy
 
 
 def regression(n=300, seed=0):
@@ -308,27 +411,43 @@ def regression(n=300, seed=0):
     rng = np.random.default_rng(seed)
     states, actions = rng.normal(size=(n, 1)), rng.integers(2, size=n)
     displacement = np.sin(states) + rng.normal(size=(n, 1)) / 10
-    targets = np.column_stack([states[:, 0] * actions + rng.normal(size=n) / 10, np.cos(3 * states[:, 0])])
+    targets = np.column_stack(
+        [states[:, 0] * actions + rng.normal(size=n) / 10, np.cos(3 * states[:, 0])]
+    )
     arguments = states, actions, displacement
-    return Functions(Line(), *arguments, rng), arguments, targets, np.arange(n) % 9, np.arange(n) % 7 > 0
+    return (
+        Functions(Line(), *arguments, rng),
+        arguments,
+        targets,
+        np.arange(n) % 9,
+        np.arange(n) % 7 > 0,
+    )
 
 
 def test_values_are_sums_of_functions_row_by_row():
     """Whatever rows stand beside a row, and beyond the log as at its edge."""
     functions, arguments, targets, group, used = regression(1000)
     fits = Grams(functions, arguments, targets, group, used).choose()
-    w, phi, (states, actions, displacement) = functions.stack(fits), functions(*arguments), arguments
+    w, phi, (states, actions, displacement) = (
+        functions.stack(fits),
+        functions(*arguments),
+        arguments,
+    )
     right = np.stack([phi[:, : w.shape[1]][i] @ w[a] for i, a in enumerate(actions)])
     ends = np.array([[-np.inf, -0.5], [np.inf, 0.5]])
     found = functions.predict(*arguments, w, ends)
     assert_allclose(found, np.clip(right, *ends), atol=1e-12)
     some = np.arange(7, 500, 3)
-    assert_array_equal(functions.predict(states[some], actions[some], displacement[some], w, ends), found[some])
+    assert_array_equal(
+        functions.predict(states[some], actions[some], displacement[some], w, ends),
+        found[some],
+    )
     k = states[:, 0].argmax(), displacement[:, 0].argmax()
     edge = states[k[:1], :], np.array([1]), displacement[k[1:], :]
     assert_array_equal(functions(*edge), functions(edge[0] + 10, edge[1], edge[2] + 10))
     assert_array_equal(
-        functions.predict(*edge, w, ends), functions.predict(edge[0] + 10, edge[1], edge[2] + 10, w, ends)
+        functions.predict(*edge, w, ends),
+        functions.predict(edge[0] + 10, edge[1], edge[2] + 10, w, ends),
     )
 
 
@@ -346,13 +465,20 @@ def test_refits_vary_as_other_logs_do():
     target = Line(lambda s, a: 0.1 + 0 * s, noise=0.2)
 
     def shift(task):
-        return task.moves(np.zeros((1, 1)), np.array([1]), np.zeros((1, task.n_disturbances))).next_state[0, 0]
+        return task.moves(
+            np.zeros((1, 1)), np.array([1]), np.zeros((1, task.n_disturbances))
+        ).next_state[0, 0]
 
-    found = [shift(ResidualSimulator(Line(noise=0.2), line_log(target, 500, seed=k), seed=0)) for k in range(20)]
+    found = [
+        shift(ResidualSimulator(Line(noise=0.2), line_log(target, 500, seed=k), seed=0))
+        for k in range(20)
+    ]
     one = ResidualSimulator(Line(noise=0.2), line_log(target, 500), seed=0)
     again = [shift(one.resampled(k)) for k in range(40)]
     assert 0.5 < np.std(again) / np.std(found) < 2.0
-    assert shift(one) == shift(ResidualSimulator(Line(noise=0.2), line_log(target, 500), seed=0))
+    assert shift(one) == shift(
+        ResidualSimulator(Line(noise=0.2), line_log(target, 500), seed=0)
+    )
 
 
 @pytest.mark.parametrize("target", [Line(noise=0.05), Gusty(noise=0.02)])
@@ -360,7 +486,9 @@ def test_a_refit_draws_no_residual_of_an_episode_that_it_leaves_out(target):
     """Neither from all rows nor from those near by."""
     corrected = ResidualSimulator(Line(), line_log(target, 2000, steps=100), seed=0)
     assert corrected._scatter.local == isinstance(target, Gusty)
-    quantiles = np.column_stack([np.zeros(4000), np.random.default_rng(0).normal(size=4000)])
+    quantiles = np.column_stack(
+        [np.zeros(4000), np.random.default_rng(0).normal(size=4000)]
+    )
     states = np.linspace(-0.9, 0.9, 4000)[:, None]
 
     def n_outcomes(task):
@@ -371,15 +499,24 @@ def test_a_refit_draws_no_residual_of_an_episode_that_it_leaves_out(target):
 
 
 def test_a_row_on_which_every_value_rests_is_named():
-    columns = record(CartPole(15.0), cartpole_policy(0.3), n_transitions=800, max_steps=100, seed=0).columns()
+    columns = record(
+        CartPole(15.0), cartpole_policy(0.3), n_transitions=800, max_steps=100, seed=0
+    ).columns()
     log = ContinuousTransitions(**columns)
     assert odd_row(ResidualSimulator(CartPole(10.0), log, seed=0)) == ""
     following = columns["next_state"].copy()
     following[-1, 3] += 50.0
     said = odd_row(
-        ResidualSimulator(CartPole(10.0), ContinuousTransitions(**(columns | {"next_state": following})), seed=0)
+        ResidualSimulator(
+            CartPole(10.0),
+            ContinuousTransitions(**(columns | {"next_state": following})),
+            seed=0,
+        )
     )
-    assert said.startswith(" Row 799 of the log alone makes 100% of the unexplained residual in theta_dot (by 50")
+    assert said.startswith(
+        " Row 799 of the log alone makes 100% of the unexplained residual in theta_dot"
+        " (by 50"
+    )
 
 
 # ---------------------------------------------------------------- stops
@@ -419,7 +556,10 @@ def one_step(target, simulator, n=6000):
     log = record(target, evenly, n_transitions=n, max_steps=25, seed=0)
     corrected = ResidualSimulator(simulator, log, seed=0)
     new = record(target, evenly, n_transitions=4000, max_steps=25, seed=1)
-    actions, xi = new.action_numbers(target.actions), np.zeros((4000, corrected.n_disturbances))
+    actions, xi = (
+        new.action_numbers(target.actions),
+        np.zeros((4000, corrected.n_disturbances)),
+    )
     right, own = new.next_state, simulator.moves(new.state, actions, xi).next_state
     found = corrected.moves(new.state, actions, xi).next_state
     stopped = np.abs(right[:, 0]) == 1.0, np.abs(own[:, 0]) == 1.0
@@ -430,7 +570,8 @@ def one_step(target, simulator, n=6000):
 def test_a_stop_is_the_corrected_step_s_not_the_simulator_s(force):
     before, after, (there, here), _ = one_step(Cart(force), Cart())
     assert (there != here).sum() > 20
-    assert (after[there | here, :2].max(axis=1) > 1e-6).mean() < 0.1  # those that just come to the wall
+    # those that just come to the wall
+    assert (after[there | here, :2].max(axis=1) > 1e-6).mean() < 0.1
     assert before[there != here, 1].max() > 0.5
     assert after[~there & ~here].max() < 1e-6  # free steps know nothing of the walls
 
@@ -465,7 +606,9 @@ def test_who_rests_at_a_stop_scatters_nobody_else_less():
     corrected = ResidualSimulator(Cart(), log, seed=0)
     assert 0.2 < (np.abs(log.next_state[:, 0]) == 1.0).mean() < 0.5
     states = np.zeros((4000, 3))
-    moved = corrected.step(states, np.ones(4000, dtype=np.int64), np.random.default_rng(0)).next_state
+    moved = corrected.step(
+        states, np.ones(4000, dtype=np.int64), np.random.default_rng(0)
+    ).next_state
     assert_allclose(moved[:, 2].std(), 0.95 * 0.05, rtol=0.06)
 
 
@@ -481,7 +624,10 @@ def test_a_stop_of_another_place():
 
 def found(following, own=None, is_angle=None):
     no_angles = np.zeros(following.shape[1], dtype=bool)
-    own, angles = following if own is None else own, no_angles if is_angle is None else np.array(is_angle)
+    own, angles = (
+        following if own is None else own,
+        no_angles if is_angle is None else np.array(is_angle),
+    )
     return Stops(np.zeros_like(following), following, own, angles)
 
 
@@ -512,7 +658,9 @@ def test_angles_and_numbers_have_no_stops():
 
 
 def test_the_simulator_s_stop_is_the_target_s_where_the_log_does_not_pass_it():
-    short = 0.9 * moved(wall=2.0).clip(-1.0, 1.0) - 1e-3 * np.arange(2000)[:, None] / 2000
+    short = (
+        0.9 * moved(wall=2.0).clip(-1.0, 1.0) - 1e-3 * np.arange(2000)[:, None] / 2000
+    )
     assert_array_equal(found(short, own=moved()).target[:, 0], [-1.0, 1.0])
     passing = found(moved(wall=5.0), own=moved())
     assert np.isinf(passing.target).all()

@@ -37,7 +37,9 @@ def test_one_step_is_gymnasium_s_to_the_last_bit(gravity):
     rng = np.random.default_rng(0)
     states = rng.uniform([-2.45, -3, -0.22, -4], [2.45, 3, 0.22, 4], (3000, 4))
     actions = rng.integers(0, 2, 3000)
-    theirs = gymnasium_simulator(f"CartPole-v1:gravity={gravity}").task.step(states, actions, rng)
+    theirs = gymnasium_simulator(f"CartPole-v1:gravity={gravity}").task.step(
+        states, actions, rng
+    )
     ours = CartPole(gravity, noise=0.0).step(states, actions, rng)
     assert_array_equal(ours.next_state, theirs.next_state)
     assert_array_equal(ours.terminated, theirs.terminated)
@@ -54,12 +56,22 @@ def test_laws_of_cartpole_s_step(gravity, seed):
     xi = rng.standard_normal((20, 4))
     task = CartPole(gravity, noise=0.01)
     moved = task.moves(states, actions, xi)
-    assert_allclose(task.moves(-states, 1 - actions, -xi).next_state, -moved.next_state, rtol=0, atol=1e-15)
+    assert_allclose(
+        task.moves(-states, 1 - actions, -xi).next_state,
+        -moved.next_state,
+        rtol=0,
+        atol=1e-15,
+    )
     elsewhere = states + np.array([1.0, 0.3, 0.0, 0.0])
-    assert_array_equal(task.moves(elsewhere, actions, xi).next_state[:, 2:], moved.next_state[:, 2:])
+    assert_array_equal(
+        task.moves(elsewhere, actions, xi).next_state[:, 2:], moved.next_state[:, 2:]
+    )
     still = CartPole(gravity, noise=0.0).moves(states, actions, xi).next_state
     assert_allclose(moved.next_state - still, 0.01 * xi, rtol=0, atol=1e-14)
-    none, twice = (CartPole(g, 0.0).moves(states, actions, xi).next_state for g in (0.0, 2 * gravity))
+    none, twice = (
+        CartPole(g, 0.0).moves(states, actions, xi).next_state
+        for g in (0.0, 2 * gravity)
+    )
     assert_allclose(none + twice, 2 * still, rtol=0, atol=1e-12)
 
 
@@ -72,8 +84,12 @@ def test_the_failing_step_has_a_reward_too():
     model = discretize(CartPole(), cells=(20, 20), closure_episodes=0)
     assert_array_equal(model.mdp.rewards[:-1], 1.0)
     assert_array_equal(model.mdp.rewards[-1], 0.0)
-    stands = model.mdp.with_transitions(sparse.kron(sparse.eye_array(model.mdp.n_states), np.ones((2, 1)), "csr"))
-    ceiling = oee.policy_value(stands, oee.uniform_policy(stands), horizon=100, normalized=True)
+    stands = model.mdp.with_transitions(
+        sparse.kron(sparse.eye_array(model.mdp.n_states), np.ones((2, 1)), "csr")
+    )
+    ceiling = oee.policy_value(
+        stands, oee.uniform_policy(stands), horizon=100, normalized=True
+    )
     assert_allclose(ceiling, 0.633967658726771, rtol=1e-12)
 
 
@@ -83,18 +99,24 @@ def test_the_shipped_expert_is_the_trained_one():
 
 
 def test_cartpole_s_policies():
-    states = record(CartPole(), cartpole_policy(0.5), n_transitions=200, max_steps=100, seed=0).state
+    states = record(
+        CartPole(), cartpole_policy(0.5), n_transitions=200, max_steps=100, seed=0
+    ).state
     expert, uniform = cartpole_policy(0.0)(states), cartpole_policy(1.0)(states)
     assert_array_equal(uniform, 0.5)
     assert_allclose(cartpole_policy(0.3)(states), 0.3 * uniform + 0.7 * expert)
     firm = cartpole_policy(0.0, deterministic=True)(states)
     assert_array_equal(firm[:, 1], expert[:, 1] > 0.5)
-    right = 1 / (1 + np.exp(-(EXPERT[0] * states[:, 2] + EXPERT[1] * states[:, 3] + EXPERT[2])))
+    right = 1 / (
+        1 + np.exp(-(EXPERT[0] * states[:, 2] + EXPERT[1] * states[:, 3] + EXPERT[2]))
+    )
     assert_allclose(expert[:, 1], right)
 
 
 def test_records_say_what_happened():
-    log = record(CartPole(noise=0.0), cartpole_policy(0.3), n_episodes=40, max_steps=30, seed=0)
+    log = record(
+        CartPole(noise=0.0), cartpole_policy(0.3), n_episodes=40, max_steps=30, seed=0
+    )
     assert_array_equal(log.reward, 1.0)
     starts = np.flatnonzero(log.timestep == 0)
     assert len(starts) == 40
@@ -107,19 +129,30 @@ def test_records_say_what_happened():
     assert_array_equal(again.next_state, log.next_state)
     chosen = cartpole_policy(0.3)(log.state)[np.arange(len(log)), log.action]
     assert_allclose(log.behavior_probability, chosen)
-    assert abs((log.action == 1).mean() - cartpole_policy(0.3)(log.state)[:, 1].mean()) < 0.05
+    assert (
+        abs((log.action == 1).mean() - cartpole_policy(0.3)(log.state)[:, 1].mean())
+        < 0.05
+    )
 
 
 def test_the_same_seed_gives_the_same_bits():
     one, two, other = (
-        record(CartPole(), cartpole_policy(0.3), n_transitions=3000, max_steps=100, seed=s) for s in (1, 1, 2)
+        record(
+            CartPole(), cartpole_policy(0.3), n_transitions=3000, max_steps=100, seed=s
+        )
+        for s in (1, 1, 2)
     )
     assert_array_equal(one.next_state, two.next_state)
     assert not np.array_equal(one.next_state, other.next_state)
     # a shorter log is the beginning of a longer one
-    short = record(CartPole(), cartpole_policy(0.3), n_transitions=1000, max_steps=100, seed=1)
+    short = record(
+        CartPole(), cartpole_policy(0.3), n_transitions=1000, max_steps=100, seed=1
+    )
     assert_array_equal(short.state, one.state[:1000])
-    values = [monte_carlo_value(CartPole(), cartpole_policy(0.3), 5000, 100, seed=4) for _ in range(2)]
+    values = [
+        monte_carlo_value(CartPole(), cartpole_policy(0.3), 5000, 100, seed=4)
+        for _ in range(2)
+    ]
     assert values[0] == values[1]
 
 
@@ -145,7 +178,10 @@ def links(q2, length, kind="box"):
 
 def inertia(q2, length, kind="box"):
     """M(q) from the Jacobians of the centres of mass, link by link."""
-    return sum(m * jac.T @ jac + moment * np.outer(turn, turn) for m, moment, jac, turn in links(q2, length, kind))
+    return sum(
+        m * jac.T @ jac + moment * np.outer(turn, turn)
+        for m, moment, jac, turn in links(q2, length, kind)
+    )
 
 
 def test_small_steps_converge_to_the_equations_of_motion():
@@ -154,14 +190,20 @@ def test_small_steps_converge_to_the_equations_of_motion():
 
     def motion(t, s):
         step = 1e-6
-        slope = (inertia(s[1] + step, length) - inertia(s[1] - step, length)) / (2 * step)
+        slope = (inertia(s[1] + step, length) - inertia(s[1] - step, length)) / (
+            2 * step
+        )
         w = s[2:]
-        force = torque - 1e-3 * w - s[3] * slope @ w + np.array([0.0, 0.5 * w @ slope @ w])
+        force = (
+            torque - 1e-3 * w - s[3] * slope @ w + np.array([0.0, 0.5 * w @ slope @ w])
+        )
         return np.concatenate([w, np.linalg.solve(inertia(s[1], length), force)])
 
     start = np.array([0.1, 0.8, 1.0, -2.0])
     exact = solve_ivp(motion, (0, 0.1), start, rtol=1e-10, atol=1e-12).y[:, -1]
-    arm = Reacher(length, gear=1.0, damping=1e-3, drag=0.0, timestep=1e-5, substeps=10_000)
+    arm = Reacher(
+        length, gear=1.0, damping=1e-3, drag=0.0, timestep=1e-5, substeps=10_000
+    )
     assert_allclose(arm.advance(start[None], torque[None])[0], exact, rtol=0, atol=2e-3)
 
 
@@ -175,8 +217,17 @@ def test_laws_of_reacher_s_step(seed, length, tamed):
     after = arm.advance(states, commands)
     assert_allclose(arm.advance(-states, -commands), -after, rtol=0, atol=1e-12)
     turned = states + np.array([0.7, 0.0, 0.0, 0.0])
-    assert_allclose(arm.advance(turned, commands), after + np.array([0.7, 0.0, 0.0, 0.0]), rtol=0, atol=1e-12)
-    assert_allclose(fingertip(states + np.array([2 * np.pi, 0, 0, 0]), length), fingertip(states, length), atol=1e-12)
+    assert_allclose(
+        arm.advance(turned, commands),
+        after + np.array([0.7, 0.0, 0.0, 0.0]),
+        rtol=0,
+        atol=1e-12,
+    )
+    assert_allclose(
+        fingertip(states + np.array([2 * np.pi, 0, 0, 0]), length),
+        fingertip(states, length),
+        atol=1e-12,
+    )
     assert (np.abs(after[:, 1]) <= STOP).all()
 
 
@@ -190,8 +241,13 @@ def test_drag_is_a_force_at_each_centre_and_a_torque_on_each_link(seed, length):
             velocity, spin = jacobian @ (w1, w2), turn @ (w1, w2)
             row -= jacobian.T @ (k * mass * velocity * (1 + np.hypot(*velocity)))
             row -= turn * k * moment * spin * (1 + abs(spin))
-    arm, drawn = (Reacher(length, gear=1.0, drag=drag, timestep=1e-3) for drag in (0.0, k))
-    braked, still = drawn.advance(states, np.zeros((20, 2))), arm.advance(states, np.zeros((20, 2)))
+    arm, drawn = (
+        Reacher(length, gear=1.0, drag=drag, timestep=1e-3) for drag in (0.0, k)
+    )
+    braked, still = (
+        drawn.advance(states, np.zeros((20, 2))),
+        arm.advance(states, np.zeros((20, 2))),
+    )
     pushed = arm.advance(states, torques)
     assert_allclose(braked, pushed, rtol=1e-12, atol=1e-14)
     assert np.abs(braked - still)[:, 2:].max() > 1e-4
@@ -204,17 +260,32 @@ def test_the_elbow_s_stop():
     after = arm.advance(state, np.zeros((1, 2)))[0]
     assert after[1] == STOP
     assert after[3] == 0.0
-    assert_allclose(inertia(STOP, 0.1)[0] @ after[2:], inertia(STOP, 0.1)[0] @ state[0, 2:], rtol=1e-3)
-    at_stop = arm.reward_terms(np.array([[0, 2.98, 0, 0], [0, -3.0, 0, 0], [0, 2.9, 0, 0]]))[:, 3]
+    assert_allclose(
+        inertia(STOP, 0.1)[0] @ after[2:],
+        inertia(STOP, 0.1)[0] @ state[0, 2:],
+        rtol=1e-3,
+    )
+    at_stop = arm.reward_terms(
+        np.array([[0, 2.98, 0, 0], [0, -3.0, 0, 0], [0, 2.9, 0, 0]])
+    )[:, 3]
     assert_array_equal(at_stop, [1, 1, 0])
 
 
 def test_kinematics_by_hand():
-    states = np.array([[0, 0, 0, 0], [np.pi / 2, 0, 0, 0], [0, np.pi, 0, 0], [0, np.pi / 2, 0, 0]], dtype=float)
-    assert_allclose(fingertip(states, 0.1), [[0.21, 0], [0, 0.21], [-0.01, 0], [0.1, 0.11]], atol=1e-15)
+    states = np.array(
+        [[0, 0, 0, 0], [np.pi / 2, 0, 0, 0], [0, np.pi, 0, 0], [0, np.pi / 2, 0, 0]],
+        dtype=float,
+    )
+    assert_allclose(
+        fingertip(states, 0.1),
+        [[0.21, 0], [0, 0.21], [-0.01, 0], [0.1, 0.11]],
+        atol=1e-15,
+    )
     for target in ((0.1, 0.1), (-0.05, 0.12), (0.0, -0.2)):
         q1, q2 = joint_angles(target)
-        assert_allclose(fingertip(np.array([[q1, q2, 0, 0]]), 0.1)[0], target, atol=1e-12)
+        assert_allclose(
+            fingertip(np.array([[q1, q2, 0, 0]]), 0.1)[0], target, atol=1e-12
+        )
 
 
 def test_reacher_s_reward_by_hand():
@@ -227,33 +298,51 @@ def test_reacher_s_reward_by_hand():
     assert_allclose(task.reward_between(states, np.array([8]), following), wanted)
     assert_allclose(Reacher(0.2, 0.1).distance(states), Reacher(0.1).distance(states))
     moved = task.moves(states, np.array([3]), np.zeros((1, 0)))
-    assert_allclose(moved.reward, task.reward_between(states, np.array([3]), moved.next_state))
+    assert_allclose(
+        moved.reward, task.reward_between(states, np.array([3]), moved.next_state)
+    )
     assert not moved.terminated.any()
 
 
 def test_the_masses_are_bullet_s():
     """.0356, .0670, .0199 kg at .1, .2, .05 m; the tip .00419 kg; the capsule's inertia by integration."""
-    assert_allclose([link_bodies(x)[0, 0] for x in (0.1, 0.2, 0.05)], [0.0356, 0.0670, 0.0199], atol=5e-5)
+    assert_allclose(
+        [link_bodies(x)[0, 0] for x in (0.1, 0.2, 0.05)],
+        [0.0356, 0.0670, 0.0199],
+        atol=5e-5,
+    )
     rng = np.random.default_rng(0)
     inside = rng.uniform([-0.06, -0.01, -0.01], [0.06, 0.01, 0.01], (400_000, 3))
     past = np.maximum(np.abs(inside[:, 0]) - 0.05, 0.0)
     inside = inside[past**2 + inside[:, 1] ** 2 + inside[:, 2] ** 2 < 1e-4]
     mass, _, moment = link_bodies(0.1, "capsule")[0]
-    assert_allclose(moment, mass * (inside[:, 0] ** 2 + inside[:, 1] ** 2).mean(), rtol=0.01)
+    assert_allclose(
+        moment, mass * (inside[:, 0] ** 2 + inside[:, 1] ** 2).mean(), rtol=0.01
+    )
 
 
 @pytest.mark.parametrize("length", LENGTHS)
-@pytest.mark.parametrize(("armature", "damping", "gear"), [(0.0, 1e-4, 0.05), (1.0, 1.0, 200.0)], ids=["free", "stock"])
+@pytest.mark.parametrize(
+    ("armature", "damping", "gear"),
+    [(0.0, 1e-4, 0.05), (1.0, 1.0, 200.0)],
+    ids=["free", "stock"],
+)
 def test_the_arm_is_mujoco_s(length, armature, damping, gear):
     """Gymnasium's Reacher with other links: armature 0, damping 1e-4, gear .05; and with its own 1, 1, 200."""
-    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install oee-tabular[mujoco]")
+    mujoco = pytest.importorskip(
+        "mujoco", reason="MuJoCo is not installed: pip install oee-tabular[mujoco]"
+    )
     import gymnasium
 
-    text = (Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets" / "reacher.xml").read_text()
+    text = (
+        Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets" / "reacher.xml"
+    ).read_text()
     for old, new in {
         'fromto="0 0 0 0.1 0 0"': f'fromto="0 0 0 {length} 0 0"',
         'name="body1" pos="0.1 0 0"': f'name="body1" pos="{length} 0 0"',
-        'name="fingertip" pos="0.11 0 0"': f'name="fingertip" pos="{length + 0.01} 0 0"',
+        'name="fingertip" pos="0.11 0 0"': (
+            f'name="fingertip" pos="{length + 0.01} 0 0"'
+        ),
         'armature="1" damping="1"': f'armature="{armature}" damping="{damping}"',
         'gear="200.0"': f'gear="{gear}"',
         'integrator="RK4" timestep="0.01"': 'integrator="Euler" timestep="0.01"',
@@ -263,16 +352,29 @@ def test_the_arm_is_mujoco_s(length, armature, damping, gear):
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     arm = Reacher(
-        length, gear=gear, armature=armature, damping=damping, drag=0.0, timestep=0.01, substeps=2, inertia="capsule"
+        length,
+        gear=gear,
+        armature=armature,
+        damping=damping,
+        drag=0.0,
+        timestep=0.01,
+        substeps=2,
+        inertia="capsule",
     )
     rng = np.random.default_rng(0)
-    for state, command in zip(states_of(rng, 40), rng.uniform(-1, 1, (40, 2)), strict=True):
+    for state, command in zip(
+        states_of(rng, 40), rng.uniform(-1, 1, (40, 2)), strict=True
+    ):
         mujoco.mj_resetData(model, data)
         data.qpos[:2], data.qvel[:2], data.ctrl[:] = state[:2], state[2:], command
         mujoco.mj_step(model, data, 2)
         theirs = np.concatenate([data.qpos[:2], data.qvel[:2]])
-        assert_allclose(arm.advance(state[None], command[None])[0], theirs, rtol=1e-9, atol=1e-9)
-        assert_allclose(fingertip(theirs[None], length)[0], _tip(mujoco, model, data), atol=1e-12)
+        assert_allclose(
+            arm.advance(state[None], command[None])[0], theirs, rtol=1e-9, atol=1e-9
+        )
+        assert_allclose(
+            fingertip(theirs[None], length)[0], _tip(mujoco, model, data), atol=1e-12
+        )
 
 
 def _tip(mujoco, model, data):
@@ -288,25 +390,37 @@ def test_reacher_s_policies():
     assert_allclose(reacher_policy(0.3)(states), 0.3 * random + 0.7 * expert)
     there = np.array([[*joint_angles((0.1, 0.1)), 0.0, 0.0]])
     assert reacher_policy(0.0)(there)[0, 4] == 1.0  # no torque at rest on the target
-    assert_array_equal(reacher_policy(0.2)(states + np.array([2 * np.pi, 0, 0, 0])), reacher_policy(0.2)(states))
+    assert_array_equal(
+        reacher_policy(0.2)(states + np.array([2 * np.pi, 0, 0, 0])),
+        reacher_policy(0.2)(states),
+    )
 
 
 # ---------------------------------------------------------------- the arm
 
 
 def needs_mujoco():
-    return pytest.importorskip("mujoco", reason="needs the extra: pip install 'oee-tabular[mujoco]'")
+    return pytest.importorskip(
+        "mujoco", reason="needs the extra: pip install 'oee-tabular[mujoco]'"
+    )
 
 
 def test_the_kinematics_of_the_fact_table():
-    assert_allclose(end_effector(np.zeros((1, 7)))[0], [0.0, -0.02485, 1.18739], atol=1e-5)
+    assert_allclose(
+        end_effector(np.zeros((1, 7)))[0], [0.0, -0.02485, 1.18739], atol=1e-5
+    )
     assert_allclose(end_effector(HOME[None])[0], [0.4567, 0.00135, 0.4337], atol=5e-5)
 
 
 def test_resolved_rates_move_the_hand_as_asked():
     joints = HOME + 0.1 * np.random.default_rng(0).standard_normal((5, 7))
-    velocity = np.array([[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1], [0.1, -0.1, 0.1], [0, 0, 0]])
-    moved = (end_effector(joints + 1e-6 * resolved_rates(joints, velocity)) - end_effector(joints)) / 1e-6
+    velocity = np.array(
+        [[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1], [0.1, -0.1, 0.1], [0, 0, 0]]
+    )
+    moved = (
+        end_effector(joints + 1e-6 * resolved_rates(joints, velocity))
+        - end_effector(joints)
+    ) / 1e-6
     assert_allclose(moved, velocity, atol=4e-3)  # what the damping takes
 
 
@@ -329,7 +443,10 @@ def test_a_command_moves_the_hand_by_a_step_and_the_target_by_more():
     for scale in (1.0, 1.4):
         arm = kinova.KinovaArm(velocity_scale=scale, encoder_noise=0.0)
         state = arm.initial_states(27, rng)
-        moved = arm.moves(state, np.arange(27), np.zeros((27, 7))).next_state[:, :3] - state[:, :3]
+        moved = (
+            arm.moves(state, np.arange(27), np.zeros((27, 7))).next_state[:, :3]
+            - state[:, :3]
+        )
         assert_allclose(moved / STEP, scale * kinova.COMMANDS, atol=0.12)
 
 
@@ -344,9 +461,13 @@ def test_latency_keeps_the_last_command():
 
 
 def test_a_log_of_a_real_arm(tmp_path):
-    pytest.importorskip("pyarrow", reason="needs the extra: pip install 'oee-tabular[parquet]'")
+    pytest.importorskip(
+        "pyarrow", reason="needs the extra: pip install 'oee-tabular[parquet]'"
+    )
     joints = np.stack([HOME, HOME + 0.01, HOME + 0.02])
-    log = ContinuousTransitions(joints[:2], [[0.1, 0, 0], [0, 0, -0.1]], joints[1:], episode=[0, 0])
+    log = ContinuousTransitions(
+        joints[:2], [[0.1, 0, 0], [0, 0, -0.1]], joints[1:], episode=[0, 0]
+    )
     for ending in ("csv", "parquet", "npz"):
         log.save(tmp_path / f"arm.{ending}")
         found = kinova.load_kinova_log(tmp_path / f"arm.{ending}", speed=0.1)
@@ -362,5 +483,10 @@ def test_without_mujoco_everything_imports_and_says_which_extra():
         "try:\n    kinova.record_goals(kinova.KinovaArm(), n_runs=1)\n"
         "except ImportError as error:\n    print(error)"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "mujoco is not installed: pip install 'oee-tabular[mujoco]'"
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert (
+        found.stdout.strip()
+        == "mujoco is not installed: pip install 'oee-tabular[mujoco]'"
+    )

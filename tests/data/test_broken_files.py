@@ -31,13 +31,19 @@ def archive(path, members, method=zipfile.ZIP_DEFLATED):
 
 def header(shape, descr="<f8"):
     buffer = io.BytesIO()
-    np.lib.format.write_array_header_1_0(buffer, {"descr": descr, "fortran_order": False, "shape": shape})
+    np.lib.format.write_array_header_1_0(
+        buffer, {"descr": descr, "fortran_order": False, "shape": shape}
+    )
     return buffer.getvalue()
 
 
 def edited(path, **changes):
     """With a digest that fits: what a person may write, not damage."""
-    arrays = {name: np.asarray(array) for name, array in (dict(np.load(path)) | changes).items() if name != DIGEST}
+    arrays = {
+        name: np.asarray(array)
+        for name, array in (dict(np.load(path)) | changes).items()
+        if name != DIGEST
+    }
     np.savez(path, **arrays, **{DIGEST: digest(arrays)})
     return path
 
@@ -45,19 +51,27 @@ def edited(path, **changes):
 # ---- npz
 
 
-@pytest.mark.parametrize("text", ["{'descr': (", "(" * 3000, "-" * 9000 + "1", "{'a': '\\d'}", "[]"])
+@pytest.mark.parametrize(
+    "text", ["{'descr': (", "(" * 3000, "-" * 9000 + "1", "{'a': '\\d'}", "[]"]
+)
 def test_a_header_that_is_no_header(tmp_path, text):
     written = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
     (tmp_path / "a.npy").write_bytes(written)
-    with pytest.raises(ValueError, match=r"a\.npy' must be an npz or npy file of plain arrays; .+"):
+    with pytest.raises(
+        ValueError, match=r"a\.npy' must be an npz or npy file of plain arrays; .+"
+    ):
         read_npz(tmp_path / "a.npy")
 
 
-@pytest.mark.parametrize("shape", [(2_000_000_000,), (10**17,), (10**30,), (3, -1), (0, 10**30)])
+@pytest.mark.parametrize(
+    "shape", [(2_000_000_000,), (10**17,), (10**30,), (3, -1), (0, 10**30)]
+)
 def test_declared_sizes_are_compared_with_what_is_stored(tmp_path, shape):
     """Before memory is taken: the text has both sizes."""
     archive(tmp_path / "a.npz", {"state": header(shape) + bytes(80)})
-    with pytest.raises(ValueError, match=r"a\.npz' must be an npz or npy file of plain arrays; .+"):
+    with pytest.raises(
+        ValueError, match=r"a\.npz' must be an npz or npy file of plain arrays; .+"
+    ):
         read_npz(tmp_path / "a.npz")
 
 
@@ -73,17 +87,26 @@ def refuse_command(capsys, words):
 def test_missing_memory_is_reported_with_its_size(tmp_path, monkeypatch, capsys):
     path = archive(tmp_path / "a.npz", {"state": npy(np.zeros(2**18))})
     monkeypatch.setattr("oee_tabular._checks.free_memory", lambda: 2.0**20)
-    with pytest.raises(MemoryError, match=r"a\.npz' needs 0\.00195 GiB of memory; 0\.000977 GiB are free"):
+    with pytest.raises(
+        MemoryError,
+        match=r"a\.npz' needs 0\.00195 GiB of memory; 0\.000977 GiB are free",
+    ):
         read_npz(path)
-    assert refuse_command(capsys, ["info", str(path)]).startswith("oee: not enough memory; ")
-    pd.DataFrame({"state": np.zeros(2**18), "action": 0, "next_state": 0}).to_parquet(tmp_path / "a.parquet")
+    assert refuse_command(capsys, ["info", str(path)]).startswith(
+        "oee: not enough memory; "
+    )
+    pd.DataFrame({"state": np.zeros(2**18), "action": 0, "next_state": 0}).to_parquet(
+        tmp_path / "a.parquet"
+    )
     with pytest.raises(MemoryError, match=r"a\.parquet' needs 0\.00586 GiB"):
         oee.Transitions.load(tmp_path / "a.parquet")
 
 
 def test_a_pickle_is_never_opened(tmp_path):
     np.savez(tmp_path / "a.npz", state=np.array([{}], dtype=object))
-    with pytest.raises(ValueError, match=r"a\.npz' must be an npz or npy file of plain arrays"):
+    with pytest.raises(
+        ValueError, match=r"a\.npz' must be an npz or npy file of plain arrays"
+    ):
         read_npz(tmp_path / "a.npz")
 
 
@@ -93,20 +116,38 @@ def test_a_pickle_is_never_opened(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"shape": np.array([np.inf, 4.0])}, r"shape must be two positive integers, .*; it is \[inf, 4\.0\]"),
+        (
+            {"shape": np.array([np.inf, 4.0])},
+            r"shape must be two positive integers, .*; it is \[inf, 4\.0\]",
+        ),
         ({"shape": np.array([9, -4])}, r"shape must be two positive integers"),
         ({"discount": np.array("0.5")}, r"discount must be an array of numbers"),
         ({"initial": np.array(["0.5"] * 9)}, r"initial must be an array of numbers"),
-        ({"transitions_data": np.array(["1"] * 9)}, r"transitions\.data must be real numbers"),
-        ({"transitions_indices": np.zeros(3)}, r"transitions\.indices must be integers of one dimension"),
-        ({"transitions_indptr": np.zeros(3, dtype=int)}, r"transitions\.indptr must have 37 entries.*; it has 3"),
+        (
+            {"transitions_data": np.array(["1"] * 9)},
+            r"transitions\.data must be real numbers",
+        ),
+        (
+            {"transitions_indices": np.zeros(3)},
+            r"transitions\.indices must be integers of one dimension",
+        ),
+        (
+            {"transitions_indptr": np.zeros(3, dtype=int)},
+            r"transitions\.indptr must have 37 entries.*; it has 3",
+        ),
         # native code follows row pointers wherever they lead
-        ({"transitions_indptr": np.arange(37)[::-1]}, r"transitions\.indptr\[0\] must be 0; it is 36"),
+        (
+            {"transitions_indptr": np.arange(37)[::-1]},
+            r"transitions\.indptr\[0\] must be 0; it is 36",
+        ),
         (
             {"transitions_indptr": np.full(37, 999) * (np.arange(37) > 0)},
             r"transitions\.indptr\[1\] must be at most 120",
         ),
-        ({"rewards_indptr": np.r_[0, 10**6, np.arange(35)]}, r"rewards\.indptr\[2\] must be at least the one before"),
+        (
+            {"rewards_indptr": np.r_[0, 10**6, np.arange(35)]},
+            r"rewards\.indptr\[2\] must be at least the one before",
+        ),
     ],
 )
 def test_parts_of_a_simulator(tmp_path, changes, text):
@@ -133,7 +174,14 @@ def test_flags_that_no_longer_hold_are_not_believed():
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
 def test_a_text_is_the_number_that_it_writes(tmp_path, ending):
-    frame = pd.DataFrame({"state": ["0", "3"], "action": [0, 0], "next_state": [1, 1], "reward": ["0.5", "much"]})
+    frame = pd.DataFrame(
+        {
+            "state": ["0", "3"],
+            "action": [0, 0],
+            "next_state": [1, 1],
+            "reward": ["0.5", "much"],
+        }
+    )
     path = tmp_path / f"l{ending}"
     for rows in (frame[:1], frame):
         (rows.to_csv if ending == ".csv" else rows.to_parquet)(path, index=False)
@@ -141,7 +189,10 @@ def test_a_text_is_the_number_that_it_writes(tmp_path, ending):
             if len(rows) == 1:
                 assert len(read(path)) == 1
             else:
-                with pytest.raises(ValueError, match=rf"l\{ending}': reward\[1\] must be finite; it is 'much'"):
+                with pytest.raises(
+                    ValueError,
+                    match=rf"l\{ending}': reward\[1\] must be finite; it is 'much'",
+                ):
                     read(path)
 
 
@@ -151,24 +202,54 @@ def test_a_text_is_the_number_that_it_writes(tmp_path, ending):
 @pytest.mark.parametrize(
     ("text", "hint"),
     [
-        ("state;action;next_state\n0;0;1\n", "state;action;next_state: its fields must be separated by commas; .* semicolons"),
-        ("state\taction\tnext_state\n0\t0\t1\n", "separated by commas; they are by tabs"),
-        ("State,Action,Next State\n0,0,1\n", "; write action for 'Action'; write next_state for 'Next State'"),
-        ("State,action,next_state\n0,0,1\n", r"it has State, action, next_state; write state for 'State'$"),
-        ("from,did,to\n0,0,1\n", r"it has from, did, to \(rename the columns that hold them; in Python, .*csv.\)\)$"),
+        (
+            "state;action;next_state\n0;0;1\n",
+            (
+                "state;action;next_state: its fields must be separated by commas; .*"
+                " semicolons"
+            ),
+        ),
+        (
+            "state\taction\tnext_state\n0\t0\t1\n",
+            "separated by commas; they are by tabs",
+        ),
+        (
+            "State,Action,Next State\n0,0,1\n",
+            "; write action for 'Action'; write next_state for 'Next State'",
+        ),
+        (
+            "State,action,next_state\n0,0,1\n",
+            r"it has State, action, next_state; write state for 'State'$",
+        ),
+        (
+            "from,did,to\n0,0,1\n",
+            (
+                r"it has from, did, to \(rename the columns that hold them; in Python,"
+                r" .*csv.\)\)$"
+            ),
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_a_table_of_another_program_must_change(tmp_path, text, hint):
     (tmp_path / "l.csv").write_text(text)
-    with pytest.raises(ValueError, match=rf"l\.csv' must have the columns state, action, next_state; .*{hint}"):
+    with pytest.raises(
+        ValueError,
+        match=rf"l\.csv' must have the columns state, action, next_state; .*{hint}",
+    ):
         oee.Transitions.load(tmp_path / "l.csv")
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("state_0;next_state_0;action\n1;2;0\n", r"l\.csv' must have the columns state_0.*by semicolons"),
-        ("State_0,Next_State_0,action\n1,2,0\n", r"l\.csv' must have the columns state_0.*write state_0 for 'State_0'"),
+        (
+            "state_0;next_state_0;action\n1;2;0\n",
+            r"l\.csv' must have the columns state_0.*by semicolons",
+        ),
+        (
+            "State_0,Next_State_0,action\n1,2,0\n",
+            r"l\.csv' must have the columns state_0.*write state_0 for 'State_0'",
+        ),
         (
             "state_0,state_999999999,next_state_0,action\n1,2,3,0\n",
             "every column from state_0 to .*; state_1 is missing",
@@ -189,10 +270,14 @@ def test_foreign_columns_are_not_read(tmp_path, foreign):
     (tmp_path / "l.csv").write_text("\n".join([",".join(names), *rows]))
     start = time.perf_counter()
     if foreign > 10_000:
-        with pytest.raises(ValueError, match=r"l\.csv' must have at most 10000 columns; it has 100003"):
+        with pytest.raises(
+            ValueError, match=r"l\.csv' must have at most 10000 columns; it has 100003"
+        ):
             oee.Transitions.load(tmp_path / "l.csv")
     else:
-        with pytest.warns(UserWarning, match=r"left out: sensor_0, .*, sensor_9, and 4990 more$"):
+        with pytest.warns(
+            UserWarning, match=r"left out: sensor_0, .*, sensor_9, and 4990 more$"
+        ):
             assert len(oee.Transitions.load(tmp_path / "l.csv")) == 2
     assert time.perf_counter() - start < 5
 
@@ -201,16 +286,27 @@ def test_a_parquet_file_with_a_column_twice(tmp_path):
     import pyarrow as pa
     from pyarrow import parquet
 
-    twice = pa.Table.from_arrays([pa.array([0])] * 4, names=["state", "state", "action", "next_state"])
+    twice = pa.Table.from_arrays(
+        [pa.array([0])] * 4, names=["state", "state", "action", "next_state"]
+    )
     parquet.write_table(twice, tmp_path / "l.parquet")
-    with pytest.raises(ValueError, match=r"l\.parquet' must have columns that differ; it has 'state' twice"):
+    with pytest.raises(
+        ValueError,
+        match=r"l\.parquet' must have columns that differ; it has 'state' twice",
+    ):
         oee.Transitions.load(tmp_path / "l.parquet")
 
 
 # ---- other machines, other folders
 
 
-ADDRESSES = ["http://host/x.csv", "https://host/x.parquet", "s3://bucket/x.npz", "ftp://host/x-v0", "file:///x.csv"]
+ADDRESSES = [
+    "http://host/x.csv",
+    "https://host/x.parquet",
+    "s3://bucket/x.npz",
+    "ftp://host/x-v0",
+    "file:///x.csv",
+]
 
 
 @pytest.mark.parametrize("address", ADDRESSES)
@@ -226,12 +322,18 @@ def test_nothing_is_fetched(address, monkeypatch, capsys):
     monkeypatch.setattr(socket, "socket", refuse)
     monkeypatch.setattr(socket, "getaddrinfo", refuse)
     readers = [
-        oee.Transitions.load, oee.ContinuousTransitions.load, oee.FiniteMDP.load, LOG.save,
+        oee.Transitions.load,
+        oee.ContinuousTransitions.load,
+        oee.FiniteMDP.load,
+        LOG.save,
         lambda path: read_policy_array(path, "policy"),
-    ]  # fmt: skip
+    ]
     for reader in readers:
         for given in (address, Path(address)):
-            with pytest.raises(ValueError, match=r"path must be a file of this machine; .* and nothing is fetched"):
+            with pytest.raises(
+                ValueError,
+                match=r"path must be a file of this machine; .* and nothing is fetched",
+            ):
                 reader(given)
     assert "nothing is fetched" in refuse_command(capsys, ["info", address])
 
@@ -239,9 +341,19 @@ def test_nothing_is_fetched(address, monkeypatch, capsys):
 def test_a_minari_id_is_checked_before_a_folder_is_made(tmp_path, monkeypatch):
     root = tmp_path / "root"
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
-    for name in ("minari:../../elsewhere/x-v0", "minari:grid/uniform", "minari:/etc/x-v0", "minari:"):
-        with pytest.raises(ValueError, match=r"path must be a Minari id, minari:namespace/name-v0, .*; it is"):
+    for name in (
+        "minari:../../elsewhere/x-v0",
+        "minari:grid/uniform",
+        "minari:/etc/x-v0",
+        "minari:",
+    ):
+        with pytest.raises(
+            ValueError,
+            match=r"path must be a Minari id, minari:namespace/name-v0, .*; it is",
+        ):
             LOG.save(name)
-        with pytest.raises(FileNotFoundError, match="neither a file nor a Minari folder"):
+        with pytest.raises(
+            FileNotFoundError, match="neither a file nor a Minari folder"
+        ):
             oee.Transitions.load(name)
     assert list(tmp_path.iterdir()) == []

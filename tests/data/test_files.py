@@ -43,7 +43,9 @@ def test_every_format_gives_back_every_bit(tmp_path, monkeypatch, name, kind):
     if name == "folder":
         pytest.importorskip("minari")
     if name == "folder" and kind != "episodes":
-        with pytest.raises(ValueError, match="log must have episodes to be a Minari data set"):
+        with pytest.raises(
+            ValueError, match="log must have episodes to be a Minari data set"
+        ):
             log.save(name)
         assert list(tmp_path.iterdir()) == []
         return
@@ -62,7 +64,10 @@ def test_minari_by_id(tmp_path, monkeypatch):
     assert os.environ["MINARI_DATASETS_PATH"] == str(tmp_path)
     with pytest.raises(ValueError, match="must be a new folder"):
         log.save("minari:grid/uniform-v0")
-    with pytest.raises(FileNotFoundError, match="neither a file nor a Minari folder or id on this machine"):
+    with pytest.raises(
+        FileNotFoundError,
+        match="neither a file nor a Minari folder or id on this machine",
+    ):
         Transitions.load("grid/other-v0")
 
 
@@ -76,13 +81,30 @@ def test_a_minari_data_set_made_by_minari_itself(tmp_path, monkeypatch):
     log = replace(logs()["episodes"], behavior_probability=None)
     buffers = []
     for low, high in itertools.pairwise(log.episode_starts):
-        parts = [getattr(log, name)[low:high].tolist() for name in ("action", "reward", "terminated", "truncated")]
+        parts = [
+            getattr(log, name)[low:high].tolist()
+            for name in ("action", "reward", "terminated", "truncated")
+        ]
         states = [*log.state[low:high].tolist(), int(log.next_state[high - 1])]
-        buffers.append(EpisodeBuffer(len(buffers), None, None, states, *parts, {"seen": np.ones((len(states), 1))}))
-    spaces_of = {"observation_space": spaces.Discrete(5), "action_space": spaces.Discrete(3)}
+        buffers.append(
+            EpisodeBuffer(
+                len(buffers),
+                None,
+                None,
+                states,
+                *parts,
+                {"seen": np.ones((len(states), 1))},
+            )
+        )
+    spaces_of = {
+        "observation_space": spaces.Discrete(5),
+        "action_space": spaces.Discrete(3),
+    }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        minari.create_dataset_from_buffers("lake/random-v0", buffers, data_format="arrow", **spaces_of)
+        minari.create_dataset_from_buffers(
+            "lake/random-v0", buffers, data_format="arrow", **spaces_of
+        )
     assert_same(Transitions.load("lake/random-v0"), log)
 
 
@@ -94,18 +116,25 @@ HEAD = "state,action,next_state,reward,terminated\n"
     [
         (HEAD + "0,1,2,0.1,False\n\n2,0,3,1e-3,True\n", [0.1, 1e-3]),
         (
-            "\ufeff\r\n" + HEAD.replace("\n", "\r\n") + "0,1,2,-.5,0\r\n+2,0,03,7.000000000000001,1\r\n",
+            "\ufeff\r\n"
+            + HEAD.replace("\n", "\r\n")
+            + "0,1,2,-.5,0\r\n+2,0,03,7.000000000000001,1\r\n",
             [-0.5, 7.000000000000001],
         ),
         (HEAD.replace("action", '"action"') + ' 0,1 ,2,"3",1.0\n', [3.0]),
         (HEAD + "0,1,2.0,1,false\n", [1.0]),
-        (HEAD + "0,1,2,,False\n0,1,2,nan,False\n0,1,2,5,False\n", [np.nan, np.nan, 5.0]),
+        (
+            HEAD + "0,1,2,,False\n0,1,2,nan,False\n0,1,2,5,False\n",
+            [np.nan, np.nan, 5.0],
+        ),
     ],
 )
 def test_numbers_of_a_csv(tmp_path, text, rewards):
     (tmp_path / "log.csv").write_bytes(text.encode())
     assert_array_equal(Transitions.load(tmp_path / "log.csv").reward, rewards)
-    assert_array_equal(Transitions.open(tmp_path / "log.csv").reward_sum.sum(), np.nansum(rewards))
+    assert_array_equal(
+        Transitions.open(tmp_path / "log.csv").reward_sum.sum(), np.nansum(rewards)
+    )
 
 
 @pytest.mark.parametrize(
@@ -116,8 +145,17 @@ def test_numbers_of_a_csv(tmp_path, text, rewards):
         ("0,1,1_0,1,False", r"next_state\[1\] must be an integer; it is 1_0"),
         ("0,1,2,1_0,False", r"reward\[1\] must be finite; it is 1_0"),
         ("0,1,9223372036854775808,1,False", r"next_state\[1\] must be"),
-        ('0,1,2,"0,5",False', r"reward\[1\] must be finite; it is '0,5' \(write a decimal point, not a comma\)"),
-        ("0,1,2,1,False,5", r"row 1 \(line 3\) must have 5 fields, as the header has; it has 6"),
+        (
+            '0,1,2,"0,5",False',
+            (
+                r"reward\[1\] must be finite; it is '0,5' \(write a decimal point, not"
+                r" a comma\)"
+            ),
+        ),
+        (
+            "0,1,2,1,False,5",
+            r"row 1 \(line 3\) must have 5 fields, as the header has; it has 6",
+        ),
         ("0,1,2", r"row 1 \(line 3\) must have 5 fields, as the header has; it has 3"),
         ('0,1,2,"5,False', r"row 1 \(line 3\) must"),
     ],
@@ -137,8 +175,14 @@ def test_lines_that_are_none_of_a_log(tmp_path, line, text):
     [
         ("", r"log\.csv' must have the columns state, action, next_state; it has none"),
         ("state,action\n0,1\n", r"log\.csv' must have the columns"),
-        ("state,action,next_state,state\n0,1,2,3\n", "must have columns that differ; it has 'state' twice"),
-        ("state,action,next_state,STATE\n0,1,2,3\n", "must have columns that differ; it has 'state' and 'STATE'"),
+        (
+            "state,action,next_state,state\n0,1,2,3\n",
+            "must have columns that differ; it has 'state' twice",
+        ),
+        (
+            "state,action,next_state,STATE\n0,1,2,3\n",
+            "must have columns that differ; it has 'state' and 'STATE'",
+        ),
         ("\x1b[31mX,action,next_state\n0,1,2\n", r"it has \\x1b\[31mX, action"),
         ("state,action,next_state\n", r"at least one (good )?row"),
     ],
@@ -168,14 +212,23 @@ def test_encodings_and_compression(tmp_path, read):
         read(tmp_path / "d.csv.gz")
 
 
-HOSTILE = ["it's.csv", "a[1]*?.parquet", 'q".parquet', "$path; DROP.csv", "s3:/x.csv", "état\n.parquet"]
+HOSTILE = [
+    "it's.csv",
+    "a[1]*?.parquet",
+    'q".parquet',
+    "$path; DROP.csv",
+    "s3:/x.csv",
+    "état\n.parquet",
+]
 
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_names_of_files_and_columns_are_never_sql(tmp_path, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
     log = logs()["episodes"]
-    frame = pd.DataFrame(log.columns()).assign(**{"a\"; DROP TABLE x; --'": 1, "state'": 2})
+    frame = pd.DataFrame(log.columns()).assign(
+        **{"a\"; DROP TABLE x; --'": 1, "state'": 2}
+    )
     path = tmp_path / name
     (frame.to_csv if name.endswith("csv") else frame.to_parquet)(path, index=False)
     (tmp_path / "a11.parquet").write_bytes(b"a pattern would match this")
@@ -212,7 +265,9 @@ assert len(oee.Transitions.open(sys.argv[1])) == 2
 
 
 def test_arrays_frames_and_npz_need_no_duckdb(tmp_path):
-    subprocess.run([sys.executable, "-c", WITHOUT, str(tmp_path / "log.npz")], check=True)
+    subprocess.run(
+        [sys.executable, "-c", WITHOUT, str(tmp_path / "log.npz")], check=True
+    )
 
 
 def test_a_file_of_ours_that_another_program_wrote_anew_names_the_way_out(tmp_path):
@@ -221,15 +276,24 @@ def test_a_file_of_ours_that_another_program_wrote_anew_names_the_way_out(tmp_pa
     table = parquet.read_table(tmp_path / "log.parquet")
     parquet.write_table(table.slice(0, 3), tmp_path / "log.parquet")
     for read in (Transitions.load, Transitions.open):
-        with pytest.raises(ValueError, match=r"log\.parquet' must be as it was saved: .*from_frame"):
+        with pytest.raises(
+            ValueError, match=r"log\.parquet' must be as it was saved: .*from_frame"
+        ):
             read(tmp_path / "log.parquet")
     Transitions.from_frame(table).save(tmp_path / "log.parquet")
     assert len(Transitions.load(tmp_path / "log.parquet")) == len(table)
 
 
 def test_unknown_members_of_an_npz_are_refused(tmp_path):
-    save_npz(tmp_path / "log.npz", "transitions", logs()["bare"].columns() | {"rewards": np.zeros(2)})
-    with pytest.raises(ValueError, match=r"log\.npz' must hold the columns of a log alone; it has 'rewards'"):
+    save_npz(
+        tmp_path / "log.npz",
+        "transitions",
+        logs()["bare"].columns() | {"rewards": np.zeros(2)},
+    )
+    with pytest.raises(
+        ValueError,
+        match=r"log\.npz' must hold the columns of a log alone; it has 'rewards'",
+    ):
         Transitions.load(tmp_path / "log.npz")
 
 
@@ -250,7 +314,9 @@ def test_several_files_a_pattern_and_a_folder_are_one_log(tmp_path):
 
 def test_missing_rewards_are_missing(tmp_path):
     """A mean is over the transitions that have a reward, however the log was put together."""
-    (tmp_path / "a.csv").write_text("state,action,next_state,reward\n0,0,1,4\n0,0,1,\n1,0,1,\n")
+    (tmp_path / "a.csv").write_text(
+        "state,action,next_state,reward\n0,0,1,4\n0,0,1,\n1,0,1,\n"
+    )
     (tmp_path / "b.csv").write_text("state,action,next_state\n0,0,1\n")
     (tmp_path / "c.csv").write_text("state,action,next_state,reward\n0,0,1,2\n")
     log, counts = Transitions.load(tmp_path), Transitions.open(tmp_path)
@@ -261,11 +327,17 @@ def test_missing_rewards_are_missing(tmp_path):
     assert log.select([1, 2]).reward is None
     for ending in ("npz", "csv", "parquet"):
         log.save(tmp_path / f"d.{ending}")
-        assert_array_equal(Transitions.load(tmp_path / f"d.{ending}").reward, log.reward)
-    assert_array_equal(Transitions.from_frame(pd.DataFrame(log.columns())).reward, log.reward)
+        assert_array_equal(
+            Transitions.load(tmp_path / f"d.{ending}").reward, log.reward
+        )
+    assert_array_equal(
+        Transitions.from_frame(pd.DataFrame(log.columns())).reward, log.reward
+    )
     counts.save(tmp_path / "counts.npz")
     again = oee.TransitionCounts.load(tmp_path / "counts.npz")
-    mdp = oee.FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), [[[0.0, 1.0]], [[0.0, -1.0]]], 0, 0.9)
+    mdp = oee.FiniteMDP(
+        np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), [[[0.0, 1.0]], [[0.0, -1.0]]], 0, 0.9
+    )
     for data in (log, counts, again):
         problem = oee.Problem(mdp, data, rewards="log")
         assert_allclose(problem.model.transition_rewards.toarray(), [[0, 3], [0, -1]])
@@ -277,6 +349,8 @@ def test_arrays_of_objects_are_not_saved(tmp_path):
     """They would be pickles, which ``load`` refuses; an old file of that name stays."""
     path = tmp_path / "old.npz"
     path.write_bytes(b"old")
-    with pytest.raises(ValueError, match="names must be numbers or text; it is an array of objects"):
+    with pytest.raises(
+        ValueError, match="names must be numbers or text; it is an array of objects"
+    ):
         save_npz(path, "thing", {"fine": np.zeros(2), "names": np.array(["a", None])})
     assert path.read_bytes() == b"old"

@@ -18,7 +18,10 @@ from numpy.testing import assert_array_equal
 import oee_tabular as oee
 from oee_tabular import Transitions
 
-NUMBERS = replace(oee.sample_episodes(MDP, oee.uniform_policy(MDP), 6, 8, seed=0), behavior_probability=None)
+NUMBERS = replace(
+    oee.sample_episodes(MDP, oee.uniform_policy(MDP), 6, 8, seed=0),
+    behavior_probability=None,
+)
 
 
 def called(numbers, names):
@@ -27,16 +30,26 @@ def called(numbers, names):
 
 def frame():
     columns = dict(NUMBERS.columns())
-    columns |= {"state": called(NUMBERS.state, STATES), "next_state": called(NUMBERS.next_state, STATES)}
+    columns |= {
+        "state": called(NUMBERS.state, STATES),
+        "next_state": called(NUMBERS.next_state, STATES),
+    }
     return pd.DataFrame(columns | {"action": called(NUMBERS.action, ACTIONS)})
 
 
-NAMED = Transitions(**{name: frame()[name].tolist() for name in ("state", "action", "next_state")}, reward=NUMBERS.reward,
-                    episode=NUMBERS.episode, terminated=NUMBERS.terminated)  # fmt: skip
+NAMED = Transitions(
+    **{name: frame()[name].tolist() for name in ("state", "action", "next_state")},
+    reward=NUMBERS.reward,
+    episode=NUMBERS.episode,
+    terminated=NUMBERS.terminated,
+)
 
 
 def assert_same(one, other):
-    assert (one.state_names, one.action_names) == (other.state_names, other.action_names)
+    assert (one.state_names, one.action_names) == (
+        other.state_names,
+        other.action_names,
+    )
     assert sorted(one.columns()) == sorted(other.columns())
     for name, column in other.columns().items():
         assert_array_equal(one.columns()[name], column, err_msg=name)
@@ -53,18 +66,30 @@ def test_names_are_numbered_in_their_order_and_matched_to_a_simulator_s():
     assert NUMBERS.numbered(MDP) is NUMBERS
     half = Transitions([0, 1], ["stay", "go"], [0, 2])
     assert (half.state_names, half.numbered(MDP).action.tolist()) == (None, [1, 0])
-    half = Transitions(["hall", "('room', 1)"], [1, 0], ["('room', 1)", "dock"])  # texts that are written tuples
+    # texts that are written tuples
+    half = Transitions(["hall", "('room', 1)"], [1, 0], ["('room', 1)", "dock"])
     assert (half.action_names, half.numbered(MDP).next_state.tolist()) == (None, [1, 2])
 
 
 @pytest.mark.parametrize(
-    "make", [np.array, pd.Series, tuple, list, lambda x: np.array(x, dtype=object), pd.Categorical]
+    "make",
+    [
+        np.array,
+        pd.Series,
+        tuple,
+        list,
+        lambda x: np.array(x, dtype=object),
+        pd.Categorical,
+    ],
 )
 def test_whatever_holds_them(make):
     log = Transitions(make(["a", "b"]), make(["x", "x"]), make(["b", "b"]))
     assert (log.state_names, log.action.tolist()) == (("a", "b"), [0, 0])
     assert all(type(name) is str for name in log.state_names)
-    assert Transitions([(0, 1), (1, 1)], [0, 0], [(1, 1), (0, 1)]).state_names == ((0, 1), (1, 1))
+    assert Transitions([(0, 1), (1, 1)], [0, 0], [(1, 1), (0, 1)]).state_names == (
+        (0, 1),
+        (1, 1),
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,8 +105,12 @@ def test_whatever_holds_them(make):
 )
 def test_names_follow_the_rows(change):
     assert_same(change(NAMED).numbered(MDP), change(NUMBERS))
-    given = Transitions(NAMED.state, NAMED.action, NAMED.next_state, state_names=NAMED.state_names)
-    assert given.numbered(MDP.with_names(STATES)).state.tolist() == NUMBERS.state.tolist()
+    given = Transitions(
+        NAMED.state, NAMED.action, NAMED.next_state, state_names=NAMED.state_names
+    )
+    assert (
+        given.numbered(MDP.with_names(STATES)).state.tolist() == NUMBERS.state.tolist()
+    )
 
 
 @pytest.mark.parametrize("ending", ["npz", "csv", "parquet"])
@@ -100,11 +129,24 @@ def test_the_command_takes_files_of_names(tmp_path, capsys):
     NUMBERS.save(tmp_path / "n.csv")
     told = []
     for log in ("log.csv", "n.csv"):
-        words = ["--simulator", str(tmp_path / "m.npz"), "--log", str(tmp_path / log), "--policy", "uniform"]
+        words = [
+            "--simulator",
+            str(tmp_path / "m.npz"),
+            "--log",
+            str(tmp_path / log),
+            "--policy",
+            "uniform",
+        ]
         with pytest.raises(SystemExit) as ended:
             main(["evaluate", *words])
         assert not ended.value.code
-        told.append([line for line in capsys.readouterr().out.splitlines() if ".csv" not in line])
+        told.append(
+            [
+                line
+                for line in capsys.readouterr().out.splitlines()
+                if ".csv" not in line
+            ]
+        )
     assert told[0] == told[1]
     assert "Record action " in "\n".join(told[0])
 
@@ -114,17 +156,23 @@ def test_numbers_of_a_log_s_own_are_no_simulator_s():
     for options in ({}, {"method": "ratio_of_ratios"}):
         data = [{"simulator_data": log} if options else {} for log in (NAMED, NUMBERS)]
         one, other = (
-            oee.transition_ratio(log, MDP, **options, **more) for log, more in zip((NAMED, NUMBERS), data, strict=True)
+            oee.transition_ratio(log, MDP, **options, **more)
+            for log, more in zip((NAMED, NUMBERS), data, strict=True)
         )
         assert_array_equal(one.values.data, other.values.data)
-    problems = [oee.Problem(MDP, log, simulator_data=log, episodes=log) for log in (NAMED, NUMBERS)]
+    problems = [
+        oee.Problem(MDP, log, simulator_data=log, episodes=log)
+        for log in (NAMED, NUMBERS)
+    ]
     for part in ("log", "episodes", "simulator_data"):
         assert_same(*(getattr(problem, part) for problem in problems))
 
 
 def test_it_says_that_it_has_names():
     assert "; 3 named states, 2 named actions; rewards" in repr(NAMED)
-    assert "; 2 named states, actions 0..1;" in repr(Transitions(["a"], [1], ["b"], [0.0]))
+    assert "; 2 named states, actions 0..1;" in repr(
+        Transitions(["a"], [1], ["b"], [0.0])
+    )
 
 
 # ---------------------------------------------------------------- frames
@@ -133,31 +181,56 @@ def test_it_says_that_it_has_names():
 def arrow(table):
     columns = {name: table[name].tolist() for name in table.columns}
     return pa.table(
-        {name: [str(x) for x in column] if isinstance(column[0], str) else column for name, column in columns.items()}
+        {
+            name: [str(x) for x in column] if isinstance(column[0], str) else column
+            for name, column in columns.items()
+        }
     )
 
 
 def polars(table):
-    return pytest.importorskip("polars").DataFrame({name: table[name].tolist() for name in table.columns})
+    return pytest.importorskip("polars").DataFrame(
+        {name: table[name].tolist() for name in table.columns}
+    )
 
 
-@pytest.mark.parametrize("kind", [lambda table: table, arrow, polars, lambda table: polars(table).lazy()])
+@pytest.mark.parametrize(
+    "kind", [lambda table: table, arrow, polars, lambda table: polars(table).lazy()]
+)
 def test_frames_of_any_library(kind):
     plain = pd.DataFrame(NUMBERS.columns())
     for table in (plain, plain.astype({"episode": str}), plain.assign(note="x")):
         assert_same(Transitions.from_frame(kind(table)), NUMBERS)
-    texts = frame().assign(state=frame()["state"].map(str), next_state=frame()["next_state"].map(str))
+    texts = frame().assign(
+        state=frame()["state"].map(str), next_state=frame()["next_state"].map(str)
+    )
     assert_same(Transitions.from_frame(kind(texts), simulator=MDP), NUMBERS)
     assert_same(oee.Problem(MDP, kind(texts)).log, NUMBERS)
 
 
 def test_columns_of_objects_and_of_texts_are_numbers():
     expected = Transitions([0, 3], [0, 0], [3, 0], [0.5, np.nan])
-    for kind, state in ((object, [np.int64(0), 3]), (str, ["0", "3"]), ("Int64", [0, 3]), (float, [0.0, 3.0])):
-        table = pd.DataFrame({"state": pd.Series(state, dtype=kind), "action": 0, "next_state": [3, 0]})
-        assert_same(Transitions.from_frame(table.assign(reward=pd.array([0.5, None], dtype="Float64"))), expected)
+    for kind, state in (
+        (object, [np.int64(0), 3]),
+        (str, ["0", "3"]),
+        ("Int64", [0, 3]),
+        (float, [0.0, 3.0]),
+    ):
+        table = pd.DataFrame(
+            {"state": pd.Series(state, dtype=kind), "action": 0, "next_state": [3, 0]}
+        )
+        assert_same(
+            Transitions.from_frame(
+                table.assign(reward=pd.array([0.5, None], dtype="Float64"))
+            ),
+            expected,
+        )
     with pytest.raises(
-        ValueError, match=r"^frame: state\[0\] must be an integer; it is '2020-01-01.* \(2 such rows in all\)"
+        ValueError,
+        match=(
+            r"^frame: state\[0\] must be an integer; it is '2020-01-01.* \(2 such rows"
+            r" in all\)"
+        ),
     ):
         Transitions.from_frame(table.assign(state=pd.Timestamp("2020-01-01")))
 
@@ -169,30 +242,58 @@ def test_an_index_is_ignored():
 
 
 def test_columns_by_their_names_there():
-    table = frame().rename(columns={"state": "from", "next_state": "to", "reward": "paid", "episode": "run"})
+    table = frame().rename(
+        columns={
+            "state": "from",
+            "next_state": "to",
+            "reward": "paid",
+            "episode": "run",
+        }
+    )
     renamed = {"state": "from", "next_state": "to", "reward": "paid", "episode": "run"}
     assert_same(Transitions.from_frame(table, simulator=MDP, **renamed), NUMBERS)
     swapped = frame().rename(columns={"state": "next_state", "next_state": "state"})
-    assert_same(Transitions.from_frame(swapped, simulator=MDP, state="next_state", next_state="state"), NUMBERS)
+    assert_same(
+        Transitions.from_frame(
+            swapped, simulator=MDP, state="next_state", next_state="state"
+        ),
+        NUMBERS,
+    )
     nothing = Transitions.from_frame(frame(), simulator=MDP, reward=None)
     assert_array_equal(nothing.reward, NUMBERS.reward)
 
 
 def test_several_columns_make_tuples():
-    table = pd.DataFrame({"x": [0, 0], "y": ["a", "b"], "u": [0, 1], "v": ["b", "b"], "action": [0, 0]})
+    table = pd.DataFrame(
+        {"x": [0, 0], "y": ["a", "b"], "u": [0, 1], "v": ["b", "b"], "action": [0, 0]}
+    )
     log = Transitions.from_frame(table, state=["x", "y"], next_state=("u", "v"))
     assert log.state_names == ((0, "a"), (0, "b"), (1, "b"))
     assert log.next_state.tolist() == [1, 2]
-    grid = oee.tasks.gridworld(2, 0.1).with_names([(r, c) for r in range(2) for c in range(2)])
-    cells = pd.DataFrame({"r": [0.0, 1.0], "c": [0, 1], "r2": [0, 1], "c2": [1, 1], "action": [0, 0]})
-    log = Transitions.from_frame(cells, simulator=grid, state=["r", "c"], next_state=["r2", "c2"])
+    grid = oee.tasks.gridworld(2, 0.1).with_names(
+        [(r, c) for r in range(2) for c in range(2)]
+    )
+    cells = pd.DataFrame(
+        {"r": [0.0, 1.0], "c": [0, 1], "r2": [0, 1], "c2": [1, 1], "action": [0, 0]}
+    )
+    log = Transitions.from_frame(
+        cells, simulator=grid, state=["r", "c"], next_state=["r2", "c2"]
+    )
     assert log.state.tolist() == [0, 3]  # 0.0 is 0
 
 
 def test_a_column_that_was_perhaps_meant_is_named_and_no_other():
-    table = frame().assign(rewards=1.0, note="x", Terminated=False).drop(columns=["reward", "terminated"])
+    table = (
+        frame()
+        .assign(rewards=1.0, note="x", Terminated=False)
+        .drop(columns=["reward", "terminated"])
+    )
     with pytest.warns(
-        UserWarning, match=r"are left out: 'rewards' \(is it reward\? Then reward='rewards'\), 'Terminated' \(is it t"
+        UserWarning,
+        match=(
+            r"are left out: 'rewards' \(is it reward\? Then reward='rewards'\),"
+            r" 'Terminated' \(is it t"
+        ),
     ):
         Transitions.from_frame(table)
     with warnings.catch_warnings():
@@ -206,10 +307,19 @@ def test_a_column_that_was_perhaps_meant_is_named_and_no_other():
 def steps():
     starts = NUMBERS.episode_starts
     return [
-        [*((STATES[NUMBERS.state[k]], ACTIONS[NUMBERS.action[k]], NUMBERS.reward[k]) for k in range(low, high)),
-         (STATES[NUMBERS.next_state[high - 1]], bool(NUMBERS.terminated[high - 1]))]
+        [
+            *(
+                (
+                    STATES[NUMBERS.state[k]],
+                    ACTIONS[NUMBERS.action[k]],
+                    NUMBERS.reward[k],
+                )
+                for k in range(low, high)
+            ),
+            (STATES[NUMBERS.next_state[high - 1]], bool(NUMBERS.terminated[high - 1])),
+        ]
         for low, high in zip(starts[:-1], starts[1:], strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def test_episodes_as_lists_of_steps():
@@ -219,20 +329,35 @@ def test_episodes_as_lists_of_steps():
 
 
 def test_forms_of_a_step():
-    expected = Transitions([0, 1, 0], [1, 0, 1], [1, 2, 2], [1.0, 2.0, 3.0], episode=[0, 0, 1], terminated=[0, 1, 0])
+    expected = Transitions(
+        [0, 1, 0],
+        [1, 0, 1],
+        [1, 2, 2],
+        [1.0, 2.0, 3.0],
+        episode=[0, 0, 1],
+        terminated=[0, 1, 0],
+    )
     for first in (
         [(0, 1, 1.0), (1, 0, 2.0), (2, True)],
         [(0, 1, 1.0), [1, 0, 2.0, 2, True]],
         [(0, 1, 1.0, 1), (1, 0, 2.0), (2, np.True_)],
         [(0, 1, 1.0, 1, False), (1, 0, 2.0, 2, True)],
     ):
-        for second in ([(0, 1, 3.0), (2,)], [(0, 1, 3.0, 2)], ((0, 1, 3.0), (2, False))):
+        for second in (
+            [(0, 1, 3.0), (2,)],
+            [(0, 1, 3.0, 2)],
+            ((0, 1, 3.0), (2, False)),
+        ):
             assert_same(Transitions.from_episodes([first, second]), expected)
 
 
 def test_a_last_transition_without_a_next_state_is_left_out_with_a_warning():
-    with pytest.warns(UserWarning, match=r"^the last transitions of 2 episodes are left out"):
-        log = Transitions.from_episodes([[(0, 0, 1.0), (1, 0, 2.0)], [(3, 0, 1.0)], [], [(2, 0, 5.0), (1,)]])
+    with pytest.warns(
+        UserWarning, match=r"^the last transitions of 2 episodes are left out"
+    ):
+        log = Transitions.from_episodes(
+            [[(0, 0, 1.0), (1, 0, 2.0)], [(3, 0, 1.0)], [], [(2, 0, 5.0), (1,)]]
+        )
     assert_array_equal(log.state, [0, 2])
     assert_array_equal(log.reward, [1.0, 5.0])
     assert log.truncated.all()
@@ -241,7 +366,13 @@ def test_a_last_transition_without_a_next_state_is_left_out_with_a_warning():
 def test_files_of_a_pattern_warn_once_and_missing_rewards_are_described(tmp_path):
     for k, rewards in enumerate(([-2.0, -0.0], [np.nan, -1.0])):
         table = pd.DataFrame(
-            {"state": [0, 1], "action": [0, 0], "next_state": [1, 0], "reward": rewards, "speed": [1, 2]}
+            {
+                "state": [0, 1],
+                "action": [0, 0],
+                "next_state": [1, 0],
+                "reward": rewards,
+                "speed": [1, 2],
+            }
         )
         table.to_csv(tmp_path / f"{k}.csv", index=False)
     with pytest.warns(UserWarning, match="left out: speed$") as told:
@@ -249,7 +380,9 @@ def test_files_of_a_pattern_warn_once_and_missing_rewards_are_described(tmp_path
     assert len(told) == 1
     with pytest.warns(UserWarning, match="left out: speed$"):
         counts = Transitions.open(tmp_path)
-    assert all("rewards -2 to 0, 1 of 4 missing" in each.describe() for each in (log, counts))
+    assert all(
+        "rewards -2 to 0, 1 of 4 missing" in each.describe() for each in (log, counts)
+    )
 
 
 KINDS = {  # of a column's values; a place among them is drawn for the last
@@ -258,10 +391,14 @@ KINDS = {  # of a column's values; a place among them is drawn for the last
     "texts of numbers": lambda k: k.astype(str).astype(object),
     "names": lambda k: np.array(list("abcd"), dtype=object)[k],
     "booleans": lambda k: k > 1,
-    "booleans and nothing": lambda k: np.array([*(k[1:] > 1).tolist(), None], dtype=object),
+    "booleans and nothing": lambda k: np.array(
+        [*(k[1:] > 1).tolist(), None], dtype=object
+    ),
     "a half": lambda k: np.append(k[1:] + 0.0, 0.5),
     "nothing": lambda k: np.append(k[1:] + 0.0, np.nan),
-    "a name that is nothing": lambda k: np.array([*"abcd"[: len(k) - 1], None], dtype=object),
+    "a name that is nothing": lambda k: np.array(
+        [*"abcd"[: len(k) - 1], None], dtype=object
+    ),
     "too large": lambda k: np.append(k[1:], 2**60),
 }
 
@@ -274,14 +411,23 @@ def test_a_table_is_the_same_log_in_every_form_or_is_refused_in_all(data):
     numbers = st.lists(st.integers(0, 3), min_size=n, max_size=n).map(np.array)
     drawn = {
         label: KINDS[data.draw(st.sampled_from([*KINDS]), label)](data.draw(numbers))
-        for label in ("state", "action", "next_state", *data.draw(st.sampled_from([(), ("reward",), ("episode",)])))
+        for label in (
+            "state",
+            "action",
+            "next_state",
+            *data.draw(st.sampled_from([(), ("reward",), ("episode",)])),
+        )
     }
     frame = pd.DataFrame(drawn)
     with tempfile.TemporaryDirectory() as folder:
         csv, parquet = f"{folder}/log.csv", f"{folder}/log.parquet"
         frame.to_csv(csv, index=False)
         frame.to_parquet(parquet, index=False)
-        ways = (Transitions.from_frame, frame), (Transitions.load, csv), (Transitions.load, parquet)
+        ways = (
+            (Transitions.from_frame, frame),
+            (Transitions.load, csv),
+            (Transitions.load, parquet),
+        )
         assert len({str(outcome(make, source)) for make, source in ways}) == 1
 
 

@@ -24,7 +24,9 @@ UNIFORM = oee.uniform_policy(GRID)
 
 
 def logs(number=4, episodes=12):
-    return [oee.sample_episodes(GRID, UNIFORM, episodes, 9, seed=k) for k in range(number)]
+    return [
+        oee.sample_episodes(GRID, UNIFORM, episodes, 9, seed=k) for k in range(number)
+    ]
 
 
 def written(folder, ending=".parquet", number=4, episodes=12):
@@ -83,7 +85,10 @@ def test_a_minari_data_set_is_counted(tmp_path):
 
 def test_problems_take_it_in_place_of_the_log(tmp_path):
     whole = Transitions.concatenate(logs())
-    ours, plain = (oee.Problem(GRID, log, 9) for log in (Transitions.open(written(tmp_path / "a")), whole))
+    ours, plain = (
+        oee.Problem(GRID, log, 9)
+        for log in (Transitions.open(written(tmp_path / "a")), whole)
+    )
     policy = oee.tasks.gridworld_policy(3, 0.5)
     tables = [oee.evaluate(problem, policy, seed=0) for problem in (ours, plain)]
     assert "pdis" in [r.estimator for r in tables[0].results]
@@ -106,7 +111,11 @@ def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path, ending):
             part = sample.select(sample.episode == e)
             after = chosen[-1] + 1 if chosen else 0
             chosen.append(
-                next(k for k in range(after, 60) if episodes[k].next_state.tolist() == part.next_state.tolist())
+                next(
+                    k
+                    for k in range(after, 60)
+                    if episodes[k].next_state.tolist() == part.next_state.tolist()
+                )
             )
         assert min(size, len(whole)) - 9 < sum(len(episodes[k]) for k in chosen) <= size
         assert before <= set(chosen)
@@ -120,16 +129,21 @@ def test_every_episode_is_drawn_as_often_as_another(tmp_path):
     log, drawn = Transitions(state, 0 * state, state, episode=state), np.zeros(10)
     for k in range(100):
         log.save(tmp_path / f"{k}.csv")
-        drawn[Transitions.open(tmp_path / f"{k}.csv", kept_moves=6).sample.state[::2]] += 1
+        drawn[
+            Transitions.open(tmp_path / f"{k}.csv", kept_moves=6).sample.state[::2]
+        ] += 1
     assert drawn.sum() == 300
-    assert np.sum((drawn - 30) ** 2 / 21) < 25  # chi-square of 9 degrees of freedom: P < .003
+    # chi-square of 9 degrees of freedom: P < .003
+    assert np.sum((drawn - 30) ** 2 / 21) < 25
 
 
 def test_folders_name_columns_as_hive_does(tmp_path):
     for action in range(2):
         (tmp_path / f"action={action}" / "day=1").mkdir(parents=True)
         frame = pd.DataFrame({"state": [0, 1], "next_state": [1, action]})
-        frame.to_parquet(tmp_path / f"action={action}" / "day=1" / "x.parquet", index=False)
+        frame.to_parquet(
+            tmp_path / f"action={action}" / "day=1" / "x.parquet", index=False
+        )
     found = Transitions.open(tmp_path)
     assert_array_equal(found.columns()["action"], [0, 1, 0, 1])
     assert_array_equal(found.next_state, [1, 1, 0, 1])
@@ -140,19 +154,36 @@ def test_folders_name_columns_as_hive_does(tmp_path):
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
 def test_what_is_summed_and_what_is_left_out(tmp_path, ending):
     """By columns that a log does not know, a warning; by rows that break a rule, the first and the number of the others."""
-    columns = {"state": [0, 0, 0, -1, 9, -2], "action": 0, "next_state": 1, "terminated": [0, 0, 1, 0, 0, 0]}
-    frame = pd.DataFrame(columns | {"reward": [1.0, -2.0, 5.0, 0, 0, 0], "battery": 0.7})
+    columns = {
+        "state": [0, 0, 0, -1, 9, -2],
+        "action": 0,
+        "next_state": 1,
+        "terminated": [0, 0, 1, 0, 0, 0],
+    }
+    frame = pd.DataFrame(
+        columns | {"reward": [1.0, -2.0, 5.0, 0, 0, 0], "battery": 0.7}
+    )
     path = tmp_path / f"l{ending}"
     (frame.to_csv if ending == ".csv" else frame.to_parquet)(path, index=False)
     for read in (Transitions.open, Transitions.load):
-        with pytest.raises(ValueError, match=r"state\[3\] must be at least 0; it is -1"):
+        with pytest.raises(
+            ValueError, match=r"state\[3\] must be at least 0; it is -1"
+        ):
             read(path)
     with pytest.warns(UserWarning, match="left out: battery"):
         found = Transitions.open(path, n_states=9, bad_rows="drop")
     (reason,) = found.recording.reasons
-    assert reason.endswith("state[3] must be at least 0; it is -1; 2 other rows break the same rule")
+    assert reason.endswith(
+        "state[3] must be at least 0; it is -1; 2 other rows break the same rule"
+    )
     assert found.recording.dropped == 3
-    sums = {"count": [2, 1], "terminated": [0, 1], "reward_sum": [-1, 5], "reward_min": [-2, 5], "reward_max": [1, 5]}
+    sums = {
+        "count": [2, 1],
+        "terminated": [0, 1],
+        "reward_sum": [-1, 5],
+        "reward_min": [-2, 5],
+        "reward_max": [1, 5],
+    }
     for name, expected in sums.items():
         assert_array_equal(getattr(found, name), expected)
 
@@ -160,13 +191,21 @@ def test_what_is_summed_and_what_is_left_out(tmp_path, ending):
 @pytest.mark.parametrize(
     ("name", "values", "rule"),  # of each, the least and the largest are right
     [
-        ("behavior_probability", ["0.1", "0.1x", "0.9"], r"must be in \[0, 1\]; it is '0\.1x'"),
+        (
+            "behavior_probability",
+            ["0.1", "0.1x", "0.9"],
+            r"must be in \[0, 1\]; it is '0\.1x'",
+        ),
         ("truncated", [0.0, 0.5, 1.0], r"must be a boolean .*; it is 0\.5"),
         ("timestep", [0.0, 0.5, 1.0], r"must be an integer; it is 0\.5"),
     ],
 )
-def test_a_value_between_others_in_parquet_without_episodes(tmp_path, name, values, rule):
-    pd.DataFrame({"state": 0, "action": 0, "next_state": 0, name: values}).to_parquet(tmp_path / "a.parquet")
+def test_a_value_between_others_in_parquet_without_episodes(
+    tmp_path, name, values, rule
+):
+    pd.DataFrame({"state": 0, "action": 0, "next_state": 0, name: values}).to_parquet(
+        tmp_path / "a.parquet"
+    )
     with pytest.raises(ValueError, match=rf"{name}\[1\] {rule}"):
         Transitions.open(tmp_path)
 
@@ -182,8 +221,15 @@ def test_a_parquet_file_without_episodes_is_counted_as_csv_is(tmp_path):
 
 def test_numbers_whose_product_64_bits_do_not_hold(tmp_path):
     large = 2**52
-    rows = [(large, large, large - 1, 1.0), (0, 1, 5, 2.0), (large, large, large - 1, 4.0), (large, large, 5, 8.0)]
-    pd.DataFrame(rows, columns=["state", "action", "next_state", "reward"]).to_csv(tmp_path / "a.csv", index=False)
+    rows = [
+        (large, large, large - 1, 1.0),
+        (0, 1, 5, 2.0),
+        (large, large, large - 1, 4.0),
+        (large, large, 5, 8.0),
+    ]
+    pd.DataFrame(rows, columns=["state", "action", "next_state", "reward"]).to_csv(
+        tmp_path / "a.csv", index=False
+    )
     counts = Transitions.open(tmp_path)
     assert_array_equal(counts.state, [0, large, large])
     assert_array_equal(counts.next_state, [5, 5, large - 1])
@@ -195,10 +241,16 @@ def test_numbers_whose_product_64_bits_do_not_hold(tmp_path):
 
 def frame_of(**changes):
     columns = {
-        "state": [0, 1, 2, 0, 1, 0, 1], "action": [0, 1, 0, 1, 0, 0, 0], "next_state": [1, 2, 3, 1, 2, 1, 2],
-        "reward": [0.0, 0.5, 1.0, -1.0, 0.0, 0.0, 0.0], "terminated": [0, 0, 1, 0, 0, 0, 0], "episode": [5, 5, 5, 6, 6, 7, 7],
-        "timestep": [0, 1, 2, 0, 1, 0, 1], "behavior_probability": [0.5] * 7, "truncated": [0, 0, 0, 0, 1, 0, 1],
-    }  # fmt: skip
+        "state": [0, 1, 2, 0, 1, 0, 1],
+        "action": [0, 1, 0, 1, 0, 0, 0],
+        "next_state": [1, 2, 3, 1, 2, 1, 2],
+        "reward": [0.0, 0.5, 1.0, -1.0, 0.0, 0.0, 0.0],
+        "terminated": [0, 0, 1, 0, 0, 0, 0],
+        "episode": [5, 5, 5, 6, 6, 7, 7],
+        "timestep": [0, 1, 2, 0, 1, 0, 1],
+        "behavior_probability": [0.5] * 7,
+        "truncated": [0, 0, 0, 0, 1, 0, 1],
+    }
     frame = pd.DataFrame(columns)
     for name, (row, value) in changes.items():
         frame[name] = frame[name].astype(object)
@@ -220,7 +272,11 @@ BAD = [  # column, value in row 4, rule
     ("state", None, r"must have a value; it has none"),
     ("episode", None, r"must have a value; it has none"),
     ("episode", 6.5, r"must be an integer; it is 6\.5"),
-    ("state", "x", r"must be an integer; it is 'x' \(names take a simulator that has them"),
+    (
+        "state",
+        "x",
+        r"must be an integer; it is 'x' \(names take a simulator that has them",
+    ),
     ("reward", "much", r"must be finite; it is 'much'"),
     ("truncated", "perhaps", r"must be a boolean"),
     ("episode", "2020-01-01", r"must be an integer; it is '2020-01-01'"),
@@ -234,25 +290,70 @@ def test_bad_rows_are_named_and_refused_or_counted(tmp_path, name, value, rule, 
     if ending == ".csv":
         frame.to_csv(path, index=False)
     else:
-        kind = "Float64" if value is None or isinstance(value, float) else "uint64" if value == 2**63 + 5 else None
-        column = frame[name].map(str) if isinstance(value, str) else pd.array(frame[name].tolist(), dtype=kind)
+        kind = (
+            "Float64"
+            if value is None or isinstance(value, float)
+            else "uint64"
+            if value == 2**63 + 5
+            else None
+        )
+        column = (
+            frame[name].map(str)
+            if isinstance(value, str)
+            else pd.array(frame[name].tolist(), dtype=kind)
+        )
         frame.assign(**{name: column}).to_parquet(path, index=False)
-    frame_of().assign(episode=[1, 1, 1, 2, 2, 3, 3]).to_csv(tmp_path / "a.csv", index=False)
-    with pytest.raises(ValueError, match=rf"'{re.escape(str(path))}': {name}\[4\] {rule}.*bad_rows='drop'"):
+    frame_of().assign(episode=[1, 1, 1, 2, 2, 3, 3]).to_csv(
+        tmp_path / "a.csv", index=False
+    )
+    with pytest.raises(
+        ValueError,
+        match=rf"'{re.escape(str(path))}': {name}\[4\] {rule}.*bad_rows='drop'",
+    ):
         Transitions.open(path, n_states=9, n_actions=4)
-    found = Transitions.open([path, tmp_path / "a.csv"], n_states=9, n_actions=4, bad_rows="drop")
+    found = Transitions.open(
+        [path, tmp_path / "a.csv"], n_states=9, n_actions=4, bad_rows="drop"
+    )
     assert re.search(rule, found.recording.reasons[0])
     n_broken = 1 + (name == "episode")  # without a name it may be the next episode's
-    assert (found.recording.dropped, len(found), found.recording.broken) == (1, 13, n_broken)
-    assert np.diff(found.sample.episode_starts).tolist() == ([3, 3, 2, 2] if name == "episode" else [3, 2, 3, 2, 2])
+    assert (found.recording.dropped, len(found), found.recording.broken) == (
+        1,
+        13,
+        n_broken,
+    )
+    assert np.diff(found.sample.episode_starts).tolist() == (
+        [3, 3, 2, 2] if name == "episode" else [3, 2, 3, 2, 2]
+    )
     assert f"1 invalid rows dropped, {n_broken} episodes broken" in found.describe()
 
 
-LINES = [  # by the line before which they stand, from 0: bad lines; rows dropped, moves, episodes broken, lengths of others
-    ({5: "1,2"}, r"row 4 \(line 6\) must have 9 fields, as the header has; it has 2", [1, 7, 1], [3, 2]),
-    ({5: "1,0,2,0,0,6,1,0.5,1,9"}, r"row 4 \(line 6\) must have 9 fields, .*; it has 10", [1, 7, 1], [3, 2]),
-    ({2: "1,2", 6: "x,0,1,0,0,6,2,0.5,1"}, r"row 1 \(line 3\) must.*\n.*state\[6\] must", [2, 7, 2], [2]),
-    ({2: "1,2\n-4,1,2,0,0,5,1,0.5,0", 8: "7"}, r"row 1 .*\n.*state\[2\] must be .* -4", [3, 7, 2], [2]),
+# by the line before which they stand, from 0: bad lines; rows dropped, moves, episodes
+# broken, lengths of others
+LINES = [
+    (
+        {5: "1,2"},
+        r"row 4 \(line 6\) must have 9 fields, as the header has; it has 2",
+        [1, 7, 1],
+        [3, 2],
+    ),
+    (
+        {5: "1,0,2,0,0,6,1,0.5,1,9"},
+        r"row 4 \(line 6\) must have 9 fields, .*; it has 10",
+        [1, 7, 1],
+        [3, 2],
+    ),
+    (
+        {2: "1,2", 6: "x,0,1,0,0,6,2,0.5,1"},
+        r"row 1 \(line 3\) must.*\n.*state\[6\] must",
+        [2, 7, 2],
+        [2],
+    ),
+    (
+        {2: "1,2\n-4,1,2,0,0,5,1,0.5,0", 8: "7"},
+        r"row 1 .*\n.*state\[2\] must be .* -4",
+        [3, 7, 2],
+        [2],
+    ),
 ]
 
 
@@ -287,15 +388,38 @@ def test_lines_whose_fields_are_as_many_on_the_average(tmp_path, monkeypatch, od
 @pytest.mark.parametrize(
     ("name", "row", "value", "text"),
     [
-        ("timestep", 4, 3, r"timestep\[4\] must be 1 \(steps of an episode in order from 0\); it is 3"),
-        ("state", 4, 0, r"next_state\[3\] must be the state of the next row of its episode, which is 0; it is 1"),
-        ("terminated", 3, 1, r"terminated\[3\] must be False: its episode continues in the next row; it is True"),
+        (
+            "timestep",
+            4,
+            3,
+            r"timestep\[4\] must be 1 \(steps of an episode in order from 0\); it is 3",
+        ),
+        (
+            "state",
+            4,
+            0,
+            (
+                r"next_state\[3\] must be the state of the next row of its episode,"
+                r" which is 0; it is 1"
+            ),
+        ),
+        (
+            "terminated",
+            3,
+            1,
+            (
+                r"terminated\[3\] must be False: its episode continues in the next row;"
+                r" it is True"
+            ),
+        ),
         ("truncated", 3, 1, r"truncated\[3\] must be False"),
     ],
 )
 def test_rows_that_do_not_go_on_with_their_episode(tmp_path, name, row, value, text):
     """Their moves are moves; the episode is none to be sampled."""
-    frame_of(**{name: (row, value)}).infer_objects().to_parquet(tmp_path / "a.parquet", index=False)
+    frame_of(**{name: (row, value)}).infer_objects().to_parquet(
+        tmp_path / "a.parquet", index=False
+    )
     with pytest.raises(ValueError, match=text):
         Transitions.open(tmp_path)
     found = Transitions.open(tmp_path, bad_rows="drop")
@@ -304,19 +428,33 @@ def test_rows_that_do_not_go_on_with_their_episode(tmp_path, name, row, value, t
     assert np.diff(found.sample.episode_starts).tolist() == [3, 2]
 
 
-@given(st.permutations([0, 0, 1, 1, 2, 2]), st.lists(st.integers(-9, 2**40), min_size=3, max_size=3, unique=True))
+@given(
+    st.permutations([0, 0, 1, 1, 2, 2]),
+    st.lists(st.integers(-9, 2**40), min_size=3, max_size=3, unique=True),
+)
 @settings(max_examples=40)
 def test_episodes_stand_together(order, names):
     """Else the first row is named in which one begins again, and of the others alone there may be samples."""
     runs = [name for name, _ in itertools.groupby(order)]
-    columns = {"state": [0] * 6, "action": 0, "next_state": 0, "episode": [names[k] for k in order]}
+    columns = {
+        "state": [0] * 6,
+        "action": 0,
+        "next_state": 0,
+        "episode": [names[k] for k in order],
+    }
     with tempfile.TemporaryDirectory() as folder:
         path = f"{folder}/a.csv"
         pd.DataFrame(columns).to_csv(path, index=False)
         found = Transitions.open(path, bad_rows="drop")
-        again = next((k for k in range(6) if order[k] in order[:k] and order[k] != order[k - 1]), None)
+        again = next(
+            (k for k in range(6) if order[k] in order[:k] and order[k] != order[k - 1]),
+            None,
+        )
         if again is not None:
-            words = rf"keep the rows .* together; {names[order[again]]} begins again in row {again}"
+            words = (
+                rf"keep the rows .* together; {names[order[again]]} begins again in row"
+                rf" {again}"
+            )
             with pytest.raises(ValueError, match=words):
                 Transitions.open(path)
             assert re.search(words, found.recording.reasons[0])
@@ -336,8 +474,14 @@ def test_files_that_are_none_are_named(tmp_path):
         with pytest.raises(FileNotFoundError):
             Transitions.open(path)
     for path, text in (
-        (tmp_path / "empty", r"path must hold files in \.csv, .*; the folder .*empty' has none"),
-        ([folder, folder / "part-0.parquet"], r"path must name each file once; .*part-0.parquet' is named twice"),
+        (
+            tmp_path / "empty",
+            r"path must hold files in \.csv, .*; the folder .*empty' has none",
+        ),
+        (
+            [folder, folder / "part-0.parquet"],
+            r"path must name each file once; .*part-0.parquet' is named twice",
+        ),
         ([], "path must name files"),
         (tmp_path / "x.txt", r"path must end in .*x\.txt"),
         ("s3://bucket/log.parquet", "nothing is fetched"),
@@ -345,10 +489,16 @@ def test_files_that_are_none_are_named(tmp_path):
         with pytest.raises(ValueError, match=text):
             Transitions.open(path)
     for frame, text in (
-        (plain.drop(columns="action"), r"part-2\.parquet' must have the columns state, action, next_state; it has"),
+        (
+            plain.drop(columns="action"),
+            r"part-2\.parquet' must have the columns state, action, next_state; it has",
+        ),
         (
             plain.drop(columns="truncated"),
-            r"same columns; .*part-0\.parquet' has 'truncated', and .*part-2\.parquet' does not",
+            (
+                r"same columns; .*part-0\.parquet' has 'truncated', and"
+                r" .*part-2\.parquet' does not"
+            ),
         ),
     ):
         frame.to_parquet(folder / "part-2.parquet", index=False)
@@ -362,7 +512,10 @@ def test_files_that_are_none_are_named(tmp_path):
 def test_processes_give_the_same_bytes(tmp_path):
     folder = written(tmp_path / "a")
     serial = Transitions.open(folder, kept_moves=100, output=tmp_path / "serial.npz")
-    same(serial, Transitions.open(folder, kept_moves=100, jobs=2, output=tmp_path / "two.npz"))
+    same(
+        serial,
+        Transitions.open(folder, kept_moves=100, jobs=2, output=tmp_path / "two.npz"),
+    )
     assert (tmp_path / "serial.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
 
 
@@ -370,7 +523,11 @@ def test_a_dask_cluster_gives_the_same_bits(tmp_path):
     distributed = pytest.importorskip("distributed")
     folder = written(tmp_path / "a")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=":0",
+        silence_logs=50,
     ) as cluster:
         found = Transitions.open(folder, dask=cluster.scheduler_address)
     same(found, Transitions.open(folder))
@@ -379,7 +536,9 @@ def test_a_dask_cluster_gives_the_same_bits(tmp_path):
 def test_a_scheduler_that_does_not_answer(tmp_path):
     pytest.importorskip("distributed")
     start = time.perf_counter()
-    with pytest.raises(OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"):
+    with pytest.raises(
+        OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"
+    ):
         Transitions.open(written(tmp_path / "a", number=1), dask="tcp://127.0.0.1:9")
     assert time.perf_counter() - start < 15
 
@@ -410,7 +569,9 @@ Transitions.open(sys.argv[1], output=sys.argv[2])
 def test_a_count_that_is_killed_leaves_nothing_under_its_name(tmp_path):
     folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
     with subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(folder), str(output)], stdout=subprocess.PIPE, env=dict(os.environ)
+        [sys.executable, "-c", KILLED, str(folder), str(output)],
+        stdout=subprocess.PIPE,
+        env=dict(os.environ),
     ) as process:
         assert process.stdout.readline() == b"here\n"
         process.kill()

@@ -36,13 +36,19 @@ def test_what_is_not_given_is_filled_in():
 @given(rngs)
 def test_counts_count(rng):
     n = int(rng.integers(1, 200))
-    state, action, following = rng.integers(0, 5, n), rng.integers(0, 3, n), rng.integers(0, 5, n)
+    state, action, following = (
+        rng.integers(0, 5, n),
+        rng.integers(0, 3, n),
+        rng.integers(0, 5, n),
+    )
     timestep = rng.integers(0, 9, n)
     log = Transitions(state, action, following, timestep=timestep)
     for discount, weights in ((None, np.ones(n)), (0.5, 0.5**timestep)):
         expected = np.zeros((15, 5))
         np.add.at(expected, (state * 3 + action, following), weights)
-        assert_allclose(log.counts(5, 3, discount=discount).toarray(), expected, rtol=1e-12)
+        assert_allclose(
+            log.counts(5, 3, discount=discount).toarray(), expected, rtol=1e-12
+        )
 
 
 def test_it_is_immutable():
@@ -54,7 +60,9 @@ def test_it_is_immutable():
 
 
 GRID = oee.tasks.gridworld(4, 0.1)
-LOGS = [oee.sample_episodes(GRID, oee.uniform_policy(GRID), k, 50, seed=k) for k in (2, 3)]
+LOGS = [
+    oee.sample_episodes(GRID, oee.uniform_policy(GRID), k, 50, seed=k) for k in (2, 3)
+]
 
 
 def test_drawing_is_without_replacement_and_reproducible():
@@ -65,14 +73,18 @@ def test_drawing_is_without_replacement_and_reproducible():
     whole = log.draw(len(log), seed=1)
     assert_array_equal(whole.counts(16, 4).toarray(), log.counts(16, 4).toarray())
     assert_array_equal(np.sort(whole.timestep), np.sort(log.timestep))
-    assert_array_equal(np.sort(whole.behavior_probability), np.sort(log.behavior_probability))
+    assert_array_equal(
+        np.sort(whole.behavior_probability), np.sort(log.behavior_probability)
+    )
 
 
 def test_logs_are_joined_in_order():
     both = Transitions.concatenate(LOGS)
     for name, column in both.columns().items():
         parts = [getattr(log, name) for log in LOGS]
-        assert_array_equal(column, np.concatenate([parts[0], parts[1] + 2 * (name == "episode")]))
+        assert_array_equal(
+            column, np.concatenate([parts[0], parts[1] + 2 * (name == "episode")])
+        )
     assert Transitions.concatenate([LOGS[0], LOGS[1].draw(4, seed=0)]).episode is None
 
 
@@ -86,9 +98,10 @@ def test_rows_by_their_numbers_by_a_mask_and_from_the_first():
 
 
 def test_it_prints_as_a_summary():
-    assert repr(small_log()) == (
-        "Transitions(4 transitions in 2 episodes of 1 to 3 steps: 1 terminated, 1 truncated; states 0..3, actions 0..1; "
-        "rewards -1 to 1)"
+    assert (
+        repr(small_log())
+        == "Transitions(4 transitions in 2 episodes of 1 to 3 steps: 1 terminated, 1"
+        " truncated; states 0..3, actions 0..1; rewards -1 to 1)"
     )
     assert small_log().summary()["state_action_pairs_seen"] == 4
 
@@ -100,5 +113,7 @@ def test_distinct_transitions_are_counted_whatever_the_numbers(largest, rng):
     state, action, following = (rng.choice([0, 1, 3, largest], n) for _ in range(3))
     facts = Transitions(state, action, following).summary()
     assert facts["states_seen"] == len({*state.tolist(), *following.tolist()})
-    assert facts["state_action_pairs_seen"] == len({*zip(state.tolist(), action.tolist(), strict=True)})
+    assert facts["state_action_pairs_seen"] == len(
+        {*zip(state.tolist(), action.tolist(), strict=True)}
+    )
     assert facts["largest_state"] == max(state.max(), following.max())

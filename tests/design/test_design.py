@@ -38,7 +38,12 @@ def variances(plan, q):
     """Of each policy, after the plan's n transitions distributed as q (S, A)."""
     total = plan.counts + plan.n * q
     with np.errstate(divide="ignore"):
-        return np.array([np.divide(c, total, out=np.zeros_like(c), where=c > 0).sum() for c in plan.costs.values()])
+        return np.array(
+            [
+                np.divide(c, total, out=np.zeros_like(c), where=c > 0).sum()
+                for c in plan.costs.values()
+            ]
+        )
 
 
 def inefficiency(plan, q):
@@ -50,7 +55,9 @@ def inefficiency(plan, q):
 def deterministic_chain():
     """0 -> 1 -> 2 by action 0, action 1 stays; 2 is the end; state 0 pays -1, state 1 pays -2."""
     transitions = np.zeros((3, 2, 3))
-    transitions[0, 0, 1] = transitions[1, 0, 2] = transitions[0, 1, 0] = transitions[1, 1, 1] = transitions[2, :, 2] = 1
+    transitions[0, 0, 1] = transitions[1, 0, 2] = transitions[0, 1, 0] = transitions[
+        1, 1, 1
+    ] = transitions[2, :, 2] = 1
     return FiniteMDP(transitions, [-1.0, -2.0, 0.0], [1.0, 0.0, 0.0], 0.9)
 
 
@@ -61,17 +68,27 @@ def test_deterministic_rows_have_an_optimistic_cost():
     plan = plan_data_collection(chain, ahead, n=100)
     assert plan.optimistic.tolist() == [[True, True], [True, True], [False, False]]
     assert_allclose(plan.costs["policy"][0], [81 * 0.1**2 * 0.8**2 / 4, 0.0], rtol=1e-9)
-    assert_allclose(plan.costs["policy"][1], [81 * 0.09**2 * 2.0**2 / 4, 0.0], rtol=1e-9)
+    assert_allclose(
+        plan.costs["policy"][1], [81 * 0.09**2 * 2.0**2 / 4, 0.0], rtol=1e-9
+    )
     assert_allclose(plan.distribution[:2, 0], np.array([0.8, 1.8]) / 2.6, rtol=1e-9)
     assert "worst variance assumed" in str(plan)
     without = plan_data_collection(chain, ahead, n=100, optimistic=False)
     assert without.status.startswith("nothing to learn")
     assert without.expected_width == (0.0, 0.0)
     assert without.next_pairs == ()
-    assert plan_data_collection(chain, ahead, n=9, sampling="behavior", optimistic=False).distribution[2].sum() == 0
-    # R(. | 0, 0) = 0.975 on state 1 (the mean of both actions gives 0.05 / 2), 0.075 on state 0; at most 2 R
+    assert (
+        plan_data_collection(chain, ahead, n=9, sampling="behavior", optimistic=False)
+        .distribution[2]
+        .sum()
+        == 0
+    )
+    # R(. | 0, 0) = 0.975 on state 1 (the mean of both actions gives 0.05 / 2), 0.075 on
+    # state 0; at most 2 R
     boxed = plan_data_collection(chain, ahead, n=100, upper_ratio=2.0, lower_ratio=0.5)
-    assert_allclose(boxed.costs["policy"][0, 0], 81 * 0.1**2 * 0.8**2 * 0.15 * 0.85, rtol=1e-9)
+    assert_allclose(
+        boxed.costs["policy"][0, 0], 81 * 0.1**2 * 0.8**2 * 0.15 * 0.85, rtol=1e-9
+    )
 
 
 def test_optimism_fades_with_observations():
@@ -82,13 +99,25 @@ def test_optimism_fades_with_observations():
         counts[0, 0] = number
         plan = plan_data_collection(Problem(chain, log_of(chain, counts)), ahead, n=50)
         surprise = min(0.5, 1 - 0.05 ** (1 / number))
-        assert_allclose(plan.costs["policy"][0, 0], 0.81 * 0.8**2 * surprise * (1 - surprise), rtol=1e-9)
+        assert_allclose(
+            plan.costs["policy"][0, 0],
+            0.81 * 0.8**2 * surprise * (1 - surprise),
+            rtol=1e-9,
+        )
         assert plan.costs["policy"][0, 0] < previous
         previous = plan.costs["policy"][0, 0]
     assert plan.distribution[0, 0] == 0.0
     # at least R / 2 = 0.0375 on state 0, however often it was not seen
-    boxed = plan_data_collection(Problem(chain, log_of(chain, counts)), ahead, n=50, lower_ratio=0.5, upper_ratio=2.0)
-    assert_allclose(boxed.costs["policy"][0, 0], 0.81 * 0.8**2 * 0.0375 * 0.9625, rtol=1e-9)
+    boxed = plan_data_collection(
+        Problem(chain, log_of(chain, counts)),
+        ahead,
+        n=50,
+        lower_ratio=0.5,
+        upper_ratio=2.0,
+    )
+    assert_allclose(
+        boxed.costs["policy"][0, 0], 0.81 * 0.8**2 * 0.0375 * 0.9625, rtol=1e-9
+    )
 
 
 def test_rewards_of_transitions_that_the_simulator_lacks():
@@ -97,10 +126,16 @@ def test_rewards_of_transitions_that_the_simulator_lacks():
     transitions[0, 0, 1] = transitions[0, 1, 2] = 1.0
     transitions[1:, :, :] = np.eye(3)[1:, None, :]
     rewards = np.full((3, 2, 3), np.nan)
-    rewards[0, 0, 1], rewards[0, 1, 2], rewards[1, :, 1], rewards[2, :, 2] = 1.0, 5.0, 0.0, 0.0
+    rewards[0, 0, 1], rewards[0, 1, 2], rewards[1, :, 1], rewards[2, :, 2] = (
+        1.0,
+        5.0,
+        0.0,
+        0.0,
+    )
     chain = FiniteMDP(transitions, rewards, [1.0, 0.0, 0.0], 0.5)
     plan = plan_data_collection(chain, np.array([[1.0, 0.0]] * 3), n=5)
-    # G = r + gamma V: 1 for the own move, 5 for the other action's, 1 + 0.5 * 1 for staying
+    # G = r + gamma V: 1 for the own move, 5 for the other action's, 1 + 0.5 * 1 for
+    # staying
     assert_allclose(plan.costs["policy"][0], [(5.0 - 1.0) ** 2 / 4, 0.0])
 
 
@@ -112,7 +147,10 @@ def test_a_value_that_no_transition_changes_needs_none(pay):
     log = oee.Transitions([0, 0, 0, 1, 2], [0, 0, 0, 1, 1], [1, 2, 2, 0, 1])
     problem = oee.Problem(simulator, log, horizon=1)
     policy = np.full((3, 2), 0.5)
-    assert oee.plan_data_collection(problem, policy, n=5).advice == "More transitions would not narrow it."
+    assert (
+        oee.plan_data_collection(problem, policy, n=5).advice
+        == "More transitions would not narrow it."
+    )
 
 
 @given(rngs)
@@ -122,9 +160,13 @@ def test_a_report_and_a_plan_give_one_piece_of_advice(rng):
     policies = {name: random_policy(rng, simulator) for name in "ab"}
     share = np.full((simulator.n_states, simulator.n_actions), 1.0)
     share[0, 0] = 0.0 if share.size > 1 else 1.0
-    log = oee.sample_transitions(simulator, share / share.sum(), int(rng.integers(1, 200)), seed=1)
+    log = oee.sample_transitions(
+        simulator, share / share.sum(), int(rng.integers(1, 200)), seed=1
+    )
     problem = oee.Problem(simulator, log)
-    said = oee.evaluate(problem, policies, estimators=["simulator"], quick=True).uncertainty.next
+    said = oee.evaluate(
+        problem, policies, estimators=["simulator"], quick=True
+    ).uncertainty.next
     for sampling in ("free", "behavior"):
         plan = oee.plan_data_collection(problem, policies, n=50, sampling=sampling)
         assert plan.advice == said
@@ -140,11 +182,18 @@ def test_every_plan_keeps_its_certificate(rng):
     counts = rng.integers(0, 3, (mdp.n_states, mdp.n_actions))
     known = Problem(mdp, log_of(mdp, counts)) if counts.any() else mdp
     world = collection_mdp(mdp, 1 - mdp.discount)
-    behaviors = [oee.uniform_policy(mdp), *policies.values(), *(random_policy(rng, mdp) for _ in range(4))]
+    behaviors = [
+        oee.uniform_policy(mdp),
+        *policies.values(),
+        *(random_policy(rng, mdp) for _ in range(4)),
+    ]
     others = [oee.occupancy(world, pi) for pi in behaviors]
     for sampling in ("free", "behavior"):
         options = {"n": 30, "sampling": sampling, "model": "simulator"}
-        plans = [plan_data_collection(known, policies, solver=x, **options) for x in ("auto", "CLARABEL")]
+        plans = [
+            plan_data_collection(known, policies, solver=x, **options)
+            for x in ("auto", "CLARABEL")
+        ]
         assert plans[0].gap < 1e-3
         if plans[0].status.startswith("nothing"):
             continue
@@ -152,10 +201,18 @@ def test_every_plan_keeps_its_certificate(rng):
         uniform = [np.full(counts.shape, 1 / counts.size)] if sampling == "free" else []
         for plan in plans:
             assert_allclose(plan.distribution.sum(), 1.0, rtol=1e-9)
-            assert_allclose(variances(plan, plan.distribution), [o.variance_after for o in plan.policies], rtol=1e-9)
-            assert plan.inefficiency == pytest.approx(inefficiency(plan, plan.distribution), rel=1e-9)
+            assert_allclose(
+                variances(plan, plan.distribution),
+                [o.variance_after for o in plan.policies],
+                rtol=1e-9,
+            )
+            assert plan.inefficiency == pytest.approx(
+                inefficiency(plan, plan.distribution), rel=1e-9
+            )
             for q in (*others, *uniform):
-                assert plan.inefficiency * (1 - plan.gap) <= inefficiency(plan, q) * (1 + 1e-9)
+                assert plan.inefficiency * (1 - plan.gap) <= inefficiency(plan, q) * (
+                    1 + 1e-9
+                )
 
 
 def test_sequential_use():
@@ -165,10 +222,20 @@ def test_sequential_use():
     second = plan_data_collection(problem, POLICY, n=4000, model="simulator")
     assert second.unrecorded == 0
     assert_allclose(second.expected_width[0], first.expected_width[1], rtol=1e-3)
-    assert_allclose(second.expected_width[1], first.expected_width[1] / np.sqrt(2), rtol=1e-3)
+    assert_allclose(
+        second.expected_width[1], first.expected_width[1] / np.sqrt(2), rtol=1e-3
+    )
     assert_allclose(second.distribution, first.distribution, atol=1e-3)
-    assert_allclose(second.after(4000)["policy"].variance_after, second.policies[0].variance_after, rtol=1e-12)
-    assert_allclose(second.after(16_000)["policy"].width[1], second.expected_width[0] / np.sqrt(5), rtol=1e-3)
+    assert_allclose(
+        second.after(4000)["policy"].variance_after,
+        second.policies[0].variance_after,
+        rtol=1e-12,
+    )
+    assert_allclose(
+        second.after(16_000)["policy"].width[1],
+        second.expected_width[0] / np.sqrt(5),
+        rtol=1e-3,
+    )
     three = plan_data_collection(problem, THREE, n=4000, sampling="behavior")
     assert three.gap < 0.01
     assert three.model == "the estimate from the log"
@@ -200,7 +267,9 @@ def test_a_state_that_only_the_model_never_leaves():
     rows[6] = 0.0
     rows[6, :, 6] = 1.0
     rows[24] = np.eye(25)[24]
-    wide = SIMULATOR.with_transitions(0.5 * rows + 0.5 * SIMULATOR.transitions.toarray().reshape(25, 4, 25))
+    wide = SIMULATOR.with_transitions(
+        0.5 * rows + 0.5 * SIMULATOR.transitions.toarray().reshape(25, 4, 25)
+    )
     stuck = SIMULATOR.with_transitions(rows)
     plan = plan_data_collection(wide, POLICY, n=50, sampling="behavior", model=stuck)
     assert plan.optimistic[6].all()
@@ -209,13 +278,21 @@ def test_a_state_that_only_the_model_never_leaves():
     assert plan.gap < 0.01
 
 
-# ---- plans of data collection by own programs on three states: the cost of a row, the best shares, the errors foretold
-pytestmark = pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")  # SLSQP of older scipy
+# ---- plans of data collection by own programs on three states: the cost of a row, the
+# best shares, the errors foretold SLSQP of older scipy
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Values in x were outside bounds:RuntimeWarning"
+)
 
 
 def three(seed=0):
     rng = np.random.default_rng(seed)
-    simulator = oee.FiniteMDP(rng.dirichlet(np.ones(3), size=(3, 2)), rng.normal(size=(3, 2)), [0.5, 0.3, 0.2], 0.8)
+    simulator = oee.FiniteMDP(
+        rng.dirichlet(np.ones(3), size=(3, 2)),
+        rng.normal(size=(3, 2)),
+        [0.5, 0.3, 0.2],
+        0.8,
+    )
     policies = {name: rng.dirichlet([2.0, 2.0], size=3) for name in ("one", "two")}
     return simulator, policies
 
@@ -229,19 +306,35 @@ def costs_of(base, policy, horizon=None):
 def best_shares(costs, before, n, flow=None):
     """argmin over q of max_k sum c_k / (before + n q) / least_k, q a distribution, with flow(q) = 0 where given."""
     size = before.size
-    rules = [{"type": "eq", "fun": lambda q: q.sum() - 1.0}] if flow is None else [{"type": "eq", "fun": flow}]
+    rules = (
+        [{"type": "eq", "fun": lambda q: q.sum() - 1.0}]
+        if flow is None
+        else [{"type": "eq", "fun": flow}]
+    )
 
     def solve(list_of_costs, least):
         ends = [
-            {"type": "ineq", "fun": lambda x, c=c, v=v: x[-1] - (c / (before + n * np.maximum(x[:-1], 1e-9))).sum() / v}
+            {
+                "type": "ineq",
+                "fun": lambda x, c=c, v=v: (
+                    x[-1] - (c / (before + n * np.maximum(x[:-1], 1e-9))).sum() / v
+                ),
+            }
             for c, v in zip(list_of_costs, least, strict=True)
         ]
-        whole = [{"type": "eq", "fun": lambda x, rule=rule: rule["fun"](x[:-1])} for rule in rules]
+        whole = [
+            {"type": "eq", "fun": lambda x, rule=rule: rule["fun"](x[:-1])}
+            for rule in rules
+        ]
         start = np.append(np.full(size, 1 / size), 5.0)
         found = optimize.minimize(
-            lambda x: x[-1], start, method="SLSQP", bounds=[(1e-9, 1)] * size + [(0, None)],
-            constraints=[*ends, *whole], options={"ftol": 1e-13, "maxiter": 2000},
-        )  # fmt: skip
+            lambda x: x[-1],
+            start,
+            method="SLSQP",
+            bounds=[(1e-9, 1)] * size + [(0, None)],
+            constraints=[*ends, *whole],
+            options={"ftol": 1e-13, "maxiter": 2000},
+        )
         return found.x[:-1], found.x[-1]
 
     def scale(c):
@@ -256,7 +349,11 @@ def collected(base, restart):
 
     def flow(q):
         q = q.reshape(base.P.shape[:2])
-        return q.sum(axis=1) - restart * base.mu - (1 - restart) * np.einsum("sa,sat->t", q, base.P)
+        return (
+            q.sum(axis=1)
+            - restart * base.mu
+            - (1 - restart) * np.einsum("sa,sat->t", q, base.P)
+        )
 
     return flow
 
@@ -264,7 +361,13 @@ def collected(base, restart):
 @pytest.mark.parametrize("sampling", ["free", "behavior"])
 @pytest.mark.parametrize(
     ("counts", "number", "solver"),
-    [(0, 1, "frank_wolfe"), (40, 1, "frank_wolfe"), (0, 2, "frank_wolfe"), (40, 2, "frank_wolfe"), (0, 2, "CLARABEL")],
+    [
+        (0, 1, "frank_wolfe"),
+        (40, 1, "frank_wolfe"),
+        (0, 2, "frank_wolfe"),
+        (40, 2, "frank_wolfe"),
+        (0, 2, "CLARABEL"),
+    ],
 )
 def test_a_plan_is_the_least_of_its_own_program(sampling, counts, number, solver):
     simulator, policies = three()
@@ -272,10 +375,14 @@ def test_a_plan_is_the_least_of_its_own_program(sampling, counts, number, solver
     base, n = Dense(simulator), 200
     given, before = simulator, np.zeros(6)
     if counts:
-        log = oee.sample_transitions(simulator, [[0.5, 0.1], [0.1, 0.1], [0.1, 0.1]], counts, seed=0)
+        log = oee.sample_transitions(
+            simulator, [[0.5, 0.1], [0.1, 0.1], [0.1, 0.1]], counts, seed=0
+        )
         given = oee.Problem(simulator, log)
         np.add.at(before, log.state * 2 + log.action, 1.0)
-    plan = oee.plan_data_collection(given, policies, n=n, sampling=sampling, model="simulator", solver=solver)
+    plan = oee.plan_data_collection(
+        given, policies, n=n, sampling=sampling, model="simulator", solver=solver
+    )
     costs = [costs_of(base, policy).reshape(-1) for policy in policies.values()]
     for name, own in zip(policies, costs, strict=True):
         assert_allclose(plan.costs[name].reshape(-1), own, rtol=1e-9)
@@ -296,7 +403,9 @@ def test_a_plan_is_the_least_of_its_own_program(sampling, counts, number, solver
         assert_allclose(outlook.variance_now, now, rtol=1e-9)
         free = best_shares([own], before, n)[2][0]
         assert_allclose(outlook.free_inefficiency, after / free, rtol=3e-3)
-        assert_allclose(outlook.width[1], 2 * 1.959963984540054 * np.sqrt(after), rtol=1e-6)
+        assert_allclose(
+            outlook.width[1], 2 * 1.959963984540054 * np.sqrt(after), rtol=1e-6
+        )
         later = plan.after(1000)[outlook.name].variance_after
         assert_allclose(later, (own / (before + 1000 * q)).sum(), rtol=1e-6)
 
@@ -305,16 +414,27 @@ def test_a_plan_is_the_least_of_its_own_program(sampling, counts, number, solver
 def test_over_a_horizon_the_sum_over_time_stands_inside_the_variance(discount):
     simulator, policies = three(2)
     simulator = simulator.with_discount(discount)
-    plan = oee.plan_data_collection(simulator, policies["one"], n=50, horizon=4, model="simulator")
+    plan = oee.plan_data_collection(
+        simulator, policies["one"], n=50, horizon=4, model="simulator"
+    )
     own = costs_of(Dense(simulator), policies["one"], 4)
     assert_allclose(plan.costs["policy"], own, rtol=1e-9)
-    assert_allclose(plan.expected_standard_error[1], np.sqrt(own).sum() / np.sqrt(50), rtol=1e-9)  # Neyman's
+    # Neyman's
+    assert_allclose(
+        plan.expected_standard_error[1], np.sqrt(own).sum() / np.sqrt(50), rtol=1e-9
+    )
     assert plan.allocation.sum() == 50
     assert (plan.allocation >= np.floor(50 * plan.distribution)).all()
     planned = oee.plan_data_collection(
-        simulator, policies["one"], n=50, horizon=4, model="simulator", sampling="behavior"
+        simulator,
+        policies["one"],
+        n=50,
+        horizon=4,
+        model="simulator",
+        sampling="behavior",
     )
-    assert_allclose(planned.restart, 0.25 if discount == 1.0 else 0.2)  # 1 / T, or 1 - discount
+    # 1 / T, or 1 - discount
+    assert_allclose(planned.restart, 0.25 if discount == 1.0 else 0.2)
 
 
 @given(rngs)
@@ -322,11 +442,14 @@ def test_over_a_horizon_the_sum_over_time_stands_inside_the_variance(discount):
 def test_a_bound_by_lagrange_holds_at_any_multipliers(rng):
     mdp = random_mdp(rng)
     world, n_pairs = collection_mdp(mdp, 0.3), mdp.n_states * mdp.n_actions
-    program = programs.Program(rng.uniform(0, 1, (2, n_pairs)), np.full(n_pairs, 0.1), world)
+    program = programs.Program(
+        rng.uniform(0, 1, (2, n_pairs)), np.full(n_pairs, 0.1), world
+    )
     flow, right = program.equations()
     v, share = rng.normal(size=mdp.n_states), rng.uniform()
     prices = flow.T @ v
-    program.costs[:, prices.argmin()] = 0.0  # where it is free to record there is nothing to learn
+    # where it is free to record there is nothing to learn
+    program.costs[:, prices.argmin()] = 0.0
     bound = program.lower_bound(np.array([share, 1 - share]), prices, float(right @ v))
     q = oee.occupancy(world, random_policy(rng, mdp)).reshape(-1)
     assert bound <= programs.sum_variances(program.costs, program.base, q).max() + 1e-9
@@ -335,15 +458,29 @@ def test_a_bound_by_lagrange_holds_at_any_multipliers(rng):
 @pytest.mark.parametrize(("lower", "upper"), [(0.5, 2.0), (0.0, 1.05), (0.9, 4.0)])
 def test_a_row_without_spread_costs_its_largest_plausible_variance(lower, upper):
     """By brute force over the corners of the box and the edges between them."""
-    P = np.array([[[1.0, 0.0, 0.0], [0.2, 0.5, 0.3]], [[0.0, 1.0, 0.0], [0.3, 0.3, 0.4]], [[0.5, 0.0, 0.5]] * 2])
+    P = np.array(
+        [
+            [[1.0, 0.0, 0.0], [0.2, 0.5, 0.3]],
+            [[0.0, 1.0, 0.0], [0.3, 0.3, 0.4]],
+            [[0.5, 0.0, 0.5]] * 2,
+        ]
+    )
     simulator = oee.FiniteMDP(P, np.array([0.0, 1.0, -2.0]), [0.4, 0.3, 0.3], 0.8)
     policy = np.full((3, 2), 0.5)
-    plan = oee.plan_data_collection(simulator, policy, n=100, model="simulator", lower_ratio=lower, upper_ratio=upper)
+    plan = oee.plan_data_collection(
+        simulator,
+        policy,
+        n=100,
+        model="simulator",
+        lower_ratio=lower,
+        upper_ratio=upper,
+    )
     slope = Dense(simulator).slope(policy)
     for s in (0, 1):
         R = 0.9 * P[s, 0] + 0.05 * P[s].mean(axis=0) + 0.05 * np.eye(3)[s]
         low, high = lower * R, np.minimum(upper * R, 1.0)
-        best, order = 0.0, np.argsort(high - low)  # the widest entry is what the other two leave
+        # the widest entry is what the other two leave
+        best, order = 0.0, np.argsort(high - low)
         low, high, g = low[order], high[order], slope[s, 0][order]
         for x in np.linspace(low[0], high[0], 401):
             least, most = max(low[1], 1 - x - high[2]), min(high[1], 1 - x - low[2])
@@ -365,7 +502,13 @@ def test_a_behaviour_plan_where_episodes_end(costs_a_move):
     simulator = oee.FiniteMDP(P, np.array([1.0, -1.0, 0.0]), [0.6, 0.4, 0.0], 0.8)
     policy, n = np.array([[0.7, 0.3], [0.2, 0.8], [0.5, 0.5]]), 100
     plan = oee.plan_data_collection(
-        simulator, policy, n=n, sampling="behavior", model="simulator", restart=0.3, restart_costs_a_move=costs_a_move
+        simulator,
+        policy,
+        n=n,
+        sampling="behavior",
+        model="simulator",
+        restart=0.3,
+        restart_costs_a_move=costs_a_move,
     )
     base = Dense(simulator)
     own = costs_of(base, policy).reshape(-1)
@@ -390,15 +533,23 @@ def test_a_behaviour_plan_where_episodes_end(costs_a_move):
 
 def test_the_next_pairs_are_the_largest_falls_one_after_another():
     simulator, policies = three(3)
-    log = oee.sample_transitions(simulator, [[0.5, 0.1], [0.2, 0.1], [0.1, 0.0]], 30, seed=0)
-    plan = oee.plan_data_collection(oee.Problem(simulator, log), policies["one"], n=8, model="simulator")
+    log = oee.sample_transitions(
+        simulator, [[0.5, 0.1], [0.2, 0.1], [0.1, 0.0]], 30, seed=0
+    )
+    plan = oee.plan_data_collection(
+        oee.Problem(simulator, log), policies["one"], n=8, model="simulator"
+    )
     cost, counts = costs_of(Dense(simulator), policies["one"]), np.zeros((3, 2))
     np.add.at(counts, (log.state, log.action), 1.0)
     own, z = [], 1.959963984540054
     for _ in range(8):
         error = np.sqrt(sum(cost[x] / counts[x] for x in np.ndindex(3, 2) if counts[x]))
         falls = {
-            x: z * cost[x] / counts[x] / (counts[x] + 1) / error if counts[x] else 2 * z * np.sqrt(cost[x])
+            x: (
+                z * cost[x] / counts[x] / (counts[x] + 1) / error
+                if counts[x]
+                else 2 * z * np.sqrt(cost[x])
+            )
             for x in np.ndindex(3, 2)
         }
         own.append(max(falls, key=falls.get))

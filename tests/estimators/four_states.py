@@ -34,16 +34,28 @@ def plain_episodes(log):
     """[(s, a, s', r), ...] of each episode, and whether it is over at its end."""
     starts = log.episode_starts
     return [
-        (list(zip(log.state[i:j], log.action[i:j], log.next_state[i:j], log.reward[i:j], strict=True)),
-         bool(log.terminated[j - 1] or log.next_state[j - 1] == 3))
+        (
+            list(
+                zip(
+                    log.state[i:j],
+                    log.action[i:j],
+                    log.next_state[i:j],
+                    log.reward[i:j],
+                    strict=True,
+                )
+            ),
+            bool(log.terminated[j - 1] or log.next_state[j - 1] == 3),
+        )
         for i, j in zip(starts[:-1], starts[1:], strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def reweighted_zeta(simulator, target, factor):
     """A TransitionRatio whose rows sum to ``factor``."""
     true = oee.true_ratio(target, simulator)
-    return oee.TransitionRatio(true.values * factor, "given", 0.0, true.visited, abs(factor - 1.0), true.counts)
+    return oee.TransitionRatio(
+        true.values * factor, "given", 0.0, true.visited, abs(factor - 1.0), true.counts
+    )
 
 
 SIMULATOR, TARGET = environments()

@@ -16,7 +16,13 @@ from numpy.testing import assert_allclose
 
 import oee_tabular as oee
 from oee_tabular import Problem, Transitions, exact
-from oee_tabular.estimators import DoublyRobust, DualDice, Magic, Marginalized, ModelBased
+from oee_tabular.estimators import (
+    DoublyRobust,
+    DualDice,
+    Magic,
+    Marginalized,
+    ModelBased,
+)
 
 
 @pytest.mark.parametrize("form", [2, 3])
@@ -28,7 +34,9 @@ def test_doubly_robust_on_transitions_row_by_row(form, horizon, weights):
     simulator = problem.simulator
     zeta = reweighted_zeta(simulator, target, 1.0)
     where = exact.reweight(simulator, zeta) if weights == "occupancy" else simulator
-    gradient = exact.transition_gradient(where, POLICY, horizon=horizon, values_of=simulator)
+    gradient = exact.transition_gradient(
+        where, POLICY, horizon=horizon, values_of=simulator
+    )
     table = np.zeros((8, 4))
     stored = simulator.transitions.tocoo()
     table[stored.coords] = gradient
@@ -44,15 +52,21 @@ def test_doubly_robust_on_transitions_row_by_row(form, horizon, weights):
     assert_allclose(found.value, value, rtol=1e-10)
     assert_allclose(found.standard_error, np.sqrt(variance), rtol=1e-10)
     facts = found.diagnostics
-    assert_allclose(facts["simulator_value"], oee.policy_value(simulator, POLICY, horizon=horizon))
+    assert_allclose(
+        facts["simulator_value"], oee.policy_value(simulator, POLICY, horizon=horizon)
+    )
     time = oee.occupancy(where, POLICY, horizon=horizon).copy()
     time[3] = 0.0  # it is over there: nothing to learn
     seen = n.reshape(4, 2) > 0
     share = time[seen].sum() / time.sum()
-    assert_allclose((facts["coverage"], facts["unrecorded_share"]), (share, 1 - share), atol=1e-12)
+    assert_allclose(
+        (facts["coverage"], facts["unrecorded_share"]), (share, 1 - share), atol=1e-12
+    )
     size = time[seen].sum() ** 2 / (time[seen] ** 2 / n.reshape(4, 2)[seen]).sum()
     assert_allclose(facts["effective_sample_size"], size)
-    missed = sorted(((-time[s, a], s, a) for s, a in np.argwhere(~seen) if time[s, a] > 0))[:3]
+    missed = sorted(
+        (-time[s, a], s, a) for s, a in np.argwhere(~seen) if time[s, a] > 0
+    )[:3]
     assert facts["unrecorded"] == "; ".join(f"s={s}, a={a}" for _, s, a in missed)
 
 
@@ -64,11 +78,17 @@ def test_doubly_robust_on_rollouts_step_by_step(form, horizon):
     simulator = problem.simulator
     zeta = reweighted_zeta(simulator, target, 1.1)
     steps = horizon or int(np.ceil(np.log(1e-12) / np.log(0.9))) + 1
-    log = oee.sample_returns(simulator, POLICY, 25, steps, seed=np.random.default_rng(7), record=True).log
+    log = oee.sample_returns(
+        simulator, POLICY, 25, steps, seed=np.random.default_rng(7), record=True
+    ).log
     table = zeta.values.toarray().reshape(4, 2, 4)
     transitions, rewards = dense(simulator)
     values = [
-        np.zeros(4) if t >= steps else oee.state_values(simulator, POLICY, horizon=horizon and horizon - t)
+        (
+            np.zeros(4)
+            if t >= steps
+            else oee.state_values(simulator, POLICY, horizon=horizon and horizon - t)
+        )
         for t in range(steps + 1)
     ]
     found = []
@@ -77,13 +97,25 @@ def test_doubly_robust_on_rollouts_step_by_step(form, horizon):
         for t in range(len(moves) - 1, -1, -1):
             s, a, j, r = moves[t]
             u = values[t + 1] if t + 1 < steps else np.zeros(4)
-            known = (table[s, a] * transitions[s, a]) @ (0.9 * u + (rewards[s, a] if form == 3 else 0.0))
-            ahead = known + (0.0 if form == 3 else r) + table[s, a, j] * 0.9 * (ahead - u[j])
+            known = (table[s, a] * transitions[s, a]) @ (
+                0.9 * u + (rewards[s, a] if form == 3 else 0.0)
+            )
+            ahead = (
+                known
+                + (0.0 if form == 3 else r)
+                + table[s, a, j] * 0.9 * (ahead - u[j])
+            )
         found.append(ahead)
-    estimate = DoublyRobust(data="rollouts", ratio=zeta, n_rollouts=25)(problem, POLICY, seed=7)
+    estimate = DoublyRobust(data="rollouts", ratio=zeta, n_rollouts=25)(
+        problem, POLICY, seed=7
+    )
     assert_allclose(estimate.value, np.mean(found), rtol=1e-9)
     assert_allclose(estimate.standard_error, np.std(found, ddof=1) / 5, rtol=1e-9)
-    assert estimate.diagnostics == {"standard_error_of": "rollouts", "n_rollouts": 25, "gap": 0.0}
+    assert estimate.diagnostics == {
+        "standard_error_of": "rollouts",
+        "n_rollouts": 25,
+        "gap": 0.0,
+    }
 
 
 def test_where_zeta_is_fitted_the_error_counts_the_visits_too():
@@ -95,16 +127,26 @@ def test_where_zeta_is_fitted_the_error_counts_the_visits_too():
         fitted = oee.ratio.Conditional(prior="none")
         likelihood = ModelBased()(problem, POLICY)
         found = DoublyRobust(ratio=fitted)(problem, POLICY)
-        assert_allclose([found.value, found.standard_error], [likelihood.value, likelihood.standard_error], rtol=1e-8)
-        known = DoublyRobust(ratio=oee.transition_ratio(log, simulator, prior="none"))(problem, POLICY)
+        assert_allclose(
+            [found.value, found.standard_error],
+            [likelihood.value, likelihood.standard_error],
+            rtol=1e-8,
+        )
+        known = DoublyRobust(ratio=oee.transition_ratio(log, simulator, prior="none"))(
+            problem, POLICY
+        )
         assert_allclose(known.value, found.value, rtol=1e-12)
-        assert abs(known.standard_error / found.standard_error - 1) > 0.01  # a zeta that is given is not the log's
+        # a zeta that is given is not the log's
+        assert abs(known.standard_error / found.standard_error - 1) > 0.01
 
 
 def episode_parts(problem, model, *, used, self_normalized=True):
     """(n,) what each episode adds where the log is used for ``used`` steps, and the model's value after them."""
     episodes, horizon = plain_episodes(problem.log), problem.horizon
-    n, steps = len(episodes), min(max(len(moves) for moves, _ in episodes), horizon or 99)
+    n, steps = (
+        len(episodes),
+        min(max(len(moves) for moves, _ in episodes), horizon or 99),
+    )
 
     def values(function, t):
         left = horizon and horizon - t
@@ -115,7 +157,9 @@ def episode_parts(problem, model, *, used, self_normalized=True):
     products = np.ones((n, steps + 1))
     for k, (moves, _) in enumerate(episodes):
         for t in range(steps):
-            ratio = POLICY[moves[t][:2]] / BEHAVIOR[moves[t][:2]] if t < len(moves) else 1.0
+            ratio = (
+                POLICY[moves[t][:2]] / BEHAVIOR[moves[t][:2]] if t < len(moves) else 1.0
+            )
             products[k, t + 1] = products[k, t] * ratio
     shares = products / products.sum(axis=0) if self_normalized else products / n
     parts = np.zeros(n)
@@ -126,7 +170,9 @@ def episode_parts(problem, model, *, used, self_normalized=True):
             for t, (s, a, _, r) in enumerate(moves[:j])
         )
         if not (j == len(moves) and over):
-            parts[k] += 0.9**j * shares[k, j] * v[j][moves[0][0] if j == 0 else moves[j - 1][2]]
+            parts[k] += (
+                0.9**j * shares[k, j] * v[j][moves[0][0] if j == 0 else moves[j - 1][2]]
+            )
     return parts
 
 
@@ -137,12 +183,19 @@ def test_doubly_robust_on_episodes_step_by_step(horizon, self_normalized):
     problem, target = recorded_problem(3, horizon=horizon, n=15, length=5)
     zeta = reweighted_zeta(problem.simulator, target, 1.0)
     parts = episode_parts(problem, target, used=99, self_normalized=self_normalized)
-    found = DoublyRobust(data="episodes", ratio=zeta, self_normalized=self_normalized)(problem, POLICY)
+    found = DoublyRobust(data="episodes", ratio=zeta, self_normalized=self_normalized)(
+        problem, POLICY
+    )
     assert_allclose(found.value, parts.sum(), rtol=1e-9)
     assert_allclose(found.standard_error, np.sqrt(15) * parts.std(ddof=1), rtol=1e-9)
-    ends = [np.prod([POLICY[m[:2]] / BEHAVIOR[m[:2]] for m in moves[: horizon or 99]])
-            for moves, _ in plain_episodes(problem.log)]  # fmt: skip
-    assert_allclose(found.diagnostics["effective_sample_size"], np.sum(ends) ** 2 / np.sum(np.square(ends)))
+    ends = [
+        np.prod([POLICY[m[:2]] / BEHAVIOR[m[:2]] for m in moves[: horizon or 99]])
+        for moves, _ in plain_episodes(problem.log)
+    ]
+    assert_allclose(
+        found.diagnostics["effective_sample_size"],
+        np.sum(ends) ** 2 / np.sum(np.square(ends)),
+    )
     assert_allclose(found.diagnostics["largest_weight"], np.max(ends))
 
 
@@ -153,25 +206,44 @@ def resample(problem, draws, zeta):
     for draw in draws:
         rows = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in draw])
         parts = {name: column[rows] for name, column in columns.items()}
-        parts["episode"] = np.repeat(np.arange(len(draw)), [starts[i + 1] - starts[i] for i in draw])
-        again = Problem(problem.simulator, Transitions(**parts), horizon=problem.horizon, behavior_policy=BEHAVIOR)
-        found.append(DoublyRobust(data="episodes", ratio=zeta, self_normalized=True)(again, POLICY).value)
+        parts["episode"] = np.repeat(
+            np.arange(len(draw)), [starts[i + 1] - starts[i] for i in draw]
+        )
+        again = Problem(
+            problem.simulator,
+            Transitions(**parts),
+            horizon=problem.horizon,
+            behavior_policy=BEHAVIOR,
+        )
+        found.append(
+            DoublyRobust(data="episodes", ratio=zeta, self_normalized=True)(
+                again, POLICY
+            ).value
+        )
     return np.array(found)
 
 
-@pytest.mark.parametrize("is_wrong", [False, True], ids=["the target", "far from the log"])
+@pytest.mark.parametrize(
+    "is_wrong", [False, True], ids=["the target", "far from the log"]
+)
 def test_magic_between_the_model_and_the_log(is_wrong):
     """Thomas and Brunskill, two lengths: variance plus squared distance from the central half of the bootstrap of g_T.
 
     The weights are normalised on each resample, and the least is looked for on a grid.
     """
-    problem, target = recorded_problem(3, horizon=None if is_wrong else 4, n=15, length=5)
+    problem, target = recorded_problem(
+        3, horizon=None if is_wrong else 4, n=15, length=5
+    )
     rows = dense(target)[0]
-    rows[:3] = 0.1 * rows[:3] + 0.9 * np.eye(4)[oee.state_values(target, POLICY).argmax()]
+    rows[:3] = (
+        0.1 * rows[:3] + 0.9 * np.eye(4)[oee.state_values(target, POLICY).argmax()]
+    )
     model = target.with_transitions(rows) if is_wrong else target
     zeta = oee.true_ratio(model, problem.simulator)
     found = Magic(ratio=zeta, n_lengths=2, n_bootstrap=50)(problem, POLICY, seed=3)
-    parts = np.stack([episode_parts(problem, model, used=used) for used in (0, 99)], axis=1)
+    parts = np.stack(
+        [episode_parts(problem, model, used=used) for used in (0, 99)], axis=1
+    )
     totals, n = parts.sum(axis=0), 15
     covariance = n / (n - 1) * (parts - totals / n).T @ (parts - totals / n)
     draws = np.random.default_rng(3).integers(0, n, size=(50, n))
@@ -179,7 +251,11 @@ def test_magic_between_the_model_and_the_log(is_wrong):
     bias = np.maximum(np.maximum(totals - high, low - totals), 0)
     matrix = covariance + np.outer(bias, bias)
     x = np.linspace(0, 1, 20_001)
-    costs = matrix[0, 0] * x**2 + 2 * matrix[0, 1] * x * (1 - x) + matrix[1, 1] * (1 - x) ** 2
+    costs = (
+        matrix[0, 0] * x**2
+        + 2 * matrix[0, 1] * x * (1 - x)
+        + matrix[1, 1] * (1 - x) ** 2
+    )
     best = np.array([x[costs.argmin()], 1 - x[costs.argmin()]])
     assert (bias[0] > 0) == is_wrong
     assert_allclose(found.diagnostics["share_of_model"], best[0], atol=1e-4)
@@ -193,7 +269,8 @@ def test_magic_of_one_length_or_one_episode():
     alone = Magic(ratio=zeta, n_lengths=1)(problem, POLICY, seed=3)
     starts = problem.log.episode_starts
     begun = oee.state_values(target, POLICY, horizon=4)[problem.log.state[starts[:-1]]]
-    assert_allclose(alone.value, begun.mean(), rtol=1e-12)  # the model, from where the log's episodes start
+    # the model, from where the log's episodes start
+    assert_allclose(alone.value, begun.mean(), rtol=1e-12)
     first = Transitions(**{k: c[: starts[1]] for k, c in problem.log.columns().items()})
     single = Magic(ratio=zeta)(Problem(problem.simulator, first, horizon=4), POLICY)
     assert np.isnan(single.value)
@@ -208,7 +285,10 @@ def test_marginalised_values_row_by_row(form, horizon):
     problem, target = recorded_problem(form, horizon=horizon, n=8)
     simulator = problem.simulator
     zeta = reweighted_zeta(simulator, target, 1.0)
-    there, here = (oee.occupancy(m, POLICY, horizon=horizon).reshape(-1) for m in (target, simulator))
+    there, here = (
+        oee.occupancy(m, POLICY, horizon=horizon).reshape(-1)
+        for m in (target, simulator)
+    )
     rows = problem.log.state * 2 + problem.log.action
     n = np.bincount(rows, minlength=8)
     paid = np.bincount(rows, problem.log.reward, minlength=8) / np.maximum(n, 1)
@@ -223,9 +303,20 @@ def test_marginalised_values_row_by_row(form, horizon):
     beta = np.clip(
         here[seen] / share[seen], 0.8, 1.2
     )  # not the fit's own: that is beta / (the time where the log has rows)
-    expected = mass * (share[seen] * beta * there[seen] / np.maximum(here[seen], 1e-300) * paid[seen]).sum()
+    expected = (
+        mass
+        * (
+            share[seen]
+            * beta
+            * there[seen]
+            / np.maximum(here[seen], 1e-300)
+            * paid[seen]
+        ).sum()
+    )
     assert_allclose(boxed.value, expected, rtol=1e-9)
-    limit = Marginalized(ratio=zeta).limit(simulator, target, POLICY, data_distribution=FULL, horizon=horizon)
+    limit = Marginalized(ratio=zeta).limit(
+        simulator, target, POLICY, data_distribution=FULL, horizon=horizon
+    )
     assert_allclose(limit, oee.policy_value(target, POLICY, horizon=horizon), rtol=1e-9)
 
 
@@ -237,7 +328,9 @@ def test_dualdice_against_dense_equations():
     ahead = np.einsum("xt,tb->xtb", model.transitions.toarray(), POLICY).reshape(8, 8)
     b = np.eye(8) - 0.9 * ahead
     base = np.diag(oee.occupancy(simulator, POLICY).reshape(-1))
-    nu = np.linalg.solve(b.T @ base @ b, 0.1 * (simulator.initial[:, None] * POLICY).reshape(-1))
+    nu = np.linalg.solve(
+        b.T @ base @ b, 0.1 * (simulator.initial[:, None] * POLICY).reshape(-1)
+    )
     found = DualDice()(problem, POLICY)
     assert_allclose(found.diagnostics["largest_weight"], (b @ nu).max(), rtol=1e-6)
     assert found.diagnostics["residual"] < 1e-12
@@ -254,11 +347,18 @@ def test_one_hot_features_are_maximum_likelihood(form):
     likelihood = ModelBased()(problem, POLICY).value
     found = Marginalized(features=ONE_HOT)(problem, POLICY)
     assert_allclose(found.value, likelihood, rtol=1e-10)
-    assert_allclose(Marginalized(features=np.eye(8))(problem, POLICY).value, likelihood, rtol=1e-10)
-    by_state = Marginalized(features=lambda s, a: np.stack([s == 0, s == 1, s == 2], axis=1))
-    assert_allclose(by_state(problem, POLICY).value, likelihood, rtol=0.2)  # the policy is known: w depends on s alone
+    assert_allclose(
+        Marginalized(features=np.eye(8))(problem, POLICY).value, likelihood, rtol=1e-10
+    )
+    by_state = Marginalized(
+        features=lambda s, a: np.stack([s == 0, s == 1, s == 2], axis=1)
+    )
+    # the policy is known: w depends on s alone
+    assert_allclose(by_state(problem, POLICY).value, likelihood, rtol=0.2)
     for estimator in (by_state, Marginalized(features=ONE_HOT, lower=0.1, upper=9.0)):
-        limit = estimator.limit(problem.simulator, target, POLICY, data_distribution=FULL)
+        limit = estimator.limit(
+            problem.simulator, target, POLICY, data_distribution=FULL
+        )
         assert_allclose(limit, oee.policy_value(target, POLICY), rtol=1e-10)
 
 
@@ -271,14 +371,30 @@ def test_the_saddle_point_pair_by_pair():
     phi = np.stack([np.ones((4, 2)), np.arange(8.0).reshape(4, 2) % 3], axis=2)
     live = phi * (np.arange(4) < 3)[:, None, None]  # state 3 is over
     mean = (POLICY[:, :, None] * live).sum(axis=1)
-    beta = oee.occupancy(simulator, POLICY) / np.maximum(counts.reshape(4, 2) / len(log), 1e-300)
-    rows = [(beta[s, a], live[s, a], mean[j], r)
-            for s, a, j, r in zip(log.state, log.action, log.next_state, log.reward, strict=True)]  # fmt: skip
-    matrix = np.mean([b * np.outer(f, 0.9 * ahead - f) for b, f, ahead, _ in rows], axis=0)
+    beta = oee.occupancy(simulator, POLICY) / np.maximum(
+        counts.reshape(4, 2) / len(log), 1e-300
+    )
+    rows = [
+        (beta[s, a], live[s, a], mean[j], r)
+        for s, a, j, r in zip(
+            log.state, log.action, log.next_state, log.reward, strict=True
+        )
+    ]
+    matrix = np.mean(
+        [b * np.outer(f, 0.9 * ahead - f) for b, f, ahead, _ in rows], axis=0
+    )
     theta = np.linalg.solve(matrix.T, -0.1 * simulator.initial @ mean)
     found = Marginalized(features=phi)(problem, POLICY)
-    assert_allclose(found.value, np.mean([b * (f @ theta) * r for b, f, _, r in rows]) / 0.1, rtol=1e-10)
-    assert_allclose(found.diagnostics["mean_weight"], np.mean([b * (f @ theta) for b, f, _, _ in rows]), rtol=1e-10)
+    assert_allclose(
+        found.value,
+        np.mean([b * (f @ theta) * r for b, f, _, r in rows]) / 0.1,
+        rtol=1e-10,
+    )
+    assert_allclose(
+        found.diagnostics["mean_weight"],
+        np.mean([b * (f @ theta) for b, f, _, _ in rows]),
+        rtol=1e-10,
+    )
     assert found.diagnostics["unrecorded_share"] > 0.02
     assert found.findings[0].kind == "coverage"
 
@@ -287,7 +403,11 @@ def test_indistinguishable_features_and_problems_without_a_saddle_point():
     simulator, _ = environments()
     problem = Problem(simulator, oee.Transitions([0, 1], [0, 1], [1, 2]))
     apart = np.stack([np.arange(8) % 3 == 0, np.ones(8), np.arange(8) == 5], axis=1)
-    with pytest.raises(ValueError, match="in the pairs that the log and the policy share; columns 0, 1 are not"):
+    with pytest.raises(
+        ValueError,
+        match="in the pairs that the log and the policy share; columns 0, 1 are not",
+    ):
         Marginalized(features=apart)(problem, POLICY)
-    elsewhere = Marginalized(features=np.arange(8) == 5)(problem, POLICY)  # 0 in every recorded pair
+    # 0 in every recorded pair
+    elsewhere = Marginalized(features=np.arange(8) == 5)(problem, POLICY)
     assert (elsewhere.value, elsewhere.diagnostics["mean_weight"]) == (0.0, 0.0)

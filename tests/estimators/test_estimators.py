@@ -1,7 +1,13 @@
 """Estimators worked by hand, and what the problem gives them."""
 
 import numpy as np
-from estimators.four_states import BEHAVIOR, POLICY, environments, recorded_problem, reweighted_zeta
+from estimators.four_states import (
+    BEHAVIOR,
+    POLICY,
+    environments,
+    recorded_problem,
+    reweighted_zeta,
+)
 from helpers import dense
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -22,16 +28,24 @@ from oee_tabular.estimators.names import default_names, named_estimators
 
 
 def grids(size=5, **options):
-    return oee.tasks.gridworld(size, 0.3, **options), oee.tasks.gridworld(size, 0.1, **options)
+    return oee.tasks.gridworld(size, 0.3, **options), oee.tasks.gridworld(
+        size, 0.1, **options
+    )
 
 
 def test_a_behaviour_policy_may_be_given_instead_of_recorded():
     simulator, target = grids()
     behavior = oee.tasks.gridworld_policy(5, 0.3)
     log = oee.sample_episodes(target, behavior, 20, 30, seed=0)
-    columns = {name: column for name, column in log.columns().items() if name != "behavior_probability"}
+    columns = {
+        name: column
+        for name, column in log.columns().items()
+        if name != "behavior_probability"
+    }
     policy = oee.tasks.gridworld_policy(5, 0.5)
-    given_policy = Problem(simulator, Transitions(**columns), horizon=30, behavior_policy=behavior)
+    given_policy = Problem(
+        simulator, Transitions(**columns), horizon=30, behavior_policy=behavior
+    )
     recorded = ImportanceSampling()(Problem(simulator, log, horizon=30), policy)
     assert ImportanceSampling()(given_policy, policy).value == recorded.value
 
@@ -40,13 +54,15 @@ def test_the_log_s_rewards_count_and_the_simulator_s_where_there_are_none():
     problem, _ = recorded_problem(2)
     columns = dict(problem.log.columns())
     values = []
-    for reward in (columns["reward"], None, 3.0 * columns["reward"]):  # of r(s, a) the log has what the simulator pays
+    # of r(s, a) the log has what the simulator pays
+    for reward in (columns["reward"], None, 3.0 * columns["reward"]):
         given = Problem(problem.simulator, Transitions(**columns | {"reward": reward}))
         values.append(ImportanceSampling()(given, POLICY).value)
     assert_allclose(values, values[0] * np.array([1.0, 1.0, 3.0]), rtol=1e-12)
 
 
-# ---- model based -------------------------------------------------------------------------------------------------
+# ---- model based
+# -------------------------------------------------------------------------------------------------
 
 
 def test_model_based_by_hand():
@@ -58,10 +74,15 @@ def test_model_based_by_hand():
     found = ModelBased()(problem, policy)
     assert_allclose(found.value, 1 / (1 - 0.9 / 3), rtol=1e-14)
     # V = 1 / (1 - gamma p), dV/dp = gamma V^2, Var p = p (1 - p) / n
-    assert_allclose(found.standard_error, 0.9 * found.value**2 * np.sqrt(1 / 3 * 2 / 3 / 3), rtol=1e-12)
+    assert_allclose(
+        found.standard_error,
+        0.9 * found.value**2 * np.sqrt(1 / 3 * 2 / 3 / 3),
+        rtol=1e-12,
+    )
 
 
-# ---- the problem -------------------------------------------------------------------------------------------------
+# ---- the problem
+# -------------------------------------------------------------------------------------------------
 
 
 def test_importance_sampling_uses_the_whole_episodes_behind_a_draw():
@@ -69,7 +90,9 @@ def test_importance_sampling_uses_the_whole_episodes_behind_a_draw():
     episodes = oee.sample_episodes(target, oee.uniform_policy(target), 20, 30, seed=0)
     policy = oee.tasks.gridworld_policy(5, 0.2)
     drawn = Problem(simulator, episodes.draw(50, seed=0), horizon=30, episodes=episodes)
-    assert ImportanceSampling()(drawn, policy) == ImportanceSampling()(Problem(simulator, episodes, horizon=30), policy)
+    assert ImportanceSampling()(drawn, policy) == ImportanceSampling()(
+        Problem(simulator, episodes, horizon=30), policy
+    )
 
 
 def test_the_truncation_bound_uses_the_largest_reward_of_a_transition():
@@ -80,18 +103,32 @@ def test_the_truncation_bound_uses_the_largest_reward_of_a_transition():
     log = Transitions([1], [0], [0], [0.0], episode=[0], behavior_probability=[1.0])
     facts = ImportanceSampling()(Problem(mdp, log), np.ones((3, 1))).diagnostics
     assert_allclose(facts["truncation_bias_bound"], 100 * 0.9 / 0.1)
-    endless = ImportanceSampling()(Problem(mdp.with_discount(1.0), log), np.zeros((3, 1)) + 1.0).diagnostics
+    endless = ImportanceSampling()(
+        Problem(mdp.with_discount(1.0), log), np.zeros((3, 1)) + 1.0
+    ).diagnostics
     assert endless["truncation_bias_bound"] == np.inf
 
 
 def test_a_given_ratio_has_its_own_warnings():
     """An unnormalised zeta has a value and nothing more; the truth is not moved."""
     problem, target = recorded_problem(3)
-    loose = OffEnvironment(reweighted_zeta(problem.simulator, target, 1.01))(problem, POLICY)
-    assert set(loose.diagnostics) == {"gap", "row_sum_error", "largest_weight", "error_bound", "method"}
+    loose = OffEnvironment(reweighted_zeta(problem.simulator, target, 1.01))(
+        problem, POLICY
+    )
+    assert set(loose.diagnostics) == {
+        "gap",
+        "row_sum_error",
+        "largest_weight",
+        "error_bound",
+        "method",
+    }
     assert loose.standard_error is None
     true = oee.true_ratio(target, problem.simulator)
-    for estimator in (OffEnvironment(true), OffEnvironment(lambda log, simulator: true), Oracle(target)):
+    for estimator in (
+        OffEnvironment(true),
+        OffEnvironment(lambda log, simulator: true),
+        Oracle(target),
+    ):
         found = estimator(problem, POLICY)
         assert_allclose(found.value, oee.policy_value(target, POLICY), rtol=1e-12)
         assert_allclose(found.diagnostics["largest_weight"], true.values.data.max())
@@ -103,34 +140,84 @@ def test_ratios_by_name_get_what_the_problem_knows():
     simulator, target = environments(3)
     log = oee.sample_episodes(target, BEHAVIOR, 200, 6, seed=1)
     for method in ("ratio_of_ratios", "joint"):
-        for options in ({}, {"behavior_policy": BEHAVIOR}, {"simulator_data": "exact", "behavior_policy": BEHAVIOR}):
+        for options in (
+            {},
+            {"behavior_policy": BEHAVIOR},
+            {"simulator_data": "exact", "behavior_policy": BEHAVIOR},
+        ):
             problem = Problem(simulator, log, **options)
-            zeta = oee.transition_ratio(log, simulator, method=method, seed=np.random.default_rng(4), **options)
-            found = OffEnvironment(method).fit(problem, POLICY, np.random.default_rng(4))
+            zeta = oee.transition_ratio(
+                log, simulator, method=method, seed=np.random.default_rng(4), **options
+            )
+            found = OffEnvironment(method).fit(
+                problem, POLICY, np.random.default_rng(4)
+            )
             assert_allclose(found.values.toarray(), zeta.values.toarray(), rtol=1e-12)
     shares = 1e12 / 8 * target.transitions
-    expected = oee.transition_ratio(shares, simulator, method="joint", simulator_data="exact", behavior_policy=BEHAVIOR)
-    limit = OffEnvironment("joint").limit(simulator, target, POLICY, behavior_policy=BEHAVIOR)
-    assert_allclose(limit, oee.policy_value(exact.reweight(simulator, expected), POLICY), rtol=1e-9)
+    expected = oee.transition_ratio(
+        shares,
+        simulator,
+        method="joint",
+        simulator_data="exact",
+        behavior_policy=BEHAVIOR,
+    )
+    limit = OffEnvironment("joint").limit(
+        simulator, target, POLICY, behavior_policy=BEHAVIOR
+    )
+    assert_allclose(
+        limit, oee.policy_value(exact.reweight(simulator, expected), POLICY), rtol=1e-9
+    )
 
 
 # ---- short names, bad options, and which estimators a problem's data allow
 def test_short_names_and_what_they_stand_for():
     _, target = environments()
     expected = [
-        Simulator(), OffEnvironment(), OffEnvironment(evaluation="monte_carlo"),
+        Simulator(),
+        OffEnvironment(),
+        OffEnvironment(evaluation="monte_carlo"),
         OffEnvironment(evaluation="monte_carlo", self_normalized=True),
-        OffEnvironment(evaluation="monte_carlo", weighting="trajectory"), OffEnvironment(ratio="ratio_of_ratios"),
-        ModelBased(), ImportanceSampling(kind="trajectory"), ImportanceSampling(kind="trajectory", self_normalized=True),
-        ImportanceSampling(), ImportanceSampling(self_normalized=True), DoublyRobust(), DoublyRobust(weights="beta"),
-        DoublyRobust(data="rollouts"), DoublyRobust(data="episodes"), DoublyRobust(data="episodes", self_normalized=True),
-        Magic(), Marginalized(), DualDice(), Oracle(target), Oracle(target, evaluation="monte_carlo"),
-    ]  # fmt: skip
+        OffEnvironment(evaluation="monte_carlo", weighting="trajectory"),
+        OffEnvironment(ratio="ratio_of_ratios"),
+        ModelBased(),
+        ImportanceSampling(kind="trajectory"),
+        ImportanceSampling(kind="trajectory", self_normalized=True),
+        ImportanceSampling(),
+        ImportanceSampling(self_normalized=True),
+        DoublyRobust(),
+        DoublyRobust(weights="beta"),
+        DoublyRobust(data="rollouts"),
+        DoublyRobust(data="episodes"),
+        DoublyRobust(data="episodes", self_normalized=True),
+        Magic(),
+        Marginalized(),
+        DualDice(),
+        Oracle(target),
+        Oracle(target, evaluation="monte_carlo"),
+    ]
     names = [
-        "simulator", "oee", "oee-product", "oee-product-sn", "oee-trajectory", "ratio-of-ratios", "model-based", "is", "wis",
-        "pdis", "wpdis", "dr", "dr-beta", "dr-rollouts", "dr-episodes", "wdr", "magic", "marginalized", "dualdice", "oracle",
+        "simulator",
+        "oee",
+        "oee-product",
+        "oee-product-sn",
+        "oee-trajectory",
+        "ratio-of-ratios",
+        "model-based",
+        "is",
+        "wis",
+        "pdis",
+        "wpdis",
+        "dr",
+        "dr-beta",
+        "dr-rollouts",
+        "dr-episodes",
+        "wdr",
+        "magic",
+        "marginalized",
+        "dualdice",
+        "oracle",
         "oracle-product",
-    ]  # fmt: skip
+    ]
     named = named_estimators(names, target)
     assert {name: repr(estimator) for name, estimator in named.items()} == dict(
         zip(names, map(repr, expected), strict=True)
@@ -139,19 +226,29 @@ def test_short_names_and_what_they_stand_for():
 
 def test_names_that_people_type():
     ragged = oee.testing.case("ragged")
-    assert named_estimators(["fqe", "oee", "model-based"]) == named_estimators(["model-based", "oee"])
+    assert named_estimators(["fqe", "oee", "model-based"]) == named_estimators(
+        ["model-based", "oee"]
+    )
     problem = ragged.problem(20, seed=0)
-    rows = [oee.evaluate(problem, ragged.policy, estimators=name).records() for name in ("fqe", ["dm"], "model-based")]
+    rows = [
+        oee.evaluate(problem, ragged.policy, estimators=name).records()
+        for name in ("fqe", ["dm"], "model-based")
+    ]
     assert rows[0] == rows[1] == rows[2]
 
 
 def test_the_default_estimators_and_what_is_left_out():
     simulator, target = environments()
     log = oee.sample_episodes(target, BEHAVIOR, 5, 6, seed=1)
-    bare = Transitions(**{k: v for k, v in log.columns().items() if k != "behavior_probability"})
+    bare = Transitions(
+        **{k: v for k, v in log.columns().items() if k != "behavior_probability"}
+    )
     basic = ["simulator", "oee", "model-based"]
     assert default_names(Problem(simulator, log)) == ([*basic, "pdis", "wpdis"], [])
-    assert default_names(Problem(simulator, bare, behavior_policy=BEHAVIOR)) == ([*basic, "pdis", "wpdis"], [])
+    assert default_names(Problem(simulator, bare, behavior_policy=BEHAVIOR)) == (
+        [*basic, "pdis", "wpdis"],
+        [],
+    )
     unknown = "Importance sampling is left out: the behaviour policy is not known."
     assert default_names(Problem(simulator, bare)) == (basic, [unknown])
     bag = log.draw(5, seed=0)
@@ -159,7 +256,10 @@ def test_the_default_estimators_and_what_is_left_out():
         basic,
         ["Importance sampling is left out: the log has no episodes."],
     )
-    assert default_names(Problem(simulator, bag, episodes=log)) == ([*basic, "pdis", "wpdis"], [])
+    assert default_names(Problem(simulator, bag, episodes=log)) == (
+        [*basic, "pdis", "wpdis"],
+        [],
+    )
 
 
 # ---- the log's frequencies as a model: fallbacks, rewards, standard error
@@ -178,7 +278,9 @@ def test_models_of_the_log_use_the_simulator_s_rewards():
     rows, undefined = dense(simulator)[0], own.copy()
     rows[1, 0], undefined[1, 0, 1] = [0.5, 0.0, 0.5, 0.0], np.nan
     without = FiniteMDP(rows, undefined, simulator.initial, simulator.discount)
-    moved = ModelBased().model(Problem(without, Transitions([0, 0, 1], [0, 0, 1], [1, 2, 1])))
+    moved = ModelBased().model(
+        Problem(without, Transitions([0, 0, 1], [0, 0, 1], [1, 2, 1]))
+    )
     assert_allclose(dense(moved)[1][1, 0, 1], without.rewards[1, 0])
     other = ModelBased("simulator").model(problem)
     assert_allclose(dense(other)[0][1, 0], dense(simulator)[0][1, 0])
@@ -196,8 +298,13 @@ def test_models_keep_states_that_nothing_enters_and_where_termination_leads():
     for fallback in ("stay", "simulator"):
         model = ModelBased(fallback).model(problem)
         assert_array_equal(model.terminal_state, [1, 1])
-        assert_allclose(oee.state_values(model, np.ones((2, 1))), [0.0, 2.0], atol=1e-12)
-    once = ModelBased()(Problem(simulator, Transitions([1, 0, 0], [0, 0, 0], [0, 0, 1])), np.ones((2, 1)))
+        assert_allclose(
+            oee.state_values(model, np.ones((2, 1))), [0.0, 2.0], atol=1e-12
+        )
+    once = ModelBased()(
+        Problem(simulator, Transitions([1, 0, 0], [0, 0, 0], [0, 0, 1])),
+        np.ones((2, 1)),
+    )
     assert once.standard_error > 0  # of state 0 alone: a row seen once shows no spread
 
 
@@ -205,6 +312,9 @@ def test_one_record_is_enough_where_there_is_one_next_state():
     """State 0 leads to 1 for sure, and was left once; state 1 may stay or end, and was left once: its variance is unknown."""
     rows = np.array([[[0.0, 1.0, 0.0]], [[0.0, 0.5, 0.5]], [[0.0, 0.0, 1.0]]])
     simulator = FiniteMDP(rows, [1.0, 1.0, 0.0], [1, 0, 0], 0.5)
-    found = ModelBased("simulator")(Problem(simulator, Transitions([0, 1], [0, 0], [1, 2])), np.ones((3, 1)))
-    assert_allclose(found.diagnostics["single_share"], 1 / 3)  # of the time before the end: 1 in state 0, .5 in state 1
+    found = ModelBased("simulator")(
+        Problem(simulator, Transitions([0, 1], [0, 0], [1, 2])), np.ones((3, 1))
+    )
+    # of the time before the end: 1 in state 0, .5 in state 1
+    assert_allclose(found.diagnostics["single_share"], 1 / 3)
     assert_allclose(found.measured, 2 / 3)

@@ -26,26 +26,88 @@ def of(value=10.0, error=0.1, **facts):
     return findings.from_diagnostics(facts, value, error)
 
 
-SILENT_UP_TO = {  # a size of which nothing is said, one of which something is, and how it is said
-    "unseen": (lambda x: of(unrecorded_share=x), 0.02, 0.03,
-               "the policy spends 3% of its discounted time in unrecorded state-action pairs."),
-    "row sums": (lambda x: of(row_sum_error=x), 1e-3, 2e-3, "the rows of zeta * P miss 1 by up to 0.002; over a horizon"),
-    "starts": (findings.foreign_starts, 0.0, 0.01, "1% of the episodes start where the simulator never does. Importance"),
-    "gap": (lambda x: of(gap=x), 1e-6, 2e-6, "the ratio's program is solved only to a gap of 2.0e-06 nats."),
-    "weights": (lambda n: of(effective_sample_size=-n, n_rollouts=400), -20.0, -19.9,
-                "the effective sample size is 19.9 of 400 rollouts. The value is mostly chance"),
-    "few weights": (lambda n: of(effective_sample_size=-n, n_episodes=12), -10.0, -9.5, "is 9.5 of 12 episodes"),
-    "support": (lambda x: findings.missing_support(x, 2.0, 0.69), 0.01, 0.011,
-                "1.1% of the log's transitions have probability 0 in the "
-                "plain simulator, so they have no ratio. Their estimates rest on the defensive share (largest zeta 2, "
-                "D_inf 0.69 nats)."),
-    "linear algebra": (lambda x: of(error_bound=x), 9e-6, 2e-5, "the linear solve is accurate only to 2.0e-05."),
-    "small values": (lambda x: of(0.1, error_bound=x), 1e-6, 2e-6, "is accurate only to 2.0e-06."),
-    "truncation": (lambda x: findings.truncation(3, 8, x, 10.0, None), 0.01, 0.02, "3 of 8 episodes were truncated. The "
-                   "missing rewards can change the value by up to 0.02 (not normalised)."),
-    "truncation beside an error": (lambda x: findings.truncation(3, 8, x, 10.0, 1.0), 0.1, 0.2, "by up to 0.2"),
-    "behaviour": (findings.behavior_contradicts, 0, 7, "They differ from behavior_policy in 7 transitions."),
-}  # fmt: skip
+# a size of which nothing is said, one of which something is, and how it is said
+SILENT_UP_TO = {
+    "unseen": (
+        lambda x: of(unrecorded_share=x),
+        0.02,
+        0.03,
+        "the policy spends 3% of its discounted time in unrecorded state-action pairs.",
+    ),
+    "row sums": (
+        lambda x: of(row_sum_error=x),
+        1e-3,
+        2e-3,
+        "the rows of zeta * P miss 1 by up to 0.002; over a horizon",
+    ),
+    "starts": (
+        findings.foreign_starts,
+        0.0,
+        0.01,
+        "1% of the episodes start where the simulator never does. Importance",
+    ),
+    "gap": (
+        lambda x: of(gap=x),
+        1e-6,
+        2e-6,
+        "the ratio's program is solved only to a gap of 2.0e-06 nats.",
+    ),
+    "weights": (
+        lambda n: of(effective_sample_size=-n, n_rollouts=400),
+        -20.0,
+        -19.9,
+        "the effective sample size is 19.9 of 400 rollouts. The value is mostly chance",
+    ),
+    "few weights": (
+        lambda n: of(effective_sample_size=-n, n_episodes=12),
+        -10.0,
+        -9.5,
+        "is 9.5 of 12 episodes",
+    ),
+    "support": (
+        lambda x: findings.missing_support(x, 2.0, 0.69),
+        0.01,
+        0.011,
+        (
+            "1.1% of the log's transitions have probability 0 in the plain simulator,"
+            " so they have no ratio. Their estimates rest on the defensive share"
+            " (largest zeta 2, D_inf 0.69 nats)."
+        ),
+    ),
+    "linear algebra": (
+        lambda x: of(error_bound=x),
+        9e-6,
+        2e-5,
+        "the linear solve is accurate only to 2.0e-05.",
+    ),
+    "small values": (
+        lambda x: of(0.1, error_bound=x),
+        1e-6,
+        2e-6,
+        "is accurate only to 2.0e-06.",
+    ),
+    "truncation": (
+        lambda x: findings.truncation(3, 8, x, 10.0, None),
+        0.01,
+        0.02,
+        (
+            "3 of 8 episodes were truncated. The "
+            "missing rewards can change the value by up to 0.02 (not normalised)."
+        ),
+    ),
+    "truncation beside an error": (
+        lambda x: findings.truncation(3, 8, x, 10.0, 1.0),
+        0.1,
+        0.2,
+        "by up to 0.2",
+    ),
+    "behaviour": (
+        findings.behavior_contradicts,
+        0,
+        7,
+        "They differ from behavior_policy in 7 transitions.",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", SILENT_UP_TO)
@@ -62,8 +124,13 @@ def test_thresholds_of_warnings(name):
 def test_values_that_are_none():
     assert str(findings.no_value("it diverges", math.nan)) == "no value: it diverges."
     assert str(findings.no_value("it diverges", -math.inf)) == "no value: it diverges."
-    assert str(findings.no_value("take {care}", 1.0)) == "do not rely on the value: take {care}."
-    assert "without bound at discount 1." in str(findings.truncation(1, 1, math.inf, 1.0, None)[0])
+    assert (
+        str(findings.no_value("take {care}", 1.0))
+        == "do not rely on the value: take {care}."
+    )
+    assert "without bound at discount 1." in str(
+        findings.truncation(1, 1, math.inf, 1.0, None)[0]
+    )
 
 
 def kinds(estimate):
@@ -76,16 +143,26 @@ def test_each_estimator_says_what_it_knows():
     few = Problem(problem.simulator, Transitions([0, 1], [0, 1], [1, 2]))
     assert kinds(Simulator()(problem, POLICY)) == []
     assert kinds(OffEnvironment(crooked)(problem, POLICY)) == ["row sums"]
-    assert kinds(OffEnvironment(crooked, "monte_carlo", n_rollouts=9)(problem, POLICY, seed=0)) == [
+    assert kinds(
+        OffEnvironment(crooked, "monte_carlo", n_rollouts=9)(problem, POLICY, seed=0)
+    ) == [
         "row sums",
         "weights",
     ]
     assert kinds(OffEnvironment()(few, POLICY)) == ["coverage"]
     assert kinds(ModelBased()(few, POLICY)) == ["coverage", "single"]
-    assert kinds(DoublyRobust()(few, POLICY))[0] == kinds(Marginalized()(few, POLICY))[0] == "coverage"
-    assert {"weights", "truncation"} <= set(kinds(ImportanceSampling()(recorded_problem(n=9)[0], POLICY)))
+    assert (
+        kinds(DoublyRobust()(few, POLICY))[0]
+        == kinds(Marginalized()(few, POLICY))[0]
+        == "coverage"
+    )
+    assert {"weights", "truncation"} <= set(
+        kinds(ImportanceSampling()(recorded_problem(n=9)[0], POLICY))
+    )
     assert kinds(Magic()(recorded_problem(n=9)[0], POLICY, seed=0))[0] == "weights"
-    assert kinds(DoublyRobust(data="episodes")(recorded_problem(n=9)[0], POLICY)) == ["weights"]
+    assert kinds(DoublyRobust(data="episodes")(recorded_problem(n=9)[0], POLICY)) == [
+        "weights"
+    ]
 
 
 def test_what_a_report_acts_on():
@@ -98,15 +175,21 @@ def test_what_a_report_acts_on():
     assert found.measured == facts["coverage"]
     model = ModelBased()(problem, POLICY)
     assert model.model_value is None
-    assert model.measured == pytest.approx(model.diagnostics["coverage"] - model.diagnostics["single_share"])
-    few = DoublyRobust()(Problem(problem.simulator, Transitions([0, 1], [0, 1], [1, 2])), POLICY)
+    assert model.measured == pytest.approx(
+        model.diagnostics["coverage"] - model.diagnostics["single_share"]
+    )
+    few = DoublyRobust()(
+        Problem(problem.simulator, Transitions([0, 1], [0, 1], [1, 2])), POLICY
+    )
     assert few.measured == few.diagnostics["coverage"] < 0.99
     assert not Simulator()(problem, POLICY).is_from_log
     assert [
-        e(problem, POLICY).is_from_episodes for e in (ImportanceSampling(), DoublyRobust(data="episodes"), Magic())
+        e(problem, POLICY).is_from_episodes
+        for e in (ImportanceSampling(), DoublyRobust(data="episodes"), Magic())
     ] == [True] * 3
     assert not any(
-        e(problem, POLICY).is_from_episodes for e in (OffEnvironment(), ModelBased(), DoublyRobust(), Marginalized())
+        e(problem, POLICY).is_from_episodes
+        for e in (OffEnvironment(), ModelBased(), DoublyRobust(), Marginalized())
     )
 
 
@@ -115,10 +198,23 @@ def test_a_user_s_own_finding_is_reported():
 
     def own(problem, policy, *, seed=None):
         return Estimate(
-            1.0, 0.5, findings=(Finding("units", float(policy[0, 0]), "rewards are in {}.", f"cents{policy[0, 0]}"),)
+            1.0,
+            0.5,
+            findings=(
+                Finding(
+                    "units",
+                    float(policy[0, 0]),
+                    "rewards are in {}.",
+                    f"cents{policy[0, 0]}",
+                ),
+            ),
         )
 
-    report = oee.evaluate(problem, {"a": POLICY, "b": BEHAVIOR}, estimators={"own": own})
-    assert report.warnings == ("own (a, b): rewards are in cents0.5 (b), cents0.3 (a).",)
+    report = oee.evaluate(
+        problem, {"a": POLICY, "b": BEHAVIOR}, estimators={"own": own}
+    )
+    assert report.warnings == (
+        "own (a, b): rewards are in cents0.5 (b), cents0.3 (a).",
+    )
     assert report.notes["a", "own"] == report.notes["b", "own"] == (1,)
     assert np.isfinite(report.results[0].estimate.interval).all()

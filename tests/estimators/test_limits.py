@@ -59,16 +59,24 @@ def case(rng, **options):
 
 @settings(max_examples=60)
 @given(rngs, st.sampled_from([None, 3]))
-def test_21_with_exact_frequencies_every_deterministic_estimator_is_at_its_limit(rng, horizon):
+def test_21_with_exact_frequencies_every_deterministic_estimator_is_at_its_limit(
+    rng, horizon
+):
     simulator, target, share, policy = case(rng)
     problem = oee.Problem(simulator, exact_log(target, share), horizon=horizon)
     options = {"data_distribution": share / share.sum(), "horizon": horizon}
     likelihood = OffEnvironment(ratio=LIKELIHOOD)
     estimators = [
-        Simulator(), Oracle(target), likelihood, ModelBased(), ModelBased(fallback="simulator"),
-        DoublyRobust(ratio=LIKELIHOOD), DoublyRobust(weights="beta"), Marginalized(ratio=LIKELIHOOD),
+        Simulator(),
+        Oracle(target),
+        likelihood,
+        ModelBased(),
+        ModelBased(fallback="simulator"),
+        DoublyRobust(ratio=LIKELIHOOD),
+        DoublyRobust(weights="beta"),
+        Marginalized(ratio=LIKELIHOOD),
         Marginalized(ratio=LIKELIHOOD, lower=0.8, upper=1.3),
-    ]  # fmt: skip
+    ]
     if horizon is None:
         estimators.append(DualDice())
     values = {}
@@ -78,9 +86,13 @@ def test_21_with_exact_frequencies_every_deterministic_estimator_is_at_its_limit
         assert_allclose(value, limit, rtol=1e-7, atol=1e-8, err_msg=repr(estimator))
         values[type(estimator).__name__ + getattr(estimator, "fallback", "")] = value
     # off-environment evaluation == maximum likelihood == DualDICE (statement 21)
-    assert_allclose(values["OffEnvironment"], values["ModelBasedsimulator"], rtol=1e-7, atol=1e-8)
+    assert_allclose(
+        values["OffEnvironment"], values["ModelBasedsimulator"], rtol=1e-7, atol=1e-8
+    )
     if horizon is None:
-        assert_allclose(values["DualDice"], values["OffEnvironment"], rtol=1e-7, atol=1e-8)
+        assert_allclose(
+            values["DualDice"], values["OffEnvironment"], rtol=1e-7, atol=1e-8
+        )
 
 
 @given(rngs, st.sampled_from([None, 4]))
@@ -90,13 +102,25 @@ def test_with_full_support_the_limit_is_the_truth(rng, horizon):
     truth = oee.policy_value(target, policy, horizon=horizon)
     behavior = random_policy(rng, simulator, zeros=0)
     for estimator in (
-        OffEnvironment(), OffEnvironment(ratio=oee.true_ratio(target, simulator)), Magic(), Marginalized(), ModelBased(),
-        OffEnvironment(ratio=LIKELIHOOD, evaluation="monte_carlo"), Oracle(target), Oracle(target, evaluation="monte_carlo"),
-        DoublyRobust(), DoublyRobust(data="rollouts"), DoublyRobust(data="episodes"),
-        DoublyRobust(data="episodes", self_normalized=True), ImportanceSampling(), ImportanceSampling(kind="trajectory"),
+        OffEnvironment(),
+        OffEnvironment(ratio=oee.true_ratio(target, simulator)),
+        Magic(),
+        Marginalized(),
+        ModelBased(),
+        OffEnvironment(ratio=LIKELIHOOD, evaluation="monte_carlo"),
+        Oracle(target),
+        Oracle(target, evaluation="monte_carlo"),
+        DoublyRobust(),
+        DoublyRobust(data="rollouts"),
+        DoublyRobust(data="episodes"),
+        DoublyRobust(data="episodes", self_normalized=True),
+        ImportanceSampling(),
+        ImportanceSampling(kind="trajectory"),
         ImportanceSampling(self_normalized=True),
-    ):  # fmt: skip
-        limit = estimator.limit(simulator, target, policy, behavior_policy=behavior, horizon=horizon)
+    ):
+        limit = estimator.limit(
+            simulator, target, policy, behavior_policy=behavior, horizon=horizon
+        )
         assert_allclose(limit, truth, rtol=1e-6, atol=1e-6, err_msg=repr(estimator))
 
 
@@ -109,22 +133,33 @@ def test_24_the_error_on_transitions_is_a_product_of_errors(rng, weights):
     estimator = DoublyRobust(weights=weights, ratio=oee.true_ratio(target, simulator))
     limit = estimator.limit(simulator, target, policy, data_distribution=distribution)
     q, v = oee.action_values(simulator, policy), oee.state_values(simulator, policy)
-    moved = target.rewards + 0.9 * dense(target)[0] @ v - q  # target.rewards: the simulator's pay, its own moves
-    visits = oee.occupancy(target if weights == "occupancy" else simulator, policy) / 0.1
+    # target.rewards: the simulator's pay, its own moves
+    moved = target.rewards + 0.9 * dense(target)[0] @ v - q
+    visits = (
+        oee.occupancy(target if weights == "occupancy" else simulator, policy) / 0.1
+    )
     error = ((visits - oee.occupancy(target, policy) / 0.1) * moved).sum()
-    assert_allclose(limit - oee.policy_value(target, policy), error, rtol=1e-7, atol=1e-8)
+    assert_allclose(
+        limit - oee.policy_value(target, policy), error, rtol=1e-7, atol=1e-8
+    )
 
 
 def test_28_with_beta_alone_halving_the_mismatch_quarters_the_error():
     rng = np.random.default_rng(2)
-    simulator = oee.FiniteMDP(rng.dirichlet(np.ones(4), (4, 2)), rng.normal(size=4), [1, 0, 0, 0], 0.9)
+    simulator = oee.FiniteMDP(
+        rng.dirichlet(np.ones(4), (4, 2)), rng.normal(size=4), [1, 0, 0, 0], 0.9
+    )
     other = rng.dirichlet(np.ones(4), (4, 2))
     policy = np.full((4, 2), 0.5)
     errors, naive = [], []
     for size in (0.04, 0.02, 0.01):
-        target = simulator.with_transitions((1 - size) * dense(simulator)[0] + size * other)
+        target = simulator.with_transitions(
+            (1 - size) * dense(simulator)[0] + size * other
+        )
         truth = oee.policy_value(target, policy)
-        errors.append(abs(DoublyRobust(weights="beta").limit(simulator, target, policy) - truth))
+        errors.append(
+            abs(DoublyRobust(weights="beta").limit(simulator, target, policy) - truth)
+        )
         naive.append(abs(Simulator().limit(simulator, target, policy) - truth))
     assert_allclose(np.array(errors[:-1]) / errors[1:], 4, atol=0.2)
     assert_allclose(np.array(naive[:-1]) / naive[1:], 2, atol=0.2)
@@ -137,15 +172,22 @@ def test_32_finished_episodes_dropped_from_the_normaliser_estimate_something_els
     ones = np.ones((2, 1))
     options = {"behavior_policy": ones}
     kept = ImportanceSampling(self_normalized=True).limit(chain, chain, ones, **options)
-    dropped = ImportanceSampling(self_normalized=True, ragged="zero").limit(chain, chain, ones, **options)
+    dropped = ImportanceSampling(self_normalized=True, ragged="zero").limit(
+        chain, chain, ones, **options
+    )
     assert_allclose(kept, 1 / (1 - 0.63), rtol=1e-9)
     assert_allclose(dropped, 10.0, rtol=1e-9)
 
 
 @given(rngs)
-def test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_of_returns(rng):
+def test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_of_returns(
+    rng,
+):
     simulator, target = pair(rng)
-    policy, behavior = random_policy(rng, simulator), random_policy(rng, simulator, zeros=0)
+    policy, behavior = (
+        random_policy(rng, simulator),
+        random_policy(rng, simulator, zeros=0),
+    )
     if simulator.closed().any():
         return
     log = oee.sample_episodes(target, behavior, 20, 6, seed=int(rng.integers(1 << 30)))
@@ -154,7 +196,10 @@ def test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_o
     for kind in ("trajectory", "per_decision"):
         estimator = ImportanceSampling(kind=kind, self_normalized=True)
         plain, shifted = (
-            estimator(oee.Problem(simulator, each, horizon=6, behavior_policy=behavior), policy).value
+            estimator(
+                oee.Problem(simulator, each, horizon=6, behavior_policy=behavior),
+                policy,
+            ).value
             for each in (log, raised)
         )
         if np.isnan(plain):
@@ -171,7 +216,10 @@ def test_a_ratio_that_diverges_is_a_status():
     log = oee.sample_episodes(target, behavior, 12, 60, seed=0)
     problem = oee.Problem(simulator, log, behavior_policy=behavior)
     policy = oee.tasks.gridworld_policy(6, 0.5)
-    assert "spectral radius" in OffEnvironment("ratio_of_ratios")(problem, policy, seed=0).status
+    assert (
+        "spectral radius"
+        in OffEnvironment("ratio_of_ratios")(problem, policy, seed=0).status
+    )
     for estimator in (
         DoublyRobust(ratio="ratio_of_ratios"),
         DoublyRobust("episodes", ratio="ratio_of_ratios"),
@@ -194,7 +242,12 @@ def world(seed=0, form="sat", lack=False):
     r = rng.normal(size=(2, 2, 2)[: len(form)])
     simulator = oee.FiniteMDP(P, r, [0.6, 0.4], 0.9)
     behavior = np.array([[0.3, 0.7], [1.0, 0.0] if lack else [0.6, 0.4]])
-    return simulator, simulator.with_transitions(Q), rng.dirichlet([1.0, 1.0], size=2), behavior
+    return (
+        simulator,
+        simulator.with_transitions(Q),
+        rng.dirichlet([1.0, 1.0], size=2),
+        behavior,
+    )
 
 
 def weighted(target, policy, behavior):
@@ -213,8 +266,12 @@ def test_importance_sampling_s_limit_by_every_path(lack, kind, normal):
         simulator, target, policy, behavior_policy=behavior, horizon=HORIZON
     )
     g = 0.9 ** np.arange(HORIZON)
-    chances, rhos, rewards = (np.array(x) for x in zip(*weighted(target, policy, behavior), strict=True))
-    weights = rhos if kind == "per_decision" else np.repeat(rhos[:, -1:], HORIZON, axis=1)
+    chances, rhos, rewards = (
+        np.array(x) for x in zip(*weighted(target, policy, behavior), strict=True)
+    )
+    weights = (
+        rhos if kind == "per_decision" else np.repeat(rhos[:, -1:], HORIZON, axis=1)
+    )
     top = chances @ (weights * rewards)
     mass = chances @ weights if normal else np.ones(HORIZON)
     assert_allclose(found, (g * top / mass).sum(), rtol=1e-10)
@@ -233,21 +290,38 @@ def test_doubly_robust_on_episodes_without_support_by_every_path(form):
     truth, model = Dense(target), Dense(simulator)
     # the reward of a model's row is its own mean for r(s, a, s')
     V = model.values(policy, HORIZON)
-    Q = [np.einsum("sat,sat->sa", model.P, model.r + model.g * V[t + 1]) for t in range(HORIZON)]
+    Q = [
+        np.einsum("sat,sat->sa", model.P, model.r + model.g * V[t + 1])
+        for t in range(HORIZON)
+    ]
     own = model.mu @ V[0]
     for chance, path in paths(target, behavior, HORIZON):
         rho = 1.0
         for t, (s, a, j, _) in enumerate(path):
             rho *= policy[s, a] / behavior[s, a]
-            own += chance * 0.9**t * rho * (truth.r[s, a, j] + 0.9 * V[t + 1][j] - Q[t][s, a])
+            own += (
+                chance
+                * 0.9**t
+                * rho
+                * (truth.r[s, a, j] + 0.9 * V[t + 1][j] - Q[t][s, a])
+            )
     assert_allclose(found, own, rtol=1e-10)
-    assert abs(own - truth.J(policy, HORIZON)) > 1e-5  # the model fills in, with its own error
+    # the model fills in, with its own error
+    assert abs(own - truth.J(policy, HORIZON)) > 1e-5
 
 
 def ragged_world():
     """Two states that go on, and the absorbing state 2."""
-    P = np.array([[[0.5, 0.3, 0.2], [0.2, 0.6, 0.2]], [[0.4, 0.4, 0.2], [0.3, 0.3, 0.4]], [[0, 0, 1.0]] * 2])
-    simulator = oee.FiniteMDP(P, np.array([[1.0, -0.5], [0.3, 2.0], [0.0, 0.0]]), [0.7, 0.3, 0.0], 0.9)
+    P = np.array(
+        [
+            [[0.5, 0.3, 0.2], [0.2, 0.6, 0.2]],
+            [[0.4, 0.4, 0.2], [0.3, 0.3, 0.4]],
+            [[0, 0, 1.0]] * 2,
+        ]
+    )
+    simulator = oee.FiniteMDP(
+        P, np.array([[1.0, -0.5], [0.3, 2.0], [0.0, 0.0]]), [0.7, 0.3, 0.0], 0.9
+    )
     policy = np.array([[0.8, 0.2], [0.3, 0.7], [0.5, 0.5]])
     return simulator, policy, np.array([[0.4, 0.6], [0.5, 0.5], [0.5, 0.5]])
 
@@ -268,23 +342,36 @@ def test_the_limit_of_the_quotient_of_two_clipped_ratios(box):
     share = np.array([[0.2, 0.4], [0.25, 0.15]])
     here, there = Dense(simulator), Dense(target)
     at, d = here.mu, np.zeros((2, 2))
-    for _ in range(1000):  # every move counts alike, as in a log, of episodes of a thousand
+    # every move counts alike, as in a log, of episodes of a thousand
+    for _ in range(1000):
         d += at[:, None] * behavior / 1000
         at = at @ here.chain(behavior)
     pairs = clipped(share, d, *box)
     moves = clipped(share[:, :, None] * there.P, d[:, :, None] * here.P, *box)
     own = here.like(moves / pairs[:, :, None] * here.P).J(policy)
     ask = functools.partial(
-        oee.transition_ratio, method="ratio_of_ratios", simulator_data="exact", behavior_policy=behavior,
-        lower=box[0], upper=box[1],
-    )  # fmt: skip
+        oee.transition_ratio,
+        method="ratio_of_ratios",
+        simulator_data="exact",
+        behavior_policy=behavior,
+        lower=box[0],
+        upper=box[1],
+    )
     options = {"data_distribution": share, "behavior_policy": behavior}
-    assert_allclose(OffEnvironment(ratio=ask).limit(simulator, target, policy, **options), own, rtol=1e-7)
-    on_rollouts = DoublyRobust(data="rollouts", ratio=ask).limit(simulator, target, policy, **options)
+    assert_allclose(
+        OffEnvironment(ratio=ask).limit(simulator, target, policy, **options),
+        own,
+        rtol=1e-7,
+    )
+    on_rollouts = DoublyRobust(data="rollouts", ratio=ask).limit(
+        simulator, target, policy, **options
+    )
     assert_allclose(on_rollouts, own, rtol=1e-7)
     if box[1] == 10.0:
         assert_allclose(own, there.J(policy), rtol=1e-9)
-        named = OffEnvironment(ratio="ratio_of_ratios").limit(simulator, target, policy, **options)
+        named = OffEnvironment(ratio="ratio_of_ratios").limit(
+            simulator, target, policy, **options
+        )
         assert_allclose(named, own, rtol=1e-7)
 
 
@@ -299,35 +386,47 @@ def test_the_limit_of_weighted_importance_sampling_where_episodes_end(ragged):
             rho *= policy[s, a] / behavior[s, a] if s != 2 else 1.0
             top[t] += chance * rho * paid
             mass[t] += chance * rho * (s != 2 or ragged == "pad")
-    found = ImportanceSampling(kind="per_decision", self_normalized=True, ragged=ragged).limit(
-        simulator, simulator, policy, behavior_policy=behavior, horizon=4
-    )
+    found = ImportanceSampling(
+        kind="per_decision", self_normalized=True, ragged=ragged
+    ).limit(simulator, simulator, policy, behavior_policy=behavior, horizon=4)
     assert_allclose(found, (0.9 ** np.arange(4) * top / mass).sum(), rtol=1e-10)
 
 
 @pytest.mark.parametrize("form", ["sa", "sat"])
 @pytest.mark.parametrize("weighting", ["per_decision", "trajectory"])
 @pytest.mark.parametrize("normal", [False, True])
-def test_the_limit_of_products_of_ratios_by_every_path_of_the_simulator(form, weighting, normal):
+def test_the_limit_of_products_of_ratios_by_every_path_of_the_simulator(
+    form, weighting, normal
+):
     """A reward r(s, a) at t rests on t ratios, a reward r(s, a, s') on t + 1; rows of zeta * P that do not sum to 1."""
     simulator, target, policy, behavior = world(2, form)
     ask = functools.partial(
-        oee.transition_ratio, method="ratio_of_ratios", simulator_data="exact", behavior_policy=behavior,
-        lower=0.7, upper=1.3,
-    )  # fmt: skip
+        oee.transition_ratio,
+        method="ratio_of_ratios",
+        simulator_data="exact",
+        behavior_policy=behavior,
+        lower=0.7,
+        upper=1.3,
+    )
     share = np.array([[0.2, 0.4], [0.25, 0.15]])
-    fitted = ask(sparse.csr_array(share.reshape(4, 1) * Dense(target).P.reshape(4, 2)), simulator)
+    fitted = ask(
+        sparse.csr_array(share.reshape(4, 1) * Dense(target).P.reshape(4, 2)), simulator
+    )
     zeta = fitted.values.toarray().reshape(2, 2, 2)
     shift = int(form == "sat")
     g = 0.9 ** np.arange(HORIZON)
     top, mass = np.zeros(HORIZON), np.zeros(HORIZON)
     for chance, path in paths(simulator, policy, HORIZON):
         w = np.cumprod([1.0] + [zeta[s, a, j] for s, a, j, _ in path])
-        w = w[shift : shift + HORIZON] if weighting == "per_decision" else np.full(HORIZON, w[HORIZON - 1 + shift])
+        w = (
+            w[shift : shift + HORIZON]
+            if weighting == "per_decision"
+            else np.full(HORIZON, w[HORIZON - 1 + shift])
+        )
         top += chance * w * np.array([paid for *_, paid in path])
         mass += chance * w
     own = g @ (top / (mass if normal else 1.0))
-    found = OffEnvironment(ratio=ask, evaluation="monte_carlo", weighting=weighting, self_normalized=normal).limit(
-        simulator, target, policy, data_distribution=share, horizon=HORIZON
-    )
+    found = OffEnvironment(
+        ratio=ask, evaluation="monte_carlo", weighting=weighting, self_normalized=normal
+    ).limit(simulator, target, policy, data_distribution=share, horizon=HORIZON)
     assert_allclose(found, own, rtol=1e-9)

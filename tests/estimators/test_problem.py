@@ -10,39 +10,66 @@ from scipy import sparse
 
 import oee_tabular as oee
 from oee_tabular import FiniteMDP, Problem, Transitions
-from oee_tabular.estimators import DoublyRobust, ImportanceSampling, Marginalized, ModelBased, OffEnvironment, Simulator
+from oee_tabular.estimators import (
+    DoublyRobust,
+    ImportanceSampling,
+    Marginalized,
+    ModelBased,
+    OffEnvironment,
+    Simulator,
+)
 
 
 def test_contradictions_of_the_log():
     """Rewards: rows, moves and the worst example; behaviour: rows whose probability is not the policy's."""
-    simulator = FiniteMDP(np.full((2, 2, 2), 0.5), np.array([[1.0, 2.0], [3.0, 4.0]]), [1, 0], 0.9)
+    simulator = FiniteMDP(
+        np.full((2, 2, 2), 0.5), np.array([[1.0, 2.0], [3.0, 4.0]]), [1, 0], 0.9
+    )
     log = Transitions(
-        [0, 0, 1, 0], [0, 0, 1, 1], [0, 0, 1, 1], [1.5, 1.5, 9.0, 2.0], behavior_probability=[0.5, 0.4, 0.5, 0.5]
+        [0, 0, 1, 0],
+        [0, 0, 1, 1],
+        [0, 0, 1, 1],
+        [1.5, 1.5, 9.0, 2.0],
+        behavior_probability=[0.5, 0.4, 0.5, 0.5],
     )
     problem = Problem(simulator, log, behavior_policy=np.full((2, 2), 0.5))
-    assert str(problem.reward_conflict) == (
-        "the log's rewards contradict the simulator's in 3 of 4 transitions (2 distinct; "
-        "the reward of s=1, a=1 -> s'=1 is 9 in the log, 4 in the simulator)"
+    assert (
+        str(problem.reward_conflict)
+        == "the log's rewards contradict the simulator's in 3 of 4 transitions (2"
+        " distinct; the reward of s=1, a=1 -> s'=1 is 9 in the log, 4 in the"
+        " simulator)"
     )
     assert problem.behavior_conflict == 1
     assert Problem(simulator, log).behavior_conflict == 0
-    whole = Transitions([0, 1], [0, 1], [1, 0], episode=[0, 0], behavior_probability=[0.5, 0.2])
-    drawn = Problem(simulator, log, behavior_policy=np.full((2, 2), 0.25) * 2, episodes=whole)
+    whole = Transitions(
+        [0, 1], [0, 1], [1, 0], episode=[0, 0], behavior_probability=[0.5, 0.2]
+    )
+    drawn = Problem(
+        simulator, log, behavior_policy=np.full((2, 2), 0.25) * 2, episodes=whole
+    )
     assert drawn.behavior_conflict == 1
     assert Problem(simulator, whole).reward_conflict is None
     assert_array_equal(problem.rewards_of(log), log.reward)
     assert_array_equal(problem.rewards_of(whole), [1.0, 4.0])
     near = Transitions([0], [0], [0], [1.0 + 5e-7])
     assert Problem(simulator, near).reward_conflict is None
-    assert Problem(simulator, Transitions([0], [0], [0], [1.00001])).reward_conflict.rows == 1
+    assert (
+        Problem(simulator, Transitions([0], [0], [0], [1.00001])).reward_conflict.rows
+        == 1
+    )
 
 
 def test_log_rewards_for_rewards_of_state_and_action():
     """The mean of the log's pay where a move was seen, r(s, a) elsewhere; rows s*A + a."""
-    simulator = FiniteMDP(np.full((2, 2, 2), 0.5), np.array([[1.0, 3.0], [4.0, 6.0]]), [1, 0], 0.9)
+    simulator = FiniteMDP(
+        np.full((2, 2, 2), 0.5), np.array([[1.0, 3.0], [4.0, 6.0]]), [1, 0], 0.9
+    )
     log = Transitions([0, 0, 0, 0], [1, 1, 1, 0], [0, 0, 0, 0], [5.0, 7.0, 9.0, 2.0])
     problem = Problem(simulator, log, rewards="log")
-    assert_allclose(problem.model.transition_rewards.toarray(), [[2.0, 1.0], [7.0, 3.0], [4.0, 4.0], [6.0, 6.0]])
+    assert_allclose(
+        problem.model.transition_rewards.toarray(),
+        [[2.0, 1.0], [7.0, 3.0], [4.0, 4.0], [6.0, 6.0]],
+    )
     assert Problem(simulator, log).model is simulator
 
 
@@ -50,7 +77,10 @@ def test_each_log_of_a_problem_is_led_to_where_termination_leads():
     """A terminated move into state 0 ends in state 1; a log without one is kept as it is."""
     rows = np.array([[[0.5, 0.5]], [[0.0, 1.0]]])
     simulator = FiniteMDP(rows, [1.0, 0.0], [1, 0], 0.9, terminal_state=[1, 1])
-    ended, going = Transitions([0], [0], [0], terminated=[True]), Transitions([0], [0], [0])
+    ended, going = (
+        Transitions([0], [0], [0], terminated=[True]),
+        Transitions([0], [0], [0]),
+    )
     problem = Problem(simulator, ended, simulator_data=ended, episodes=ended)
     for log in (problem.log, problem.episodes, problem.simulator_data):
         assert log.next_state.tolist() == [1]
@@ -72,7 +102,13 @@ SOFT = 0.25 * MORE.counts(9, 4)
 
 
 @pytest.mark.parametrize(
-    "estimator", [OffEnvironment(), ModelBased(), ImportanceSampling(), OffEnvironment(evaluation="monte_carlo")]
+    "estimator",
+    [
+        OffEnvironment(),
+        ModelBased(),
+        ImportanceSampling(),
+        OffEnvironment(evaluation="monte_carlo"),
+    ],
 )
 def test_the_log_s_own_counts_change_nothing(estimator):
     plain = estimator(oee.Problem(SIMULATOR, LOG, 20), EXPERT, seed=0)
@@ -87,12 +123,23 @@ def test_who_uses_them():
     default = functools.partial(oee.transition_ratio, values_of=EXPERT, horizon=20)
     fixed = functools.partial(oee.transition_ratio, prior="simulator", strength=2.0)
     for estimator, fit in ((OffEnvironment(), default), (OffEnvironment(fixed), fixed)):
-        value = oee.policy_value(fit(SOFT, SIMULATOR).target_model(SIMULATOR), EXPERT, horizon=20)
-        assert_allclose(estimator(problem, EXPERT).diagnostics["model_value"], value, rtol=1e-12)
+        value = oee.policy_value(
+            fit(SOFT, SIMULATOR).target_model(SIMULATOR), EXPERT, horizon=20
+        )
+        assert_allclose(
+            estimator(problem, EXPERT).diagnostics["model_value"], value, rtol=1e-12
+        )
     other = oee.Problem(SIMULATOR, MORE, 20)
-    assert_allclose(ModelBased()(problem, EXPERT).value, ModelBased()(other, EXPERT).value, rtol=1e-12)
+    assert_allclose(
+        ModelBased()(problem, EXPERT).value,
+        ModelBased()(other, EXPERT).value,
+        rtol=1e-12,
+    )
     plain = oee.Problem(SIMULATOR, LOG, 20)
-    assert ImportanceSampling()(problem, EXPERT).value == ImportanceSampling()(plain, EXPERT).value
+    assert (
+        ImportanceSampling()(problem, EXPERT).value
+        == ImportanceSampling()(plain, EXPERT).value
+    )
     assert problem.observed is problem.counts
     assert plain.observed is plain.log
 
@@ -116,11 +163,17 @@ def test_they_are_copied_and_read_only():
 
 
 def test_a_report_leaves_out_what_needs_whole_transitions():
-    for problem in (oee.Problem(SIMULATOR, LOG, 20, counts=SOFT), oee.Problem(SIMULATOR, SOFT, 20)):
+    for problem in (
+        oee.Problem(SIMULATOR, LOG, 20, counts=SOFT),
+        oee.Problem(SIMULATOR, SOFT, 20),
+    ):
         assert problem.soft
         report = oee.evaluate(problem, EXPERT, estimators=["oee"], seed=0)
         assert report.uncertainty.intervals == {}
-        assert "likelihood intervals need whole and independent transitions" in " ".join(str(report).split())
+        assert (
+            "likelihood intervals need whole and independent transitions"
+            in " ".join(str(report).split())
+        )
 
 
 # ---- whole counts, without a log
@@ -131,14 +184,19 @@ PLAIN = oee.Problem(SIMULATOR, LOG, 20)
 @pytest.mark.parametrize("method", ["likelihood", "delta", "robust", "bootstrap"])
 def test_whole_counts_give_the_log_s_intervals(method):
     """A bag of counts may be of episodes: the robust radius is theirs."""
-    ends = [oee.interval(problem, EXPERT, method=method, seed=0) for problem in (WHOLE, PLAIN)]
+    ends = [
+        oee.interval(problem, EXPERT, method=method, seed=0)
+        for problem in (WHOLE, PLAIN)
+    ]
     assert ends[0].lower == ends[1].lower
     assert ends[0].upper == ends[1].upper
 
 
 def test_what_needs_episodes_says_so():
     report = oee.evaluate(WHOLE, EXPERT, seed=0)
-    assert "Importance sampling is left out: the log has no episodes." in report.warnings
+    assert (
+        "Importance sampling is left out: the log has no episodes." in report.warnings
+    )
 
 
 # ---- counts with rewards, terminations and a sample of episodes
@@ -146,9 +204,16 @@ def counted(log, sample=None):
     """Rows of a log as TransitionCounts, one a row: equal moves stand twice."""
     moves = log.moves()
     return oee.TransitionCounts(
-        log.state, log.action, log.next_state, moves.number, log.terminated, moves.reward_sum, moves.reward_min,
-        moves.reward_max, sample=sample,
-    )  # fmt: skip
+        log.state,
+        log.action,
+        log.next_state,
+        moves.number,
+        log.terminated,
+        moves.reward_sum,
+        moves.reward_min,
+        moves.reward_max,
+        sample=sample,
+    )
 
 
 def paid(change):
@@ -159,36 +224,60 @@ def paid(change):
 
 def test_counts_show_rewards_that_contradict():
     log = paid(lambda k: np.where(k == 7, 0.5, 0.0))
-    plain, problem = oee.Problem(SIMULATOR, log, 20), oee.Problem(SIMULATOR, counted(log), 20)
+    plain, problem = (
+        oee.Problem(SIMULATOR, log, 20),
+        oee.Problem(SIMULATOR, counted(log), 20),
+    )
     assert str(problem.reward_conflict) == str(plain.reward_conflict)
     assert oee.Problem(SIMULATOR, counted(LOG), 20).reward_conflict is None
     assert oee.Problem(SIMULATOR, COUNTS, 20).reward_conflict is None
     one = oee.TransitionCounts([0], [0], [0], [9], [0], [4.0], [-1.0], [3.0])
-    zero = oee.FiniteMDP(SIMULATOR.transitions, np.zeros((9, 4)), SIMULATOR.initial, 0.9)
+    zero = oee.FiniteMDP(
+        SIMULATOR.transitions, np.zeros((9, 4)), SIMULATOR.initial, 0.9
+    )
     conflict = oee.Problem(zero, one).reward_conflict
     assert str(conflict).startswith(
-        "the log's rewards contradict the simulator's in up to 9 of 9 transitions (1 distinct"
+        "the log's rewards contradict the simulator's in up to 9 of 9 transitions (1"
+        " distinct"
     )
     assert "is 3 in the log, 0 in the simulator" in str(conflict)
 
 
-@pytest.mark.parametrize("estimator", [ModelBased(), OffEnvironment(), oee.estimators.Marginalized()])
+@pytest.mark.parametrize(
+    "estimator", [ModelBased(), OffEnvironment(), oee.estimators.Marginalized()]
+)
 @pytest.mark.parametrize("rewards", ["log", "simulator"])
 def test_rewards_of_counts_are_the_log_s(estimator, rewards):
     log = paid(lambda k: np.sin(k))
-    ours, plain = (oee.Problem(SIMULATOR, given, 20, rewards=rewards) for given in (counted(log), log))
-    assert_allclose(estimator(ours, EXPERT).value, estimator(plain, EXPERT).value, rtol=1e-12)
+    ours, plain = (
+        oee.Problem(SIMULATOR, given, 20, rewards=rewards)
+        for given in (counted(log), log)
+    )
+    assert_allclose(
+        estimator(ours, EXPERT).value, estimator(plain, EXPERT).value, rtol=1e-12
+    )
 
 
 def test_importance_sampling_sees_the_sample_beside_the_counts():
-    problem, plain = oee.Problem(SIMULATOR, counted(MORE, sample=LOG), 20), oee.Problem(SIMULATOR, LOG, 20)
-    assert ImportanceSampling()(problem, EXPERT).value == ImportanceSampling()(plain, EXPERT).value
+    problem, plain = (
+        oee.Problem(SIMULATOR, counted(MORE, sample=LOG), 20),
+        oee.Problem(SIMULATOR, LOG, 20),
+    )
+    assert (
+        ImportanceSampling()(problem, EXPERT).value
+        == ImportanceSampling()(plain, EXPERT).value
+    )
     assert problem.recorded is problem.log.sample
-    assert oee.Problem(SIMULATOR, counted(MORE, sample=LOG), 20, episodes=MORE).recorded is not LOG
+    assert (
+        oee.Problem(SIMULATOR, counted(MORE, sample=LOG), 20, episodes=MORE).recorded
+        is not LOG
+    )
 
 
 def test_terminated_transitions_of_counts_are_led_to_the_terminal_state():
-    mdp = oee.FiniteMDP.from_gymnasium(__import__("gymnasium").make("CliffWalking-v1"), discount=0.9)
+    mdp = oee.FiniteMDP.from_gymnasium(
+        __import__("gymnasium").make("CliffWalking-v1"), discount=0.9
+    )
     log = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 20, 200, seed=2)
     assert log.terminated.any()
     ours, plain = oee.Problem(mdp, counted(log, sample=log)), oee.Problem(mdp, log)
@@ -197,22 +286,35 @@ def test_terminated_transitions_of_counts_are_led_to_the_terminal_state():
 
 
 def test_rows_left_out_have_a_warning():
-    told = oee.data.counts.Recording(True, 300, 2, 20, 3, 1, 2, 4, ("a.csv: state[3] must be an integer; it is x",))
+    told = oee.data.counts.Recording(
+        True, 300, 2, 20, 3, 1, 2, 4, ("a.csv: state[3] must be an integer; it is x",)
+    )
     log = oee.TransitionCounts([0], [0], [0], [7], recording=told, sample=LOG)
     texts = [finding.text for finding in oee.Problem(SIMULATOR, log).findings]
     assert texts == [
-        "4 invalid rows of the log were not counted: a.csv: state[3] must be an integer; it is x.",
-        "Importance sampling uses a sample of 30 of the log's 300 episodes. The other estimators use every transition.",
+        (
+            "4 invalid rows of the log were not counted: a.csv: state[3] must be an"
+            " integer; it is x."
+        ),
+        (
+            "Importance sampling uses a sample of 30 of the log's 300 episodes. The"
+            " other estimators use every transition."
+        ),
     ]
 
 
-# ---- what the log paid: values, gradients and errors under rewards="log", by a dense model of its own
+# ---- what the log paid: values, gradients and errors under rewards="log", by a dense
+# model of its own
 def paid_case(form):
     rng = np.random.default_rng(3)
     P = rng.dirichlet(np.ones(3), size=(3, 2))
-    simulator = oee.FiniteMDP(P, rng.normal(size=(3, 2, 3)[: len(form)]), [0.5, 0.25, 0.25], 0.8)
+    simulator = oee.FiniteMDP(
+        P, rng.normal(size=(3, 2, 3)[: len(form)]), [0.5, 0.25, 0.25], 0.8
+    )
     target = simulator.with_transitions(rng.dirichlet(np.ones(3), size=(3, 2)))
-    drawn = oee.sample_transitions(target, np.array([[0.3, 0.1], [0.3, 0.1], [0.2, 0.0]]), 40, seed=0)
+    drawn = oee.sample_transitions(
+        target, np.array([[0.3, 0.1], [0.3, 0.1], [0.2, 0.0]]), 40, seed=0
+    )
     pay = rng.normal(size=40)
     log = oee.Transitions(drawn.state, drawn.action, drawn.next_state, pay)
     base = Dense(simulator)
@@ -228,7 +330,12 @@ def paid_case(form):
 def test_values_use_the_log_s_rewards(form, horizon):
     simulator, log, policy, own, n = paid_case(form)
     problem = oee.Problem(simulator, log, horizon=horizon, rewards="log")
-    assert_allclose(Simulator()(problem, policy).value, Dense(simulator).J(policy, horizon), rtol=1e-9)  # its own
+    # its own
+    assert_allclose(
+        Simulator()(problem, policy).value,
+        Dense(simulator).J(policy, horizon),
+        rtol=1e-9,
+    )
     total = n.sum(axis=2, keepdims=True)
     frequency = n / np.maximum(total, 1)
     likeliest = own.like(np.where(total > 0, frequency, own.P))
@@ -236,13 +343,21 @@ def test_values_use_the_log_s_rewards(form, horizon):
     assert_allclose(found.value, likeliest.J(policy, horizon), rtol=1e-9)
     slope = likeliest.slope(policy, horizon)
     seen = total[:, :, 0] > 0
-    spread = (likeliest.P * slope**2).sum(axis=2) - (likeliest.P * slope).sum(axis=2) ** 2
-    assert_allclose(found.standard_error, np.sqrt((spread[seen] / total[:, :, 0][seen]).sum()), rtol=1e-7)
+    spread = (likeliest.P * slope**2).sum(axis=2) - (likeliest.P * slope).sum(
+        axis=2
+    ) ** 2
+    assert_allclose(
+        found.standard_error,
+        np.sqrt((spread[seen] / total[:, :, 0][seen]).sum()),
+        rtol=1e-7,
+    )
     fit = oee.transition_ratio(log, simulator, prior="simulator", strength=5.0)
     model = own.like(fit.values.toarray().reshape(3, 2, 3) * own.P)
     told = OffEnvironment(ratio=fit)(problem, policy).diagnostics
     assert_allclose(told["model_value"], model.J(policy, horizon), rtol=1e-9)
-    assert_allclose(told["maximum_likelihood_value"], likeliest.J(policy, horizon), rtol=1e-9)
+    assert_allclose(
+        told["maximum_likelihood_value"], likeliest.J(policy, horizon), rtol=1e-9
+    )
     step = (model.slope(policy, horizon) * (likeliest.P - model.P))[seen].sum()
     assert_allclose(told["one_step_value"], model.J(policy, horizon) + step, rtol=1e-9)
 
@@ -256,10 +371,20 @@ def test_doubly_robust_and_marginalised_values_of_the_log_s_rewards():
     model = own.like(fit.values.toarray().reshape(3, 2, 3) * own.P)
     seen = total[:, :, 0] > 0
     ahead = own.r + own.g * own.values(policy)
-    change = (model.visits(policy)[:, :, None] * (frequency - own.P) * ahead)[seen].sum()
-    assert_allclose(DoublyRobust(ratio=fit)(problem, policy).value, own.J(policy) + change, rtol=1e-9)
+    change = (model.visits(policy)[:, :, None] * (frequency - own.P) * ahead)[
+        seen
+    ].sum()
+    assert_allclose(
+        DoublyRobust(ratio=fit)(problem, policy).value,
+        own.J(policy) + change,
+        rtol=1e-9,
+    )
     pay = np.array(log.reward)
-    share = model.visits(policy)[log.state, log.action] / total[log.state, log.action, 0]
+    share = (
+        model.visits(policy)[log.state, log.action] / total[log.state, log.action, 0]
+    )
     here = own.visits(policy)
-    assert_allclose(Marginalized(ratio=fit)(problem, policy).value, (share * pay).sum(), rtol=1e-7)
+    assert_allclose(
+        Marginalized(ratio=fit)(problem, policy).value, (share * pay).sum(), rtol=1e-7
+    )
     assert here.min() > 0

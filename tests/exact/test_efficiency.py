@@ -23,7 +23,9 @@ from oee_tabular.exact import leading_bias, ratio_of_ratios_variance
 
 
 def shares(rng, mdp, zeros=0.0):
-    return integer_distribution(rng, mdp.n_states * mdp.n_actions, zeros).reshape(mdp.n_states, mdp.n_actions)
+    return integer_distribution(rng, mdp.n_states * mdp.n_actions, zeros).reshape(
+        mdp.n_states, mdp.n_actions
+    )
 
 
 @given(rngs)
@@ -37,15 +39,24 @@ def test_41_the_bound_is_the_variance_of_the_numeric_gradient(rng):
         for j in np.flatnonzero(row):
             step = np.zeros(base.P.shape)
             step[s, a, j] = 1e-5
-            slope[j] = (base.like(base.P + step).J(policy) - base.like(base.P - step).J(policy)) / 2e-5
+            slope[j] = (
+                base.like(base.P + step).J(policy) - base.like(base.P - step).J(policy)
+            ) / 2e-5
         expected += row @ (slope - row @ slope) ** 2 / share[s, a]
     found = oee.efficiency_bound(mdp, policy, share)
     assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
     if mdp.transition_rewards is None:
         v = oee.state_values(mdp, policy)
-        spread = np.einsum("sat,sat->sa", base.P, (v[None, None] - (base.P @ v)[:, :, None]) ** 2)
+        spread = np.einsum(
+            "sat,sat->sa", base.P, (v[None, None] - (base.P @ v)[:, :, None]) ** 2
+        )
         d = oee.occupancy(mdp, policy)
-        assert_allclose(found, (0.9 / 0.1) ** 2 * (d**2 / share * spread).sum(), rtol=1e-8, atol=1e-9)
+        assert_allclose(
+            found,
+            (0.9 / 0.1) ** 2 * (d**2 / share * spread).sum(),
+            rtol=1e-8,
+            atol=1e-9,
+        )
 
 
 @given(rngs)
@@ -63,13 +74,22 @@ def test_30_the_bound_is_convex_in_the_data_and_has_its_minimum_where_theory_say
         weight = np.full(6, 1e-9)
         weight[k] = 1.0 - 5e-9
         parts.append(weight)
-    costs = np.linalg.solve(1.0 / np.array(parts), [oee.efficiency_bound(mdp, policy, w.reshape(3, 2)) for w in parts])
+    costs = np.linalg.solve(
+        1.0 / np.array(parts),
+        [oee.efficiency_bound(mdp, policy, w.reshape(3, 2)) for w in parts],
+    )
     costs = np.maximum(costs, 0.0)
     if (costs < 1e-6 * costs.max()).any():
         return
     best = np.sqrt(costs) / np.sqrt(costs).sum()
-    assert_allclose(oee.efficiency_bound(mdp, policy, best.reshape(3, 2)), np.sqrt(costs).sum() ** 2, rtol=1e-5)
-    assert oee.efficiency_bound(mdp, policy, one) >= np.sqrt(costs).sum() ** 2 * (1 - 1e-5)
+    assert_allclose(
+        oee.efficiency_bound(mdp, policy, best.reshape(3, 2)),
+        np.sqrt(costs).sum() ** 2,
+        rtol=1e-5,
+    )
+    assert oee.efficiency_bound(mdp, policy, one) >= np.sqrt(costs).sum() ** 2 * (
+        1 - 1e-5
+    )
 
 
 @given(rngs)
@@ -78,7 +98,12 @@ def test_08_discount_0_and_a_long_horizon(rng):
     policy, share = random_policy(rng, mdp), shares(rng, mdp)
     bound = oee.efficiency_bound(mdp, policy, share)
     assert oee.efficiency_bound(mdp.with_discount(0.0), policy, share) == 0
-    assert_allclose(oee.efficiency_bound(mdp, policy, share, horizon=600), bound, rtol=1e-6, atol=1e-9)
+    assert_allclose(
+        oee.efficiency_bound(mdp, policy, share, horizon=600),
+        bound,
+        rtol=1e-6,
+        atol=1e-9,
+    )
 
 
 def test_data_that_never_show_what_matters():
@@ -88,9 +113,15 @@ def test_data_that_never_show_what_matters():
     assert oee.efficiency_bound(mdp, oee.uniform_policy(mdp), share) == np.inf
     even, simulator = np.full((9, 4), 1 / 36), oee.tasks.gridworld(3, 0.5)
     for two in ((share, even), (even, share)):
-        assert ratio_of_ratios_variance(simulator, mdp, oee.uniform_policy(mdp), *two) == np.inf
-    certain = oee.FiniteMDP(np.array([[[0.0, 1.0]], [[0.5, 0.5]]]), np.array([0.0, 1.0]), [1, 0], 0.9)
-    assert np.isfinite(oee.efficiency_bound(certain, np.ones((2, 1)), [[0.0], [1.0]]))  # a certain move needs no data
+        assert (
+            ratio_of_ratios_variance(simulator, mdp, oee.uniform_policy(mdp), *two)
+            == np.inf
+        )
+    certain = oee.FiniteMDP(
+        np.array([[[0.0, 1.0]], [[0.5, 0.5]]]), np.array([0.0, 1.0]), [1, 0], 0.9
+    )
+    # a certain move needs no data
+    assert np.isfinite(oee.efficiency_bound(certain, np.ones((2, 1)), [[0.0], [1.0]]))
 
 
 @given(rngs)
@@ -99,40 +130,70 @@ def test_the_tree_bound_is_the_variance_of_doubly_robust_with_the_truth(rng):
     mdp = random_mdp(rng, n_states=3, n_actions=2)
     behavior, policy = random_policy(rng, mdp, zeros=0), random_policy(rng, mdp)
     horizon = 3
-    values = [oee.state_values(mdp, policy, horizon=horizon - t) for t in range(horizon)] + [np.zeros(3)]
+    values = [
+        oee.state_values(mdp, policy, horizon=horizon - t) for t in range(horizon)
+    ] + [np.zeros(3)]
     transitions, paid = dense(mdp)
-    pairs = np.stack([mdp.rewards + mdp.discount * transitions @ values[t + 1] for t in range(horizon)])
+    pairs = np.stack(
+        [
+            mdp.rewards + mdp.discount * transitions @ values[t + 1]
+            for t in range(horizon)
+        ]
+    )
     ratio = np.where(mdp.absorbing()[:, None], 1.0, policy / behavior)
     probabilities, estimates = [], []
     for probability, steps in paths(mdp, behavior, horizon):
         value = 0.0
         for t, (s, a, _, r) in reversed(list(enumerate(steps))):
-            value = values[t][s] + ratio[s, a] * (r - pairs[t, s, a] + mdp.discount * value)
+            value = values[t][s] + ratio[s, a] * (
+                r - pairs[t, s, a] + mdp.discount * value
+            )
         probabilities.append(probability)
         estimates.append(value)
     probabilities, estimates = np.array(probabilities), np.array(estimates)
     mean = probabilities @ estimates
     tree, markov = (
-        oee.trajectory_efficiency_bound(mdp, behavior, policy, horizon=horizon, model=model)
+        oee.trajectory_efficiency_bound(
+            mdp, behavior, policy, horizon=horizon, model=model
+        )
         for model in ("tree", "mdp")
     )
     scale = max(1.0, tree)
-    assert_allclose(probabilities @ (estimates - mean) ** 2, tree, rtol=1e-9, atol=1e-10 * scale)
-    assert_allclose(mean, oee.policy_value(mdp, policy, horizon=horizon), rtol=1e-9, atol=1e-9)
+    assert_allclose(
+        probabilities @ (estimates - mean) ** 2, tree, rtol=1e-9, atol=1e-10 * scale
+    )
+    assert_allclose(
+        mean, oee.policy_value(mdp, policy, horizon=horizon), rtol=1e-9, atol=1e-9
+    )
     assert markov <= tree + 1e-10 * scale
     alpha, beta, q_noise = mdp.initial, mdp.initial, 0.0
     own = mdp.initial @ (values[0] - mdp.initial @ values[0]) ** 2
     for t in range(horizon):
         ahead, factor = paid + mdp.discount * values[t + 1], mdp.discount ** (2 * t)
-        spread = (transitions * (ahead - (transitions * ahead).sum(axis=2, keepdims=True)) ** 2).sum(axis=2)
-        q_noise += factor * alpha @ (policy * (pairs[t] - values[t][:, None]) ** 2).sum(axis=1)
+        spread = (
+            transitions
+            * (ahead - (transitions * ahead).sum(axis=2, keepdims=True)) ** 2
+        ).sum(axis=2)
+        q_noise += (
+            factor * alpha @ (policy * (pairs[t] - values[t][:, None]) ** 2).sum(axis=1)
+        )
         mine, theirs = alpha[:, None] * policy, beta[:, None] * behavior
-        own += factor * np.divide(mine**2 * spread, theirs, out=np.zeros_like(mine), where=theirs > 0).sum()
+        own += (
+            factor
+            * np.divide(
+                mine**2 * spread, theirs, out=np.zeros_like(mine), where=theirs > 0
+            ).sum()
+        )
         alpha, beta = (np.einsum("sa,sat->t", x, transitions) for x in (mine, theirs))
     assert_allclose(markov, own, rtol=1e-9, atol=1e-10 * scale)
     on_policy = oee.trajectory_efficiency_bound(mdp, policy, policy, horizon=horizon)
     plain = oee.return_moments(mdp, policy, horizon=horizon)
-    assert_allclose(plain.variance, on_policy + q_noise, rtol=1e-8, atol=1e-9 * max(1.0, plain.variance))
+    assert_allclose(
+        plain.variance,
+        on_policy + q_noise,
+        rtol=1e-8,
+        atol=1e-9 * max(1.0, plain.variance),
+    )
 
 
 @given(rngs)
@@ -142,7 +203,10 @@ def test_finite_horizons_of_the_ratio_of_ratios(rng):
     policy, share = random_policy(rng, simulator), shares(rng, simulator)
     for rows in ("as_they_are", "normalised"):
         infinite, long = (
-            ratio_of_ratios_variance(simulator, target, policy, share, share, rows=rows, horizon=h) for h in (None, 120)
+            ratio_of_ratios_variance(
+                simulator, target, policy, share, share, rows=rows, horizon=h
+            )
+            for h in (None, 120)
         )
         assert_allclose(long, infinite, rtol=1e-9, atol=1e-12)
 
@@ -152,11 +216,16 @@ def test_the_four_quotients_against_a_delta_method(rng):
     """lim n Var of J as a function of the four samples' frequencies, by central differences: no formula of the package's."""
     size = int(rng.integers(2, 4))
     simulator = oee.FiniteMDP(
-        rng.dirichlet(np.ones(size) * 2, (size, 2)), rng.normal(size=(size, 2)), [1] + [0] * (size - 1), 0.7
+        rng.dirichlet(np.ones(size) * 2, (size, 2)),
+        rng.normal(size=(size, 2)),
+        [1] + [0] * (size - 1),
+        0.7,
     )
     target = simulator.with_transitions(rng.dirichlet(np.ones(size) * 2, (size, 2)))
     policy = rng.dirichlet(np.ones(2), size)
-    share, other = (rng.dirichlet(np.ones(2 * size) * 3).reshape(size, 2) for _ in range(2))
+    share, other = (
+        rng.dirichlet(np.ones(2 * size) * 3).reshape(size, 2) for _ in range(2)
+    )
     p, q = dense(target)[0], dense(simulator)[0]
     moves = [share[:, :, None] * p, other[:, :, None] * q]
 
@@ -187,15 +256,27 @@ def test_the_four_quotients_against_a_delta_method(rng):
             n = rows == "normalised"
             if apart:
                 parts = [
-                    lambda x, n=n: value(x, moves[1], *moves, n), lambda x, n=n: value(moves[0], x, *moves, n),
-                    lambda x, n=n: value(*moves, x, moves[1], n), lambda x, n=n: value(*moves, moves[0], x, n),
-                ]  # fmt: skip
+                    lambda x, n=n: value(x, moves[1], *moves, n),
+                    lambda x, n=n: value(moves[0], x, *moves, n),
+                    lambda x, n=n: value(*moves, x, moves[1], n),
+                    lambda x, n=n: value(*moves, moves[0], x, n),
+                ]
                 expected = sum(variance(f, moves[i % 2]) for i, f in enumerate(parts))
             else:
-                expected = variance(lambda x, n=n: value(x, moves[1], x, moves[1], n), moves[0])
-                expected += variance(lambda x, n=n: value(moves[0], x, moves[0], x, n), moves[1])
+                expected = variance(
+                    lambda x, n=n: value(x, moves[1], x, moves[1], n), moves[0]
+                )
+                expected += variance(
+                    lambda x, n=n: value(moves[0], x, moves[0], x, n), moves[1]
+                )
             found = ratio_of_ratios_variance(
-                simulator, target, policy, share, other, rows=rows, independent_samples=apart
+                simulator,
+                target,
+                policy,
+                share,
+                other,
+                rows=rows,
+                independent_samples=apart,
             )
             assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
 
@@ -203,8 +284,15 @@ def test_the_four_quotients_against_a_delta_method(rng):
 def fisher_bound(mdp, behavior, policy, horizon):
     """g' I^-1 g: I the information of all paths in the rows' free coordinates (moves with probability, less one a row)."""
     transitions, _ = dense(mdp)
-    free = [(s, a, j) for s, a in np.ndindex(*behavior.shape) for j in np.flatnonzero(transitions[s, a])[:-1]]
-    last = {(s, a): np.flatnonzero(transitions[s, a])[-1] for s, a in np.ndindex(*behavior.shape)}
+    free = [
+        (s, a, j)
+        for s, a in np.ndindex(*behavior.shape)
+        for j in np.flatnonzero(transitions[s, a])[:-1]
+    ]
+    last = {
+        (s, a): np.flatnonzero(transitions[s, a])[-1]
+        for s, a in np.ndindex(*behavior.shape)
+    }
     information = np.zeros((len(free), len(free)))
     for probability, steps in paths(mdp, behavior, horizon):
         score = np.zeros(len(free))
@@ -212,7 +300,9 @@ def fisher_bound(mdp, behavior, policy, horizon):
             for i, (x, b, j) in enumerate(free):
                 if (x, b) == (s, a):
                     score[i] += (following == j) / transitions[s, a, j]
-                    score[i] -= (following == last[s, a]) / transitions[s, a, last[s, a]]
+                    score[i] -= (following == last[s, a]) / transitions[
+                        s, a, last[s, a]
+                    ]
         information += probability * np.outer(score, score)
     slope = np.zeros(len(free))
     for i, (s, a, j) in enumerate(free):
@@ -228,14 +318,25 @@ def fisher_bound(mdp, behavior, policy, horizon):
 
 @settings(max_examples=15)
 @given(rngs, st.sampled_from([1, 2, 3]))
-def test_the_bound_for_one_kernel_is_that_of_the_fisher_information_of_all_paths(rng, form):
-    mdp = random_mdp(rng, n_states=int(rng.integers(2, 4)), n_actions=int(rng.integers(1, 3)), form=form, discount=0.9)
+def test_the_bound_for_one_kernel_is_that_of_the_fisher_information_of_all_paths(
+    rng, form
+):
+    mdp = random_mdp(
+        rng,
+        n_states=int(rng.integers(2, 4)),
+        n_actions=int(rng.integers(1, 3)),
+        form=form,
+        discount=0.9,
+    )
     behavior, policy = random_policy(rng, mdp, zeros=0.0), random_policy(rng, mdp)
     horizon = int(rng.integers(1, 4))
     found, markov = (
-        oee.trajectory_efficiency_bound(mdp, behavior, policy, horizon=horizon, model=m) for m in ("stationary", "mdp")
+        oee.trajectory_efficiency_bound(mdp, behavior, policy, horizon=horizon, model=m)
+        for m in ("stationary", "mdp")
     )
-    assert_allclose(found, fisher_bound(mdp, behavior, policy, horizon), rtol=1e-6, atol=1e-7)
+    assert_allclose(
+        found, fisher_bound(mdp, behavior, policy, horizon), rtol=1e-6, atol=1e-7
+    )
     assert found <= markov * (1 + 1e-9) + 1e-9
 
 
@@ -252,8 +353,17 @@ def test_the_leading_bias_is_that_of_second_differences(form):
         for j in range(3):
             direction = np.zeros((6, 3))
             direction[x] = np.eye(3)[j] - rows[x]
-            ends = [base.like((rows + sign * step * direction).reshape(3, 2, 3)).J(POLICY) for sign in (1, -1)]
-            total += rows[x, j] * (sum(ends) - 2 * base.J(POLICY)) / step**2 / 2 / SHARE.reshape(-1)[x]
+            ends = [
+                base.like((rows + sign * step * direction).reshape(3, 2, 3)).J(POLICY)
+                for sign in (1, -1)
+            ]
+            total += (
+                rows[x, j]
+                * (sum(ends) - 2 * base.J(POLICY))
+                / step**2
+                / 2
+                / SHARE.reshape(-1)[x]
+            )
     assert abs(total) > 0.01
     assert_allclose(leading_bias(target, POLICY, SHARE), total, rtol=1e-4)
 
@@ -270,11 +380,21 @@ def test_only_actions_within_reach_must_be_taken():
         oee.trajectory_efficiency_bound(mdp, without, half, horizon=horizon)
     for horizon in (3, 4, 9):
         with pytest.raises(
-            ValueError, match=r"in state 2 it never takes action 1 \(1 such state-action pairs in all\)$"
+            ValueError,
+            match=(
+                r"in state 2 it never takes action 1 \(1 such state-action pairs in"
+                r" all\)$"
+            ),
         ):
             oee.trajectory_efficiency_bound(mdp, without, half, horizon=horizon)
     oee.trajectory_efficiency_bound(mdp, without, without, horizon=9)
-    with pytest.raises(ValueError, match=r"in state 0 it never takes action 0 \(4 such"):
+    with pytest.raises(
+        ValueError, match=r"in state 0 it never takes action 0 \(4 such"
+    ):
         oee.trajectory_efficiency_bound(mdp, never, half, horizon=9)
-    over = FiniteMDP(np.ones((1, 2, 1)), np.zeros((1, 2)), [1.0], 0.9)  # no action matters
-    assert oee.trajectory_efficiency_bound(over, [[1.0, 0.0]], [[0.5, 0.5]], horizon=3) == 0.0
+    # no action matters
+    over = FiniteMDP(np.ones((1, 2, 1)), np.zeros((1, 2)), [1.0], 0.9)
+    assert (
+        oee.trajectory_efficiency_bound(over, [[1.0, 0.0]], [[0.5, 0.5]], horizon=3)
+        == 0.0
+    )

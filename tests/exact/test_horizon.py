@@ -2,7 +2,15 @@
 
 import numpy as np
 import pytest
-from helpers import BEHAVIOR, POLICY, environments, random_mdp, random_policy, ratio_of, rngs
+from helpers import (
+    BEHAVIOR,
+    POLICY,
+    environments,
+    random_mdp,
+    random_policy,
+    ratio_of,
+    rngs,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -19,8 +27,13 @@ def backward(model, policy, steps):
     """V_0, V_1: the definition, with library products on the rows as they stand."""
     value = following = np.zeros(model.n_states)
     for t in range(steps - 1, -1, -1):
-        pairs = model.rewards + model.discount * (model.transitions @ value).reshape(model.rewards.shape)
-        value, following = ((policy if policy.ndim == 2 else policy[t]) * pairs).sum(axis=1), value
+        pairs = model.rewards + model.discount * (model.transitions @ value).reshape(
+            model.rewards.shape
+        )
+        value, following = (
+            ((policy if policy.ndim == 2 else policy[t]) * pairs).sum(axis=1),
+            value,
+        )
     return value, following
 
 
@@ -40,7 +53,10 @@ def some_model(rng, **options):
     if rng.random() < 0.5:
         return mdp
     data = rng.integers(0, 4, mdp.transitions.nnz) / 2.0
-    ratio = sparse.csr_array((data, mdp.transitions.indices, mdp.transitions.indptr), shape=mdp.transitions.shape)
+    ratio = sparse.csr_array(
+        (data, mdp.transitions.indices, mdp.transitions.indptr),
+        shape=mdp.transitions.shape,
+    )
     return exact.reweight(mdp, ratio)
 
 
@@ -56,15 +72,28 @@ def test_all_ways_give_the_sum_of_the_definition(rng, steps, stationary):
     policy = some_policy(rng, model, steps, stationary)
     values, following = backward(model, policy, steps)
     scale = 1e-12 * max(1.0, np.abs(values).max())
-    assert_allclose(exact.state_values(model, policy, horizon=steps), values, rtol=0, atol=scale)
-    pairs = model.rewards + model.discount * (model.transitions @ following).reshape(model.rewards.shape)
-    assert_allclose(exact.action_values(model, policy, horizon=steps), pairs, rtol=0, atol=scale)
+    assert_allclose(
+        exact.state_values(model, policy, horizon=steps), values, rtol=0, atol=scale
+    )
+    pairs = model.rewards + model.discount * (model.transitions @ following).reshape(
+        model.rewards.shape
+    )
+    assert_allclose(
+        exact.action_values(model, policy, horizon=steps), pairs, rtol=0, atol=scale
+    )
     value = model.initial @ values
-    assert_allclose(exact.policy_value(model, policy, horizon=steps), value, rtol=0, atol=scale)
+    assert_allclose(
+        exact.policy_value(model, policy, horizon=steps), value, rtol=0, atol=scale
+    )
     visits = forward(model, policy, steps)
     assert_allclose((visits * model.rewards).sum(), value, rtol=0, atol=scale * steps)
     mass = sum(model.discount**t for t in range(steps))
-    assert_allclose(exact.occupancy(model, policy, horizon=steps), visits / mass, rtol=1e-12, atol=1e-13)
+    assert_allclose(
+        exact.occupancy(model, policy, horizon=steps),
+        visits / mass,
+        rtol=1e-12,
+        atol=1e-13,
+    )
     states = exact.occupancy(model, policy, horizon=steps, of="state")
     assert_allclose(states, visits.sum(axis=1) / mass, rtol=1e-12, atol=1e-13)
 
@@ -80,15 +109,26 @@ def test_the_values_by_horizon_are_those_of_each(rng, steps, stationary):
     for t in range(1, steps + 1):
         first = policy if stationary else policy[:t]
         value = exact.policy_value(model, first, horizon=t)
-        assert_allclose((found[t], exact.evaluate_policy(model, first, horizon=t).value), value, rtol=1e-12, atol=1e-13)
-    paid = np.diff([(forward(model, policy, t) * model.rewards).sum() for t in range(steps + 1)])
-    assert_allclose(np.diff(found), paid, rtol=0, atol=1e-11 * max(1.0, np.abs(found).max()))
+        assert_allclose(
+            (found[t], exact.evaluate_policy(model, first, horizon=t).value),
+            value,
+            rtol=1e-12,
+            atol=1e-13,
+        )
+    paid = np.diff(
+        [(forward(model, policy, t) * model.rewards).sum() for t in range(steps + 1)]
+    )
+    assert_allclose(
+        np.diff(found), paid, rtol=0, atol=1e-11 * max(1.0, np.abs(found).max())
+    )
 
 
 @given(rngs, st.one_of(st.none(), st.integers(1, 5)))
 def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
     """sum_t gamma^t alpha_t (r + gamma V'_t+1) on the other model's entries, alpha of the first, V' of the other."""
-    model, valued = (random_mdp(rng, n_states=5, n_actions=2, discount=0.9) for _ in range(2))
+    model, valued = (
+        random_mdp(rng, n_states=5, n_actions=2, discount=0.9) for _ in range(2)
+    )
     policy = random_policy(rng, model)
     rows = np.repeat(np.arange(10), np.diff(valued.transitions.indptr))
     columns = valued.transitions.indices
@@ -98,24 +138,36 @@ def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
     for t in range(steps or 400):
         share = (states[:, None] * policy).reshape(-1)
         left = backward(valued, policy, steps - t)[1] if steps else endless
-        expected += model.discount**t * share[rows] * (pay + model.discount * left[columns])
+        expected += (
+            model.discount**t * share[rows] * (pay + model.discount * left[columns])
+        )
         states = model.transitions.T @ share
     found = exact.transition_gradient(model, policy, horizon=steps, values_of=valued)
-    assert_allclose(found, expected, rtol=0, atol=1e-11 * max(1.0, np.abs(expected).max()))
+    assert_allclose(
+        found, expected, rtol=0, atol=1e-11 * max(1.0, np.abs(expected).max())
+    )
 
 
-# ---- merged sweeps are those of a policy in time; each step and state has its own share of the variance
+# ---- merged sweeps are those of a policy in time; each step and state has its own
+# share of the variance
 def check_in_time(mdp, zeta, policy, behavior, horizon):
     """A policy for each step that is always the same: entry by entry what the merged sweeps give."""
     calls = [
         lambda pi, **options: oee.return_moments(mdp, pi, **options),
         lambda pi, **options: oee.weighted_return_moments(mdp, zeta, pi, **options),
-        lambda pi, **options: oee.weighted_return_moments(mdp, zeta, pi, self_normalized=True, **options),
+        lambda pi, **options: oee.weighted_return_moments(
+            mdp, zeta, pi, self_normalized=True, **options
+        ),
         lambda pi, **options: oee.policy_is_moments(mdp, behavior, pi, **options),
-        lambda pi, **options: oee.policy_is_moments(mdp, behavior, pi, self_normalized=True, **options),
+        lambda pi, **options: oee.policy_is_moments(
+            mdp, behavior, pi, self_normalized=True, **options
+        ),
     ]
     for call in calls:
-        merged, timed = (call(pi, horizon=horizon, sources=True) for pi in (policy, np.stack([policy] * horizon)))
+        merged, timed = (
+            call(pi, horizon=horizon, sources=True)
+            for pi in (policy, np.stack([policy] * horizon))
+        )
         for name in ("mean", "variance", "bias", "by_step", "by_state"):
             one, two = getattr(merged, name), getattr(timed, name)
             scale = max(1.0, np.abs(two).max(), abs(timed.mean) ** 2)
@@ -127,9 +179,17 @@ def check_in_time(mdp, zeta, policy, behavior, horizon):
 @given(rngs)
 def test_merged_sweeps_are_those_of_a_policy_in_time(rng):
     """Strips that fill and that do not."""
-    mdp = random_mdp(rng, n_states=int(rng.integers(1, 90)), n_actions=int(rng.integers(1, 5)))
+    mdp = random_mdp(
+        rng, n_states=int(rng.integers(1, 90)), n_actions=int(rng.integers(1, 5))
+    )
     zeta = oee.true_ratio(random_mdp(rng, like=mdp), mdp)
-    check_in_time(mdp, zeta, random_policy(rng, mdp), random_policy(rng, mdp, zeros=0.0), int(rng.integers(1, 7)))
+    check_in_time(
+        mdp,
+        zeta,
+        random_policy(rng, mdp),
+        random_policy(rng, mdp, zeros=0.0),
+        int(rng.integers(1, 7)),
+    )
 
 
 @pytest.mark.large
@@ -142,11 +202,15 @@ def test_rings_and_rows_of_very_different_lengths(rng):
         transitions = np.zeros((n, n_actions, n))
         for step in rng.choice(np.arange(-5, 40), 3, replace=False):
             following = (np.arange(n) + step) % n if is_ring else rng.integers(0, n, n)
-            transitions[np.arange(n), :, following] += rng.gamma(0.3, size=(n, n_actions)) + 1e-9
+            transitions[np.arange(n), :, following] += (
+                rng.gamma(0.3, size=(n, n_actions)) + 1e-9
+            )
         if not is_ring:
             transitions[n // 2] = 1.0
         transitions /= transitions.sum(axis=2, keepdims=True)
-        mdp = oee.FiniteMDP(transitions, rng.normal(size=(n, n_actions, n)), np.full(n, 1 / n), 0.9)
+        mdp = oee.FiniteMDP(
+            transitions, rng.normal(size=(n, n_actions, n)), np.full(n, 1 / n), 0.9
+        )
         policy, behavior = (rng.dirichlet(np.ones(n_actions), n) for _ in range(2))
         check_in_time(mdp, ratio_of(rng, mdp), policy, behavior, 4)
 
@@ -161,8 +225,12 @@ def test_an_infinite_sum_has_the_shares_of_a_long_one(form, weights):
             return oee.return_moments(simulator, POLICY, sources=True, **options)
         if weights == "moves":
             zeta = oee.true_ratio(target, simulator)
-            return oee.weighted_return_moments(simulator, zeta, POLICY, sources=True, **options)
-        return oee.policy_is_moments(simulator, BEHAVIOR, POLICY, sources=True, **options)
+            return oee.weighted_return_moments(
+                simulator, zeta, POLICY, sources=True, **options
+            )
+        return oee.policy_is_moments(
+            simulator, BEHAVIOR, POLICY, sources=True, **options
+        )
 
     endless, long = moments(), moments(horizon=120)
     assert_allclose(endless.mean, long.mean, rtol=1e-10)
@@ -170,7 +238,9 @@ def test_an_infinite_sum_has_the_shares_of_a_long_one(form, weights):
     assert_allclose(endless.by_state, long.by_state, rtol=1e-9)
     assert endless.by_step is None
     assert endless.bias == 0.0
-    assert_allclose(endless.variance - endless.by_state.sum(), long.by_step[0], rtol=1e-9)
+    assert_allclose(
+        endless.variance - endless.by_state.sum(), long.by_step[0], rtol=1e-9
+    )
 
 
 # ---- weights along a walk: how fast they grow, and where they stand still
@@ -180,7 +250,9 @@ KINDS = ("per_decision", "trajectory")
 @pytest.mark.parametrize("n", [3, 400, 401, 450])
 def test_growth_of_large_and_small_chains(n):
     """A ring with zeta = 2: E W_t^2 = 4^t at every size; without weight minus infinity."""
-    ring = sparse.csr_array((np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n))
+    ring = sparse.csr_array(
+        (np.ones(n), (np.arange(n), (np.arange(n) + 1) % n)), shape=(n, n)
+    )
     mdp = FiniteMDP(ring, np.ones(n), np.full(n, 1 / n), 0.9)
     ones = np.ones((n, 1))
     assert_allclose(weight_growth(mdp, ring * 2.0, ones), np.log(4.0), rtol=1e-9)
@@ -194,12 +266,22 @@ def test_growth_of_large_and_small_chains(n):
 def test_an_infinite_sum_of_states_that_are_never_entered():
     """The last state is only a start: no column of the weighted kernel, and yet a row."""
     mdp = FiniteMDP(
-        np.array([[[0.5, 0.5, 0.0]], [[0.5, 0.5, 0.0]], [[1.0, 0.0, 0.0]]]), [1.0, 2.0, 5.0], [0, 0, 1], 0.5
+        np.array([[[0.5, 0.5, 0.0]], [[0.5, 0.5, 0.0]], [[1.0, 0.0, 0.0]]]),
+        [1.0, 2.0, 5.0],
+        [0, 0, 1],
+        0.5,
     )
-    endless, long = (oee.return_moments(mdp, np.ones((3, 1)), horizon=h, sources=True) for h in (None, 60))
-    assert_allclose((endless.mean, endless.variance), (long.mean, long.variance), rtol=1e-12)
+    endless, long = (
+        oee.return_moments(mdp, np.ones((3, 1)), horizon=h, sources=True)
+        for h in (None, 60)
+    )
+    assert_allclose(
+        (endless.mean, endless.variance), (long.mean, long.variance), rtol=1e-12
+    )
     assert_allclose(endless.by_state, long.by_state, rtol=1e-12)
-    assert weight_growth(mdp, oee.true_ratio(mdp, mdp), np.ones((3, 1))) == pytest.approx(0.0, abs=1e-12)
+    assert weight_growth(
+        mdp, oee.true_ratio(mdp, mdp), np.ones((3, 1))
+    ) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -213,11 +295,15 @@ def test_ratios_of_transitions_in_absorbing_states_do_not_count(kind, self_norma
     assert (other.data == 1.7).sum() == simulator.n_actions
     policy = oee.tasks.gridworld_expert(3)
     one, two = (
-        exact.weighted_return_moments(simulator, z, policy, kind=kind, horizon=6, self_normalized=self_normalized)
+        exact.weighted_return_moments(
+            simulator, z, policy, kind=kind, horizon=6, self_normalized=self_normalized
+        )
         for z in (zeta, other)
     )
     assert (one.mean, one.variance) == (two.mean, two.variance)
-    assert_array_equal(*(weight_moments(simulator, z, policy, horizon=6) for z in (zeta, other)))
+    assert_array_equal(
+        *(weight_moments(simulator, z, policy, horizon=6) for z in (zeta, other))
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -226,8 +312,20 @@ def test_without_any_weight_nothing_is_left_to_divide_by(kind):
     nothing = sparse.csr_array(np.zeros((2, 2)))
     with pytest.warns(UserWarning, match="all weights of a step are 0"):
         found = oee.weighted_return_moments(
-            chain, nothing, np.ones((2, 1)), kind=kind, horizon=2, self_normalized=True, sources=True
+            chain,
+            nothing,
+            np.ones((2, 1)),
+            kind=kind,
+            horizon=2,
+            self_normalized=True,
+            sources=True,
         )
     assert np.isnan([found.mean, found.variance, found.bias]).all()
-    plain = oee.weighted_return_moments(chain, nothing, np.ones((2, 1)), kind=kind, horizon=2)
-    assert (plain.mean, plain.variance, plain.bias) == ((1.0 if kind == "per_decision" else 0.0), 0.0, 0.0)
+    plain = oee.weighted_return_moments(
+        chain, nothing, np.ones((2, 1)), kind=kind, horizon=2
+    )
+    assert (plain.mean, plain.variance, plain.bias) == (
+        (1.0 if kind == "per_decision" else 0.0),
+        0.0,
+        0.0,
+    )

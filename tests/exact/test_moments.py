@@ -29,7 +29,9 @@ KINDS = ("per_decision", "trajectory")
 
 def values_to_go(mdp, policy, horizon):
     """(T + 1, S)."""
-    values = [oee.state_values(mdp, policy, horizon=horizon - t) for t in range(horizon)]
+    values = [
+        oee.state_values(mdp, policy, horizon=horizon - t) for t in range(horizon)
+    ]
     return np.stack([*values, np.zeros(mdp.n_states)])
 
 
@@ -48,7 +50,16 @@ def enumerated(mdp, drawn, u, w, horizon, kind):
             plain += mdp.discount**t * r
             weights.append(carried)
             paid.append(carried * r)
-        rows.append((probability, total if kind == "per_decision" else weight * plain, weight, plain, weights, paid))
+        rows.append(
+            (
+                probability,
+                total if kind == "per_decision" else weight * plain,
+                weight,
+                plain,
+                weights,
+                paid,
+            )
+        )
     return [np.array(column) for column in zip(*rows, strict=True)]
 
 
@@ -67,15 +78,23 @@ def check(found, probability, x):
 def check_sources(found, mdp, drawn, x, horizon):
     """Var E[X | path to s_t+1] - Var E[X | path to s_t], the start's part first, and the steps' by their states s_t."""
     every = paths(mdp, drawn, horizon)
-    probability, before = np.array([p for p, _ in every]), moments_of(np.array([p for p, _ in every]), x)[0]
+    probability, before = (
+        np.array([p for p, _ in every]),
+        moments_of(np.array([p for p, _ in every]), x)[0],
+    )
     scale, by_state = max(1.0, probability @ x**2), np.zeros(mdp.n_states)
     for t in range(horizon + 1):
         groups, level = {}, np.empty(len(x))
         for k, (_, steps) in enumerate(every):
-            known = tuple(step[:2] for step in steps[:t]), steps[t][0] if t < horizon else steps[-1][2]
+            known = (
+                tuple(step[:2] for step in steps[:t]),
+                steps[t][0] if t < horizon else steps[-1][2],
+            )
             groups.setdefault(known, []).append(k)
         for members in groups.values():
-            level[members] = probability[members] @ x[members] / probability[members].sum()
+            level[members] = (
+                probability[members] @ x[members] / probability[members].sum()
+            )
         part, before = probability * (level - before) ** 2, level
         assert_allclose(found.by_step[t], part.sum(), rtol=1e-8, atol=1e-11 * scale)
         if t > 0:
@@ -87,17 +106,34 @@ def check_sources(found, mdp, drawn, x, horizon):
 @given(rngs, st.sampled_from(KINDS))
 def test_19_products_of_ratios_equal_enumeration(rng, kind):
     """[19, 42] to 1e-10 of E X^2, with r(s), r(s, a) and r(s, a, s'), any zeta; one policy, or one for each step."""
-    simulator = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3)))
-    policy, zeta, horizon = random_policy(rng, simulator), ratio_of(rng, simulator), int(rng.integers(1, 4))
+    simulator = random_mdp(
+        rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3))
+    )
+    policy, zeta, horizon = (
+        random_policy(rng, simulator),
+        ratio_of(rng, simulator),
+        int(rng.integers(1, 4)),
+    )
     if rng.random() < 0.3:
         policy = np.stack([random_policy(rng, simulator) for _ in range(horizon)])
     w = zeta.toarray().reshape(simulator.n_states, simulator.n_actions, -1)
-    probability, x, *_ = enumerated(simulator, policy, np.ones(simulator.rewards.shape), w, horizon, kind)
-    found = oee.weighted_return_moments(simulator, zeta, policy, kind=kind, horizon=horizon, sources=True)
+    probability, x, *_ = enumerated(
+        simulator, policy, np.ones(simulator.rewards.shape), w, horizon, kind
+    )
+    found = oee.weighted_return_moments(
+        simulator, zeta, policy, kind=kind, horizon=horizon, sources=True
+    )
     check(found, probability, x)
     check_sources(found, simulator, policy, x, horizon)
-    bare = oee.weighted_return_moments(simulator, zeta, policy, kind=kind, horizon=horizon)
-    assert (bare.mean, bare.variance, bare.by_step, bare.by_state) == (found.mean, found.variance, None, None)
+    bare = oee.weighted_return_moments(
+        simulator, zeta, policy, kind=kind, horizon=horizon
+    )
+    assert (bare.mean, bare.variance, bare.by_step, bare.by_state) == (
+        found.mean,
+        found.variance,
+        None,
+        None,
+    )
 
 
 @settings(max_examples=60)
@@ -109,7 +145,11 @@ def test_19_policy_importance_sampling_equals_enumeration(rng, kind):
     u = np.divide(policy, behavior, out=np.zeros_like(policy), where=behavior > 0)
     ones = np.ones((mdp.n_states, 2, mdp.n_states))
     probability, x, *_ = enumerated(mdp, behavior, u, ones, horizon, kind)
-    check(oee.policy_is_moments(mdp, behavior, policy, kind=kind, horizon=horizon), probability, x)
+    check(
+        oee.policy_is_moments(mdp, behavior, policy, kind=kind, horizon=horizon),
+        probability,
+        x,
+    )
 
 
 @settings(max_examples=60)
@@ -120,10 +160,18 @@ def test_self_normalised_limits_variances_and_biases(rng, kind):
     policy, horizon = random_policy(rng, simulator), int(rng.integers(1, 4))
     zeta = ratio_of(rng, simulator)
     w = zeta.toarray().reshape(simulator.n_states, 2, -1)
-    probability, _, last, plain, weights, paid = enumerated(simulator, policy, np.ones_like(policy), w, horizon, kind)
+    probability, _, last, plain, weights, paid = enumerated(
+        simulator, policy, np.ones_like(policy), w, horizon, kind
+    )
     with warnings.catch_warnings(record=True, action="always") as said:
         found = oee.weighted_return_moments(
-            simulator, zeta, policy, kind=kind, horizon=horizon, self_normalized=True, sources=True
+            simulator,
+            zeta,
+            policy,
+            kind=kind,
+            horizon=horizon,
+            self_normalized=True,
+            sources=True,
         )
     assert bool(said) == np.isnan(found.mean)
     gamma = simulator.discount ** np.arange(horizon)
@@ -155,15 +203,33 @@ def test_self_normalised_limits_variances_and_biases(rng, kind):
 @given(rngs, st.booleans(), st.booleans())
 def test_22_42_doubly_robust_moments_equal_enumeration(rng, action_baseline, own):
     """The mean is J(zeta P) for every baseline; the variance that of the recursion's definition on each path."""
-    simulator = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3)))
-    policy, zeta, horizon = random_policy(rng, simulator), ratio_of(rng, simulator), int(rng.integers(1, 4))
+    simulator = random_mdp(
+        rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3))
+    )
+    policy, zeta, horizon = (
+        random_policy(rng, simulator),
+        ratio_of(rng, simulator),
+        int(rng.integers(1, 4)),
+    )
     baseline = rng.normal(size=(horizon + 1, simulator.n_states)) if own else None
     found = oee.doubly_robust_moments(
-        simulator, zeta, policy, baseline=baseline, horizon=horizon, action_baseline=action_baseline, sources=True
+        simulator,
+        zeta,
+        policy,
+        baseline=baseline,
+        horizon=horizon,
+        action_baseline=action_baseline,
+        sources=True,
     )
     assert_allclose(found.by_step.sum(), found.variance, rtol=1e-9, atol=1e-12)
-    assert_allclose(found.by_step[0] + found.by_state.sum(), found.variance, rtol=1e-9, atol=1e-12)
-    u = values_to_go(simulator, policy, horizon) if baseline is None else baseline.copy()
+    assert_allclose(
+        found.by_step[0] + found.by_state.sum(), found.variance, rtol=1e-9, atol=1e-12
+    )
+    u = (
+        values_to_go(simulator, policy, horizon)
+        if baseline is None
+        else baseline.copy()
+    )
     u[horizon] = 0  # row T is not used
     transitions, rewards = dense(simulator)
     over = simulator.absorbing()
@@ -176,10 +242,14 @@ def test_22_42_doubly_robust_moments_equal_enumeration(rng, action_baseline, own
         for t in range(horizon - 1, -1, -1):
             s, a, following, r = steps[t]
             moved = gamma * u[t + 1] + (rewards[s] if by_move else 0.0)
-            known = (transitions[s] * w[s] * moved).sum(axis=1) + (0.0 if by_move else rewards[s, :, 0])
+            known = (transitions[s] * w[s] * moved).sum(axis=1) + (
+                0.0 if by_move else rewards[s, :, 0]
+            )
             left = r if by_move else 0.0
             expected = (known * policy[s]).sum() if action_baseline else known[a]
-            value = expected + w[s, a, following] * (left + gamma * value - (left + gamma * u[t + 1][following]))
+            value = expected + w[s, a, following] * (
+                left + gamma * value - (left + gamma * u[t + 1][following])
+            )
         probabilities.append(probability)
         values.append(value)
     check(found, np.array(probabilities), np.array(values))
@@ -194,10 +264,14 @@ def test_23_with_the_true_values_only_the_start_varies(rng):
     target = random_mdp(rng, like=simulator)
     policy, zeta = random_policy(rng, simulator), oee.true_ratio(target, simulator)
     values = values_to_go(target, policy, 4)
-    found = oee.doubly_robust_moments(simulator, zeta, policy, baseline=values, horizon=4, action_baseline=True)
+    found = oee.doubly_robust_moments(
+        simulator, zeta, policy, baseline=values, horizon=4, action_baseline=True
+    )
     start = target.initial @ (values[0] - target.initial @ values[0]) ** 2
     assert_allclose(found.variance, start, atol=1e-9 * max(1.0, found.mean**2))
-    assert_allclose(found.mean, oee.policy_value(target, policy, horizon=4), rtol=1e-9, atol=1e-10)
+    assert_allclose(
+        found.mean, oee.policy_value(target, policy, horizon=4), rtol=1e-9, atol=1e-10
+    )
 
 
 @given(rngs)
@@ -207,13 +281,21 @@ def test_20_21_the_mean_is_the_value_of_the_model(rng):
     target = random_mdp(rng, like=simulator)
     policy, any_zeta = random_policy(rng, simulator), ratio_of(rng, simulator)
     model = oee.exact.reweight(simulator, any_zeta)
-    if not simulator.absorbing().any():  # there weights stand still, in the model they need not
+    # there weights stand still, in the model they need not
+    if not simulator.absorbing().any():
         found = oee.weighted_return_moments(simulator, any_zeta, policy, horizon=4)
-        assert_allclose(found.mean, oee.policy_value(model, policy, horizon=4), rtol=1e-9, atol=1e-10)
+        assert_allclose(
+            found.mean,
+            oee.policy_value(model, policy, horizon=4),
+            rtol=1e-9,
+            atol=1e-10,
+        )
     truth = oee.policy_value(target, policy, horizon=4)
     for kind in KINDS:
         zeta = oee.true_ratio(target, simulator)
-        found = oee.weighted_return_moments(simulator, zeta, policy, kind=kind, horizon=4)
+        found = oee.weighted_return_moments(
+            simulator, zeta, policy, kind=kind, horizon=4
+        )
         assert_allclose(found.mean, truth, rtol=1e-9, atol=1e-9)
 
 
@@ -221,7 +303,10 @@ def test_an_infinite_sum_without_a_variance_names_the_radius():
     """gamma^2 rho(P zeta^2) = .9^2 * 1.5 = 1.215."""
     simulator = oee.FiniteMDP(np.full((2, 1, 2), 0.5), np.ones(2), [1, 0], 0.9)
     zeta = sparse.csr_array(np.array([[1 + 0.5**0.5, 1 - 0.5**0.5]] * 2))
-    with pytest.raises(ValueError, match=r"horizon must be given: .* no variance.*spectral radius of 1\.215"):
+    with pytest.raises(
+        ValueError,
+        match=r"horizon must be given: .* no variance.*spectral radius of 1\.215",
+    ):
         oee.weighted_return_moments(simulator, zeta, np.ones((2, 1)))
     assert_allclose(weight_growth(simulator, zeta, np.ones((2, 1))), np.log(1.5))
 
@@ -235,16 +320,28 @@ def test_10_12_26_moments_of_the_weight(rng):
     first, second = weight_moments(simulator, zeta, policy, horizon=6)
     assert_allclose(first, 1.0, rtol=1e-12)
     assert (np.diff(second) >= -1e-12 * second[1:]).all()
-    chi = np.asarray(simulator.transitions.multiply(zeta.values.multiply(zeta.values)).sum(axis=1)).max()
+    chi = np.asarray(
+        simulator.transitions.multiply(zeta.values.multiply(zeta.values)).sum(axis=1)
+    ).max()
     assert (second <= chi ** np.arange(7) * (1 + 1e-12)).all()
     same = oee.true_ratio(simulator, simulator)
     for kind in KINDS:
-        found = oee.weighted_return_moments(simulator, same, policy, kind=kind, horizon=5)
+        found = oee.weighted_return_moments(
+            simulator, same, policy, kind=kind, horizon=5
+        )
         plain = oee.return_moments(simulator, policy, horizon=5)
-        assert_allclose((found.mean, found.variance), (plain.mean, plain.variance), rtol=1e-10, atol=1e-11)
+        assert_allclose(
+            (found.mean, found.variance),
+            (plain.mean, plain.variance),
+            rtol=1e-10,
+            atol=1e-11,
+        )
     if not simulator.absorbing().any():
         other = ratio_of(rng, simulator)
-        alpha, kernel = simulator.initial, other.multiply(simulator.transitions).toarray().reshape(3, -1, 3)
+        alpha, kernel = (
+            simulator.initial,
+            other.multiply(simulator.transitions).toarray().reshape(3, -1, 3),
+        )
         for mass in weight_moments(simulator, other, policy, horizon=6)[0]:
             assert_allclose(mass, alpha.sum(), rtol=1e-10, atol=1e-12)
             alpha = np.einsum("s,sa,sat->t", alpha, policy, kernel)
@@ -262,9 +359,18 @@ def test_25_the_law_of_total_variance(rng):
     for t in range(horizon):
         ahead = transitions @ values[t + 1]
         pairs = mdp.rewards + mdp.discount * ahead
-        spread_a = (policy * (pairs - (policy * pairs).sum(axis=1, keepdims=True)) ** 2).sum(axis=1)
-        spread_s = np.einsum("sa,sat,sat->s", policy, transitions, (values[t + 1][None, None] - ahead[:, :, None]) ** 2)
-        total += mdp.discount ** (2 * t) * reached @ (spread_a + mdp.discount**2 * spread_s)
+        spread_a = (
+            policy * (pairs - (policy * pairs).sum(axis=1, keepdims=True)) ** 2
+        ).sum(axis=1)
+        spread_s = np.einsum(
+            "sa,sat,sat->s",
+            policy,
+            transitions,
+            (values[t + 1][None, None] - ahead[:, :, None]) ** 2,
+        )
+        total += (
+            mdp.discount ** (2 * t) * reached @ (spread_a + mdp.discount**2 * spread_s)
+        )
         reached = np.einsum("s,sa,sat->t", reached, policy, transitions)
     found = oee.return_moments(mdp, policy, horizon=horizon)
     assert_allclose(found.variance, total, rtol=1e-9, atol=1e-10)
@@ -274,7 +380,9 @@ def test_25_the_law_of_total_variance(rng):
 @pytest.mark.filterwarnings("ignore:a moment is beyond the largest float")
 def test_variances_beyond_floats():
     """E[W_t^2] = 1.64^t: there is no finite variance, the mean keeps its digits, and nothing ends in an error of arithmetic."""
-    simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.999) for p in (0.5, 0.9))
+    simulator, target = (
+        oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.999) for p in (0.5, 0.9)
+    )
     known = simulator, oee.true_ratio(target, simulator), [[1.0]] * 2
     value = oee.policy_value(target, known[-1], horizon=2000)
     for kind in KINDS:
@@ -283,16 +391,22 @@ def test_variances_beyond_floats():
         assert not np.isfinite(found.variance)
     for weight in (0.1, 4.0):
         constant = simulator, (simulator.transitions > 0) * weight, known[-1]
-        oee.weighted_return_moments(*constant, horizon=300, kind="trajectory", self_normalized=True)
+        oee.weighted_return_moments(
+            *constant, horizon=300, kind="trajectory", self_normalized=True
+        )
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_states_that_are_never_reached_may_pay_anything():
     chain = [[[0.5, 0.5, 0]], [[0.5, 0.5, 0]], [[0, 0, 1.0]]]
-    huge, small = (oee.FiniteMDP(chain, [0, 1, pay], [1, 0, 0], 0.5) for pay in (1e200, 1.0))
+    huge, small = (
+        oee.FiniteMDP(chain, [0, 1, pay], [1, 0, 0], 0.5) for pay in (1e200, 1.0)
+    )
     for options in ({"kind": "per_decision"}, {"kind": "trajectory"}):
         one, two = (
-            oee.weighted_return_moments(m, oee.true_ratio(m, m), [[1.0]] * 3, horizon=3, **options)
+            oee.weighted_return_moments(
+                m, oee.true_ratio(m, m), [[1.0]] * 3, horizon=3, **options
+            )
             for m in (huge, small)
         )
         assert_allclose((one.mean, one.variance), (two.mean, two.variance), rtol=1e-12)
@@ -313,7 +427,9 @@ def test_no_cancellation():
     coin = np.array([1e8, 1e8 + 0.5])
     mdp = oee.FiniteMDP(np.full((2, 1, 2), 0.5), coin, [1, 0], 0.5)
     exact = ((coin[1] - coin[0]) / 2) ** 2 * (0.25 + 0.0625)
-    assert_allclose(oee.return_moments(mdp, np.ones((2, 1)), horizon=3).variance, exact, rtol=1e-6)
+    assert_allclose(
+        oee.return_moments(mdp, np.ones((2, 1)), horizon=3).variance, exact, rtol=1e-6
+    )
 
 
 @given(rngs, st.sampled_from(KINDS))
@@ -328,22 +444,40 @@ def test_05_06_07_relabelling_and_longer_horizons_change_nothing(rng, kind):
     else:
         paid = rewards[np.ix_(states, actions, states)]
     other = oee.FiniteMDP(
-        transitions[np.ix_(states, actions, states)], paid, simulator.initial[states], simulator.discount
+        transitions[np.ix_(states, actions, states)],
+        paid,
+        simulator.initial[states],
+        simulator.discount,
     )
-    weights = zeta.toarray().reshape(3, 2, 3)[np.ix_(states, actions, states)].reshape(6, 3)
+    weights = (
+        zeta.toarray().reshape(3, 2, 3)[np.ix_(states, actions, states)].reshape(6, 3)
+    )
     found, moved = (
         oee.weighted_return_moments(m, z, p, kind=kind, horizon=3)
-        for m, z, p in ((simulator, zeta, policy), (other, sparse.csr_array(weights), policy[np.ix_(states, actions)]))
+        for m, z, p in (
+            (simulator, zeta, policy),
+            (other, sparse.csr_array(weights), policy[np.ix_(states, actions)]),
+        )
     )
-    assert_allclose((moved.mean, moved.variance), (found.mean, found.variance), rtol=1e-9, atol=1e-9)
+    assert_allclose(
+        (moved.mean, moved.variance), (found.mean, found.variance), rtol=1e-9, atol=1e-9
+    )
     chain = oee.FiniteMDP(
-        np.array([[[0, 0.5, 0.5]], [[0, 0, 1]], [[0, 0, 1]]]), np.array([1.0, 2.0, 0.0]), [1, 0, 0], 0.9
+        np.array([[[0, 0.5, 0.5]], [[0, 0, 1]], [[0, 0, 1]]]),
+        np.array([1.0, 2.0, 0.0]),
+        [1, 0, 0],
+        0.9,
     )
     tilted = sparse.csr_array(np.array([[0, 1.5, 0.5], [0, 0, 1.2], [0, 0, 7.0]]))
     short, long = (
-        oee.weighted_return_moments(chain, tilted, np.ones((3, 1)), kind="per_decision", horizon=h) for h in (3, 9)
+        oee.weighted_return_moments(
+            chain, tilted, np.ones((3, 1)), kind="per_decision", horizon=h
+        )
+        for h in (3, 9)
     )
-    assert_allclose((short.mean, short.variance), (long.mean, long.variance), rtol=1e-12)
+    assert_allclose(
+        (short.mean, short.variance), (long.mean, long.variance), rtol=1e-12
+    )
 
 
 def test_policy_importance_sampling_with_both_policies_in_time():
@@ -352,10 +486,14 @@ def test_policy_importance_sampling_with_both_policies_in_time():
     moving = np.stack([BEHAVIOR, POLICY, BEHAVIOR])
     for policy in (POLICY, np.stack([POLICY, BEHAVIOR, POLICY])):
         found = oee.policy_is_moments(mdp, moving, policy, horizon=3)
-        assert_allclose(found.mean, oee.policy_value(mdp, policy, horizon=3), rtol=1e-12)
+        assert_allclose(
+            found.mean, oee.policy_value(mdp, policy, horizon=3), rtol=1e-12
+        )
     same = oee.policy_is_moments(mdp, moving, moving, horizon=3)
     plain = oee.return_moments(mdp, moving, horizon=3)
-    assert_allclose((same.mean, same.variance), (plain.mean, plain.variance), rtol=1e-12)
+    assert_allclose(
+        (same.mean, same.variance), (plain.mean, plain.variance), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("how", [{}, {"kind": "trajectory"}, {"self_normalized": True}])
@@ -365,5 +503,7 @@ def test_weights_beyond_floats_are_reported(how):
     zeta = simulator.transitions.copy()
     zeta.data = np.array([1e308, 1.0, 1e308, 1.0])
     with pytest.warns(UserWarning, match="a moment is beyond the largest float"):
-        found = oee.weighted_return_moments(simulator, zeta, [[1.0]] * 2, horizon=3, **how)
+        found = oee.weighted_return_moments(
+            simulator, zeta, [[1.0]] * 2, horizon=3, **how
+        )
     assert np.isnan(found.variance)

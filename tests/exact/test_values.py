@@ -2,7 +2,16 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from helpers import Dense, dense, dense_values, environments, random_mdp, random_policy, rngs, survival_chain
+from helpers import (
+    Dense,
+    dense,
+    dense_values,
+    environments,
+    random_mdp,
+    random_policy,
+    rngs,
+    survival_chain,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -23,11 +32,17 @@ def test_values_and_occupancies_agree_with_dense_linear_algebra(seed):
     transitions, rewards = dense(mdp)
     q = np.einsum("sat,sat->sa", transitions, rewards + mdp.discount * values)
     assert_allclose(oee.action_values(mdp, policy), q, rtol=0, atol=1e-9 * scale)
-    assert_allclose(oee.policy_value(mdp, policy), mdp.initial @ values, rtol=0, atol=1e-9 * scale)
+    assert_allclose(
+        oee.policy_value(mdp, policy), mdp.initial @ values, rtol=0, atol=1e-9 * scale
+    )
     pairs = (1 - mdp.discount) * Dense(mdp).visits(policy)
     assert_allclose(oee.occupancy(mdp, policy), pairs, rtol=0, atol=1e-9)
-    assert_allclose(oee.occupancy(mdp, policy, of="state"), pairs.sum(axis=1), rtol=0, atol=1e-9)
-    moves = oee.occupancy(mdp, policy, of="transition").toarray().reshape(transitions.shape)
+    assert_allclose(
+        oee.occupancy(mdp, policy, of="state"), pairs.sum(axis=1), rtol=0, atol=1e-9
+    )
+    moves = (
+        oee.occupancy(mdp, policy, of="transition").toarray().reshape(transitions.shape)
+    )
     assert_allclose(moves, pairs[:, :, None] * transitions, rtol=0, atol=1e-9)
 
 
@@ -38,11 +53,22 @@ def test_flow_and_duality_of_the_occupancy(rng, horizon):
     policy = random_policy(rng, mdp)
     pairs = oee.occupancy(mdp, policy, horizon=horizon)
     assert_allclose(pairs.sum(), 1.0, rtol=1e-9)
-    mass = 1 / (1 - mdp.discount) if horizon is None else (mdp.discount ** np.arange(horizon)).sum()
+    mass = (
+        1 / (1 - mdp.discount)
+        if horizon is None
+        else (mdp.discount ** np.arange(horizon)).sum()
+    )
     value = oee.policy_value(mdp, policy, horizon=horizon)
-    assert_allclose((pairs * mdp.rewards).sum() * mass, value, rtol=0, atol=1e-9 * max(1, abs(value)))
+    assert_allclose(
+        (pairs * mdp.rewards).sum() * mass,
+        value,
+        rtol=0,
+        atol=1e-9 * max(1, abs(value)),
+    )
     if horizon is None:
-        flow = (1 - mdp.discount) * mdp.initial + mdp.discount * (mdp.transitions.T @ pairs.reshape(-1))
+        flow = (1 - mdp.discount) * mdp.initial + mdp.discount * (
+            mdp.transitions.T @ pairs.reshape(-1)
+        )
         assert_allclose(pairs.sum(axis=1), flow, rtol=0, atol=1e-9)
 
 
@@ -53,19 +79,37 @@ def test_affine_rewards_give_affine_values(rng, horizon):
     policy = random_policy(rng, mdp)
     table = mdp.transition_rewards.copy()
     table.data = 3.0 * mdp.transition_rewards.data - 2.0
-    mass = 1 / (1 - mdp.discount) if horizon is None else (mdp.discount ** np.arange(horizon)).sum()
+    mass = (
+        1 / (1 - mdp.discount)
+        if horizon is None
+        else (mdp.discount ** np.arange(horizon)).sum()
+    )
     changed = oee.policy_value(mdp.with_rewards(table), policy, horizon=horizon)
-    assert_allclose(changed, 3 * oee.policy_value(mdp, policy, horizon=horizon) - 2 * mass, rtol=1e-9, atol=1e-9)
+    assert_allclose(
+        changed,
+        3 * oee.policy_value(mdp, policy, horizon=horizon) - 2 * mass,
+        rtol=1e-9,
+        atol=1e-9,
+    )
 
 
 def test_the_survival_chain_in_closed_form():
     for discount in (0.0, 0.5, 0.9, 1.0):
         chain = survival_chain(discount)
-        assert_allclose(oee.policy_value(chain, np.ones((2, 1))), 1 / (1 - 0.7 * discount), rtol=1e-14)
-    assert_allclose(oee.policy_value(survival_chain(1.0), np.ones((2, 1)), horizon=3), 1 + 0.7 + 0.49, rtol=1e-14)
+        assert_allclose(
+            oee.policy_value(chain, np.ones((2, 1))),
+            1 / (1 - 0.7 * discount),
+            rtol=1e-14,
+        )
+    assert_allclose(
+        oee.policy_value(survival_chain(1.0), np.ones((2, 1)), horizon=3),
+        1 + 0.7 + 0.49,
+        rtol=1e-14,
+    )
     for horizon in (None, 5):
         raw, normal = (
-            oee.policy_value(survival_chain(), [[1]] * 2, horizon=horizon, normalized=n) for n in (False, True)
+            oee.policy_value(survival_chain(), [[1]] * 2, horizon=horizon, normalized=n)
+            for n in (False, True)
         )
         assert_allclose(normal, 0.1 * raw, rtol=1e-14)
 
@@ -74,7 +118,9 @@ def test_discount_one_with_a_policy_that_is_absorbed():
     """In an MDP in which another is not."""
     transitions = np.array([[[0.0, 1.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 1.0]]])
     mdp = FiniteMDP(transitions, np.array([[2.0, 0.0], [0.0, 0.0]]), [1, 0], 1.0)
-    assert oee.policy_value(mdp, np.array([[0.5, 0.5], [1.0, 0.0]])) == pytest.approx(2.0, rel=1e-14)
+    assert oee.policy_value(mdp, np.array([[0.5, 0.5], [1.0, 0.0]])) == pytest.approx(
+        2.0, rel=1e-14
+    )
 
 
 @given(rngs)
@@ -88,17 +134,24 @@ def test_the_gradient_is_the_derivative(rng):
     direction -= direction.mean(axis=1, keepdims=True)
     step = 1e-5
     values = [
-        oee.policy_value(mdp.with_transitions(sparse.csr_array(mdp.transitions.toarray() + sign * step * direction)),
-                         policy, horizon=horizon)
+        oee.policy_value(
+            mdp.with_transitions(
+                sparse.csr_array(mdp.transitions.toarray() + sign * step * direction)
+            ),
+            policy,
+            horizon=horizon,
+        )
         for sign in (1, -1)
-    ]  # fmt: skip
+    ]
     numeric = (values[0] - values[1]) / (2 * step)
     assert_allclose(gradient @ direction.reshape(-1), numeric, rtol=1e-5, atol=1e-5)
 
 
 def test_unnormalised_kernels_diverge_with_their_radius():
     """1.15 P at discount 0.9 has a radius of 1.035."""
-    mdp = random_mdp(np.random.default_rng(3), n_states=4, n_actions=2, discount=0.9, form=2)
+    mdp = random_mdp(
+        np.random.default_rng(3), n_states=4, n_actions=2, discount=0.9, form=2
+    )
     policy = oee.uniform_policy(mdp)
     inflated = exact.reweight(mdp, mdp.transitions * 0 + mdp.transitions.sign() * 1.15)
     with pytest.raises(ValueError, match=r"spectral radius of 1\.035"):
@@ -106,7 +159,9 @@ def test_unnormalised_kernels_diverge_with_their_radius():
     assert np.isfinite(oee.policy_value(inflated, policy, horizon=50))
     small = exact.reweight(mdp, mdp.transitions.sign() * 1.05)
     kernel = np.einsum("sa,sat->st", policy, dense(mdp)[0]) * 1.05
-    expected = np.linalg.solve(np.eye(4) - 0.9 * kernel, (policy * mdp.rewards).sum(axis=1))
+    expected = np.linalg.solve(
+        np.eye(4) - 0.9 * kernel, (policy * mdp.rewards).sum(axis=1)
+    )
     assert_allclose(oee.state_values(small, policy), expected, rtol=1e-10)
 
 
@@ -129,21 +184,44 @@ def test_a_kernel_that_loses_mass_has_a_value_at_discount_one():
 def test_the_radius_of_a_periodic_kernel():
     cycle = FiniteMDP(np.array([[[0.0, 1.0]], [[1.0, 0.0]]]), [1.0, 1.0], [1, 0], 0.9)
     with pytest.raises(ValueError, match=r"spectral radius of 1\.00[12]"):
-        oee.policy_value(exact.reweight(cycle, sparse.csr_array(np.array([[0, 2.0], [0.62, 0]]))), np.ones((2, 1)))
+        oee.policy_value(
+            exact.reweight(cycle, sparse.csr_array(np.array([[0, 2.0], [0.62, 0]]))),
+            np.ones((2, 1)),
+        )
 
 
 @pytest.mark.filterwarnings("ignore:a value is beyond the largest float")
-@pytest.mark.filterwarnings("ignore:overflow encountered")  # where kernels are not compiled
+# where kernels are not compiled
+@pytest.mark.filterwarnings("ignore:overflow encountered")
 def test_values_beyond_floats_are_infinite_and_their_bound_is():
     """In a state that is never reached they do not matter to J, by any of the ways to it."""
-    never = FiniteMDP([[[0.5, 0.5, 0]], [[0.5, 0.5, 0]], [[0, 0, 1.0]]], [0, 1, 1e308], [1, 0, 0], 0.99)
-    same, policy = FiniteMDP(never.transitions, [[0], [1], [1]], never.initial, 0.99), [[1.0]] * 3
+    never = FiniteMDP(
+        [[[0.5, 0.5, 0]], [[0.5, 0.5, 0]], [[0, 0, 1.0]]],
+        [0, 1, 1e308],
+        [1, 0, 0],
+        0.99,
+    )
+    same, policy = (
+        FiniteMDP(never.transitions, [[0], [1], [1]], never.initial, 0.99),
+        [[1.0]] * 3,
+    )
     for horizon in (None, 5, 500):
-        found, plain = (exact.evaluate_policy(mdp, policy, horizon=horizon) for mdp in (never, same))
+        found, plain = (
+            exact.evaluate_policy(mdp, policy, horizon=horizon) for mdp in (never, same)
+        )
         assert_allclose(found.values[:2], plain.values[:2], rtol=1e-12)
         assert (found.values[2], found.error_bound) == (np.inf, np.inf)
-        assert_allclose([found.value, oee.policy_value(never, policy, horizon=horizon)], plain.value, rtol=1e-12)
-    assert oee.policy_value(FiniteMDP(never.transitions, never.rewards, [0, 0, 1], 0.99), policy) == np.inf
+        assert_allclose(
+            [found.value, oee.policy_value(never, policy, horizon=horizon)],
+            plain.value,
+            rtol=1e-12,
+        )
+    assert (
+        oee.policy_value(
+            FiniteMDP(never.transitions, never.rewards, [0, 0, 1], 0.99), policy
+        )
+        == np.inf
+    )
 
 
 def test_warnings_about_a_value():
@@ -157,7 +235,12 @@ def test_warnings_about_a_value():
     assert 0 < endless.error_bound < 1e-13
     over = FiniteMDP(np.ones((1, 1, 1)), [0.0], [1.0], 1.0)
     found = exact.evaluate_policy(over, np.ones((1, 1)))
-    assert (found.values.tolist(), found.value, found.error_bound, found.method) == ([0.0], 0.0, 0.0, "absorbed")
+    assert (found.values.tolist(), found.value, found.error_bound, found.method) == (
+        [0.0],
+        0.0,
+        0.0,
+        "absorbed",
+    )
 
 
 def test_discount_one_names_the_states_that_pay_for_ever():
@@ -168,11 +251,14 @@ def test_discount_one_names_the_states_that_pay_for_ever():
     rows[[3, 4], 0, [4, 3]] = 1.0
     mdp = FiniteMDP(rows, [7.0, 0.0, 0.0, 2.0, -3.0], [1, 0, 0, 0, 0], 1.0)
     text = (
-        r"^horizon must be given: .*it stays for ever among states of which s=3 has reward 2 \(2 such states in all\)"
+        r"^horizon must be given: .*it stays for ever among states of which s=3 has"
+        r" reward 2 \(2 such states in all\)"
     )
     with pytest.raises(ValueError, match=text):
         oee.policy_value(mdp, np.ones((5, 1)))
-    assert_allclose(oee.policy_value(mdp, np.ones((5, 1)), horizon=3), 7.0 + 0.5 * (2.0 - 3.0))
+    assert_allclose(
+        oee.policy_value(mdp, np.ones((5, 1)), horizon=3), 7.0 + 0.5 * (2.0 - 3.0)
+    )
     free = mdp.with_rewards(np.array([7.0, 0.0, 0.0, 0.0, 0.0]))
     assert_allclose(oee.state_values(free, np.ones((5, 1))), [7, 0, 0, 0, 0])
 
@@ -182,7 +268,9 @@ def test_reweighting_takes_a_ratio_or_its_matrix():
     zeta = oee.true_ratio(target, simulator)
     for given_ratio in (zeta, zeta.values):
         model = exact.reweight(simulator, given_ratio)
-        assert_allclose(model.transitions.toarray(), target.transitions.toarray(), rtol=1e-12)
+        assert_allclose(
+            model.transitions.toarray(), target.transitions.toarray(), rtol=1e-12
+        )
         assert_allclose(model.rewards, target.rewards, rtol=1e-12)
         assert (model.n_states, model.n_actions, model.discount) == (3, 2, 0.7)
         assert_array_equal(model.initial, simulator.initial)
@@ -196,14 +284,31 @@ def test_the_error_bound_counts_the_rounding_of_the_policys_rows(which):
     """Thousands of actions: sums over them are rounded before the system is solved. 40 states that stay where they are."""
     n, n_actions, rng = 40, 2000, np.random.default_rng(0)
     policy = rng.dirichlet(np.ones(n_actions), n)
-    rewards = np.ones((n, n_actions)) if which == "kernel" else rng.normal(size=(n, n_actions)) * 1e6
-    stay = sparse.csr_array((np.ones(n * n_actions), (np.arange(n * n_actions), np.repeat(np.arange(n), n_actions))))
-    mdp = FiniteMDP(stay, rewards, np.full(n, 1 / n), 0.999 if which == "kernel" else 0.0)
+    rewards = (
+        np.ones((n, n_actions))
+        if which == "kernel"
+        else rng.normal(size=(n, n_actions)) * 1e6
+    )
+    stay = sparse.csr_array(
+        (
+            np.ones(n * n_actions),
+            (np.arange(n * n_actions), np.repeat(np.arange(n), n_actions)),
+        )
+    )
+    mdp = FiniteMDP(
+        stay, rewards, np.full(n, 1 / n), 0.999 if which == "kernel" else 0.0
+    )
     found = exact.evaluate_policy(mdp, policy)
     gamma = Fraction(mdp.discount)
     missed = []
     for state in range(n):
         act = [Fraction(x) for x in policy[state].tolist()]
-        pay = sum(a * Fraction(r) for a, r in zip(act, rewards[state].tolist(), strict=True))
-        missed.append(abs(Fraction(float(found.values[state])) - pay / (1 - gamma * sum(act))))
-    assert Fraction(found.error_bound) / 10**5 < max(missed) <= Fraction(found.error_bound)
+        pay = sum(
+            a * Fraction(r) for a, r in zip(act, rewards[state].tolist(), strict=True)
+        )
+        missed.append(
+            abs(Fraction(float(found.values[state])) - pay / (1 - gamma * sum(act)))
+        )
+    assert (
+        Fraction(found.error_bound) / 10**5 < max(missed) <= Fraction(found.error_bound)
+    )

@@ -11,7 +11,10 @@ from scipy import optimize, stats
 import oee_tabular as oee
 from oee_tabular.inference import compare_policies, row_changes, selection_measures
 
-SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3, discount=0.9), oee.tasks.gridworld(4, 0.1, discount=0.9)
+SIMULATOR, TARGET = (
+    oee.tasks.gridworld(4, 0.3, discount=0.9),
+    oee.tasks.gridworld(4, 0.1, discount=0.9),
+)
 POLICIES = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.4, 0.5, 0.9)}
 SHARE = np.full((16, 4), 1 / 64)
 
@@ -30,12 +33,19 @@ def test_differences_are_surer_than_values():
     assert_allclose(found.lower, -found.upper.T)
     assert_allclose(found.probability_best.sum(), 1.0)
     delta = oee.interval(problem(2000, 0), POLICIES["delta=0.5"], method="delta")
-    # the standard error of a move of the simulator's: of 30 logs 1.01 to 1.08 of that at the default's rows
-    assert_allclose(found.standard_errors[1], delta.diagnostics["standard_error"], rtol=0.1)
+    # the standard error of a move of the simulator's: of 30 logs 1.01 to 1.08 of that
+    # at the default's rows
+    assert_allclose(
+        found.standard_errors[1], delta.diagnostics["standard_error"], rtol=0.1
+    )
     assert "delta=0.9" in str(found).splitlines()[1]
     resampled = compare_policies(problem(2000, 0), POLICIES, method="bootstrap", seed=1)
     assert_allclose(resampled.standard_errors, found.standard_errors, rtol=0.2)
-    assert_allclose((resampled.upper - resampled.lower)[0, 1], (found.upper - found.lower)[0, 1], rtol=0.25)
+    assert_allclose(
+        (resampled.upper - resampled.lower)[0, 1],
+        (found.upper - found.lower)[0, 1],
+        rtol=0.25,
+    )
 
 
 @pytest.mark.parametrize("twins", [2, 4])
@@ -44,9 +54,15 @@ def test_policies_that_do_the_same_share_the_probability(twins):
     for seed in range(8):
         rng = np.random.default_rng(seed)
         same = rng.dirichlet(np.ones(4), size=16)
-        named = {f"same {i}": same for i in range(twins)} | {"other": rng.dirichlet(np.ones(4), size=16)}
+        named = {f"same {i}": same for i in range(twins)} | {
+            "other": rng.dirichlet(np.ones(4), size=16)
+        }
         found = compare_policies(problem(60, seed), named, n_draws=500)
-        shares = [share for name, share in zip(found.names, found.probability_best, strict=True) if "same" in name]
+        shares = [
+            share
+            for name, share in zip(found.names, found.probability_best, strict=True)
+            if "same" in name
+        ]
         assert_allclose(shares, shares[0], rtol=1e-12)
 
 
@@ -65,12 +81,17 @@ def half_recorded(seed):
     low, middle, high = sorted(tables, key=lambda pi: oee.policy_value(target, pi))
     truth = oee.policy_value(target, middle)
     even = min(
-        (oee.mix(low, high, w) for w in np.linspace(0, 1, 201)), key=lambda p: abs(oee.policy_value(target, p) - truth)
+        (oee.mix(low, high, w) for w in np.linspace(0, 1, 201)),
+        key=lambda p: abs(oee.policy_value(target, p) - truth),
     )
     share = np.zeros((12, 2))
     share[:6] = 1 / 12
     log = oee.sample_transitions(target, share, 20_000, seed=seed)
-    return oee.Problem(simulator, log), {"one": middle, "other": even}, truth - oee.policy_value(target, even)
+    return (
+        oee.Problem(simulator, log),
+        {"one": middle, "other": even},
+        truth - oee.policy_value(target, even),
+    )
 
 
 def test_a_near_tie_stays_open_where_half_of_the_time_is_unrecorded():
@@ -83,7 +104,9 @@ def test_a_near_tie_stays_open_where_half_of_the_time_is_unrecorded():
         sure += found.probability_best.max() >= 0.95
         assert 0.2 < found.unrecorded_share.min() <= found.unrecorded_share.max() < 0.8
     assert inside >= 18
-    assert sure <= 2  # with the simulator taken for known there: 20, 11 of them wrong, and no interval holds
+    # with the simulator taken for known there: 20, 11 of them wrong, and no interval
+    # holds
+    assert sure <= 2
 
 
 def test_a_row_recorded_once_is_not_certain():
@@ -92,7 +115,9 @@ def test_a_row_recorded_once_is_not_certain():
     arms[:, :, 1:] = 0.5
     simulator = oee.FiniteMDP(arms, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], 0.5)
     case = oee.Problem(simulator, oee.Transitions([0, 0], [0, 1], [1, 2]), horizon=2)
-    found = compare_policies(case, {"first": [[1.0, 0.0]] * 3, "second": [[0.0, 1.0]] * 3})
+    found = compare_policies(
+        case, {"first": [[1.0, 0.0]] * 3, "second": [[0.0, 1.0]] * 3}
+    )
     assert found.names == ("second", "first")
     assert (found.standard_errors > 0).all()
     assert found.lower[0, 1] < 0 < found.upper[0, 1]
@@ -109,15 +134,27 @@ def test_where_the_log_cannot_say_there_is_no_probability():
     decision = known.decide()
     assert decision.best == "delta=0.9"
     assert decision.probability_best["delta=0.9"] == known.probability_best[0]
-    assert decision.margin == (known.differences[0, 1], known.lower[0, 1], known.upper[0, 1])
+    assert decision.margin == (
+        known.differences[0, 1],
+        known.lower[0, 1],
+        known.upper[0, 1],
+    )
     # a band around every difference leaves the question open, whatever the draws say
-    wide = dataclasses.replace(known, lower=known.lower - 10.0, upper=known.upper + 10.0)
+    wide = dataclasses.replace(
+        known, lower=known.lower - 10.0, upper=known.upper + 10.0
+    )
     assert wide.decide().candidates == known.names
     assert set(wide.decide().probability_best.values()) == {None}
     even = dataclasses.replace(wide, probability_best=np.array([0.4, 0.3, 0.3]))
-    assert even.decide().probability_best == dict(zip(known.names, (0.4, 0.3, 0.3), strict=True))
-    # values that are shown contradict the difference; intervals that lie apart decide alone
-    assert known.decide({"delta=0.9": 0.0, "delta=0.5": 1.0, "delta=0.4": -1.0}).best is None
+    assert even.decide().probability_best == dict(
+        zip(known.names, (0.4, 0.3, 0.3), strict=True)
+    )
+    # values that are shown contradict the difference; intervals that lie apart decide
+    # alone
+    assert (
+        known.decide({"delta=0.9": 0.0, "delta=0.5": 1.0, "delta=0.4": -1.0}).best
+        is None
+    )
     ends = {
         name: oee.inference.Interval(x, x + 1.0, 0.95, "likelihood")
         for name, x in zip(known.names, (9.0, 5, 1), strict=True)
@@ -131,18 +168,24 @@ def test_measures_of_selection():
     found = selection_measures([1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 0.0])
     assert_allclose(found.rank_correlation, -0.4)
     assert found.regret == 1.0
-    assert selection_measures([1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 0.0], k=2).regret == pytest.approx(1 / 3)
+    assert selection_measures(
+        [1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 0.0], k=2
+    ).regret == pytest.approx(1 / 3)
     assert selection_measures([1, 2], [1, 2]) == selection_measures([1, 2], [1, 2])
     assert np.isnan(selection_measures([1.0, 1.0], [0.0, 1.0]).rank_correlation)
 
 
 @pytest.mark.parametrize("left_out", [[], [3]])
 @pytest.mark.parametrize("horizon", [None, 5])
-def test_compared_policies_by_the_variance_of_each_row_with_one_more_transition(left_out, horizon):
+def test_compared_policies_by_the_variance_of_each_row_with_one_more_transition(
+    left_out, horizon
+):
     simulator, _, log, first = tiny(6, moves=60, left_out=left_out)
     second = np.random.default_rng(0).dirichlet([1.0, 1.0], size=3)
     policies = {"first": first, "second": second}
-    found = compare_policies(oee.Problem(simulator, log, horizon=horizon), policies, n_draws=200_000)
+    found = compare_policies(
+        oee.Problem(simulator, log, horizon=horizon), policies, n_draws=200_000
+    )
     base, n = Dense(simulator), table_of(log, first.shape)
     total = n.sum(axis=2, keepdims=True)
     model = base.like(np.where(total > 0, n / np.maximum(total, 1), base.P))
@@ -158,25 +201,39 @@ def test_compared_policies_by_the_variance_of_each_row_with_one_more_transition(
     spread = np.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1])
     gap = values[0] - values[1]
     assert_allclose(found.probability_best[0], stats.norm.cdf(gap / spread), atol=0.005)
-    assert_allclose([found.lower[0, 1], found.upper[0, 1]], gap + spread * stats.norm.ppf([0.025, 0.975]), rtol=1e-7)
+    assert_allclose(
+        [found.lower[0, 1], found.upper[0, 1]],
+        gap + spread * stats.norm.ppf([0.025, 0.975]),
+        rtol=1e-7,
+    )
     time = model.visits(policies[found.names[0]], horizon)
     time = time if horizon is None else sum(time)
-    assert_allclose(found.unrecorded_share[0], time[total[:, :, 0] == 0].sum() / time.sum(), rtol=1e-9)
+    assert_allclose(
+        found.unrecorded_share[0],
+        time[total[:, :, 0] == 0].sum() / time.sum(),
+        rtol=1e-9,
+    )
 
 
 def test_both_methods_widen_for_what_was_never_recorded():
     case, policies, _ = half_recorded(0)
-    delta, resampled = (compare_policies(case, policies, method=method) for method in ("delta", "bootstrap"))
+    delta, resampled = (
+        compare_policies(case, policies, method=method)
+        for method in ("delta", "bootstrap")
+    )
     assert_allclose(resampled.standard_errors, delta.standard_errors, rtol=0.2)
     assert_allclose(resampled.probability_best, delta.probability_best, atol=0.15)
 
 
-# ---- certain changes of rows: bounds that hold, all at once, and say nothing where there is nothing to say
+# ---- certain changes of rows: bounds that hold, all at once, and say nothing where
+# there is nothing to say
 CHANGED_SIMULATOR, CHANGED = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
 
 
 def test_the_simulator_s_own_log_changes_nothing():
-    log = oee.sample_transitions(CHANGED_SIMULATOR, np.full((16, 4), 1 / 64), 4_000, seed=1)
+    log = oee.sample_transitions(
+        CHANGED_SIMULATOR, np.full((16, 4), 1 / 64), 4_000, seed=1
+    )
     found = row_changes(oee.Problem(CHANGED_SIMULATOR, log))
     assert found.n_certain == 0
     assert found.counts.sum() == 4_000
@@ -208,7 +265,9 @@ def test_changes_of_rows_by_roots_of_their_own(episodes):
         if episodes:
             c = np.log(1 / level) + 2 * np.log(np.e * (1 + total / 2))
         else:
-            c = optimize.brentq(lambda c: -c + 2 * np.log(np.e * c / 2) - np.log(level), 2.0 + 1e-9, 1e4)
+            c = optimize.brentq(
+                lambda c: -c + 2 * np.log(np.e * c / 2) - np.log(level), 2.0 + 1e-9, 1e4
+            )
         more = phat > P[s, a]
         f = phat[more].sum()
 
@@ -216,13 +275,29 @@ def test_changes_of_rows_by_roots_of_their_own(episodes):
             rest = (1 - f) * np.log((1 - f) / (1 - p)) if f < 1 else 0.0
             return f * np.log(f / p) + rest
 
-        smallest = optimize.brentq(lambda p, radius=c / total: kl(p) - radius, 1e-300, f)
-        assert_allclose(found.certain[s, a], max(smallest - P[s, a][more].sum(), 0.0), atol=1e-9)
-        assert_allclose(found.estimated[s, a], np.abs(phat - P[s, a]).sum() / 2, rtol=1e-12)
+        smallest = optimize.brentq(
+            lambda p, radius=c / total: kl(p) - radius, 1e-300, f
+        )
+        assert_allclose(
+            found.certain[s, a], max(smallest - P[s, a][more].sum(), 0.0), atol=1e-9
+        )
+        assert_allclose(
+            found.estimated[s, a], np.abs(phat - P[s, a]).sum() / 2, rtol=1e-12
+        )
         seen = phat > 0
-        assert_allclose(found.evidence[s, a], (n[s, a][seen] * np.log(phat[seen] / P[s, a][seen])).sum(), rtol=1e-9)
+        assert_allclose(
+            found.evidence[s, a],
+            (n[s, a][seen] * np.log(phat[seen] / P[s, a][seen])).sum(),
+            rtol=1e-9,
+        )
         j = int(np.abs(phat - P[s, a]).argmax())
-        assert (found.next_state[s, a], found.simulated[s, a], found.observed[s, a]) == (
-            j, pytest.approx(P[s, a, j]), pytest.approx(phat[j]),
-        )  # fmt: skip
+        assert (
+            found.next_state[s, a],
+            found.simulated[s, a],
+            found.observed[s, a],
+        ) == (
+            j,
+            pytest.approx(P[s, a, j]),
+            pytest.approx(phat[j]),
+        )
     assert found.tested == tested

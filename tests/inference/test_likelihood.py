@@ -23,7 +23,9 @@ def problem_of(rng, horizon=None, n=None):
     policy = random_policy(rng, simulator)
     shape = policy.shape
     n = int(rng.integers(5, 200)) if n is None else n
-    log = oee.sample_transitions(simulator, np.full(shape, 1 / policy.size), n, seed=int(rng.integers(99)))
+    log = oee.sample_transitions(
+        simulator, np.full(shape, 1 / policy.size), n, seed=int(rng.integers(99))
+    )
     return oee.Problem(simulator, log, horizon=horizon), policy
 
 
@@ -34,7 +36,8 @@ def divergence(evidence, rows):
 
 
 @settings(max_examples=40)
-@example(np.random.default_rng(444), None)  # V is constant at the end: rounding must not be taken for a direction
+# V is constant at the end: rounding must not be taken for a direction
+@example(np.random.default_rng(444), None)
 @given(rngs, st.sampled_from([None, None, 5]))
 def test_an_end_is_a_member_and_its_value(rng, horizon):
     problem, policy = problem_of(rng, horizon)
@@ -44,7 +47,9 @@ def test_an_end_is_a_member_and_its_value(rng, horizon):
         assert_allclose(evidence.rows.sums(end.rows), 1.0, rtol=1e-11)
         assert divergence(evidence, end.rows) <= LIMIT + 1e-9
         assert_allclose(divergence(evidence, end.rows), end.divergence, atol=1e-9)
-        assert end.value == oee.policy_value(evidence.with_rows(end.rows), policy, horizon=horizon)
+        assert end.value == oee.policy_value(
+            evidence.with_rows(end.rows), policy, horizon=horizon
+        )
         assert sign * (end.value - frequencies) >= -1e-9 * max(1.0, abs(frequencies))
 
 
@@ -69,28 +74,53 @@ def best_of_slsqp(evidence, sign, n_starts, rng):
         model = evidence.with_rows(base)
         gradient = transition_gradient(model, policy, horizon=horizon)[free]
         gradient = (gradient - sums.T @ (sums @ (p * gradient))) / total
-        return -sign * oee.policy_value(model, policy, horizon=horizon), -sign * gradient
+        return (
+            -sign * oee.policy_value(model, policy, horizon=horizon),
+            -sign * gradient,
+        )
 
-    best, bounds = -np.inf, [(1e-10 if k in set(held) else 0.0, 1.0) for k in range(len(free))]
+    best, bounds = (
+        -np.inf,
+        [(1e-10 if k in set(held) else 0.0, 1.0) for k in range(len(free))],
+    )
     for _ in range(n_starts):
         aim = rng.exponential(size=len(free)) ** 3
-        aim = np.where(n > 0, 0.9 * phat + 0.1 * aim / (sums.T @ (sums @ aim)), aim / (sums.T @ (sums @ aim)))
-        rules = [{"type": "eq", "fun": lambda x: sums @ x - 1, "jac": lambda x: sums},
-                 {"type": "ineq", "fun": left, "jac": left_gradient}]  # fmt: skip
+        aim = np.where(
+            n > 0,
+            0.9 * phat + 0.1 * aim / (sums.T @ (sums @ aim)),
+            aim / (sums.T @ (sums @ aim)),
+        )
+        rules = [
+            {"type": "eq", "fun": lambda x: sums @ x - 1, "jac": lambda x: sums},
+            {"type": "ineq", "fun": left, "jac": left_gradient},
+        ]
         options = {"maxiter": 500, "ftol": 1e-13}
-        answer = minimize(loss, aim, jac=True, method="SLSQP", bounds=bounds, constraints=rules, options=options).x
-        answer = np.clip(answer, 0.0, 1.0) / (sums.T @ (sums @ np.clip(answer, 0.0, 1.0)))
+        answer = minimize(
+            loss,
+            aim,
+            jac=True,
+            method="SLSQP",
+            bounds=bounds,
+            constraints=rules,
+            options=options,
+        ).x
+        answer = np.clip(answer, 0.0, 1.0) / (
+            sums.T @ (sums @ np.clip(answer, 0.0, 1.0))
+        )
         if left(answer) >= -1e-7:
             best = max(best, -loss(answer)[0])
     return sign * best
 
 
-@pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")  # scipy 1.15's SLSQP
+# scipy 1.15's SLSQP
+@pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")
 @pytest.mark.parametrize("seed", range(8))
 def test_no_end_is_short_of_slsqp(seed):
     """Of 119 such problems with ten starts each 1 of 238 ends was, by 1.3% of the width; none of these."""
     rng = np.random.default_rng(seed)
-    problem, policy = problem_of(rng, horizon=None if seed % 4 else 5, n=int(rng.choice([8, 20, 60])))
+    problem, policy = problem_of(
+        rng, horizon=None if seed % 4 else 5, n=int(rng.choice([8, 20, 60]))
+    )
     evidence = gather(problem, policy)
     ends = [end.value for end in likelihood_ends(evidence, 0.95)]
     slack = 1e-5 * (ends[1] - ends[0]) + 1e-9
@@ -105,9 +135,15 @@ def sparse_problem(seed):
     k = int(rng.integers(2, min(n_states, 6) + 1))
     rows = np.zeros((n_states, n_actions, n_states))
     for row in rows.reshape(-1, n_states):
-        row[rng.choice(n_states, k, replace=False)] = rng.dirichlet(np.full(k, rng.choice([0.3, 1.0, 5.0])))
+        row[rng.choice(n_states, k, replace=False)] = rng.dirichlet(
+            np.full(k, rng.choice([0.3, 1.0, 5.0]))
+        )
     shape = n_states, n_actions
-    rewards = rng.normal(size=shape) if rng.random() < 0.7 else (rng.random(shape) < 0.15) * 1.0
+    rewards = (
+        rng.normal(size=shape)
+        if rng.random() < 0.7
+        else (rng.random(shape) < 0.15) * 1.0
+    )
     ends, finite = seed % 5 == 4, seed % 5 in (2, 4)
     discount = 1.0 if ends else float(rng.choice([0.8, 0.95, 0.99]))
     horizon = int(rng.integers(3, 60)) if finite else None
@@ -115,8 +151,12 @@ def sparse_problem(seed):
     other = rows * np.exp(0.3 * rng.normal(size=rows.shape))
     target = simulator.with_transitions(other / other.sum(axis=2, keepdims=True))
     share = rng.dirichlet(np.full(rewards.size, 0.5)).reshape(shape)
-    log = oee.sample_transitions(target, share, int(10 ** rng.uniform(1, 3.5)), seed=seed)
-    return oee.Problem(simulator, log, horizon=horizon), rng.dirichlet(np.ones(n_actions), size=n_states)
+    log = oee.sample_transitions(
+        target, share, int(10 ** rng.uniform(1, 3.5)), seed=seed
+    )
+    return oee.Problem(simulator, log, horizon=horizon), rng.dirichlet(
+        np.ones(n_actions), size=n_states
+    )
 
 
 @pytest.mark.parametrize("seed", [106, 152, 188, 219, 255])
@@ -142,7 +182,10 @@ def test_steps_that_overshoot_are_halved(seed):
 @pytest.mark.parametrize("horizon", [None, 40])
 def test_large_problems_have_the_ends_of_small_ones(horizon, monkeypatch):
     """One ascent at a time, V and d corrected from those near by, scouts and one that is continued."""
-    simulator, target = oee.tasks.gridworld(6, 0.2, discount=0.95), oee.tasks.gridworld(6, 0.1, discount=0.95)
+    simulator, target = (
+        oee.tasks.gridworld(6, 0.2, discount=0.95),
+        oee.tasks.gridworld(6, 0.1, discount=0.95),
+    )
     policy = oee.tasks.gridworld_policy(6, 0.5)
     log = oee.sample_transitions(target, np.full((36, 4), 1 / 144), 600, seed=1)
     evidence = gather(oee.Problem(simulator, log, horizon=horizon), policy)
@@ -156,10 +199,16 @@ def test_large_problems_have_the_ends_of_small_ones(horizon, monkeypatch):
 def test_ends_are_in_the_rewards_unit(unit):
     problem, policy = problem_of(np.random.default_rng(0), n=100)
     simulator = problem.simulator
-    rewards = simulator.rewards if simulator.transition_rewards is None else simulator.transition_rewards
+    rewards = (
+        simulator.rewards
+        if simulator.transition_rewards is None
+        else simulator.transition_rewards
+    )
     scaled = oee.Problem(simulator.with_rewards(unit * rewards), problem.log)
     one, other = oee.interval(problem, policy), oee.interval(scaled, policy)
-    assert_allclose(np.array([other.lower, other.upper]) / unit, [one.lower, one.upper], rtol=1e-6)
+    assert_allclose(
+        np.array([other.lower, other.upper]) / unit, [one.lower, one.upper], rtol=1e-6
+    )
 
 
 def test_an_end_where_no_recorded_row_changes_the_value():
@@ -170,7 +219,11 @@ def test_an_end_where_no_recorded_row_changes_the_value():
         P, rewards = np.zeros((21, 2, 21)), np.full((21, 2, 21), -0.004)
         P[20, :, 20], rewards[:, :, 20], rewards[20] = 1.0, 0.996, 0.0
         for s, a in np.ndindex(20, 2):
-            np.add.at(P[s, a], np.clip(s + np.arange(-1, 2), 0, 20), rng.dirichlet(np.full(3, 6.0)))
+            np.add.at(
+                P[s, a],
+                np.clip(s + np.arange(-1, 2), 0, 20),
+                rng.dirichlet(np.full(3, 6.0)),
+            )
         simulator = oee.FiniteMDP(P, rewards, 10, 0.99)
         log = oee.sample_episodes(simulator, np.zeros(21, int), 30, 20, seed=seed)
         found = oee.interval(oee.Problem(simulator, log), np.where(places < 10, 1, 0))
@@ -180,9 +233,10 @@ def test_an_end_where_no_recorded_row_changes_the_value():
 def test_the_ends_are_the_same_where_kernels_are_not_compiled():
     """The machine code and Python run the same loop."""
     script = (
-        "import oee_tabular as oee; w = oee.tasks.gridworld(2, slip=0.2)\n"
-        "p = oee.uniform_policy(w); log = oee.sample_transitions(w, p / 4, 30, seed=0)\n"
-        "ends = oee.interval(oee.Problem(w, log), p); print(repr(ends.lower), repr(ends.upper))"
+        "import oee_tabular as oee; w = oee.tasks.gridworld(2, slip=0.2)\np ="
+        " oee.uniform_policy(w); log = oee.sample_transitions(w, p / 4, 30,"
+        " seed=0)\nends = oee.interval(oee.Problem(w, log), p); print(repr(ends.lower),"
+        " repr(ends.upper))"
     )
     ends = [printed(script, NUMBA_DISABLE_JIT=off).split() for off in "01"]
     assert_allclose(*(np.array(words, dtype=float) for words in ends), rtol=1e-9)

@@ -28,9 +28,19 @@ def brute_force(mdp, policy, nu, mu, sign, horizon=None):
     values = np.zeros(len(P))
     for _ in range(60 if horizon is None else horizon):
         ahead = sign * (r + mdp.discount * values)
-        q = np.array([[best_row(ahead[s, a], P[s, a], nu, mu) for a in range(P.shape[1])] for s in range(len(P))])
-        if horizon is None:  # policy iteration of whoever picks the rows: 60 rounds are many more than it takes
-            kernel, paid = np.einsum("sa,sat->st", policy, q), np.einsum("sa,sat,sat->s", policy, q, r)
+        q = np.array(
+            [
+                [best_row(ahead[s, a], P[s, a], nu, mu) for a in range(P.shape[1])]
+                for s in range(len(P))
+            ]
+        )
+        # policy iteration of whoever picks the rows: 60 rounds are many more than it
+        # takes
+        if horizon is None:
+            kernel, paid = (
+                np.einsum("sa,sat->st", policy, q),
+                np.einsum("sa,sat,sat->s", policy, q, r),
+            )
             new = np.linalg.solve(np.eye(len(P)) - mdp.discount * kernel, paid)
             if np.abs(new - values).max() < 1e-13:
                 break
@@ -44,8 +54,14 @@ def brute_force(mdp, policy, nu, mu, sign, horizon=None):
 def test_value_range_equals_a_linear_program_in_each_row(horizon):
     for seed in range(50 if horizon is None else 10):
         rng = np.random.default_rng(seed)
-        mdp = random_mdp(rng, n_states=3, n_actions=2, discount=float(rng.choice([0.5, 0.9])))
-        policy, nu, mu = random_policy(rng, mdp), rng.choice([0.0, 0.3, 0.8]), rng.choice([1.3, 4.0])
+        mdp = random_mdp(
+            rng, n_states=3, n_actions=2, discount=float(rng.choice([0.5, 0.9]))
+        )
+        policy, nu, mu = (
+            random_policy(rng, mdp),
+            rng.choice([0.0, 0.3, 0.8]),
+            rng.choice([1.3, 4.0]),
+        )
         found = oee.value_range(mdp, policy, nu, mu, horizon=horizon)
         peer = [brute_force(mdp, policy, nu, mu, sign, horizon) for sign in (-1.0, 1.0)]
         assert_allclose([found.lower, found.upper], peer, rtol=1e-10, atol=1e-10)
@@ -53,20 +69,33 @@ def test_value_range_equals_a_linear_program_in_each_row(horizon):
 
 @pytest.mark.parametrize("horizon", [None, 1, 7])
 def test_value_range_is_monotone_and_ends_at_the_value(horizon):
-    boxes = [(1.0, 1.0), (0.9, 1.0), (0.9, 1.2), (0.5, 1.2), (0.5, 3.0), (0.0, 3.0), (0.0, INF)]
+    boxes = [
+        (1.0, 1.0),
+        (0.9, 1.0),
+        (0.9, 1.2),
+        (0.5, 1.2),
+        (0.5, 3.0),
+        (0.0, 3.0),
+        (0.0, INF),
+    ]
     for seed in range(10):
         rng = np.random.default_rng(seed)
         mdp = random_mdp(rng, discount=0.9)
         target, policy = random_mdp(rng, like=mdp), random_policy(rng, mdp)
         ranges = [oee.value_range(mdp, policy, *box, horizon=horizon) for box in boxes]
         value = oee.policy_value(mdp, policy, horizon=horizon)
-        for one in ranges[:2]:  # a row that can be raised nowhere can be lowered nowhere
+        # a row that can be raised nowhere can be lowered nowhere
+        for one in ranges[:2]:
             assert_allclose([one.lower, one.upper], value, rtol=1e-11, atol=1e-11)
         slack = 1e-10 * max(1.0, abs(value))
         for narrow, wide in zip(ranges, ranges[1:], strict=False):
             assert wide.lower <= narrow.lower + slack
             assert wide.upper >= narrow.upper - slack
-        assert ranges[-1].lower - slack <= oee.policy_value(target, policy, horizon=horizon) <= ranges[-1].upper + slack
+        assert (
+            ranges[-1].lower - slack
+            <= oee.policy_value(target, policy, horizon=horizon)
+            <= ranges[-1].upper + slack
+        )
 
 
 def test_value_range_is_cvar_in_closed_form():
@@ -76,10 +105,17 @@ def test_value_range_is_cvar_in_closed_form():
     P = np.concatenate([P, np.eye(4)[None, 1:].transpose(1, 0, 2)]).reshape(4, 1, 4)
     r = np.where(P > 0, np.concatenate([rewards, np.zeros((3, 1, 4))]), 0.0)
     mdp = oee.FiniteMDP(P, r, 0, 0.5)
-    found = oee.value_range(mdp, np.ones((4, 1)), 0.5, 1.5, horizon=1)  # tau = 1/2: the two worst, the two best
-    assert_allclose([found.lower, found.upper], [0.5 * 3.25 + 0.5 * 0.5, 0.5 * 3.25 + 0.5 * 6.0])
+    # tau = 1/2: the two worst, the two best
+    found = oee.value_range(mdp, np.ones((4, 1)), 0.5, 1.5, horizon=1)
+    assert_allclose(
+        [found.lower, found.upper], [0.5 * 3.25 + 0.5 * 0.5, 0.5 * 3.25 + 0.5 * 6.0]
+    )
     assert (found.confidence, found.method) == (1.0, "range")
-    assert str(found) == "[1.875, 4.625], range over all models in the box; discounted sum of rewards, not normalised"
+    assert (
+        str(found)
+        == "[1.875, 4.625], range over all models in the box; discounted sum of"
+        " rewards, not normalised"
+    )
 
 
 def test_value_range_follows_a_policy_of_each_step():
@@ -87,8 +123,13 @@ def test_value_range_follows_a_policy_of_each_step():
     policy = np.stack([oee.tasks.gridworld_policy(3, d) for d in (0.2, 0.9, 0.5)])
     one = oee.value_range(mdp, policy, 1.0, 1.0, horizon=3)
     assert_allclose(one.upper, oee.policy_value(mdp, policy, horizon=3), rtol=1e-12)
-    same = [oee.value_range(mdp, p, 0.5, 2.0, horizon=3) for p in (policy[0], np.stack([policy[0]] * 3))]
-    assert_allclose([same[0].lower, same[0].upper], [same[1].lower, same[1].upper], rtol=1e-13)
+    same = [
+        oee.value_range(mdp, p, 0.5, 2.0, horizon=3)
+        for p in (policy[0], np.stack([policy[0]] * 3))
+    ]
+    assert_allclose(
+        [same[0].lower, same[0].upper], [same[1].lower, same[1].upper], rtol=1e-13
+    )
 
 
 def walk(stay):
@@ -100,14 +141,22 @@ def test_value_range_at_discount_1_where_the_policy_ends():
     """1 - stay lies between nu .5 and mu .5: as many steps as its inverse."""
     found = oee.value_range(walk(0.5), [0, 0], 0.4, 1.5)
     assert_allclose([found.lower, found.upper], [-1 / 0.25, -1 / 0.75], rtol=1e-12)
-    assert_allclose(oee.value_range(walk(0.5), [0, 0], 0.0, 1.5).lower, -4.0, rtol=1e-12)
-    assert_allclose(oee.value_range(walk(0.5), [0, 0], 0.4, 3.0).lower, -5.0, rtol=1e-12)
+    assert_allclose(
+        oee.value_range(walk(0.5), [0, 0], 0.0, 1.5).lower, -4.0, rtol=1e-12
+    )
+    assert_allclose(
+        oee.value_range(walk(0.5), [0, 0], 0.4, 3.0).lower, -5.0, rtol=1e-12
+    )
 
 
-# ---- the likelihood interval of a model whose rows share parameters, under a tie or features
+# ---- the likelihood interval of a model whose rows share parameters, under a tie or
+# features
 def log_zeta(simulator, phi, theta):
     """(entries,) logarithms of rows proportional to P exp(phi theta), less those of P; in range for any theta."""
-    starts, lengths = simulator.transitions.indptr[:-1], np.diff(simulator.transitions.indptr)
+    starts, lengths = (
+        simulator.transitions.indptr[:-1],
+        np.diff(simulator.transitions.indptr),
+    )
     exponent = phi @ theta
     exponent = exponent - np.repeat(np.maximum.reduceat(exponent, starts), lengths)
     total = np.add.reduceat(simulator.transitions.data * np.exp(exponent), starts)
@@ -130,11 +179,18 @@ def pair(seed, theta=(0.6, -0.4)):
     rng = np.random.default_rng(seed)
     simulator = random_mdp(rng, n_states=5, n_actions=2, zeros=0.3, discount=0.8)
     phi = rng.normal(size=(simulator.transitions.nnz, 2))
-    return simulator, with_rows(simulator, tilted(simulator, phi, np.array(theta))), random_policy(rng, simulator), phi
+    return (
+        simulator,
+        with_rows(simulator, tilted(simulator, phi, np.array(theta))),
+        random_policy(rng, simulator),
+        phi,
+    )
 
 
 def log_of(target, n, seed):
-    share = np.full((target.n_states, target.n_actions), 1 / (target.n_states * target.n_actions))
+    share = np.full(
+        (target.n_states, target.n_actions), 1 / (target.n_states * target.n_actions)
+    )
     return oee.sample_transitions(target, share, n, seed=seed)
 
 
@@ -152,28 +208,41 @@ def test_the_ends_are_the_extremes_over_the_set(rng):
     n = np.asarray(log.counts(5, 2)[row, simulator.transitions.indices]).reshape(-1)
     centred = phi - np.add.reduceat(P[:, None] * phi, indptr[:-1])[row]
     seen = (np.bincount(row, n) > 0) & (np.diff(indptr) > 1)  # what tells something
-    scale = np.sqrt(np.add.reduceat(P[:, None] * centred**2, indptr[:-1])[seen].sum(axis=0) / seen.sum())
+    scale = np.sqrt(
+        np.add.reduceat(P[:, None] * centred**2, indptr[:-1])[seen].sum(axis=0)
+        / seen.sum()
+    )
 
     def risk(theta):
         return -n @ log_zeta(simulator, phi, theta) + 0.5 * np.sum((scale * theta) ** 2)
 
     def value(theta):
-        return oee.policy_value(with_rows(simulator, tilted(simulator, phi, theta)), policy)
+        return oee.policy_value(
+            with_rows(simulator, tilted(simulator, phi, theta)), policy
+        )
 
     best = optimize.minimize(risk, np.zeros(2), method="BFGS", options={"gtol": 1e-8})
     limit = best.fun + 0.5 * chi2.ppf(0.95, 1)
     inside = {"type": "ineq", "fun": lambda theta: limit - risk(theta)}
-    assert_allclose(found.diagnostics["estimate"], value(best.x), rtol=0, atol=1e-5 * found.width)  # what BFGS finds
+    # what BFGS finds
+    assert_allclose(
+        found.diagnostics["estimate"], value(best.x), rtol=0, atol=1e-5 * found.width
+    )
     for sign, end in ((1, found.lower), (-1, found.upper)):
         starts = [best.x + 0.1 * d for d in (np.zeros(2), *np.eye(2), *-np.eye(2))]
         ends = [
             optimize.minimize(
-                lambda t, s: s * value(t), x, (sign,), method="SLSQP", constraints=[{**inside, "args": ()}]
+                lambda t, s: s * value(t),
+                x,
+                (sign,),
+                method="SLSQP",
+                constraints=[{**inside, "args": ()}],
             )
             for x in starts
         ]
         farthest = min(sign * value(e.x) for e in ends if risk(e.x) <= limit + 1e-6)
-        assert -1e-4 * found.width <= farthest - sign * end <= 0.05 * found.width  # SLSQP may fall short
+        # SLSQP may fall short
+        assert -1e-4 * found.width <= farthest - sign * end <= 0.05 * found.width
 
 
 def test_a_tie_is_features_that_are_indicators_of_its_keys():
@@ -182,7 +251,9 @@ def test_a_tie_is_features_that_are_indicators_of_its_keys():
     problem = oee.Problem(simulator, log_of(target, 200, 0))
     tied = oee.interval(problem, policy, tie=keys)
     features = oee.interval(problem, policy, features=np.eye(4)[keys])
-    assert_allclose([tied.lower, tied.upper], [features.lower, features.upper], rtol=1e-6)
+    assert_allclose(
+        [tied.lower, tied.upper], [features.lower, features.upper], rtol=1e-6
+    )
     assert tied.method == "likelihood under the tie"
     assert tied.diagnostics["n_parameters"] == 4
 
@@ -190,8 +261,13 @@ def test_a_tie_is_features_that_are_indicators_of_its_keys():
 def test_a_higher_level_is_wider_and_infinite_data_leave_a_point():
     simulator, target, policy, phi = pair(2)
     problem = oee.Problem(simulator, log_of(target, 300, 0))
-    narrow, wide = (oee.interval(problem, policy, features=phi, confidence=level) for level in (0.5, 0.99))
+    narrow, wide = (
+        oee.interval(problem, policy, features=phi, confidence=level)
+        for level in (0.5, 0.99)
+    )
     assert wide.lower < narrow.lower < narrow.upper < wide.upper
     many = oee.Problem(simulator, 1e7 * target.transitions)
     found = oee.interval(many, policy, features=phi)
-    assert_allclose([found.lower, found.upper], oee.policy_value(target, policy), rtol=1e-3)
+    assert_allclose(
+        [found.lower, found.upper], oee.policy_value(target, policy), rtol=1e-3
+    )

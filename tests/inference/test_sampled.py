@@ -12,21 +12,33 @@ from oee_tabular.mdp.empirical import Sampling
 PI = np.full((4, 2), 0.5)
 START = [0.5, 0, 0, 0.5]
 SIMULATOR = oee.FiniteMDP(
-    [[[0.6, 0.3, 0.1, 0], [0.2, 0.2, 0.3, 0.3]], [[0, 0.5, 0.5, 0], [0.1, 0.1, 0.1, 0.7]],
-     [[0.3, 0, 0.4, 0.3], [0.25] * 4], [[0, 0, 0.1, 0.9], [0.5, 0.02, 0, 0.48]]],
-    [0, 1, -2.0, 4], START, 0.8,
-)  # fmt: skip
+    [
+        [[0.6, 0.3, 0.1, 0], [0.2, 0.2, 0.3, 0.3]],
+        [[0, 0.5, 0.5, 0], [0.1, 0.1, 0.1, 0.7]],
+        [[0.3, 0, 0.4, 0.3], [0.25] * 4],
+        [[0, 0, 0.1, 0.9], [0.5, 0.02, 0, 0.48]],
+    ],
+    [0, 1, -2.0, 4],
+    START,
+    0.8,
+)
 TARGET = SIMULATOR.with_transitions(
-    [[[0.5, 0.3, 0.2, 0], [0.3, 0.2, 0.2, 0.3]], [[0, 0.6, 0.4, 0], [0.1, 0.2, 0.1, 0.6]],
-     [[0.2, 0, 0.4, 0.4], [0.25] * 4], [[0, 0, 0.2, 0.8], [0.5, 0.02, 0, 0.48]]]
-)  # fmt: skip
+    [
+        [[0.5, 0.3, 0.2, 0], [0.3, 0.2, 0.2, 0.3]],
+        [[0, 0.6, 0.4, 0], [0.1, 0.2, 0.1, 0.6]],
+        [[0.2, 0, 0.4, 0.4], [0.25] * 4],
+        [[0, 0, 0.2, 0.8], [0.5, 0.02, 0, 0.48]],
+    ]
+)
 
 
 def sampled(seed, spread=2.0):
     """The simulator of a log of its own, with noise in its rewards."""
     log = oee.sample_episodes(SIMULATOR, PI, 40, 10, seed=(seed, 0))
     noise = spread * np.random.default_rng(seed).normal(size=len(log))
-    return oee.FiniteMDP.from_log(oee.Transitions(**log.columns() | {"reward": log.reward + noise}), discount=0.8)
+    return oee.FiniteMDP.from_log(
+        oee.Transitions(**log.columns() | {"reward": log.reward + noise}), discount=0.8
+    )
 
 
 def test_intervals_hold_the_truth_where_the_simulator_was_sampled_too():
@@ -36,27 +48,46 @@ def test_intervals_hold_the_truth_where_the_simulator_was_sampled_too():
     for seed in range(60):
         simulator = sampled(1000 + seed)
         log = oee.sample_episodes(TARGET, PI, 40, 10, seed=(1000 + seed, 1))
-        for name, model in {"whole": simulator, "bare": simulator._replace(sampling=None)}.items():
-            hits[name] += truth in oee.interval(oee.Problem(model, log, impossible="drop"), PI)
+        for name, model in {
+            "whole": simulator,
+            "bare": simulator._replace(sampling=None),
+        }.items():
+            hits[name] += truth in oee.interval(
+                oee.Problem(model, log, impossible="drop"), PI
+            )
     assert hits["whole"] >= 54
     assert hits["bare"] <= 50
 
 
 def test_the_report_says_where_the_policy_s_own_pairs_are_short():
-    log = oee.Transitions([0] * 50 + [1] * 5, [0] * 55, [0] * 25 + [1] * 25 + [0] * 5, [1.0] * 50 + [3.0] * 5)
+    log = oee.Transitions(
+        [0] * 50 + [1] * 5,
+        [0] * 55,
+        [0] * 25 + [1] * 25 + [0] * 5,
+        [1.0] * 50 + [3.0] * 5,
+    )
     with pytest.warns(UserWarning, match="filled in"):
         simulator = oee.FiniteMDP.from_log(log, discount=0.8, n_actions=2)
     problem = oee.Problem(simulator, log)
     few = oee.evaluate(problem, [0, 0], estimators=["simulator", "oee"], seed=0)
-    assert "1 of the 2 state-action pairs that the policy uses have fewer than 10 samples" in " ".join(few.warnings)
+    assert (
+        "1 of the 2 state-action pairs that the policy uses have fewer than 10 samples"
+        in " ".join(few.warnings)
+    )
     assert few.records()[0]["interval_method"] == "simulator's samples"
     assert "it was sampled" in few.answer
     none = oee.evaluate(problem, [1, 1], estimators=["simulator"], seed=0)
     assert none.records()[0]["lower"] is None
     assert "do not rely on the value, which has no interval" in " ".join(none.warnings)
-    wide = oee.evaluate(problem, [0, 0], estimators=["simulator"], confidence=0.99, seed=0).records()[0]
+    wide = oee.evaluate(
+        problem, [0, 0], estimators=["simulator"], confidence=0.99, seed=0
+    ).records()[0]
     narrow = few.records()[0]
-    assert_allclose((wide["upper"] - wide["lower"]) / (narrow["upper"] - narrow["lower"]), 2.5758 / 1.96, rtol=1e-3)
+    assert_allclose(
+        (wide["upper"] - wide["lower"]) / (narrow["upper"] - narrow["lower"]),
+        2.5758 / 1.96,
+        rtol=1e-3,
+    )
 
 
 @pytest.mark.parametrize("horizon", [None, 6])
@@ -73,8 +104,13 @@ def test_the_variance_is_that_of_starts_and_mean_rewards(horizon):
     values = []
     for _ in range(600):
         table = pays.copy()
-        table.data = pays.data + rng.normal(size=pays.nnz) * np.sqrt(errors.toarray()[pays.nonzero()])
-        starts = rng.multinomial(int(simulator.sampling.starts), simulator.initial) / simulator.sampling.starts
+        table.data = pays.data + rng.normal(size=pays.nnz) * np.sqrt(
+            errors.toarray()[pays.nonzero()]
+        )
+        starts = (
+            rng.multinomial(int(simulator.sampling.starts), simulator.initial)
+            / simulator.sampling.starts
+        )
         drawn = oee.FiniteMDP(base.transitions, table, starts, 0.8)
         values.append(oee.policy_value(drawn, PI, horizon=horizon))
     assert_allclose(np.var(values), found.variance, rtol=0.15)
@@ -88,12 +124,23 @@ def test_transitions_met_once_may_lead_anywhere():
     found = outside_margin(problem, gather(problem, [0, 0]))
     v0, v1 = oee.state_values(simulator, [0, 0])
     time = oee.occupancy(simulator, [0, 0]).reshape(-1) / 0.5
-    assert_allclose(found.up, time[0] * 0.2 * 0.5 * (v1 - 0.8 * v0 - 0.2 * v1), rtol=1e-12)
-    assert_allclose(found.down, time[0] * 0.2 * 0.5 * (0.8 * v0 + 0.2 * v1 - v0), rtol=1e-12)  # (1, 0) was met twice
+    assert_allclose(
+        found.up, time[0] * 0.2 * 0.5 * (v1 - 0.8 * v0 - 0.2 * v1), rtol=1e-12
+    )
+    # (1, 0) was met twice
+    assert_allclose(
+        found.down, time[0] * 0.2 * 0.5 * (0.8 * v0 + 0.2 * v1 - v0), rtol=1e-12
+    )
     assert found.variance == 0.0
     interval = oee.interval(problem, [0, 0])
-    bare = oee.interval(oee.Problem(simulator._replace(sampling=None), problem.log), [0, 0])
-    assert_allclose([interval.lower, interval.upper], [bare.lower - found.down, bare.upper + found.up], rtol=1e-9)
+    bare = oee.interval(
+        oee.Problem(simulator._replace(sampling=None), problem.log), [0, 0]
+    )
+    assert_allclose(
+        [interval.lower, interval.upper],
+        [bare.lower - found.down, bare.upper + found.up],
+        rtol=1e-9,
+    )
     assert interval.diagnostics["unmet_share"] == pytest.approx(0.5 * time[0] * 0.2)
     again = oee.Problem(simulator, oee.Transitions([0, 1], [0, 0], [1, 0]))
     assert outside_margin(again, gather(again, [0, 0])).up == 0.0  # the log met it too
@@ -102,8 +149,14 @@ def test_transitions_met_once_may_lead_anywhere():
 def swayed(simulator, problem, horizon, sign, share):
     """J where a share of each row's unmet moves goes, step by step, to where it is worth most (sign -1: least)."""
     evidence = gather(problem, PI)
-    p, pays = evidence.fitted.transitions.toarray(), evidence.with_rows(evidence.pay).transitions.toarray()
-    counts = np.rint(simulator.transitions.toarray() * simulator.sampling.pairs[:, None]) + problem.counts.toarray()
+    p, pays = (
+        evidence.fitted.transitions.toarray(),
+        evidence.with_rows(evidence.pay).transitions.toarray(),
+    )
+    counts = (
+        np.rint(simulator.transitions.toarray() * simulator.sampling.pairs[:, None])
+        + problem.counts.toarray()
+    )
     total = counts.sum(axis=1)
     unmet = np.where(total > 0, (counts == 1).sum(axis=1) / np.maximum(total, 1), 1.0)
     plain, value = np.zeros(4), np.zeros(4)
@@ -121,19 +174,26 @@ def swayed(simulator, problem, horizon, sign, share):
 def test_with_a_horizon_unmet_transitions_lead_to_the_extreme_value_to_go(horizon):
     log = oee.sample_episodes(SIMULATOR, PI, 4, 5, seed=3)
     with pytest.warns(UserWarning, match="filled in"):
-        simulator = oee.FiniteMDP.from_log(oee.Transitions(**log.columns()), discount=0.8, n_states=4)
+        simulator = oee.FiniteMDP.from_log(
+            oee.Transitions(**log.columns()), discount=0.8, n_states=4
+        )
     recorded = oee.sample_episodes(simulator, PI, 2, 5, seed=3)
     problem = oee.Problem(simulator, recorded, horizon=horizon)
     found = outside_margin(problem, gather(problem, PI))
     assert found.up > 0.0
     for sign, size in ((1.0, found.up), (-1.0, -found.down)):
-        rise = (swayed(simulator, problem, horizon, sign, 1e-6) - swayed(simulator, problem, horizon, sign, 0.0)) / 1e-6
+        rise = (
+            swayed(simulator, problem, horizon, sign, 1e-6)
+            - swayed(simulator, problem, horizon, sign, 0.0)
+        ) / 1e-6
         assert_allclose(rise, size, rtol=1e-4)
 
 
 def test_a_row_that_was_filled_in_may_lead_anywhere():
     with pytest.warns(UserWarning, match="filled in"):
-        simulator = oee.FiniteMDP.from_log(oee.Transitions([0, 0, 1], [0, 0, 0], [0, 0, 1], [0, 0, 9.0]), n_actions=2)
+        simulator = oee.FiniteMDP.from_log(
+            oee.Transitions([0, 0, 1], [0, 0, 0], [0, 0, 1], [0, 0, 9.0]), n_actions=2
+        )
     assert simulator.sampling.pairs.tolist() == [2, 0, 1, 0]
     problem = oee.Problem(simulator, oee.Transitions([0], [0], [0]))
     found = oee.interval(problem, [1, 1])
@@ -145,12 +205,17 @@ def test_differences_know_of_it_and_the_report_says_it():
     log = oee.sample_episodes(TARGET, PI, 40, 10, seed=4)
     policies = {"one": PI, "other": [0, 0, 0, 0]}
     whole, bare = (
-        oee.inference.compare_policies(oee.Problem(model, log, impossible="drop"), policies)
+        oee.inference.compare_policies(
+            oee.Problem(model, log, impossible="drop"), policies
+        )
         for model in (simulator, simulator._replace(sampling=None))
     )
     assert whole.lower[1, 0] < bare.lower[1, 0]
     assert whole.upper[1, 0] > bare.upper[1, 0]
-    told = [str(finding) for finding in oee.Problem(simulator, log, impossible="drop").findings]
+    told = [
+        str(finding)
+        for finding in oee.Problem(simulator, log, impossible="drop").findings
+    ]
     assert told[-1].startswith("The simulator was made of samples")
 
 
@@ -167,5 +232,8 @@ def test_it_is_kept_where_it_holds(tmp_path):
     assert simulator.with_transitions(simulator.transitions).sampling is None
     assert simulator.with_rewards(np.zeros(4)).sampling.reward_error is None
     assert simulator.with_initial(0).sampling.starts == np.inf
-    assert simulator.with_action_noise(0.1).sampling.pairs[:2].tolist() == [own.pairs[:2].min()] * 2
+    assert (
+        simulator.with_action_noise(0.1).sampling.pairs[:2].tolist()
+        == [own.pairs[:2].min()] * 2
+    )
     assert oee.tasks.gridworld(3, slip=0.3).sampling is None

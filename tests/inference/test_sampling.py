@@ -12,25 +12,40 @@ import oee_tabular as oee
 
 def chain(recorded):
     """From 0 to 1 (pays 1) or 2; from 2, which may be unrecorded, to 1 or to the end 3."""
-    rows = np.array([[[0, 0.5, 0.5, 0]], [[0, 0, 0, 1.0]], [[0, 0.5, 0, 0.5]], [[0, 0, 0, 1.0]]])
+    rows = np.array(
+        [[[0, 0.5, 0.5, 0]], [[0, 0, 0, 1.0]], [[0, 0.5, 0, 0.5]], [[0, 0, 0, 1.0]]]
+    )
     simulator = oee.FiniteMDP(rows, np.array([0.0, 1.0, 0.0, 0.0]), 0, 0.9)
     moves = [(0, 1)] * 12 + [(0, 2)] * 8 + [(2, 1)] * recorded + [(2, 3)] * recorded
     state, following = np.array(moves).T
-    return oee.Problem(simulator, oee.Transitions(state, np.zeros(len(state), int), following)), np.ones((4, 1))
+    return oee.Problem(
+        simulator, oee.Transitions(state, np.zeros(len(state), int), following)
+    ), np.ones((4, 1))
 
 
 def test_pairs_never_recorded_are_as_the_default_estimates_them():
     """V(0) = .9 p + .81 (1 - p) q: the log bounds p, nothing bounds q but the simulator."""
     problem, policy = chain(0)
-    found, estimate = oee.interval(problem, policy, confidence=0.9), oee.estimators.OffEnvironment()(problem, policy)
+    found, estimate = (
+        oee.interval(problem, policy, confidence=0.9),
+        oee.estimators.OffEnvironment()(problem, policy),
+    )
     half = stats.norm.ppf(0.95) * estimate.standard_error
-    assert_allclose(found.sampling, [estimate.value - half, estimate.value + half], rtol=1e-12)
+    assert_allclose(
+        found.sampling, [estimate.value - half, estimate.value + half], rtol=1e-12
+    )
     assert found.diagnostics["sampling_method"] == "value ± quantile x standard error"
     grid = np.linspace(1e-6, 1 - 1e-6, 400_001)
     limit = stats.chi2.ppf(0.9, 1) / 2
-    inside = grid[20 * (0.6 * np.log(0.6 / grid) + 0.4 * np.log(0.4 / (1 - grid))) <= limit]
+    inside = grid[
+        20 * (0.6 * np.log(0.6 / grid) + 0.4 * np.log(0.4 / (1 - grid))) <= limit
+    ]
     ends = np.array([inside.min(), inside.max()])
-    assert_allclose([found.lower, found.upper], [0.9 * ends[0], 0.9 * ends[1] + 0.81 * (1 - ends[1])], rtol=1e-4)
+    assert_allclose(
+        [found.lower, found.upper],
+        [0.9 * ends[0], 0.9 * ends[1] + 0.81 * (1 - ends[1])],
+        rtol=1e-4,
+    )
     assert "from the recorded transitions alone" in found._repr_html_()
 
 
@@ -47,7 +62,9 @@ def unrecorded(seed, n_next=30):
     rng = np.random.default_rng(seed)
     rows = np.zeros((60, 1, 60))
     for s in range(60):
-        rows[s, 0, rng.choice(60, n_next, replace=False)] = rng.dirichlet(np.ones(n_next))
+        rows[s, 0, rng.choice(60, n_next, replace=False)] = rng.dirichlet(
+            np.ones(n_next)
+        )
     simulator = oee.FiniteMDP(rows, rng.normal(size=60), 0, 0.9)
     other = rows * np.exp(0.3 * rng.normal(size=rows.shape))
     target = simulator.with_transitions(other / other.sum(axis=2, keepdims=True))
@@ -64,17 +81,33 @@ def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     assert found.width > 1.5 * np.diff(found.sampling)[0]
     report = oee.evaluate(problem, policy, seed=0, normalized=True)
     row = report.table.set_index("estimator").loc["oee"]
-    assert_allclose(row[["sampling_lower", "sampling_upper"]].astype(float), 0.1 * np.array(found.sampling), rtol=1e-9)
+    assert_allclose(
+        row[["sampling_lower", "sampling_upper"]].astype(float),
+        0.1 * np.array(found.sampling),
+        rtol=1e-9,
+    )
     assert np.isnan(report.table.set_index("estimator").sampling_lower["model-based"])
     share = f"{100 * (1 - row['coverage']):.1f}% of the policy's time"
-    sentence = next(x for x in report.uncertainty.sentences if "If such pairs behave as estimated" in x)
+    sentence = next(
+        x
+        for x in report.uncertainty.sentences
+        if "If such pairs behave as estimated" in x
+    )
     assert f"unrecorded pairs ({share})." in sentence
     assert "If such pairs behave as estimated, the interval is " in sentence
     report.save(tmp_path)
-    kept = next(r for r in csv.DictReader((tmp_path / "table.csv").read_text().splitlines()) if r["estimator"] == "oee")
+    kept = next(
+        r
+        for r in csv.DictReader((tmp_path / "table.csv").read_text().splitlines())
+        if r["estimator"] == "oee"
+    )
     results = json.loads((tmp_path / "report.json").read_text())
     told = next(r for r in results["results"] if r["estimator"] == "oee")
-    assert float(kept["sampling_upper"]) == told["sampling_upper"] == results["intervals"][0]["sampling_upper"]
+    assert (
+        float(kept["sampling_upper"])
+        == told["sampling_upper"]
+        == results["intervals"][0]["sampling_upper"]
+    )
     page = report.to_html()
     assert "sampling interval" in page
     assert "If such pairs behave as estimated" in page

@@ -22,7 +22,11 @@ def world(seed, form, each=EACH):
     P = np.zeros((S, A, S))
     for s, a in itertools.product(range(S), range(A)):
         P[s, a, rng.choice(S, 2, replace=False)] = rng.dirichlet([1, 1])
-    r = rng.normal(size=(S, A)) if form == "r(s, a)" else np.where(P > 0, rng.normal(size=P.shape), np.nan)
+    r = (
+        rng.normal(size=(S, A))
+        if form == "r(s, a)"
+        else np.where(P > 0, rng.normal(size=P.shape), np.nan)
+    )
     rows = P.reshape(S * A, S)
     counts = np.array([rng.multinomial(15, row) for row in rows], dtype=float)
     for x in STRAYS:
@@ -31,7 +35,12 @@ def world(seed, form, each=EACH):
 
 
 def problem_of(P, r, counts, horizon=None):
-    return oee.Problem(oee.FiniteMDP(P, r, 0, 0.9), sparse.csr_array(counts), horizon=horizon, impossible="drop")
+    return oee.Problem(
+        oee.FiniteMDP(P, r, 0, 0.9),
+        sparse.csr_array(counts),
+        horizon=horizon,
+        impossible="drop",
+    )
 
 
 def value_of(P, r, policy, horizon):
@@ -57,19 +66,33 @@ def test_the_band_is_first_order_over_all_places(form, horizon):
         rows = evidence.fitted.transitions.toarray()
         share = problem.dropped / (problem.dropped + evidence.n)
         for sign, size in ((-1.0, margin.down), (1.0, margin.up)):
-            paid = r if r.ndim == 2 else np.where(np.isnan(r), sign * np.nanmax(sign * r), r)
+            paid = (
+                r
+                if r.ndim == 2
+                else np.where(np.isnan(r), sign * np.nanmax(sign * r), r)
+            )
             extreme = None if r.ndim == 2 else sign * np.nanmax(sign * r)
             every = []
             for places in itertools.product(range(S), repeat=len(STRAYS)):
                 values = []
                 for e in (0.0, 1e-6):
                     moved = rows.copy()
-                    pay = (paid if r.ndim == 2 else (rows.reshape(P.shape) * paid).sum(axis=2)).copy()
+                    pay = (
+                        paid
+                        if r.ndim == 2
+                        else (rows.reshape(P.shape) * paid).sum(axis=2)
+                    ).copy()
                     for x, to in zip(STRAYS, places, strict=True):
-                        moved[x] = (1 - e * share[x]) * rows[x] + e * share[x] * np.eye(S)[to]
+                        moved[x] = (1 - e * share[x]) * rows[x] + e * share[x] * np.eye(
+                            S
+                        )[to]
                         if extreme is not None:
-                            pay[x // A, x % A] += e * share[x] * (extreme - pay[x // A, x % A])
-                    values.append(value_of(moved.reshape(P.shape), pay, policy, horizon))
+                            pay[x // A, x % A] += (
+                                e * share[x] * (extreme - pay[x // A, x % A])
+                            )
+                    values.append(
+                        value_of(moved.reshape(P.shape), pay, policy, horizon)
+                    )
                 every.append(sign * (values[1] - values[0]) / 1e-6)
             assert_allclose(size, max(0.0, *every), rtol=1e-4, atol=1e-7)
         assert margin.diagnostics["dropped_transitions"] == 2 * EACH
@@ -82,7 +105,10 @@ def test_the_band_of_a_horizon_has_the_extreme_of_every_step(form):
     problem = problem_of(P, r, counts, 4)
     evidence = gather(problem, policy)
     margin = outside_margin(problem, evidence)
-    rows, paid = evidence.fitted.transitions.toarray().reshape(P.shape), r[:, :, None] if r.ndim == 2 else r
+    rows, paid = (
+        evidence.fitted.transitions.toarray().reshape(P.shape),
+        r[:, :, None] if r.ndim == 2 else r,
+    )
     share = (problem.dropped / (problem.dropped + evidence.n)).reshape(S, A)
     for sign, size in ((-1.0, margin.down), (1.0, margin.up)):
         values = []
@@ -91,7 +117,9 @@ def test_the_band_of_a_horizon_has_the_extreme_of_every_step(form):
             for _ in range(4):
                 kept = np.nansum(rows * (paid + 0.9 * value), axis=2)
                 most = sign * np.nanmax(sign * paid, axis=None if r.ndim == 3 else 2)
-                gain = np.maximum(sign * (most + 0.9 * sign * (sign * value).max() - kept), 0.0)
+                gain = np.maximum(
+                    sign * (most + 0.9 * sign * (sign * value).max() - kept), 0.0
+                )
                 value = (policy * (kept + sign * e * share * gain)).sum(axis=1)
             values.append(value[0])
         assert_allclose(size, sign * (values[1] - values[0]) / 1e-6, rtol=1e-4)
@@ -104,9 +132,16 @@ def test_intervals_widen_by_the_band(method, horizon):
     problem = problem_of(P, r, counts, horizon)
     assert problem.dropped.tolist() == [EACH, 0, 0, EACH, 0, 0, 0, 0]
     kept = oee.Problem(problem.simulator, problem.counts, horizon=horizon)
-    found, bare = (oee.interval(p, policy, method=method, radius="independent") for p in (problem, kept))
+    found, bare = (
+        oee.interval(p, policy, method=method, radius="independent")
+        for p in (problem, kept)
+    )
     margin = outside_margin(problem, gather(problem, policy))
-    assert_allclose([found.lower, found.upper], [bare.lower - margin.down, bare.upper + margin.up], rtol=1e-9)
+    assert_allclose(
+        [found.lower, found.upper],
+        [bare.lower - margin.down, bare.upper + margin.up],
+        rtol=1e-9,
+    )
     assert found.diagnostics["dropped_transitions"] == 2 * EACH
     assert 0.0 < found.diagnostics["dropped_share"] < 0.2
     assert outside_margin(kept, gather(kept, policy)) is None
@@ -125,9 +160,17 @@ def test_differences_know_of_them_and_other_methods_refuse():
     assert (wide.upper > narrow.upper)[off].all()
     assert_allclose(wide.lower, -wide.upper.T, atol=1e-12)
     for method in ("delta", "bootstrap"):
-        with pytest.raises(ValueError, match=rf"^method must be 'likelihood' or 'robust' .*; it is '{method}'$"):
+        with pytest.raises(
+            ValueError,
+            match=rf"^method must be 'likelihood' or 'robust' .*; it is '{method}'$",
+        ):
             oee.interval(problem, policy, method=method)
-    with pytest.raises(ValueError, match=r"^lower_ratio and upper_ratio must be None if impossible transitions were"):
+    with pytest.raises(
+        ValueError,
+        match=(
+            r"^lower_ratio and upper_ratio must be None if impossible transitions were"
+        ),
+    ):
         oee.interval(problem, policy, upper_ratio=2.0)
 
 
@@ -135,25 +178,37 @@ def test_a_problem_drops_what_it_says():
     P, r, counts, policy = world(1, "r(s, a)")
     simulator = oee.FiniteMDP(P, r, 0, 0.9)
     x, to = np.nonzero(counts)
-    log = oee.Transitions(*(np.repeat(part, counts[x, to].astype(int)) for part in (x // A, x % A, to)))
+    log = oee.Transitions(
+        *(np.repeat(part, counts[x, to].astype(int)) for part in (x // A, x % A, to))
+    )
     problem = oee.Problem(simulator, log, impossible="drop")
     assert len(problem.log) == counts.sum()
     assert problem.counts.sum() == counts.sum() - 2 * EACH
-    assert str(problem.findings[0]).startswith(f"6 of the log's {counts.sum():g} transitions, in 2 state-action pairs")
+    assert str(problem.findings[0]).startswith(
+        f"6 of the log's {counts.sum():g} transitions, in 2 state-action pairs"
+    )
     one = str(moves_dropped(np.array([0.0, 1.0]), 9.0)[0])
-    assert one.startswith("1 of the log's 10 transitions, in 1 state-action pair, is impossible in the simulator")
+    assert one.startswith(
+        "1 of the log's 10 transitions, in 1 state-action pair, is impossible in the"
+        " simulator"
+    )
     report = oee.evaluate(problem, {"p": policy, "q": policy[:, ::-1]}, seed=0)
     for row in report.records():
         if row["estimator"] in ("oee", "model-based"):
             assert row["lower"] < row["value"] < row["upper"]
     with pytest.raises(ValueError, match=r"impossible='drop' leaves none$"):
-        oee.Problem(simulator, oee.Transitions([0], [0], [np.flatnonzero(P[0, 0] == 0)[0]]), impossible="drop")
+        oee.Problem(
+            simulator,
+            oee.Transitions([0], [0], [np.flatnonzero(P[0, 0] == 0)[0]]),
+            impossible="drop",
+        )
 
 
 @pytest.mark.parametrize(
     ("state", "action", "following", "share"),
     [
-        ([0, 1], [0, 0], [1, 2], 1.0),  # all that is known of (0, 0) is a transition that was dropped
+        # all that is known of (0, 0) is a transition that was dropped
+        ([0, 1], [0, 0], [1, 2], 1.0),
         ([0, 0], [0, 0], [1, 0], 0.5),
         ([0, 1, 1], [0, 0, 0], [0, 2, 0], 0.0),  # dropped where the policy never is
     ],
@@ -162,6 +217,8 @@ def test_what_is_unseen_is_a_share(state, action, following, share):
     """State 0 is never left, so that its time counts once a dropped transition shows that it can be."""
     rows = [[[1.0, 0, 0]], [[0, 0.5, 0.5]], [[0, 0, 1.0]]]
     simulator = oee.FiniteMDP(rows, [0, 1.0, 2.0], [1.0, 0, 0], 0.9)
-    problem = oee.Problem(simulator, oee.Transitions(state, action, following), impossible="drop")
+    problem = oee.Problem(
+        simulator, oee.Transitions(state, action, following), impossible="drop"
+    )
     found = compare_policies(problem, {"one": [0, 0, 0], "other": [0, 0, 0]})
     assert_allclose(found.unrecorded_share, share, rtol=1e-12)

@@ -39,18 +39,27 @@ class Silent:
 @pytest.mark.parametrize(
     "value",
     [
-        nested_list(10_000), np.zeros((2,) * 30, dtype=bool), np.full((400, 400), None), 10**5000, "x" * 10**7,
-        list(range(10**6)), Silent(), sparse.eye_array(5), dict.fromkeys(range(1000), "y" * 1000),
+        nested_list(10_000),
+        np.zeros((2,) * 30, dtype=bool),
+        np.full((400, 400), None),
+        10**5000,
+        "x" * 10**7,
+        list(range(10**6)),
+        Silent(),
+        sparse.eye_array(5),
+        dict.fromkeys(range(1000), "y" * 1000),
     ],
     ids=lambda value: type(value).__name__,
-)  # fmt: skip
+)
 def test_any_value_is_shown_quickly_and_briefly(value):
     began = time.process_time()
     text = _checks.show(value)
     assert time.process_time() - began < 1.0
     assert 0 < len(text) <= 300
     with pytest.raises(ValueError, match="horizon must be"):
-        oee.policy_value(GRID, UNIFORM, horizon=value if not isinstance(value, int) else -value)
+        oee.policy_value(
+            GRID, UNIFORM, horizon=value if not isinstance(value, int) else -value
+        )
     assert time.process_time() - began < 2.0
 
 
@@ -63,17 +72,28 @@ def test_control_characters_are_visible(text):
     assert str(refused.value).isprintable()
 
 
-@pytest.mark.parametrize(("jobs", "cells", "most"), [(1000, 3, 3), (2, 3, 2), (2, 1, 2), (1, 5, 1)])
-def test_no_more_jobs_than_cells_but_one_cell_has_a_process_of_its_own(jobs, cells, most):
+@pytest.mark.parametrize(
+    ("jobs", "cells", "most"), [(1000, 3, 3), (2, 3, 2), (2, 1, 2), (1, 5, 1)]
+)
+def test_no_more_jobs_than_cells_but_one_cell_has_a_process_of_its_own(
+    jobs, cells, most
+):
     assert _parallel.parallel(cells, jobs, None).n_jobs == most
 
 
 def test_workers_are_not_interrupted_themselves():
     """Ctrl-C reaches every process of a terminal; those that still import would each print a traceback."""
-    script = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))"
+    script = (
+        "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK,"
+        " []))"
+    )
     with _hold_interrupts():
-        inside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    outside = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+        inside = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, check=True
+        )
+    outside = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert (inside.stdout, outside.stdout) == ("True\n", "False\n")
 
 
@@ -134,7 +154,10 @@ def test_slow_steps_are_reported_once_on_stderr(capsys, monkeypatch):
         wait_for("second")
         time.sleep(0.1)
     told += capsys.readouterr().err
-    assert re.sub(r"\d+ s", "N s", told).splitlines() == ["oee: N s: a first step", "oee: N s: a second step"]
+    assert re.sub(r"\d+ s", "N s", told).splitlines() == [
+        "oee: N s: a first step",
+        "oee: N s: a second step",
+    ]
 
 
 # ---- one matrix on the pattern of another
@@ -144,7 +167,9 @@ def test_values_on_another_pattern(rng):
     shape = tuple(rng.integers(1, 9, size=2))
     table = np.where(rng.random(shape) < rng.random(), rng.random(shape), 0)
     other = table if rng.random() < 0.2 else rng.permuted(table, axis=1)
-    source, pattern = (canonical(sparse.csr_array(each), drop_zeros=False) for each in (table, other))
+    source, pattern = (
+        canonical(sparse.csr_array(each), drop_zeros=False) for each in (table, other)
+    )
     values, stored = align(source, pattern)
     there = np.nonzero(other)
     assert_array_equal(values, table[there])

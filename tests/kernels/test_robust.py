@@ -18,32 +18,54 @@ def random_row(rng, box=True):
     prior = rng.dirichlet(np.ones(k)) * 0.9 + 0.1 / k
     phat = rng.multinomial(n, prior) / n
     v = rng.integers(-3, 4, size=k) + 0.0
-    low, high = (0.3 * prior, np.minimum(2.5 * prior, 1.0)) if box else (np.zeros(k), np.ones(k))
+    low, high = (
+        (0.3 * prior, np.minimum(2.5 * prior, 1.0))
+        if box
+        else (np.zeros(k), np.ones(k))
+    )
     return phat, v, low, high, float(10 ** rng.uniform(-2, 0.3))
 
 
 def solve_row(phat, v, low, high, epsilon):
     out, above, kl, lam = np.empty(len(v)), np.empty(1), np.empty(1), np.zeros(1)
-    kernel.worst_rows(np.array([epsilon]), phat, v, low, high, np.array([0, len(v)]), lam, out, above, kl)
+    kernel.worst_rows(
+        np.array([epsilon]),
+        phat,
+        v,
+        low,
+        high,
+        np.array([0, len(v)]),
+        lam,
+        out,
+        above,
+        kl,
+    )
     return out, above[0], kl[0]
 
 
 @settings(max_examples=150)
 @given(rngs, st.booleans())
-@example(np.random.default_rng(520864), False)  # a probability of 7e-15 where the frequency is .04
+# a probability of 7e-15 where the frequency is .04
+@example(np.random.default_rng(520864), False)
 def test_37_the_worst_row_is_feasible_and_certified(rng, box):
     phat, v, low, high, epsilon = random_row(rng, box)
     p, above, kl = solve_row(phat, v, low, high, epsilon)
     assert_allclose(p.sum(), 1.0, rtol=1e-12)
     assert (p >= low - 1e-12).all()
     assert (p <= high + 1e-12).all()
-    if kl > epsilon * (1 + 1e-9):  # the ball misses the box: no point of the box is nearer
+    # the ball misses the box: no point of the box is nearer
+    if kl > epsilon * (1 + 1e-9):
         return
-    assert_allclose(kl, sum(a * np.log(a / b) for a, b in zip(phat, p, strict=True) if a > 0), atol=1e-9)
+    assert_allclose(
+        kl,
+        sum(a * np.log(a / b) for a, b in zip(phat, p, strict=True) if a > 0),
+        atol=1e-9,
+    )
     assert above >= p @ v - 1e-12
     assert above - p @ v < 1e-7 * max(1.0, np.abs(v).max())
     tv = 0.5 * np.abs(p - phat).sum()
-    assert tv <= np.sqrt(epsilon / 2) + 1e-9  # Pinsker: the KL ball is inside the L1 ball
+    # Pinsker: the KL ball is inside the L1 ball
+    assert tv <= np.sqrt(epsilon / 2) + 1e-9
 
 
 def test_the_worst_row_against_clarabel():
@@ -54,7 +76,9 @@ def test_the_worst_row_against_clarabel():
         x = cp.Variable(len(v))
         seen = phat > 0
         ball = cp.sum(cp.kl_div(phat[seen], x[seen]) + phat[seen] - x[seen]) <= epsilon
-        problem = cp.Problem(cp.Maximize(v @ x), [ball, cp.sum(x) == 1, x >= low, x <= high])
+        problem = cp.Problem(
+            cp.Maximize(v @ x), [ball, cp.sum(x) == 1, x >= low, x <= high]
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             problem.solve(solver="CLARABEL")

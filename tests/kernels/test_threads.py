@@ -82,7 +82,11 @@ with threadpool_limits(2, user_api="blas"):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_forked_process_is_not_held_by_threads_that_it_has_not():
     """Forked while another thread is inside: the child gets its threads back, and can go inside itself."""
-    subprocess.run([sys.executable, "-W", "ignore::DeprecationWarning", "-c", FORKS], check=True, timeout=60)
+    subprocess.run(
+        [sys.executable, "-W", "ignore::DeprecationWarning", "-c", FORKS],
+        check=True,
+        timeout=60,
+    )
 
 
 def test_dot_is_the_sum():

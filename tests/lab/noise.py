@@ -11,7 +11,10 @@ def noise(cell, stream):
     """Numbers that need BLAS, and are hard to print."""
     matrix = stream.generator().normal(size=(60, 60))
     value = float(np.linalg.inv(matrix @ matrix.T + np.eye(60)).sum())
-    return [{"name": name, "value": value * factor} for name, factor in (("one", 1.0), ("third", 1 / 3))]
+    return [
+        {"name": name, "value": value * factor}
+        for name, factor in (("one", 1.0), ("third", 1 / 3))
+    ]
 
 
 def experiment(run=noise, **options):
@@ -19,13 +22,20 @@ def experiment(run=noise, **options):
         figure.subplots().plot(summary["value_mean"])
 
     plain = {
-        "id": "noise", "title": "Noise | and more", "axes": {"n": (1, 2, 3)}, "keys": ("n", "name"),
-        "measures": ("value",), "repetitions": 2,
-    }  # fmt: skip
+        "id": "noise",
+        "title": "Noise | and more",
+        "axes": {"n": (1, 2, 3)},
+        "keys": ("n", "name"),
+        "measures": ("value",),
+        "repetitions": 2,
+    }
     return Experiment(run=run, draw=draw, **(plain | options))
 
 
 def bytes_of(folder, settings, **options):
     """The files of a run."""
     save(run_experiment(folder, settings, **options))
-    return {name: (folder / name).read_bytes() for name in ("table.csv", "summary.csv", "summary.md", "figure.svg")}
+    return {
+        name: (folder / name).read_bytes()
+        for name in ("table.csv", "summary.csv", "summary.md", "figure.svg")
+    }

@@ -9,13 +9,22 @@ def guess(problem, policy, *, seed=None):
 
 class Maker:
     def __call__(self, problem, policy, *, seed=None):
-        return oee.Estimate(1.0, interval=(0.0, 2.0), diagnostics={"interval_method": "mine"})
+        return oee.Estimate(
+            1.0, interval=(0.0, 2.0), diagnostics={"interval_method": "mine"}
+        )
 
 
 def pairs(seed):
-    simulator, target = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1 + 0.01 * seed)
+    simulator, target = (
+        oee.tasks.gridworld(3, 0.3),
+        oee.tasks.gridworld(3, 0.1 + 0.01 * seed),
+    )
     policy = oee.uniform_policy(simulator)
-    return {"three": oee.bench.Family(simulator, target, policy, policy, "Moves slip less than simulated.")}
+    return {
+        "three": oee.bench.Family(
+            simulator, target, policy, policy, "Moves slip less than simulated."
+        )
+    }
 
 
 def constant():
@@ -30,5 +39,11 @@ def outside(seed):
     simulator, target = oee.tasks.gridworld(3, 0.0), oee.tasks.gridworld(3, 0.1)
     policy = oee.uniform_policy(simulator)
     return oee.bench.Families(
-        {"bent": lambda: oee.bench.Family(simulator, target, policy, policy, "It slips.")}, seed, {}
+        {
+            "bent": lambda: oee.bench.Family(
+                simulator, target, policy, policy, "It slips."
+            )
+        },
+        seed,
+        {},
     )

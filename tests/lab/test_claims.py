@@ -10,7 +10,10 @@ import oee_tabular as oee
 from oee_tabular.lab.experiments.common import grids, published_at
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
-PAGES = " ".join(" ".join((NOTEBOOKS / f"{page}.md").read_text().split()) for page in ("promises", "paper", "guide"))
+PAGES = " ".join(
+    " ".join((NOTEBOOKS / f"{page}.md").read_text().split())
+    for page in ("promises", "paper", "guide")
+)
 LIKELIHOOD = "maximum likelihood"
 
 
@@ -25,9 +28,14 @@ def span(values, form):
 
 def of_the_networks(table):
     """(grid, n) -> the default's mean error over the paper's, and the standard error of that."""
-    default = table[(table.data == "uniform") & table.estimator.str.startswith("default")]
+    default = table[
+        (table.data == "uniform") & table.estimator.str.startswith("default")
+    ]
     error = default.groupby(["grid", "n"]).error.agg(["mean", "sem"])
-    networks = [published_at("fig1a", f"grid={g}", "mean_absolute_error_of_zeta", float(n)) for g, n in error.index]
+    networks = [
+        published_at("fig1a", f"grid={g}", "mean_absolute_error_of_zeta", float(n))
+        for g, n in error.index
+    ]
     return error.div(networks, axis=0).dropna()
 
 
@@ -36,8 +44,10 @@ def test_figure_1a_is_a_twentieth_of_the_networks():
     small, large = share.loc[10], share.loc[40]
     assert len(share) == 12
     assert (
-        f"about 5% of the paper's networks' on the grid of 10 ({span(small['mean'], '.1f')}%, each point with a standard "
-        f"error of up to {small['sem'].max():.1f}%), {span(large['mean'], '.1f')}% on that of 40" in PAGES
+        "about 5% of the paper's networks' on the grid of 10"
+        f" ({span(small['mean'], '.1f')}%, each point with a standard error of up to"
+        f" {small['sem'].max():.1f}%), {span(large['mean'], '.1f')}% on that of 40"
+        in PAGES
     )
 
 
@@ -46,14 +56,21 @@ def test_our_networks_reach_the_published_curve():
     trained = table[table.fit.str.startswith("network, trained")]
     error = trained.pivot_table(index="n", columns="simulator", values="error")
     share = error.div(
-        [published_at("fig1a", "grid=10", "mean_absolute_error_of_zeta", float(n)) for n in error.index], axis=0
+        [
+            published_at("fig1a", "grid=10", "mean_absolute_error_of_zeta", float(n))
+            for n in error.index
+        ],
+        axis=0,
     )
     afresh, recorded = share["sampled afresh"], share["a log of n moves"]
     assert (
-        f"our networks' error of zeta is {span(afresh[:-1], '.2f')} times the published one up to n = 10^5 and "
-        f"{afresh.iloc[-1]:.2f} times at the last point"
-    ) in PAGES
-    assert f"with a log of n simulated transitions {span(recorded, '.2f')} times" in PAGES
+        f"our networks' error of zeta is {span(afresh[:-1], '.2f')} times the published"
+        f" one up to n = 10^5 and {afresh.iloc[-1]:.2f} times at the last point"
+        in PAGES
+    )
+    assert (
+        f"with a log of n simulated transitions {span(recorded, '.2f')} times" in PAGES
+    )
     assert (afresh < 1.2).all()
     assert (recorded < 1.9).all()
 
@@ -63,7 +80,11 @@ def test_the_parts_of_the_networks_error():
     parts = saved("networks").dropna(subset="sampling").groupby(["simulator", "n"])
     for name in ("approximation", "sampling", "optimisation"):
         assert (parts[name].mean() >= -parts[name].sem() - 1e-15).all()
-    sampling = parts.sampling.mean().reset_index().pivot_table(index="simulator", columns="n", values="sampling")
+    sampling = (
+        parts.sampling.mean()
+        .reset_index()
+        .pivot_table(index="simulator", columns="n", values="sampling")
+    )
     assert (sampling.diff(axis=1).iloc[:, 1:] < 0).all(axis=None)
     assert parts.approximation.max().max() < 1e-15
     total = parts[["approximation", "sampling", "optimisation"]].mean().sum(axis=1)
@@ -85,17 +106,28 @@ def test_figure_1bcd_exact_evaluation_removes_nearly_all_of_the_simulator_s_erro
     simulator, target = grids(10)
     for delta, part in table.groupby("delta"):
         policy = oee.tasks.gridworld_policy(10, delta)
-        assert_allclose(part.truth, oee.policy_value(target, policy, horizon=200, normalized=True))
+        assert_allclose(
+            part.truth, oee.policy_value(target, policy, horizon=200, normalized=True)
+        )
         values = part[part.estimator == "simulator"].value
-        assert_allclose(values, oee.policy_value(simulator, policy, horizon=200, normalized=True))
+        assert_allclose(
+            values, oee.policy_value(simulator, policy, horizon=200, normalized=True)
+        )
 
 
 def fitted_slopes(table, value="squared_error", start=30_000):
     """Least-squares slope of log10 RMSE on log10 n, for each data policy, policy and ratio, from ``start`` on."""
     keys = ["data", "delta", "ratio"]
-    points = table[table.n >= start].groupby([*keys, "n"], sort=False)[value].mean().reset_index()
+    points = (
+        table[table.n >= start]
+        .groupby([*keys, "n"], sort=False)[value]
+        .mean()
+        .reset_index()
+    )
     logs = points.assign(n=np.log10(points.n), rmse=0.5 * np.log10(points[value]))
-    return logs.groupby(keys, sort=False)[["n", "rmse"]].apply(lambda own: np.polyfit(own.n, own.rmse, 1)[0])
+    return logs.groupby(keys, sort=False)[["n", "rmse"]].apply(
+        lambda own: np.polyfit(own.n, own.rmse, 1)[0]
+    )
 
 
 def test_the_rate_is_a_half():
@@ -106,12 +138,12 @@ def test_the_rate_is_a_half():
     )
     own, other = (slopes[data, :, LIKELIHOOD] for data in ("uniform", "pi_0.5"))
     assert (
-        f"the slope of log RMSE on log n is {span(own, '.2f')} for maximum likelihood, with data of pi_0.5 "
-        f"{span(other, '.2f')}" in PAGES
+        f"the slope of log RMSE on log n is {span(own, '.2f')} for maximum likelihood,"
+        f" with data of pi_0.5 {span(other, '.2f')}" in PAGES
     )
     assert (
-        f"The default's error is {span(share, '.2f')} of maximum likelihood's at every n, its slopes "
-        f"{span(slopes[:, :, 'default'], '.2f')}" in PAGES
+        f"The default's error is {span(share, '.2f')} of maximum likelihood's at every"
+        f" n, its slopes {span(slopes[:, :, 'default'], '.2f')}" in PAGES
     )
 
 
@@ -126,7 +158,10 @@ def test_misspecified():
     assert len(share) == 18
     # rounded up: "at most"
     most, ever = (np.ceil(100 * x.max()) / 100 for x in (little, share))
-    assert f"at most {most:.2f} of maximum likelihood's up to n = 10^4 and at most {ever:.2f} of it at any n" in PAGES
+    assert (
+        f"at most {most:.2f} of maximum likelihood's up to n = 10^4 and at most"
+        f" {ever:.2f} of it at any n" in PAGES
+    )
     moved = saved("misspecified").groupby(["estimator", "n"]).moved.mean()
     assert (moved["default"] <= 0.25).all()
     assert moved["one tilt for all", 316_228] >= 0.6
@@ -138,7 +173,10 @@ def products_explode(table):
         if delta in set(table.delta):
             sd = size[delta, "oracle sd, per decision"]
             assert sd[200] > growth * sd[20]
-            assert size[delta, "OEE exact, |error|", 200] < 0.2 * size[delta, "simulator, |error|", 200]
+            assert (
+                size[delta, "OEE exact, |error|", 200]
+                < 0.2 * size[delta, "simulator, |error|", 200]
+            )
 
 
 def test_products_explode_and_exact_evaluation_does_not():
@@ -147,39 +185,78 @@ def test_products_explode_and_exact_evaluation_does_not():
 
 
 def test_coverage():
-    covered = 100 * saved("coverage").groupby(["environment", "n", "method"]).covered.mean()
-    likelihood, delta = (", ".join(f"{x:.1f}" for x in covered["grid", :, name]) for name in ("likelihood", "delta"))
-    assert f"interval covers {likelihood}%, the delta method {delta}%, the guaranteed ones always" in PAGES
-    assert (covered[[name.startswith("robust") for name in covered.index.get_level_values("method")]] == 100).all()
+    covered = (
+        100 * saved("coverage").groupby(["environment", "n", "method"]).covered.mean()
+    )
+    likelihood, delta = (
+        ", ".join(f"{x:.1f}" for x in covered["grid", :, name])
+        for name in ("likelihood", "delta")
+    )
+    assert (
+        f"interval covers {likelihood}%, the delta method {delta}%, the guaranteed ones"
+        " always" in PAGES
+    )
+    assert (
+        covered[
+            [
+                name.startswith("robust")
+                for name in covered.index.get_level_values("method")
+            ]
+        ]
+        == 100
+    ).all()
     silent = covered["rare", 20_000]
     narrow = silent[["delta", "bootstrap"]]
-    assert f"delta and bootstrap cover {span(narrow, '.1f')}%, the likelihood interval with the box" in PAGES
+    assert (
+        f"delta and bootstrap cover {span(narrow, '.1f')}%, the likelihood interval"
+        " with the box" in PAGES
+    )
     assert silent["likelihood"] == 100
     assert f"400 logs: {100 * saved('coverage_lake').covered.mean():.1f}%" in PAGES
 
 
 def test_efficiency():
     table = saved("efficiency")
-    found = table.groupby("estimator").agg(ratio=("ratio", "mean"), error=("ratio", "sem"), exact=("exact", "first"))
+    found = table.groupby("estimator").agg(
+        ratio=("ratio", "mean"), error=("ratio", "sem"), exact=("exact", "first")
+    )
     plug_in, quotient = found.loc["plug-in"], found.loc["ratio of ratios"]
-    assert f"is {plug_in.ratio:.2f} +- {plug_in.error:.2f} of `efficiency_bound`" in PAGES
-    assert f"the paper's quotient's {quotient.ratio:.2f} +- {quotient.error:.2f} of its formula" in PAGES
+    assert (
+        f"is {plug_in.ratio:.2f} +- {plug_in.error:.2f} of `efficiency_bound`" in PAGES
+    )
+    assert (
+        f"the paper's quotient's {quotient.ratio:.2f} +- {quotient.error:.2f} of its"
+        " formula" in PAGES
+    )
     assert f"{quotient.exact / plug_in.exact:.0f} times the bound" in PAGES
     assert (np.abs(found.ratio - 1.0) <= 3 * found.error).all()
 
 
 def of_uniform_recording(table, n, threefold):
     error = rmse(table[table.estimator == LIKELIHOOD], "design", "n")
-    return {design: error[design, n] / error["uniform", threefold] for design in ("planned", "on-policy")}
+    return {
+        design: error[design, n] / error["uniform", threefold]
+        for design in ("planned", "on-policy")
+    }
 
 
 def test_a_third_of_the_transitions():
-    one, two = (of_uniform_recording(saved("collection"), *n) for n in ((667, 2000), (6667, 20_000)))
-    assert f"has {one['planned']:.2f} (667 against 2000) and {two['planned']:.2f} (6667 against 20 000) of" in PAGES
-    assert f"the evaluated policy itself records, {one['on-policy']:.2f} and {two['on-policy']:.2f}" in PAGES
+    one, two = (
+        of_uniform_recording(saved("collection"), *n)
+        for n in ((667, 2000), (6667, 20_000))
+    )
+    assert (
+        f"has {one['planned']:.2f} (667 against 2000) and {two['planned']:.2f} (6667"
+        " against 20 000) of" in PAGES
+    )
+    assert (
+        f"the evaluated policy itself records, {one['on-policy']:.2f} and"
+        f" {two['on-policy']:.2f}" in PAGES
+    )
 
 
-MENDED = ["OEE, calibrated", "model-based, calibrated"]  # the gain is the calibration's as much as the ratio's
+# the gain is the calibration's as much as the ratio's
+MENDED = ["OEE, calibrated", "model-based, calibrated"]
 
 
 def test_figure_2():

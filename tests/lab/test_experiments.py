@@ -14,13 +14,24 @@ from matplotlib.figure import Figure
 from saved_results import RESULTS, assert_saved, saved
 
 from oee_tabular.lab import experiments
-from oee_tabular.lab.experiment import Stream, files_of, set_title, share_legend, summary_of
+from oee_tabular.lab.experiment import (
+    Stream,
+    files_of,
+    set_title,
+    share_legend,
+    summary_of,
+)
 from oee_tabular.lab.experiments import catalogue
 from oee_tabular.lab.experiments.catalogue import EXPERIMENTS
 
-DRAWN_BY_NUMPY = {"efficiency"}  # by its multinomial, whose numbers are others from numpy 2.5 on
-IDS = [name for name, experiment in EXPERIMENTS.items() if experiment.group != "continuous"]
-EACH = pytest.mark.parametrize("experiment", EXPERIMENTS.values(), ids=list(EXPERIMENTS))
+# by its multinomial, whose numbers are others from numpy 2.5 on
+DRAWN_BY_NUMPY = {"efficiency"}
+IDS = [
+    name for name, experiment in EXPERIMENTS.items() if experiment.group != "continuous"
+]
+EACH = pytest.mark.parametrize(
+    "experiment", EXPERIMENTS.values(), ids=list(EXPERIMENTS)
+)
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -38,16 +49,30 @@ def test_a_smoke_cell(name):
     assert set(experiment.keys) <= set(summary.columns)
     assert np.isfinite(summary[f"{experiment.measures[0]}_mean"]).all()
     with mpl.rc_context({"figure.max_open_warning": 0}):
-        assert files_of(experiment.settings(smoke=True), table)["figure.svg"].startswith(b"<?xml")
+        assert files_of(experiment.settings(smoke=True), table)[
+            "figure.svg"
+        ].startswith(b"<?xml")
     if name in ("lambda_n", "coverage_lake", "efficiency"):
-        again, other = (json.dumps(experiment.run(cell, Stream(name, seed, cell))) for seed in (0, 1))
+        again, other = (
+            json.dumps(experiment.run(cell, Stream(name, seed, cell)))
+            for seed in (0, 1)
+        )
         assert again == json.dumps(rows) != other
 
 
 @EACH
-def test_the_saved_results_are_of_the_full_sweep_and_say_what_the_table_shows(experiment):
-    folder, table, figure = RESULTS / experiment.id, saved(experiment.id), Figure(layout="constrained")
-    assert json.loads((folder / "settings.json").read_text()) == experiment.settings().as_dict()
+def test_the_saved_results_are_of_the_full_sweep_and_say_what_the_table_shows(
+    experiment,
+):
+    folder, table, figure = (
+        RESULTS / experiment.id,
+        saved(experiment.id),
+        Figure(layout="constrained"),
+    )
+    assert (
+        json.loads((folder / "settings.json").read_text())
+        == experiment.settings().as_dict()
+    )
     assert set(experiment.keys) <= set(table.columns)
     for page in (folder / "summary.md", RESULTS / "index.md"):
         assert experiment.caption in page.read_text()
@@ -60,10 +85,19 @@ def test_the_saved_results_are_of_the_full_sweep_and_say_what_the_table_shows(ex
     shown = [ax for ax in figure.axes if ax.get_visible()]
     assert shown
     for ax in shown:
-        lines = [line for line in ax.get_lines() if line.get_linestyle() != "None"]  # not the paper's points
-        curves = [line for line in lines if len(line.get_xdata()) > 2 and not line.get_label().startswith("_")]
-        beside = ("slope", "true value", "true (Monte Carlo)", "zeta = 1", "exact")  # what the curves are held against
-        assert len([line for line in curves if not line.get_label().startswith(beside)]) <= 6, ax.get_title()
+        # not the paper's points
+        lines = [line for line in ax.get_lines() if line.get_linestyle() != "None"]
+        curves = [
+            line
+            for line in lines
+            if len(line.get_xdata()) > 2 and not line.get_label().startswith("_")
+        ]
+        # what the curves are held against
+        beside = ("slope", "true value", "true (Monte Carlo)", "zeta = 1", "exact")
+        assert (
+            len([line for line in curves if not line.get_label().startswith(beside)])
+            <= 6
+        ), ax.get_title()
     share_legend(figure)
     set_title(figure, finding)
     figure.canvas.draw()
@@ -77,9 +111,15 @@ def test_the_saved_results_are_of_the_full_sweep_and_say_what_the_table_shows(ex
 def test_a_finding_changes_with_the_numbers(experiment):
     """No number of it is written in the code: a table whose every measure is another gives another sentence."""
     table = saved(experiment.id)
-    numbers = set(table.select_dtypes("number")) - {*experiment.keys, *experiment.axes, "repetition"}
+    numbers = set(table.select_dtypes("number")) - {
+        *experiment.keys,
+        *experiment.axes,
+        "repetition",
+    }
     factors = np.random.default_rng(0).uniform(0.2, 5.0, (len(table), len(numbers)))
-    other = table.assign(**{name: table[name] * factors[:, k] for k, name in enumerate(sorted(numbers))})
+    other = table.assign(
+        **{name: table[name] * factors[:, k] for k, name in enumerate(sorted(numbers))}
+    )
     assert experiment.finding(other) != experiment.finding(table)
 
 
@@ -94,7 +134,12 @@ def test_a_table_by_name():
     cell = {"delta": 0.5, "repetition": 1}
     rows = EXPERIMENTS["estimands"].run(cell, Stream("estimands", 0, cell))
     assert table.tail(4).value.tolist() == [row["value"] for row in rows]
-    with pytest.raises(ValueError, match=r"experiment must be one of fig1a, .*; got 'estimand'; nearest: estimands"):
+    with pytest.raises(
+        ValueError,
+        match=(
+            r"experiment must be one of fig1a, .*; got 'estimand'; nearest: estimands"
+        ),
+    ):
         experiments.table("estimand")
     with pytest.raises(ValueError, match="axes must be among delta; got 'n'"):
         experiments.table("estimands", n=3)
@@ -110,31 +155,57 @@ def test_the_list(capsys):
 
 
 def test_a_smoke_run_writes_everything_and_goes_on(tmp_path, capsys):
-    arguments = ("reproduce", "estimands", "--smoke", "--seeds", 1, "--jobs", 1, "--output", tmp_path)
+    arguments = (
+        "reproduce",
+        "estimands",
+        "--smoke",
+        "--seeds",
+        1,
+        "--jobs",
+        1,
+        "--output",
+        tmp_path,
+    )
     assert run_command(*arguments) == 0
     assert "estimands: 1 cells computed" in capsys.readouterr().out
     names = {path.name for path in (tmp_path / "smoke" / "estimands").iterdir()}
     assert names == {
-        "settings.json", "cells.jsonl", "table.csv", "summary.csv", "summary.md", "figure.svg", "figure.png",
-    }  # fmt: skip
+        "settings.json",
+        "cells.jsonl",
+        "table.csv",
+        "summary.csv",
+        "summary.md",
+        "figure.svg",
+        "figure.png",
+    }
     assert "The published recipe" in (tmp_path / "smoke" / "index.md").read_text()
     assert run_command(*arguments) == 0
     assert "0 cells computed, 1 from the cache" in capsys.readouterr().out
-    assert run_command("reproduce", "horizon", *arguments[1:], "--seed", 1) == 2  # before anything runs
-    assert re.search(r"holds results of other settings: seed 0 there, 1 asked", capsys.readouterr().err)
+    # before anything runs
+    assert run_command("reproduce", "horizon", *arguments[1:], "--seed", 1) == 2
+    assert re.search(
+        r"holds results of other settings: seed 0 there, 1 asked",
+        capsys.readouterr().err,
+    )
     assert not (tmp_path / "smoke" / "horizon").exists()
     assert run_command(*arguments, "--seed", 1, "--fresh") == 0
     assert "1 cells computed" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("arguments", "text"), [
-    (("fig1",), r"experiment must be one of fig1a, .*; got 'fig1'; nearest: fig1a"),
-    ((), "one experiment or more must be given, or --all; there are fig1a"),
-    (("fig1a", "--all"), "--all must be given without ids; got fig1a"),
-    (("fig1a", "--seeds", 0), "--seeds must be at least 1; got 0"),
-    (("fig1a", "--seed", -1), "(?s)--seed.*(greater than or equal to 0|x>=0)"),
-    (("estimands", "--smoke", "--jobs", 0), "jobs must be a positive number, or -1 for one a core; got 0"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("fig1",), r"experiment must be one of fig1a, .*; got 'fig1'; nearest: fig1a"),
+        ((), "one experiment or more must be given, or --all; there are fig1a"),
+        (("fig1a", "--all"), "--all must be given without ids; got fig1a"),
+        (("fig1a", "--seeds", 0), "--seeds must be at least 1; got 0"),
+        (("fig1a", "--seed", -1), "(?s)--seed.*(greater than or equal to 0|x>=0)"),
+        (
+            ("estimands", "--smoke", "--jobs", 0),
+            "jobs must be a positive number, or -1 for one a core; got 0",
+        ),
+    ],
+)
 def test_bad_calls(arguments, text, tmp_path, capsys):
     assert run_command("reproduce", *arguments, "--output", tmp_path / "new") == 2
     assert re.search(text, capsys.readouterr().err)
@@ -147,22 +218,44 @@ def test_a_results_folder_with_a_link_is_refused(tmp_path, capsys, name):
     outside.mkdir()
     link.parent.mkdir(parents=True)
     link.symlink_to(outside / "precious" if name.endswith(".md") else outside)
-    arguments = ("reproduce", "estimands", "--smoke", "--seeds", 1, "--jobs", 1, "--output", tmp_path / "results")
+    arguments = (
+        "reproduce",
+        "estimands",
+        "--smoke",
+        "--seeds",
+        1,
+        "--jobs",
+        1,
+        "--output",
+        tmp_path / "results",
+    )
     assert run_command(*arguments) == 2
     assert "it is a link or something else" in capsys.readouterr().err
     assert list(outside.iterdir()) == []
 
 
-def test_an_experiment_without_its_extra_is_left_out_with_a_sentence_and_refused_alone(tmp_path, monkeypatch):
+def test_an_experiment_without_its_extra_is_left_out_with_a_sentence_and_refused_alone(
+    tmp_path, monkeypatch
+):
     known = EXPERIMENTS["estimands"]
     lacking = replace(known, id="arm", requires=("no_such_module",))
     monkeypatch.setattr(catalogue, "EXPERIMENTS", {"estimands": known, "arm": lacking})
     said = []
-    options = {"smoke": True, "seeds": 1, "seed": 0, "jobs": 1, "dask": None, "fresh": False, "say": said.append}
+    options = {
+        "smoke": True,
+        "seeds": 1,
+        "seed": 0,
+        "jobs": 1,
+        "dask": None,
+        "fresh": False,
+        "say": said.append,
+    }
     for names, everything in (([], True), (["estimands", "arm"], False)):
         said.clear()
         catalogue.reproduce(names, everything=everything, output=tmp_path, **options)
         assert (tmp_path / "smoke" / "estimands" / "summary.md").is_file()
-        assert said[-1].startswith("Left out: arm needs no_such_module, which is not installed")
+        assert said[-1].startswith(
+            "Left out: arm needs no_such_module, which is not installed"
+        )
     with pytest.raises(ImportError, match="arm needs no_such_module"):
         catalogue.reproduce(["arm"], everything=False, output=tmp_path, **options)

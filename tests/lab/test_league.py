@@ -12,7 +12,14 @@ from scipy import stats
 from oee_tabular.lab.bench.league import ERRORS, floor, league_of
 
 ML, SIM = "maximum-likelihood", "simulator"
-FACTS = {"families": "held", "identical": False, "covered": 1.0, "bound": 0.01, "truth": 5.0, "status": "ok"}
+FACTS = {
+    "families": "held",
+    "identical": False,
+    "covered": 1.0,
+    "bound": 0.01,
+    "truth": 5.0,
+    "status": "ok",
+}
 
 
 def rows(family, size, errors, *, half=None, **facts):
@@ -21,8 +28,18 @@ def rows(family, size, errors, *, half=None, **facts):
     for name, values in errors.items():
         for seed, error in enumerate(values):
             value, wide = 5.0 + error, (half or {}).get(name, math.nan)
-            own = {"family": family, "size": float(size), "seed": seed, "estimator": name, "value": value, "error": error,
-                   "standard_error": wide / 4, "lower": value - wide, "upper": value + wide, "seconds": 0.5 + seed}  # fmt: skip
+            own = {
+                "family": family,
+                "size": float(size),
+                "seed": seed,
+                "estimator": name,
+                "value": value,
+                "error": error,
+                "standard_error": wide / 4,
+                "lower": value - wide,
+                "upper": value + wide,
+                "seconds": 0.5 + seed,
+            }
             made.append(own | FACTS | facts)
     return made
 
@@ -32,11 +49,15 @@ def league(*parts):
 
 
 def cell(found, family, size, estimator="mine"):
-    return found.cells.set_index(["family", "size", "estimator"]).loc[(family, size, estimator)]
+    return found.cells.set_index(["family", "size", "estimator"]).loc[
+        (family, size, estimator)
+    ]
 
 
 def row(found, estimator="mine"):
-    return found.league.query("families == 'held'").set_index("estimator").loc[estimator]
+    return (
+        found.league.query("families == 'held'").set_index("estimator").loc[estimator]
+    )
 
 
 def test_ratios_geometric_mean_and_worst_by_hand():
@@ -44,17 +65,37 @@ def test_ratios_geometric_mean_and_worst_by_hand():
         rows("a", 1, {ML: [1, -1], SIM: [3, 3], "mine": [0.25, 0.25]}),
         rows("b", 3, {ML: [4, 4], SIM: [2, 2], "mine": [8, -8]}),
         rows("c", 3, {ML: [3, 5], SIM: [10, 10], "mine": [1, 7]}),
-        rows("same", 3, {ML: [1, 1], SIM: [0, 0], "mine": [0.5, 0.5]}, identical=True, families="tuned", bound=0.25),
+        rows(
+            "same",
+            3,
+            {ML: [1, 1], SIM: [0, 0], "mine": [0.5, 0.5]},
+            identical=True,
+            families="tuned",
+            bound=0.25,
+        ),
     )
-    ratios = 0.25, 4.0, math.sqrt(25 / 17)  # b's is over the simulator's, the better one
-    assert_allclose([cell(found, *key)["ratio"] for key in (("a", 1), ("b", 3), ("c", 3))], ratios, rtol=1e-12)
+    # b's is over the simulator's, the better one
+    ratios = 0.25, 4.0, math.sqrt(25 / 17)
+    assert_allclose(
+        [cell(found, *key)["ratio"] for key in (("a", 1), ("b", 3), ("c", 3))],
+        ratios,
+        rtol=1e-12,
+    )
     same = cell(found, "same", 3)[["ratio", "b", "floor", "over_likelihood"]]
     assert same.tolist() == [2.0, 0.0, 1.009, 0.5]  # over eff / 2
     mine = row(found)
     assert_allclose(mine["over reference"], np.prod(ratios) ** (1 / 3), rtol=1e-12)
-    assert mine[["cells", "worst", "worst cell", "floor"]].tolist() == [3, 4.0, "b at 3", 1.224]
-    assert_allclose(mine["over likelihood"], (0.25 * 2 * math.sqrt(25 / 17)) ** (1 / 3), rtol=1e-12)
-    assert cell(found, "a", 1)[["over_eff", "seconds"]].tolist() == [2.5, 1.0]  # .25 over sqrt(.01)
+    assert mine[["cells", "worst", "worst cell", "floor"]].tolist() == [
+        3,
+        4.0,
+        "b at 3",
+        1.224,
+    ]
+    assert_allclose(
+        mine["over likelihood"], (0.25 * 2 * math.sqrt(25 / 17)) ** (1 / 3), rtol=1e-12
+    )
+    # .25 over sqrt(.01)
+    assert cell(found, "a", 1)[["over_eff", "seconds"]].tolist() == [2.5, 1.0]
     assert cell(found, "c", 3)["bias"] == 4.0
     kinds = [[name, kind] for kind in ("held", "tuned") for name in (ML, SIM, "mine")]
     assert found.league[["estimator", "families"]].values.tolist() == kinds
@@ -62,10 +103,23 @@ def test_ratios_geometric_mean_and_worst_by_hand():
 
 def test_the_bootstrap_is_paired_and_of_the_seeds():
     errors = np.random.default_rng(0).normal(size=(3, 12)) * [[1.4], [1.0], [1.2]]
-    found = league(rows("a", 3, {**dict(zip(("mine", ML, SIM), errors, strict=True)), "twice": 2 * errors[1]}))
+    found = league(
+        rows(
+            "a",
+            3,
+            {
+                **dict(zip(("mine", ML, SIM), errors, strict=True)),
+                "twice": 2 * errors[1],
+            },
+        )
+    )
     picks = np.random.default_rng(1).integers(12, size=(40_000, 12))  # by another route
     one, two, three = (np.sqrt((own[picks] ** 2).mean(axis=1)) for own in errors)
-    assert_allclose(cell(found, "a", 3)["low"], np.quantile(one / np.minimum(two, three), 0.05), rtol=0.03)
+    assert_allclose(
+        cell(found, "a", 3)["low"],
+        np.quantile(one / np.minimum(two, three), 0.05),
+        rtol=0.03,
+    )
     assert cell(found, "a", 3)["low"] < cell(found, "a", 3)["ratio"]
     assert cell(found, "a", 3, "twice")["low"] >= 2.0  # in each sample
     assert row(found, "twice")["surely above 1.1"] == 1.0
@@ -83,7 +137,14 @@ def test_what_has_no_value_is_counted_and_the_references_are_taken_on_the_same_s
 
 
 def test_zero_errors_are_no_nan():
-    found = league(rows("a", 3, {ML: [1, 1], SIM: [0, 0], "mine": [0, 0], "other": [1, 1]}, bound=math.inf))
+    found = league(
+        rows(
+            "a",
+            3,
+            {ML: [1, 1], SIM: [0, 0], "mine": [0, 0], "other": [1, 1]},
+            bound=math.inf,
+        )
+    )
     assert cell(found, "a", 3)["ratio"] == 1.0
     assert math.isinf(cell(found, "a", 3, "other")["ratio"])
     assert str(found)
@@ -94,13 +155,24 @@ def test_coverage_counts_large_logs_that_hold_the_policys_time():
     many = [0.5] * 9 + [3.0] * 3
     found = league(
         rows("small", 1, {ML: many, SIM: many, "mine": [9.0] * 12}, half=wide),
-        rows("unseen", 3, {ML: many, SIM: many, "mine": [9.0] * 12}, half=wide, covered=0.9),
+        rows(
+            "unseen",
+            3,
+            {ML: many, SIM: many, "mine": [9.0] * 12},
+            half=wide,
+            covered=0.9,
+        ),
         rows("counted", 3, {ML: many, SIM: many, "mine": many}, half=wide),
         rows("few", 10, {ML: [0.0], SIM: [0.0], "mine": [9.0]}, half=wide),
     )
     mine = row(found)
-    assert mine[["logs", "coverage", "coverage of 1.96 se"]].tolist() == [13, 9 / 13, 9 / 13]
-    assert mine[["worst family", "its coverage"]].tolist() == ["counted", 0.75]  # one log says little of "few"
+    assert mine[["logs", "coverage", "coverage of 1.96 se"]].tolist() == [
+        13,
+        9 / 13,
+        9 / 13,
+    ]
+    # one log says little of "few"
+    assert mine[["worst family", "its coverage"]].tolist() == ["counted", 0.75]
     unit = 1.959963984540054 * 0.1  # half the width of an efficient interval
     assert_allclose([mine["width"], mine["width of 1.96 se"]], [2 / unit, 5.0])
     assert row(found, SIM)["logs"] == 0
@@ -118,14 +190,31 @@ def test_scores_are_runs_by_tasks():
 
 def test_files_are_whole_and_the_same_twice(tmp_path):
     found = league(
-        rows("a|b", 0.3, {ML: [1, 1], SIM: [3, 3], "mi$e": [2, math.nan]}, half={ML: 1.0}),
+        rows(
+            "a|b", 0.3, {ML: [1, 1], SIM: [3, 3], "mi$e": [2, math.nan]}, half={ML: 1.0}
+        ),
         rows("same", 3, {ML: [1, 1], SIM: [0, 0], "mi$e": [1, 1]}, identical=True),
     )
-    names = {"table.csv", "cells.csv", "league.csv", "league.md", "league.tex", "profile.png", "sizes.png", "heat.png"}
+    names = {
+        "table.csv",
+        "cells.csv",
+        "league.csv",
+        "league.md",
+        "league.tex",
+        "profile.png",
+        "sizes.png",
+        "heat.png",
+    }
     one, two = tmp_path / "one", tmp_path / "two"
-    made = found.save(one, about={"a|b": "Something."}, command="oee bench"), found.save(two)
+    made = (
+        found.save(one, about={"a|b": "Something."}, command="oee bench"),
+        found.save(two),
+    )
     assert {path.name for path in made[0]} == names
-    assert all((one / name).read_bytes() == (two / name).read_bytes() for name in names - {"league.md"})
+    assert all(
+        (one / name).read_bytes() == (two / name).read_bytes()
+        for name in names - {"league.md"}
+    )
     page = (one / "league.md").read_text()
     assert "| a\\|b | Something. |" in page
     assert "## Without a value" in page
@@ -136,16 +225,25 @@ def test_files_are_whole_and_the_same_twice(tmp_path):
 
 def test_the_pictures_show_every_cell():
     errors = {"a": 0.1, "b": 40, "c": math.nan}
-    found = league(*(rows(name, 1, {ML: [1, 1], SIM: [3, 3], "mine": [x, x]}) for name, x in errors.items()))
+    found = league(
+        *(
+            rows(name, 1, {ML: [1, 1], SIM: [3, 3], "mine": [x, x]})
+            for name, x in errors.items()
+        )
+    )
     heat, profile, sizes = Figure(), Figure(), Figure()
     found.heat(heat)
     assert [text.get_text() for text in heat.axes[0].texts] == ["0.1", "40", "-"]
     found.profile(profile)
     line = next(line for line in profile.axes[0].lines if line.get_label() == "mine")
-    assert max(line.get_ydata()) == pytest.approx(2 / 3)  # what has no value is never below tau
+    # what has no value is never below tau
+    assert max(line.get_ydata()) == pytest.approx(2 / 3)
     assert min(line.get_ydata()) == 0.0
     found.sizes(sizes)
-    points = {bars.get_label(): bars.lines[0].get_ydata().item() for bars in sizes.axes[0].containers}
+    points = {
+        bars.get_label(): bars.lines[0].get_ydata().item()
+        for bars in sizes.axes[0].containers
+    }
     assert points["mine"] == pytest.approx(20.0)  # sqrt(.1 * 40) over .1
 
 
@@ -154,14 +252,22 @@ def test_the_floor_against_the_least_favourable_prior():
     errors = np.union1d(np.arange(0.0, 10.01, 0.1), ERRORS)
     scale = np.maximum(np.minimum(errors, 1.0), 0.5)
     x = np.linspace(-18.0, 18.0, 1501)
-    here, mirrored = (stats.norm.pdf(x - sign * errors[:, None]) for sign in (1.0, -1.0))
+    here, mirrored = (
+        stats.norm.pdf(x - sign * errors[:, None]) for sign in (1.0, -1.0)
+    )
     prior = np.full(len(errors), 1.0 / len(errors))
     for k in range(600):
         weights = prior / scale**2
         rule = (weights * errors) @ (here - mirrored) / (weights @ (here + mirrored))
-        squares = ((rule - errors[:, None]) ** 2 * here).sum(axis=1) * (x[1] - x[0]) / scale**2
+        squares = (
+            ((rule - errors[:, None]) ** 2 * here).sum(axis=1)
+            * (x[1] - x[0])
+            / scale**2
+        )
         least, worst = np.sqrt(prior @ squares), np.sqrt(squares.max())
-        prior = prior * np.exp(0.5 / np.sqrt(1.0 + k / 50.0) * (squares - squares.max()))
+        prior = prior * np.exp(
+            0.5 / np.sqrt(1.0 + k / 50.0) * (squares - squares.max())
+        )
         prior /= prior.sum()
     assert 1.22 < least < worst < 1.23
     assert_allclose(floor(ERRORS), np.sqrt(squares)[np.isin(errors, ERRORS)], rtol=0.01)

@@ -37,15 +37,25 @@ def test_a_dask_cluster_gives_the_same_files(tmp_path, serial):
     distributed = pytest.importorskip("distributed")
     settings, expected = serial
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=":0",
+        silence_logs=50,
     ) as cluster:
-        assert bytes_of(tmp_path / "dask", settings, dask=cluster.scheduler_address) == expected
+        assert (
+            bytes_of(tmp_path / "dask", settings, dask=cluster.scheduler_address)
+            == expected
+        )
 
 
 def test_a_worker_with_other_code_is_refused(tmp_path, monkeypatch):
     versions = iter(["0.0.1+here", "0.0.1+other"])
     monkeypatch.setattr(running, "code_version", lambda: next(versions))
-    text = r"a worker must have this version of oee_tabular, 0\.0\.1\+here; it has 0\.0\.1\+other"
+    text = (
+        r"a worker must have this version of oee_tabular, 0\.0\.1\+here; it has"
+        r" 0\.0\.1\+other"
+    )
     with pytest.raises(RuntimeError, match=text):
         run_experiment(tmp_path / "a", experiment().settings())
 
@@ -53,21 +63,33 @@ def test_a_worker_with_other_code_is_refused(tmp_path, monkeypatch):
 def test_dask_that_does_not_answer_or_is_not_installed(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("oee_tabular._parallel.CONNECT", 1.0)
-    start, settings, address = time.perf_counter(), experiment().settings(), "tcp://127.0.0.1:9"
-    with pytest.raises(OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"):
+    start, settings, address = (
+        time.perf_counter(),
+        experiment().settings(),
+        "tcp://127.0.0.1:9",
+    )
+    with pytest.raises(
+        OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"
+    ):
         run_experiment(tmp_path / "a", settings, dask=address)
     assert time.perf_counter() - start < 10
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ImportError, match=re.escape("in a clone: pip install '.[dask]'")):
+    with pytest.raises(
+        ImportError, match=re.escape("in a clone: pip install '.[dask]'")
+    ):
         run_experiment(tmp_path / "a", settings, dask=address)
     assert not list(tmp_path.iterdir())
 
 
 def test_what_is_refused_before_anything_is_written(tmp_path):
     lacking = experiment(requires=("no_such_module",), extra="some").settings()
-    with pytest.raises(ImportError, match=r"^noise needs no_such_module, .* pip install '\.\[some\]'$"):
+    with pytest.raises(
+        ImportError, match=r"^noise needs no_such_module, .* pip install '\.\[some\]'$"
+    ):
         run_experiment(tmp_path / "a", lacking)
-    with pytest.raises(ValueError, match="jobs must be a positive number, or -1 for one a core; got 0"):
+    with pytest.raises(
+        ValueError, match="jobs must be a positive number, or -1 for one a core; got 0"
+    ):
         run_experiment(tmp_path / "a", experiment().settings(), jobs=0)
     assert not list(tmp_path.iterdir())
 
@@ -82,7 +104,11 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path):
     def counted(cell, stream):
         with log.open("a") as handle:
             handle.write(f"{cell['n']},{cell['repetition']}\n")
-        if cell["n"] == 2 and cell["repetition"] == 1 and not (tmp_path / "go").exists():
+        if (
+            cell["n"] == 2
+            and cell["repetition"] == 1
+            and not (tmp_path / "go").exists()
+        ):
             raise Stop
         return noise(cell, stream)
 
@@ -90,21 +116,40 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path):
     settings = experiment(counted).settings()
     with pytest.raises(Stop):
         run_experiment(tmp_path / "a", settings)
-    assert log.read_text().splitlines() == ["1,0", "2,0", "3,0", "1,1", "2,1"]  # whole repetitions, as far as it came
+    # whole repetitions, as far as it came
+    assert log.read_text().splitlines() == ["1,0", "2,0", "3,0", "1,1", "2,1"]
     first = run_experiment(tmp_path / "a", experiment().settings(repetitions=1))
-    assert (first.computed, first.cached) == (0, 3)  # what is there can be written with one repetition
+    # what is there can be written with one repetition
+    assert (first.computed, first.cached) == (0, 3)
     (tmp_path / "go").touch()
     sweep = run_experiment(tmp_path / "a", settings)
     assert (sweep.computed, sweep.cached, sweep.damaged) == (2, 4, 0)
     assert len(log.read_text().splitlines()) == 7  # the one that failed, twice
     again = run_experiment(tmp_path / "a", settings)
     assert (again.computed, again.cached) == (0, 6)
-    assert bytes_of(tmp_path / "a", settings) == bytes_of(tmp_path / "b", experiment().settings())
+    assert bytes_of(tmp_path / "a", settings) == bytes_of(
+        tmp_path / "b", experiment().settings()
+    )
 
 
 def start_command(output, *more):
-    command = [sys.executable, "-m", "oee_tabular", "reproduce", "lambda_n", "--smoke", "--seeds", "2", *more]
-    return subprocess.Popen([*command, "--output", str(output)], stdout=subprocess.DEVNULL), command
+    command = [
+        sys.executable,
+        "-m",
+        "oee_tabular",
+        "reproduce",
+        "lambda_n",
+        "--smoke",
+        "--seeds",
+        "2",
+        *more,
+    ]
+    return (
+        subprocess.Popen(
+            [*command, "--output", str(output)], stdout=subprocess.DEVNULL
+        ),
+        command,
+    )
 
 
 def test_a_killed_process_is_resumed(tmp_path):
@@ -112,16 +157,25 @@ def test_a_killed_process_is_resumed(tmp_path):
     process, command = start_command(tmp_path, "--jobs", "1")
     cells = tmp_path / "smoke" / "lambda_n" / "cells.jsonl"
     deadline = time.time() + 60
-    while time.time() < deadline and not (cells.exists() and cells.read_text().count("\n")):
+    while time.time() < deadline and not (
+        cells.exists() and cells.read_text().count("\n")
+    ):
         time.sleep(0.01)
     process.kill()
     process.wait()
     kept = cells.read_text().count("\n")
-    done = subprocess.run([*command, "--output", str(tmp_path)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [*command, "--output", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     counts = re.search(r"(\d+) cells computed(?:, (\d+) from the cache)?", done.stdout)
     assert int(counts[1]) + int(counts[2] or 0) == 2
     assert int(counts[2] or 0) == kept >= 1
-    fresh = bytes_of(tmp_path / "fresh", EXPERIMENTS["lambda_n"].settings(smoke=True, repetitions=2))
+    fresh = bytes_of(
+        tmp_path / "fresh", EXPERIMENTS["lambda_n"].settings(smoke=True, repetitions=2)
+    )
     assert (cells.parent / "table.csv").read_bytes() == fresh["table.csv"]
 
 
@@ -150,7 +204,9 @@ def test_a_command_that_is_ended_leaves_no_worker(tmp_path, blow):
     assert cells.exists()
     process.send_signal(blow)
     process.wait()
-    while time.time() < deadline and any(os.path.exists(f"/proc/{worker}/stat") for worker in workers):
+    while time.time() < deadline and any(
+        os.path.exists(f"/proc/{worker}/stat") for worker in workers
+    ):
         time.sleep(0.05)
     assert not [worker for worker in workers if os.path.exists(f"/proc/{worker}/stat")]
 
@@ -168,7 +224,10 @@ def test_a_cell_whose_worker_dies_is_run_again(tmp_path, is_always):
     settings = experiment(kill, repetitions=1).settings()
     if is_always:
         with pytest.raises(
-            RuntimeError, match=r"killed 3 times in a row without a finished cell; unfinished: .*'n': 2"
+            RuntimeError,
+            match=(
+                r"killed 3 times in a row without a finished cell; unfinished: .*'n': 2"
+            ),
         ):
             run_experiment(tmp_path / "a", settings, jobs=2)
         return

@@ -27,10 +27,15 @@ def test_other_settings_are_refused_with_the_difference(folder):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert json.loads(before["settings.json"]) == SETTINGS.as_dict()
     other = experiment(axes={"n": (1, 2)}).settings(seed=7)
-    text = r"other settings: seed 0 there, 7 asked; n \[1, 2, 3\] there, \[1, 2\] asked \(--fresh empties it"
+    text = (
+        r"other settings: seed 0 there, 7 asked; n \[1, 2, 3\] there, \[1, 2\] asked"
+        r" \(--fresh empties it"
+    )
     with pytest.raises(ValueError, match=text):
         run_experiment(folder, other)
-    with pytest.raises(ValueError, match="other settings: experiment 'noise' there, 'other' asked"):
+    with pytest.raises(
+        ValueError, match="other settings: experiment 'noise' there, 'other' asked"
+    ):
         run_experiment(folder, experiment(id="other").settings())
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert run_experiment(folder, other, fresh=True).computed == 4
@@ -41,21 +46,37 @@ def test_more_seeds_are_added_to_those_that_are_there(folder, tmp_path):
     sweep = run_experiment(folder, more)
     assert (sweep.computed, sweep.cached) == (3, 6)
     assert bytes_of(folder, more) == bytes_of(tmp_path / "b", more)
-    with pytest.raises(ValueError, match="other settings: repetitions 3 there, 2 asked"):
+    with pytest.raises(
+        ValueError, match="other settings: repetitions 3 there, 2 asked"
+    ):
         Store(folder, SETTINGS)
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", '{"editor": 1}', '{"experiment": "noise", "repetitions": 2, "axes": 3}', "[" * 9999]
+    "text",
+    [
+        "",
+        "[]",
+        '{"editor": 1}',
+        '{"experiment": "noise", "repetitions": 2, "axes": 3}',
+        "[" * 9999,
+    ],
 )
 def test_a_folder_of_something_else_is_neither_used_nor_emptied(tmp_path, text):
     (tmp_path / "thesis.txt").write_text("kept")
-    with pytest.raises(ValueError, match=r"must be a results folder to be emptied; it has no settings\.json"):
+    with pytest.raises(
+        ValueError,
+        match=r"must be a results folder to be emptied; it has no settings\.json",
+    ):
         run_experiment(tmp_path, SETTINGS, fresh=True)
     (tmp_path / "settings.json").write_text(text)
-    with pytest.raises(ValueError, match=r"must be the settings of a results folder; it is not"):
+    with pytest.raises(
+        ValueError, match=r"must be the settings of a results folder; it is not"
+    ):
         run_experiment(tmp_path, SETTINGS)
-    with pytest.raises(ValueError, match=r"must hold results only to be emptied; it holds thesis\.txt"):
+    with pytest.raises(
+        ValueError, match=r"must hold results only to be emptied; it holds thesis\.txt"
+    ):
         run_experiment(tmp_path, SETTINGS, fresh=True)
     with pytest.raises(ValueError, match="must be a folder; it is a file"):
         run_experiment(tmp_path / "thesis.txt", SETTINGS)
@@ -104,7 +125,9 @@ def alter(name, value):
 
     def altered(line):
         content = json.loads(line)["content"]
-        (content["of"] if name in content["of"] else content["of"]["cell"])[name] = value
+        (content["of"] if name in content["of"] else content["of"]["cell"])[name] = (
+            value
+        )
         return signed(content)
 
     return altered
@@ -119,7 +142,9 @@ DAMAGED = {
     ),
     "key of a wrong type": lambda line: json.dumps({"content": [1], "sha256": {}}),
     "another number": lambda line: re.sub(r'"value": \d', '"value": 9', line),
-    "wrong checksum": lambda line: line[:-3] + ("00" if line[-3:-1] != "00" else "11") + line[-1:],
+    "wrong checksum": lambda line: (
+        line[:-3] + ("00" if line[-3:-1] != "00" else "11") + line[-1:]
+    ),
     "deep": lambda line: "[" * 100_000,
     "long number": lambda line: "9" * 10_000,
     "other experiment": alter("experiment", "other"),
@@ -155,7 +180,9 @@ def test_a_line_that_does_not_fit_is_reported_and_computed_again(folder, name):
 def test_a_file_without_a_line_that_fits(folder, content):
     expected = (folder / "table.csv").read_bytes()
     (folder / "cells.jsonl").write_bytes(content)
-    with pytest.raises(ValueError, match="lacks 6 of 6 cells; run the experiment again"):
+    with pytest.raises(
+        ValueError, match="lacks 6 of 6 cells; run the experiment again"
+    ):
         Store(folder, SETTINGS).table()
     save(run_experiment(folder, SETTINGS))
     assert (folder / "table.csv").read_bytes() == expected
@@ -178,10 +205,21 @@ def test_nothing_is_written_through_what_is_no_plain_file(tmp_path, name, kind):
     precious, path = tmp_path / "precious", tmp_path / "r" / name
     path.parent.mkdir()
     precious.write_text("mine")
-    path.mkdir() if kind == "folder" else path.symlink_to(precious if kind == "link" else tmp_path / "nowhere")
-    for attempt in (lambda: run_experiment(path.parent, SETTINGS), lambda: alone(path.parent).__enter__()):
+    (
+        path.mkdir()
+        if kind == "folder"
+        else path.symlink_to(precious if kind == "link" else tmp_path / "nowhere")
+    )
+    for attempt in (
+        lambda: run_experiment(path.parent, SETTINGS),
+        lambda: alone(path.parent).__enter__(),
+    ):
         with pytest.raises(
-            ValueError, match=rf"{re.escape(name)}' must be a plain file; it is a link or something else"
+            ValueError,
+            match=(
+                rf"{re.escape(name)}' must be a plain file; it is a link or something"
+                r" else"
+            ),
         ):
             attempt()
     assert precious.read_text() == "mine"

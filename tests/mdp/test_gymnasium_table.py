@@ -28,18 +28,44 @@ def test_values_and_terminations_are_those_of_the_table_itself(name, kwargs):
     env = gymnasium.make(name, **kwargs)
     table, mdp = env.unwrapped.P, FiniteMDP.from_gymnasium(env, discount=0.9)
     policy = np.random.default_rng(0).dirichlet(np.ones(mdp.n_actions), size=len(table))
-    rows = [(s, a, p, t, r, done) for s in table for a in table[s] for p, t, r, done in table[s][a]]
+    rows = [
+        (s, a, p, t, r, done)
+        for s in table
+        for a in table[s]
+        for p, t, r, done in table[s][a]
+    ]
     s, a, p, t, r, done = (np.array(column) for column in zip(*rows, strict=True))
     values = np.zeros(len(table))
     for _ in range(400):
-        values = np.bincount(s, policy[s, a] * p * (r + 0.9 * np.where(done, 0.0, values[t])), len(table))
-    assert_allclose(oee.policy_value(mdp, policy), env.unwrapped.initial_state_distrib @ values, rtol=1e-9)
-    is_own = ~np.isin(np.arange(len(table)), t[done]) | (mdp.terminal_state != np.arange(len(table)))
-    assert_allclose(oee.state_values(mdp, policy)[: len(table)][is_own], values[is_own], rtol=1e-9, atol=1e-9)
-    over, expected = mdp.absorbing(), np.zeros((mdp.n_states, mdp.n_actions, mdp.n_states))
+        values = np.bincount(
+            s, policy[s, a] * p * (r + 0.9 * np.where(done, 0.0, values[t])), len(table)
+        )
+    assert_allclose(
+        oee.policy_value(mdp, policy),
+        env.unwrapped.initial_state_distrib @ values,
+        rtol=1e-9,
+    )
+    is_own = ~np.isin(np.arange(len(table)), t[done]) | (
+        mdp.terminal_state != np.arange(len(table))
+    )
+    assert_allclose(
+        oee.state_values(mdp, policy)[: len(table)][is_own],
+        values[is_own],
+        rtol=1e-9,
+        atol=1e-9,
+    )
+    over, expected = (
+        mdp.absorbing(),
+        np.zeros((mdp.n_states, mdp.n_actions, mdp.n_states)),
+    )
     np.add.at(expected, (s, a, np.where(done, mdp.terminal_state[t], t)), p)
     assert over[mdp.terminal_state[t[done]]].all()
-    assert_allclose(mdp.transitions.toarray().reshape(expected.shape)[~over], expected[~over], rtol=0, atol=1e-15)
+    assert_allclose(
+        mdp.transitions.toarray().reshape(expected.shape)[~over],
+        expected[~over],
+        rtol=0,
+        atol=1e-15,
+    )
 
 
 @pytest.mark.parametrize(
@@ -65,27 +91,39 @@ def test_goal_and_holes_of_frozen_lake_stay_apart():
 def test_a_state_entered_alive_as_well_gets_a_twin(tmp_path):
     """Taxi: from its unreachable states the destination is entered without termination, so dropping off needs twins."""
     mdp = oee.tasks.toy_text("Taxi-v4")
-    assert (mdp.layout, mdp.state_names, mdp.action_names) == (None, None, None)  # its map is not its states
+    # its map is not its states
+    assert (mdp.layout, mdp.state_names, mdp.action_names) == (None, None, None)
     twins = np.flatnonzero(mdp.terminal_state != np.arange(500))
     assert (mdp.n_states, len(mdp.terminal_state), len(twins)) == (504, 500, 4)
     assert_array_equal(np.sort(mdp.terminal_state[twins]), np.arange(500, 504))
     mdp.save(tmp_path / "taxi.npz")
-    for other in (FiniteMDP.load(tmp_path / "taxi.npz"), mdp.with_action_noise(0.1), mdp.with_discount(0.5)):
+    for other in (
+        FiniteMDP.load(tmp_path / "taxi.npz"),
+        mdp.with_action_noise(0.1),
+        mdp.with_discount(0.5),
+    ):
         assert_array_equal(other.terminal_state, mdp.terminal_state)
         assert other.absorbing()[500:].all()
     own = np.full((500, 6), 1 / 6)  # a policy of the environment's own shape
     assert oee.policy_value(mdp, own) == oee.policy_value(mdp, oee.uniform_policy(mdp))
-    by_step = oee.policy_value(mdp, np.stack([own] * 3), horizon=3)  # forward in time, the other one backward
+    # forward in time, the other one backward
+    by_step = oee.policy_value(mdp, np.stack([own] * 3), horizon=3)
     assert_allclose(by_step, oee.policy_value(mdp, own, horizon=3), rtol=1e-13)
 
 
 class Ledge(gymnasium.Env):
     """Four states; 3 is entered alive from 1 and by termination from 2, and so has a twin; 0 ends with probability 0."""
 
-    observation_space, action_space = gymnasium.spaces.Discrete(4), gymnasium.spaces.Discrete(2)
+    observation_space, action_space = (
+        gymnasium.spaces.Discrete(4),
+        gymnasium.spaces.Discrete(2),
+    )
     initial_state_distrib = np.array([1.0, 0.0, 0.0, 0.0])
     P = {
-        0: {0: [(0.5, 1, 0.0, False), (0.5, 2, 0.0, False)], 1: [(1.0, 0, 0.0, False), (0.0, 3, 7.0, True)]},
+        0: {
+            0: [(0.5, 1, 0.0, False), (0.5, 2, 0.0, False)],
+            1: [(1.0, 0, 0.0, False), (0.0, 3, 7.0, True)],
+        },
         1: {a: [(1.0, 3, 0.0, False)] for a in range(2)},
         2: {a: [(1.0, 3, 1.0, True)] for a in range(2)},
         3: {a: [(1.0, 2, 0.0, False)] for a in range(2)},
@@ -99,11 +137,31 @@ PLACES = [("a", 0), ("a", 1), ("b", 0), ("b", 1)]
     ("facts", "states", "actions", "layout"),
     [
         ({"shape": (2, 2)}, None, None, [[0, 0], [0, 1], [1, 0], [1, 1], [1, 1]]),
-        ({"shape": (4,), "state_names": PLACES}, (*PLACES, ("b", 1, "over")), None, None),
-        ({"shape": (2, 3), "state_names": list("wxyz")}, (*"wxyz", "z (over)"), None, None),
+        (
+            {"shape": (4,), "state_names": PLACES},
+            (*PLACES, ("b", 1, "over")),
+            None,
+            None,
+        ),
+        (
+            {"shape": (2, 3), "state_names": list("wxyz")},
+            (*"wxyz", "z (over)"),
+            None,
+            None,
+        ),
         ({"shape": (4, None), "action_names": ["a", "b"]}, None, ("a", "b"), None),
-        ({"get_action_meanings": lambda self: ["NOOP", "FIRE"]}, None, ("NOOP", "FIRE"), None),
-        ({"shape": "2x2", "action_names": ["a", "a"], "state_names": ["only one"]}, None, None, None),
+        (
+            {"get_action_meanings": lambda self: ["NOOP", "FIRE"]},
+            None,
+            ("NOOP", "FIRE"),
+            None,
+        ),
+        (
+            {"shape": "2x2", "action_names": ["a", "a"], "state_names": ["only one"]},
+            None,
+            None,
+            None,
+        ),
     ],
 )
 def test_names_and_map_of_an_environment(facts, states, actions, layout):
@@ -124,24 +182,47 @@ def lake():
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: gymnasium.make("Taxi-v4", fickle_passenger=True), "fickle Taxi passenger changes its destination"),
+        (
+            lambda: gymnasium.make("Taxi-v4", fickle_passenger=True),
+            "fickle Taxi passenger changes its destination",
+        ),
         (lambda: gymnasium.make("Blackjack-v1"), "BlackjackEnv has none"),
-        (lambda: gymnasium.wrappers.TransformReward(lake(), lambda r: -r), "the wrapper TransformReward may"),
-        (lambda: gymnasium.wrappers.StickyAction(lake(), 0.25), "the wrapper StickyAction may"),
-        (lambda: gymnasium.wrappers.FrameStackObservation(lake(), 2), "the wrapper FrameStackObservation may"),
+        (
+            lambda: gymnasium.wrappers.TransformReward(lake(), lambda r: -r),
+            "the wrapper TransformReward may",
+        ),
+        (
+            lambda: gymnasium.wrappers.StickyAction(lake(), 0.25),
+            "the wrapper StickyAction may",
+        ),
+        (
+            lambda: gymnasium.wrappers.FrameStackObservation(lake(), 2),
+            "the wrapper FrameStackObservation may",
+        ),
     ],
 )
 def test_refusals(make, text):
     with pytest.raises(ValueError, match=text):
         FiniteMDP.from_gymnasium(make())
-    assert FiniteMDP.from_gymnasium(gymnasium.wrappers.RecordEpisodeStatistics(lake())).n_states == 16
+    assert (
+        FiniteMDP.from_gymnasium(
+            gymnasium.wrappers.RecordEpisodeStatistics(lake())
+        ).n_states
+        == 16
+    )
 
 
 def test_a_toy_text_table_with_duplicates_and_ends_by_path():
     """Outcomes of one (s, a, s') are added up, their rewards averaged by probability; what was ended pays no more."""
     table = {
-        0: {0: [(0.3, 1, 1.0, False), (0.2, 1, 5.0, False), (0.5, 2, -1.0, True)], 1: [(1.0, 0, 0.5, False)]},
-        1: {0: [(0.6, 2, 2.0, False), (0.4, 2, 3.0, True)], 1: [(0.0, 0, 9.0, False), (1.0, 1, 0.0, False)]},
+        0: {
+            0: [(0.3, 1, 1.0, False), (0.2, 1, 5.0, False), (0.5, 2, -1.0, True)],
+            1: [(1.0, 0, 0.5, False)],
+        },
+        1: {
+            0: [(0.6, 2, 2.0, False), (0.4, 2, 3.0, True)],
+            1: [(0.0, 0, 9.0, False), (1.0, 1, 0.0, False)],
+        },
         2: {0: [(1.0, 0, 4.0, False)], 1: [(0.5, 2, 1.0, False), (0.5, 0, 1.0, True)]},
     }
     env = SimpleNamespace(P=table, initial_state_distrib=np.array([1.0, 0.0, 0.0]))

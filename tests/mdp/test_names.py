@@ -18,11 +18,20 @@ from oee_tabular.testing import case
 
 def three(**changes):
     """hall -> room -> dock, where it is over."""
-    return FiniteMDP(ROWS, [-1.0, -1, 0], 0, 0.9, **{"state_names": STATES, "action_names": ACTIONS} | changes)
+    return FiniteMDP(
+        ROWS,
+        [-1.0, -1, 0],
+        0,
+        0.9,
+        **{"state_names": STATES, "action_names": ACTIONS} | changes,
+    )
 
 
 def test_they_are_tuples_of_plain_python():
-    mdp = three(state_names=np.array(["a", "b", "c"]), action_names=[("x", np.int64(1)), ("y", [np.float64(0.5)])])
+    mdp = three(
+        state_names=np.array(["a", "b", "c"]),
+        action_names=[("x", np.int64(1)), ("y", [np.float64(0.5)])],
+    )
     assert mdp.state_names == ("a", "b", "c")
     assert mdp.action_names == (("x", 1), ("y", (0.5,)))
     assert [type(name) for name in mdp.state_names] == [str] * 3
@@ -38,12 +47,22 @@ def test_texts_that_files_might_trim_survive(tmp_path):
 
 @pytest.mark.parametrize(
     ("initial", "law"),
-    [("hall", [1, 0, 0]), (("room", 1), [0, 1, 0]), (2, [0, 0, 1]), (np.int64(1), [0, 1, 0]), (np.array(0), [1, 0, 0]),
-     ({"hall": 0.25, ("room", 1): 0.5, 2: 0.25}, [0.25, 0.5, 0.25]), ((0.5, 0.0, 0.5), [0.5, 0, 0.5]),
-     ([0, 1, 0], [0, 1, 0]), ("('room', 1)", [0, 1, 0])],
-)  # fmt: skip
+    [
+        ("hall", [1, 0, 0]),
+        (("room", 1), [0, 1, 0]),
+        (2, [0, 0, 1]),
+        (np.int64(1), [0, 1, 0]),
+        (np.array(0), [1, 0, 0]),
+        ({"hall": 0.25, ("room", 1): 0.5, 2: 0.25}, [0.25, 0.5, 0.25]),
+        ((0.5, 0.0, 0.5), [0.5, 0, 0.5]),
+        ([0, 1, 0], [0, 1, 0]),
+        ("('room', 1)", [0, 1, 0]),
+    ],
+)
 def test_a_first_state(initial, law):
-    assert_array_equal(FiniteMDP(ROWS, [0, 0, 0], initial, 0.9, state_names=STATES).initial, law)
+    assert_array_equal(
+        FiniteMDP(ROWS, [0, 0, 0], initial, 0.9, state_names=STATES).initial, law
+    )
 
 
 def test_a_number_or_a_name():
@@ -52,20 +71,35 @@ def test_a_number_or_a_name():
     for item, text in (
         (True, r"x must be a name or a number; it is True$"),
         (1.0, r"x must be a name or a number; it is 1\.0$"),
-        ("dok", r"x must be one of the MDP's names; it is 'dok' \(did you mean 'dock'\?\)$"),
-        (("room", 2), r"x must be one of .*\('room', 2\) \(did you mean \('room', 1\)\?\)$"),
+        (
+            "dok",
+            r"x must be one of the MDP's names; it is 'dok' \(did you mean 'dock'\?\)$",
+        ),
+        (
+            ("room", 2),
+            r"x must be one of .*\('room', 2\) \(did you mean \('room', 1\)\?\)$",
+        ),
     ):
         with pytest.raises(ValueError, match=f"^{text}"):
             number_of(item, STATES, 3, "x")
-    with pytest.raises(ValueError, match=r"\(they are 's0', 's1', 's2', 's3', 's4', \.\.\.\)$"):
+    with pytest.raises(
+        ValueError, match=r"\(they are 's0', 's1', 's2', 's3', 's4', \.\.\.\)$"
+    ):
         number_of("quux", tuple(f"s{k}" for k in range(6)), 6, "x")
-    assert (name_text(STATES, 3), name_text(STATES, -1), name_text(None, 1)) == ("3", "-1", "1")
+    assert (name_text(STATES, 3), name_text(STATES, -1), name_text(None, 1)) == (
+        "3",
+        "-1",
+        "1",
+    )
 
 
 def test_a_name_is_found_without_looking_through_all():
     """A lookup is made once for an MDP's names, not once a state: a policy by name of 20 000 states takes no minutes."""
     names = tuple(f"s{k}" for k in range(20_000))
-    assert [numbers_of(((0, 1), "(0,1)", (1, 0)))[text] for text in ("(0, 1)", "(0,1)", "(1,0)")] == [0, 1, 2]
+    assert [
+        numbers_of(((0, 1), "(0,1)", (1, 0)))[text]
+        for text in ("(0, 1)", "(0,1)", "(1,0)")
+    ] == [0, 1, 2]
     assert numbers_of(names) is numbers_of(names)
     assert numbers_of(names)["s19999"] == 19_999
 
@@ -76,12 +110,22 @@ def test_a_name_is_found_without_looking_through_all():
 def test_sentences_speak_names():
     """Advice sets names of several words off."""
     mdp = three().with_names([STATES[0], STATES[1], "dock 1"], ACTIONS)
-    moves = [("hall", "go", ("room", 1))] * 6 + [(("room", 1), "go", "dock 1")] * 3 + [("hall", "go", "hall")] * 4
+    moves = (
+        [("hall", "go", ("room", 1))] * 6
+        + [(("room", 1), "go", "dock 1")] * 3
+        + [("hall", "go", "hall")] * 4
+    )
     log = oee.Transitions(*zip(*moves, strict=True), np.full(13, -2.0))
     problem = oee.Problem(mdp, log)
-    assert "s=hall, a=go -> s'=('room', 1) is -2 in the log, -1 in the simulator" in str(problem.reward_conflict)
+    assert (
+        "s=hall, a=go -> s'=('room', 1) is -2 in the log, -1 in the simulator"
+        in str(problem.reward_conflict)
+    )
     report = oee.evaluate(problem, {"run": ["go"] * 3}, estimators=["oee"], seed=0)
-    assert "Record action go in state ('room', 1) first (3 transitions so far" in report.uncertainty.sentences[-1]
+    assert (
+        "Record action go in state ('room', 1) first (3 transitions so far"
+        in report.uncertainty.sentences[-1]
+    )
     assert "('room', 1)" in report.to_html()
     plan = str(oee.plan_data_collection(problem, ["go"] * 3, n=10))
     assert "largest shares: action go in state ('room', 1)" in plan
@@ -95,7 +139,8 @@ def test_sentences_speak_names():
     assert "action “call in” in state “day shift” first (never recorded)." in advice
 
 
-# ---- coordinates of states: their forms, and the displacements that transitions from different states share
+# ---- coordinates of states: their forms, and the displacements that transitions from
+# different states share
 PLACES = np.array([[0.5, -1.0], [2.0, 3.0], [7.0, 7.0]])
 
 
@@ -120,7 +165,11 @@ def test_a_grids_shape():
     assert_array_equal(grid.layout, [divmod(s, 3) for s in range(9)])
     assert_array_equal(grid.with_layout((3, 3)).layout, grid.layout)
     log = oee.Transitions([0, 1], [0, 0], [1, 2], [0.0, 1.0], terminated=[0, 1])
-    assert FiniteMDP.from_log(log, layout=(1, 3)).layout.tolist() == [[0, 0], [0, 1], [0, 2]]
+    assert FiniteMDP.from_log(log, layout=(1, 3)).layout.tolist() == [
+        [0, 0],
+        [0, 1],
+        [0, 2],
+    ]
     two = FiniteMDP(np.eye(2)[:, None], np.zeros(2), 0, 0.9)
     assert two.with_layout((2, 1)).layout.tolist() == [[0, 0], [1, 0]]
     assert two.with_layout((5, 7)).layout.tolist() == [[5], [7]]  # places of two states
@@ -131,12 +180,26 @@ def test_coordinates_in_names_are_a_layout_where_none_is_given(tmp_path):
     assert_array_equal(named.layout, [[0, 0.5], [1, 0.5], [1, -2]])
     named.save(tmp_path / "named.npz")
     assert_array_equal(FiniteMDP.load(tmp_path / "named.npz").layout, named.layout)
-    assert_array_equal(pickle.loads(pickle.dumps(named)).with_discount(0.5).layout, named.layout)
+    assert_array_equal(
+        pickle.loads(pickle.dumps(named)).with_discount(0.5).layout, named.layout
+    )
     assert_array_equal(named.with_names([(7,), (8,), (9,)]).layout, [[7], [8], [9]])
-    assert_array_equal(named.with_layout(PLACES).layout, PLACES)  # a given one comes first
+    # a given one comes first
+    assert_array_equal(named.with_layout(PLACES).layout, PLACES)
     assert_array_equal(named.with_layout(PLACES).with_layout(None).layout, named.layout)
-    longer, text, digits = [(0, 0), (0, 1), (0, 1, 2)], [(0, 0), (0, 1), "dock"], [(0,), ("1",), (2,)]
-    for names in (longer, text, digits, [(0, (1,)), (1, (1,)), (2, (1,))], [(10**400,), (1,), (2,)], "abc"):
+    longer, text, digits = (
+        [(0, 0), (0, 1), (0, 1, 2)],
+        [(0, 0), (0, 1), "dock"],
+        [(0,), ("1",), (2,)],
+    )
+    for names in (
+        longer,
+        text,
+        digits,
+        [(0, (1,)), (1, (1,)), (2, (1,))],
+        [(10**400,), (1,), (2,)],
+        "abc",
+    ):
         assert named.with_names(list(names)).layout is None
 
 
@@ -145,9 +208,9 @@ def test_other_numbers_of_the_states_take_layout_and_names_along():
     names = [f"s{k}" for k in range(pair.simulator.n_states)]
     order = np.roll(np.arange(len(names)), 1)
     simulator = pair.simulator.with_layout(10 * np.arange(len(names))).with_names(names)
-    renamed = replace(pair, simulator=simulator, target=pair.target.with_layout(None)).relabelled(
-        order, np.arange(simulator.n_actions)
-    )
+    renamed = replace(
+        pair, simulator=simulator, target=pair.target.with_layout(None)
+    ).relabelled(order, np.arange(simulator.n_actions))
     assert_array_equal(renamed.simulator.layout[order], simulator.layout)
     assert [renamed.simulator.state_names[k] for k in order] == names
     assert renamed.target.layout is None
@@ -170,7 +233,8 @@ def list_displacements(mdp, places):
 @given(rngs)
 def test_displacements_against_entry_by_entry(rng):
     mdp = random_mdp(rng)
-    places = rng.integers(0, 3, size=(mdp.n_states, int(rng.integers(1, 4)))) / 10.0  # .3 - .2 is not .1
+    # .3 - .2 is not .1
+    places = rng.integers(0, 3, size=(mdp.n_states, int(rng.integers(1, 4)))) / 10.0
     for found, expected in (
         (displacements(mdp.with_layout(places)), places),
         (displacements(mdp.with_layout(places + 1.0), layout=places), places),
@@ -179,13 +243,17 @@ def test_displacements_against_entry_by_entry(rng):
         kinds, kind = found
         mass, each = list_displacements(mdp, expected)
         assert [tuple(kinds[k]) for k in kind] == each
-        assert [tuple(row) for row in kinds] == sorted(mass, key=lambda d: (-round(mass[d], 9), d))
+        assert [tuple(row) for row in kinds] == sorted(
+            mass, key=lambda d: (-round(mass[d], 9), d)
+        )
         assert kind.dtype == np.int64
 
 
 def test_masses_that_differ_by_rounding_alone_are_equal():
     """One step ahead has .1 + .2, more than .3 in its last digit; one step back has .3 and comes first, as the smaller."""
-    mdp = FiniteMDP([[[0.9, 0.1, 0]], [[0, 0.8, 0.2]], [[0, 0.3, 0.7]]], np.zeros(3), [1, 0, 0], 0.9)
+    mdp = FiniteMDP(
+        [[[0.9, 0.1, 0]], [[0, 0.8, 0.2]], [[0, 0.3, 0.7]]], np.zeros(3), [1, 0, 0], 0.9
+    )
     assert 0.1 + 0.2 > 0.3
     assert_array_equal(displacements(mdp)[0], [[0], [-1], [1]])
 

@@ -12,16 +12,26 @@ from oee_tabular.mdp.horizons import limit_horizon
 from oee_tabular.mdp.policies import check_policies
 
 SUM_TOLERANCE = 1e-8  # of a row's sum
-LOG = oee.Transitions([0, 1, 0], [0, 0, 1], [1, 2, 0], [-1.0, -1, -1], episode=[0, 0, 1])
+LOG = oee.Transitions(
+    [0, 1, 0], [0, 0, 1], [1, 2, 0], [-1.0, -1, -1], episode=[0, 0, 1]
+)
 
 
 FORMS = [
     {"hall": "go", ("room", 1): "stay"},
     {0: 0, 1: 1, 2: [0.5, 0.5]},
-    {"hall": {"go": 1.0}, "('room', 1)": (0.0, 1.0), "dock": np.array([0.5, 0.5], dtype=np.float32)},
+    {
+        "hall": {"go": 1.0},
+        "('room', 1)": (0.0, 1.0),
+        "dock": np.array([0.5, 0.5], dtype=np.float32),
+    },
     lambda state: {"hall": 0, ("room", 1): "stay"}.get(state),
     lambda state: None if state == "dock" else np.int64(state != "hall"),
-    lambda state: {"go": float(state == "hall"), 1: float(state != "hall")} if state != "dock" else [0.5, 0.5],
+    lambda state: (
+        {"go": float(state == "hall"), 1: float(state != "hall")}
+        if state != "dock"
+        else [0.5, 0.5]
+    ),
     (0, 1, 1),
     np.array([0, 1, 1], np.uint8),
     ["go", "stay", "stay"],
@@ -47,10 +57,14 @@ def test_a_function_without_names_is_given_numbers():
 def test_actions_that_are_called_by_tuples():
     """Moves on a grid; a list of pairs of numbers stays a list of rows."""
     mdp = PLAIN.with_names(None, [(0, 1), (1, 0)])
-    assert_array_equal(check_policy([(0, 1), (1, 0), (0, 1)], mdp), [[0, 1], [1, 0], [0, 1]])
+    assert_array_equal(
+        check_policy([(0, 1), (1, 0), (0, 1)], mdp), [[0, 1], [1, 0], [0, 1]]
+    )
     assert_array_equal(check_policy({0: (0, 1), 1: [0, 1]}, mdp)[:2], [[1, 0], [0, 1]])
     far = PLAIN.with_names(None, [("x", 1), ("y", 1)])
-    assert_array_equal(check_policy([("x", 1), ("y", 1), ("y", 1)], far), [[1, 0], [0, 1], [0, 1]])
+    assert_array_equal(
+        check_policy([("x", 1), ("y", 1), ("y", 1)], far), [[1, 0], [0, 1], [0, 1]]
+    )
 
 
 @pytest.mark.parametrize(
@@ -63,13 +77,31 @@ def test_actions_that_are_called_by_tuples():
         lambda pi: oee.sample_episodes(NAMED, pi, 4, 5, seed=0).state.tolist(),
         lambda pi: oee.efficiency_bound(NAMED, pi, np.full((3, 2), 1 / 6)),
         lambda pi: oee.interval(oee.Problem(NAMED, LOG), pi).lower,
-        lambda pi: oee.estimators.OffEnvironment()(oee.Problem(NAMED, LOG, behavior_policy=pi), pi).value,
-        lambda pi: oee.estimators.ImportanceSampling()(oee.Problem(NAMED, LOG, 2, np.full((3, 2), 0.5)), pi).value,
-        lambda pi: oee.transition_ratio(LOG, NAMED, values_of=pi).values.toarray().tolist(),
-        lambda pi: oee.transition_ratio(LOG, NAMED, values_of=[pi, np.full((3, 2), 0.5)]).values.toarray().tolist(),
-        lambda pi: oee.plan_data_collection(oee.Problem(NAMED, LOG), pi, n=9).next_pairs,
+        lambda pi: (
+            oee.estimators.OffEnvironment()(
+                oee.Problem(NAMED, LOG, behavior_policy=pi), pi
+            ).value
+        ),
+        lambda pi: (
+            oee.estimators.ImportanceSampling()(
+                oee.Problem(NAMED, LOG, 2, np.full((3, 2), 0.5)), pi
+            ).value
+        ),
+        lambda pi: (
+            oee.transition_ratio(LOG, NAMED, values_of=pi).values.toarray().tolist()
+        ),
+        lambda pi: (
+            oee.transition_ratio(LOG, NAMED, values_of=[pi, np.full((3, 2), 0.5)])
+            .values.toarray()
+            .tolist()
+        ),
+        lambda pi: (
+            oee.plan_data_collection(oee.Problem(NAMED, LOG), pi, n=9).next_pairs
+        ),
         lambda pi: oee.plan_data_collection(NAMED, {"a": pi}, n=9).next_pairs,
-        lambda pi: oee.evaluate(oee.Problem(NAMED, LOG), pi, estimators=["oee"], seed=0).records()[0]["value"],
+        lambda pi: oee.evaluate(
+            oee.Problem(NAMED, LOG), pi, estimators=["oee"], seed=0
+        ).records()[0]["value"],
     ],
 )
 def test_wherever_an_array_is_taken(call):
@@ -77,7 +109,12 @@ def test_wherever_an_array_is_taken(call):
     array = np.array([[1.0, 0], [0, 1], [1, 0]])
     expected = call(array)
     by_state = {"hall": "go", ("room", 1): 1, "dock": 0}
-    for form in ([0, 1, 0], ["go", "stay", "go"], by_state, lambda s: int(s == ("room", 1))):
+    for form in (
+        [0, 1, 0],
+        ["go", "stay", "go"],
+        by_state,
+        lambda s: int(s == ("room", 1)),
+    ):
         assert call(form) == expected
 
 
@@ -86,7 +123,10 @@ def test_environments_other_than_ours_take_actions_too():
 
     actions = np.arange(16) % 4
     env = make_environment("FrozenLake-v1")
-    one, other = (record_episodes(env, pi, n_episodes=3, seed=0) for pi in (actions, np.eye(4)[actions]))
+    one, other = (
+        record_episodes(env, pi, n_episodes=3, seed=0)
+        for pi in (actions, np.eye(4)[actions])
+    )
     assert_array_equal(one.state, other.state)
 
 
@@ -95,21 +135,31 @@ HALVES = [[0.5, 0.5]] * 2
 
 def test_mixtures():
     assert_array_equal(oee.mix([0, 1], HALVES, 0.5), [[0.75, 0.25], [0.25, 0.75]])
-    assert_array_equal(oee.mix(HALVES, np.array([0, 1]), 0.5), [[0.75, 0.25], [0.25, 0.75]])
+    assert_array_equal(
+        oee.mix(HALVES, np.array([0, 1]), 0.5), [[0.75, 0.25], [0.25, 0.75]]
+    )
 
 
 def test_one_or_several():
     one = np.array([[1.0, 0], [0, 1], [0, 1]])
     for policies, names in (
-        (one, ["policy"]), (one.tolist(), ["policy"]), ([0, 1, 1], ["policy"]), (["go", "stay", "stay"], ["policy"]),
-        ({"hall": "go", ("room", 1): "stay", "dock": "stay"}, ["policy"]), ({0: 0, 1: 1, 2: 1}, ["policy"]),
+        (one, ["policy"]),
+        (one.tolist(), ["policy"]),
+        ([0, 1, 1], ["policy"]),
+        (["go", "stay", "stay"], ["policy"]),
+        ({"hall": "go", ("room", 1): "stay", "dock": "stay"}, ["policy"]),
+        ({0: 0, 1: 1, 2: 1}, ["policy"]),
         (lambda s: int(s != "hall"), ["policy"]),
-        ([one, [0, 1, 1]], ["policy 0", "policy 1"]), ([[0, 1, 1], [0, 1, 1]], ["policy 0", "policy 1"]),
-        ([lambda s: int(s != "hall")], ["policy 0"]), ([{0: 0, 1: 1, 2: 1}], ["policy 0"]),
-        ({"a": one, "b": [0, 1, 1]}, ["a", "b"]), ({0: one, 1: one}, ["0", "1"]),
+        ([one, [0, 1, 1]], ["policy 0", "policy 1"]),
+        ([[0, 1, 1], [0, 1, 1]], ["policy 0", "policy 1"]),
+        ([lambda s: int(s != "hall")], ["policy 0"]),
+        ([{0: 0, 1: 1, 2: 1}], ["policy 0"]),
+        ({"a": one, "b": [0, 1, 1]}, ["a", "b"]),
+        ({0: one, 1: one}, ["0", "1"]),
         ({"hall": lambda s: int(s != "hall")}, ["hall"]),
-        ([[0, 1, 1]] * 3, ["policy 0", "policy 1", "policy 2"]),  # not rows, since there are two actions
-    ):  # fmt: skip
+        # not rows, since there are two actions
+        ([[0, 1, 1]] * 3, ["policy 0", "policy 1", "policy 2"]),
+    ):
         found = check_policies(policies, NAMED)
         assert list(found) == names
         for policy in found.values():
@@ -120,13 +170,22 @@ def test_one_or_several():
 @pytest.mark.parametrize("order", ["C", "F"])
 @pytest.mark.parametrize(
     ("change", "words"),
-    [(0.0, None), (0.9 * SUM_TOLERANCE, None), (-0.999 * SUM_TOLERANCE, None), (1.1 * SUM_TOLERANCE, "must sum to 1"),
-     (-1.1 * SUM_TOLERANCE, "must sum to 1"), (-1.5, "must be nonnegative; it is -1"), (np.nan, "must be finite; it is nan"),
-     (np.inf, "must be finite; it is inf")],
-)  # fmt: skip
+    [
+        (0.0, None),
+        (0.9 * SUM_TOLERANCE, None),
+        (-0.999 * SUM_TOLERANCE, None),
+        (1.1 * SUM_TOLERANCE, "must sum to 1"),
+        (-1.1 * SUM_TOLERANCE, "must sum to 1"),
+        (-1.5, "must be nonnegative; it is -1"),
+        (np.nan, "must be finite; it is nan"),
+        (np.inf, "must be finite; it is inf"),
+    ],
+)
 def test_the_last_entry_is_checked(change, words, order):
     """Within the tolerance as it is, else refused by its place."""
-    given = np.full((PLAIN.n_states, PLAIN.n_actions), 1.0 / PLAIN.n_actions, order=order)
+    given = np.full(
+        (PLAIN.n_states, PLAIN.n_actions), 1.0 / PLAIN.n_actions, order=order
+    )
     given[-1, -1] += change
     if words is None:
         assert_array_equal(check_policy(given, PLAIN), given)
@@ -135,7 +194,8 @@ def test_the_last_entry_is_checked(change, words, order):
             check_policy(given, PLAIN)
 
 
-# ---- a horizon is followed as far as the discount can show; the rest is said, or refused with its cost
+# ---- a horizon is followed as far as the discount can show; the rest is said, or
+# refused with its cost
 TARGET, SIMULATOR = (oee.tasks.gridworld(3, slip) for slip in (0.1, 0.3))
 POLICY = oee.uniform_policy(TARGET)
 ZETA = oee.true_ratio(TARGET, SIMULATOR)
@@ -147,26 +207,44 @@ FAR_AND_INFINITE = {
     "state_values": lambda horizon: oee.state_values(TARGET, POLICY, horizon=horizon),
     "action_values": lambda horizon: oee.action_values(TARGET, POLICY, horizon=horizon),
     "occupancy": lambda horizon: oee.occupancy(TARGET, POLICY, horizon=horizon),
-    "transition_gradient": lambda horizon: oee.exact.transition_gradient(TARGET, POLICY, horizon=horizon),
-    "variance": lambda horizon: oee.return_moments(TARGET, POLICY, horizon=horizon).variance,
-    "a limit": lambda horizon: oee.estimators.Simulator().limit(SIMULATOR, TARGET, POLICY, horizon=horizon),
+    "transition_gradient": lambda horizon: oee.exact.transition_gradient(
+        TARGET, POLICY, horizon=horizon
+    ),
+    "variance": lambda horizon: (
+        oee.return_moments(TARGET, POLICY, horizon=horizon).variance
+    ),
+    "a limit": (
+        lambda horizon: oee.estimators.Simulator().limit(
+            SIMULATOR, TARGET, POLICY, horizon=horizon
+        )
+    ),
     "an estimate": lambda horizon: (
-        oee.estimators.ModelBased()(oee.Problem(SIMULATOR, STEPS_LOG, horizon=horizon), POLICY).value
+        oee.estimators.ModelBased()(
+            oee.Problem(SIMULATOR, STEPS_LOG, horizon=horizon), POLICY
+        ).value
     ),
 }
 
 
 @pytest.mark.parametrize("name", FAR_AND_INFINITE)
 def test_far_beyond_the_discount_is_the_infinite_sum(name):
-    with pytest.warns(UserWarning, match="horizon 1000000000 is followed to step 13803"):
+    with pytest.warns(
+        UserWarning, match="horizon 1000000000 is followed to step 13803"
+    ):
         far = FAR_AND_INFINITE[name](FAR)
-    np.testing.assert_allclose(far, FAR_AND_INFINITE[name](None), rtol=1e-11, atol=1e-13)
+    np.testing.assert_allclose(
+        far, FAR_AND_INFINITE[name](None), rtol=1e-11, atol=1e-13
+    )
 
 
 @pytest.mark.large
 def test_a_late_reward_is_not_cut_off():
-    n = 12_000  # a corridor: the only reward comes after 12 000 steps, .99^12000 = 4e-53
-    rows = sparse.csr_array((np.ones(n), (np.arange(n), np.minimum(np.arange(1, n + 1), n - 1))), shape=(n, n))
+    # a corridor: the only reward comes after 12 000 steps, .99^12000 = 4e-53
+    n = 12_000
+    rows = sparse.csr_array(
+        (np.ones(n), (np.arange(n), np.minimum(np.arange(1, n + 1), n - 1))),
+        shape=(n, n),
+    )
     corridor = oee.FiniteMDP(rows, np.eye(1, n, n - 1)[0], 0, 0.99)
     with pytest.warns(UserWarning, match="is followed to step"):
         far = oee.policy_value(corridor, np.ones((n, 1)), horizon=FAR)
@@ -175,35 +253,56 @@ def test_a_late_reward_is_not_cut_off():
 
 def test_policies_that_change_with_time_are_followed_to_their_end():
     changing, fast = np.repeat(POLICY[None], 10_500, axis=0), TARGET.with_discount(0.5)
-    assert oee.policy_value(fast, changing, horizon=10_500) == pytest.approx(oee.policy_value(fast, POLICY), rel=1e-12)
+    assert oee.policy_value(fast, changing, horizon=10_500) == pytest.approx(
+        oee.policy_value(fast, POLICY), rel=1e-12
+    )
 
 
 def test_weights_that_outgrow_the_discount_are_not_cut():
     expert = oee.tasks.gridworld_expert(3)
     loop = oee.FiniteMDP(np.ones((1, 2, 1)), [[1.0, 0.0]], [1.0], 0.9)
-    with pytest.raises(ValueError, match=r"horizon must be one that can be carried out; 100000000000 steps take some"):
+    with pytest.raises(
+        ValueError,
+        match=(
+            r"horizon must be one that can be carried out; 100000000000 steps take some"
+        ),
+    ):
         oee.policy_is_moments(loop, [[0.5, 0.5]], [[1.0, 0.0]], horizon=10**11)
-    with pytest.warns(UserWarning, match="is followed to step"):  # here the spectral radius is below 1
+    # here the spectral radius is below 1
+    with pytest.warns(UserWarning, match="is followed to step"):
         far = oee.weighted_return_moments(SIMULATOR, ZETA, expert, horizon=FAR)
-    assert far.variance == pytest.approx(oee.weighted_return_moments(SIMULATOR, ZETA, expert).variance, rel=1e-9)
+    assert far.variance == pytest.approx(
+        oee.weighted_return_moments(SIMULATOR, ZETA, expert).variance, rel=1e-9
+    )
 
 
 def test_at_discount_1_the_cost_is_reported():
     for call in (oee.policy_value, oee.return_moments, oee.occupancy):
-        with pytest.raises(ValueError, match=r"1000000000 steps take some \de\+1\d multiply-adds \(.* hours\)"):
+        with pytest.raises(
+            ValueError,
+            match=r"1000000000 steps take some \de\+1\d multiply-adds \(.* hours\)",
+        ):
             call(TARGET.with_discount(1.0), POLICY, horizon=FAR)
-    with pytest.warns(UserWarning, match=r"horizon 20000 takes some 2e\+09 multiply-adds"):
+    with pytest.warns(
+        UserWarning, match=r"horizon 20000 takes some 2e\+09 multiply-adds"
+    ):
         assert limit_horizon(20_000, 1.0, work=1.2e5) == 20_000
 
 
 def test_arrays_with_an_entry_for_each_step_must_fit():
-    with pytest.raises(ValueError, match=r"horizon must be small enough .*; 1000000 needs 7.45e\+03 GiB"):
+    with pytest.raises(
+        ValueError,
+        match=r"horizon must be small enough .*; 1000000 needs 7.45e\+03 GiB",
+    ):
         limit_horizon(10**6, 1.0, kept=10**6)
 
 
 def test_sampled_episodes():
     with pytest.warns(UserWarning, match="is followed to step"):
         log = oee.sample_episodes(TARGET, POLICY, 3, FAR, seed=0)
-    np.testing.assert_array_equal(log.state, oee.sample_episodes(TARGET, POLICY, 3, 10_000, seed=0).state)
+    np.testing.assert_array_equal(
+        log.state, oee.sample_episodes(TARGET, POLICY, 3, 10_000, seed=0).state
+    )
     endless = oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.5)
-    assert len(oee.sample_episodes(endless, [[1.0]], 1, 200_000, seed=0)) == 200_000  # a log of a million is not cut
+    # a log of a million is not cut
+    assert len(oee.sample_episodes(endless, [[1.0]], 1, 200_000, seed=0)) == 200_000

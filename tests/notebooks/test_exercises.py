@@ -28,8 +28,19 @@ def test_right_answers_are_accepted(name, capsys):
 @pytest.mark.parametrize("name", CASES)
 def test_wrong_answers_are_rejected_with_a_hint(name, capsys):
     _, wrong, word = CASES[name]
-    for answer in [*wrong, "seven", [], [[1], [1, 2]], math.nan, math.inf, True, object()]:
-        with pytest.raises(AssertionError, match=rf"is not right\. Hint: .*{re.escape(word)}"):
+    for answer in [
+        *wrong,
+        "seven",
+        [],
+        [[1], [1, 2]],
+        math.nan,
+        math.inf,
+        True,
+        object(),
+    ]:
+        with pytest.raises(
+            AssertionError, match=rf"is not right\. Hint: .*{re.escape(word)}"
+        ):
             check(name, answer)
     assert capsys.readouterr().out == ""
 
@@ -41,13 +52,19 @@ def test_a_missing_answer_is_reported(name, capsys):
 
 
 def test_an_exercise_that_is_not_there():
-    with pytest.raises(ValueError, match=r"exercise must be one of 00_a, 01_a, .*; it is '12_a'"):
+    with pytest.raises(
+        ValueError, match=r"exercise must be one of 00_a, 01_a, .*; it is '12_a'"
+    ):
         check("12_a", 1.0)
 
 
 def test_a_tilt_gives_equal_next_states_equal_ratios():
     """What exercise e says, on the fit of lopsided counts."""
-    counts = sparse.csr_array(([50.0, 40.0, 5.0, 5.0], ([0] * 4, [1, 2, 3, 4])), shape=(5, 5))
-    fitted = oee.transition_ratio(counts, one_row(), prior="tilt", strength=1e8).values.toarray()[0, 1:]
+    counts = sparse.csr_array(
+        ([50.0, 40.0, 5.0, 5.0], ([0] * 4, [1, 2, 3, 4])), shape=(5, 5)
+    )
+    fitted = oee.transition_ratio(
+        counts, one_row(), prior="tilt", strength=1e8
+    ).values.toarray()[0, 1:]
     np.testing.assert_allclose(fitted[1:], fitted[1], rtol=1e-5)
     assert abs(fitted[0] - 1) > 0.1

@@ -15,7 +15,9 @@ from test_pages import run as run_blocks
 import oee_tabular as oee
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-MACHINE = re.compile(r"(?i)/(home|root|tmp|work|users|usr|opt|var)/|[a-z]:\\\\|127\.0\.0|\b0x[0-9a-f]{6}")
+MACHINE = re.compile(
+    r"(?i)/(home|root|tmp|work|users|usr|opt|var)/|[a-z]:\\\\|127\.0\.0|\b0x[0-9a-f]{6}"
+)
 
 
 @pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
@@ -35,7 +37,9 @@ def cells(book, kind):
 def pictures(book):
     outputs = [output for cell in cells(book, "code") for output in cell.outputs]
     return [
-        base64.b64decode(output.data.pop("image/png")) for output in outputs if "image/png" in output.get("data", {})
+        base64.b64decode(output.data.pop("image/png"))
+        for output in outputs
+        if "image/png" in output.get("data", {})
     ]
 
 
@@ -50,7 +54,10 @@ def test_the_stored_outputs_are_those_of_running_it_alone(path, stored, tmp_path
     found = run(path, tmp_path)
     assert list(tmp_path.iterdir()) == []
     for ours, kept in zip(texts(found), texts(stored), strict=True):
-        assert NUMBER.sub("#", ours).replace(" ", "") == NUMBER.sub("#", kept).replace(" ", "")  # as wide as digits
+        # as wide as digits
+        assert NUMBER.sub("#", ours).replace(" ", "") == NUMBER.sub("#", kept).replace(
+            " ", ""
+        )
         numbers = [np.array(NUMBER.findall(text), dtype=float) for text in (ours, kept)]
         np.testing.assert_allclose(*numbers, rtol=1e-3, atol=1e-6)
     assert len(pictures(found)) == len(pictures(stored)) >= 1
@@ -61,7 +68,11 @@ def test_the_outputs_say_nothing_of_the_machine(path, stored):
     assert all(picture[:4] == b"\x89PNG" for picture in pictures(stored))
     assert not MACHINE.search(nbformat.writes(stored))
     assert stored.metadata == {
-        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+        "kernelspec": {
+            "display_name": "Python 3",
+            "language": "python",
+            "name": "python3",
+        },
         "language_info": {"name": "python"},
     }
     assert all(cell.metadata == {} for cell in stored.cells)
@@ -70,7 +81,11 @@ def test_the_outputs_say_nothing_of_the_machine(path, stored):
         streams = [output.get("name") for output in cell.outputs]
         assert "stderr" not in streams
         assert ("stdout", "stdout") not in itertools.pairwise(streams)  # joined
-        assert not [output for output in cell.outputs if output.get("metadata") or output.get("execution_count")]
+        assert not [
+            output
+            for output in cell.outputs
+            if output.get("metadata") or output.get("execution_count")
+        ]
     ids = [cell.id for cell in stored.cells]
     assert len(set(ids)) == len(ids)
 
@@ -78,45 +93,93 @@ def test_the_outputs_say_nothing_of_the_machine(path, stored):
 def test_it_opens_with_what_one_will_be_able_to_do_and_how_long_it_takes(stored):
     opening = " ".join(stored.cells[0].source.split())
     assert "After this notebook you can" in opening
-    assert re.search(r"\*\*Time\*\*: \d+ minutes to read(, \d+ with the exercises?)?; \d+ s to run", opening)
+    assert re.search(
+        r"\*\*Time\*\*: \d+ minutes to read(, \d+ with the exercises?)?; \d+ s to run",
+        opening,
+    )
 
 
 def test_it_uses_public_names(stored):
     """Modules that have ``__all__``, and names in it: what is written down in test_public_names.py."""
     code = "\n".join(cell.source for cell in cells(stored, "code"))
-    for module, names in re.findall(r"^from (oee_tabular[\w.]*) import (\([^)]*\)|.+)$", code, re.MULTILINE):
+    for module, names in re.findall(
+        r"^from (oee_tabular[\w.]*) import (\([^)]*\)|.+)$", code, re.MULTILINE
+    ):
         public = importlib.import_module(module).__all__
-        submodules = {"paper", "exact", "experiments", "kinova", "plots", "estimators", "testing"}
-        used = {name.strip() for name in names.split("#")[0].strip("()").split(",")} - {""}
+        submodules = {
+            "paper",
+            "exact",
+            "experiments",
+            "kinova",
+            "plots",
+            "estimators",
+            "testing",
+        }
+        used = {name.strip() for name in names.split("#")[0].strip("()").split(",")} - {
+            ""
+        }
         assert used <= {*public, *submodules}
 
 
 def test_it_leaves_the_answers_to_the_reader(path, stored):
-    asked = [cell.source for cell in cells(stored, "code") if re.search(r"^check\(", cell.source, re.MULTILINE)]
+    asked = [
+        cell.source
+        for cell in cells(stored, "code")
+        if re.search(r"^check\(", cell.source, re.MULTILINE)
+    ]
     assert all(re.match(r"answer = None\b", source) for source in asked)
-    names = [name for source in asked for name in re.findall(r'check\("(\d\d_\w)", answer\)', source)]
+    names = [
+        name
+        for source in asked
+        for name in re.findall(r'check\("(\d\d_\w)", answer\)', source)
+    ]
     assert names == sorted(name for name in CASES if name[:2] == path.stem[:2])
-    solutions = sum(cell.source.count("<details>") for cell in cells(stored, "markdown"))
+    solutions = sum(
+        cell.source.count("<details>") for cell in cells(stored, "markdown")
+    )
     assert solutions == len(asked)
 
 
 def test_the_commands_for_own_files_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     first = nbformat.read(NOTEBOOKS[0], as_version=4)
-    (text,) = [cell.source for cell in first.cells if "## With your own files" in cell.source]
+    (text,) = [
+        cell.source for cell in first.cells if "## With your own files" in cell.source
+    ]
     P, policy = np.full((2, 2, 2), 0.5), np.full((2, 2), 0.5)
     oee.Transitions([0, 1, 1], [0, 1, 0], [1, 1, 0]).save("log.csv")
-    run_blocks(text, capsys, oee=oee, np=np, P=P, r=[[0, 1], [1, 0]], initial=0, discount=0.9, policy=policy)
+    run_blocks(
+        text,
+        capsys,
+        oee=oee,
+        np=np,
+        P=P,
+        r=[[0, 1], [1, 0]],
+        initial=0,
+        discount=0.9,
+        policy=policy,
+    )
     assert (tmp_path / "answer.html").stat().st_size
 
 
 def test_the_syllabus_names_pictures_and_exercises_that_are_there():
-    weeks = re.findall(r"^\| \d \|.*", (NOTEBOOKS[0].parent / "syllabus.md").read_text(), re.MULTILINE)
+    weeks = re.findall(
+        r"^\| \d \|.*", (NOTEBOOKS[0].parent / "syllabus.md").read_text(), re.MULTILINE
+    )
     assert len(weeks) == 8
     for week in weeks:
         *_, exercises, picture = week.removesuffix(" |").split(" | ")
         number, title = re.fullmatch(r'(\d\d): "(.+)"', picture).groups()
-        assert title in next(path for path in NOTEBOOKS if path.name.startswith(number)).read_text()
-        asked = {f"{part[:2]}_{letter}" for part in exercises.split("; ") for letter in re.findall(r"\b[a-e]\b", part)}
+        assert (
+            title
+            in next(
+                path for path in NOTEBOOKS if path.name.startswith(number)
+            ).read_text()
+        )
+        asked = {
+            f"{part[:2]}_{letter}"
+            for part in exercises.split("; ")
+            for letter in re.findall(r"\b[a-e]\b", part)
+        }
         assert asked <= set(CASES)
         assert f"{number}_a" in asked

@@ -13,7 +13,9 @@ def environments():
     rng = np.random.default_rng(0)
     rows = rng.dirichlet(np.full(3, 3.0), (3, 2))
     simulator = FiniteMDP(rows, rng.normal(size=(3, 2)), [0.5, 0.3, 0.2], 0.8)
-    return simulator, simulator.with_transitions(0.6 * rows + 0.4 * rng.dirichlet(np.ones(3), (3, 2)))
+    return simulator, simulator.with_transitions(
+        0.6 * rows + 0.4 * rng.dirichlet(np.ones(3), (3, 2))
+    )
 
 
 SIMULATOR, TARGET = environments()
@@ -22,7 +24,9 @@ PLACES = np.array([0.0, 1.0, 3.0])
 
 LOG = oee.sample_episodes(TARGET, POLICY, 20, 8, seed=0)
 
-COUNTS = np.array([[4, 3, 1], [0, 2, 5], [6, 1, 1], [3, 3, 3], [0, 0, 0], [2, 0, 9]], dtype=float)
+COUNTS = np.array(
+    [[4, 3, 1], [0, 2, 5], [6, 1, 1], [3, 3, 3], [0, 0, 0], [2, 0, 9]], dtype=float
+)
 
 FEATURES = np.stack([np.arange(18.0) % 5, (np.arange(18.0) * 7) % 4], axis=1)
 

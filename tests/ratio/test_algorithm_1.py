@@ -20,12 +20,18 @@ def draw_logs():
     """3 states, 2 actions, every move possible; 3000 moves of the target and of the simulator, uniform (s, a)."""
     rng = np.random.default_rng(0)
     simulator, target = (
-        oee.FiniteMDP(rng.dirichlet(np.full(3, 2.0), (3, 2)), np.zeros(3), np.eye(3)[0], 0.9) for _ in range(2)
+        oee.FiniteMDP(
+            rng.dirichlet(np.full(3, 2.0), (3, 2)), np.zeros(3), np.eye(3)[0], 0.9
+        )
+        for _ in range(2)
     )
-    shares = rng.dirichlet(np.full(6, 2.0)).reshape(3, 2)  # the target is recorded elsewhere: neither ratio is 1
+    # the target is recorded elsewhere: neither ratio is 1
+    shares = rng.dirichlet(np.full(6, 2.0)).reshape(3, 2)
     return simulator, *(
         oee.sample_transitions(mdp, of, 3000, seed=k)
-        for k, (mdp, of) in enumerate([(target, shares), (simulator, np.full((3, 2), 1 / 6))])
+        for k, (mdp, of) in enumerate(
+            [(target, shares), (simulator, np.full((3, 2), 1 / 6))]
+        )
     )
 
 
@@ -46,9 +52,16 @@ def test_both_tables_and_their_quotient_are_within_the_traces_bound():
     fitted = Quotient(**BOX, solver=SGD, data=tr).fit(te, simulator, seed=1)
     for beta, (p, q, best) in zip(fitted.details["beta"], tables(logs), strict=True):
         excess = beta.trace.excess[-1]
-        assert_allclose(excess, paper.risk(beta.ratio, p, q) - paper.risk(best, p, q), rtol=1e-6, atol=1e-12)
+        assert_allclose(
+            excess,
+            paper.risk(beta.ratio, p, q) - paper.risk(best, p, q),
+            rtol=1e-6,
+            atol=1e-12,
+        )
         assert_allclose(beta.gap, excess, rtol=1e-6, atol=1e-12)
-        assert_allclose(beta.trace.error[-1], np.abs(beta.ratio - best).mean(), rtol=1e-9)
+        assert_allclose(
+            beta.trace.error[-1], np.abs(beta.ratio - best).mean(), rtol=1e-9
+        )
         assert np.sqrt(p @ (beta.ratio - best) ** 2) <= MU * np.sqrt(2 * excess)
         assert beta.trace.iteration[-1] == SGD.n_iterations
         assert beta.trace.excess[0] > START_EXCESS
@@ -63,16 +76,39 @@ def test_both_tables_and_their_quotient_are_within_the_traces_bound():
 def test_algorithm_1_step_by_step():
     """The same draws, one update at a time, and its trace."""
     p, q = np.array([3.0, 1.0, 4.0]) / 8, np.array([2.0, 4.0, 2.0]) / 8
-    options = {"lower": 0.2, "upper": 3.0, "normalized": False, "ridge": 0.1, "toward": 1.0}
-    found = oee.density_ratio(p, q, solver="sgd", step_size=0.05, batch_size=16, n_iterations=60, seed=4, **options)
+    options = {
+        "lower": 0.2,
+        "upper": 3.0,
+        "normalized": False,
+        "ridge": 0.1,
+        "toward": 1.0,
+    }
+    found = oee.density_ratio(
+        p,
+        q,
+        solver="sgd",
+        step_size=0.05,
+        batch_size=16,
+        n_iterations=60,
+        seed=4,
+        **options,
+    )
     best = oee.density_ratio(p, q, **options)
     generator, g, trace = np.random.default_rng(4), np.ones(3), {}
     for iteration in range(1, 61):
         counts = [
-            np.bincount(np.searchsorted(np.cumsum(x), generator.random(16) * x.sum(), side="right"), minlength=3) / 16
+            np.bincount(
+                np.searchsorted(
+                    np.cumsum(x), generator.random(16) * x.sum(), side="right"
+                ),
+                minlength=3,
+            )
+            / 16
             for x in (p, q)
         ]
-        g = np.clip(g - 0.05 * (counts[1] - counts[0] / g + 0.1 * q * (g - 1.0)), 0.2, 3.0)
+        g = np.clip(
+            g - 0.05 * (counts[1] - counts[0] / g + 0.1 * q * (g - 1.0)), 0.2, 3.0
+        )
         value = q @ g - p @ np.log(g) + 0.05 * q @ (g - 1.0) ** 2
         trace[iteration] = (value - best.objective, np.abs(g - best.ratio).mean())
     assert_allclose(found.ratio, g, rtol=1e-12)

@@ -42,19 +42,38 @@ def optimum(p, q, options):
     """The program's least value by strong duality, max_eta min_g: nested bisections, nothing of the package's."""
     known = (p > 0) | (q > 0)
     p, q = (p / p.sum())[known], (q / q.sum())[known]
-    ridge, toward, squares = options["ridge"], options["toward"], options["loss"] == "chi2"
-    bend, center = (np.full(len(p), ridge), 0.0) if toward is None else (ridge * q, toward)
-    lower, upper = options["lower"], 1e4 if options["upper"] is None else options["upper"]
+    ridge, toward, squares = (
+        options["ridge"],
+        options["toward"],
+        options["loss"] == "chi2",
+    )
+    bend, center = (
+        (np.full(len(p), ridge), 0.0) if toward is None else (ridge * q, toward)
+    )
+    lower, upper = (
+        options["lower"],
+        1e4 if options["upper"] is None else options["upper"],
+    )
 
     def at(eta):
         """The Lagrangian's least value, and sum q g - 1 there."""
         low, high = np.full(len(p), lower), np.full(len(p), upper)
         for _ in range(60):
             g = 0.5 * (low + high)
-            slope = bend * (g - center) + eta * q + (q * g - p if squares else q - p / np.maximum(g, 1e-300))
+            slope = (
+                bend * (g - center)
+                + eta * q
+                + (q * g - p if squares else q - p / np.maximum(g, 1e-300))
+            )
             low, high = np.where(slope < 0, g, low), np.where(slope < 0, high, g)
-        g = np.where(low == lower, lower, np.where(high == upper, upper, 0.5 * (low + high)))
-        fits = q * g**2 / 2 - p * g if squares else q * g - np.where(p > 0, p * np.log(np.maximum(g, 1e-300)), 0.0)
+        g = np.where(
+            low == lower, lower, np.where(high == upper, upper, 0.5 * (low + high))
+        )
+        fits = (
+            q * g**2 / 2 - p * g
+            if squares
+            else q * g - np.where(p > 0, p * np.log(np.maximum(g, 1e-300)), 0.0)
+        )
         miss = float(q @ g) - 1.0
         return float((fits + bend * (g - center) ** 2 / 2).sum()) + eta * miss, miss
 
@@ -72,7 +91,11 @@ def value_of(g, p, q, options):
     known = (p > 0) | (q > 0)
     p, q, g = (p / p.sum())[known], (q / q.sum())[known], g[known]
     gap = g if options["toward"] is None else g - options["toward"]
-    penalty = options["ridge"] / 2 * ((gap**2).sum() if options["toward"] is None else q @ gap**2)
+    penalty = (
+        options["ridge"]
+        / 2
+        * ((gap**2).sum() if options["toward"] is None else q @ gap**2)
+    )
     if options["loss"] == "chi2":
         return q @ g**2 / 2 - p @ g + penalty
     return q @ g - p[p > 0] @ np.log(g[p > 0]) + penalty
@@ -88,7 +111,9 @@ def test_the_minimum_with_zeros_in_p_and_in_q(rng):
     p, q, options, fit = solved(rng)
     best = optimum(p, q, options)
     size = max(1.0, abs(best))
-    assert_allclose(fit.objective, value_of(fit.ratio, p, q, options), rtol=1e-10, atol=1e-12 * size)
+    assert_allclose(
+        fit.objective, value_of(fit.ratio, p, q, options), rtol=1e-10, atol=1e-12 * size
+    )
     assert_allclose(fit.objective, best, rtol=0, atol=1e-9 * size)
     assert 0 <= fit.gap < 1e-12 * size
     assert fit.dual_bound <= best + 1e-9 * size
@@ -107,7 +132,8 @@ def test_clarabel_has_the_same_minimum(seed):
     assert fit.objective - fit.gap <= best + 1e-9
 
 
-# ---- the certificates themselves ---------------------------------------------------------------------------------
+# ---- the certificates themselves
+# ---------------------------------------------------------------------------------
 
 
 @given(rngs, st.floats(-0.4, 0.4))
@@ -118,12 +144,18 @@ def test_no_feasible_point_is_called_nearer_to_the_minimum_than_it_is(rng, off):
     ps, qs = (p / p.sum())[known], (q / q.sum())[known]
     toward = options["toward"]
     bend = np.full(len(ps), options["ridge"]) * (1.0 if toward is None else qs)
-    program = dual.Coordinates(ps, qs, bend, np.full(len(ps), toward or 0.0), squares=options["loss"] == "chi2")
-    low, high = options["lower"], np.inf if options["upper"] is None else options["upper"]
+    program = dual.Coordinates(
+        ps, qs, bend, np.full(len(ps), toward or 0.0), squares=options["loss"] == "chi2"
+    )
+    low, high = (
+        options["lower"],
+        np.inf if options["upper"] is None else options["upper"],
+    )
     g = fit.ratio[known]
     moved = np.clip(g * np.exp(rng.normal(size=len(g)) * off), max(low, 1e-9), high)
     if options["normalized"]:
-        moved = g + min(1.0, abs(off)) * (np.ones(len(g)) - g)  # towards 1, which is feasible
+        # towards 1, which is feasible
+        moved = g + min(1.0, abs(off)) * (np.ones(len(g)) - g)
     m = np.array([1.0 + fit.normalizer + off]) if options["normalized"] else None
     indptr = np.array([0, len(g)])
     gap = float(dual.row_gaps(program, moved, m, low, high, indptr)[0])
@@ -131,7 +163,8 @@ def test_no_feasible_point_is_called_nearer_to_the_minimum_than_it_is(rng, off):
     assert dual.objective(moved, program) - gap <= best + 1e-9 * max(1.0, abs(best))
     outside = g.copy()
     outside[0] = low - 0.1
-    assert dual.row_gaps(program, outside, m, low, high, indptr)[0] > 0.099  # off by so much
+    # off by so much
+    assert dual.row_gaps(program, outside, m, low, high, indptr)[0] > 0.099
 
 
 @pytest.mark.parametrize("ridge", [0.0, 0.1])
@@ -143,7 +176,13 @@ def test_corrupted_rows_are_found_out(monkeypatch, ridge):
         solve(form, indptr, g, *rest)
         g[7] *= 1.005
 
-    options = {"prior": "simulator", "lower": 0.01, "upper": 10.0, "ridge": ridge, "toward": 1.0}
+    options = {
+        "prior": "simulator",
+        "lower": 0.01,
+        "upper": 10.0,
+        "ridge": ridge,
+        "toward": 1.0,
+    }
     right = oee.transition_ratio(LOG, SIMULATOR, **options).gap
     monkeypatch.setattr("oee_tabular.ratio.dual.fill_rows", wrong)
     assert oee.transition_ratio(LOG, SIMULATOR, **options).gap > 1e-7 > 1e3 * right
@@ -151,11 +190,23 @@ def test_corrupted_rows_are_found_out(monkeypatch, ridge):
 
 @pytest.mark.parametrize("ridge", [0.0, 0.1])
 @pytest.mark.parametrize("change", ["weights", "multipliers", "both"])
-def test_a_class_is_certified_at_the_weights_that_are_handed_over(monkeypatch, ridge, change):
+def test_a_class_is_certified_at_the_weights_that_are_handed_over(
+    monkeypatch, ridge, change
+):
     """w that are off, multipliers that are off."""
     x = np.linspace(-1.0, 1.0, 30)
-    p, q, features = np.exp(-((x - 0.3) ** 2)), np.ones(30), np.column_stack([np.ones(30), x])
-    options = {"features": features, "lower": 0.05, "upper": 9.0, "ridge": ridge, "normalized": False}
+    p, q, features = (
+        np.exp(-((x - 0.3) ** 2)),
+        np.ones(30),
+        np.column_stack([np.ones(30), x]),
+    )
+    options = {
+        "features": features,
+        "lower": 0.05,
+        "upper": 9.0,
+        "ridge": ridge,
+        "normalized": False,
+    }
     right, solve = oee.density_ratio(p, q, **options), statements.solve_linear
     assert right.gap < 1e-11
 

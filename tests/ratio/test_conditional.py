@@ -21,9 +21,15 @@ def test_the_tilt_s_prior_row_and_strength():
     base = P ** (1 + found.details["theta"][0])
     base /= base.sum(axis=1, keepdims=True)
     expected = (COUNTS + 5.0 * base) / (COUNTS.sum(axis=1, keepdims=True) + 5.0)
-    assert_allclose(found.values.toarray() * SIMULATOR.transitions.toarray(), expected, rtol=1e-10)
+    assert_allclose(
+        found.values.toarray() * SIMULATOR.transitions.toarray(), expected, rtol=1e-10
+    )
     bare = fit(prior="tilt", strength=0.0)
-    assert_allclose(bare.values.toarray()[4] * SIMULATOR.transitions.toarray()[4], base[4], rtol=1e-10)
+    assert_allclose(
+        bare.values.toarray()[4] * SIMULATOR.transitions.toarray()[4],
+        base[4],
+        rtol=1e-10,
+    )
     assert found.details["strength"] == 5.0
     ridged = fit(prior="simulator", strength=0.0, ridge=lambda n: 2.0 / n)
     same = fit(prior="simulator", strength=0.0, ridge=lambda n: 2.0 / n, toward=1.0)
@@ -42,9 +48,13 @@ def test_a_chosen_ridge_is_kappa_over_the_count_of_each_row(criterion):
     assert kappa > 1.0
     same = fit(counts, prior="none", ridge=lambda n: kappa / n)
     assert_allclose(chosen.values.data, same.values.data, rtol=1e-9)
-    assert fit(counts, prior="simulator", strength=criterion).details["strength_by"] == criterion
+    assert (
+        fit(counts, prior="simulator", strength=criterion).details["strength_by"]
+        == criterion
+    )
     kinds = fit(prior="simulator", strength=criterion).details["strength_kinds"]
-    assert [(rows, moves) for rows, moves, _ in kinds] == [(5, 43)]  # of six rows, one without moves
+    # of six rows, one without moves
+    assert [(rows, moves) for rows, moves, _ in kinds] == [(5, 43)]
 
 
 # ---- the strength of the prior
@@ -54,7 +64,9 @@ def of_rows(rows, counts, **options):
     """The fit of one action whose rows lead to the first states."""
     padded = np.pad(rows, ((0, 0), (0, len(rows) - len(rows[0]))))
     simulator = oee.FiniteMDP(padded[:, None], np.zeros(len(rows)), 0, 0.9)
-    matrix = sparse.csr_array(np.pad(counts, ((0, 0), (0, len(rows) - len(rows[0])))).astype(float))
+    matrix = sparse.csr_array(
+        np.pad(counts, ((0, 0), (0, len(rows) - len(rows[0])))).astype(float)
+    )
     return oee.transition_ratio(matrix, simulator, prior="simulator", **options).details
 
 
@@ -62,7 +74,9 @@ def of_rows(rows, counts, **options):
 def test_the_chosen_strength_is_the_best_of_a_fine_grid(criterion):
     """The rows' probability under Dirichlet(kappa m), or each transition's under those of the others."""
     rng, prior, rows = np.random.default_rng(0), np.array([0.5, 0.3, 0.2]), 40
-    observed = np.array([rng.multinomial(60, rng.dirichlet(20.0 * prior)) for _ in range(rows)])
+    observed = np.array(
+        [rng.multinomial(60, rng.dirichlet(20.0 * prior)) for _ in range(rows)]
+    )
 
     def score(kappa):
         n, m = observed.sum(axis=1, keepdims=True), kappa * prior
@@ -70,7 +84,11 @@ def test_the_chosen_strength_is_the_best_of_a_fine_grid(criterion):
             gained = gammaln(m + observed) - gammaln(m)
             return gained.sum() + rows * gammaln(kappa) - gammaln(kappa + n).sum()
         seen = np.where(observed > 0, observed, 1.0)
-        return np.sum(np.where(observed > 0, observed * np.log((seen - 1 + m) / (n - 1 + kappa)), 0.0))
+        return np.sum(
+            np.where(
+                observed > 0, observed * np.log((seen - 1 + m) / (n - 1 + kappa)), 0.0
+            )
+        )
 
     found = of_rows(np.tile(prior, (rows, 1)), observed, strength=criterion)
     fine = np.exp(np.linspace(0, np.log(1e4), 20_001))
@@ -85,7 +103,12 @@ def test_the_chosen_strength_is_the_best_of_a_fine_grid(criterion):
 
 def test_kinds_of_rows_share_a_strength():
     """The same probabilities in any order are one kind; kinds with few rows or few transitions are pooled."""
-    rows = [[0.5, 0.3, 0.2]] * 3 + [[0.2, 0.5, 0.3]] * 3 + [[0.6, 0.2, 0.2]] * 5 + [[0.1, 0.1, 0.8]] * 4
+    rows = (
+        [[0.5, 0.3, 0.2]] * 3
+        + [[0.2, 0.5, 0.3]] * 3
+        + [[0.6, 0.2, 0.2]] * 5
+        + [[0.1, 0.1, 0.8]] * 4
+    )
     counts = np.full((15, 3), 10)
 
     def kinds(*changes):
@@ -96,26 +119,50 @@ def test_kinds_of_rows_share_a_strength():
 
     assert kinds() == [(4, 120), (5, 150), (6, 180)]
     assert kinds((slice(6, 11), [8, 6, 6])) == [(4, 120), (5, 100), (6, 180)]
-    assert kinds((slice(6, 11), [8, 6, 6]), (6, [7, 6, 6])) == [(6, 180), (9, 219)]  # 99 transitions in five rows
+    # 99 transitions in five rows
+    assert kinds((slice(6, 11), [8, 6, 6]), (6, [7, 6, 6])) == [(6, 180), (9, 219)]
     assert kinds((6, 0)) == [(6, 180), (8, 240)]  # one of the five rows never recorded
 
 
 def test_what_the_strength_means():
     """From 50 transitions a row on the prior fits roughly, from 300 on it fits; that of kinds, and too few to decide."""
-    n_row, flat, curve = np.array([0.0, 10.0, 20.0, 30.0]), np.zeros(3), np.array([0.0, 5.0, 0.0])
+    n_row, flat, curve = (
+        np.array([0.0, 10.0, 20.0, 30.0]),
+        np.zeros(3),
+        np.array([0.0, 5.0, 0.0]),
+    )
 
     def words(strength, *kinds, curve=curve):
         kinds = [(3, 60, 500.0), *kinds]
-        return meaning(StrengthChoice(n_row, strength, 0.0, "loo", flat, curve, kinds, flat), n_row, "tilt")
+        return meaning(
+            StrengthChoice(n_row, strength, 0.0, "loo", flat, curve, kinds, flat),
+            n_row,
+            "tilt",
+        )
 
-    compared = "a row of it is worth {} transitions, and the log has 20 in the median row"
-    verdicts = {300.0: "fits", 299.0: "fits roughly", 50.0: "fits roughly", 49.0: "does not fit"}
+    compared = (
+        "a row of it is worth {} transitions, and the log has 20 in the median row"
+    )
+    verdicts = {
+        300.0: "fits",
+        299.0: "fits roughly",
+        50.0: "fits roughly",
+        49.0: "does not fit",
+    }
     for strength, verdict in verdicts.items():
-        assert words(strength) == f"the tilt {verdict}: {compared.format(int(strength))}"
-    assert words(300.0, (2, 40, 49.0)) == f"the tilt fits: {compared.format(300)}; but not in 2 of 5 rows"
+        assert (
+            words(strength) == f"the tilt {verdict}: {compared.format(int(strength))}"
+        )
+    assert (
+        words(300.0, (2, 40, 49.0))
+        == f"the tilt fits: {compared.format(300)}; but not in 2 of 5 rows"
+    )
     assert "is worth any number of transitions" in words(1e8)
     assert words(9.9e5) == "the tilt fits: " + compared.format("9.9e+05")
-    few = "too few transitions to decide whether the tilt fits (20 in the median recorded row)"
+    few = (
+        "too few transitions to decide whether the tilt fits (20 in the median recorded"
+        " row)"
+    )
     assert words(300.0, curve=flat + 0.5) == few
 
 
@@ -138,7 +185,8 @@ def test_a_fit_by_blocks_is_that_of_all_rows_at_once(name, monkeypatch):
     about = {} if OPTIONS[name] else {"values_of": policy}
     gradient = np.random.default_rng(0).normal(size=simulator.transitions.nnz)
     found = []
-    for size, small in ((2**18, 10**6), (37, 0)):  # also: rows centred by numpy, or by a sparse product
+    # also: rows centred by numpy, or by a sparse product
+    for size, small in ((2**18, 10**6), (37, 0)):
         monkeypatch.setattr("oee_tabular.mdp.rows.BLOCK", size)
         monkeypatch.setattr("oee_tabular.mdp.rows.SMALL", small)
         monkeypatch.setattr("oee_tabular.ratio.conditional.BLOCK", size)
@@ -152,13 +200,20 @@ def test_a_fit_by_blocks_is_that_of_all_rows_at_once(name, monkeypatch):
             step.change_error,
         ]
         found.append(
-            [fit.values.data, fit.gap, *fit.details["enclosure"], np.array(errors), fit.maximum_likelihood_rows]
+            [
+                fit.values.data,
+                fit.gap,
+                *fit.details["enclosure"],
+                np.array(errors),
+                fit.maximum_likelihood_rows,
+            ]
         )
     for one, other in zip(*found, strict=True):
         assert_allclose(one, other, rtol=1e-12, atol=1e-14)
 
 
-# ---- the tilt along given features, the strength of the prior, and the ridge that is chosen on the data
+# ---- the tilt along given features, the strength of the prior, and the ridge that is
+# chosen on the data
 BELIEVED = 1e13  # a strength at which zeta is the tilt
 
 
@@ -183,7 +238,9 @@ def observed_from(rng, mdp, n):
     weights = np.full((mdp.n_states, mdp.n_actions), 1 / (mdp.n_states * mdp.n_actions))
     log = oee.sample_transitions(mdp, weights, n, seed=int(rng.integers(1 << 30)))
     counts = log.counts(mdp.n_states, mdp.n_actions).toarray()
-    rows = np.repeat(np.arange(mdp.transitions.shape[0]), np.diff(mdp.transitions.indptr))
+    rows = np.repeat(
+        np.arange(mdp.transitions.shape[0]), np.diff(mdp.transitions.indptr)
+    )
     return counts[rows, mdp.transitions.indices]
 
 
@@ -196,7 +253,9 @@ def standardised(phi, simulator, observed):
     indptr, weights = simulator.transitions.indptr, simulator.transitions.data
     centred = phi - spread(sums(weights[:, None] * phi, indptr), indptr)
     seen = sums(observed, indptr) > 0
-    scale = np.sqrt(sums(weights[:, None] * centred**2, indptr)[seen].sum(axis=0) / seen.sum())
+    scale = np.sqrt(
+        sums(weights[:, None] * centred**2, indptr)[seen].sum(axis=0) / seen.sum()
+    )
     return centred / scale, scale
 
 
@@ -213,14 +272,20 @@ def test_the_tilt_minimises_its_risk(rng, d):
 
     def risk(theta):
         log_z = np.log(sums(weights * np.exp(standard @ theta), indptr))
-        return sums(observed, indptr) @ log_z - observed @ (standard @ theta) + 0.5 * theta @ theta
+        return (
+            sums(observed, indptr) @ log_z
+            - observed @ (standard @ theta)
+            + 0.5 * theta @ theta
+        )
 
     def slope(theta):
         tilted = weights * np.exp(standard @ theta)
         tilted *= spread(sums(observed, indptr) / sums(tilted, indptr), indptr)
         return (tilted - observed) @ standard + theta
 
-    found = optimize.minimize(risk, np.zeros(d), jac=slope, method="BFGS", options={"gtol": 1e-9})
+    found = optimize.minimize(
+        risk, np.zeros(d), jac=slope, method="BFGS", options={"gtol": 1e-9}
+    )
     assert risk(theta * scale) <= found.fun + 1e-10
     assert_allclose(theta * scale, found.x, atol=1e-5)
     assert 0 <= gap < 1e-15
@@ -236,15 +301,21 @@ def test_features_in_every_form_are_the_same():
     flat = (simulator.transitions.indices - rows // 4).astype(float)
     dense.reshape(100, 25)[rows, simulator.transitions.indices] = flat
     forms = [flat, flat[:, None], dense, dense[..., None], lambda s, a, t: t - s]
-    values = [oee.transition_ratio(log, simulator, prior="tilt", features=form).values.data for form in forms]
+    values = [
+        oee.transition_ratio(log, simulator, prior="tilt", features=form).values.data
+        for form in forms
+    ]
     for other in values[1:]:
         assert_allclose(other, values[0], rtol=1e-12)
 
 
-# ---- the strength ------------------------------------------------------------------------------------------------
+# ---- the strength
+# ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("p", "n"), [(1e-6, 1e6), (1e-8, 1e4), (1e-9, 1e3), (1e-10, 100)])
+@pytest.mark.parametrize(
+    ("p", "n"), [(1e-6, 1e6), (1e-8, 1e4), (1e-9, 1e3), (1e-10, 100)]
+)
 def test_a_feature_of_one_rare_transition_is_fitted_with_a_true_certificate(p, n):
     simulator = oee.FiniteMDP([[[1 - p, p]], [[0.5, 0.5]]], [0.0, 0.0], [1.0, 0.0], 0.9)
     observed = np.array([0.0, n, 5.0, 5.0])
@@ -253,10 +324,15 @@ def test_a_feature_of_one_rare_transition_is_fitted_with_a_true_certificate(p, n
 
     def risk(theta):  # of the first row; the second has no feature
         exponent = centred / scale * theta
-        return n * (special.logsumexp(exponent, b=[1 - p, p]) - exponent[1]) + 0.5 * theta**2
+        return (
+            n * (special.logsumexp(exponent, b=[1 - p, p]) - exponent[1])
+            + 0.5 * theta**2
+        )
 
     found = theta * scale
-    best = min(risk(t) for t in np.concatenate([np.linspace(0, 60, 2001) * scale, [found]]))
+    best = min(
+        risk(t) for t in np.concatenate([np.linspace(0, 60, 2001) * scale, [found]])
+    )
     assert (risk(found) - best) / (n + 10) <= gap + 1e-9
     assert gap < 1e-6
 
@@ -265,12 +341,16 @@ def test_enormous_counts_of_collinear_features():
     simulator = oee.FiniteMDP(np.full((2, 1, 2), 0.5), [0.0, 0.0], [1.0, 0.0], 0.9)
     features = np.array([[1.0, 1.0], [0.0, 0.0], [1.0, 1.0], [0.0, 0.0]])
     with pytest.warns(UserWarning, match="rank 1 of 2"):
-        _, zeta, _ = fit_tilt(np.array([3e15, 1e15, 3e15, 1e15]), simulator, features, strength=1e-3)
+        _, zeta, _ = fit_tilt(
+            np.array([3e15, 1e15, 3e15, 1e15]), simulator, features, strength=1e-3
+        )
     assert_allclose(zeta, [1.5, 0.5, 1.5, 0.5], rtol=1e-6)
 
 
 def test_one_transition_says_nothing_about_the_prior():
-    simulator = oee.FiniteMDP(np.full((6, 1, 6), 1 / 6), np.zeros(6), np.full(6, 1 / 6), 0.9)
+    simulator = oee.FiniteMDP(
+        np.full((6, 1, 6), 1 / 6), np.zeros(6), np.full(6, 1 / 6), 0.9
+    )
     zeta = oee.transition_ratio(oee.Transitions([0], [0], [1]), simulator)
     assert zeta.details["meaning"].startswith("too few transitions to decide")
     assert zeta.details["strength"] == pytest.approx(1e8)

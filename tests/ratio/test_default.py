@@ -16,13 +16,19 @@ def grid_case(moves):
     policy = oee.tasks.gridworld_policy(4, 0.6)
     share = np.ones((16, 4))
     share[9:12] = 0.0
-    return simulator, policy, oee.sample_transitions(target, share / share.sum(), moves, seed=3)
+    return (
+        simulator,
+        policy,
+        oee.sample_transitions(target, share / share.sum(), moves, seed=3),
+    )
 
 
 def random_case(moves):
     rng = np.random.default_rng(8)
     rows = rng.dirichlet(np.full(4, 1.5), size=(8, 2))
-    places = np.array([[rng.choice(8, 4, replace=False) for _ in range(2)] for _ in range(8)])
+    places = np.array(
+        [[rng.choice(8, 4, replace=False) for _ in range(2)] for _ in range(8)]
+    )
     P, Q = np.zeros((8, 2, 8)), np.zeros((8, 2, 8))
     pay = rng.normal(size=(8, 2))
     np.put_along_axis(P, places, rows, axis=2)
@@ -33,7 +39,11 @@ def random_case(moves):
     target = simulator.with_transitions(Q / Q.sum(axis=2, keepdims=True))
     share = np.ones((8, 2))
     share[5] = 0.0
-    return simulator, policy, oee.sample_transitions(target, share / share.sum(), moves, seed=1)
+    return (
+        simulator,
+        policy,
+        oee.sample_transitions(target, share / share.sum(), moves, seed=1),
+    )
 
 
 def moved_case():
@@ -43,7 +53,9 @@ def moved_case():
     simulator = oee.FiniteMDP(P, r, np.full(8, 1 / 8), 0.9)
     Q = 0.6 * P
     Q[:, :, np.argmin(r)] += 0.4
-    log = oee.sample_transitions(simulator.with_transitions(Q), np.full((8, 1), 1 / 8), 160, seed=4)
+    log = oee.sample_transitions(
+        simulator.with_transitions(Q), np.full((8, 1), 1 / 8), 160, seed=4
+    )
     return simulator, np.ones((8, 1)), log
 
 
@@ -54,7 +66,9 @@ def dirichlet(counts, model, kappa):
     """ln of the Dirichlet-multinomial probability of one row's sequence of moves, Dirichlet(kappa model)."""
     on = model > 0
     n, b = counts[on], kappa * model[on]
-    return gammaln(kappa) - gammaln(kappa + n.sum()) + np.sum(gammaln(b + n) - gammaln(b))
+    return (
+        gammaln(kappa) - gammaln(kappa + n.sum()) + np.sum(gammaln(b + n) - gammaln(b))
+    )
 
 
 def kinds_of(simulator_rows, counts):
@@ -81,7 +95,10 @@ def strengths(counts, model, kind):
         level = np.array([missing(t) for t in grid])
         best = grid[int(np.argmin(level))]
         found = optimize.minimize_scalar(
-            missing, bounds=(max(best - 0.3, 0.0), min(best + 0.3, grid[-1])), method="bounded", options={"xatol": 1e-6}
+            missing,
+            bounds=(max(best - 0.3, 0.0), min(best + 0.3, grid[-1])),
+            method="bounded",
+            options={"xatol": 1e-6},
         )
         at = found.x if found.fun < level.min() else best
         kappa[kind == k], score = np.exp(at), score - min(found.fun, level.min())
@@ -99,8 +116,12 @@ class Own:
         self.seen = (self.counts.sum(axis=2) > 0) & ((P > 0).sum(axis=2) > 1)
         self.rows, self.n = P[self.seen], self.counts[self.seen]
         self.action = np.nonzero(self.seen)[1]
-        self.kind = kinds_of(P.reshape(-1, P.shape[2]), self.counts.reshape(-1, P.shape[2]))[self.seen.reshape(-1)]
-        places = np.arange(len(P))[:, None] if simulator.layout is None else simulator.layout
+        self.kind = kinds_of(
+            P.reshape(-1, P.shape[2]), self.counts.reshape(-1, P.shape[2])
+        )[self.seen.reshape(-1)]
+        places = (
+            np.arange(len(P))[:, None] if simulator.layout is None else simulator.layout
+        )
         self.places = (places - places.mean(axis=0)) / places.std(axis=0)
 
     def columns(self):
@@ -110,7 +131,11 @@ class Own:
         pay = self.mdp.r if (self.mdp.r != self.mdp.r[:, :, :1]).any() else 0.0
         ahead = pay + self.mdp.g * self.mdp.values(self.policy)
         drift = np.broadcast_to((x[None] - x[:, None])[:, None], (*P.shape, x.shape[1]))
-        found = [("log P", logs), ("log P", logs**2), ("V", ahead / np.abs(ahead).max() + 0.0 * P)]
+        found = [
+            ("log P", logs),
+            ("log P", logs**2),
+            ("V", ahead / np.abs(ahead).max() + 0.0 * P),
+        ]
         found += [("log P at s", logs * x[:, None, None, i]) for i in range(x.shape[1])]
         found += [("drift", drift[..., i]) for i in range(x.shape[1])]
         pairs = np.ndindex(x.shape[1], x.shape[1])
@@ -128,7 +153,11 @@ class Own:
         for part in range(1 + self.shape[1] if self.shape[1] > 1 else 1):
             for group, column in self.columns():
                 phi = np.where(self.rows > 0, column[self.seen], 0.0)
-                phi = np.where(self.rows > 0, phi - (self.rows * phi).sum(axis=1, keepdims=True), 0.0)
+                phi = np.where(
+                    self.rows > 0,
+                    phi - (self.rows * phi).sum(axis=1, keepdims=True),
+                    0.0,
+                )
                 phi = phi * (1.0 if part == 0 else (self.action == part - 1)[:, None])
                 size = np.sqrt((self.rows * phi**2).sum() / len(phi))
                 if size > 1e-9:
@@ -146,18 +175,33 @@ class Own:
 
         def risk(theta):
             linear = np.sum(counts * np.tensordot(theta, features, 1))
-            return counts.sum(axis=1) @ tilt(theta)[1] - linear + 0.5 * precision @ theta**2
+            return (
+                counts.sum(axis=1) @ tilt(theta)[1]
+                - linear
+                + 0.5 * precision @ theta**2
+            )
 
         def slope(theta):
             expected = counts.sum(axis=1, keepdims=True) * tilt(theta)[0]
-            return np.sum((expected - counts) * features, axis=(1, 2)) + precision * theta
+            return (
+                np.sum((expected - counts) * features, axis=(1, 2)) + precision * theta
+            )
 
         def bend(theta):
             model = tilt(theta)[0]
             score = features - (model * features).sum(axis=2, keepdims=True)
-            return np.einsum("irx,jrx,rx,r->ij", score, score, model, counts.sum(axis=1)) + np.diag(precision)
+            return np.einsum(
+                "irx,jrx,rx,r->ij", score, score, model, counts.sum(axis=1)
+            ) + np.diag(precision)
 
-        theta = optimize.minimize(risk, start, jac=slope, hess=bend, method="Newton-CG", options={"xtol": 1e-10}).x
+        theta = optimize.minimize(
+            risk,
+            start,
+            jac=slope,
+            hess=bend,
+            method="Newton-CG",
+            options={"xtol": 1e-10},
+        ).x
         return theta, bend(theta), tilt(theta)[0]
 
     def prior(self):
@@ -167,17 +211,27 @@ class Own:
         group_of = np.array([names.index(group) for group in groups])
         plain = np.array([group[0] != "V" for group in groups])
         theta, level, model = np.zeros(len(groups)), np.ones(len(names)), self.rows
-        for rounds, used in ((6, plain), (3, plain), (6, plain | True)):  # first what no policy changes
+        # first what no policy changes
+        for rounds, used in ((6, plain), (3, plain), (6, plain | True)):
             kappa, n = self.coarse_kappa(model), self.n.sum(axis=1)
             weight = np.minimum((1 + kappa) / (n + kappa), 1.0)
             features, member = every[used], group_of[used]
             for _ in range(rounds):
-                theta[used], bend, _ = self.fit(features, weight, level[member], theta[used])
+                theta[used], bend, _ = self.fit(
+                    features, weight, level[member], theta[used]
+                )
                 told = 1 - level[member] * np.diag(np.linalg.inv(bend))
                 size = np.bincount(member, theta[used] ** 2, len(names))
-                new = np.clip((0.25 + np.bincount(member, told, len(names))) / np.maximum(size, 1e-300), 1.0, 1e6)
+                new = np.clip(
+                    (0.25 + np.bincount(member, told, len(names)))
+                    / np.maximum(size, 1e-300),
+                    1.0,
+                    1e6,
+                )
                 level[np.unique(member)] = new[np.unique(member)]
-            theta[used], _, model = self.fit(features, weight, level[member], theta[used])
+            theta[used], _, model = self.fit(
+                features, weight, level[member], theta[used]
+            )
         return model, dict(zip(names, level, strict=True))
 
     def coarse_kappa(self, model):
@@ -186,8 +240,12 @@ class Own:
         for kind in np.unique(self.kind):
             mine = np.flatnonzero(self.kind == kind)
             grid = np.geomspace(1.0, 1e8, 17)
-            level = np.array([sum(dirichlet(self.n[i], model[i], k) for i in mine) for k in grid])
-            kappa[mine] = grid[np.flatnonzero(level >= level.max() - 1e-9 * (1 + abs(level.max())))[-1]]
+            level = np.array(
+                [sum(dirichlet(self.n[i], model[i], k) for i in mine) for k in grid]
+            )
+            kappa[mine] = grid[
+                np.flatnonzero(level >= level.max() - 1e-9 * (1 + abs(level.max())))[-1]
+            ]
         return kappa
 
 
@@ -199,12 +257,18 @@ def test_the_prior_by_dense_formulas(case):
     own = Own(simulator, policy, log)
     model, level = own.prior()
     for (group, alone), strength in level.items():
-        assert_allclose(np.log(zeta.details["direction_strengths"][group][int(alone)]), np.log(strength), atol=0.05)
+        assert_allclose(
+            np.log(zeta.details["direction_strengths"][group][int(alone)]),
+            np.log(strength),
+            atol=0.05,
+        )
     kappa, score = strengths(own.n, model, own.kind)
     assert_allclose(zeta.details["strength_score"], score, atol=0.05)
     rows = (zeta.values.toarray().reshape(own.shape) * own.mdp.P)[own.seen]
     n = own.n.sum(axis=1, keepdims=True)
-    assert_allclose(rows, (own.n + kappa[:, None] * model) / (n + kappa[:, None]), atol=2e-3)
+    assert_allclose(
+        rows, (own.n + kappa[:, None] * model) / (n + kappa[:, None]), atol=2e-3
+    )
 
 
 def leaves(P):
@@ -216,13 +280,19 @@ def leaves(P):
 @pytest.mark.parametrize("case", range(len(CASES)))
 def test_the_value_its_error_and_its_interval(case, horizon):
     simulator, policy, log = CASES[case]
-    estimate = oee.estimators.OffEnvironment()(oee.Problem(simulator, log, horizon=horizon), policy)
+    estimate = oee.estimators.OffEnvironment()(
+        oee.Problem(simulator, log, horizon=horizon), policy
+    )
     zeta = oee.transition_ratio(log, simulator, values_of=policy, horizon=horizon)
     base = Dense(simulator)
     n = table_of(log, policy.shape)
     total = n.sum(axis=2)
-    model = base.like((zeta.values.toarray() * simulator.transitions.toarray()).reshape(base.P.shape))
-    likeliest = base.like(np.where(total[:, :, None] > 0, n / np.maximum(total, 1)[:, :, None], model.P))
+    model = base.like(
+        (zeta.values.toarray() * simulator.transitions.toarray()).reshape(base.P.shape)
+    )
+    likeliest = base.like(
+        np.where(total[:, :, None] > 0, n / np.maximum(total, 1)[:, :, None], model.P)
+    )
     slope = model.slope(policy, horizon)
     value = model.J(policy, horizon)
     first = float((slope * (likeliest.P - model.P)).sum())
@@ -236,27 +306,43 @@ def test_the_value_its_error_and_its_interval(case, horizon):
     further = np.clip((abs(nearer) / own - 2) / 2, 0, 1)
     change = 0.0 if first * second <= 0 else nearer + further * (second - nearer)
     table = {0.3: 0.55, 1: 0.73, 5: 0.98, 10: 1.12, 30: 1.38, 100: 1.70}
-    limit = np.interp(np.log(own**2 / within**2), np.log(list(table)), list(table.values())) * own
+    limit = (
+        np.interp(np.log(own**2 / within**2), np.log(list(table)), list(table.values()))
+        * own
+    )
     moved = max(0.0, 1 - limit / abs(change)) if change else 0.0
     error = np.sqrt(each.sum() + variance[~seen].sum())
     assert_allclose(estimate.value, value + moved * change, rtol=1e-9)
     assert_allclose(estimate.standard_error, error, rtol=1e-7)
     assert_allclose(
-        estimate.interval, value + moved * change + np.array([-1, 1]) * 1.959963984540054 * error, rtol=1e-7
+        estimate.interval,
+        value + moved * change + np.array([-1, 1]) * 1.959963984540054 * error,
+        rtol=1e-7,
     )
     told = estimate.diagnostics
     assert_allclose(told["model_value"], value, rtol=1e-9)
     assert_allclose(told["one_step_value"], value + first, rtol=1e-9)
     assert_allclose(told["maximum_likelihood_value"], value + second, rtol=1e-9)
-    assert_allclose(told["unrecorded_standard_error"], np.sqrt(variance[~seen].sum()), rtol=1e-7, atol=1e-12)
+    assert_allclose(
+        told["unrecorded_standard_error"],
+        np.sqrt(variance[~seen].sum()),
+        rtol=1e-7,
+        atol=1e-12,
+    )
     time = model.visits(policy, horizon)
     time = np.where(leaves(base.P), time if horizon is None else sum(time), 0.0)
     assert_allclose(told["coverage"], time[seen].sum() / time.sum(), rtol=1e-9)
     assert_allclose(
-        told["effective_sample_size"], time[seen].sum() ** 2 / (time[seen] ** 2 / total[seen]).sum(), rtol=1e-9
+        told["effective_sample_size"],
+        time[seen].sum() ** 2 / (time[seen] ** 2 / total[seen]).sum(),
+        rtol=1e-9,
     )
     assert moved > 0 or case != 3 or horizon  # or the rule would not be seen here
-    assert_allclose([told["moved"], told["one_step_distance"]], [moved, abs(change) / own], rtol=1e-6)
+    assert_allclose(
+        [told["moved"], told["one_step_distance"]],
+        [moved, abs(change) / own],
+        rtol=1e-6,
+    )
 
 
 def test_in_the_limit_rows_without_data_are_the_centre_s_of_the_horizon_asked_for():
@@ -271,10 +357,16 @@ def test_in_the_limit_rows_without_data_are_the_centre_s_of_the_horizon_asked_fo
     for horizon in (2, None):
         options = {} if horizon is None else {"horizon": horizon}
         zeta = oee.transition_ratio(counts, simulator, values_of=policy, **options)
-        rows = np.where(share[:, :, None] > 0, Q, zeta.values.toarray().reshape(Q.shape) * base.P)
+        rows = np.where(
+            share[:, :, None] > 0, Q, zeta.values.toarray().reshape(Q.shape) * base.P
+        )
         found[horizon] = base.like(rows).J(policy, 2)
     limit = oee.estimators.OffEnvironment().limit(
-        simulator, simulator.with_transitions(Q), policy, data_distribution=share, horizon=2
+        simulator,
+        simulator.with_transitions(Q),
+        policy,
+        data_distribution=share,
+        horizon=2,
     )
     assert_allclose(limit, found[2], rtol=1e-9)
     assert abs(found[2] - found[None]) > 1e-5  # or the horizon would not be seen

@@ -12,15 +12,32 @@ def test_with_a_box_the_two_ratios_agree_to_1e_6():
     """The paper's grid, 1572 triples, counts of 10 000 moves against exact occupancies, box [0.1, 4], ridges."""
     simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
     uniform = oee.uniform_policy(simulator)
-    shares = oee.occupancy(simulator.with_discount(1.0), uniform, horizon=200, of="transition").data[:1572]
+    shares = oee.occupancy(
+        simulator.with_discount(1.0), uniform, horizon=200, of="transition"
+    ).data[:1572]
     log = oee.sample_episodes(target, uniform, 60, 1000, seed=0).draw(10_000, seed=0)
     counts = log.counts(100, 4)
     p = np.asarray(
-        counts[np.repeat(np.arange(400), np.diff(simulator.transitions.indptr)), simulator.transitions.indices]
+        counts[
+            np.repeat(np.arange(400), np.diff(simulator.transitions.indptr)),
+            simulator.transitions.indices,
+        ]
     )
-    for options in ({}, {"normalized": False}, {"ridge": 0.1, "toward": 1.0}, {"ridge": 1e-4}):
+    for options in (
+        {},
+        {"normalized": False},
+        {"ridge": 0.1, "toward": 1.0},
+        {"ridge": 1e-4},
+    ):
         ours, theirs = (
-            oee.density_ratio(p.reshape(-1)[:1572], shares, lower=0.1, upper=4.0, solver=solver, **options)
+            oee.density_ratio(
+                p.reshape(-1)[:1572],
+                shares,
+                lower=0.1,
+                upper=4.0,
+                solver=solver,
+                **options,
+            )
             for solver in ("dual", "CLARABEL")
         )
         assert ours.gap < 1e-12
@@ -41,8 +58,14 @@ def test_closed_forms(rng):
     ridged = oee.density_ratio(p, q, ridge=0.3, normalized=False).ratio
     assert_allclose(ridged, 2 * ps / (qs + np.sqrt(qs**2 + 4 * 0.3 * ps)), rtol=1e-14)
     both = oee.density_ratio(p, q, lower=0.5, upper=1.25)
-    if both.normalizer > -1 + 1e-9:  # at -1 the unobserved cells make up what is lacking
-        assert_allclose(both.ratio, np.clip(ps / ((1 + both.normalizer) * qs), 0.5, 1.25), rtol=0, atol=1e-12)
+    # at -1 the unobserved cells make up what is lacking
+    if both.normalizer > -1 + 1e-9:
+        assert_allclose(
+            both.ratio,
+            np.clip(ps / ((1 + both.normalizer) * qs), 0.5, 1.25),
+            rtol=0,
+            atol=1e-12,
+        )
 
 
 def test_zeros():
@@ -62,20 +85,36 @@ def test_a_jump_is_filled_in():
     assert fit.gap < 1e-14
 
 
-@pytest.mark.parametrize("bounds", [{"lower": 1.0}, {"upper": 1.0}, {"lower": 1.0, "upper": 1.0}, {"lower": 1 - 1e-12}])
+@pytest.mark.parametrize(
+    "bounds",
+    [
+        {"lower": 1.0},
+        {"upper": 1.0},
+        {"lower": 1.0, "upper": 1.0},
+        {"lower": 1 - 1e-12},
+    ],
+)
 def test_a_box_that_leaves_one_point(bounds):
     fit = oee.density_ratio([3, 1, 0], [1, 1, 2], **bounds)
-    assert_allclose(fit.ratio, np.ones(3), rtol=0, atol=1e-11 * (bounds["lower"] < 1 if "lower" in bounds else 0))
+    assert_allclose(
+        fit.ratio,
+        np.ones(3),
+        rtol=0,
+        atol=1e-11 * (bounds["lower"] < 1 if "lower" in bounds else 0),
+    )
     assert (fit.status == "optimal") == (fit.gap <= 1e-8)
 
 
-@pytest.mark.parametrize("n", [1500])  # 20 000: the largest gap is 3e-16 of 19 792 problems
+# 20 000: the largest gap is 3e-16 of 19 792 problems
+@pytest.mark.parametrize("n", [1500])
 def test_hard_scales_are_solved(n):
     """Scales 1e-6 to 1e6, zeros, boxes 1e-4 to 1e4, ridges 1e-8 to 1e4: certified whenever both sides have counts."""
     rng = np.random.default_rng(0)
     for _ in range(n):
         size = int(rng.integers(1, 60))
-        p, q = (rng.integers(0, 4, size) * 10 ** rng.uniform(-6, 6, size) for _ in range(2))
+        p, q = (
+            rng.integers(0, 4, size) * 10 ** rng.uniform(-6, 6, size) for _ in range(2)
+        )
         options = {
             "lower": 10 ** rng.uniform(-4, 0) if rng.random() < 0.7 else None,
             "upper": 10 ** rng.uniform(0, 4),
@@ -93,8 +132,13 @@ def test_hard_scales_are_solved(n):
 
 
 def test_a_solver_that_stops_short_hands_on_no_numbers(monkeypatch):
-    monkeypatch.setattr(statements, "clarabel_options", lambda tolerance: {"max_iter": 2})
-    with pytest.raises(RuntimeError, match=r"CLARABEL ended with status .*, not 'optimal'; its numbers are not used"):
+    monkeypatch.setattr(
+        statements, "clarabel_options", lambda tolerance: {"max_iter": 2}
+    )
+    with pytest.raises(
+        RuntimeError,
+        match=r"CLARABEL ended with status .*, not 'optimal'; its numbers are not used",
+    ):
         oee.density_ratio([3, 1, 4], [2, 2, 4], upper=1.4, solver="CLARABEL")
 
 
@@ -115,11 +159,24 @@ def test_numbers_that_underflow_are_solved(p, q, options):
 def test_assumptions_that_hold_and_fail():
     found = oee.check_assumptions([1, 3, 0, 4], [2, 2, 2, 2], lower=0.5, upper=1.5)
     assert found.box_contains_one
-    assert (found.inside, found.supported, found.below, found.above, found.unsupported) == (False, True, 1, 1, 0)
+    assert (
+        found.inside,
+        found.supported,
+        found.below,
+        found.above,
+        found.unsupported,
+    ) == (False, True, 1, 1, 0)
     assert (found.smallest, found.largest) == (0.0, 2.0)
     assert_allclose(found.renyi_infinity, np.log(2.0))
     lost = oee.check_assumptions([1, 1], [1, 0], lower=1.0, upper=np.inf)
-    assert (lost.box_contains_one, lost.supported, lost.unsupported, lost.renyi_infinity) == (False, False, 1, np.inf)
+    assert (
+        lost.box_contains_one,
+        lost.supported,
+        lost.unsupported,
+        lost.renyi_infinity,
+    ) == (False, False, 1, np.inf)
     assert "nu <= p/q <= mu: fails (1 entries below, 0 above)" in str(lost)
-    assert not oee.check_assumptions([1, 1], [1, 1], lower=0.0, upper=1.0).box_contains_one
+    assert not oee.check_assumptions(
+        [1, 1], [1, 1], lower=0.0, upper=1.0
+    ).box_contains_one
     assert oee.check_assumptions([1, 3], [2, 2], lower=0.5, upper=1.5).inside

@@ -22,16 +22,22 @@ def garnet(seed, n_states=20, n_actions=2, successors=5, discount=0.9, layout=No
     rows = np.zeros((n_states, n_actions, n_states))
     for s in range(n_states):
         for a in range(n_actions):
-            rows[s, a, rng.choice(n_states, successors, replace=False)] = rng.dirichlet(np.full(successors, 2.0))
+            rows[s, a, rng.choice(n_states, successors, replace=False)] = rng.dirichlet(
+                np.full(successors, 2.0)
+            )
     pay = rng.normal(size=(n_states, n_actions))
-    return FiniteMDP(rows, pay, np.full(n_states, 1 / n_states), discount, layout=layout)
+    return FiniteMDP(
+        rows, pay, np.full(n_states, 1 / n_states), discount, layout=layout
+    )
 
 
 def tilted_along(simulator, phi):
     """The target with rows proportional to P exp(phi), phi at the simulator's entries."""
     model, _ = Rows.of(simulator).tilt(phi)
     matrix = simulator.transitions
-    return simulator.with_transitions(sparse.csr_array((model, matrix.indices, matrix.indptr), matrix.shape))
+    return simulator.with_transitions(
+        sparse.csr_array((model, matrix.indices, matrix.indptr), matrix.shape)
+    )
 
 
 def worse(simulator, policy, size=0.5):
@@ -43,7 +49,12 @@ def worse(simulator, policy, size=0.5):
 
 def drawn(target, per_row, seed):
     shape = (target.n_states, target.n_actions)
-    return oee.sample_transitions(target, np.full(shape, 1 / np.prod(shape)), int(per_row * np.prod(shape)), seed=seed)
+    return oee.sample_transitions(
+        target,
+        np.full(shape, 1 / np.prod(shape)),
+        int(per_row * np.prod(shape)),
+        seed=seed,
+    )
 
 
 def line(n=60):
@@ -56,14 +67,18 @@ def line(n=60):
             rows[s, a, s] += stay
             rows[s, a, min(s + 1, n - 1)] += more
             rows[s, a, max(s - 1, 0)] += less
-    return FiniteMDP(rows, np.arange(n)[:, None] * [-1.0, -1.0] - [0.0, 0.5], np.eye(n)[5], 0.95)
+    return FiniteMDP(
+        rows, np.arange(n)[:, None] * [-1.0, -1.0] - [0.0, 0.5], np.eye(n)[5], 0.95
+    )
 
 
 def more_often(simulator, theta):
     """The target in which s + 1 follows s more often, by ``theta`` of each state."""
     rows = Rows.of(simulator)
     one_more = rows.arrival - rows.spread(rows.state) == 1
-    return tilted_along(simulator, np.broadcast_to(theta, 60)[rows.spread(rows.state)] * one_more)
+    return tilted_along(
+        simulator, np.broadcast_to(theta, 60)[rows.spread(rows.state)] * one_more
+    )
 
 
 # ---- limits
@@ -72,7 +87,12 @@ def more_often(simulator, theta):
 def test_a_log_that_tells_nothing_leaves_the_simulator():
     """Transitions of pairs with a single successor only."""
     rows = np.zeros((3, 2, 3))
-    rows[0, 0], rows[0, 1], rows[1], rows[2] = [0.2, 0.5, 0.3], [0, 0, 1], [0.6, 0.1, 0.3], [0, 0, 1]
+    rows[0, 0], rows[0, 1], rows[1], rows[2] = (
+        [0.2, 0.5, 0.3],
+        [0, 0, 1],
+        [0.6, 0.1, 0.3],
+        [0, 0, 1],
+    )
     simulator = FiniteMDP(rows, np.array([1.0, 2.0, 0.0]), [1, 0, 0], 0.9)
     log = oee.Transitions([0, 2], [1, 0], [2, 2])
     policy = np.full((3, 2), 0.5)
@@ -89,11 +109,15 @@ def test_counts_of_any_size(size):
     rows /= rows.sum(axis=1, keepdims=True)
     simulator = FiniteMDP(rows.reshape(2, 3, 2), [1.0, 0.0], [1.0, 0.0], 0.5)
     target = np.array([[0.6, 0.4], [0, 1], [1, 0], [0, 1], [0, 1], [0, 1.0]])
-    zeta = oee.transition_ratio(size * sparse.csr_array(target), simulator, values_of=np.full((2, 3), 1 / 3))
+    zeta = oee.transition_ratio(
+        size * sparse.csr_array(target), simulator, values_of=np.full((2, 3), 1 / 3)
+    )
     assert np.isfinite(zeta.values.data).all()
     assert zeta.row_sum_error < 1e-9
     if size > 1e6:
-        assert_allclose(zeta.target_model(simulator).transitions.toarray(), target, atol=1e-6)
+        assert_allclose(
+            zeta.target_model(simulator).transitions.toarray(), target, atol=1e-6
+        )
 
 
 # ---- what does not matter
@@ -104,7 +128,9 @@ def test_counts_of_any_size(size):
 def test_rows_of_zeta_p_are_distributions(rng, n):
     simulator = random_mdp(rng, discount=0.9)
     target = random_mdp(rng, like=simulator)
-    share = np.full((target.n_states, target.n_actions), 1 / (target.n_states * target.n_actions))
+    share = np.full(
+        (target.n_states, target.n_actions), 1 / (target.n_states * target.n_actions)
+    )
     log = oee.sample_transitions(target, share, n, seed=int(rng.integers(1 << 30)))
     policies = [random_policy(rng, simulator) for _ in range(2)]
     zeta = oee.transition_ratio(log, simulator, values_of=policies)
@@ -117,15 +143,23 @@ def renamed(mdp, states, actions):
     """State ``states[k]`` and action ``actions[b]`` become k and b; places go along."""
     rows = dense(mdp)[0][np.ix_(states, actions, states)]
     return FiniteMDP(
-        rows, mdp.rewards[np.ix_(states, actions)], mdp.initial[states], mdp.discount, layout=mdp.layout[states]
+        rows,
+        mdp.rewards[np.ix_(states, actions)],
+        mdp.initial[states],
+        mdp.discount,
+        layout=mdp.layout[states],
     )
 
 
 @settings(max_examples=12)
 @given(st.integers(0, 10**6), st.sampled_from([2.0, 20.0]))
-def test_names_of_states_and_actions_do_not_matter_where_places_are_given(seed, per_row):
+def test_names_of_states_and_actions_do_not_matter_where_places_are_given(
+    seed, per_row
+):
     rng = np.random.default_rng(seed)
-    simulator = garnet(seed, n_states=12, layout=rng.integers(0, 3, (12, 2)).astype(float))
+    simulator = garnet(
+        seed, n_states=12, layout=rng.integers(0, 3, (12, 2)).astype(float)
+    )
     policy = random_policy(rng, simulator, zeros=0.0)
     log = drawn(worse(simulator, policy), per_row, seed)
     states, actions = rng.permutation(12), rng.permutation(2)
@@ -140,14 +174,22 @@ def test_names_of_states_and_actions_do_not_matter_where_places_are_given(seed, 
 
 
 @settings(max_examples=12)
-@given(st.integers(0, 10**6), st.sampled_from([1e-3, 1.0, -50.0]), st.sampled_from([0.0, -3.0, 10.0]))
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([1e-3, 1.0, -50.0]),
+    st.sampled_from([0.0, -3.0, 10.0]),
+)
 def test_units_of_rewards_and_places_do_not_matter(seed, scale, shift):
     """r -> a r + b leaves zeta: a direction is the same as its opposite."""
     simulator = garnet(seed, n_states=10, layout=np.arange(10.0))
     policy = oee.optimal_policy(simulator)
     log = drawn(worse(simulator, policy), 8.0, seed)
-    other = simulator.with_rewards(scale * simulator.rewards + shift).with_layout(scale * np.arange(10.0) + shift)
-    one, two = (oee.transition_ratio(log, mdp, values_of=policy) for mdp in (simulator, other))
+    other = simulator.with_rewards(scale * simulator.rewards + shift).with_layout(
+        scale * np.arange(10.0) + shift
+    )
+    one, two = (
+        oee.transition_ratio(log, mdp, values_of=policy) for mdp in (simulator, other)
+    )
     assert_allclose(two.values.data, one.values.data, rtol=1e-5)
 
 
@@ -157,7 +199,10 @@ def test_places_are_the_states_numbers_where_there_are_none():
     one, two = (oee.transition_ratio(log, mdp) for mdp in (plain, numbered))
     assert_array_equal(one.values.data, two.values.data)
     shuffled = plain.with_layout(np.random.default_rng(0).permutation(60))
-    assert np.abs(oee.transition_ratio(log, shuffled).values.data - one.values.data).max() > 1e-3
+    assert (
+        np.abs(oee.transition_ratio(log, shuffled).values.data - one.values.data).max()
+        > 1e-3
+    )
 
 
 # ---- what it finds
@@ -169,7 +214,12 @@ def test_the_user_s_features_are_directions_beside_the_others():
     target = more_often(simulator, 0.8 * (np.arange(60) % 3 == 0))
     log = drawn(target, 30.0, 0)
     truth = oee.true_ratio(target, simulator).values.data
-    known = oee.transition_ratio(log, simulator, values_of=policy, features=lambda s, a, t: (s % 3 == 0) * (t - s == 1))
+    known = oee.transition_ratio(
+        log,
+        simulator,
+        values_of=policy,
+        features=lambda s, a, t: (s % 3 == 0) * (t - s == 1),
+    )
     plain = oee.transition_ratio(log, simulator, values_of=policy)
     errors = [np.abs(zeta.values.data - truth).mean() for zeta in (known, plain)]
     assert errors[0] < 0.6 * errors[1]
@@ -179,11 +229,17 @@ def test_the_user_s_features_are_directions_beside_the_others():
 
 def test_several_policies_have_a_direction_each():
     simulator = garnet(4, n_states=30)
-    good, bad = oee.optimal_policy(simulator), oee.optimal_policy(simulator.with_rewards(-simulator.rewards))
+    good, bad = (
+        oee.optimal_policy(simulator),
+        oee.optimal_policy(simulator.with_rewards(-simulator.rewards)),
+    )
     log = drawn(worse(simulator, good, 0.8), 10.0, 0)
     zeta = oee.transition_ratio(log, simulator, values_of=[bad, good])
     assert {"V of policy 1", "V of policy 2"} <= set(zeta.details["directions"])
-    one, listed = (oee.transition_ratio(log, simulator, values_of=values) for values in (good, [good]))
+    one, listed = (
+        oee.transition_ratio(log, simulator, values_of=values)
+        for values in (good, [good])
+    )
     assert_array_equal(one.values.data, listed.values.data)
 
 
@@ -197,20 +253,27 @@ def test_policies_and_horizon_only_choose_directions():
     ]
     assert "V" not in fits[0].details["directions"]
     assert np.abs(fits[1].values.data - fits[2].values.data).max() > 1e-6
-    assert all(fit.prior == "ridge" for fit in [oee.ratio.Conditional(), oee.ratio.Conditional(features=[[1.0]])])
+    assert all(
+        fit.prior == "ridge"
+        for fit in [oee.ratio.Conditional(), oee.ratio.Conditional(features=[[1.0]])]
+    )
 
 
 # ---- the program and its errors
 
 
-@pytest.mark.parametrize("options", [{}, {"features": lambda s, a, t: np.cos(t)}, {"prior": "tilt"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"features": lambda s, a, t: np.cos(t)}, {"prior": "tilt"}]
+)
 def test_a_cvxpy_solver_gives_the_same_tilt(options):
     simulator = garnet(1, n_states=8, successors=3)
     policy = oee.optimal_policy(simulator)
     log = drawn(worse(simulator, policy, 0.8), 10.0, 0)
     about = {} if "prior" in options else {"values_of": policy}
     ours, theirs = (
-        oee.transition_ratio(log, simulator, strength=20.0, solver=solver, **about, **options)
+        oee.transition_ratio(
+            log, simulator, strength=20.0, solver=solver, **about, **options
+        )
         for solver in ("dual", "CLARABEL")
     )
     assert_allclose(theirs.values.data, ours.values.data, atol=1e-4)
@@ -222,7 +285,9 @@ def test_the_error_if_the_prior_fits_is_the_posterior_s():
     """Rows' own noise, and theta ~ N(theta, f''^-1) through what the rows have of the tilt; derivatives by differences."""
     simulator = garnet(5, n_states=8)
     policy = oee.optimal_policy(simulator)
-    zeta = oee.transition_ratio(drawn(worse(simulator, policy), 6.0, 0), simulator, values_of=policy)
+    zeta = oee.transition_ratio(
+        drawn(worse(simulator, policy), 6.0, 0), simulator, values_of=policy
+    )
     inside, rows, P = zeta._influence, Rows.of(simulator), simulator.transitions.data
     gradient = np.random.default_rng(0).normal(size=len(P))
     share, n = inside.share, inside.n
@@ -249,7 +314,9 @@ def test_the_error_if_the_prior_fits_is_the_posterior_s():
     variance = rows.variance(zeta.values.data * P, gradient)
     of_rows = np.sum((share**2 * variance)[n > 0] / n[n > 0])
     assert of_theta > 0
-    assert_allclose(zeta.log_standard_error(gradient), np.sqrt(of_theta + of_rows), rtol=1e-6)
+    assert_allclose(
+        zeta.log_standard_error(gradient), np.sqrt(of_theta + of_rows), rtol=1e-6
+    )
 
 
 @pytest.mark.parametrize("options", [{}, {"prior": "tilt"}])
@@ -257,7 +324,9 @@ def test_a_fit_in_another_process_is_the_same(options):
     simulator = garnet(5)
     policy = oee.optimal_policy(simulator)
     about = {} if options else {"values_of": policy}
-    zeta = oee.transition_ratio(drawn(worse(simulator, policy), 20.0, 0), simulator, **about, **options)
+    zeta = oee.transition_ratio(
+        drawn(worse(simulator, policy), 20.0, 0), simulator, **about, **options
+    )
     gradient = np.random.default_rng(0).normal(size=simulator.transitions.nnz)
     other = pickle.loads(pickle.dumps(zeta))
     assert other.log_standard_error(gradient) == zeta.log_standard_error(gradient)

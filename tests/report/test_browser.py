@@ -14,24 +14,41 @@ def pages(tmp_path_factory):
     """The reports on FrozenLake and on the embedded default (a few of its estimators), as files."""
     folder = tmp_path_factory.mktemp("pages")
     simulator, target = (
-        oee.tasks.toy_text("FrozenLake-v1", map_name="8x8", success_rate=rate) for rate in (1 / 3, 0.6)
+        oee.tasks.toy_text("FrozenLake-v1", map_name="8x8", success_rate=rate)
+        for rate in (1 / 3, 0.6)
     )
     behavior = oee.mix(oee.optimal_policy(target), oee.uniform_policy(target), 0.49)
     log = oee.sample_episodes(target, behavior, 300, 100, seed=2)
-    mine = {"mine": oee.mix(oee.optimal_policy(target), oee.uniform_policy(target), 0.7)}
-    oee.evaluate(oee.Problem(simulator, log), mine, seed=0).to_html(folder / "lake.html")
+    mine = {
+        "mine": oee.mix(oee.optimal_policy(target), oee.uniform_policy(target), 0.7)
+    }
+    oee.evaluate(oee.Problem(simulator, log), mine, seed=0).to_html(
+        folder / "lake.html"
+    )
     default = embedded_default(seed=0)
     problem = oee.Problem(
-        default.simulator, default.log, horizon=default.horizon, behavior_policy=default.behavior_policy,
+        default.simulator,
+        default.log,
+        horizon=default.horizon,
+        behavior_policy=default.behavior_policy,
         episodes=default.episodes,
-    )  # fmt: skip
+    )
     names = ["simulator", "oee", "ratio-of-ratios", "model-based", "pdis"]
-    found = oee.evaluate(problem, default.policies, estimators=names, target=default.target, seed=0, normalized=True)
+    found = oee.evaluate(
+        problem,
+        default.policies,
+        estimators=names,
+        target=default.target,
+        seed=0,
+        normalized=True,
+    )
     found.to_html(folder / "default.html")
     taxi = oee.tasks.toy_text("Taxi-v4")
     log = oee.sample_episodes(taxi, oee.uniform_policy(taxi), 5, 50, seed=0)
     names = {"<b>x</b> $ " + "long" * 40: oee.uniform_policy(taxi)}
-    oee.evaluate(oee.Problem(taxi, log), names, estimators="oee", seed=0).to_html(folder / "generic.html")
+    oee.evaluate(oee.Problem(taxi, log), names, estimators="oee", seed=0).to_html(
+        folder / "generic.html"
+    )
     return {path.stem: path.as_uri() for path in folder.iterdir()}
 
 
@@ -51,7 +68,8 @@ def test_it_loads_alone_and_fits(browser, pages, name):  # noqa: F811
             assert outside == []
             assert page.locator("svg.plot").count() >= 2
             smallest = page.evaluate(
-                "Math.min(...[...document.querySelectorAll('svg.plot')].map(e => e.getBoundingClientRect().width))"
+                "Math.min(...[...document.querySelectorAll('svg.plot')].map(e =>"
+                " e.getBoundingClientRect().width))"
             )
             assert smallest > 250
             page.context.close()
@@ -59,9 +77,12 @@ def test_it_loads_alone_and_fits(browser, pages, name):  # noqa: F811
 
 @pytest.mark.parametrize("name", ["lake", "default", "generic"])
 def test_axe_finds_nothing_serious(browser, axe, pages, name):  # noqa: F811
-    for width, scheme in zip(WIDTHS, SCHEMES, strict=True):  # layout and colours do not depend on each other
+    # layout and colours do not depend on each other
+    for width, scheme in zip(WIDTHS, SCHEMES, strict=True):
         page, _, _ = opened(browser, pages[name], width, scheme, bypass_csp=True)
-        page.evaluate("document.querySelectorAll('details').forEach(e => e.open = true)")
+        page.evaluate(
+            "document.querySelectorAll('details').forEach(e => e.open = true)"
+        )
         assert violations(axe, page) == []
         page.context.close()
 
@@ -69,13 +90,17 @@ def test_axe_finds_nothing_serious(browser, axe, pages, name):  # noqa: F811
 def test_axe_would_find_a_picture_without_a_name(browser, axe):  # noqa: F811
     page = browser.new_page()
     page.set_content('<main><svg role="img" width="9" height="9"></svg></main>')
-    assert "svg-img-alt" in [found["id"] for found in axe.run(page).response["violations"]]
+    assert "svg-img-alt" in [
+        found["id"] for found in axe.run(page).response["violations"]
+    ]
     page.close()
 
 
 def test_everything_is_reached_by_keyboard(browser, pages):  # noqa: F811
     page, _, _ = opened(browser, pages["lake"], 400, "light")
-    wanted = page.evaluate("document.querySelectorAll('a[href], summary, [tabindex=\"0\"]').length")
+    wanted = page.evaluate(
+        "document.querySelectorAll('a[href], summary, [tabindex=\"0\"]').length"
+    )
     seen = []
     for _ in range(wanted):
         page.keyboard.press("Tab")

@@ -19,7 +19,8 @@ from oee_tabular.report.text import format_interval, format_value
 
 def lake(n=3000, seed=0):
     simulator, target = (
-        oee.tasks.toy_text("FrozenLake-v1", map_name="4x4", success_rate=rate) for rate in (1 / 3, 0.7)
+        oee.tasks.toy_text("FrozenLake-v1", map_name="4x4", success_rate=rate)
+        for rate in (1 / 3, 0.7)
     )
     behavior = oee.mix(oee.optimal_policy(target), oee.uniform_policy(target), 0.5)
     log = oee.sample_episodes(target, behavior, n // 10, 60, seed=seed)
@@ -29,8 +30,13 @@ def lake(n=3000, seed=0):
 @pytest.fixture(scope="module")
 def report():
     problem, target = lake()
-    policies = {"bold": oee.optimal_policy(target), "careful": oee.uniform_policy(target)}
-    return oee.evaluate(problem, policies, target=target, seed=3, facts={"log_name": "lake log.npz"})
+    policies = {
+        "bold": oee.optimal_policy(target),
+        "careful": oee.uniform_policy(target),
+    }
+    return oee.evaluate(
+        problem, policies, target=target, seed=3, facts={"log_name": "lake log.npz"}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +47,14 @@ def html(report):
 def test_it_holds_together_and_needs_nothing_from_outside(html):
     parsed = Page(html)
     assert parsed.open == []
-    assert not {"script", "img", "iframe", "object", "base", "form"} & {tag for tag, _ in parsed.tags}
-    outside = [word for word in re.findall(r"https?://[^\s\"'<]*", html) if not word.startswith("http://www.w3.org/")]
+    assert not {"script", "img", "iframe", "object", "base", "form"} & {
+        tag for tag, _ in parsed.tags
+    }
+    outside = [
+        word
+        for word in re.findall(r"https?://[^\s\"'<]*", html)
+        if not word.startswith("http://www.w3.org/")
+    ]
     assert outside == []
     assert all(link["href"] == "data:," for link in parsed.all("link"))
     assert "url(http" not in html
@@ -65,24 +77,39 @@ def test_every_picture_has_a_title_and_a_description(html):
     assert len(pictures) == 6  # two forests, recorded, two policies, changes
     for picture in pictures:
         assert 'role="img"' in picture
-        title, words = (re.search(rf"<{tag} id=[^>]*>(.*?)</{tag}>", picture).group(1) for tag in ("title", "desc"))
+        title, words = (
+            re.search(rf"<{tag} id=[^>]*>(.*?)</{tag}>", picture).group(1)
+            for tag in ("title", "desc")
+        )
         assert len(title) > 10
         assert len(words) > 40
 
 
 def test_it_says_the_answer_and_how_it_was_found(report, html):
     text = Page(html).text
-    value = next(row["value"] for row in report.records() if (row["policy"], row["estimator"]) == ("bold", "oee"))
+    value = next(
+        row["value"]
+        for row in report.records()
+        if (row["policy"], row["estimator"]) == ("bold", "oee")
+    )
     sure = report.uncertainty.intervals["bold"]["likelihood"]
     assert "Of 2 policies, “bold” is worth most in the target" in text
     assert format_interval(sure.lower, sure.upper) in text
     assert format_value(value, sure.lower, sure.upper) in text
-    assert "sum of discount^t * reward over t >= 0, discount 0.99 (not normalised)" in text
+    assert (
+        "sum of discount^t * reward over t >= 0, discount 0.99 (not normalised)" in text
+    )
     assert "lake log.npz" in text
     assert f"oee_tabular {oee.__version__}, seed 3" in text
     for warning in report.warnings:
         assert " ".join(warning.split()) in text
-    for word in ("numpy", "Python", "interval: likelihood", "Importance sampling, reward by reward", "FiniteMDP("):
+    for word in (
+        "numpy",
+        "Python",
+        "interval: likelihood",
+        "Importance sampling, reward by reward",
+        "FiniteMDP(",
+    ):
         assert word in text
     assert "col. 0" in text  # the lake is drawn as a grid
     assert "ends in other states than the simulator says" in text
@@ -91,26 +118,48 @@ def test_it_says_the_answer_and_how_it_was_found(report, html):
 def test_the_same_input_gives_the_same_bytes(report, html):
     assert report.to_html() == html
     problem, target = lake()
-    policies = {"bold": oee.optimal_policy(target), "careful": oee.uniform_policy(target)}
-    again = oee.evaluate(problem, policies, target=target, seed=3, facts={"log_name": "lake log.npz"})
+    policies = {
+        "bold": oee.optimal_policy(target),
+        "careful": oee.uniform_policy(target),
+    }
+    again = oee.evaluate(
+        problem, policies, target=target, seed=3, facts={"log_name": "lake log.npz"}
+    )
     assert again.to_html() == html
     assert re.search(r"20\d\d-\d\d-\d\d", html) is None
 
 
 NAMES = [
-    "<script>alert(1)</script>", "a & b \"quoted\" 'single'", "$x$ $", "{{ 1234 * 1234 }}", "nul\x00 esc\x1b[0m", "n" * 300,
-]  # fmt: skip
+    "<script>alert(1)</script>",
+    "a & b \"quoted\" 'single'",
+    "$x$ $",
+    "{{ 1234 * 1234 }}",
+    "nul\x00 esc\x1b[0m",
+    "n" * 300,
+]
 
 
 def test_names_are_escaped():
     problem, target = lake(200)
     policies = {name: oee.uniform_policy(target) for name in NAMES}
     facts = {"simulator_name": "</style><b>sim", "log_name": "\x07log", "note": "<i>"}
-    found = oee.evaluate(problem, policies, estimators={"<img src=x>": OffEnvironment()}, seed=0, facts=facts)
+    found = oee.evaluate(
+        problem,
+        policies,
+        estimators={"<img src=x>": OffEnvironment()},
+        seed=0,
+        facts=facts,
+    )
     text = found.to_html(title="</title><script>")
     parsed = Page(text)
     assert not {"script", "img", "b", "i"} & {tag for tag, _ in parsed.tags}
-    for name in (*NAMES[:4], "nul\ufffd esc\ufffd[0m", "n" * 300, "<img src=x>", "</style><b>sim"):
+    for name in (
+        *NAMES[:4],
+        "nul\ufffd esc\ufffd[0m",
+        "n" * 300,
+        "<img src=x>",
+        "</style><b>sim",
+    ):
         assert " ".join(name.split()) in parsed.text
     assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f]", text)
     assert "1522756" not in [word.strip() for word in parsed.words]
@@ -119,7 +168,9 @@ def test_names_are_escaped():
 def test_a_task_without_a_grid_gets_the_generic_picture():
     simulator = oee.tasks.toy_text("Taxi-v4")
     log = oee.sample_episodes(simulator, oee.uniform_policy(simulator), 5, 50, seed=0)
-    found = oee.evaluate(Problem(simulator, log), oee.uniform_policy(simulator), estimators="oee")
+    found = oee.evaluate(
+        Problem(simulator, log), oee.uniform_policy(simulator), estimators="oee"
+    )
     text = Page(found.to_html()).text
     assert "the states where the policy spends most of its discounted time" in text
     assert "What is recorded" not in text
@@ -132,24 +183,46 @@ def test_a_task_without_a_grid_gets_the_generic_picture():
 def test_at_discount_one_the_time_is_that_until_absorption():
     transitions = np.array([[[0.0, 0.5, 0.5]], [[0.5, 0.0, 0.5]], [[0.0, 0.0, 1.0]]])
     simulator = oee.FiniteMDP(transitions, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
-    found = oee.evaluate(Problem(simulator, oee.Transitions([0, 0], [0, 0], [1, 2], [1.0, 1.0])), np.ones((3, 1)))
+    found = oee.evaluate(
+        Problem(simulator, oee.Transitions([0, 0], [0, 0], [1, 2], [1.0, 1.0])),
+        np.ones((3, 1)),
+    )
     page_text = found.to_html()
-    assert "Most of its time before an episode is over: state 0 66.7%, state 1 33.3%." in page_text
+    assert (
+        "Most of its time before an episode is over: state 0 66.7%, state 1 33.3%."
+        in page_text
+    )
     assert "no value" in Page(page_text).text
     stays = np.array([[[0.5, 0.5, 0.0]], [[0.5, 0.5, 0.0]], [[0.0, 0.0, 1.0]]])
     for_ever = oee.FiniteMDP(stays, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
-    found = oee.evaluate(Problem(for_ever, oee.Transitions([0], [0], [1], [1.0])), np.ones((3, 1)))
-    assert "At discount 1 a policy that never ends spends infinite time in its states" in Page(found.to_html()).text
+    found = oee.evaluate(
+        Problem(for_ever, oee.Transitions([0], [0], [1], [1.0])), np.ones((3, 1))
+    )
+    assert (
+        "At discount 1 a policy that never ends spends infinite time in its states"
+        in Page(found.to_html()).text
+    )
 
 
 def test_guaranteed_intervals_and_normalised_values_are_named():
-    problem = Problem(oee.tasks.gridworld(3, 0.3), oee.Transitions([0, 0], [0, 1], [3, 0]), horizon=10)
-    found = oee.evaluate(problem, np.full((9, 4), 0.25), estimators="oee", guaranteed=True, normalized=True)
+    problem = Problem(
+        oee.tasks.gridworld(3, 0.3), oee.Transitions([0, 0], [0, 1], [3, 0]), horizon=10
+    )
+    found = oee.evaluate(
+        problem,
+        np.full((9, 4), 0.25),
+        estimators="oee",
+        guaranteed=True,
+        normalized=True,
+    )
     text = Page(found.to_html()).text
     assert "guaranteed interval" in text
     assert "(1 − discount) × discounted sum of rewards" in text
     assert "discount 0.99 (normalised)" in text
-    assert "What a value is: 0.01 × the discounted sum of 10 rewards (discount 0.99)." in text
+    assert (
+        "What a value is: 0.01 × the discounted sum of 10 rewards (discount 0.99)."
+        in text
+    )
     assert "No difference in a single pair is significant (2 pairs" in text
 
 
@@ -163,38 +236,69 @@ def test_many_policies_have_six_maps():
 
 def test_a_report_without_its_problem_has_a_page(report):
     bare = Report(
-        **{name: getattr(report, name) for name in Report.__dataclass_fields__ if name not in ("problem", "policies")}
+        **{
+            name: getattr(report, name)
+            for name in Report.__dataclass_fields__
+            if name not in ("problem", "policies")
+        }
     )
     assert bare == report
     text = bare.to_html()
     assert 'id="coverage"' not in text
     assert Page(text).open == []
-    with pytest.raises(ValueError, match="grid must be None for a report without its problem"):
+    with pytest.raises(
+        ValueError, match="grid must be None for a report without its problem"
+    ):
         bare.to_html(grid=(4, 4))
 
 
 def constant(value, error=None):
     def estimator(problem, policy, *, seed=None):
-        return Estimate(value, error, status="ok" if math.isfinite(value) else "the sensor was off")
+        return Estimate(
+            value, error, status="ok" if math.isfinite(value) else "the sensor was off"
+        )
 
     return estimator
 
 
 def test_the_sentence_for_one_policy_for_none_and_without_intervals():
-    problem = Problem(oee.tasks.gridworld(2, 0.3, discount=1.0), oee.Transitions([0], [0], [2]))
+    problem = Problem(
+        oee.tasks.gridworld(2, 0.3, discount=1.0), oee.Transitions([0], [0], [2])
+    )
     uniform = np.full((4, 4), 0.25)
-    one = oee.evaluate(problem, {"mine": uniform}, estimators={"own": constant(2.0)}, confidence=0.9)
-    assert one.headline == one.answer == "In the target, the policy “mine” is worth about 2.000."
-    sure = oee.evaluate(problem, {"mine": uniform}, estimators={"own": constant(2.0, 1.0)}, confidence=0.999)
+    one = oee.evaluate(
+        problem, {"mine": uniform}, estimators={"own": constant(2.0)}, confidence=0.9
+    )
+    assert (
+        one.headline
+        == one.answer
+        == "In the target, the policy “mine” is worth about 2.000."
+    )
+    sure = oee.evaluate(
+        problem,
+        {"mine": uniform},
+        estimators={"own": constant(2.0, 1.0)},
+        confidence=0.999,
+    )
     assert "about 2.000 (99.9% interval: −1.291 to 5.291)" in sure.headline
-    none = oee.evaluate(problem, {"mine": uniform}, estimators={"own": constant(math.nan)})
-    assert none.headline.startswith("No estimator could give the value of a policy in the target.")
+    none = oee.evaluate(
+        problem, {"mine": uniform}, estimators={"own": constant(math.nan)}
+    )
+    assert none.headline.startswith(
+        "No estimator could give the value of a policy in the target."
+    )
     assert "the sensor was off" in none.to_html()
-    two = oee.evaluate(problem, {"a": uniform, "b": uniform}, estimators={"own": constant(2.0, 1.0)})
-    assert two.headline.startswith("At discount 1 policies are ranked only with a horizon")
+    two = oee.evaluate(
+        problem, {"a": uniform, "b": uniform}, estimators={"own": constant(2.0, 1.0)}
+    )
+    assert two.headline.startswith(
+        "At discount 1 policies are ranked only with a horizon"
+    )
 
 
-def test_it_is_written_whole_into_a_folder_that_is_made(report, html, tmp_path, monkeypatch):
+def test_it_is_written_whole_into_a_folder_that_is_made(
+    report, html, tmp_path, monkeypatch
+):
     path = tmp_path / "new" / "deeper" / "answer.html"
     assert report.to_html(path) == html
     assert path.read_bytes() == html.encode()
@@ -214,12 +318,23 @@ def test_it_is_written_whole_into_a_folder_that_is_made(report, html, tmp_path, 
 @pytest.mark.parametrize(
     ("path", "text"),
     [
-        ("answer.txt", r"path of the report must end in .html or .htm; it is '.*answer.txt'"),
-        ("folder.html", r"path of the report must be a file; '.*folder.html' is a folder"),
-        ("file/answer.html", r"report's folder must be a folder that can be written; '.*file' is a file"),
+        (
+            "answer.txt",
+            r"path of the report must end in .html or .htm; it is '.*answer.txt'",
+        ),
+        (
+            "folder.html",
+            r"path of the report must be a file; '.*folder.html' is a folder",
+        ),
+        (
+            "file/answer.html",
+            r"report's folder must be a folder that can be written; '.*file' is a file",
+        ),
     ],
 )
-def test_paths_that_cannot_be_written_are_refused_before_the_work(path, text, report, tmp_path, capsys):
+def test_paths_that_cannot_be_written_are_refused_before_the_work(
+    path, text, report, tmp_path, capsys
+):
     (tmp_path / "folder.html").mkdir()
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match=text):
@@ -229,7 +344,9 @@ def test_paths_that_cannot_be_written_are_refused_before_the_work(path, text, re
 
 
 def problem(slip=0.3, seed=0, **options):
-    log = oee.sample_transitions(oee.tasks.gridworld(3, 0.1), np.full((9, 4), 1 / 36), 60, seed=seed)
+    log = oee.sample_transitions(
+        oee.tasks.gridworld(3, 0.1), np.full((9, 4), 1 / 36), 60, seed=seed
+    )
     return oee.Problem(oee.tasks.gridworld(3, slip), log, **options)
 
 
@@ -239,7 +356,9 @@ EXPERT = {"expert": oee.tasks.gridworld_expert(3)}
 def test_the_hash_depends_on_the_inputs_alone():
     same = page.fingerprint(problem(), EXPERT)
     assert re.fullmatch("[0-9a-f]{8}", same)
-    assert same == page.fingerprint(problem(), {"expert": EXPERT["expert"].astype(np.float32)})
+    assert same == page.fingerprint(
+        problem(), {"expert": EXPERT["expert"].astype(np.float32)}
+    )
     others = [
         page.fingerprint(problem(slip=0.31), EXPERT),
         page.fingerprint(problem(seed=1), EXPERT),
@@ -258,34 +377,60 @@ def test_the_day_is_the_newest_input_s_or_source_date_epoch(tmp_path, monkeypatc
         os.utime(path, (day * 86400, day * 86400))
     assert page.date_of([new, old, "gridworld:3"]) == "1 January 1971"
     assert page.date_of(["expert"]) == ""
-    report = oee.evaluate(problem(), EXPERT, estimators=["oee"], facts={"date": "1 January 1971"})
+    report = oee.evaluate(
+        problem(), EXPERT, estimators=["oee"], facts={"date": "1 January 1971"}
+    )
     assert page.date(report) == "1 January 1971"
     monkeypatch.setenv(page.EPOCH, str(400 * 86400))
     assert page.date(report) == "5 February 1971"
     assert "5 February 1971" in report.to_html()
     monkeypatch.setenv(page.EPOCH, "soon")
     with pytest.raises(
-        ValueError, match="SOURCE_DATE_EPOCH must be a whole number of seconds since 1970; it is 'soon'"
+        ValueError,
+        match=(
+            "SOURCE_DATE_EPOCH must be a whole number of seconds since 1970; it is"
+            " 'soon'"
+        ),
     ):
         report.to_html()
 
 
-def test_the_page_s_command_runs_and_gives_the_page_s_advice(tmp_path, monkeypatch, capsys):
+def test_the_page_s_command_runs_and_gives_the_page_s_advice(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     problem().log.save("my log.csv")
-    words = "evaluate --simulator gridworld:3,slip=0.3 --log 'my log.csv' --policy mine=mix:0.9 --horizon 20"
-    words += " --action-noise 0.05 --impossible allow=0.01 --discount 0.9 --report 'Our dock & hall=page.html'"
+    words = (
+        "evaluate --simulator gridworld:3,slip=0.3 --log 'my log.csv' --policy"
+        " mine=mix:0.9 --horizon 20"
+    )
+    words += (
+        " --action-noise 0.05 --impossible allow=0.01 --discount 0.9 --report 'Our dock"
+        " & hall=page.html'"
+    )
     assert run_command(*shlex.split(words)) == 0
     text, printed = (tmp_path / "page.html").read_text(), capsys.readouterr().out
     script = f"from oee_tabular.cli import main; main({shlex.split(words)!r})"
-    # in a process of its own, with another hash seed and the same BLAS kernels: the same bytes
+    # in a process of its own, with another hash seed and the same BLAS kernels: the
+    # same bytes
     subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, check=True, env=os.environ | {"PYTHONHASHSEED": "7"}
+        [sys.executable, "-c", script],
+        capture_output=True,
+        check=True,
+        env=os.environ | {"PYTHONHASHSEED": "7"},
     )
     assert (tmp_path / "page.html").read_text() == text
     assert "<h1>Our dock &amp; hall</h1>" in text
-    assert re.search(r"gridworld:3,slip=0.3 · my log.csv · mix:0.9 · \d+ \w+ \d{4} · inputs [0-9a-f]{8}", text)
-    command = re.search(r"<pre[^>]*><code>(.*?)</code>", text, re.S)[1].replace("&#39;", "'").replace("&gt;", ">")
+    assert re.search(
+        r"gridworld:3,slip=0.3 · my log.csv · mix:0.9 · \d+ \w+ \d{4} · inputs"
+        r" [0-9a-f]{8}",
+        text,
+    )
+    command = (
+        re.search(r"<pre[^>]*><code>(.*?)</code>", text, re.S)[1]
+        .replace("&#39;", "'")
+        .replace("&gt;", ">")
+    )
     typed = shlex.split(command)
     assert typed[:2] == ["oee", "plan"]
     assert typed[typed.index("--transitions") + 1] == "60"
@@ -305,20 +450,36 @@ def test_importance_sampling_without_weight_is_left_out_of_the_default_table():
     assert ("uniform", "pdis") in shown
     assert not {("expert", "pdis"), ("expert", "wpdis")} & shown
     assert (
-        sum("Importance sampling is left out (expert): the weight of every whole" in text for text in report.warnings)
+        sum(
+            "Importance sampling is left out (expert): the weight of every whole"
+            in text
+            for text in report.warnings
+        )
         == 1
     )
     asked = oee.evaluate(given, policies, estimators=["pdis", "wpdis"], seed=0)
-    about = [text for text in asked.warnings if text.startswith("pdis, wpdis (expert)") or "wpdis (expert)" in text]
-    assert 1 <= len(about) <= 2  # "do not rely on the value", "no value": one fact, one note each
+    about = [
+        text
+        for text in asked.warnings
+        if text.startswith("pdis, wpdis (expert)") or "wpdis (expert)" in text
+    ]
+    # "do not rely on the value", "no value": one fact, one note each
+    assert 1 <= len(about) <= 2
     assert "uniform" in report.to_html()
 
 
 def test_covered_does_not_read_as_all_of_it():
     share = np.full((9, 4), 1.0)
     share[4, 3] = 0.0
-    log = oee.sample_transitions(oee.tasks.gridworld(3, 0.1), share / share.sum(), 4000, seed=0)
+    log = oee.sample_transitions(
+        oee.tasks.gridworld(3, 0.1), share / share.sum(), 4000, seed=0
+    )
     mine = 0.9999 * EXPERT["expert"] + 0.0001 * 0.25
-    report = oee.evaluate(oee.Problem(oee.tasks.gridworld(3, 0.3), log), {"mine": mine}, seed=0)
+    report = oee.evaluate(
+        oee.Problem(oee.tasks.gridworld(3, 0.3), log), {"mine": mine}, seed=0
+    )
     assert "> 99.9%" in report.to_text(verbose=True)
-    assert re.search(r"time in recorded pairs</dt><dd>&gt; 99.9% <span class=\"soft\">1 pair never", report.to_html())
+    assert re.search(
+        r"time in recorded pairs</dt><dd>&gt; 99.9% <span class=\"soft\">1 pair never",
+        report.to_html(),
+    )

@@ -16,7 +16,10 @@ from oee_tabular.report.text import Answer
 
 SMALL, TARGET = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(4, 0.1)
 UNIFORM = oee.uniform_policy(SMALL)
-POLICIES = {"cautious": oee.tasks.gridworld_policy(4, 0.2), "bold": oee.tasks.gridworld_policy(4, 0.9)}
+POLICIES = {
+    "cautious": oee.tasks.gridworld_policy(4, 0.2),
+    "bold": oee.tasks.gridworld_policy(4, 0.9),
+}
 
 
 @pytest.fixture(scope="module")
@@ -36,36 +39,68 @@ def returning(*args, **options):
 
 
 def test_the_table_has_every_policy_and_estimator(problem, report):
-    assert list(report.table["estimator"].unique()) == ["simulator", "oee", "model-based", "pdis", "wpdis"]
+    assert list(report.table["estimator"].unique()) == [
+        "simulator",
+        "oee",
+        "model-based",
+        "pdis",
+        "wpdis",
+    ]
     assert len(report.table) == 10
     row = report.table.query("policy == 'bold' and estimator == 'oee'").iloc[0]
     assert row["value"] == OffEnvironment()(problem, POLICIES["bold"]).value
     sure = oee.interval(problem, POLICIES["bold"])
-    assert (row["lower"], row["upper"], row["interval_method"]) == (sure.lower, sure.upper, "likelihood")
+    assert (row["lower"], row["upper"], row["interval_method"]) == (
+        sure.lower,
+        sure.upper,
+        "likelihood",
+    )
     row = report.table.query("policy == 'bold' and estimator == 'pdis'").iloc[0]
-    assert_allclose(row["upper"] - row["lower"], 2 * 1.959963984540054 * row["standard_error"], rtol=1e-12)
+    assert_allclose(
+        row["upper"] - row["lower"],
+        2 * 1.959963984540054 * row["standard_error"],
+        rtol=1e-12,
+    )
     assert row["interval_method"] == "standard error"
 
 
 def test_text_names_unit_truth_and_errors(problem):
-    report = oee.evaluate(problem, POLICIES, seed=0, normalized=True, target=TARGET, confidence=0.9)
+    report = oee.evaluate(
+        problem, POLICIES, seed=0, normalized=True, target=TARGET, confidence=0.9
+    )
     text = str(report)
-    assert "Value: (1 - discount) * sum of discount^t * reward over t = 0..39, discount 0.99" in text
+    assert (
+        "Value: (1 - discount) * sum of discount^t * reward over t = 0..39, discount"
+        " 0.99" in text
+    )
     truth = oee.policy_value(TARGET, POLICIES["bold"], horizon=40, normalized=True)
     assert f"{truth:.6g}" in text
     row = report.table.query("policy == 'bold' and estimator == 'simulator'").iloc[0]
     assert_allclose(row["error"], row["value"] - truth, rtol=1e-12)
     short = ["policy", "estimator", "value", "90% interval", "error", "note"]
-    long = [*short[:4], "std. error", "error", "eff. n", "coverage", "max weight", "row-sum err.", "note"]
+    long = [
+        *short[:4],
+        "std. error",
+        "error",
+        "eff. n",
+        "coverage",
+        "max weight",
+        "row-sum err.",
+        "note",
+    ]
     for titles, verbose in ((short, False), (long, True)):
         assert "\n" + " ".join(titles) in "\n".join(
-            " ".join(line.split()) for line in report.to_text(verbose=verbose).split("\n")
+            " ".join(line.split())
+            for line in report.to_text(verbose=verbose).split("\n")
         )
 
 
 def test_the_same_seed_gives_the_same_report_whatever_else_is_asked_for(problem):
     product = OffEnvironment(evaluation="monte_carlo")
-    one, two = (oee.evaluate(problem, POLICIES, estimators={"a": product, "b": product}, seed=5) for _ in range(2))
+    one, two = (
+        oee.evaluate(problem, POLICIES, estimators={"a": product, "b": product}, seed=5)
+        for _ in range(2)
+    )
     pd.testing.assert_frame_equal(one.table, two.table)
     assert one.table["value"].nunique() == 4
     alone = oee.evaluate(problem, POLICIES, estimators={"a": product}, seed=5)
@@ -74,21 +109,39 @@ def test_the_same_seed_gives_the_same_report_whatever_else_is_asked_for(problem)
 
 def test_json_is_strict_and_complete(problem):
     broken = returning(math.nan, status="the sensor was off")
-    report = oee.evaluate(problem, POLICIES, estimators={"broken": broken, "oee": OffEnvironment()}, seed=1)
+    report = oee.evaluate(
+        problem,
+        POLICIES,
+        estimators={"broken": broken, "oee": OffEnvironment()},
+        seed=1,
+    )
     loaded = json.loads(report.to_json(), parse_constant=lambda word: pytest.fail(word))
-    keys = "version answer unit discount horizon normalized confidence interval seed facts results intervals best comparison"
+    keys = (
+        "version answer unit discount horizon normalized confidence interval seed facts"
+        " results intervals best comparison"
+    )
     assert " ".join(loaded) == f"{keys} conclusion warnings"
-    assert (loaded["results"][0]["value"], loaded["results"][0]["status"]) == (None, "the sensor was off")
+    assert (loaded["results"][0]["value"], loaded["results"][0]["status"]) == (
+        None,
+        "the sensor was off",
+    )
     assert (loaded["horizon"], loaded["seed"]) == (40, 1)
-    assert any("no value: the sensor was off" in warning for warning in loaded["warnings"])
+    assert any(
+        "no value: the sensor was off" in warning for warning in loaded["warnings"]
+    )
 
 
 def test_warnings_say_what_the_numbers_do_not():
     log = oee.sample_episodes(TARGET, oee.tasks.gridworld_expert(4), 4, 30, seed=0)
     simulator = oee.tasks.gridworld(4, 0.3)
-    report = oee.evaluate(Problem(simulator, log, horizon=60), oee.uniform_policy(simulator), seed=0)
+    report = oee.evaluate(
+        Problem(simulator, log, horizon=60), oee.uniform_policy(simulator), seed=0
+    )
     text = "\n".join(report.warnings)
-    assert "oee (policy): in this estimator's own model the policy spends " in text.replace("model-based, oee", "oee")
+    assert (
+        "oee (policy): in this estimator's own model the policy spends "
+        in text.replace("model-based, oee", "oee")
+    )
     assert "the effective sample size is" in text
     assert report.notes["policy", "oee"]
     assert not report.notes["policy", "simulator"]
@@ -98,10 +151,17 @@ def test_reward_conflicts_are_noted_with_the_remedy_on_every_value_that_a_model_
     log = oee.sample_episodes(SMALL, UNIFORM, 20, 30, seed=0)
     paid = oee.Transitions(**(log.columns() | {"reward": log.reward + 1.0}))
     report = oee.evaluate(Problem(SMALL, paid, horizon=20), UNIFORM)
-    assert f"The log's rewards contradict the simulator's in {len(log)} of {len(log)} transitions" in report.warnings[0]
+    assert (
+        f"The log's rewards contradict the simulator's in {len(log)} of {len(log)}"
+        " transitions" in report.warnings[0]
+    )
     assert 'rewards="log" (--rewards log) uses those of the log' in report.warnings[0]
-    assert report.headline.startswith("The log's rewards contradict the simulator's in ")
-    assert [report.notes["policy", name][:1] for name in ("simulator", "oee", "model-based")] == [(1,)] * 3
+    assert report.headline.startswith(
+        "The log's rewards contradict the simulator's in "
+    )
+    assert [
+        report.notes["policy", name][:1] for name in ("simulator", "oee", "model-based")
+    ] == [(1,)] * 3
     assert 1 not in report.notes["policy", "pdis"]
     assert json.loads(report.to_json())["results"][0]["notes"] == [1]
     settled = oee.evaluate(Problem(SMALL, paid, horizon=20, rewards="log"), UNIFORM)
@@ -112,13 +172,24 @@ def test_reward_conflicts_are_noted_with_the_remedy_on_every_value_that_a_model_
 
 def test_saving_writes_all_or_nothing(problem, report, tmp_path, monkeypatch):
     written = report.save(tmp_path / "a" / "b")
-    assert sorted(path.name for path in written) == ["report.json", "table.csv", "values.png"]
-    assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == ["report.json", "table.csv", "values.png"]
+    assert sorted(path.name for path in written) == [
+        "report.json",
+        "table.csv",
+        "values.png",
+    ]
+    assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == [
+        "report.json",
+        "table.csv",
+        "values.png",
+    ]
     assert (tmp_path / "a" / "b" / "values.png").read_bytes().startswith(b"\x89PNG")
     again = oee.evaluate(problem, POLICIES, seed=0).save(tmp_path / "c")
     assert [p.read_bytes() for p in again] == [p.read_bytes() for p in written]
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match=r"folder must be a folder that can be written; '.*file' is a file"):
+    with pytest.raises(
+        ValueError,
+        match=r"folder must be a folder that can be written; '.*file' is a file",
+    ):
         report.save(tmp_path / "file" / "below")
 
     calls = iter(range(9))
@@ -147,12 +218,15 @@ def test_a_user_s_own_estimators_their_names_and_intervals(problem):
         def __call__(self, problem, policy, *, seed=None):
             return Estimate(1.5, 0.5)
 
-    found = oee.evaluate(problem, POLICIES["bold"], estimators=["oee", Constant(), Constant()])
+    found = oee.evaluate(
+        problem, POLICIES["bold"], estimators=["oee", Constant(), Constant()]
+    )
     assert list(found.table["estimator"]) == ["oee", "Constant", "Constant'"]
     assert found.results[1].estimate.interval == pytest.approx((0.52, 2.48), abs=1e-3)
     own = {"own": returning(1.0, 0.5, (0.0, 3.0), findings=(NEVER_VARIED,))}
     found = oee.evaluate(problem, POLICIES["bold"], estimators=own, confidence=0.99)
-    assert found.results[0].estimate.interval == (0.0, 3.0)  # it stays, and what explains its lack is not said
+    # it stays, and what explains its lack is not said
+    assert found.results[0].estimate.interval == (0.0, 3.0)
     assert found.records()[0]["interval_method"] == "the estimator's own"
     assert found.warnings == ()
 
@@ -167,7 +241,11 @@ def test_the_corrected_value_stands_first_and_the_simulator_s_last(problem):
 
     def first(*names):
         chosen = {name: every[name] for name in names}
-        return oee.evaluate(problem, POLICIES["bold"], estimators=chosen).answers[0].estimator
+        return (
+            oee.evaluate(problem, POLICIES["bold"], estimators=chosen)
+            .answers[0]
+            .estimator
+        )
 
     assert first(*every) == "corrected"
     assert first("alone", "other", "lost") == "other"
@@ -185,51 +263,110 @@ def test_one_divergent_value_does_not_end_the_report():
     assert np.isnan(values["model-based"])
     text = "\n".join(report.warnings)
     assert "model-based (policy): no value: horizon must be given" in text
-    assert "it stays for ever among states of which s=1 has reward 1 (1 such states in all)" in text
-    named = oee.evaluate(Problem(simulator.with_names(["hall", "ramp", "dock"]), log), np.ones((3, 1)))
+    assert (
+        "it stays for ever among states of which s=1 has reward 1 (1 such states in"
+        " all)" in text
+    )
+    named = oee.evaluate(
+        Problem(simulator.with_names(["hall", "ramp", "dock"]), log), np.ones((3, 1))
+    )
     assert "among states of which s=ramp has reward 1" in "\n".join(named.warnings)
-    assert "oee (policy): in this estimator's own model the policy spends 33% of" in text  # of 2 steps 2 / 3 in state 1
+    # of 2 steps 2 / 3 in state 1
+    assert (
+        "oee (policy): in this estimator's own model the policy spends 33% of" in text
+    )
     assert report.results[1].estimate.interval is not None
 
 
 def test_advice_stands_once_and_a_wrong_behaviour_policy_has_a_warning():
     policies = {"a": UNIFORM, "b": oee.tasks.gridworld_policy(3, 0.5)}
-    text = str(oee.evaluate(Problem(SMALL, oee.Transitions([0], [0], [3])), policies, estimators="oee"))
+    text = str(
+        oee.evaluate(
+            Problem(SMALL, oee.Transitions([0], [0], [3])), policies, estimators="oee"
+        )
+    )
     assert text.count("Record action ") == 1
     log = oee.sample_episodes(SMALL, oee.tasks.gridworld_policy(3, 0.4), 10, 20, seed=0)
-    warnings = oee.evaluate(Problem(SMALL, log, behavior_policy=UNIFORM), UNIFORM).warnings
-    assert any(f"differ from behavior_policy in {len(log)} transitions" in text for text in warnings)
+    warnings = oee.evaluate(
+        Problem(SMALL, log, behavior_policy=UNIFORM), UNIFORM
+    ).warnings
+    assert any(
+        f"differ from behavior_policy in {len(log)} transitions" in text
+        for text in warnings
+    )
 
 
 # ---- each sentence of a report, with its numbers
 def answer(**changes):
     usual = {
-        "policy": "new", "estimator": "oee", "value": -6.41, "lower": -8.0, "upper": -5.0, "method": "likelihood",
-        "simulator": -7.0, "simulator_error": None, "truth": None, "coverage": 0.9, "unrecorded": 0, "is_from_log": True,
-    }  # fmt: skip
+        "policy": "new",
+        "estimator": "oee",
+        "value": -6.41,
+        "lower": -8.0,
+        "upper": -5.0,
+        "method": "likelihood",
+        "simulator": -7.0,
+        "simulator_error": None,
+        "truth": None,
+        "coverage": 0.9,
+        "unrecorded": 0,
+        "is_from_log": True,
+    }
     return Answer(**usual | changes)
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({},
-         "In the target, the policy “new” is worth about −6.410 (95% interval: −8.000 to −5.000); the simulator says −7.000."),
-        ({"lower": None, "upper": None}, "In the target, the policy “new” is worth about −6.410; the simulator says −7.000."),
-        ({"simulator": None, "truth": -6.0},
-         "In the target, the policy “new” is worth about −6.410 (95% interval: −8.000 to −5.000). The exact value, known here, "
-         "is −6.000."),
-        ({"simulator_error": 0.25},
-         "In the target, the policy “new” is worth about −6.410 (95% interval: −8.000 to −5.000); the simulator says −7.000 "
-         "(standard error 0.25, because it was sampled)."),
-        ({"coverage": 0.17, "lower": -20.0, "upper": 5.0},
-         "The log covers 17.0% of what the policy “new” does: between −20.00 and 5.00 (95% interval); the simulator says "
-         "−7.00."),
-        ({"coverage": 0.17, "lower": None, "upper": None, "simulator": None},
-         "The log covers 17.0% of what the policy “new” does: about −6.410, without an interval."),
-        ({"is_from_log": False, "lower": None, "upper": None}, "In the simulator, the policy “new” is worth about −6.410."),
+        (
+            {},
+            (
+                "In the target, the policy “new” is worth about −6.410 (95% interval:"
+                " −8.000 to −5.000); the simulator says −7.000."
+            ),
+        ),
+        (
+            {"lower": None, "upper": None},
+            (
+                "In the target, the policy “new” is worth about −6.410; the simulator"
+                " says −7.000."
+            ),
+        ),
+        (
+            {"simulator": None, "truth": -6.0},
+            (
+                "In the target, the policy “new” is worth about −6.410 (95% interval:"
+                " −8.000 to −5.000). The exact value, known here, is −6.000."
+            ),
+        ),
+        (
+            {"simulator_error": 0.25},
+            (
+                "In the target, the policy “new” is worth about −6.410 (95% interval:"
+                " −8.000 to −5.000); the simulator says −7.000 (standard error 0.25,"
+                " because it was sampled)."
+            ),
+        ),
+        (
+            {"coverage": 0.17, "lower": -20.0, "upper": 5.0},
+            (
+                "The log covers 17.0% of what the policy “new” does: between −20.00 and"
+                " 5.00 (95% interval); the simulator says −7.00."
+            ),
+        ),
+        (
+            {"coverage": 0.17, "lower": None, "upper": None, "simulator": None},
+            (
+                "The log covers 17.0% of what the policy “new” does: about −6.410,"
+                " without an interval."
+            ),
+        ),
+        (
+            {"is_from_log": False, "lower": None, "upper": None},
+            "In the simulator, the policy “new” is worth about −6.410.",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_a_policy_is_worth(changes, sentence):
     assert text.policy_worth(answer(**changes), 0.95) == sentence
 
@@ -237,51 +374,119 @@ def test_what_a_policy_is_worth(changes, sentence):
 @pytest.mark.parametrize(
     ("made", "sentence"),
     [
-        (text.silent_log([answer(), answer(policy="b", coverage=0.2)]), "The log covers only 20.0% of what “b” does."),
+        (
+            text.silent_log([answer(), answer(policy="b", coverage=0.2)]),
+            "The log covers only 20.0% of what “b” does.",
+        ),
         (text.silent_log([answer()]), ""),
-        (text.best_policy("a", "b", 2, (0.25, 0.125, 0.5), 0.999, overlap=True),
-         "Of 2 policies, “a” is worth most in the target. It is better than “b” by 0.2500 (99.9%: 0.1250 to 0.5000). The "
-         "difference is known more precisely than either value because both rest on the same transitions."),
-        (text.best_policy("a", "b", 2, (float("nan"), 0.0, 0.0), 0.95, overlap=True),
-         "Of 2 policies, “a” is worth most in the target."),
-        (text.no_best_policy(["a", "b"], 4, are_equal=False),
-         "The log cannot say which of “a” and “b” is worth most in the target; the other 2 are worth less."),
-        (text.no_best_policy(["a", "b", "c"], 4, are_equal=True),
-         "“a”, “b” and “c” are worth the same in the target; the other 1 is worth less."),
-        (text.pair_rejections(3, 40),
-         "The data reject the simulator in 3 of the 40 recorded state-action pairs. In the others the log shows no significant "
-         "difference."),
-        (text.joint_rejection(24.51),
-         "The data as a whole reject the simulator (z = 24.5), although no single state-action pair does. Transitions that the "
-         "simulator calls likely are more frequent in the target."),
-        (text.agreement(1),
-         "The data show no significant difference from the simulator in the one recorded state-action pair. A short log cannot "
-         "show a small one."),
-        (text.worst_case(1, 0.003, dropped=False),
-         "The interval allows any outcome in 1 unrecorded pair (0.3% of the policy's time)."),
-        (text.worst_case(4, 0.25, dropped=True),
-         "The interval allows any outcome in 4 unrecorded pairs (25.0% of the policy's time). "
-         "It lets dropped transitions lead anywhere."),
+        (
+            text.best_policy("a", "b", 2, (0.25, 0.125, 0.5), 0.999, overlap=True),
+            (
+                "Of 2 policies, “a” is worth most in the target. It is better than “b”"
+                " by 0.2500 (99.9%: 0.1250 to 0.5000). The difference is known more"
+                " precisely than either value because both rest on the same"
+                " transitions."
+            ),
+        ),
+        (
+            text.best_policy("a", "b", 2, (float("nan"), 0.0, 0.0), 0.95, overlap=True),
+            "Of 2 policies, “a” is worth most in the target.",
+        ),
+        (
+            text.no_best_policy(["a", "b"], 4, are_equal=False),
+            (
+                "The log cannot say which of “a” and “b” is worth most in the target;"
+                " the other 2 are worth less."
+            ),
+        ),
+        (
+            text.no_best_policy(["a", "b", "c"], 4, are_equal=True),
+            (
+                "“a”, “b” and “c” are worth the same in the target; the other 1 is"
+                " worth less."
+            ),
+        ),
+        (
+            text.pair_rejections(3, 40),
+            (
+                "The data reject the simulator in 3 of the 40 recorded state-action"
+                " pairs. In the others the log shows no significant difference."
+            ),
+        ),
+        (
+            text.joint_rejection(24.51),
+            (
+                "The data as a whole reject the simulator (z = 24.5), although no"
+                " single state-action pair does. Transitions that the simulator calls"
+                " likely are more frequent in the target."
+            ),
+        ),
+        (
+            text.agreement(1),
+            (
+                "The data show no significant difference from the simulator in the one"
+                " recorded state-action pair. A short log cannot show a small one."
+            ),
+        ),
+        (
+            text.worst_case(1, 0.003, dropped=False),
+            (
+                "The interval allows any outcome in 1 unrecorded pair (0.3% of the"
+                " policy's time)."
+            ),
+        ),
+        (
+            text.worst_case(4, 0.25, dropped=True),
+            (
+                "The interval allows any outcome in 4 unrecorded pairs (25.0% of the"
+                " policy's time). It lets dropped transitions lead anywhere."
+            ),
+        ),
         (text.worst_case(0, 0.0, dropped=False), ""),
-        (text.sampling_interval(-2.0, 1.0, unrecorded=3),
-         "If such pairs behave as estimated, the interval is −2.000 to 1.000."),
-        (text.sampling_interval(-2.0, 1.0, unrecorded=0), "Without these transitions, the interval is −2.000 to 1.000."),
-        (text.legend("one-step", ["oee", "mine"], 0.9),
-         "90% interval of oee, mine (one-step): value ± normal quantile × standard error. An unrecorded pair has the variance "
-         "of one transition."),
+        (
+            text.sampling_interval(-2.0, 1.0, unrecorded=3),
+            "If such pairs behave as estimated, the interval is −2.000 to 1.000.",
+        ),
+        (
+            text.sampling_interval(-2.0, 1.0, unrecorded=0),
+            "Without these transitions, the interval is −2.000 to 1.000.",
+        ),
+        (
+            text.legend("one-step", ["oee", "mine"], 0.9),
+            (
+                "90% interval of oee, mine (one-step): value ± normal quantile ×"
+                " standard error. An unrecorded pair has the variance of one"
+                " transition."
+            ),
+        ),
         (text.omissions(0, 0), ""),
-        (text.omissions(2, 1),
-         "2 more notes with --verbose and 1 more row with --all (in Python: to_text(verbose=True, all=True))."),
+        (
+            text.omissions(2, 1),
+            (
+                "2 more notes with --verbose and 1 more row with --all (in Python:"
+                " to_text(verbose=True, all=True))."
+            ),
+        ),
     ],
-)  # fmt: skip
+)
 def test_sentences(made, sentence):
     assert made == sentence
 
 
 def test_numbers():
-    numbers = [text.format_number(x) for x in (-0.5, 0.0, 1234.5678, 1e-30, math.inf, None, math.nan)]
+    numbers = [
+        text.format_number(x)
+        for x in (-0.5, 0.0, 1234.5678, 1e-30, math.inf, None, math.nan)
+    ]
     assert numbers == ["−0.5000", "0", "1235", "1.000e−30", "inf", "–", "no value"]
-    assert [text.format_interval(*ends) for ends in ((-1.0, 2.0), (None, 1.0))] == ["−1.000 to 2.000", "–"]
+    assert [text.format_interval(*ends) for ends in ((-1.0, 2.0), (None, 1.0))] == [
+        "−1.000 to 2.000",
+        "–",
+    ]
     assert [text.format_level(x) for x in (0.95, 0.999, 0.9)] == ["95%", "99.9%", "90%"]
-    assert [text.count(n, "pair") for n in (0, 1, 1234)] == ["0 pairs", "1 pair", "1,234 pairs"]
+    assert [text.count(n, "pair") for n in (0, 1, 1234)] == [
+        "0 pairs",
+        "1 pair",
+        "1,234 pairs",
+    ]
     assert text.format_value(-0.123456, -1.0, 1.0) == "−0.123"

@@ -20,7 +20,10 @@ from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
 from oee_tabular.report import uncertainty
 from oee_tabular.report.text import format_interval, format_value
 
-SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3, discount=0.9), oee.tasks.gridworld(4, 0.1, discount=0.9)
+SIMULATOR, TARGET = (
+    oee.tasks.gridworld(4, 0.3, discount=0.9),
+    oee.tasks.gridworld(4, 0.1, discount=0.9),
+)
 GOOD, MINE, BAD = (oee.tasks.gridworld_policy(4, delta) for delta in (0.9, 0.5, 0.4))
 
 
@@ -31,7 +34,9 @@ def even(n, seed=0, rows=16, recorded=TARGET):
 
 
 def sentences(problem, **options):
-    return oee.evaluate(problem, {"mine": MINE}, estimators=["oee"], **options).uncertainty.sentences
+    return oee.evaluate(
+        problem, {"mine": MINE}, estimators=["oee"], **options
+    ).uncertainty.sentences
 
 
 def corrected(value):
@@ -40,7 +45,9 @@ def corrected(value):
     def estimator(problem, policy, *, seed=None):
         facts = {"interval_method": "one-step", "coverage": 0.5}
         ends = (value - 0.196, value + 0.196)
-        return Estimate(value, 0.1, ends, facts, model_value=value, is_normal=True, measured=0.5)
+        return Estimate(
+            value, 0.1, ends, facts, model_value=value, is_normal=True, measured=0.5
+        )
 
     return {"oee": estimator}
 
@@ -57,14 +64,27 @@ def test_every_value_stands_inside_its_interval(rng, n):
     simulator = random_mdp(rng)
     target = random_mdp(rng, like=simulator)
     policies = {name: random_policy(rng, simulator) for name in "ab"}
-    log = oee.sample_episodes(target, random_policy(rng, simulator, zeros=0.0), 1 + n // 6, 6, seed=1)
-    columns = {name: column for name, column in log.columns().items() if name != "terminated"}
-    report = oee.evaluate(Problem(simulator, oee.Transitions(**columns)), policies, seed=0)
+    log = oee.sample_episodes(
+        target, random_policy(rng, simulator, zeros=0.0), 1 + n // 6, 6, seed=1
+    )
+    columns = {
+        name: column for name, column in log.columns().items() if name != "terminated"
+    }
+    report = oee.evaluate(
+        Problem(simulator, oee.Transitions(**columns)), policies, seed=0
+    )
     for row in report.records():
-        assert (row["lower"] is None) == (row["upper"] is None) == (row["interval_method"] is None)
+        assert (
+            (row["lower"] is None)
+            == (row["upper"] is None)
+            == (row["interval_method"] is None)
+        )
         if row["lower"] is not None:
             assert row["lower"] <= row["value"] <= row["upper"]
-            assert row["interval_method"] != "standard error" or row["lower"] < row["upper"]
+            assert (
+                row["interval_method"] != "standard error"
+                or row["lower"] < row["upper"]
+            )
             assert row["estimator"] != "model-based" or row["coverage"] >= 0.9
     for answer in report.answers:
         assert answer.lower is None or answer.lower <= answer.value <= answer.upper
@@ -73,7 +93,11 @@ def test_every_value_stands_inside_its_interval(rng, n):
 def test_the_same_interval_stands_everywhere(tmp_path):
     """Whatever the row is called: table, CSV, JSON, the page and the answer."""
     problem = even(2000)
-    report = oee.evaluate(problem, {"mine": MINE}, estimators={"corrected": OffEnvironment(), "model": ModelBased()})
+    report = oee.evaluate(
+        problem,
+        {"mine": MINE},
+        estimators={"corrected": OffEnvironment(), "model": ModelBased()},
+    )
     sure = oee.interval(problem, MINE)
     expected = (sure.lower, sure.upper, "likelihood")
     row, _ = row_of(report, "corrected")
@@ -82,7 +106,11 @@ def test_the_same_interval_stands_everywhere(tmp_path):
     for one in (row, told):
         assert (one["lower"], one["upper"], one["interval_method"]) == expected
     kept = next(csv.DictReader(io.StringIO((tmp_path / "table.csv").read_text())))
-    assert (float(kept["lower"]), float(kept["upper"]), kept["interval_method"]) == expected
+    assert (
+        float(kept["lower"]),
+        float(kept["upper"]),
+        kept["interval_method"],
+    ) == expected
     (answer,) = report.answers
     assert (answer.lower, answer.upper, answer.method) == expected
     text, page = str(report), report.to_html()
@@ -93,16 +121,28 @@ def test_the_same_interval_stands_everywhere(tmp_path):
     assert format_value(row["value"], *expected[:2]) in page
 
 
-def test_without_a_likelihood_interval_the_estimator_s_own_has_the_level_asked_for(monkeypatch):
+def test_without_a_likelihood_interval_the_estimator_s_own_has_the_level_asked_for(
+    monkeypatch,
+):
     monkeypatch.setattr(uncertainty, "MAX_TRANSITIONS", 10)
     report = oee.evaluate(even(400), {"mine": MINE}, estimators=corrected(2.0))
     row, _ = row_of(report)
     assert row["interval_method"] == "one-step"
     assert_allclose([row["lower"], row["upper"]], [1.804, 2.196])
-    wide, _ = row_of(oee.evaluate(even(400), {"mine": MINE}, estimators=corrected(2.0), confidence=0.99))
-    assert_allclose(wide["upper"] - 2.0, 0.196 * NormalDist().inv_cdf(0.995) / NormalDist().inv_cdf(0.975))
+    wide, _ = row_of(
+        oee.evaluate(
+            even(400), {"mine": MINE}, estimators=corrected(2.0), confidence=0.99
+        )
+    )
+    assert_allclose(
+        wide["upper"] - 2.0,
+        0.196 * NormalDist().inv_cdf(0.995) / NormalDist().inv_cdf(0.975),
+    )
     assert "is worth about 2.000 (95% interval: 1.804 to 2.196)" in report.headline
-    expected = "There are no likelihood intervals: 232 transitions can be reached, more than 10."
+    expected = (
+        "There are no likelihood intervals: 232 transitions can be reached, more"
+        " than 10."
+    )
     assert report.uncertainty.sentences[1] == expected
 
 
@@ -111,17 +151,32 @@ def test_a_value_outside_gives_way_to_the_interval_s_nearer_end(end):
     problem = even(2000)
     sure = oee.interval(problem, MINE)
     far = sure.upper + 1.0 if end == "upper" else sure.lower - 1.0
-    report = oee.evaluate(problem, {"mine": MINE}, estimators=corrected(far), normalized=True)
+    report = oee.evaluate(
+        problem, {"mine": MINE}, estimators=corrected(far), normalized=True
+    )
     row, notes = row_of(report)
-    numbers = [row[key] for key in ("value", "lower", "upper", "replaced_value", "standard_error")]
-    assert_allclose(numbers, 0.1 * np.array([getattr(sure, end), sure.lower, sure.upper, far, 0.1]))
+    numbers = [
+        row[key]
+        for key in ("value", "lower", "upper", "replaced_value", "standard_error")
+    ]
+    assert_allclose(
+        numbers, 0.1 * np.array([getattr(sure, end), sure.lower, sure.upper, far, 0.1])
+    )
     assert row["replaced_by"] == f"the interval's {end} end"
-    expected = r"own value, (\S+), lies outside the interval. The table gives the interval's (\w+) end instead"
+    expected = (
+        r"own value, (\S+), lies outside the interval. The table gives the interval's"
+        r" (\w+) end instead"
+    )
     shown, place = re.search(expected, " ".join(notes)).groups()
     assert (float(shown), place) == (pytest.approx(0.1 * far, rel=1e-2), end)
-    assert f"is worth about {format_value(row['value'], row['lower'], row['upper'])}" in report.to_html()
+    assert (
+        f"is worth about {format_value(row['value'], row['lower'], row['upper'])}"
+        in report.to_html()
+    )
     inside = sure.lower + 0.3 * sure.width
-    kept, _ = row_of(oee.evaluate(problem, {"mine": MINE}, estimators=corrected(inside)))
+    kept, _ = row_of(
+        oee.evaluate(problem, {"mine": MINE}, estimators=corrected(inside))
+    )
     assert kept["value"] == inside
     assert "replaced_value" not in kept
 
@@ -131,7 +186,11 @@ def test_ratios_of_every_kind_have_the_interval_to_quote():
     problem = even(2000)
     sure = oee.interval(problem, MINE)
     kinds = {
-        "tied": partial(oee.transition_ratio, method="tied", tie=np.arange(SIMULATOR.transitions.nnz) % 7),
+        "tied": partial(
+            oee.transition_ratio,
+            method="tied",
+            tie=np.arange(SIMULATOR.transitions.nnz) % 7,
+        ),
         "joint": "joint",
         "given": oee.true_ratio(TARGET, SIMULATOR),
         "none": partial(oee.transition_ratio, prior="none"),
@@ -142,30 +201,44 @@ def test_ratios_of_every_kind_have_the_interval_to_quote():
     report = oee.evaluate(problem, {"mine": MINE}, estimators=estimators)
     for name in ("tied", "joint", "given", "none"):
         row, _ = row_of(report, name)
-        assert (row["lower"], row["upper"], row["interval_method"]) == (sure.lower, sure.upper, "likelihood")
+        assert (row["lower"], row["upper"], row["interval_method"]) == (
+            sure.lower,
+            sure.upper,
+            "likelihood",
+        )
     assert row_of(report, "tied")[0]["replaced_by"].startswith("the interval's ")
     assert row_of(report, "product")[0]["interval_method"] == "standard error"
     assert row_of(report, "quotient")[0]["lower"] is None
 
 
 def test_no_interval_with_little_coverage_or_unknown_variance():
-    report = oee.evaluate(even(2000, rows=8), {"mine": MINE}, estimators=["model-based", "oee"])
+    report = oee.evaluate(
+        even(2000, rows=8), {"mine": MINE}, estimators=["model-based", "oee"]
+    )
     row, notes = row_of(report, "model-based")
     assert row["coverage"] < 0.9
     assert row["standard_error"] > 0
     assert (row["lower"], row["upper"], row["interval_method"]) == (None, None, None)
-    assert "The standard error ignores them. Above 10% there is no interval." in notes[0]
+    assert (
+        "The standard error ignores them. Above 10% there is no interval." in notes[0]
+    )
     assert row_of(report)[0]["lower"] is not None
     # each (s, a) recorded once: the frequencies are all 0 or 1, their variance is 0
     log = even(20_000).log
     _, first = np.unique(4 * log.state + log.action, return_index=True)
     once = oee.Transitions(log.state[first], log.action[first], log.next_state[first])
-    report = oee.evaluate(Problem(SIMULATOR, once), {"mine": MINE}, estimators=["model-based", "oee"])
+    report = oee.evaluate(
+        Problem(SIMULATOR, once), {"mine": MINE}, estimators=["model-based", "oee"]
+    )
     row, notes = row_of(report, "model-based")
     assert row["coverage"] > 0.999
     assert row["single_share"] > 0.9
     assert row["lower"] is None
-    assert any("recorded transition. Their variance is not known, so there is no interval." in text for text in notes)
+    assert any(
+        "recorded transition. Their variance is not known, so there is no interval."
+        in text
+        for text in notes
+    )
     assert row_of(report)[0]["upper"] > row_of(report)[0]["lower"]
     many = oee.evaluate(even(20_000), MINE, estimators=["model-based"])
     assert not row_of(many, "model-based")[0]["single_share"]
@@ -173,22 +246,36 @@ def test_no_interval_with_little_coverage_or_unknown_variance():
 
 def test_a_standard_error_of_zero_makes_no_interval():
     still = {"still": lambda problem, policy, *, seed=None: Estimate(1.0, 0.0)}
-    row, notes = row_of(oee.evaluate(even(100), {"mine": MINE}, estimators=still), "still")
+    row, notes = row_of(
+        oee.evaluate(even(100), {"mine": MINE}, estimators=still), "still"
+    )
     assert (row["lower"], row["standard_error"]) == (None, None)
-    assert "there is no standard error and no interval, because what was recorded never varied" in notes[0]
+    assert (
+        "there is no standard error and no interval, because what was recorded never"
+        " varied" in notes[0]
+    )
 
 
 def test_policies_that_the_log_separates_are_ranked_and_others_are_not():
     report = oee.evaluate(even(4000), {"bad": BAD, "good": GOOD}, estimators=["oee"])
     compared, ranking = report.uncertainty.comparison, report.uncertainty.ranking
-    assert ranking.startswith("Of 2 policies, “good” is worth most in the target. It is better than “bad” by ")
+    assert ranking.startswith(
+        "Of 2 policies, “good” is worth most in the target. It is better than “bad” by "
+    )
     assert ranking.endswith(").")  # intervals apart: no more to say
     assert f"(95%: {compared.lower[0, 1]:.3f} to {compared.upper[0, 1]:.3f})" in ranking
     assert " ".join(str(report).split()).startswith(ranking)
     assert ranking in report.to_html()
-    tied = oee.evaluate(even(4000), {"bad": BAD, "good": GOOD, "same": GOOD}, estimators=["oee"])
-    assert tied.uncertainty.comparison.confidence == pytest.approx(1 - 0.05 / 2)  # both differences at once
-    assert tied.uncertainty.ranking == "“good” and “same” are worth the same in the target; the other 1 is worth less."
+    tied = oee.evaluate(
+        even(4000), {"bad": BAD, "good": GOOD, "same": GOOD}, estimators=["oee"]
+    )
+    # both differences at once
+    assert tied.uncertainty.comparison.confidence == pytest.approx(1 - 0.05 / 2)
+    assert (
+        tied.uncertainty.ranking
+        == "“good” and “same” are worth the same in the target; the other 1 is worth"
+        " less."
+    )
     assert "“good” is worth about" in tied.answer
 
 
@@ -196,8 +283,12 @@ def test_a_paired_comparison_ranks_where_intervals_overlap():
     report = oee.evaluate(even(1000, 3), {"mine": MINE, "bad": BAD}, estimators=["oee"])
     mine, bad = report.answers
     assert mine.lower < bad.upper
-    assert report.headline.startswith("Of 2 policies, “mine” is worth most in the target. It is better than “bad” by ")
-    assert report.headline.endswith("more precisely than either value because both rest on the same transitions.")
+    assert report.headline.startswith(
+        "Of 2 policies, “mine” is worth most in the target. It is better than “bad” by "
+    )
+    assert report.headline.endswith(
+        "more precisely than either value because both rest on the same transitions."
+    )
 
 
 def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradict_it():
@@ -208,28 +299,38 @@ def test_no_ranking_where_much_of_the_time_is_unrecorded_or_the_values_contradic
             value = values[0] if np.array_equal(policy, GOOD) else values[1]
             return Estimate(value, status="ok" if math.isfinite(value) else "none")
 
-        return oee.evaluate(problem, policies, estimators={"own": own}).uncertainty.ranking
+        return oee.evaluate(
+            problem, policies, estimators={"own": own}
+        ).uncertainty.ranking
 
     near = {"good": GOOD, "near": oee.tasks.gridworld_policy(4, 0.9001)}
     half = oee.evaluate(even(20_000, rows=8), policies, estimators=["oee"])
     for report in (half, oee.evaluate(even(100), near, estimators=["oee"])):
         assert report.uncertainty.ranking.startswith("The log cannot say which of ")
     less = half.comparison()[1]
-    assert less["less_by_lower"] < 0.0 < less["less_by_upper"]  # though their paired difference excludes 0
+    # though their paired difference excludes 0
+    assert less["less_by_lower"] < 0.0 < less["less_by_upper"]
     assert ranking(even(100), math.nan, math.nan) == ""
     assert ranking(even(20_000), 2.0, 1.0).startswith("Of 2 policies, “good”")
     assert ranking(even(20_000), 1.0, 2.0).startswith("The log cannot say")
 
 
 def test_much_data_of_another_environment():
-    found = oee.evaluate(even(60_000), {"mine": MINE}, estimators=["oee"], guaranteed=True, target=TARGET)
+    found = oee.evaluate(
+        even(60_000), {"mine": MINE}, estimators=["oee"], guaranteed=True, target=TARGET
+    )
     far, sure, advice = found.uncertainty.sentences
-    assert far == "The data reject the simulator in 60 of the 60 recorded state-action pairs."
+    assert (
+        far
+        == "The data reject the simulator in 60 of the 60 recorded state-action pairs."
+    )
     intervals = found.uncertainty.intervals["mine"]
     assert set(intervals) == {"likelihood", "robust"}
     assert found.truth["mine"] in intervals["likelihood"]
     assert intervals["robust"].lower < intervals["likelihood"].lower
-    assert sure.startswith("mine: The interval that is guaranteed at any sample size is −")
+    assert sure.startswith(
+        "mine: The interval that is guaranteed at any sample size is −"
+    )
     assert f"{sure}\n{advice}" in str(found)
     told = json.loads(found.to_json())
     assert told["conclusion"] == list(found.uncertainty.sentences)
@@ -246,23 +347,46 @@ def test_what_was_never_recorded_comes_first():
 
 
 def test_values_are_in_the_reports_unit():
-    plain, scaled = (oee.evaluate(even(400), {"mine": MINE}, estimators=["oee"], normalized=x) for x in (False, True))
+    plain, scaled = (
+        oee.evaluate(even(400), {"mine": MINE}, estimators=["oee"], normalized=x)
+        for x in (False, True)
+    )
     row, small = (report.to_dict()["intervals"][0] for report in (plain, scaled))
     assert np.isclose(small["lower"], 0.1 * row["lower"])
     row, small = plain.records()[0], scaled.records()[0]
-    for name in ("value", "standard_error", "lower", "one_step_value", "one_step_standard_error", "error_bound"):
+    for name in (
+        "value",
+        "standard_error",
+        "lower",
+        "one_step_value",
+        "one_step_standard_error",
+        "error_bound",
+    ):
         assert small[name] == pytest.approx(0.1 * row[name], rel=1e-12), name
     for name in ("coverage", "largest_weight", "one_step_distance"):
         assert small[name] == row[name], name
 
 
 def test_a_certain_simulator_has_nothing_to_learn():
-    chain = oee.FiniteMDP(np.array([[[0.0, 1.0]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9)
-    report = oee.evaluate(Problem(chain, oee.Transitions([0], [0], [1])), {"only": [0, 0]}, estimators=["oee"])
+    chain = oee.FiniteMDP(
+        np.array([[[0.0, 1.0]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9
+    )
+    report = oee.evaluate(
+        Problem(chain, oee.Transitions([0], [0], [1])),
+        {"only": [0, 0]},
+        estimators=["oee"],
+    )
     far, advice = report.uncertainty.sentences
     assert "one possible next state in every recorded" in far
-    assert advice == "Record action 0 in state 0 first (1 transition so far; the model has one outcome)."
-    over = Problem(oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9), oee.Transitions([0], [0], [0]))
+    assert (
+        advice
+        == "Record action 0 in state 0 first (1 transition so far; the model has one"
+        " outcome)."
+    )
+    over = Problem(
+        oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9),
+        oee.Transitions([0], [0], [0]),
+    )
     found = oee.evaluate(over, {"only": [0]}, estimators=["oee"])
     assert found.uncertainty.next == "More transitions would not narrow it."
 
@@ -272,7 +396,9 @@ def test_missing_likelihood_intervals_are_reported():
     endless, problem = Problem(SIMULATOR.with_discount(1.0), even(900).log), even(300)
     reason = "at discount 1 they need a horizon"
     assert sentences(endless)[1] == f"There are no likelihood intervals: {reason}."
-    quick, full = (oee.evaluate(problem, MINE, estimators=["oee"], quick=x) for x in (True, False))
+    quick, full = (
+        oee.evaluate(problem, MINE, estimators=["oee"], quick=x) for x in (True, False)
+    )
     assert quick.uncertainty.intervals == {}
     assert quick.uncertainty.distance == (
         full.uncertainty.distance[0],
@@ -282,7 +408,9 @@ def test_missing_likelihood_intervals_are_reported():
 
 
 def test_a_box_that_the_log_contradicts():
-    with pytest.raises(ValueError, match=r"must fit the log: .* contradict the box \[0.9, 1.05\]"):
+    with pytest.raises(
+        ValueError, match=r"must fit the log: .* contradict the box \[0.9, 1.05\]"
+    ):
         sentences(even(20_000), lower_ratio=0.9, upper_ratio=1.05)
 
 
@@ -294,15 +422,23 @@ def test_a_policy_made_from_the_log_has_a_warning(names):
     n = counts.sum(axis=1, keepdims=True)
     rows = np.where(n > 0, counts / np.maximum(n, 1), SIMULATOR.transitions.toarray())
     chosen = oee.optimal_policy(SIMULATOR.with_transitions(rows.reshape(16, 4, 16)))
-    policies = {"chosen": chosen, "optimal": oee.optimal_policy(SIMULATOR), "other": oee.uniform_policy(SIMULATOR)}
+    policies = {
+        "chosen": chosen,
+        "optimal": oee.optimal_policy(SIMULATOR),
+        "other": oee.uniform_policy(SIMULATOR),
+    }
     report = oee.evaluate(problem, policies, estimators=names)
     (told,) = [text for text in report.warnings if "made from this log" in text]
     note = report.warnings.index(told) + 1
     rows = [row for row in report.records() if note in row["notes"]]
     assert {row["policy"] for row in rows} == {"chosen"}
     assert "simulator" not in {row["estimator"] for row in rows}
-    same = Problem(SIMULATOR, 1e6 * SIMULATOR.transitions)  # the log's own model is the simulator
-    assert not any("made from" in text for text in oee.evaluate(same, policies, estimators=names).warnings)
+    # the log's own model is the simulator
+    same = Problem(SIMULATOR, 1e6 * SIMULATOR.transitions)
+    assert not any(
+        "made from" in text
+        for text in oee.evaluate(same, policies, estimators=names).warnings
+    )
 
 
 @pytest.mark.parametrize("value", [1.0 + 5e-10, -5e-10, 0.4])

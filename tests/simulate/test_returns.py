@@ -18,7 +18,9 @@ ZETA = oee.true_ratio(oee.tasks.gridworld(4, 0.2), GRID)
 
 def assert_same(one, two, rows=slice(None)):
     for name in FIELDS:
-        assert_array_equal(getattr(one, name)[rows], getattr(two, name)[rows], err_msg=name)
+        assert_array_equal(
+            getattr(one, name)[rows], getattr(two, name)[rows], err_msg=name
+        )
 
 
 SCRIPT = """
@@ -36,13 +38,21 @@ print(hashlib.sha256(b"".join(column.tobytes() for column in columns)).hexdigest
 
 @pytest.mark.large
 def test_the_same_bits_for_any_number_of_threads():
-    assert printed(SCRIPT, NUMBA_NUM_THREADS=1) == printed(SCRIPT, NUMBA_NUM_THREADS=2) != ""
+    assert (
+        printed(SCRIPT, NUMBA_NUM_THREADS=1)
+        == printed(SCRIPT, NUMBA_NUM_THREADS=2)
+        != ""
+    )
 
 
 def test_an_episode_does_not_depend_on_how_many_there_are_nor_on_what_is_computed():
     few, many = (oee.sample_returns(GRID, UNIFORM, n, 25, seed=3) for n in (40, 500))
     assert_same(few, many, slice(40))
-    for options in ({"zeta": ZETA}, {"zeta": ZETA, "kind": "trajectory"}, {"record": True}):
+    for options in (
+        {"zeta": ZETA},
+        {"zeta": ZETA, "kind": "trajectory"},
+        {"record": True},
+    ):
         other = oee.sample_returns(GRID, UNIFORM, 500, 25, seed=3, **options)
         assert_array_equal(other.returns, many.returns)
         assert_array_equal(other.final_state, many.final_state)
@@ -52,7 +62,9 @@ def test_one_seed_gives_independent_samples_of_each_kind():
     """A log and the returns that are to be compared with it must not be drawn from the same random numbers."""
     log = oee.sample_episodes(GRID, UNIFORM, 2000, 1, seed=3)
     other = oee.sample_returns(GRID, UNIFORM, 2000, 1, seed=3, record=True).log
-    expected = np.outer(*(np.bincount(x.action, minlength=4) for x in (log, other))) / 2000
+    expected = (
+        np.outer(*(np.bincount(x.action, minlength=4) for x in (log, other))) / 2000
+    )
     observed = np.histogram2d(log.action, other.action, bins=np.arange(5) - 0.5)[0]
     assert stats.chi2.sf(((observed - expected) ** 2 / expected).sum(), 9) > 1e-4
 
@@ -63,11 +75,16 @@ def test_sums_along_the_recorded_paths(rng):
     """Every form of rewards, every kind, horizons within and beyond a block of random words: step by step from the log."""
     mdp = random_mdp(rng)
     policy, horizon = random_policy(rng, mdp), int(rng.integers(1, 70))
-    zeta, key = oee.true_ratio(random_mdp(rng, like=mdp), mdp), int(rng.integers(1 << 30))
+    zeta, key = (
+        oee.true_ratio(random_mdp(rng, like=mdp), mdp),
+        int(rng.integers(1 << 30)),
+    )
     ratio = zeta.values.toarray().reshape(mdp.n_states, mdp.n_actions, -1)
     terminal, by_transition = mdp.absorbing(), mdp.transition_rewards is not None
     for kind in ("per_decision", "trajectory"):
-        drawn = oee.sample_returns(mdp, policy, 17, horizon, seed=key, zeta=zeta, kind=kind, record=True)
+        drawn = oee.sample_returns(
+            mdp, policy, 17, horizon, seed=key, zeta=zeta, kind=kind, record=True
+        )
         log, starts = drawn.log, drawn.log.episode_starts
         assert_array_equal(np.diff(starts), drawn.lengths)
         assert_array_equal(log.next_state[starts[1:] - 1], drawn.final_state)
@@ -80,7 +97,9 @@ def test_sums_along_the_recorded_paths(rng):
                 s, a, following = log.state[row], log.action[row], log.next_state[row]
                 after = w * (1.0 if terminal[s] else ratio[s, a, following])
                 plain += mdp.discount**t * log.reward[row]
-                weighted += mdp.discount**t * (after if by_transition else w) * log.reward[row]
+                weighted += (
+                    mdp.discount**t * (after if by_transition else w) * log.reward[row]
+                )
                 whole = w if not by_transition and t == horizon - 1 else after
                 w = after
             assert_allclose(drawn.returns[i], plain, rtol=1e-12, atol=1e-12)
@@ -92,20 +111,34 @@ def test_sums_along_the_recorded_paths(rng):
 @pytest.mark.parametrize("kind", ["per_decision", "trajectory"])
 @pytest.mark.parametrize("pay", ["next", "current"])
 def test_weighted_returns_have_the_exact_moments(kind, pay):
-    simulator, target = (oee.tasks.gridworld(4, slip, pay=pay) for slip in (0.3, 0.27))  # weights within 1.05^5 or so
+    # weights within 1.05^5 or so
+    simulator, target = (oee.tasks.gridworld(4, slip, pay=pay) for slip in (0.3, 0.27))
     zeta, n, horizon = oee.true_ratio(target, simulator), 40_000, 6
-    drawn = oee.sample_returns(simulator, UNIFORM, n, horizon, seed=1, zeta=zeta, kind=kind)
-    known = oee.weighted_return_moments(simulator, zeta, UNIFORM, kind=kind, horizon=horizon)
+    drawn = oee.sample_returns(
+        simulator, UNIFORM, n, horizon, seed=1, zeta=zeta, kind=kind
+    )
+    known = oee.weighted_return_moments(
+        simulator, zeta, UNIFORM, kind=kind, horizon=horizon
+    )
     assert abs(drawn.mean - known.mean) < 4.5 * known.standard_deviation / np.sqrt(n)
     assert_allclose(drawn.values.var(), known.variance, rtol=0.06)
     assert abs(drawn.weights.mean() - 1) < 4.5 * drawn.weights.std() / np.sqrt(n)
-    assert_allclose(drawn.standard_error, known.standard_deviation / np.sqrt(n), rtol=0.03)
+    assert_allclose(
+        drawn.standard_error, known.standard_deviation / np.sqrt(n), rtol=0.03
+    )
 
 
 def test_an_episode_that_begins_where_it_is_terminal_has_one_step():
-    chain = oee.FiniteMDP(np.array([[[0.7, 0.3]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), np.array([0.0, 1.0]), 0.9)
+    chain = oee.FiniteMDP(
+        np.array([[[0.7, 0.3]], [[0.0, 1.0]]]),
+        np.array([1.0, 0.0]),
+        np.array([0.0, 1.0]),
+        0.9,
+    )
     for horizon in (1, 9):
-        drawn = oee.sample_returns(chain, np.ones((2, 1)), 5, horizon, seed=0, record=True)
+        drawn = oee.sample_returns(
+            chain, np.ones((2, 1)), 5, horizon, seed=0, record=True
+        )
         assert_array_equal(drawn.lengths, np.ones(5))
         assert_array_equal(drawn.returns, np.zeros(5))
         assert drawn.log.terminated.all()
@@ -113,7 +146,9 @@ def test_an_episode_that_begins_where_it_is_terminal_has_one_step():
 
 def test_a_generator_is_advanced_and_a_refused_call_leaves_it():
     generator, other = np.random.default_rng(0), np.random.default_rng(0)
-    first, second = (oee.sample_returns(GRID, UNIFORM, 20, 10, seed=generator) for _ in range(2))
+    first, second = (
+        oee.sample_returns(GRID, UNIFORM, 20, 10, seed=generator) for _ in range(2)
+    )
     assert not np.array_equal(first.returns, second.returns)
     with pytest.raises(ValueError, match="horizon"):
         oee.sample_returns(GRID, UNIFORM, 20, 0, seed=other)
@@ -126,7 +161,9 @@ def call(mdp=GRID, policy=UNIFORM, n_episodes=3, horizon=4, seed=0, **options):
 
 def test_it_prints_what_it_holds():
     drawn = call(n_episodes=50, horizon=20)
-    assert repr(drawn).startswith(f"SampledReturns(50 episodes, {drawn.lengths.sum()} transitions: mean ")
+    assert repr(drawn).startswith(
+        f"SampledReturns(50 episodes, {drawn.lengths.sum()} transitions: mean "
+    )
     assert ">largest weight<" in drawn._repr_html_()
     assert drawn.log is None
     assert repr(call(zeta=ZETA, kind="trajectory")).endswith("weighted trajectory)")
@@ -135,7 +172,12 @@ def test_it_prints_what_it_holds():
 
 
 def test_infinite_weights_leave_rewards_of_0_alone():
-    mdp = oee.FiniteMDP(np.array([[[0.5, 0.5]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), np.array([1.0, 0.0]), 1.0)
+    mdp = oee.FiniteMDP(
+        np.array([[[0.5, 0.5]], [[0.0, 1.0]]]),
+        np.array([1.0, 0.0]),
+        np.array([1.0, 0.0]),
+        1.0,
+    )
     zeta = mdp.transitions.copy()
     zeta.data = np.full(zeta.nnz, 1e200)
     with np.errstate(over="ignore"):
@@ -144,15 +186,21 @@ def test_infinite_weights_leave_rewards_of_0_alone():
     assert not np.isnan(drawn.values).any()
 
 
-# ---- sampled logs: frequencies by chi-square at fixed seeds, where episodes end, seeds and bits, bad calls
+# ---- sampled logs: frequencies by chi-square at fixed seeds, where episodes end, seeds
+# and bits, bad calls
 def test_seeds_are_what_default_rng_takes():
     mdp, policy = survival_chain(), np.ones((2, 1))
     one, two = (
-        oee.sample_episodes(mdp, policy, 50, 20, seed=np.random.SeedSequence(5, spawn_key=(1, 2))) for _ in range(2)
+        oee.sample_episodes(
+            mdp, policy, 50, 20, seed=np.random.SeedSequence(5, spawn_key=(1, 2))
+        )
+        for _ in range(2)
     )
     assert_array_equal(one.next_state, two.next_state)
     generator = np.random.default_rng(0)
-    first, second = (oee.sample_episodes(mdp, policy, 50, 20, seed=generator) for _ in range(2))
+    first, second = (
+        oee.sample_episodes(mdp, policy, 50, 20, seed=generator) for _ in range(2)
+    )
     assert not np.array_equal(first.next_state, second.next_state)
 
 
@@ -162,7 +210,11 @@ def test_a_log_is_one_that_passes_every_check(rng):
     """The columns are written without them."""
     mdp = random_mdp(rng)
     log = oee.sample_episodes(
-        mdp, random_policy(rng, mdp), 7, int(rng.integers(1, 40)), seed=int(rng.integers(1 << 30))
+        mdp,
+        random_policy(rng, mdp),
+        7,
+        int(rng.integers(1, 40)),
+        seed=int(rng.integers(1 << 30)),
     )
     checked = oee.Transitions(**log.columns())
     for name, column in log.columns().items():
@@ -180,7 +232,9 @@ def test_transitions_follow_the_distribution_and_the_model():
     weights[1] *= [0.0, 1.0, 1.0]
     weights /= weights.sum()
     log = oee.sample_transitions(mdp, weights, n, seed=1)
-    expected = n * (weights.reshape(-1)[:, None] * mdp.transitions.toarray()).reshape(-1)
+    expected = n * (weights.reshape(-1)[:, None] * mdp.transitions.toarray()).reshape(
+        -1
+    )
     observed = log.counts(5, 3).toarray().reshape(-1)
     assert observed[expected == 0].sum() == 0
     assert stats.chisquare(observed[expected > 0], expected[expected > 0]).pvalue > 1e-4
@@ -198,10 +252,13 @@ def test_episodes_follow_initial_policy_and_transitions():
     assert observed[expected == 0].sum() == 0
     assert stats.chisquare(observed[expected > 0], expected[expected > 0]).pvalue > 1e-4
     joint = policy.reshape(-1)[:, None] * mdp.transitions.toarray()
-    visits = np.repeat(np.bincount(log.state, minlength=4), 2)[:, None] * joint  # conditional on the states
+    # conditional on the states
+    visits = np.repeat(np.bincount(log.state, minlength=4), 2)[:, None] * joint
     counts = log.counts(4, 2).toarray()
     assert (counts[visits == 0] == 0).all()
-    assert ((counts - visits)[visits > 0] ** 2 / visits[visits > 0]).sum() < stats.chi2.isf(1e-4, (visits > 0).sum())
+    assert (
+        (counts - visits)[visits > 0] ** 2 / visits[visits > 0]
+    ).sum() < stats.chi2.isf(1e-4, (visits > 0).sum())
     assert_array_equal(log.behavior_probability, policy[log.state, log.action])
     transitions, rewards = dense(mdp)
     assert (transitions[log.state, log.action, log.next_state] > 0).all()
@@ -221,19 +278,32 @@ def test_episodes_end_where_they_are_terminal():
 @pytest.mark.large
 def test_a_long_horizon_is_followed_where_episodes_end():
     with pytest.warns(UserWarning, match="multiply-adds"):
-        log = oee.sample_episodes(survival_chain(1.0), np.ones((2, 1)), 30, 10**9, seed=0)
+        log = oee.sample_episodes(
+            survival_chain(1.0), np.ones((2, 1)), 30, 10**9, seed=0
+        )
     assert log.terminated.sum() == 30
-    one = oee.sample_episodes(oee.FiniteMDP([[[1.0]]], [1.0], [1.0], 0.9), [[1.0]], 2, 500_000, seed=0)
+    one = oee.sample_episodes(
+        oee.FiniteMDP([[[1.0]]], [1.0], [1.0], 0.9), [[1.0]], 2, 500_000, seed=0
+    )
     assert np.diff(one.episode_starts).tolist() == [500_000] * 2
 
 
 def test_twins_of_terminal_states_are_not_drawn_from():
     """A distribution over the environment's own states is one over all, with nothing on the twins."""
-    rows = np.array([[[0.5, 0.5, 0.0, 0.0]], [[0.0, 0.0, 0.6, 0.4]], [[0.0, 0.0, 1.0, 0.0]], [[0.0, 0.0, 0.0, 1.0]]])
+    rows = np.array(
+        [
+            [[0.5, 0.5, 0.0, 0.0]],
+            [[0.0, 0.0, 0.6, 0.4]],
+            [[0.0, 0.0, 1.0, 0.0]],
+            [[0.0, 0.0, 0.0, 1.0]],
+        ]
+    )
     mdp = oee.FiniteMDP(rows, np.ones((4, 1)), [1, 0, 0, 0], 0.9, terminal_state=[2, 3])
     own = np.array([[0.25], [0.75]])
     log = oee.sample_transitions(mdp, own, 2000, seed=0)
-    same = oee.sample_transitions(mdp, np.concatenate([own, np.zeros((2, 1))]), 2000, seed=0)
+    same = oee.sample_transitions(
+        mdp, np.concatenate([own, np.zeros((2, 1))]), 2000, seed=0
+    )
     assert_array_equal(log.next_state, same.next_state)
     assert log.state.max() == 1
     assert not log.terminated.any()
@@ -243,7 +313,9 @@ def test_twins_of_terminal_states_are_not_drawn_from():
 def test_whole_episodes_hold_n_transitions(n):
     """At least n, whole episodes, and of one seed those first that hold fewer."""
     grid, policy = oee.tasks.gridworld(3, slip=0.1), oee.tasks.gridworld_expert(3)
-    log, more = (episodes_holding(grid, policy, size, 20, seed=0) for size in (n, 5 * n))
+    log, more = (
+        episodes_holding(grid, policy, size, 20, seed=0) for size in (n, 5 * n)
+    )
     assert len(log) >= n
     assert log.terminated[-1]
     assert_array_equal(log.state, more.first(len(log)).state)

@@ -7,7 +7,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import oee_tabular as oee
-from oee_tabular.tasks import gridworld, gridworld_expert, gridworld_policy, named_task, record_episodes
+from oee_tabular.tasks import (
+    gridworld,
+    gridworld_expert,
+    gridworld_policy,
+    named_task,
+    record_episodes,
+)
 
 
 def test_names_with_arguments():
@@ -37,7 +43,10 @@ def test_files(tmp_path):
     [
         ("gridword:10", "'gridword' is neither"),
         ("FrozenLake-v2", "near: FrozenLake-v1"),
-        ("gridworld", "must be like 'gridworld:10,slip=0.3'; missing a required argument: 'size'"),
+        (
+            "gridworld",
+            "must be like 'gridworld:10,slip=0.3'; missing a required argument: 'size'",
+        ),
         ("gridworld:10,slop=0.3", "must be like 'gridworld:10,slip=0.3'"),
         ("gridworld:1,slip=0.3", "size must be at least 2; it is 1"),
         ("gridworld:4,slip=1.3", r"slip must be in \[0, 1\]; it is 1.3"),
@@ -53,7 +62,9 @@ def test_bad_names(spec, text):
 
 def test_recording_steps_the_environment_itself():
     """Frequencies of the log against the table, chi-square; structure against the time limit."""
-    env = gymnasium.make("FrozenLake-v1", map_name="4x4", success_rate=0.6, max_episode_steps=20)
+    env = gymnasium.make(
+        "FrozenLake-v1", map_name="4x4", success_rate=0.6, max_episode_steps=20
+    )
     mdp = oee.FiniteMDP.from_gymnasium(env)
     policy = np.random.default_rng(0).dirichlet(np.ones(4), size=16)
     log = record_episodes(env, policy, n_transitions=30_000, seed=5)
@@ -61,7 +72,9 @@ def test_recording_steps_the_environment_itself():
     lengths = np.diff(log.episode_starts)
     assert lengths.max() == 20
     last = log.episode_starts[1:] - 1
-    assert_array_equal(log.terminated[last] | log.truncated[last], np.ones(len(last), dtype=bool))
+    assert_array_equal(
+        log.terminated[last] | log.truncated[last], np.ones(len(last), dtype=bool)
+    )
     counts = log.counts(16, 4).toarray()
     expected = counts.sum(axis=1, keepdims=True) * mdp.transitions.toarray()
     assert counts[expected == 0].sum() == 0
@@ -86,7 +99,9 @@ def test_recording_refuses():
     uniform = np.full((16, 4), 0.25)
     with pytest.raises(ValueError, match="one of n_transitions and n_episodes"):
         record_episodes(env, uniform, seed=0)
-    with pytest.raises(ValueError, match=r"policy must have shape \(16, 4\) .*; it has shape \(16, 3\)"):
+    with pytest.raises(
+        ValueError, match=r"policy must have shape \(16, 4\) .*; it has shape \(16, 3\)"
+    ):
         record_episodes(env, np.full((16, 3), 1 / 3), n_episodes=1, seed=0)
     with pytest.raises(ValueError, match=r"env.observation_space must be Discrete"):
         record_episodes(gymnasium.make("CartPole-v1"), uniform, n_episodes=1, seed=0)
@@ -96,10 +111,12 @@ def test_recording_refuses():
 def test_the_exact_ratio_takes_three_values():
     """paper/README: 9/7 (intended), 1/3 (not intended), 7/6 (staying put in a corner under an action into a wall)."""
     ratio = oee.true_ratio(gridworld(10, 0.1), gridworld(10, 0.3))
-    zeta = ratio.values.data[: 4 * 99 * 4][:1572]  # the goal's four moves, zeta = 1, come last
+    # the goal's four moves, zeta = 1, come last
+    zeta = ratio.values.data[: 4 * 99 * 4][:1572]
     assert_allclose(np.unique(np.round(zeta, 12)), np.round([1 / 3, 7 / 6, 9 / 7], 12))
     assert_array_equal(ratio.values.data[1572:], np.ones(4))
-    corner = ratio.values.toarray().reshape(100, 4, 100)[0, 1, 0]  # (0, 0), row - 1, stays
+    # (0, 0), row - 1, stays
+    corner = ratio.values.toarray().reshape(100, 4, 100)[0, 1, 0]
     assert_allclose(corner, 7 / 6)
 
 
@@ -112,7 +129,8 @@ def test_the_trivial_estimate_scores_0570():
 def test_transitions_into_walls_stay_and_the_goal_absorbs():
     grid = gridworld(3, 0.3)
     table = grid.transitions.toarray().reshape(9, 4, 9)
-    assert_allclose(table[0, 1], [0.8, 0.1, 0, 0.1, 0, 0, 0, 0, 0])  # row - 1 and column - 1 both stay
+    # row - 1 and column - 1 both stay
+    assert_allclose(table[0, 1], [0.8, 0.1, 0, 0.1, 0, 0, 0, 0, 0])
     assert_allclose(table[4, 2], [0, 0.1, 0, 0.1, 0, 0.7, 0, 0.1, 0])
     assert_array_equal(table[8], np.eye(9)[[8] * 4])
     assert grid.absorbing()[8]
@@ -131,23 +149,33 @@ def test_paying_for_the_next_or_the_current_cell():
     policy = gridworld_policy(5, 0.5)
     first = -0.2 * 8
     shifted = (oee.policy_value(current, policy, horizon=31) - first) / 0.99
-    assert_allclose(oee.policy_value(following, policy, horizon=30), shifted, rtol=1e-12)
+    assert_allclose(
+        oee.policy_value(following, policy, horizon=30), shifted, rtol=1e-12
+    )
 
 
 def test_the_expert_walks_rows_then_columns():
     grid = gridworld(4, 0.0, pay="current", discount=1.0)
     distances = range(6, 0, -1)
-    assert_allclose(oee.policy_value(grid, gridworld_expert(4)), -0.2 * sum(distances), rtol=1e-12)
+    assert_allclose(
+        oee.policy_value(grid, gridworld_expert(4)), -0.2 * sum(distances), rtol=1e-12
+    )
 
 
 def test_the_scale_of_the_paper_s_values():
     """delta = 0.1, T = 200 has |J| = 1.60 when the current cell pays."""
     target = gridworld(10, 0.1, pay="current")
-    value = oee.policy_value(target, gridworld_policy(10, 0.1), horizon=200, normalized=True)
+    value = oee.policy_value(
+        target, gridworld_policy(10, 0.1), horizon=200, normalized=True
+    )
     assert_allclose(value, -1.60, atol=0.01)
 
 
 def test_under_the_uniform_policy_the_chain_does_not_depend_on_slip():
     """paper/README: the true (s, a) ratio of the paper's data is 1."""
     uniform = oee.uniform_policy(gridworld(6, 0.3))
-    assert_allclose(oee.occupancy(gridworld(6, 0.3), uniform), oee.occupancy(gridworld(6, 0.1), uniform), atol=1e-15)
+    assert_allclose(
+        oee.occupancy(gridworld(6, 0.3), uniform),
+        oee.occupancy(gridworld(6, 0.1), uniform),
+        atol=1e-15,
+    )

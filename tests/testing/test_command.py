@@ -52,9 +52,12 @@ def starts_another(problem, policy):
 
 
 MODULES = {
-    "": MINE, "_broken": "import no_such_module_at_all", "_exits": "raise SystemExit(5)",
-    "_leaves": "import os; os._exit(0)", "_sleeps": "import time; time.sleep(100)",
-}  # fmt: skip
+    "": MINE,
+    "_broken": "import no_such_module_at_all",
+    "_exits": "raise SystemExit(5)",
+    "_leaves": "import os; os._exit(0)",
+    "_sleeps": "import time; time.sleep(100)",
+}
 
 
 @pytest.fixture
@@ -89,7 +92,11 @@ def test_what_it_claims_holds(capsys, here):
     assert "seed 3" in out.splitlines()[0]
     assert "shift           holds" in out
     assert "consistent      not claimed" in out
-    assert out.splitlines()[-1] == "all laws hold that it claims; it does not claim consistent, relabelling, scale"
+    assert (
+        out.splitlines()[-1]
+        == "all laws hold that it claims; it does not claim consistent, relabelling,"
+        " scale"
+    )
     assert here not in sys.modules
 
 
@@ -97,20 +104,33 @@ def test_broken_laws_of_a_function_are_exit_code_1(capsys, here):
     code, out, err = run(capsys, f"{here}:function")
     assert (code, err) == (1, "")
     assert out.startswith("function: NOT PASSED")
-    assert "consistent      fails       ragged (horizon 6, discount 0.9): mean 1 " in out
+    assert (
+        "consistent      fails       ragged (horizon 6, discount 0.9): mean 1 " in out
+    )
     assert "see it: " in out
     assert "all laws hold" not in out
 
 
-def test_after_an_estimator_exits_or_hangs_or_is_killed_the_next_law_is_run(capsys, here):
+def test_after_an_estimator_exits_or_hangs_or_is_killed_the_next_law_is_run(
+    capsys, here
+):
     code, out, err = run(capsys, f"{here}:fatal", "--timeout", "4")
     assert (code, err) == (1, "")
     assert "all laws hold" not in out
     out = " ".join(out.split())
     for line in (
-        "well_formed exits one state (horizon 3, discount 0.5): the process ends, with exit code 0",
-        "input_unchanged exits ragged (horizon 6, discount 0.9): the process is killed by SIGKILL",
-        "reproducible hangs ragged (horizon 6, discount 0.9): no answer within 4 s (--timeout gives it more)",
+        (
+            "well_formed exits one state (horizon 3, discount 0.5): the process ends,"
+            " with exit code 0"
+        ),
+        (
+            "input_unchanged exits ragged (horizon 6, discount 0.9): the process is"
+            " killed by SIGKILL"
+        ),
+        (
+            "reproducible hangs ragged (horizon 6, discount 0.9): no answer within 4 s"
+            " (--timeout gives it more)"
+        ),
         "seeds holds",
     ):
         assert line in out
@@ -119,29 +139,51 @@ def test_after_an_estimator_exits_or_hangs_or_is_killed_the_next_law_is_run(caps
 def test_after_the_third_law_that_hangs_the_others_are_not_run(capsys, here):
     code, out, err = run(capsys, f"{here}:hangs", "--timeout", "0.5")
     assert (code, err) == (1, "")
-    assert "hangs: NOT PASSED (0 laws hold, 3 broken, 4 not claimed, 8 not run; seed 0)" in out
+    assert (
+        "hangs: NOT PASSED (0 laws hold, 3 broken, 4 not claimed, 8 not run; seed 0)"
+        in out
+    )
     assert len(re.findall(r" hangs .* no answer within 0.5 s", out)) == 3
     assert "scale           not run     3 laws hang" in out
     assert re.search(r"^shift +not claimed$", out, re.M)
 
 
-@pytest.mark.parametrize(("what", "text"), [
-    ("{}_leaves:Mine", "'{}_leaves:Mine' cannot be imported: the process ends, with exit code 0"),
-    ("{}_sleeps:Mine", "'{}_sleeps:Mine' cannot be imported: no answer within 1 s (--timeout gives it more)"),
-])  # fmt: skip
-def test_an_import_that_exits_or_hangs_is_one_line_and_exit_code_2(capsys, here, what, text):
+@pytest.mark.parametrize(
+    ("what", "text"),
+    [
+        (
+            "{}_leaves:Mine",
+            "'{}_leaves:Mine' cannot be imported: the process ends, with exit code 0",
+        ),
+        (
+            "{}_sleeps:Mine",
+            (
+                "'{}_sleeps:Mine' cannot be imported: no answer within 1 s (--timeout"
+                " gives it more)"
+            ),
+        ),
+    ],
+)
+def test_an_import_that_exits_or_hangs_is_one_line_and_exit_code_2(
+    capsys, here, what, text
+):
     code, out, err = run(capsys, what.replace("{}", here), "--timeout", "1")
     assert (code, out, err) == (2, "", f"oee: {text.replace('{}', here)}\n")
 
 
-@pytest.mark.skipif(not hasattr(os, "killpg"), reason="no groups of processes on this system")
+@pytest.mark.skipif(
+    not hasattr(os, "killpg"), reason="no groups of processes on this system"
+)
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_nothing_goes_on_when_the_command_ends(here, how):
     """Neither the process of the laws nor what the estimator has started: either would keep the pipe open."""
     command = [sys.executable, "-m", "oee_tabular", "check", f"{here}:starts_another"]
-    heeded = signal.signal(signal.SIGINT, signal.default_int_handler)  # children of a background job would ignore it
+    # children of a background job would ignore it
+    heeded = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
     finally:
         signal.signal(signal.SIGINT, heeded)
     for _ in range(600):
@@ -160,21 +202,51 @@ def test_a_time_limit_that_is_none(capsys, here, seconds):
     assert err.startswith("oee: --timeout must be ")
 
 
-@pytest.mark.parametrize(("spec", "text"), [
-    ("{}", "the estimator must be given as MODULE:OBJECT"),
-    ("{}.py:Mine", "MODULE must be a module's name, not a file's; got '{}.py' (try {}:Mine)"),
-    ("folder/{}.py:Mine", "(try folder.{}:Mine)"),
-    ("{}_nowhere:Mine", "module '{}_nowhere' cannot be found, neither in "),
-    ("{}_broken:Mine", "module '{}_broken' cannot be imported: ModuleNotFoundError: No module named 'no_such_module_at_all'"),
-    ("{}_exits:Mine", "module '{}_exits' cannot be imported: SystemExit: 5"),
-    ("{}:Yours", "'{}' has no object 'Yours' (it has Holder, Mine, Simulator, "),
-    ("{}:number", "'{}:number' must be a function (problem, policy) or (problem, policy, seed), an estimator, or "),
-    ("{}:odd", "'{}:odd' must be callable as (problem, policy) or (problem, policy, seed); it takes (problem)"),
-    ("{}:useless", "or a class or function that makes one; it makes int"),
-    ("oee_tabular.estimators:Oracle", "must make an estimator without arguments; it raises TypeError"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("spec", "text"),
+    [
+        ("{}", "the estimator must be given as MODULE:OBJECT"),
+        (
+            "{}.py:Mine",
+            "MODULE must be a module's name, not a file's; got '{}.py' (try {}:Mine)",
+        ),
+        ("folder/{}.py:Mine", "(try folder.{}:Mine)"),
+        ("{}_nowhere:Mine", "module '{}_nowhere' cannot be found, neither in "),
+        (
+            "{}_broken:Mine",
+            (
+                "module '{}_broken' cannot be imported: ModuleNotFoundError: No module"
+                " named 'no_such_module_at_all'"
+            ),
+        ),
+        ("{}_exits:Mine", "module '{}_exits' cannot be imported: SystemExit: 5"),
+        ("{}:Yours", "'{}' has no object 'Yours' (it has Holder, Mine, Simulator, "),
+        (
+            "{}:number",
+            (
+                "'{}:number' must be a function (problem, policy) or (problem, policy,"
+                " seed), an estimator, or "
+            ),
+        ),
+        (
+            "{}:odd",
+            (
+                "'{}:odd' must be callable as (problem, policy) or (problem, policy,"
+                " seed); it takes (problem)"
+            ),
+        ),
+        ("{}:useless", "or a class or function that makes one; it makes int"),
+        (
+            "oee_tabular.estimators:Oracle",
+            "must make an estimator without arguments; it raises TypeError",
+        ),
+    ],
+)
 def test_usage_errors_say_what_is_wrong(here, spec, text):
-    with own_modules(), pytest.raises(ValueError, match=re.escape(text.replace("{}", here))):
+    with (
+        own_modules(),
+        pytest.raises(ValueError, match=re.escape(text.replace("{}", here))),
+    ):
         own_estimator(spec.replace("{}", here))
 
 

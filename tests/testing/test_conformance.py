@@ -20,7 +20,16 @@ from oee_tabular.estimators import (
     Oracle,
     Simulator,
 )
-from oee_tabular.testing import CLAIMS, DEFAULT, LAWS, case, check_estimator, claims_of, padded_log, relabelled_log
+from oee_tabular.testing import (
+    CLAIMS,
+    DEFAULT,
+    LAWS,
+    case,
+    check_estimator,
+    claims_of,
+    padded_log,
+    relabelled_log,
+)
 
 PRODUCT = {"evaluation": "monte_carlo", "n_rollouts": 400}
 SHIPPED = {
@@ -28,14 +37,18 @@ SHIPPED = {
     "oee": OffEnvironment(),
     "oee, ratio of ratios": OffEnvironment("ratio_of_ratios"),
     "oee product": OffEnvironment("joint", **PRODUCT),
-    "oee product, self-normalised": OffEnvironment("ratio_of_ratios", **PRODUCT, self_normalized=True),
+    "oee product, self-normalised": OffEnvironment(
+        "ratio_of_ratios", **PRODUCT, self_normalized=True
+    ),
     "is": ImportanceSampling("trajectory"),
     "wis": ImportanceSampling("trajectory", self_normalized=True),
     "pdis": ImportanceSampling(),
     "pdis, estimated behaviour": ImportanceSampling(behavior="estimated"),
     "wpdis": ImportanceSampling(self_normalized=True),
     "wpdis, zero": ImportanceSampling(self_normalized=True, ragged="zero"),
-    "wpdis, zero, estimated behaviour": ImportanceSampling(self_normalized=True, ragged="zero", behavior="estimated"),
+    "wpdis, zero, estimated behaviour": ImportanceSampling(
+        self_normalized=True, ragged="zero", behavior="estimated"
+    ),
     "model": ModelBased(),
     "model, else the simulator": ModelBased("simulator"),
     "dr": DoublyRobust(ratio="joint"),
@@ -57,11 +70,28 @@ def test_every_shipped_estimator_satisfies_what_it_claims(name):
     assert len(verdicts) == len(LAWS)
 
 
-@pytest.mark.parametrize(("make", "laws", "kept"), [
-    (lambda simulator, target: Oracle(target, **PRODUCT, self_normalized=True), None, "support"),
-    (lambda simulator, target: Oracle(target), ["limit", "support", "shift"], "support"),
-    (lambda simulator, target: DoublyRobust("episodes", ratio=oee.true_ratio(simulator, simulator)), ["unbiased"], "unbiased"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("make", "laws", "kept"),
+    [
+        (
+            lambda simulator, target: Oracle(target, **PRODUCT, self_normalized=True),
+            None,
+            "support",
+        ),
+        (
+            lambda simulator, target: Oracle(target),
+            ["limit", "support", "shift"],
+            "support",
+        ),
+        (
+            lambda simulator, target: DoublyRobust(
+                "episodes", ratio=oee.true_ratio(simulator, simulator)
+            ),
+            ["unbiased"],
+            "unbiased",
+        ),
+    ],
+)
 def test_oracles_satisfy_what_they_claim(make, laws, kept):
     """Doubly robust values with a wrong zeta are still unbiased."""
     verdicts = check_estimator(make, from_pair=True, laws=laws, repetitions=6)
@@ -76,21 +106,34 @@ def test_a_wrong_estimator_breaks_the_laws_that_it_breaks_and_no_other(name):
     verdicts = check_estimator(estimator, claims=claims.split())
     assert set(verdicts.broken) == set(breaks.split()), verdicts
     assert not verdicts.passed
-    assert all(re.search(r"(horizon|discount) \d", verdicts[law].text) for law in verdicts.broken)
+    assert all(
+        re.search(r"(horizon|discount) \d", verdicts[law].text)
+        for law in verdicts.broken
+    )
 
 
 def test_functions_are_estimators():
     """With a seed or without; a class or function that makes an estimator; what is said of floats."""
     right = wrong.sampling()
     with_seed = lambda problem, policy, *, seed: right(problem, policy)  # noqa: E731
-    for function in (lambda problem, policy: right(problem, policy), with_seed, right, lambda: right):
+    for function in (
+        lambda problem, policy: right(problem, policy),
+        with_seed,
+        right,
+        lambda: right,
+    ):
         verdicts = check_estimator(function)
         assert verdicts.passed, verdicts
-        assert "floats, so that standard errors, intervals and statuses are skipped" in verdicts["well_formed"].text
+        assert (
+            "floats, so that standard errors, intervals and statuses are skipped"
+            in verdicts["well_formed"].text
+        )
         assert verdicts["limit"].text == "it has no limit of its own"
     assert check_estimator(wrong.Shrunk).estimator == "Shrunk"
     seeds = []
-    check_estimator(lambda problem, policy, seed: seeds.append(seed) or 0.0, laws=["seeds"])
+    check_estimator(
+        lambda problem, policy, seed: seeds.append(seed) or 0.0, laws=["seeds"]
+    )
     assert seeds == [0, 1, 2, 3]
 
 
@@ -105,37 +148,78 @@ def of(*values, **fields):
     return lambda problem, policy, *, seed=None: oee.Estimate(*values, **fields)
 
 
-@pytest.mark.parametrize(("estimator", "outcome", "said"), [
-    (raises(KeyError("no such key")), "raises", "raises KeyError: 'no such key'"),
-    (raises(SystemExit(3)), "raises", "raises SystemExit: 3"),
-    (raises(ValueError("horizon must be 77")), "raises", "problems are refused: .*horizon must be 77"),
-    (raises(np.linalg.LinAlgError("Singular matrix")), "raises", "raises LinAlgError: Singular matrix"),
-    (lambda problem, policy: None, "fails", "an estimator must return a float or an Estimate; it returned NoneType"),
-    (lambda problem, policy: (1.0, 0.1), "fails", r"it returned tuple: Estimate\(value, standard_error\) holds both"),
-    (lambda problem, policy: np.ones(1), "fails", "it returned ndarray"),
-    (lambda problem, policy: True, "fails", "it returned bool"),
-    (lambda problem, policy: np.nan, "fails", 'value must be finite where status is "ok"; it is nan'),
-    (of(1.0, -1.0), "fails", "standard_error must be None or a nonnegative number; it is -1.0"),
-    (of("high"), "fails", "value must be a float; it is str"),
-    (of(1.0, status=None), "raises", "status must be "),
-    (of(1.0, status=""), "fails", 'status must be "ok" or say what is wrong; it is empty'),
-    (of(np.inf), "fails", "value must be finite where status is"),
-    (of(1.0, interval=(2.0, 1.0)), "fails", "interval must be None or"),
-    (of(1.0, diagnostics=None), "fails", "diagnostics must be a dict"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("estimator", "outcome", "said"),
+    [
+        (raises(KeyError("no such key")), "raises", "raises KeyError: 'no such key'"),
+        (raises(SystemExit(3)), "raises", "raises SystemExit: 3"),
+        (
+            raises(ValueError("horizon must be 77")),
+            "raises",
+            "problems are refused: .*horizon must be 77",
+        ),
+        (
+            raises(np.linalg.LinAlgError("Singular matrix")),
+            "raises",
+            "raises LinAlgError: Singular matrix",
+        ),
+        (
+            lambda problem, policy: None,
+            "fails",
+            "an estimator must return a float or an Estimate; it returned NoneType",
+        ),
+        (
+            lambda problem, policy: (1.0, 0.1),
+            "fails",
+            r"it returned tuple: Estimate\(value, standard_error\) holds both",
+        ),
+        (lambda problem, policy: np.ones(1), "fails", "it returned ndarray"),
+        (lambda problem, policy: True, "fails", "it returned bool"),
+        (
+            lambda problem, policy: np.nan,
+            "fails",
+            'value must be finite where status is "ok"; it is nan',
+        ),
+        (
+            of(1.0, -1.0),
+            "fails",
+            "standard_error must be None or a nonnegative number; it is -1.0",
+        ),
+        (of("high"), "fails", "value must be a float; it is str"),
+        (of(1.0, status=None), "raises", "status must be "),
+        (
+            of(1.0, status=""),
+            "fails",
+            'status must be "ok" or say what is wrong; it is empty',
+        ),
+        (of(np.inf), "fails", "value must be finite where status is"),
+        (of(1.0, interval=(2.0, 1.0)), "fails", "interval must be None or"),
+        (of(1.0, diagnostics=None), "fails", "diagnostics must be a dict"),
+    ],
+)
 def test_whatever_an_estimator_does_is_a_verdict(estimator, outcome, said):
     verdicts = check_estimator(estimator)
     assert not verdicts.passed
     assert verdicts["well_formed"].outcome == outcome
     assert re.search(said, verdicts["well_formed"].text)
-    assert {verdict.outcome for verdict in verdicts.values()} <= {"holds", "fails", "raises", "not claimed"}
+    assert {verdict.outcome for verdict in verdicts.values()} <= {
+        "holds",
+        "fails",
+        "raises",
+        "not claimed",
+    }
     assert re.search(said, " ".join(str(verdicts).split()))
 
 
 def test_an_estimator_that_has_nothing_to_say_fails_what_it_claims():
-    verdicts = check_estimator(of(float("nan"), status="not today"), laws=["well_formed", "consistent"])
+    verdicts = check_estimator(
+        of(float("nan"), status="not today"), laws=["well_formed", "consistent"]
+    )
     assert verdicts["well_formed"].outcome == "holds"
-    assert verdicts["consistent"].text == "ragged (horizon 6, discount 0.9): no value: status 'not today'"
+    assert (
+        verdicts["consistent"].text
+        == "ragged (horizon 6, discount 0.9): no value: status 'not today'"
+    )
 
 
 def test_a_user_s_estimator_passes():
@@ -154,12 +238,20 @@ def test_a_broken_law_says_where_and_how_to_see_it():
     estimator = wrong.TABLE["policy ignored"][0]
     verdict = check_estimator(estimator, laws=["consistent"])["consistent"]
     assert verdict.text.startswith("ragged (horizon 6, discount 0.9): mean ")
-    example = "pair = case('ragged'); estimator(pair.problem(4800, seed=0), pair.policy, seed=0) against 10.07"
+    example = (
+        "pair = case('ragged'); estimator(pair.problem(4800, seed=0), pair.policy,"
+        " seed=0) against 10.07"
+    )
     assert verdict.example == example
     pair = case("ragged")
     assert abs(estimator(pair.problem(4800, seed=0), pair.policy) - pair.truth) > 1.0
-    assert abs(wrong.sampling()(pair.problem(4800, seed=0), pair.policy) - pair.truth) < 1.5
-    endless = check_estimator(estimator, laws=["consistent"], claims={"consistent", "infinite"})["consistent"]
+    assert (
+        abs(wrong.sampling()(pair.problem(4800, seed=0), pair.policy) - pair.truth)
+        < 1.5
+    )
+    endless = check_estimator(
+        estimator, laws=["consistent"], claims={"consistent", "infinite"}
+    )["consistent"]
     assert endless.text.startswith("ragged infinite (no horizon, discount 0.8): mean ")
 
 
@@ -174,7 +266,9 @@ def test_where_claims_come_from():
     assert claims_of(lambda problem, policy: None) == DEFAULT
     assert claims_of(wrong.Shrunk()) == wrong.Shrunk.claims
     assert claims_of(wrong.Shrunk(), {"unbiased"}) == {"unbiased"}
-    assert "unbiased" in claims_of(ImportanceSampling()) - claims_of(ImportanceSampling(self_normalized=True))
+    assert "unbiased" in claims_of(ImportanceSampling()) - claims_of(
+        ImportanceSampling(self_normalized=True)
+    )
     assert claims_of(Method()) == {"finite"}
     assert claims_of(Mine()) == claims_of(Simulator()) > DEFAULT - {"consistent"}
     assert all(law.statement and law.claims <= set(CLAIMS) for law in LAWS.values())
@@ -203,9 +297,16 @@ def test_relabelled_and_padded_logs():
     for name, column in log.columns().items():
         np.testing.assert_array_equal(back.columns()[name], column)
     named = oee.Transitions(["hall", "roof"], ["up", "down"], ["roof", "hall"])
-    assert relabelled_log(named, [1, 0], [1, 0]).columns()["state"].tolist() == ["hall", "roof"]
-    assert relabelled_log(oee.Transitions([0], [0], [2]), [2, 1, 0], [0]).next_state.tolist() == [0]
-    bare = oee.Transitions([0, 1, 0], [0, 1, 0], [1, 0, 1], episode=[0, 0, 1], terminated=[0, 1, 0])
+    assert relabelled_log(named, [1, 0], [1, 0]).columns()["state"].tolist() == [
+        "hall",
+        "roof",
+    ]
+    assert relabelled_log(
+        oee.Transitions([0], [0], [2]), [2, 1, 0], [0]
+    ).next_state.tolist() == [0]
+    bare = oee.Transitions(
+        [0, 1, 0], [0, 1, 0], [1, 0, 1], episode=[0, 0, 1], terminated=[0, 1, 0]
+    )
     padded = padded_log(bare, [0, 1], 0.5)
     assert padded.state.tolist() == [0, 1, 0, 0, 0]
     assert padded.terminated.tolist() == [False, False, False, True, False]
@@ -224,10 +325,14 @@ def raising():
     raise RuntimeError("later")
 
 
-@pytest.mark.parametrize(("claims", "text"), [
-    (3, "must be a collection of words; got int"), (raising, "must be .*; it raises RuntimeError"),
-    ([["shift"]], r"must be one of .*; got \['shift'\]"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("claims", "text"),
+    [
+        (3, "must be a collection of words; got int"),
+        (raising, "must be .*; it raises RuntimeError"),
+        ([["shift"]], r"must be one of .*; got \['shift'\]"),
+    ],
+)
 def test_claims_that_are_none(claims, text):
     with pytest.raises(ValueError, match=f"Unclaimable.claims {text}"):
         check_estimator(Unclaimable(claims))
@@ -245,7 +350,11 @@ try:
 except ImportError as error:
     print(error)
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert done.stdout.splitlines()[0] == "True"
-    assert done.stdout.splitlines()[1].endswith("not installed; in a clone: pip install '.[testing]'")
+    assert done.stdout.splitlines()[1].endswith(
+        "not installed; in a clone: pip install '.[testing]'"
+    )
     assert set(testing.__all__) <= set(dir(testing))

@@ -3,7 +3,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import oee_tabular as oee
-from oee_tabular.estimators import ImportanceSampling, ModelBased, OffEnvironment, Simulator
+from oee_tabular.estimators import (
+    ImportanceSampling,
+    ModelBased,
+    OffEnvironment,
+    Simulator,
+)
 from oee_tabular.testing import case, compare_with_oracle
 
 RAGGED = case("ragged")
@@ -13,8 +18,12 @@ EVEN = np.array([[1 / 6, 1 / 6]] * 3 + [[0.0, 0.0]])
 def compare(estimator, pair=RAGGED, repetitions=3, **options):
     """On episodes of the case, or on transitions of a distribution."""
     data = {} if "data_distribution" in options else {"behavior_policy": pair.behavior}
-    given = {"n": 100, "horizon": pair.horizon, "repetitions": repetitions} | data | options
-    return compare_with_oracle(estimator, (pair.simulator, pair.target), pair.policy, **given)
+    given = (
+        {"n": 100, "horizon": pair.horizon, "repetitions": repetitions} | data | options
+    )
+    return compare_with_oracle(
+        estimator, (pair.simulator, pair.target), pair.policy, **given
+    )
 
 
 def test_the_model_is_efficient_and_its_figures_are_those_of_its_values():
@@ -22,7 +31,9 @@ def test_the_model_is_efficient_and_its_figures_are_those_of_its_values():
     errors = found.values - RAGGED.truth
     assert (found.unit, found.truth) == ("transitions", RAGGED.truth)
     assert found.limit == pytest.approx(RAGGED.truth, abs=1e-12)
-    assert found.bound == oee.efficiency_bound(RAGGED.target, RAGGED.policy, EVEN, horizon=6)
+    assert found.bound == oee.efficiency_bound(
+        RAGGED.target, RAGGED.policy, EVEN, horizon=6
+    )
     assert_allclose(found.bias, errors.mean(), atol=1e-12)
     assert_allclose(found.rmse**2, [np.mean(errors**2)])
     assert_allclose(found.rmse**2, found.bias**2 + found.variance * 149 / 150)
@@ -33,9 +44,13 @@ def test_the_model_is_efficient_and_its_figures_are_those_of_its_values():
 
 def test_importance_sampling_s_variance_is_the_exact_one():
     found = compare(ImportanceSampling(), repetitions=150)
-    exact = oee.policy_is_moments(RAGGED.target, RAGGED.behavior, RAGGED.policy, horizon=6)
+    exact = oee.policy_is_moments(
+        RAGGED.target, RAGGED.behavior, RAGGED.policy, horizon=6
+    )
     assert abs(100 * found.variance - exact.variance) < 4 * 100 * found.variance_error
-    assert found.bound == oee.trajectory_efficiency_bound(RAGGED.target, RAGGED.behavior, RAGGED.policy, horizon=6)
+    assert found.bound == oee.trajectory_efficiency_bound(
+        RAGGED.target, RAGGED.behavior, RAGGED.policy, horizon=6
+    )
     assert found.inefficiency > 1.5
     assert abs(found.bias) < 4 * found.bias_error
 
@@ -58,23 +73,43 @@ def test_standard_errors_of_the_figures_are_right():
 
 def test_the_table_says_it_all():
     found = compare(Simulator())
-    for words in ("Simulator(): 3 logs of 100 episodes", "J_target", "10.07", "efficiency bound (n * variance)"):
+    for words in (
+        "Simulator(): 3 logs of 100 episodes",
+        "J_target",
+        "10.07",
+        "efficiency bound (n * variance)",
+    ):
         assert words in str(found)
     assert found.variance == found.rmse_error == 0.0
 
 
 def test_any_callable_without_a_limit_and_logs_without_a_value():
     def half(problem, policy, *, seed=None):
-        return oee.Estimate(1.0) if seed % 2 else oee.Estimate(float("nan"), status="odd seeds only")
+        return (
+            oee.Estimate(1.0)
+            if seed % 2
+            else oee.Estimate(float("nan"), status="odd seeds only")
+        )
 
     found = compare(half, repetitions=5)
     assert found.limit is None
     assert (len(found.values), found.failures) == (2, 3)
     assert str(found).startswith("half: 2 logs")
     assert "without a value: 3 more logs (odd seeds only)" in str(found)
-    nothing = compare(lambda problem, policy: oee.Estimate(float("nan"), status="never"), repetitions=2)
+    nothing = compare(
+        lambda problem, policy: oee.Estimate(float("nan"), status="never"),
+        repetitions=2,
+    )
     assert np.all(
-        np.isnan([nothing.bias, nothing.bias_error, nothing.rmse, nothing.rmse_error, nothing.variance_error])
+        np.isnan(
+            [
+                nothing.bias,
+                nothing.bias_error,
+                nothing.rmse,
+                nothing.rmse_error,
+                nothing.variance_error,
+            ]
+        )
     )
     assert "nan" in str(nothing)
 

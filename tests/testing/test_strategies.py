@@ -9,14 +9,21 @@ from numpy.testing import assert_allclose, assert_array_equal
 import oee_tabular as oee
 from oee_tabular.testing import horizons, logs, mdp_pairs, mdps, policies
 
-QUICK = settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+QUICK = settings(
+    max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None
+)
 ENDLESS = oee.FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 1.0)
 GRID = oee.tasks.gridworld(2, 0.3)
 
 
 def smallest(strategy, condition=lambda drawn: True, **options):
     phases = [Phase.generate, Phase.shrink]
-    chosen = {"max_examples": 1000, "database": None, "derandomize": True, "phases": phases} | options
+    chosen = {
+        "max_examples": 1000,
+        "database": None,
+        "derandomize": True,
+        "phases": phases,
+    } | options
     return find(strategy, condition, settings=settings(**chosen))
 
 
@@ -29,12 +36,23 @@ def test_everything_drawn_can_be_evaluated(data):
     assert np.isfinite(oee.policy_value(mdp, policy, horizon=data.draw(horizons(mdp))))
     assert policy.shape == (mdp.n_states, mdp.n_actions)
     assert_allclose(policy.sum(axis=1), 1.0)
-    assert mdp.discount < 1.0 or (mdp.absorbing()[-1] and np.all(mdp.transitions.toarray()[:, -1] > 0))
+    assert mdp.discount < 1.0 or (
+        mdp.absorbing()[-1] and np.all(mdp.transitions.toarray()[:, -1] > 0)
+    )
     assert np.all(data.draw(policies(mdp, zeros=False)) > 0)
 
 
 @QUICK
-@given(mdps(min_states=2, max_states=3, max_actions=2, discounts=(0.5,), rewards=("sa",), absorbing=True))
+@given(
+    mdps(
+        min_states=2,
+        max_states=3,
+        max_actions=2,
+        discounts=(0.5,),
+        rewards=("sa",),
+        absorbing=True,
+    )
+)
 def test_options_are_kept(mdp):
     assert mdp.n_states in (2, 3)
     assert mdp.n_actions in (1, 2)
@@ -50,7 +68,11 @@ def test_pairs_have_the_support_that_was_asked_for(support):
     def check(pair):
         simulator, target = pair
         here, there = (mdp.transitions.toarray() > 0 for mdp in pair)
-        for name in ("rewards" if simulator.transition_rewards is None else "initial", "initial", "discount"):
+        for name in (
+            "rewards" if simulator.transition_rewards is None else "initial",
+            "initial",
+            "discount",
+        ):
             assert_array_equal(getattr(simulator, name), getattr(target, name))
         if support == "violated":
             rows, _ = np.nonzero(there & ~here)
@@ -71,10 +93,20 @@ def test_pairs_have_the_support_that_was_asked_for(support):
 @given(st.data())
 def test_logs_are_of_their_mdp(data):
     mdp = data.draw(mdps(max_states=4))
-    behavior, kind = data.draw(policies(mdp)), data.draw(st.sampled_from(["episodes", "transitions"]))
-    log = data.draw(logs(mdp, kind=kind, behavior_policy=behavior, max_episodes=3, max_steps=4))
+    behavior, kind = (
+        data.draw(policies(mdp)),
+        data.draw(st.sampled_from(["episodes", "transitions"])),
+    )
+    log = data.draw(
+        logs(mdp, kind=kind, behavior_policy=behavior, max_episodes=3, max_steps=4)
+    )
     assert 1 <= len(log) <= 12
-    assert np.all(mdp.transitions.toarray()[log.state * mdp.n_actions + log.action, log.next_state] > 0)
+    assert np.all(
+        mdp.transitions.toarray()[
+            log.state * mdp.n_actions + log.action, log.next_state
+        ]
+        > 0
+    )
     assert_array_equal(log.behavior_probability, behavior[log.state, log.action])
     assert np.all(log.behavior_probability > 0)
     assert oee.Problem(mdp, log).reward_conflict is None
@@ -87,25 +119,42 @@ def test_logs_are_of_their_mdp(data):
         assert_array_equal(log.terminated, mdp.absorbing()[log.next_state])
 
 
-@pytest.mark.parametrize("condition", [
-    lambda m: m.transitions.nnz < m.n_states**2 * m.n_actions,
-    lambda m: m.transition_rewards is not None,
-    lambda m: m.discount == 1.0,
-    lambda m: m.n_states == 1 and m.n_actions == 3,
-    lambda m: m.absorbing().any() and not m.absorbing().all(),
-    lambda m: m.n_states == 2 and len(np.unique(m.transitions.data)) == 1 and m.transitions.nnz == 4,
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "condition",
+    [
+        lambda m: m.transitions.nnz < m.n_states**2 * m.n_actions,
+        lambda m: m.transition_rewards is not None,
+        lambda m: m.discount == 1.0,
+        lambda m: m.n_states == 1 and m.n_actions == 3,
+        lambda m: m.absorbing().any() and not m.absorbing().all(),
+        lambda m: (
+            m.n_states == 2
+            and len(np.unique(m.transitions.data)) == 1
+            and m.transitions.nnz == 4
+        ),
+    ],
+)
 def test_exact_zeros_ties_and_every_form_are_there(condition):
     smallest(mdps(), condition, phases=[Phase.generate])
 
 
 def test_examples_shrink_to_the_simplest():
     simplest = smallest(mdps(), max_examples=20)
-    assert (simplest.n_states, simplest.n_actions, simplest.discount, simplest.rewards) == (1, 1, 0.0, 0.0)
-    branching = smallest(mdps(max_states=3, max_actions=2), lambda m: m.transitions.nnz > m.n_states * m.n_actions)
+    assert (
+        simplest.n_states,
+        simplest.n_actions,
+        simplest.discount,
+        simplest.rewards,
+    ) == (1, 1, 0.0, 0.0)
+    branching = smallest(
+        mdps(max_states=3, max_actions=2),
+        lambda m: m.transitions.nnz > m.n_states * m.n_actions,
+    )
     assert (branching.n_states, branching.n_actions) == (2, 1)
     assert_allclose(branching.transitions.data, 0.5)
-    simulator, _ = smallest(mdp_pairs(support="violated", max_states=3, max_actions=2), max_examples=20)
+    simulator, _ = smallest(
+        mdp_pairs(support="violated", max_states=3, max_actions=2), max_examples=20
+    )
     assert (simulator.n_states, simulator.n_actions) == (2, 1)
     assert len(smallest(logs(branching), lambda log: log.n_episodes == 2)) == 2
 
@@ -113,7 +162,12 @@ def test_examples_shrink_to_the_simplest():
 def test_no_rewards_either_kind_and_any_behaviour():
     unshrunk = {"phases": [Phase.generate]}
     assert smallest(logs(GRID, rewards=False), **unshrunk).reward is None
-    assert smallest(logs(GRID, kind=None), lambda log: log.episode is None, **unshrunk).timestep is None
+    assert (
+        smallest(
+            logs(GRID, kind=None), lambda log: log.episode is None, **unshrunk
+        ).timestep
+        is None
+    )
     assert np.all(smallest(logs(GRID), **unshrunk).behavior_probability == 0.25)
     with pytest.raises(Exception, match=r"[Nn]o"):
         smallest(horizons(ENDLESS), lambda horizon: horizon is None)

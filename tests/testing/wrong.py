@@ -27,15 +27,24 @@ def sampling(
         log, pi = problem.log, evaluated(policy)
         ratios = ratio(pi[log.state, log.action], log.behavior_probability)
         weights = segment_products(ratios, log.episode_starts) ** power
-        rewards = factor(problem.simulator.discount, log.timestep) * log.reward * weights
+        rewards = (
+            factor(problem.simulator.discount, log.timestep) * log.reward * weights
+        )
         rewards = np.where(keep(log.timestep, problem.horizon), rewards, 0.0)
-        return then(np.add.reduceat(rewards, log.episode_starts[:-1]).mean(), problem, policy, seed)
+        return then(
+            np.add.reduceat(rewards, log.episode_starts[:-1]).mean(),
+            problem,
+            policy,
+            seed,
+        )
 
     return estimate
 
 
 def inverse_ratio(probability, behavior):
-    return np.divide(behavior, probability, out=np.zeros_like(behavior), where=probability > 0)
+    return np.divide(
+        behavior, probability, out=np.zeros_like(behavior), where=probability > 0
+    )
 
 
 def even(policy):
@@ -69,7 +78,9 @@ def trust_state_zero(problem, policy):
     model = ModelBased("simulator").model(problem)
     rows = model.transitions.toarray().reshape(model.n_states, model.n_actions, -1)
     rows[0] = problem.simulator.transitions.toarray().reshape(rows.shape)[0]
-    return oee.policy_value(model.with_transitions(rows), policy, horizon=problem.horizon)
+    return oee.policy_value(
+        model.with_transitions(rows), policy, horizon=problem.horizon
+    )
 
 
 class LimitOfAnother:
@@ -78,8 +89,21 @@ class LimitOfAnother:
     def __call__(self, problem, policy):
         return sampling()(problem, policy)
 
-    def limit(self, simulator, target, policy, *, data_distribution=None, behavior_policy=None, horizon=None):
-        return oee.policy_value(target, even(policy) if behavior_policy is None else behavior_policy, horizon=horizon)
+    def limit(
+        self,
+        simulator,
+        target,
+        policy,
+        *,
+        data_distribution=None,
+        behavior_policy=None,
+        horizon=None,
+    ):
+        return oee.policy_value(
+            target,
+            even(policy) if behavior_policy is None else behavior_policy,
+            horizon=horizon,
+        )
 
 
 class LimitWithoutSupport:
@@ -92,48 +116,98 @@ class LimitWithoutSupport:
         inside = sparse.csr_array((simulator.transitions.toarray() > 0).astype(float))
         if inside[target.transitions.nonzero()].all():
             return ModelBased("simulator").limit(simulator, target, policy, **options)
-        return oee.policy_value(oee.exact.reweight(target, inside), policy, horizon=options["horizon"])
+        return oee.policy_value(
+            oee.exact.reweight(target, inside), policy, horizon=options["horizon"]
+        )
 
 
 def self_normalized(kind, **options):
     """A plain function of an estimator of the package: without its limit and its claims."""
-    return lambda problem, policy: ImportanceSampling(kind, self_normalized=True, **options)(problem, policy)
+    return lambda problem, policy: ImportanceSampling(
+        kind, self_normalized=True, **options
+    )(problem, policy)
 
 
 def noisy(make):
     """Right but for a draw of the generator that ``make`` makes of the seed."""
-    return sampling(then=lambda value, problem, policy, seed: value + 1e-3 * make(seed).normal())
+    return sampling(
+        then=lambda value, problem, policy, seed: value + 1e-3 * make(seed).normal()
+    )
 
 
 PADDED = f"{ALWAYS} padding"
 TABLE = {
     "ratio inverted": (sampling(ratio=inverse_ratio), PADDED, "consistent identical"),
-    "weights squared": (sampling(power=2), f"{ALWAYS} unbiased", "consistent identical unbiased"),
-    "discount forgotten": (sampling(factor=lambda g, t: g**0 * np.ones(len(t))), PADDED, "consistent identical ragged"),
-    "discount one step late": (sampling(factor=lambda g, t: g ** (t + 1)), PADDED, "consistent identical ragged"),
+    "weights squared": (
+        sampling(power=2),
+        f"{ALWAYS} unbiased",
+        "consistent identical unbiased",
+    ),
+    "discount forgotten": (
+        sampling(factor=lambda g, t: g**0 * np.ones(len(t))),
+        PADDED,
+        "consistent identical ragged",
+    ),
+    "discount one step late": (
+        sampling(factor=lambda g, t: g ** (t + 1)),
+        PADDED,
+        "consistent identical ragged",
+    ),
     "policy ignored": (sampling(evaluated=even), PADDED, "consistent identical"),
     "horizon ignored": (sampling(keep=lambda t, horizon: t >= 0), PADDED, "consistent"),
-    "mean return of the log": (sampling(ratio=lambda p, b: np.ones(len(b))), f"{ALWAYS} shift", "consistent identical"),
-    "mean reward of the log": (lambda problem, policy: problem.log.reward.mean(), ALWAYS, "consistent ragged identical"),
-    "finished episodes dropped": (
-        self_normalized("per_decision", ragged="zero"), f"{PADDED} shift", "consistent ragged identical padding",
+    "mean return of the log": (
+        sampling(ratio=lambda p, b: np.ones(len(b))),
+        f"{ALWAYS} shift",
+        "consistent identical",
     ),
-    "simulator called consistent": (lambda problem, policy: Simulator()(problem, policy), ALWAYS, "consistent ragged"),
+    "mean reward of the log": (
+        lambda problem, policy: problem.log.reward.mean(),
+        ALWAYS,
+        "consistent ragged identical",
+    ),
+    "finished episodes dropped": (
+        self_normalized("per_decision", ragged="zero"),
+        f"{PADDED} shift",
+        "consistent ragged identical padding",
+    ),
+    "simulator called consistent": (
+        lambda problem, policy: Simulator()(problem, policy),
+        ALWAYS,
+        "consistent ragged",
+    ),
     "log changed": (sampling(then=center_rewards_of_log), "scale", "input_unchanged"),
     "policy changed": (sampling(then=reverse_policy), "scale", "input_unchanged"),
     "problem changed": (sampling(then=change_horizon), "scale", "input_unchanged"),
-    "nan": (sampling(then=lambda value, problem, *_: np.nan if problem.horizon == 1 else value), PADDED, "well_formed"),
+    "nan": (
+        sampling(
+            then=lambda value, problem, *_: np.nan if problem.horizon == 1 else value
+        ),
+        PADDED,
+        "well_formed",
+    ),
     "global random state": (noisy(lambda seed: np.random), "random", "reproducible"),
     "global seed set": (sampling(then=seed_global_state), "random", "reproducible"),
-    "seed ignored": (noisy(lambda seed: np.random.default_rng()), "random", "reproducible"),
+    "seed ignored": (
+        noisy(lambda seed: np.random.default_rng()),
+        "random",
+        "reproducible",
+    ),
     "random but silent": (noisy(np.random.default_rng), "", "seeds"),
     "state zero special": (trust_state_zero, "relabelling scale", "relabelling"),
-    "rewards clipped": (sampling(then=lambda value, *_: max(value, -5.0)), "scale", "scale"),
-    "unbiased": (self_normalized("trajectory"), "consistent unbiased shift", "unbiased"),
+    "rewards clipped": (
+        sampling(then=lambda value, *_: max(value, -5.0)),
+        "scale",
+        "scale",
+    ),
+    "unbiased": (
+        self_normalized("trajectory"),
+        "consistent unbiased shift",
+        "unbiased",
+    ),
     "shift": (sampling(), "unbiased shift", "shift"),
     "limit of another": (LimitOfAnother(), "", "limit"),
     "limit without support": (LimitWithoutSupport(), "consistent", "support"),
-}  # fmt: skip
+}
 
 
 class Shrunk:
@@ -148,5 +222,7 @@ class Shrunk:
         simulator, counts = problem.simulator, problem.counts.toarray()
         prior = self.strength * simulator.transitions.toarray()
         rows = (counts + prior) / (counts.sum(axis=1, keepdims=True) + self.strength)
-        model = simulator.with_transitions(rows.reshape(simulator.n_states, simulator.n_actions, -1))
+        model = simulator.with_transitions(
+            rows.reshape(simulator.n_states, simulator.n_actions, -1)
+        )
         return oee.Estimate(oee.policy_value(model, policy, horizon=problem.horizon))

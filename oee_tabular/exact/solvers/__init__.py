@@ -36,7 +36,12 @@ from oee_tabular.exact import _system
 from oee_tabular.exact.solvers.bicgstab import BiCGStab
 from oee_tabular.exact.solvers.direct import LAPACK, LAST_RESORT, EnvelopeLU, SuperLU
 from oee_tabular.exact.solvers.mixing import PlainBiCGStab, ValueIteration
-from oee_tabular.exact.system import DivergentKernelError, Solve, System, spectral_radius
+from oee_tabular.exact.system import (
+    DivergentKernelError,
+    Solve,
+    System,
+    spectral_radius,
+)
 
 
 class Solver(Protocol):
@@ -69,7 +74,8 @@ SOLVERS: tuple[Solver, ...] = (
     SuperLU(),
     LAPACK(LAST_RESORT),
 )
-STEADY = tuple(solver for solver in SOLVERS if not isinstance(solver, ValueIteration))  # sweeps stop by the size of x
+# sweeps stop by the size of x
+STEADY = tuple(solver for solver in SOLVERS if not isinstance(solver, ValueIteration))
 
 
 class Iterate(NamedTuple):
@@ -83,7 +89,9 @@ class Iterate(NamedTuple):
     method: str
 
 
-def answer(system: System, b: Array, near: Array | None = None, share: float = 0.0) -> Iterate:
+def answer(
+    system: System, b: Array, near: Array | None = None, share: float = 0.0
+) -> Iterate:
     """x, by one solver after the other that suits, each from where those before it got to, until rounding is what is left.
 
     ``near`` : what to begin with, where it is better than 0.
@@ -104,8 +112,9 @@ def answer(system: System, b: Array, near: Array | None = None, share: float = 0
                 return best
     if not best.largest <= 1e-9 * np.abs(b).max():
         warnings.warn(
-            f"the linear system of {len(b)} states is solved only to a residual of {best.largest:.2g}, and its graph "
-            "lets no direct solver finish: the error bound says what that is worth",
+            f"the linear system of {len(b)} states is solved only to a residual of"
+            f" {best.largest:.2g}, and its graph lets no direct solver finish: the"
+            " error bound says what that is worth",
             RuntimeWarning,
             stacklevel=2,
         )
@@ -115,12 +124,19 @@ def answer(system: System, b: Array, near: Array | None = None, share: float = 0
 def measure(system: System, b: Array, x: Array, method: str) -> Iterate:
     """x and what it misses."""
     n_roundings = float(system.n_roundings)
-    missed, largest, bound, rounding = _system.residual(system.kernel, system.transpose, b, x, n_roundings)
+    missed, largest, bound, rounding = _system.residual(
+        system.kernel, system.transpose, b, x, n_roundings
+    )
     return Iterate(x, missed, largest, bound, rounding, method)
 
 
 def refine(
-    system: System, b: Array, solver: Solver, best: Iterate, share: float = 0.0, allowed: float = 0.0
+    system: System,
+    b: Array,
+    solver: Solver,
+    best: Iterate,
+    share: float = 0.0,
+    allowed: float = 0.0,
 ) -> Iterate:
     """Solve for what is missed until that is within rounding, or what is allowed, or stops falling."""
     solve = solver.prepare(system)
@@ -148,8 +164,8 @@ def inverse_norm(system: System) -> float:
     if not (np.all(np.isfinite(solution.x)) and solution.x.min() > 0.0 and slack > 0.5):
         radius = spectral_radius(system.csr(), system.kernel.discount)
         raise DivergentKernelError(
-            f"the infinite sum does not exist: discount * kernel has a spectral radius of {radius:.6g}, "
-            f"which must be below 1 (its rows sum to at most {carried:.6g}); "
-            "normalise the rows or give a horizon"
+            "the infinite sum does not exist: discount * kernel has a spectral radius"
+            f" of {radius:.6g}, which must be below 1 (its rows sum to at most"
+            f" {carried:.6g}); normalise the rows or give a horizon"
         )
     return float(solution.x.max() / slack * (1.0 + 1e-14))

@@ -30,9 +30,11 @@ from oee_tabular.exact.system import Kernel, Solve, System
 
 FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x
 STEPS = 500
-PROBE_STEPS = 16  # within which a twentieth has to be left, where fewer than STEPS are allowed
-# where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at .99 and up to 39 at .9999, small worlds of 500
-# states 53 at .999, random bands 67 at .99 and up to 500
+# within which a twentieth has to be left, where fewer than STEPS are allowed
+PROBE_STEPS = 16
+# where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at .99 and up to
+# 39 at .9999, small worlds of 500 states 53 at .999, random bands 67 at .99 and up to
+# 500
 FEW_STEPS = 72
 
 # row pointers of L and U, their columns and values, D - 2; D~
@@ -62,7 +64,8 @@ class BiCGStab:
         if room > 2.5 * len(kernel.indices):
             inverse, room = np.zeros(system.n_states), len(kernel.indices)
         rest, states = eliminate(kernel, order, inverse, room)
-        # weight 1 keeps row sums, which counts near discount 1; a little below it the iteration is steadier in a drift
+        # weight 1 keeps row sums, which counts near discount 1; a little below it the
+        # iteration is steadier in a drift
         weight = 1.0 - min(0.1, max(0.001, 0.15 * np.sqrt(1.0 - kernel.discount)))
         factors = factorise(rest, transpose, weight)
         steps = STEPS if system.envelope is None else FEW_STEPS
@@ -103,7 +106,11 @@ def find_independent(kernel, order):
         if inverse[state] == 0.0:
             for k in range(indptr[state], indptr[state + 1]):
                 j = indices[k]
-                room += np.int64(indptr[j + np.uint32(1)] - indptr[j]) if inverse[j] > 0.0 else 1
+                room += (
+                    np.int64(indptr[j + np.uint32(1)] - indptr[j])
+                    if inverse[j] > 0.0
+                    else 1
+                )
     return inverse, room
 
 
@@ -112,22 +119,36 @@ def eliminate(kernel, order, inverse, room):
     """K' in the given order of the states that are left, with discount 1; and these states."""
     indptr, indices, data, discount = kernel
     states = order[inverse[order] == 0.0]
-    number, place = np.zeros(len(order), dtype=np.uint32), np.zeros(len(states), dtype=np.uint32)
+    number, place = (
+        np.zeros(len(order), dtype=np.uint32),
+        np.zeros(len(states), dtype=np.uint32),
+    )
     for row in range(len(states)):
         number[states[row]] = row
-    columns, values = np.empty(room, dtype=np.uint32), np.empty(room)  # only what is filled becomes memory
+    # only what is filled becomes memory
+    columns, values = np.empty(room, dtype=np.uint32), np.empty(room)
     starts, filled = np.zeros(len(states) + 1, dtype=np.uint32), np.uint64(0)
     for row in range(len(states)):
         begin, state = filled, states[row]
         for k in range(indptr[state], indptr[state + np.uint32(1)]):
             j, value = indices[k], discount * data[k]
             if inverse[j] == 0.0:
-                filled = add_entry(columns, values, place, begin, filled, number[j], value)
+                filled = add_entry(
+                    columns, values, place, begin, filled, number[j], value
+                )
                 continue
             value *= discount * inverse[j]
             for m in range(indptr[j], indptr[j + np.uint32(1)]):
                 if indices[m] != j:
-                    filled = add_entry(columns, values, place, begin, filled, number[indices[m]], value * data[m])
+                    filled = add_entry(
+                        columns,
+                        values,
+                        place,
+                        begin,
+                        filled,
+                        number[indices[m]],
+                        value * data[m],
+                    )
         starts[row + 1] = filled
     return Kernel(starts, columns[:filled], values[:filled], 1.0), states
 
@@ -153,7 +174,8 @@ def modified_diagonal(kernel, weight):
                 diagonal -= data[k]
         pivot = diagonal - weight * dropped
         if not pivot > 0.05 * diagonal:
-            pivot = diagonal if diagonal > 0.0 else 1.0  # a matrix that is singular or worse has yet to be found out
+            # a matrix that is singular or worse has yet to be found out
+            pivot = diagonal if diagonal > 0.0 else 1.0
         modified[i] = pivot
         later[i] = sum_later / pivot
     return modified
@@ -168,7 +190,11 @@ def factorise(kernel, transpose, weight):
     if transpose:
         indptr, indices, data = transpose_rows(indptr, indices, data, n)
     lower, upper = np.empty(n + 1, dtype=np.uint32), np.empty(n + 1, dtype=np.uint32)
-    columns, values, diagonal = np.empty(len(indices), dtype=np.uint32), np.empty(len(indices)), np.empty(n)
+    columns, values, diagonal = (
+        np.empty(len(indices), dtype=np.uint32),
+        np.empty(len(indices)),
+        np.empty(n),
+    )
     low, high = 0, len(indices)
     lower[0], upper[0] = low, high
     for i in range(n):
@@ -216,7 +242,8 @@ def iterate(factors, b, relative, steps):
     taken = 0
     while True:
         largest, largest_y = 0.0, 0.0
-        for i in range(n - 1, -1, -1):  # finishes the step before, and t = (I + U)^-1 p for the new p
+        # finishes the step before, and t = (I + U)^-1 p for the new p
+        for i in range(n - 1, -1, -1):
             y_i = y[i] + (alpha * p[i] + omega * r[i])
             r_i = r[i] - omega * w[i]
             p_i = r_i + beta * (p[i] - omega * v[i])
@@ -245,7 +272,8 @@ def iterate(factors, b, relative, steps):
         if along == 0.0 or not np.isfinite(along):
             break
         alpha = rho / along
-        for i in range(n - 1, -1, -1):  # r holds the half step's residual from here to the next sweep upwards
+        # r holds the half step's residual from here to the next sweep upwards
+        for i in range(n - 1, -1, -1):
             s_i = r[i] - alpha * v[i]
             r[i] = s_i
             total = s_i

@@ -24,7 +24,8 @@ from oee_tabular.exact.system import Csr, Solve, System
 
 LAST_RESORT = 3000  # states: 72 MB and a second
 
-# states in the order of elimination, the first linked one of each, where its row begins; rows of L, columns of U, U's diagonal
+# states in the order of elimination, the first linked one of each, where its row
+# begins; rows of L, columns of U, U's diagonal
 Envelope = namedtuple("Envelope", "order first starts lower upper diagonal")
 
 
@@ -49,7 +50,13 @@ class LAPACK:
         factors, place, is_singular = lapack.dgetrf(matrix, overwrite_a=True)
 
         def solve(b: Array, relative: float) -> Array | None:
-            return None if is_singular else np.asarray(lapack.dgetrs(factors, place, b, trans=not system.transpose)[0])
+            return (
+                None
+                if is_singular
+                else np.asarray(
+                    lapack.dgetrs(factors, place, b, trans=not system.transpose)[0]
+                )
+            )
 
         return solve
 
@@ -83,7 +90,9 @@ class EnvelopeLU:
         if (self.is_narrow and system.expands) or system.envelope is None:
             return False
         n_filled, n_entries = system.envelope[-1][-1], len(system.kernel.indices)
-        return not self.is_narrow or bool(n_filled <= max(10 * system.n_states, 2 * n_entries))
+        return not self.is_narrow or bool(
+            n_filled <= max(10 * system.n_states, 2 * n_entries)
+        )
 
     def prepare(self, system: System) -> Solve:
         """Gives up where a pivot is not positive: then M is no M-matrix."""
@@ -91,7 +100,11 @@ class EnvelopeLU:
         factors, is_regular = factorise(system.kernel, *system.envelope)
 
         def solve(b: Array, relative: float) -> Array | None:
-            return np.asarray(substitute(factors, system.transpose, b)) if is_regular else None
+            return (
+                np.asarray(substitute(factors, system.transpose, b))
+                if is_regular
+                else None
+            )
 
         return solve
 
@@ -167,15 +180,29 @@ class SuperLU:
             return not system.expands
         rows = Csr(*system.kernel[:3])
         along_rows = _system.fills_little(system.kernel, rows, *system.order, self.most)
-        return bool(along_rows and _system.fills_little(system.kernel, system.back, *system.order, self.most))
+        return bool(
+            along_rows
+            and _system.fills_little(
+                system.kernel, system.back, *system.order, self.most
+            )
+        )
 
     def prepare(self, system: System) -> Solve:
         """Gives up on a singular system, as far as SuperLU sees it."""
         kernel = system.csr()
-        rows = sparse.csr_array(sparse.eye_array(system.n_states, format="csr") - system.kernel.discount * kernel)
-        transposed = sparse.csc_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
+        rows = sparse.csr_array(
+            sparse.eye_array(system.n_states, format="csr")
+            - system.kernel.discount * kernel
+        )
+        transposed = sparse.csc_array(
+            (rows.data, rows.indices, rows.indptr), shape=rows.shape
+        )
         try:
-            factors = sparse_linalg.splu(transposed, "MMD_AT_PLUS_A", options={"SymmetricMode": True, "Equil": False})
+            factors = sparse_linalg.splu(
+                transposed,
+                "MMD_AT_PLUS_A",
+                options={"SymmetricMode": True, "Equil": False},
+            )
         except RuntimeError:  # singular
             return lambda b, relative: None
 

@@ -30,7 +30,9 @@ from oee_tabular.exact._system import multiply
 from oee_tabular.exact.system import Solve, System
 
 FLOOR = 4e-16  # of the residual relative to x
-WINDOW = 150  # steps in which the residual is to fall to a tenth: small worlds near discount 1 take 100
+# steps in which the residual is to fall to a tenth: small worlds near discount 1 take
+# 100
+WINDOW = 150
 
 
 @dataclass(frozen=True)
@@ -59,12 +61,14 @@ def sweep(kernel, mass, transpose, b, relative):
     n = len(b)
     carried = kernel.discount * mass
     over = carried / (1.0 - carried)
-    mean = 0.0  # term by term: numpy's own differs from the compiled one in the last bit
+    # term by term: numpy's own differs from the compiled one in the last bit
+    mean = 0.0
     for i in range(n):
         mean += b[i]
     mean /= n
     x, new = b + (over * mean if transpose else 0.0), np.empty(n)
-    allowed, floor = np.inf, 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))  # rounding grows with a row
+    # rounding grows with a row
+    allowed, floor = np.inf, 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))
     for turn in range(200):
         multiply(kernel, transpose, x, new)
         low, high, largest = np.inf, -np.inf, 0.0
@@ -80,7 +84,8 @@ def sweep(kernel, mass, transpose, b, relative):
         shift = 0.0 if transpose else over * (0.5 * (low + high))
         failing = turn % 4 == 0 and not spread <= allowed
         near = max(relative, floor) * max(largest, abs(shift))
-        if spread <= near or (failing and spread <= 64.0 * near):  # rounding keeps it from falling any more
+        # rounding keeps it from falling any more
+        if spread <= near or (failing and spread <= 64.0 * near):
             return x + shift
         if failing:
             return None
@@ -106,7 +111,12 @@ class PlainBiCGStab:
 
     def prepare(self, system: System) -> Solve:
         """Nothing is worked out before."""
-        return partial(solve, system.kernel, system.kernel.discount * (system.shared_sum or 0.0), system.transpose)
+        return partial(
+            solve,
+            system.kernel,
+            system.kernel.discount * (system.shared_sum or 0.0),
+            system.transpose,
+        )
 
 
 @njit(cache=True)

@@ -42,12 +42,24 @@ from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Strea
 from oee_tabular.lab.run import Store, alone, run_and_write, run_experiment
 from oee_tabular.testing.conformance import own_estimator
 
-__all__ = ["Families", "Family", "League", "families", "garnet_worse", "league_of", "run", "tandem"]
+__all__ = [
+    "Families",
+    "Family",
+    "League",
+    "families",
+    "garnet_worse",
+    "league_of",
+    "run",
+    "tandem",
+]
 
 SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
 SEEDS = 40
 TIMEOUT = 600.0  # seconds of an estimate
-REFERENCES: Mapping[str, Estimator] = {LIKELIHOOD: ModelBased(fallback="simulator"), SIMULATOR: Simulator()}
+REFERENCES: Mapping[str, Estimator] = {
+    LIKELIHOOD: ModelBased(fallback="simulator"),
+    SIMULATOR: Simulator(),
+}
 
 
 def run(
@@ -109,9 +121,23 @@ def run(
     """
     _checks.boolean(fresh, "fresh")
     _checks.boolean(progress, "progress")
-    settings = plan(estimators, families=families, sizes=sizes, seeds=seeds, seed=seed, timeout=timeout)
-    with tempfile.TemporaryDirectory() if output is None else nullcontext(output) as folder, alone(Path(folder)):
-        store = run_experiment(Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress)
+    settings = plan(
+        estimators,
+        families=families,
+        sizes=sizes,
+        seeds=seeds,
+        seed=seed,
+        timeout=timeout,
+    )
+    with (
+        (
+            tempfile.TemporaryDirectory() if output is None else nullcontext(output)
+        ) as folder,
+        alone(Path(folder)),
+    ):
+        store = run_experiment(
+            Path(folder), settings, jobs=jobs, dask=dask, fresh=fresh, progress=progress
+        )
     return league_of(store.table().drop(columns="repetition"))
 
 
@@ -130,27 +156,64 @@ def plan(
     chosen = choose_estimators(estimators)
     source, names = choose_families(families, first)
     values = [sizes] if np.isscalar(sizes) else list(sizes)
-    numbers = sorted({_checks.number_in(value, "sizes", 0.0, np.inf, open_ends=True) for value in values})
+    numbers = sorted(
+        {
+            _checks.number_in(value, "sizes", 0.0, np.inf, open_ends=True)
+            for value in values
+        }
+    )
     if not numbers:
         raise ValueError("sizes must name at least one; it is empty")
     experiment = Experiment(
-        id="bench", title="Estimators on families of environment shift", group="bench",
-        axes={"family": names, "size": tuple(numbers)}, repetitions=count,
+        id="bench",
+        title="Estimators on families of environment shift",
+        group="bench",
+        axes={"family": names, "size": tuple(numbers)},
+        repetitions=count,
         run=functools.partial(
-            measure_cell, estimators={name: name for name in REFERENCES} | chosen, source=source, timeout=limit
+            measure_cell,
+            estimators={name: name for name in REFERENCES} | chosen,
+            source=source,
+            timeout=limit,
         ),
-        keys=("family", "size", "estimator"), measures=(), draw=lambda table, summary, figure: None,
-    )  # fmt: skip
-    label = "the package's" if source is None else source if isinstance(source, str) else "given"
-    asked = {"estimators": list(chosen), "families": label} | ({} if limit == TIMEOUT else {"timeout": limit})
-    return RunSettings(experiment, experiment.axes, count, first, asked, modules_of([*chosen.values(), source]))
+        keys=("family", "size", "estimator"),
+        measures=(),
+        draw=lambda table, summary, figure: None,
+    )
+    label = (
+        "the package's"
+        if source is None
+        else source
+        if isinstance(source, str)
+        else "given"
+    )
+    asked = {"estimators": list(chosen), "families": label} | (
+        {} if limit == TIMEOUT else {"timeout": limit}
+    )
+    return RunSettings(
+        experiment,
+        experiment.axes,
+        count,
+        first,
+        asked,
+        modules_of([*chosen.values(), source]),
+    )
 
 
 def measure_cell(
-    cell: Cell, stream: Stream, *, estimators: Mapping[str, Any], source: Any, timeout: float
+    cell: Cell,
+    stream: Stream,
+    *,
+    estimators: Mapping[str, Any],
+    source: Any,
+    timeout: float,
 ) -> list[Row]:
     """One seed of family x size, every estimator on its log; the seed of the family is the run's first plus the repetition."""
-    seed, name, size = stream.seed + int(cell["repetition"]), str(cell["family"]), float(cell["size"])
+    seed, name, size = (
+        stream.seed + int(cell["repetition"]),
+        str(cell["family"]),
+        float(cell["size"]),
+    )
     family = find_family(source, name, seed)
     own = Stream(stream.experiment, seed, {"family": name, "size": size})
     problem = family.problem(family.size(size), own.generator(use="log"))
@@ -158,7 +221,11 @@ def measure_cell(
     facts = {"seed": seed, "families": kind, **facts_of(family, problem)}
     seeds = {key: int(own.sequence(use=key).generate_state(1)[0]) for key in estimators}
     return [
-        {**facts, "estimator": key, **measure(key, given, family, problem, seeds[key], timeout)}
+        {
+            **facts,
+            "estimator": key,
+            **measure(key, given, family, problem, seeds[key], timeout),
+        }
         for key, given in estimators.items()
     ]
 
@@ -167,12 +234,16 @@ def facts_of(family: Family, problem: Problem) -> Row:
     """What is known exactly about a log: truth, the share of the policy's time that it covers, efficiency bound / n."""
     n, horizon = len(problem.log), family.horizon
     is_endless = horizon is None and family.target.discount == 1.0
-    time = occupancy(family.target, family.policy, horizon=family.length if is_endless else horizon)
+    time = occupancy(
+        family.target, family.policy, horizon=family.length if is_endless else horizon
+    )
     time = np.where(family.target.absorbing()[:, None], 0.0, time)
     observed = row_sums(problem.counts).reshape(time.shape) > 0
     bound = math.inf
     if not is_endless:
-        bound = efficiency_bound(family.target, family.policy, family.data_distribution, horizon=horizon)
+        bound = efficiency_bound(
+            family.target, family.policy, family.data_distribution, horizon=horizon
+        )
     return {
         "n": n,
         "open_rows": family.open_rows,
@@ -183,24 +254,47 @@ def facts_of(family: Family, problem: Problem) -> Row:
     }
 
 
-def measure(name: str, given: object, family: Family, problem: Problem, seed: int, timeout: float) -> Row:
+def measure(
+    name: str,
+    given: object,
+    family: Family,
+    problem: Problem,
+    seed: int,
+    timeout: float,
+) -> Row:
     """What one estimator gives on one log: value, error, interval, seconds, status; what it raises is its status.
 
     The interval is the reported one, else value +- 1.96 standard errors, else none.
     """
-    row: Row = dict.fromkeys(("value", "error", "standard_error", "lower", "upper", "interval", "seconds"), math.nan)
+    row: Row = dict.fromkeys(
+        ("value", "error", "standard_error", "lower", "upper", "interval", "seconds"),
+        math.nan,
+    )
     row |= {"interval": "", "status": "ok"}
     start = time.process_time()
     try:
         with warnings.catch_warnings(), time_limit(timeout):
             warnings.simplefilter("ignore")
-            estimate = as_estimator(estimator_of(name, given, family))(problem, family.policy, seed=seed)
+            estimate = as_estimator(estimator_of(name, given, family))(
+                problem, family.policy, seed=seed
+            )
         seconds, value = time.process_time() - start, float(estimate.value)
         if not math.isfinite(value):
             is_explained = estimate.status not in ("ok", UNEXPLAINED)
-            return row | {"seconds": seconds, "status": estimate.status if is_explained else f"the value is {value}"}
-        error = math.nan if estimate.standard_error is None else float(estimate.standard_error)
-        lower, upper, method = value - NORMAL * error, value + NORMAL * error, "value +- 1.96 standard errors"
+            return row | {
+                "seconds": seconds,
+                "status": estimate.status if is_explained else f"the value is {value}",
+            }
+        error = (
+            math.nan
+            if estimate.standard_error is None
+            else float(estimate.standard_error)
+        )
+        lower, upper, method = (
+            value - NORMAL * error,
+            value + NORMAL * error,
+            "value +- 1.96 standard errors",
+        )
         if estimate.interval is not None:
             lower, upper = (float(end) for end in estimate.interval)
             method = str(estimate.diagnostics.get("interval_method", "reported"))
@@ -208,8 +302,16 @@ def measure(name: str, given: object, family: Family, problem: Problem, seed: in
             lower, upper, method = math.nan, math.nan, ""
     except Exception as failure:
         return row | {"status": f"{type(failure).__name__}: {failure}"}
-    return row | {"value": value, "error": value - family.truth, "standard_error": error, "lower": lower,
-                  "upper": upper, "interval": method, "seconds": seconds, "status": estimate.status}  # fmt: skip
+    return row | {
+        "value": value,
+        "error": value - family.truth,
+        "standard_error": error,
+        "lower": lower,
+        "upper": upper,
+        "interval": method,
+        "seconds": seconds,
+        "status": estimate.status,
+    }
 
 
 def split(text: str) -> list[str]:
@@ -227,18 +329,37 @@ def choose_estimators(given: Any) -> dict[str, Any]:
     elif not isinstance(given, Mapping | Sequence):
         given = [given]
     chosen: dict[str, Any] = {}
-    for key, item in given.items() if isinstance(given, Mapping) else [(None, item) for item in given]:
+    for key, item in (
+        given.items()
+        if isinstance(given, Mapping)
+        else [(None, item) for item in given]
+    ):
         if not isinstance(item, str) and not callable(item):
-            raise ValueError(f"estimators must be names, MODULE:OBJECT or callables; got {_checks.show(item)}")
-        name = item if isinstance(item, str) else str(getattr(item, "__name__", type(item).__name__))
+            raise ValueError(
+                "estimators must be names, MODULE:OBJECT or callables; got"
+                f" {_checks.show(item)}"
+            )
+        name = (
+            item
+            if isinstance(item, str)
+            else str(getattr(item, "__name__", type(item).__name__))
+        )
         name = name if key is None else str(key)
         while key is None and name in chosen and not isinstance(item, str):
             name += "'"
         if name in chosen:
-            raise ValueError(f"estimators must have different names; {name!r} is there twice")
+            raise ValueError(
+                f"estimators must have different names; {name!r} is there twice"
+            )
         if name in REFERENCES and item != name:
-            raise ValueError(f"estimators must not be called {name!r}, which is a reference; {_checks.show(item)} is")
-        if isinstance(item, str) and item not in (*REFERENCES, *estimator_names(needs_target=True)):
+            raise ValueError(
+                f"estimators must not be called {name!r}, which is a reference;"
+                f" {_checks.show(item)} is"
+            )
+        if isinstance(item, str) and item not in (
+            *REFERENCES,
+            *estimator_names(needs_target=True),
+        ):
             look_up_estimator(item)
         chosen[name] = item
     if not chosen:
@@ -266,14 +387,22 @@ def look_up_estimator(spec: str) -> Any:
     if name:
         with own_modules():
             return own_estimator(spec)
-    return evaluate_as_printed if spec == "evaluate" else next(iter(named_estimators([spec]).values()))
+    return (
+        evaluate_as_printed
+        if spec == "evaluate"
+        else next(iter(named_estimators([spec]).values()))
+    )
 
 
-def evaluate_as_printed(problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
+def evaluate_as_printed(
+    problem: Problem, policy: PolicyLike, *, seed: Seed = None
+) -> Estimate:
     """What ``oee.evaluate`` prints: its value of ``oee`` and the interval beside it."""
     from oee_tabular.report import evaluate
 
-    report = evaluate(problem, {"policy": policy}, estimators=["oee"], confidence=0.95, seed=seed)
+    report = evaluate(
+        problem, {"policy": policy}, estimators=["oee"], confidence=0.95, seed=seed
+    )
     return report.results[0].estimate
 
 
@@ -307,11 +436,17 @@ def find_family(source: Any, name: str, seed: int) -> Family:
     """One family; ValueError where it is missing, is no Family or cannot be made."""
     every = families_at(source, seed)
     if name not in every:
-        missing = f"families must have {name!r} at every seed; at seed {seed} it is missing"
-        raise ValueError(every.missing(name) if isinstance(every, Families) else missing)
+        missing = (
+            f"families must have {name!r} at every seed; at seed {seed} it is missing"
+        )
+        raise ValueError(
+            every.missing(name) if isinstance(every, Families) else missing
+        )
     family = every[name]
     if not isinstance(family, Family):
-        raise ValueError(f"family {name!r} must be a Family; it is a {type(family).__name__}")
+        raise ValueError(
+            f"family {name!r} must be a Family; it is a {type(family).__name__}"
+        )
     return family
 
 
@@ -322,8 +457,13 @@ def families_at(source: Any, seed: int) -> Mapping[str, Family]:
     if not isinstance(source, Mapping):
         _checks.function(source, "families")
         source = source(seed) if inspect.signature(source).parameters else source()
-    if not isinstance(source, Mapping) or not all(isinstance(name, str) for name in source):
-        raise ValueError(f"families must make a mapping name -> Family; they make a {type(source).__name__}")
+    if not isinstance(source, Mapping) or not all(
+        isinstance(name, str) for name in source
+    ):
+        raise ValueError(
+            "families must make a mapping name -> Family; they make a"
+            f" {type(source).__name__}"
+        )
     return source
 
 
@@ -332,7 +472,9 @@ def _named_families(spec: str | None, seed: int) -> Mapping[str, Family]:
     if spec is None:
         return families(seed, large=True)
     with own_modules():
-        return families_at(own_object(spec, "families", "my_package.mine:families"), seed)
+        return families_at(
+            own_object(spec, "families", "my_package.mine:families"), seed
+        )
 
 
 def modules_of(objects: Sequence[object]) -> tuple[str, ...]:
@@ -369,21 +511,49 @@ def bench(
         numbers = SIZES if sizes is None else [float(word) for word in split(sizes)]
     except ValueError:
         raise ValueError(
-            f"--sizes must be numbers with commas between them, 0.3,1,3; got {_checks.show(sizes)}"
+            "--sizes must be numbers with commas between them, 0.3,1,3; got"
+            f" {_checks.show(sizes)}"
         ) from None
-    settings = plan(estimators, families=families, sizes=numbers, seeds=seeds, seed=seed, timeout=timeout)
+    settings = plan(
+        estimators,
+        families=families,
+        sizes=numbers,
+        seeds=seeds,
+        seed=seed,
+        timeout=timeout,
+    )
     source = families if families is not None and ":" in families else None
-    given = {"sizes": (sizes, None), "seeds": (seeds, SEEDS), "seed": (seed, 0), "families": (families, None),
-             "timeout": (timeout, TIMEOUT)}  # fmt: skip
-    words = [f" --{name} {value}" for name, (value, default) in given.items() if value != default]
+    given = {
+        "sizes": (sizes, None),
+        "seeds": (seeds, SEEDS),
+        "seed": (seed, 0),
+        "families": (families, None),
+        "timeout": (timeout, TIMEOUT),
+    }
+    words = [
+        f" --{name} {value}"
+        for name, (value, default) in given.items()
+        if value != default
+    ]
 
     def write(store: Store) -> None:
         league = league_of(store.table().drop(columns="repetition"))
-        about = {name: find_family(source, name, seed).about for name in map(str, settings.axes["family"])}
-        league.save(output, about=about, command=f"oee bench --estimators {estimators}{''.join(words)}")
+        about = {
+            name: find_family(source, name, seed).about
+            for name in map(str, settings.axes["family"])
+        }
+        league.save(
+            output,
+            about=about,
+            command=f"oee bench --estimators {estimators}{''.join(words)}",
+        )
         say(f"{league}\n")
 
-    run_and_write(output, settings, write, say=say, progress=sys.stderr.isatty(), **options)
+    run_and_write(
+        output, settings, write, say=say, progress=sys.stderr.isatty(), **options
+    )
     own = families_at(None, seed)
-    for sentence in own.left_out.values() if families is None and isinstance(own, Families) else ():
+    for sentence in (
+        own.left_out.values() if families is None and isinstance(own, Families) else ()
+    ):
         say(sentence)

@@ -26,11 +26,15 @@ from oee_tabular.mdp import check_policy
 
 PEERS: Mapping[str, tuple[str, ...]] = {
     "scope-rl": (
-        "TrajectoryWiseImportanceSampling", "PerDecisionImportanceSampling", "SelfNormalizedTIS", "SelfNormalizedPDIS",
-        "DoublyRobust", "SelfNormalizedDR",
+        "TrajectoryWiseImportanceSampling",
+        "PerDecisionImportanceSampling",
+        "SelfNormalizedTIS",
+        "SelfNormalizedPDIS",
+        "DoublyRobust",
+        "SelfNormalizedDR",
     ),
     "offline-rl-ope": ("VanillaISPDIS", "PDWIS"),
-}  # fmt: skip
+}
 
 
 def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
@@ -42,11 +46,19 @@ def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
     log = problem.recorded
     starts, probability = log.episode_starts, log.behavior_probability
     if starts is None or log.timestep is None:
-        raise ValueError("log must have episodes for importance sampling; its transitions have none")
+        raise ValueError(
+            "log must have episodes for importance sampling; its transitions have none"
+        )
     if probability is None:
-        raise ValueError("log must have behaviour probabilities for importance sampling; it has none")
+        raise ValueError(
+            "log must have behaviour probabilities for importance sampling; it has none"
+        )
     lengths = np.diff(starts)
-    steps = int(lengths.max()) if problem.horizon is None else min(int(lengths.max()), problem.horizon)
+    steps = (
+        int(lengths.max())
+        if problem.horizon is None
+        else min(int(lengths.max()), problem.horizon)
+    )
     time = np.arange(steps)
     alive = time < lengths[:, None]
     row = starts[:-1, None] + np.minimum(time, lengths[:, None] - 1)
@@ -55,7 +67,9 @@ def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
         "action": np.where(alive, log.action[row], 0),
         "reward": np.where(alive, problem.rewards_of(log)[row], 0.0),
         "behavior": np.where(alive, probability[row], 1.0),
-        "policy": np.where(alive[:, :, None], policy[log.state[row]], np.eye(policy.shape[1])[0]),
+        "policy": np.where(
+            alive[:, :, None], policy[log.state[row]], np.eye(policy.shape[1])[0]
+        ),
         "alive": alive,
     }
 
@@ -82,39 +96,59 @@ class Peer:
 
     def __post_init__(self) -> None:
         _checks.one_of(self.library, "library", tuple(PEERS))
-        _checks.one_of(self.estimator, f"{self.library}'s estimator", PEERS[self.library])
+        _checks.one_of(
+            self.estimator, f"{self.library}'s estimator", PEERS[self.library]
+        )
 
     def load(self) -> Any:
         """The estimator as the library makes it; ImportError, which names the extra, without the library."""
         try:
             if self.library == "scope-rl":
-                return getattr(importlib.import_module("scope_rl.ope.discrete.basic_estimators"), self.estimator)()
-            return getattr(importlib.import_module("offline_rl_ope.api").StandardEstimators.IS, self.estimator)()
+                return getattr(
+                    importlib.import_module("scope_rl.ope.discrete.basic_estimators"),
+                    self.estimator,
+                )()
+            return getattr(
+                importlib.import_module("offline_rl_ope.api").StandardEstimators.IS,
+                self.estimator,
+            )()
         except ImportError as error:
             raise ImportError(
-                f"{self.library}:{self.estimator} needs {self.library}; in a clone: pip install '.[{self.library}]'"
+                f"{self.library}:{self.estimator} needs {self.library}; in a clone: pip"
+                f" install '.[{self.library}]'"
             ) from error
 
-    def __call__(self, problem: Problem, policy: PolicyLike, *, seed: Seed = None) -> Estimate:
+    def __call__(
+        self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
+    ) -> Estimate:
         """Its value of the policy."""
-        pi, discount = check_policy(policy, problem.simulator), float(problem.simulator.discount)
+        pi, discount = (
+            check_policy(policy, problem.simulator),
+            float(problem.simulator.discount),
+        )
         estimator, episodes = self.load(), pad_episodes(problem, pi)
         if self.library == "scope-rl":
-            q = action_values(problem.simulator, pi, horizon=problem.horizon)[episodes["state"]]
+            q = action_values(problem.simulator, pi, horizon=problem.horizon)[
+                episodes["state"]
+            ]
             q[~episodes["alive"]] = 0.0
             value = estimator.estimate_policy_value(
                 step_per_trajectory=q.shape[1],
                 action=episodes["action"].reshape(-1),
                 reward=episodes["reward"].reshape(-1),
                 pscore=episodes["behavior"].reshape(-1),
-                evaluation_policy_action_dist=episodes["policy"].reshape(-1, q.shape[2]),
+                evaluation_policy_action_dist=episodes["policy"].reshape(
+                    -1, q.shape[2]
+                ),
                 state_action_value_prediction=q.reshape(-1, q.shape[2]),
                 gamma=discount,
             )
         else:
             torch = importlib.import_module("torch")
             tensor = functools.partial(torch.tensor, dtype=torch.float32)
-            taken = np.take_along_axis(episodes["policy"], episodes["action"][:, :, None], axis=2)[:, :, 0]
+            taken = np.take_along_axis(
+                episodes["policy"], episodes["action"][:, :, None], axis=2
+            )[:, :, 0]
             weights = np.cumprod(taken / episodes["behavior"], axis=1)
             columns = [tensor(column).unsqueeze(-1) for column in episodes["reward"]]
             value = estimator.predict(

@@ -8,15 +8,32 @@ from typing import Any
 import numpy as np
 
 from oee_tabular._checks import Array, BoolArray, IntArray
-from oee_tabular.lab.bench.family import Family, Maker, Moves, binomial, cross, poisson, shift
+from oee_tabular.lab.bench.family import (
+    Family,
+    Maker,
+    Moves,
+    binomial,
+    cross,
+    poisson,
+    shift,
+)
 
 HIGHER = "Customers ask for more than simulated."
 LINE = (0.45, 0.5, 0.7)  # arrivals, slow and fast service of the simulated queue
 PEOPLE = 12
-SUSCEPTIBLE, INFECTED = np.array([(s, i) for s in range(PEOPLE + 1) for i in range(PEOPLE + 1 - s)]).T
+SUSCEPTIBLE, INFECTED = np.array(
+    [(s, i) for s in range(PEOPLE + 1) for i in range(PEOPLE + 1 - s)]
+).T
 PATIENTS = 6
-TRIALS = np.array([counts for counts in itertools.product(range(7), repeat=4) if sum(counts) <= PATIENTS])
-NUMBER_OF_TRIAL = np.zeros((8,) * 4, dtype=np.int64)  # of cured, failed with one arm, and with the other
+TRIALS = np.array(
+    [
+        counts
+        for counts in itertools.product(range(7), repeat=4)
+        if sum(counts) <= PATIENTS
+    ]
+)
+# of cured, failed with one arm, and with the other
+NUMBER_OF_TRIAL = np.zeros((8,) * 4, dtype=np.int64)
 NUMBER_OF_TRIAL[tuple(TRIALS.T)] = np.arange(len(TRIALS))
 CURES = TRIALS[:, 0] + TRIALS[:, 2]
 PLACES = np.arange(31)[:, None]
@@ -25,7 +42,14 @@ WIDE = NOISE**0.5 / (NOISE**0.5).sum()
 HARVESTS = np.array([0, 1, 2, 4, 6])
 
 
-def inventory(believed: float, demand: float, about: str, n_states: int = 20, step: int = 3, **options: Any) -> Maker:
+def inventory(
+    believed: float,
+    demand: float,
+    about: str,
+    n_states: int = 20,
+    step: int = 3,
+    **options: Any,
+) -> Maker:
     """Poisson demand; order 0 to 4 times ``step``; price 3, cost 1, holding .1 a unit, sales beyond the stock are lost."""
 
     def fill(stock: IntArray, order: IntArray) -> Any:
@@ -38,7 +62,9 @@ def inventory(believed: float, demand: float, about: str, n_states: int = 20, st
         full = fill(stock, order)
         return [(poisson(mean, full), full - np.arange(n_states))]
 
-    return shift(about, (n_states, 5), profit, 0.95, (believed,), (demand,), moves, **options)
+    return shift(
+        about, (n_states, 5), profit, 0.95, (believed,), (demand,), moves, **options
+    )
 
 
 def queue(real: tuple[float, ...], about: str, **options: Any) -> Maker:
@@ -70,9 +96,14 @@ def tandem(size: int = 45) -> Family:
     (81, -98.7)
     """
 
-    def moves(state: IntArray, action: IntArray, arrival: float, first: float, second: float) -> Moves:
+    def moves(
+        state: IntArray, action: IntArray, arrival: float, first: float, second: float
+    ) -> Moves:
         (i, j), (fast_2, fast_1) = np.divmod(state, size), np.divmod(action, 2)
-        one, two = first * np.where(fast_1, 1.6, 1.0), second * np.where(fast_2, 1.6, 1.0)
+        one, two = (
+            first * np.where(fast_1, 1.6, 1.0),
+            second * np.where(fast_2, 1.6, 1.0),
+        )
         yield arrival, np.minimum(i + 1, size - 1) * size + j
         yield one, np.where(i > 0, (i - 1) * size + np.minimum(j + 1, size - 1), state)
         yield two, np.where(j > 0, state - 1, state)
@@ -80,11 +111,22 @@ def tandem(size: int = 45) -> Family:
 
     i, j = np.divmod(np.arange(size * size), size)
     cost = -(i + 1.5 * j)[:, None] / 10 - np.array([0.0, 0.6, 0.8, 1.4])
-    about = "More arrivals and slower service at both stations of a line than simulated."
+    about = (
+        "More arrivals and slower service at both stations of a line than simulated."
+    )
     return shift(
-        about, cost.shape, cost, 0.99, (0.20, 0.22, 0.23), (0.25, 0.20, 0.22), moves,
-        policy=np.eye(4)[(i > 3) + 2 * (j > 3)], start=0, recorded=0.0, length=8000,
-    )()  # fmt: skip
+        about,
+        cost.shape,
+        cost,
+        0.99,
+        (0.20, 0.22, 0.23),
+        (0.25, 0.20, 0.22),
+        moves,
+        policy=np.eye(4)[(i > 3) + 2 * (j > 3)],
+        start=0,
+        recorded=0.0,
+        length=8000,
+    )()
 
 
 def machine(wear: IntArray, action: IntArray, one: float, two: float) -> Moves:
@@ -105,47 +147,96 @@ FIRST: dict[str, Maker] = {
     "inventory_slack": inventory(4.0, 3.0, "Customers ask for less than simulated."),
     "inventory40": inventory(7.0, 8.5, HIGHER, 40, 5, recorded=0.9),
     "inventory_identical": inventory(4.0, 4.0, "The simulator of the stock is right."),
-    "queue25": queue((0.55, 0.5, 0.7), "Jobs arrive more often than simulated.", recorded=0.0),
+    "queue25": queue(
+        (0.55, 0.5, 0.7), "Jobs arrive more often than simulated.", recorded=0.0
+    ),
     "queue_slower": queue((0.45, 0.42, 0.6), "Service is slower than simulated."),
-    "queue_identical": queue(LINE, "The simulator of the queue is right.", recorded=0.9),
+    "queue_identical": queue(
+        LINE, "The simulator of the queue is right.", recorded=0.9
+    ),
     "tandem9": lambda: tandem(9),
     "machine": shift(
-        "Machines wear out faster than simulated.", (12, 3),
-        4.0 - 0.05 * np.arange(12.0)[:, None] ** 2 - np.array([0.0, 2.0, 6.0]), 0.97, (0.3, 0.05), (0.4, 0.15), machine,
+        "Machines wear out faster than simulated.",
+        (12, 3),
+        4.0 - 0.05 * np.arange(12.0)[:, None] ** 2 - np.array([0.0, 2.0, 6.0]),
+        0.97,
+        (0.3, 0.05),
+        (0.4, 0.15),
+        machine,
         recorded=0.9,
     ),
-    # age 0 to 11; wait or cut; a fire takes it back to 0; a cut pays the age's wood, the oldest forest 1 a year
+    # age 0 to 11; wait or cut; a fire takes it back to 0; a cut pays the age's wood,
+    # the oldest forest 1 a year
     "forest12": shift(
-        "Fires are twice as frequent as simulated.", (12, 2), np.stack([np.arange(12) == 11, 0.15 * np.arange(12.0)], axis=1),
-        0.96, (0.08,), (0.16,), lambda age, cut, fire: [(1 - fire, np.where(cut, 0, age + 1)), (fire, 0)], length=40,
+        "Fires are twice as frequent as simulated.",
+        (12, 2),
+        np.stack([np.arange(12) == 11, 0.15 * np.arange(12.0)], axis=1),
+        0.96,
+        (0.08,),
+        (0.16,),
+        lambda age, cut, fire: [(1 - fire, np.where(cut, 0, age + 1)), (fire, 0)],
+        length=40,
     ),
-    # nine places; swimming up works with some probability, the current takes back; little pay below, much above
+    # nine places; swimming up works with some probability, the current takes back;
+    # little pay below, much above
     "river_swim": shift(
-        "The current is stronger than simulated.", (9, 2), np.array([[0.05, 0.0], *[[0.0, 0.0]] * 7, [0.0, 1.0]]), 0.98,
-        (0.35, 0.10), (0.32, 0.16),
+        "The current is stronger than simulated.",
+        (9, 2),
+        np.array([[0.05, 0.0], *[[0.0, 0.0]] * 7, [0.0, 1.0]]),
+        0.98,
+        (0.35, 0.10),
+        (0.32, 0.16),
         lambda s, swim, up, back: [
-            (swim * up, s + 1), (np.where(swim, back, 1.0), s - 1), (swim * (1 - up - back), s)
-        ], length=20,
+            (swim * up, s + 1),
+            (np.where(swim, back, 1.0), s - 1),
+            (swim * (1 - up - back), s),
+        ],
+        length=20,
     ),
-    # 30 places, left or right, an end to the right; a slip goes the other way; every step costs 1
+    # 30 places, left or right, an end to the right; a slip goes the other way; every
+    # step costs 1
     "corridor30": shift(
-        "Steps slip more often than simulated.", (30, 2), np.append(-np.ones(29), 0.0), 0.98, (0.2,), (0.35,),
-        lambda s, right, slip: [(1 - slip, s + 2 * right - 1), (slip, s - 2 * right + 1)],
-        start=range(29), ends=[29], recorded=0.9,
+        "Steps slip more often than simulated.",
+        (30, 2),
+        np.append(-np.ones(29), 0.0),
+        0.98,
+        (0.2,),
+        (0.35,),
+        lambda s, right, slip: [
+            (1 - slip, s + 2 * right - 1),
+            (slip, s - 2 * right + 1),
+        ],
+        start=range(29),
+        ends=[29],
+        recorded=0.9,
     ),
     "mountain": shift(
-        "The slopes of the valley are steeper than simulated.", (25, 3),
-        lambda s, a, to: np.where((to == 24) & (s != 24), 10.0, np.where(s == 24, 0.0, -0.02 * np.abs(a - 1))), 0.99,
-        (0.04,), (0.16,), mountain, start=range(5, 16), ends=[24],
+        "The slopes of the valley are steeper than simulated.",
+        (25, 3),
+        lambda s, a, to: np.where(
+            (to == 24) & (s != 24), 10.0, np.where(s == 24, 0.0, -0.02 * np.abs(a - 1))
+        ),
+        0.99,
+        (0.04,),
+        (0.16,),
+        mountain,
+        start=range(5, 16),
+        ends=[24],
     ),
-}  # fmt: skip
+}
 
 
 def ageing_asset(state: IntArray, action: IntArray, shock: float) -> Moves:
     """Age 0 to 9, or failed by wear (10), or by a shock (11); run gently, run hard, renew. Hard running ages and earns more."""
     runs = (state < 10) & (action < 2)
-    repaired = np.where(action < 2, 0.05, np.select([state == 10, state == 11], [0.5, 0.7], 0.95))
-    wear, shocked, older = 0.003 * (1 + action) * state, shock * (1 + action), 0.4 + 0.3 * action
+    repaired = np.where(
+        action < 2, 0.05, np.select([state == 10, state == 11], [0.5, 0.7], 0.95)
+    )
+    wear, shocked, older = (
+        0.003 * (1 + action) * state,
+        shock * (1 + action),
+        0.4 + 0.3 * action,
+    )
     yield np.where(runs, 0.0, repaired), 0
     yield np.where(runs, 0.0, 1 - repaired), state
     yield runs * wear, 10
@@ -165,8 +256,12 @@ def epidemic(state: IntArray, action: IntArray, infection: float) -> Moves:
     rate = infection * np.array([1.0, 0.55, 0.25])[action]
     new, cured = np.divmod(np.arange((PEOPLE + 1) ** 2), PEOPLE + 1)
     law = cross(binomial(s, 1 - (1 - rate / PEOPLE) ** i), binomial(i, 0.25))
-    yield law * np.where(s < PEOPLE, 0.98, 1.0), number_of_sick(s - new, i - cured + new)
-    yield 0.02 * (s < PEOPLE), number_of_sick(PEOPLE - 2, 2)  # immunity is lost: all begins again
+    yield (
+        law * np.where(s < PEOPLE, 0.98, 1.0),
+        number_of_sick(s - new, i - cured + new),
+    )
+    # immunity is lost: all begins again
+    yield 0.02 * (s < PEOPLE), number_of_sick(PEOPLE - 2, 2)
 
 
 def clinical_trial(state: IntArray, arm: IntArray, *arms: float) -> Moves:
@@ -184,7 +279,11 @@ def parking(state: IntArray, action: IntArray, free: float) -> Moves:
     drives = 1 - action * empty
     ahead = np.where(distance > 0, distance - 1, 14)
     chance = free * (0.4 + 0.6 * ahead / 14)
-    return (1 - drives, 30), (drives * chance, 2 * ahead + 1), (drives * (1 - chance), 2 * ahead)
+    return (
+        (1 - drives, 30),
+        (drives * chance, 2 * ahead + 1),
+        (drives * (1 - chance), 2 * ahead),
+    )
 
 
 def wins(s: IntArray, a: IntArray, to: IntArray) -> BoolArray:
@@ -213,7 +312,8 @@ def traffic(state: IntArray, change: IntArray, *lanes: float) -> Moves:
 
 def elevator(state: IntArray, action: IntArray, low: float) -> Moves:
     """Nine floors, a lift up, down or waiting; calls come from floors below the middle more often than simulated."""
-    at, call, floors = np.clip(state // 10 + action - 1, 0, 8), state % 10, np.arange(9)  # call 9: none
+    # call 9: none
+    at, call, floors = np.clip(state // 10 + action - 1, 0, 8), state % 10, np.arange(9)
     goes = (call < 9) & (at != call)
     yield goes, at * 10 + call
     yield 0.4 * ~goes, at * 10 + 9
@@ -222,52 +322,125 @@ def elevator(state: IntArray, action: IntArray, low: float) -> Moves:
 
 TRADES: dict[str, Maker] = {
     "ageing_asset": shift(
-        "One of two ways to fail, the shock, is more frequent than simulated.", (12, 3),
-        np.array([[1.0, 1.6, -2.0]] * 10 + [[-1.0, -1.0, -3.0], [-0.5, -0.5, -1.5]]), 0.98, (0.02,), (0.05,), ageing_asset,
+        "One of two ways to fail, the shock, is more frequent than simulated.",
+        (12, 3),
+        np.array([[1.0, 1.6, -2.0]] * 10 + [[-1.0, -1.0, -3.0], [-0.5, -0.5, -1.5]]),
+        0.98,
+        (0.02,),
+        (0.05,),
+        ageing_asset,
         start=range(10),
     ),
     "epidemic": shift(
-        "Infection is more likely than simulated.", (len(INFECTED), 3), -INFECTED[:, None] - np.array([0.0, 0.5, 1.2]), 0.95,
-        (0.5,), (0.7,), epidemic, start=number_of_sick(np.array([10, 8, 6]), np.array([2, 2, 3])), recorded=0.0,
+        "Infection is more likely than simulated.",
+        (len(INFECTED), 3),
+        -INFECTED[:, None] - np.array([0.0, 0.5, 1.2]),
+        0.95,
+        (0.5,),
+        (0.7,),
+        epidemic,
+        start=number_of_sick(np.array([10, 8, 6]), np.array([2, 2, 3])),
+        recorded=0.0,
     ),
     "clinical_trial": shift(
-        "The simulator predicts two arms of a trial from a uniform prior; one cures often, one seldom.", (len(TRIALS), 2),
-        lambda s, a, to: CURES[to] - CURES[s], 0.99, (), (0.6, 0.25), clinical_trial,
-        start=0, ends=np.flatnonzero(TRIALS.sum(axis=1) == PATIENTS), optimal=0.85,
+        "The simulator predicts two arms of a trial from a uniform prior; one cures"
+        " often, one seldom.",
+        (len(TRIALS), 2),
+        lambda s, a, to: CURES[to] - CURES[s],
+        0.99,
+        (),
+        (0.6, 0.25),
+        clinical_trial,
+        start=0,
+        ends=np.flatnonzero(TRIALS.sum(axis=1) == PATIENTS),
+        optimal=0.85,
     ),
     "parking": shift(
-        "Free places are rarer than simulated.", (31, 2),
-        np.where(PLACES == 30, 0.0, np.where(PLACES % 2 * [0, 1], -0.2 - 0.5 * (PLACES // 2), -0.3)), 0.99, (0.5,), (0.3,),
-        parking, start=range(16, 30), ends=[30], recorded=0.0,
+        "Free places are rarer than simulated.",
+        (31, 2),
+        np.where(
+            PLACES == 30,
+            0.0,
+            np.where(PLACES % 2 * [0, 1], -0.2 - 0.5 * (PLACES // 2), -0.3),
+        ),
+        0.99,
+        (0.5,),
+        (0.3,),
+        parking,
+        start=range(16, 30),
+        ends=[30],
+        recorded=0.0,
     ),
-    # 21 places with absorbing ends, the right one pays 1; two steps' sizes; the drift is towards the left
+    # 21 places with absorbing ends, the right one pays 1; two steps' sizes; the drift
+    # is towards the left
     "random_walk": shift(
-        "The walk drifts to the losing side; the simulator has it fair.", (21, 2), wins, 0.99, (0.5,), (0.56,),
-        lambda s, far, left: [(left, s - 1 - far), (1 - left, s + 1 + far)], start=range(5, 16), ends=[0, 20],
+        "The walk drifts to the losing side; the simulator has it fair.",
+        (21, 2),
+        wins,
+        0.99,
+        (0.5,),
+        (0.56,),
+        lambda s, far, left: [(left, s - 1 - far), (1 - left, s + 1 + far)],
+        start=range(5, 16),
+        ends=[0, 20],
     ),
-    # a ring of 30 places, moves of -1, 0 or 2 with noise of two places; a pay at one place; noise is wider in one half
+    # a ring of 30 places, moves of -1, 0 or 2 with noise of two places; a pay at one
+    # place; noise is wider in one half
     "sensors": shift(
-        "In half of the places the motion is noisier than simulated.", (30, 3),
-        np.exp(-((np.arange(30) - 20.0) ** 2) / 4.0), 0.95, (30,), (15,),
+        "In half of the places the motion is noisier than simulated.",
+        (30, 3),
+        np.exp(-((np.arange(30) - 20.0) ** 2) / 4.0),
+        0.95,
+        (30,),
+        (15,),
         lambda s, a, half: [
-            (np.where(s >= half, WIDE, NOISE), (s + np.array([-1, 0, 2])[a] + np.arange(-2, 3)) % 30)
+            (
+                np.where(s >= half, WIDE, NOISE),
+                (s + np.array([-1, 0, 2])[a] + np.arange(-2, 3)) % 30,
+            )
         ],
     ),
     "fishery": shift(
-        "Fish grow back more slowly than simulated.", (21, 5), np.minimum(np.arange(21)[:, None], HARVESTS) ** 0.8, 0.96,
-        (0.8,), (0.5,), fishery,
+        "Fish grow back more slowly than simulated.",
+        (21, 5),
+        np.minimum(np.arange(21)[:, None], HARVESTS) ** 0.8,
+        0.96,
+        (0.8,),
+        (0.5,),
+        fishery,
     ),
     "traffic": shift(
-        "The fast lane is jammed, which the simulator does not know.", (41, 2),
-        np.array([[-1.0, -1.3]] * 40 + [[0.0, 0.0]]), 0.98, (0.7, 0.5), (0.45, 0.55), traffic, start=range(20), ends=[40],
+        "The fast lane is jammed, which the simulator does not know.",
+        (41, 2),
+        np.array([[-1.0, -1.3]] * 40 + [[0.0, 0.0]]),
+        0.98,
+        (0.7, 0.5),
+        (0.45, 0.55),
+        traffic,
+        start=range(20),
+        ends=[40],
     ),
     "elevator": shift(
-        "Most calls come from the lower floors; simulated, they come from anywhere.", (90, 3),
-        np.where(np.arange(90) % 10 < 9, -1.0, 0.0)[:, None] - np.array([0.1, 0.0, 0.1]), 0.95, (4 / 9,), (0.8,), elevator,
+        "Most calls come from the lower floors; simulated, they come from anywhere.",
+        (90, 3),
+        np.where(np.arange(90) % 10 < 9, -1.0, 0.0)[:, None]
+        - np.array([0.1, 0.0, 0.1]),
+        0.95,
+        (4 / 9,),
+        (0.8,),
+        elevator,
         start=range(9, 90, 10),
     ),
     "gambler": shift(
-        "The bank wins more often than simulated.", (21, 3), wins, 0.99, (0.48,), (0.42,), gambler,
-        start=range(1, 20), ends=[0, 20], recorded=0.9,
+        "The bank wins more often than simulated.",
+        (21, 3),
+        wins,
+        0.99,
+        (0.48,),
+        (0.42,),
+        gambler,
+        start=range(1, 20),
+        ends=[0, 20],
+        recorded=0.9,
     ),
-}  # fmt: skip
+}

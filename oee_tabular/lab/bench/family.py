@@ -73,20 +73,30 @@ class Family:
         refuse_unsupported(self.target.transitions, self.simulator, what="target")
         _require_same(self.target, self.simulator)
         for name in ("policy", "data_policy"):
-            object.__setattr__(self, name, check_policy(getattr(self, name), self.simulator, name=name))
+            object.__setattr__(
+                self, name, check_policy(getattr(self, name), self.simulator, name=name)
+            )
         if not isinstance(self.about, str) or not self.about.strip():
             raise ValueError(
-                f"about must be a sentence that says what the simulator has wrong; got {_checks.show(self.about)}"
+                "about must be a sentence that says what the simulator has wrong; got"
+                f" {_checks.show(self.about)}"
             )
-        object.__setattr__(self, "horizon", optional_horizon_length(self.horizon, self.simulator))
-        object.__setattr__(self, "length", _checks.positive_integer(self.length, "length"))
+        object.__setattr__(
+            self, "horizon", optional_horizon_length(self.horizon, self.simulator)
+        )
+        object.__setattr__(
+            self, "length", _checks.positive_integer(self.length, "length")
+        )
 
     def __repr__(self) -> str:
         where = self.simulator
-        horizon = "infinite horizon" if self.horizon is None else f"{self.horizon} rewards"
+        horizon = (
+            "infinite horizon" if self.horizon is None else f"{self.horizon} rewards"
+        )
         return (
-            f"Family({self.about.strip()} {where.n_states} states, {where.n_actions} actions, {self.open_rows} stochastic "
-            f"pairs; discount {where.discount:g}, {horizon})"
+            f"Family({self.about.strip()} {where.n_states} states, {where.n_actions}"
+            f" actions, {self.open_rows} stochastic pairs; discount {where.discount:g},"
+            f" {horizon})"
         )
 
     @cached_property
@@ -103,25 +113,33 @@ class Family:
     def identical(self) -> bool:
         """Whether the target is the simulator."""
         here, there = self.simulator.transitions, self.target.transitions
-        return np.array_equal(here.indices, there.indices) and np.array_equal(here.data, there.data)
+        return np.array_equal(here.indices, there.indices) and np.array_equal(
+            here.data, there.data
+        )
 
     @cached_property
     def moves_per_state_action(self) -> Array:
         """(S, A): how many transitions from (s, a) an episode records on average, exactly."""
         running = self.target.with_discount(1.0)
         visits = self.length * occupancy(running, self.data_policy, horizon=self.length)
-        over = self.target.absorbing()  # an episode ends on arrival; one that starts there has one step
+        # an episode ends on arrival; one that starts there has one step
+        over = self.target.absorbing()
         visits[over] = self.target.initial[over][:, None] * self.data_policy[over]
         return np.asarray(visits)
 
     @cached_property
     def data_distribution(self) -> Array:
         """(S, A): the share of each (s, a) among the transitions that the episodes record, exactly."""
-        return np.asarray(self.moves_per_state_action / self.moves_per_state_action.sum())
+        return np.asarray(
+            self.moves_per_state_action / self.moves_per_state_action.sum()
+        )
 
     def size(self, per_row: float) -> int:
         """The number of transitions of a log with ``per_row`` per stochastic pair, at least 1."""
-        return max(1, round(_checks.number_in(per_row, "per_row", 0.0, np.inf) * self.open_rows))
+        return max(
+            1,
+            round(_checks.number_in(per_row, "per_row", 0.0, np.inf) * self.open_rows),
+        )
 
     def log(self, n: int, seed: Seed) -> Transitions:
         """Exactly ``n`` transitions of the data policy in the target: episodes, each cut at ``length``, the last at n.
@@ -135,37 +153,54 @@ class Family:
         generator = _checks.generator(seed)
         episodes = 1 + math.ceil(1.2 * size / self.moves_per_state_action.sum())
         while True:
-            whole = sample_episodes(self.target, self.data_policy, episodes, self.length, seed=generator)
+            whole = sample_episodes(
+                self.target, self.data_policy, episodes, self.length, seed=generator
+            )
             if len(whole) >= size:
-                columns = {name: column for name, column in whole.columns().items() if name != "truncated"}
-                return Transitions(**{name: column[:size] for name, column in columns.items()})
+                columns = {
+                    name: column
+                    for name, column in whole.columns().items()
+                    if name != "truncated"
+                }
+                return Transitions(
+                    **{name: column[:size] for name, column in columns.items()}
+                )
             episodes *= 2
 
     def problem(self, n: int, seed: Seed) -> Problem:
         """The problem of ``log(n, seed)``."""
-        return Problem(self.simulator, self.log(n, seed), horizon=self.horizon, behavior_policy=self.data_policy)
+        return Problem(
+            self.simulator,
+            self.log(n, seed),
+            horizon=self.horizon,
+            behavior_policy=self.data_policy,
+        )
 
 
 def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
     """Check that only the dynamics differ; estimators know the rest."""
     if target.discount != simulator.discount:
         raise ValueError(
-            f"target must have the simulator's discount, {simulator.discount:g}; it has {target.discount:g}"
+            f"target must have the simulator's discount, {simulator.discount:g}; it has"
+            f" {target.discount:g}"
         )
     if not np.array_equal(target.initial, simulator.initial):
         s = int(np.flatnonzero(target.initial != simulator.initial)[0])
         raise ValueError(
-            f"target must have the simulator's initial distribution; initial[{s}] is {target.initial[s]:g} there, "
-            f"{simulator.initial[s]:g} in the simulator"
+            f"target must have the simulator's initial distribution; initial[{s}] is"
+            f" {target.initial[s]:g} there, {simulator.initial[s]:g} in the simulator"
         )
     paid = simulator.with_transitions(target.transitions).rewards
-    bad = np.argwhere(~(np.abs(paid - target.rewards) <= 1e-9 * max(1.0, float(np.abs(paid).max()))))
+    bad = np.argwhere(
+        ~(np.abs(paid - target.rewards) <= 1e-9 * max(1.0, float(np.abs(paid).max())))
+    )
     if len(bad):
         s, a = (int(i) for i in bad[0])
         raise ValueError(
-            f"target must pay the simulator's rewards (simulator.with_transitions makes such a target); at "
-            f"{simulator.names.pair(s, a)} it pays {target.rewards[s, a]:g} on average, with the simulator's rewards "
-            f"{paid[s, a]:g} ({len(bad)} such state-action pairs in all)"
+            "target must pay the simulator's rewards (simulator.with_transitions makes"
+            f" such a target); at {simulator.names.pair(s, a)} it pays"
+            f" {target.rewards[s, a]:g} on average, with the simulator's rewards"
+            f" {paid[s, a]:g} ({len(bad)} such state-action pairs in all)"
         )
 
 
@@ -196,7 +231,15 @@ def pair(
         target = simulator.with_transitions(target)
     uniform = uniform_policy(simulator)
     pi = mix(optimal_policy(simulator), uniform, optimal) if policy is None else policy
-    return Family(simulator, target, pi, mix(pi, uniform, recorded), about, horizon=horizon, length=horizon or length)
+    return Family(
+        simulator,
+        target,
+        pi,
+        mix(pi, uniform, recorded),
+        about,
+        horizon=horizon,
+        length=horizon or length,
+    )
 
 
 def shift(
@@ -233,15 +276,28 @@ def shift(
     initial[start] = 1.0
 
     def model(parameters: Any) -> FiniteMDP:
-        parts = [(is_over, s), *((np.where(is_over, 0.0, p), to) for p, to in moves(s, a, *parameters))]
-        entries = [np.broadcast_arrays(p, np.clip(to, 0, n_states - 1), s * n_actions + a) for p, to in parts]
-        data, columns, rows = (np.concatenate(arrays, axis=2) for arrays in zip(*entries, strict=True))
+        parts = [
+            (is_over, s),
+            *((np.where(is_over, 0.0, p), to) for p, to in moves(s, a, *parameters)),
+        ]
+        entries = [
+            np.broadcast_arrays(p, np.clip(to, 0, n_states - 1), s * n_actions + a)
+            for p, to in parts
+        ]
+        data, columns, rows = (
+            np.concatenate(arrays, axis=2) for arrays in zip(*entries, strict=True)
+        )
         present = data > 0
         where = (rows[present], columns[present])
-        transitions = scale_rows(sparse.csr_array((data[present], where), (n_states * n_actions, n_states)))
+        transitions = scale_rows(
+            sparse.csr_array((data[present], where), (n_states * n_actions, n_states))
+        )
         paid = rewards
         if callable(rewards):
-            values = rewards(*np.divmod(row_of_entry(transitions), n_actions), transitions.indices.astype(int))
+            values = rewards(
+                *np.divmod(row_of_entry(transitions), n_actions),
+                transitions.indices.astype(int),
+            )
             paid = csr_on_pattern(transitions, np.asarray(values, dtype=np.float64))
         return FiniteMDP(transitions, paid, normalize(initial), discount)
 
@@ -264,13 +320,23 @@ def normalize(table: Array) -> Array:
 def poisson(mean: Any, largest: Any) -> Array:
     """Pr(min(N, largest) = k), k along the last axis."""
     k = np.arange(np.max(largest) + 1)
-    return np.where(k < largest, stats.poisson.pmf(k, mean), np.where(k == largest, stats.poisson.sf(k - 1, mean), 0.0))
+    return np.where(
+        k < largest,
+        stats.poisson.pmf(k, mean),
+        np.where(k == largest, stats.poisson.sf(k - 1, mean), 0.0),
+    )
 
 
 def binomial(n: Any, probability: Any) -> Array:
     """Pr(N = k), k along the last axis."""
     k = np.arange(np.max(n) + 1)
-    return np.where(k <= n, special.comb(n, k) * probability**k * (1.0 - probability) ** np.maximum(n - k, 0), 0.0)
+    return np.where(
+        k <= n,
+        special.comb(n, k)
+        * probability**k
+        * (1.0 - probability) ** np.maximum(n - k, 0),
+        0.0,
+    )
 
 
 def cross(one: Array, other: Array) -> Array:

@@ -30,12 +30,54 @@ from oee_tabular.lab.run import refuse_links
 from oee_tabular.plots.style import DIVERGING, INK, disable_math, series, shorten
 
 LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"  # the references
-LEAST = 0.5  # a ratio is over max(min(RMSE of maximum likelihood, simulator's error), LEAST * eff)
-ERRORS = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 5.0])
-RATIOS = np.array(  # python tests/benchmarks/floor.py
-    [1.009, 1.019, 1.048, 1.093, 1.153, 1.224, 1.086, 0.991, 0.922, 0.869, 0.827, 0.933, 1.027, 1.103, 1.160, 1.217, 1.222,
-     1.214, 1.224]
-)  # fmt: skip
+# a ratio is over max(min(RMSE of maximum likelihood, simulator's error), LEAST * eff)
+LEAST = 0.5
+ERRORS = np.array(
+    [
+        0.0,
+        0.1,
+        0.2,
+        0.3,
+        0.4,
+        0.5,
+        0.6,
+        0.7,
+        0.8,
+        0.9,
+        1.0,
+        1.25,
+        1.5,
+        1.75,
+        2.0,
+        2.5,
+        3.0,
+        4.0,
+        5.0,
+    ]
+)
+RATIOS = np.array(
+    [  # python tests/benchmarks/floor.py
+        1.009,
+        1.019,
+        1.048,
+        1.093,
+        1.153,
+        1.224,
+        1.086,
+        0.991,
+        0.922,
+        0.869,
+        0.827,
+        0.933,
+        1.027,
+        1.103,
+        1.160,
+        1.217,
+        1.222,
+        1.214,
+        1.224,
+    ]
+)
 N_RESAMPLES = 2000  # of the seeds
 LOW = 0.05  # the bootstrap quantile that a sure ratio exceeds
 LIMIT = 1.1
@@ -45,7 +87,9 @@ FEW = 10  # logs of a family, below which its coverage is not called the worst
 NORMAL = 1.959963984540054
 
 
-def wide(frame: pd.DataFrame, index: Any, values: str, columns: Any = "estimator") -> pd.DataFrame:
+def wide(
+    frame: pd.DataFrame, index: Any, values: str, columns: Any = "estimator"
+) -> pd.DataFrame:
     """A column for each estimator, or for each value of other ``columns``."""
     return frame.pivot(index=index, columns=columns, values=values)  # noqa: PD010 (the other one drops what is nan)
 
@@ -112,19 +156,30 @@ def _divide(own: Array, reference: Array) -> Array:
 @functools.lru_cache(maxsize=8)
 def resamples(seeds: int) -> Array:
     """(resamples, seeds): shares of the seeds in each bootstrap sample, the same for every cell of as many seeds."""
-    drawn = np.random.default_rng(seeds).multinomial(seeds, np.full(seeds, 1 / seeds), size=N_RESAMPLES)
+    drawn = np.random.default_rng(seeds).multinomial(
+        seeds, np.full(seeds, 1 / seeds), size=N_RESAMPLES
+    )
     return np.asarray(drawn / seeds)
 
 
-def _intervals(mine: pd.DataFrame, eff: Array, is_counted: BoolArray) -> dict[str, float]:
+def _intervals(
+    mine: pd.DataFrame, eff: Array, is_counted: BoolArray
+) -> dict[str, float]:
     """Of the reported interval and of value +- 1.96 standard errors: logs that count, those covered, width / (2 * 1.96 eff)."""
     half, numbers = NORMAL * mine["standard_error"], dict[str, float]()
-    ends = {"": (mine["lower"], mine["upper"]), "se_": (mine["value"] - half, mine["value"] + half)}
+    ends = {
+        "": (mine["lower"], mine["upper"]),
+        "se_": (mine["value"] - half, mine["value"] + half),
+    }
     for prefix, (lower, upper) in ends.items():
         here = is_counted & np.isfinite(lower) & np.isfinite(upper)
-        relative = ((upper - lower) / (2.0 * NORMAL * eff))[here & (eff > 0) & np.isfinite(eff)]
+        relative = ((upper - lower) / (2.0 * NORMAL * eff))[
+            here & (eff > 0) & np.isfinite(eff)
+        ]
         numbers[f"{prefix}logs"] = int(here.sum())
-        numbers[f"{prefix}held"] = int((here & mine["truth"].between(lower, upper)).sum())
+        numbers[f"{prefix}held"] = int(
+            (here & mine["truth"].between(lower, upper)).sum()
+        )
         numbers[f"{prefix}width"] = float(relative.dropna().median())
     return numbers
 
@@ -143,7 +198,9 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
         "over reference": geometric_mean(known["ratio"]),
         "floor": geometric_mean(known["floor"]),
         "worst": math.nan if worst is None else float(worst["ratio"]),
-        "worst cell": "" if worst is None else f"{worst['family']} at {worst['size']:g}",
+        "worst cell": (
+            "" if worst is None else f"{worst['family']} at {worst['size']:g}"
+        ),
         "surely above 1.1": float((known["low"] > LIMIT).mean()),
         "over likelihood": geometric_mean(known["over_likelihood"]),
         "over eff": geometric_mean(known["over_eff"]),
@@ -177,18 +234,26 @@ def geometric_mean(values: Any) -> float:
 
 
 SHARES = ("surely above 1.1", "coverage", "its coverage", "coverage of 1.96 se")
-PICTURES = {"profile": "Share of cells by ratio", "sizes": "RMSE by size", "heat": "Ratio by family and size"}
+PICTURES = {
+    "profile": "Share of cells by ratio",
+    "sizes": "RMSE by size",
+    "heat": "Ratio by family and size",
+}
 REACH = 3.0  # powers of two on either side of 1 that the heat map's colours tell apart
 N_CURVES = 10  # estimators that the picture over sizes shows
 EXPLAINED = (
-    "A ratio is the RMSE over max(min(RMSE of maximum likelihood, RMSE of the simulator), eff / 2) on the same logs, "
-    "where eff = sqrt(efficiency bound / n) and maximum likelihood has the simulator in unrecorded pairs. `over "
-    "reference`: geometric mean of the ratios over cells (family x size). `floor`: the same of the best rule that "
-    "sees the value alone. `surely above 1.1`: share of cells where the 5% quantile of the paired bootstrap over the "
-    "seeds is above 1.1. `over likelihood`, `over eff`: RMSE over maximum likelihood's, over eff. `coverage`, "
-    "`width`: of the reported interval, over logs of at least 3 transitions per stochastic pair that cover more than "
-    "90% of the policy's time; widths are over 2 x 1.96 eff. `of 1.96 se`: of value +- 1.96 standard errors. "
-    "`seconds`: processor time of one log. Tuned families are those on which a constant of the default was chosen."
+    "A ratio is the RMSE over max(min(RMSE of maximum likelihood, RMSE of the"
+    " simulator), eff / 2) on the same logs, where eff = sqrt(efficiency bound / n) and"
+    " maximum likelihood has the simulator in unrecorded pairs. `over reference`:"
+    " geometric mean of the ratios over cells (family x size). `floor`: the same of the"
+    " best rule that sees the value alone. `surely above 1.1`: share of cells where the"
+    " 5% quantile of the paired bootstrap over the seeds is above 1.1. `over"
+    " likelihood`, `over eff`: RMSE over maximum likelihood's, over eff. `coverage`,"
+    " `width`: of the reported interval, over logs of at least 3 transitions per"
+    " stochastic pair that cover more than 90% of the policy's time; widths are over 2"
+    " x 1.96 eff. `of 1.96 se`: of value +- 1.96 standard errors. `seconds`: processor"
+    " time of one log. Tuned families are those on which a constant of the default was"
+    " chosen."
 )
 
 
@@ -215,28 +280,43 @@ class League:
     league: pd.DataFrame
 
     def __repr__(self) -> str:
-        return f"League({len(self.league)} estimators, {len(self.cells)} cells, {len(self.table)} rows)"
+        return (
+            f"League({len(self.league)} estimators, {len(self.cells)} cells,"
+            f" {len(self.table)} rows)"
+        )
 
     def __str__(self) -> str:
         """The league table, what it means, and why estimators had no value."""
         league = self.league.astype(object)
         for column in league.columns[2:]:
             form = "{:.0%}" if column in SHARES else "{:.3g}"
-            texts = (form.format(x) if isinstance(x, float) else str(x) for x in league[column])
+            texts = (
+                form.format(x) if isinstance(x, float) else str(x)
+                for x in league[column]
+            )
             league[column] = np.where(league[column].isna(), "", list(texts))
         tables = [
-            f"{kind} families\n{part.drop(columns='families').set_index('estimator').T.to_string()}"
+            f"{kind}"
+            f" families\n{part.drop(columns='families').set_index('estimator').T.to_string()}"
             for kind, part in league.groupby("families", sort=False)
         ]
         failed = [
-            f"{row.estimator}: no value on {row.logs} logs: {row.status}" for row in self._failures().itertuples()
+            f"{row.estimator}: no value on {row.logs} logs: {row.status}"
+            for row in self._failures().itertuples()
         ]
-        return "\n\n".join([*tables, EXPLAINED, *(["\n".join(failed)] if failed else [])])
+        return "\n\n".join(
+            [*tables, EXPLAINED, *(["\n".join(failed)] if failed else [])]
+        )
 
     def _failures(self) -> pd.DataFrame:
         """(estimator, status, logs) of the rows without a value."""
         lost = self.table[self.table["value"].isna()]
-        return lost.groupby(["estimator", "status"], sort=False).size().rename("logs").reset_index()
+        return (
+            lost.groupby(["estimator", "status"], sort=False)
+            .size()
+            .rename("logs")
+            .reset_index()
+        )
 
     def scores(self) -> dict[str, Array]:
         """|error| / reference of each estimator, (seeds, cells), smaller is better: runs x tasks, as ``rliable`` takes them."""
@@ -244,84 +324,182 @@ class League:
         both = self.table.merge(self.cells[[*keys, "rmse", "ratio"]], on=keys)
         both["score"] = both["error"].abs() * both["ratio"] / both["rmse"]
         groups = both.groupby("estimator", sort=False)
-        return {str(name): wide(own, "seed", "score", ["family", "size"]).to_numpy() for name, own in groups}
+        return {
+            str(name): wide(own, "seed", "score", ["family", "size"]).to_numpy()
+            for name, own in groups
+        }
 
     def profile(self, figure: Any) -> None:
         """Draw for each estimator the share of cells whose ratio is at most tau."""
-        ax = _axes(figure, xlabel="tau: RMSE over the reference's", ylabel="share of cells with a ratio of at most tau")
-        known = self.cells["ratio"][(self.cells["ratio"] > 0) & np.isfinite(self.cells["ratio"])]
-        low, high = (0.5, 2.0) if known.empty else (max(known.min() / 1.2, 1e-3), min(known.max() * 1.2, 1e3))
+        ax = _axes(
+            figure,
+            xlabel="tau: RMSE over the reference's",
+            ylabel="share of cells with a ratio of at most tau",
+        )
+        known = self.cells["ratio"][
+            (self.cells["ratio"] > 0) & np.isfinite(self.cells["ratio"])
+        ]
+        low, high = (
+            (0.5, 2.0)
+            if known.empty
+            else (max(known.min() / 1.2, 1e-3), min(known.max() * 1.2, 1e3))
+        )
         for k, (name, own) in enumerate(self.cells.groupby("estimator", sort=False)):
             ratios = np.clip(np.sort(own["ratio"].dropna().to_numpy()), low, high)
             share = np.arange(len(ratios) + 1) / len(own)
-            ax.step([low, *ratios, high], [*share, share[-1]], where="post", markevery=0.12, ms=5, label=shorten(name),
-                    **series(k))  # fmt: skip
+            ax.step(
+                [low, *ratios, high],
+                [*share, share[-1]],
+                where="post",
+                markevery=0.12,
+                ms=5,
+                label=shorten(name),
+                **series(k),
+            )
         ax.axvline(1.0, color=INK, lw=0.9, ls=(0, (4, 2)))
         ax.set(xscale="log", ylim=(0.0, 1.02))
         disable_math(ax.legend(fontsize="small", loc="best").get_texts())
 
     def sizes(self, figure: Any) -> None:
         """Draw each estimator's RMSE over eff by size, its geometric mean over families with a standard error over them."""
-        ax = _axes(figure, xlabel="transitions per stochastic pair", ylabel="RMSE over eff")
-        logs = self.cells.assign(log=np.log(self.cells["over_eff"].where(self.cells["over_eff"] > 0)))
-        for k, (name, own) in enumerate(list(logs.groupby("estimator", sort=False))[:N_CURVES]):
+        ax = _axes(
+            figure, xlabel="transitions per stochastic pair", ylabel="RMSE over eff"
+        )
+        logs = self.cells.assign(
+            log=np.log(self.cells["over_eff"].where(self.cells["over_eff"] > 0))
+        )
+        for k, (name, own) in enumerate(
+            list(logs.groupby("estimator", sort=False))[:N_CURVES]
+        ):
             points = own.groupby("size")["log"].agg(["mean", "sem"])
             shift = 1.0 + 0.02 * (k - N_CURVES / 2)
-            middle, error = np.exp(points["mean"].to_numpy()), points["sem"].fillna(0.0).to_numpy()
-            ends = [(middle * -np.expm1(-error)).tolist(), (middle * np.expm1(error)).tolist()]
-            ax.errorbar(points.index * shift, middle, ends, **series(k), ms=5, capsize=2, label=shorten(name))
+            middle, error = (
+                np.exp(points["mean"].to_numpy()),
+                points["sem"].fillna(0.0).to_numpy(),
+            )
+            ends = [
+                (middle * -np.expm1(-error)).tolist(),
+                (middle * np.expm1(error)).tolist(),
+            ]
+            ax.errorbar(
+                points.index * shift,
+                middle,
+                ends,
+                **series(k),
+                ms=5,
+                capsize=2,
+                label=shorten(name),
+            )
         ax.set(xscale="log", yscale="log")
         disable_math(ax.legend(fontsize="small", loc="best").get_texts())
 
     def heat(self, figure: Any) -> None:
         """Draw the ratio of each family and size, a panel for each estimator that is no reference, a number in each cell."""
         references = [LIKELIHOOD, SIMULATOR]
-        names = [name for name in self.cells["estimator"].unique() if name not in references] or references
-        families, sizes = list(self.cells["family"].unique()), sorted(self.cells["size"].unique())
-        figure.set_size_inches(2.6 + (1.2 + 0.62 * len(sizes)) * len(names), 1.6 + 0.25 * len(families))
+        names = [
+            name for name in self.cells["estimator"].unique() if name not in references
+        ] or references
+        families, sizes = (
+            list(self.cells["family"].unique()),
+            sorted(self.cells["size"].unique()),
+        )
+        figure.set_size_inches(
+            2.6 + (1.2 + 0.62 * len(sizes)) * len(names), 1.6 + 0.25 * len(families)
+        )
         axes: Any = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
         for ax, name in zip(axes, names, strict=True):
             own = self.cells[self.cells["estimator"] == name]
-            ratios = wide(own, "family", "ratio", "size").reindex(index=families, columns=sizes).to_numpy()
+            ratios = (
+                wide(own, "family", "ratio", "size")
+                .reindex(index=families, columns=sizes)
+                .to_numpy()
+            )
             with np.errstate(divide="ignore"):
                 power = np.clip(np.log2(ratios), -REACH, REACH)
-            image = ax.imshow(power, cmap=DIVERGING, vmin=-REACH, vmax=REACH, aspect="auto")
+            image = ax.imshow(
+                power, cmap=DIVERGING, vmin=-REACH, vmax=REACH, aspect="auto"
+            )
             for (i, j), ratio in np.ndenumerate(ratios):
                 color = "black" if abs(power[i, j]) < 0.6 * REACH else "white"
                 text = "-" if np.isnan(ratio) else f"{ratio:.2g}"
                 ax.text(j, i, text, ha="center", va="center", fontsize=8.5, color=color)
             ax.set_title(shorten(name), fontsize="medium")
-            ax.set_xticks(range(len(sizes)), [f"{size:g}" for size in sizes], fontsize=9)
-            ax.set_yticks(range(len(families)), [shorten(family) for family in families], fontsize=9)
+            ax.set_xticks(
+                range(len(sizes)), [f"{size:g}" for size in sizes], fontsize=9
+            )
+            ax.set_yticks(
+                range(len(families)),
+                [shorten(family) for family in families],
+                fontsize=9,
+            )
             ax.set_xlabel("transitions per stochastic pair", fontsize="small")
             disable_math([ax.title, *ax.get_yticklabels()])
         bar = figure.colorbar(image, ax=list(axes), shrink=0.6)
-        bar.set_ticks([-3, -2, -1, 0, 1, 2, 3], labels=["1/8", "1/4", "1/2", "1", "2", "4", "8"])
+        bar.set_ticks(
+            [-3, -2, -1, 0, 1, 2, 3], labels=["1/8", "1/4", "1/2", "1", "2", "4", "8"]
+        )
         bar.ax.tick_params(labelsize=9)
         bar.set_label("RMSE over the reference's", fontsize="small")
 
     def page(self, about: Mapping[str, str], command: str) -> str:
         """The league as a page of markdown; ``about``: what the simulator of each family has wrong."""
-        parts = {"# Estimators on families of environment shift": f"`{command}`" if command else ""}
+        parts = {
+            "# Estimators on families of environment shift": (
+                f"`{command}`" if command else ""
+            )
+        }
         for kind, part in self.league.groupby("families", sort=False):
-            table = part.drop(columns="families").set_index("estimator").T.reset_index(names="measure")
+            table = (
+                part.drop(columns="families")
+                .set_index("estimator")
+                .T.reset_index(names="measure")
+            )
             parts[f"## {str(kind).capitalize()} families"] = pipe_table(table)
-        parts[EXPLAINED] = "\n\n".join(f"![{text}]({name}.png)" for name, text in PICTURES.items())
+        parts[EXPLAINED] = "\n\n".join(
+            f"![{text}]({name}.png)" for name, text in PICTURES.items()
+        )
         if len(failed := self._failures()):
             parts["## Without a value"] = pipe_table(failed)
         if about:
-            frame = pd.DataFrame({"family": list(about), "what the simulator has wrong": list(about.values())})
+            frame = pd.DataFrame(
+                {
+                    "family": list(about),
+                    "what the simulator has wrong": list(about.values()),
+                }
+            )
             parts["## Families"] = pipe_table(frame)
-        return "\n\n".join(text for part in parts.items() for text in part if text) + "\n"
+        return (
+            "\n\n".join(text for part in parts.items() for text in part if text) + "\n"
+        )
 
     def to_latex(self) -> str:
         """The league as a LaTeX table (booktabs)."""
-        shown = ["estimator", "families", "cells", "over reference", "floor", "worst", "over eff", "coverage", "width"]
-        return self.league[shown].rename(columns=str.capitalize).to_latex(
-            index=False, escape=True, na_rep="--", float_format="%.2f", column_format="ll" + "r" * (len(shown) - 2)
-        )  # fmt: skip
+        shown = [
+            "estimator",
+            "families",
+            "cells",
+            "over reference",
+            "floor",
+            "worst",
+            "over eff",
+            "coverage",
+            "width",
+        ]
+        return (
+            self.league[shown]
+            .rename(columns=str.capitalize)
+            .to_latex(
+                index=False,
+                escape=True,
+                na_rep="--",
+                float_format="%.2f",
+                column_format="ll" + "r" * (len(shown) - 2),
+            )
+        )
 
-    def save(self, folder: Any, *, about: Mapping[str, str] | None = None, command: str = "") -> list[Path]:
+    def save(
+        self, folder: Any, *, about: Mapping[str, str] | None = None, command: str = ""
+    ) -> list[Path]:
         """Write table.csv, cells.csv, league.csv, league.md, league.tex and three pictures, all or none."""
         contents = {
             "table.csv": _files.csv_bytes(self.table),
@@ -331,7 +509,9 @@ class League:
             "league.tex": self.to_latex().encode(),
         }
         for name in PICTURES:
-            contents[f"{name}.png"] = draw_bytes(getattr(self, name), salt="bench", kinds=("png",))["png"]
+            contents[f"{name}.png"] = draw_bytes(
+                getattr(self, name), salt="bench", kinds=("png",)
+            )["png"]
         refuse_links(Path(folder))
         _files.write_all(Path(folder), contents)
         return [Path(folder) / name for name in contents]
@@ -364,5 +544,8 @@ def league_of(table: pd.DataFrame) -> League:
     """
     groups = table.groupby(["family", "size"], sort=False)
     cells = pd.DataFrame([row for key, part in groups for row in _cell_rows(key, part)])
-    league = [_league_row(part) for _, part in cells.groupby(["families", "estimator"], sort=False)]
+    league = [
+        _league_row(part)
+        for _, part in cells.groupby(["families", "estimator"], sort=False)
+    ]
     return League(table, cells, pd.DataFrame(league))

@@ -39,15 +39,21 @@ def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
     [1000, 3162, 10000, 31623, 100000, 316228]
     """
     file = Path(__file__)
-    folders = file.parent / "saved", file.parents[3] / "notebooks" / "results"  # of a wheel, of a clone
+    # of a wheel, of a clone
+    folders = file.parent / "saved", file.parents[3] / "notebooks" / "results"
     paths = [folder / name / f"{table}.csv" for folder in folders]
     for path in paths:
         if path.is_file():
             return pd.read_csv(path)
-    raise ValueError(f"name and table must be those of a saved table; there is no {paths[0]} and no {paths[1]}")
+    raise ValueError(
+        f"name and table must be those of a saved table; there is no {paths[0]} and no"
+        f" {paths[1]}"
+    )
 
 
-def table(name: str, *, repetitions: int = 1, seed: int = 0, **axes: object) -> pd.DataFrame:
+def table(
+    name: str, *, repetitions: int = 1, seed: int = 0, **axes: object
+) -> pd.DataFrame:
     """Some cells of an experiment, computed here and now: the rows that ``oee reproduce`` gives for them.
 
     Parameters
@@ -74,8 +80,17 @@ def table(name: str, *, repetitions: int = 1, seed: int = 0, **axes: object) -> 
     for axis, given in axes.items():
         if axis not in chosen:
             raise ValueError(f"axes must be among {', '.join(chosen)}; got {axis!r}")
-        own = {value: value for value in chosen[axis]}  # 1000.0 is the same cell as 1000
-        chosen[axis] = tuple(own.get(x, x) for x in np.atleast_1d(np.asarray(given)).tolist())
-    cells = RunSettings(experiment, chosen, _checks.positive_integer(repetitions, "repetitions"), seed).cells()
-    rows = [(cell, row) for cell in cells for row in experiment.run(cell, Stream(name, seed, cell))]
+        # 1000.0 is the same cell as 1000
+        own = {value: value for value in chosen[axis]}
+        chosen[axis] = tuple(
+            own.get(x, x) for x in np.atleast_1d(np.asarray(given)).tolist()
+        )
+    cells = RunSettings(
+        experiment, chosen, _checks.positive_integer(repetitions, "repetitions"), seed
+    ).cells()
+    rows = [
+        (cell, row)
+        for cell in cells
+        for row in experiment.run(cell, Stream(name, seed, cell))
+    ]
     return pd.DataFrame([{**cell, **row} for cell, row in rows])

@@ -11,31 +11,65 @@ from typing import Any
 
 from oee_tabular import _files
 from oee_tabular.lab.experiment import Experiment, files_of
-from oee_tabular.lab.experiments import cartpole, changes, kinova, reacher, sureness, values, zeta
+from oee_tabular.lab.experiments import (
+    cartpole,
+    changes,
+    kinova,
+    reacher,
+    sureness,
+    values,
+    zeta,
+)
 from oee_tabular.lab.run import Store, refuse_links, require_modules, run_and_write
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.id: experiment
     for experiment in (
-        zeta.fig1a, values.fig1bcd, values.estimands, values.horizon, values.data_policy, zeta.rate, zeta.renyi,
-        zeta.misspecified, zeta.normalisation, zeta.lambda_n, zeta.networks,
-        values.frozen_lake, values.taxi, values.cliff_walking,
-        sureness.coverage, sureness.coverage_lake, sureness.efficiency, sureness.collection, sureness.ranking,
-        cartpole.fig2, cartpole.cartpole_resolution, cartpole.cartpole_data, cartpole.cartpole_choice, reacher.fig3,
-        kinova.table1, changes.changes, changes.residual_coverage,
+        zeta.fig1a,
+        values.fig1bcd,
+        values.estimands,
+        values.horizon,
+        values.data_policy,
+        zeta.rate,
+        zeta.renyi,
+        zeta.misspecified,
+        zeta.normalisation,
+        zeta.lambda_n,
+        zeta.networks,
+        values.frozen_lake,
+        values.taxi,
+        values.cliff_walking,
+        sureness.coverage,
+        sureness.coverage_lake,
+        sureness.efficiency,
+        sureness.collection,
+        sureness.ranking,
+        cartpole.fig2,
+        cartpole.cartpole_resolution,
+        cartpole.cartpole_data,
+        cartpole.cartpole_choice,
+        reacher.fig3,
+        kinova.table1,
+        changes.changes,
+        changes.residual_coverage,
     )
-}  # fmt: skip
+}
 
 
 def choose(names: Iterable[str], *, everything: bool = False) -> list[Experiment]:
     """The experiments of these ids, or of these groups, each once."""
     known = ", ".join(EXPERIMENTS)
-    members = [[own.id for own in EXPERIMENTS.values() if own.group == name] or [name] for name in names]
+    members = [
+        [own.id for own in EXPERIMENTS.values() if own.group == name] or [name]
+        for name in names
+    ]
     wanted = list(dict.fromkeys(itertools.chain(*members)))
     if everything and wanted:
         raise ValueError(f"--all must be given without ids; got {', '.join(wanted)}")
     if not everything and not wanted:
-        raise ValueError(f"one experiment or more must be given, or --all; there are {known}")
+        raise ValueError(
+            f"one experiment or more must be given, or --all; there are {known}"
+        )
     for name in wanted:
         if name not in EXPERIMENTS:
             near = difflib.get_close_matches(name, EXPERIMENTS, n=3, cutoff=0.4)
@@ -47,10 +81,14 @@ def choose(names: Iterable[str], *, everything: bool = False) -> list[Experiment
 def listing() -> str:
     """Ids, cells of the full sweep, and titles, by group."""
     lines = []
-    for group, members in itertools.groupby(EXPERIMENTS.values(), key=lambda experiment: experiment.group):
+    for group, members in itertools.groupby(
+        EXPERIMENTS.values(), key=lambda experiment: experiment.group
+    ):
         lines.append(f"{group}:")
         for own in members:
-            lines.append(f"  {own.id:<19} {len(own.settings().cells()):>5} cells  {own.title}")
+            lines.append(
+                f"  {own.id:<19} {len(own.settings().cells()):>5} cells  {own.title}"
+            )
     return "\n".join(lines)
 
 
@@ -84,8 +122,15 @@ def reproduce(
     if missing and not chosen:
         raise missing[0]
     folder = output / "smoke" if smoke else output
-    refuse_links(output, ["smoke", *(f"smoke/{e.id}" if smoke else e.id for e in chosen)], are_folders=True)
-    every = [experiment.settings(smoke=smoke, repetitions=seeds, seed=seed) for experiment in chosen]
+    refuse_links(
+        output,
+        ["smoke", *(f"smoke/{e.id}" if smoke else e.id for e in chosen)],
+        are_folders=True,
+    )
+    every = [
+        experiment.settings(smoke=smoke, repetitions=seeds, seed=seed)
+        for experiment in chosen
+    ]
     if not options["fresh"]:
         for settings in every:
             Store(folder / settings.experiment.id, settings)
@@ -108,7 +153,11 @@ def write_index(output: Path) -> Path:
     for experiment in EXPERIMENTS.values():
         if (output / experiment.id / "summary.md").is_file():
             title, folder = experiment.title, experiment.id
-            parts += [f"## [{title}]({folder}/summary.md)", f"![{title}]({folder}/figure.png)", experiment.caption]
+            parts += [
+                f"## [{title}]({folder}/summary.md)",
+                f"![{title}]({folder}/figure.png)",
+                experiment.caption,
+            ]
     refuse_links(output, ["index.md"])
     _files.write_all(output, {"index.md": ("\n\n".join(parts) + "\n").encode()})
     return output / "index.md"

@@ -16,7 +16,12 @@ from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.continuous import kinova
 from oee_tabular.continuous.cartpole import CartPole, cartpole_policy
 from oee_tabular.continuous.discretization import discretize
-from oee_tabular.continuous.episodes import MonteCarlo, compare_returns, monte_carlo_value, record
+from oee_tabular.continuous.episodes import (
+    MonteCarlo,
+    compare_returns,
+    monte_carlo_value,
+    record,
+)
 from oee_tabular.continuous.history import HistoryTask
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.reacher import reacher_policy
@@ -25,7 +30,16 @@ from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.continuous.rows import corrected_value
 from oee_tabular.continuous.task import ContinuousTask, Moves, StatePolicy
 from oee_tabular.exact import policy_value
-from oee_tabular.lab.experiment import Cell, Row, Stream, experiment, listed, panels, percent, reach
+from oee_tabular.lab.experiment import (
+    Cell,
+    Row,
+    Stream,
+    experiment,
+    listed,
+    panels,
+    percent,
+    reach,
+)
 from oee_tabular.lab.experiments import classic
 from oee_tabular.lab.experiments.cartpole import DELTAS as CARTPOLE_DELTAS
 from oee_tabular.lab.experiments.kinova import arm_of, towards
@@ -70,15 +84,25 @@ class Change:
 
     def log(self, n: int, seed: Seed) -> ContinuousTransitions:
         """n moves of the target, by the simulator's coordinates."""
-        found = record(self.target, self.acting(self.behavior), n_transitions=n, max_steps=self.horizon, seed=seed)
+        found = record(
+            self.target,
+            self.acting(self.behavior),
+            n_transitions=n,
+            max_steps=self.horizon,
+            seed=seed,
+        )
         d, columns = self.simulator.n_state, found.columns()
-        return ContinuousTransitions(**(columns | {k: columns[k][:, :d] for k in ("state", "next_state")}))
+        return ContinuousTransitions(
+            **(columns | {k: columns[k][:, :d] for k in ("state", "next_state")})
+        )
 
     def returns(self, task: ContinuousTask, delta: float) -> Array:
         """(episodes,) returns; tasks that are alike go alike."""
         seed = np.random.SeedSequence(11, spawn_key=(round(100 * delta),))
         policy = self.acting(delta)
-        found = compare_returns([task], policy, self.episodes, self.horizon, discount=DISCOUNT, seed=seed)
+        found = compare_returns(
+            [task], policy, self.episodes, self.horizon, discount=DISCOUNT, seed=seed
+        )
         return np.asarray(self.scale * found[0])
 
 
@@ -89,7 +113,12 @@ class Arm(Change):
     def log(self, n: int, seed: Seed) -> ContinuousTransitions:
         """n moves, 25 a run."""
         runs = n // (len(kinova.GOALS) * kinova.HORIZON)
-        return kinova.record_goals(self.target, n_runs=runs, delta=self.behavior, seed=seed)  # type: ignore[arg-type]
+        return kinova.record_goals(
+            self.target,  # type: ignore[arg-type]
+            n_runs=runs,
+            delta=self.behavior,
+            seed=seed,
+        )
 
     def returns(self, task: ContinuousTask, delta: float) -> Array:
         """(episodes,) means over the goals."""
@@ -97,7 +126,16 @@ class Arm(Change):
         for goal in range(len(kinova.GOALS)):
             seed = np.random.SeedSequence(11, spawn_key=(round(100 * delta), goal))
             aim, policy = towards(task, goal), kinova.kinova_policy(goal, delta)
-            found += [*compare_returns([aim], policy, self.episodes, self.horizon, discount=DISCOUNT, seed=seed)]
+            found += [
+                *compare_returns(
+                    [aim],
+                    policy,
+                    self.episodes,
+                    self.horizon,
+                    discount=DISCOUNT,
+                    seed=seed,
+                )
+            ]
         return np.asarray(np.mean(found, axis=0))
 
 
@@ -121,27 +159,54 @@ def _cartpole(episodes: int = 4000, **changes: Any) -> Change:
 
 
 _CARTPOLE = Change(
-    CartPole(10.0), CartPole(10.0), cartpole_policy, sizes=(3000, 80_000), deltas=CARTPOLE_DELTAS,
-    horizon=100, scale=1.0 - DISCOUNT, grid=(32, 32),
-)  # fmt: skip
-_PENDULUM = Change(classic.Pendulum(), classic.Pendulum(), classic.swinging, grid=(41, 41))
-_CAR = Change(classic.MountainCar(), classic.MountainCar(), classic.rocking, grid=(40, 40))
+    CartPole(10.0),
+    CartPole(10.0),
+    cartpole_policy,
+    sizes=(3000, 80_000),
+    deltas=CARTPOLE_DELTAS,
+    horizon=100,
+    scale=1.0 - DISCOUNT,
+    grid=(32, 32),
+)
+_PENDULUM = Change(
+    classic.Pendulum(), classic.Pendulum(), classic.swinging, grid=(41, 41)
+)
+_CAR = Change(
+    classic.MountainCar(), classic.MountainCar(), classic.rocking, grid=(40, 40)
+)
 _ACROBOT = Change(classic.Acrobot(), classic.Acrobot(), classic.pumping, horizon=500)
-_CHAIN = Change(classic.Chain(), classic.Chain(), classic.braking, sizes=(20_000, 150_000), horizon=100)
+_CHAIN = Change(
+    classic.Chain(),
+    classic.Chain(),
+    classic.braking,
+    sizes=(20_000, 150_000),
+    horizon=100,
+)
 
 
 def _reacher(length: float) -> Change:
     return Change(
-        Even(0.1, length), Even(length), reacher_policy, sizes=(150_000,), deltas=REACHER_DELTAS,
-        horizon=100, episodes=1000, behavior=0.5,
-    )  # fmt: skip
+        Even(0.1, length),
+        Even(length),
+        reacher_policy,
+        sizes=(150_000,),
+        deltas=REACHER_DELTAS,
+        horizon=100,
+        episodes=1000,
+        behavior=0.5,
+    )
 
 
 def _arm(name: str) -> Change:
     return Arm(
-        arm_of("simulator"), arm_of(name), functools.partial(kinova.kinova_policy, 0), sizes=(1250,),
-        deltas=(0.0, 0.3), horizon=kinova.HORIZON, episodes=100,
-    )  # fmt: skip
+        arm_of("simulator"),
+        arm_of(name),
+        functools.partial(kinova.kinova_policy, 0),
+        sizes=(1250,),
+        deltas=(0.0, 0.3),
+        horizon=kinova.HORIZON,
+        episodes=100,
+    )
 
 
 CASES: dict[str, Change] = {
@@ -156,32 +221,53 @@ CASES: dict[str, Change] = {
     "CartPole, unchanged": _cartpole(),
     # other noise is not the truth's: more of it is left
     "CartPole, noise 0.03": _cartpole(10_000, gusts=0.03),
-    "CartPole, all at once": _cartpole(10_000, gravity=11.3, pole=1.3, force=0.8, joint=2e-4, cart=0.05, gusts=0.03),
+    "CartPole, all at once": _cartpole(
+        10_000, gravity=11.3, pole=1.3, force=0.8, joint=2e-4, cart=0.05, gusts=0.03
+    ),
     "CartPole, delay": replace(_CARTPOLE, target=Delayed(CartPole(10.0))),
-    "Pendulum, mass, gravity": replace(_PENDULUM, target=classic.Pendulum(mass=1.2, gravity=11.0)),
+    "Pendulum, mass, gravity": replace(
+        _PENDULUM, target=classic.Pendulum(mass=1.2, gravity=11.0)
+    ),
     "Pendulum, length": replace(_PENDULUM, target=classic.Pendulum(length=1.15)),
-    "Pendulum, friction, torque": replace(_PENDULUM, target=classic.Pendulum(friction=0.1, torque=0.8)),
-    "MountainCar, gravity, force": replace(_CAR, target=classic.MountainCar(0.0027, 0.0009)),
+    "Pendulum, friction, torque": replace(
+        _PENDULUM, target=classic.Pendulum(friction=0.1, torque=0.8)
+    ),
+    "MountainCar, gravity, force": replace(
+        _CAR, target=classic.MountainCar(0.0027, 0.0009)
+    ),
     "MountainCar, force x 1.2": replace(_CAR, target=classic.MountainCar(force=0.0012)),
-    "Acrobot, mass, length": replace(_ACROBOT, target=classic.Acrobot(mass_2=1.3, length_1=1.15)),
+    "Acrobot, mass, length": replace(
+        _ACROBOT, target=classic.Acrobot(mass_2=1.3, length_1=1.15)
+    ),
     "Acrobot, torque x 0.7": replace(_ACROBOT, target=classic.Acrobot(torque=0.7)),
     "Reacher, short": _reacher(0.05),
     "Reacher, 1.7 times": _reacher(0.17),
     "Reacher, long": _reacher(0.2),
     "Kinova, velocity x 1.4": _arm("velocity x 1.4"),
     "Kinova, six causes": _arm("everything"),
-    "Chain, mass, springs": replace(_CHAIN, target=classic.Chain(mass=1.3, stiffness=1.4)),
-    "Chain, all at once": replace(_CHAIN, target=classic.Chain(1.2, 1.6, 0.3, 0.3, 0.7, 0.03)),
+    "Chain, mass, springs": replace(
+        _CHAIN, target=classic.Chain(mass=1.3, stiffness=1.4)
+    ),
+    "Chain, all at once": replace(
+        _CHAIN, target=classic.Chain(1.2, 1.6, 0.3, 0.3, 0.7, 0.03)
+    ),
 }
 
 
 # ---- the experiments
 
-SIMULATOR, RESIDUAL, HISTORY, LINEAR = "simulator", "residual", "residual, last action", "linear model"
+SIMULATOR, RESIDUAL, HISTORY, LINEAR = (
+    "simulator",
+    "residual",
+    "residual, last action",
+    "linear model",
+)
 CALIBRATED, GRID = "calibrated", "grid"
 FLOOR, STRENGTH = 1e-3, 0.01  # of the rows on a grid
 GRID_SEEDS = 1  # logs of a case that have the rows on a grid, the dearest
-LOGS = {f"{name}, n = {n}": (name, n) for name, case in CASES.items() for n in case.sizes}
+LOGS = {
+    f"{name}, n = {n}": (name, n) for name, case in CASES.items() for n in case.sizes
+}
 
 
 @functools.lru_cache(maxsize=256)
@@ -195,27 +281,55 @@ def _row(case: Change, estimator: str, name: str, found: list[Array]) -> Row:
     """Values, errors, and how much of an error may be Monte Carlo's."""
     truth = [known(name, delta) for delta in case.deltas]
     apart = [returns - right for returns, right in zip(found, truth, strict=True)]
-    before = [known(name, delta, simulator=True) - right for delta, right in zip(case.deltas, truth, strict=True)]
-    error, of_simulator = (float(np.mean([abs(x.mean()) for x in each])) for each in (apart, before))
-    noise, truth_noise = ([x.std() / np.sqrt(x.size) for x in each] for each in (apart, truth))
-    row: Row = {"estimator": estimator, "error": error, "share": error / of_simulator if of_simulator > 0 else np.nan}
-    row |= {"noise": float(np.mean(noise)), "truth_standard_error": float(max(truth_noise))}
+    before = [
+        known(name, delta, simulator=True) - right
+        for delta, right in zip(case.deltas, truth, strict=True)
+    ]
+    error, of_simulator = (
+        float(np.mean([abs(x.mean()) for x in each])) for each in (apart, before)
+    )
+    noise, truth_noise = (
+        [x.std() / np.sqrt(x.size) for x in each] for each in (apart, truth)
+    )
+    row: Row = {
+        "estimator": estimator,
+        "error": error,
+        "share": error / of_simulator if of_simulator > 0 else np.nan,
+    }
+    row |= {
+        "noise": float(np.mean(noise)),
+        "truth_standard_error": float(max(truth_noise)),
+    }
     for delta, e, x in zip(case.deltas, apart, truth, strict=True):
-        row |= {f"error_{delta:g}": float(e.mean()), f"truth_{delta:g}": float(x.mean())}
+        row |= {
+            f"error_{delta:g}": float(e.mean()),
+            f"truth_{delta:g}": float(x.mean()),
+        }
     return row
 
 
-def _grid_returns(case: Change, name: str, log: ContinuousTransitions) -> dict[str, list[Array]]:
+def _grid_returns(
+    case: Change, name: str, log: ContinuousTransitions
+) -> dict[str, list[Array]]:
     """The log's zeta on a grid of the task's features, raw and calibrated by the simulator's ratio."""
-    with warnings.catch_warnings(action="ignore"):  # states outside, transitions without support: left out here
-        model = discretize(case.simulator, log, cells=case.grid, floor=FLOOR, closure_episodes=0)
+    # states outside, transitions without support: left out here
+    with warnings.catch_warnings(action="ignore"):
+        model = discretize(
+            case.simulator, log, cells=case.grid, floor=FLOOR, closure_episodes=0
+        )
         counts, _ = model.supported(model.counts(log, outside="drop"))
     zeta = transition_ratio(counts, model.mdp, prior="simulator", strength=STRENGTH)
     corrected = zeta.target_model(model.mdp)
     found: dict[str, list[Array]] = {CALIBRATED: [], GRID: []}
     for delta in case.deltas:
-        policy, simulated = model.policy(case.acting(delta)), known(name, delta, simulator=True).mean()
-        value, inside = (policy_value(mdp, policy, horizon=case.horizon) for mdp in (corrected, model.plain))
+        policy, simulated = (
+            model.policy(case.acting(delta)),
+            known(name, delta, simulator=True).mean(),
+        )
+        value, inside = (
+            policy_value(mdp, policy, horizon=case.horizon)
+            for mdp in (corrected, model.plain)
+        )
         found[CALIBRATED].append(np.full(case.episodes, value * simulated / inside))
         found[GRID].append(np.full(case.episodes, case.scale * value))
     return found
@@ -223,13 +337,22 @@ def _grid_returns(case: Change, name: str, log: ContinuousTransitions) -> dict[s
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
     """What is left of the simulator's error, case by case."""
-    (ax,) = panels(figure, ["error / the simulator's error, means over the seeds"], size=(8.2, 8.4))
+    (ax,) = panels(
+        figure, ["error / the simulator's error, means over the seeds"], size=(8.2, 8.4)
+    )
     part = summary[np.isfinite(summary.share_mean)]
     where = {case: k for k, case in enumerate(part.case.unique())}
     shown = {RESIDUAL: "o", HISTORY: "P", CALIBRATED: "s", LINEAR: "^", GRID: "x"}
     for k, (name, mark) in enumerate(shown.items()):
         own = part[part.estimator == name]
-        ax.plot(np.maximum(own.share_mean, 1e-3), own.case.map(where), mark, color=f"C{k}", label=name, ms=6)
+        ax.plot(
+            np.maximum(own.share_mean, 1e-3),
+            own.case.map(where),
+            mark,
+            color=f"C{k}",
+            label=name,
+            ms=6,
+        )
     ax.axvline(1.0, color="black", lw=1, ls=":")
     ax.set_xscale("log")
     ax.set_yticks(range(len(where)), list(where), fontsize="small")
@@ -241,16 +364,37 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
 def finding(table: pd.DataFrame) -> str:
     """What each leaves of the simulator's error in the median of the cases that all have, the least first."""
     own = table[table.estimator.isin((RESIDUAL, LINEAR, CALIBRATED, GRID))]
-    left = own.pivot_table("share", "case", "estimator").dropna().median().dropna().sort_values()
-    return f"Left of the simulator's error in the median case: {listed(left, percent)}" if len(left) else ""
+    left = (
+        own.pivot_table("share", "case", "estimator")
+        .dropna()
+        .median()
+        .dropna()
+        .sort_values()
+    )
+    return (
+        f"Left of the simulator's error in the median case: {listed(left, percent)}"
+        if len(left)
+        else ""
+    )
 
 
 @experiment(
-    "Changes that nobody tuned for: the simulator corrected by the log's residuals, and others", group="continuous",
-    axes={"case": tuple(LOGS)}, smoke={"case": ("CartPole, force x 0.8, n = 3000", "MountainCar, force x 1.2, n = 20000")},
-    keys=("case", "estimator"), measures=("error", "share", "noise", "hidden", "differs"),
-    draw=draw, finding=finding, requires=("mujoco",),
-)  # fmt: skip
+    "Changes that nobody tuned for: the simulator corrected by the log's residuals, and"
+    " others",
+    group="continuous",
+    axes={"case": tuple(LOGS)},
+    smoke={
+        "case": (
+            "CartPole, force x 0.8, n = 3000",
+            "MountainCar, force x 1.2, n = 20000",
+        )
+    },
+    keys=("case", "estimator"),
+    measures=("error", "share", "noise", "hidden", "differs"),
+    draw=draw,
+    finding=finding,
+    requires=("mujoco",),
+)
 def changes(settings: Cell, stream: Stream) -> list[Row]:
     """A log of n transitions by 30% random actions (Reacher: half); errors are means over policies of |value - truth|, values
     and truths by rollouts that share their random numbers; noise: the standard error of what is left. Two policies, 200 steps
@@ -268,15 +412,32 @@ def changes(settings: Cell, stream: Stream) -> list[Row]:
         tasks[HISTORY] = ResidualSimulator(whole, whole.log(log), seed=0)
     if not name.startswith("Kinova"):  # 27 coordinates and 27 commands in 1250 moves
         tasks[LINEAR] = LinearModel(case.simulator, log)
-    rows = [_row(case, SIMULATOR, name, [known(name, d, simulator=True) for d in case.deltas])]
-    rows += [_row(case, what, name, [case.returns(task, d) for d in case.deltas]) for what, task in tasks.items()]
+    rows = [
+        _row(
+            case, SIMULATOR, name, [known(name, d, simulator=True) for d in case.deltas]
+        )
+    ]
+    rows += [
+        _row(case, what, name, [case.returns(task, d) for d in case.deltas])
+        for what, task in tasks.items()
+    ]
     if case.grid and int(settings["repetition"]) < GRID_SEEDS:
-        rows += [_row(case, what, name, found) for what, found in _grid_returns(case, name, log).items()]
+        rows += [
+            _row(case, what, name, found)
+            for what, found in _grid_returns(case, name, log).items()
+        ]
     differs = any(coordinate.differs for coordinate in corrected.coordinates)
-    return [{"n": n, **row, "hidden": float(hidden), "differs": float(differs)} for row in rows]
+    return [
+        {"n": n, **row, "hidden": float(hidden), "differs": float(differs)}
+        for row in rows
+    ]
 
 
-POLICIES = {"CartPole, gravity 12.5": 0.4, "CartPole, all at once": 0.4, "Pendulum, mass, gravity": 0.5}
+POLICIES = {
+    "CartPole, gravity 12.5": 0.4,
+    "CartPole, all at once": 0.4,
+    "Pendulum, mass, gravity": 0.5,
+}
 N = 20_000  # moves of a log
 EPISODES, REFITS, PATHS = 1000, 10, 200
 TRUTH = 400_000  # episodes
@@ -287,7 +448,9 @@ def truth(name: str) -> MonteCarlo:
     """Of the case's policy in its target."""
     case = CASES[name]
     policy = case.acting(POLICIES[name])
-    return monte_carlo_value(case.target, policy, TRUTH, case.horizon, discount=DISCOUNT, seed=12)
+    return monte_carlo_value(
+        case.target, policy, TRUTH, case.horizon, discount=DISCOUNT, seed=12
+    )
 
 
 @functools.lru_cache(maxsize=8)
@@ -304,7 +467,9 @@ def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> No
         part = table[table.case == name]
         ax.plot(np.hypot(part.error_of_log, part.noise), np.abs(part.error), "o", ms=3)
         most = float(max(np.hypot(part.error_of_log, part.noise).max(), 1e-12))
-        ax.plot([0.0, most], [0.0, most * float(stats.t.ppf(0.975, REFITS - 1))], "k:", lw=1)
+        ax.plot(
+            [0.0, most], [0.0, most * float(stats.t.ppf(0.975, REFITS - 1))], "k:", lw=1
+        )
         ax.set_xlabel("standard error told")
         ax.set_ylabel("|error|")
 
@@ -314,16 +479,22 @@ def find_coverage(table: pd.DataFrame) -> str:
     held = table.groupby("case")[["covered", "covered_paired"]].mean()
     whole, paired = (reach(held[name], percent) for name in held)
     return (
-        f"The 95% interval holds the truth in {whole} of the logs; without the rollouts' noise, drawn here, in {paired}"
+        f"The 95% interval holds the truth in {whole} of the logs; without the"
+        f" rollouts' noise, drawn here, in {paired}"
     )
 
 
 @experiment(
-    "How often the interval of the residual row holds the truth", group="continuous", repetitions=100,
-    axes={"case": tuple(POLICIES)}, smoke={"case": ("CartPole, gravity 12.5",)},
-    keys=("case",), measures=("covered", "covered_paired", "error", "noise", "error_of_log"),
-    draw=draw_coverage, finding=find_coverage,
-)  # fmt: skip
+    "How often the interval of the residual row holds the truth",
+    group="continuous",
+    repetitions=100,
+    axes={"case": tuple(POLICIES)},
+    smoke={"case": ("CartPole, gravity 12.5",)},
+    keys=("case",),
+    measures=("covered", "covered_paired", "error", "noise", "error_of_log"),
+    draw=draw_coverage,
+    finding=find_coverage,
+)
 def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
     """Logs of 20 000 transitions, a policy each; sums of rewards. covered: share of the logs whose 95% interval (10 refits by
     200 episodes, the value by 1000) covers the truth of 400 000 rollouts. covered_paired: the same without the rollouts' noise,
@@ -333,11 +504,22 @@ def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
     case, there = returns_of_target(name)
     log = case.log(N, stream.generator(use="log"))
     corrected = ResidualSimulator(case.simulator, log, seed=0)
-    policy, seed = case.acting(POLICIES[name]), int(stream.generator(use="value").integers(2**31))
-    found = corrected_value(
-        corrected, policy, EPISODES, case.horizon, discount=DISCOUNT, refits=REFITS, paths=PATHS, seed=seed
+    policy, seed = (
+        case.acting(POLICIES[name]),
+        int(stream.generator(use="value").integers(2**31)),
     )
-    low, high = found.interval or (np.nan, np.nan)  # none where the log seems to show hidden state: not covered
+    found = corrected_value(
+        corrected,
+        policy,
+        EPISODES,
+        case.horizon,
+        discount=DISCOUNT,
+        refits=REFITS,
+        paths=PATHS,
+        seed=seed,
+    )
+    # none where the log seems to show hidden state: not covered
+    low, high = found.interval or (np.nan, np.nan)
     apart = case.returns(corrected, POLICIES[name]) - there
     error, noise = float(apart.mean()), float(apart.std() / np.sqrt(apart.size))
     of_log = float(found.diagnostics.get("standard_error_of_the_log", np.nan))
@@ -345,9 +527,15 @@ def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
     known = truth(name)
     return [
         {
-            "value": found.value, "lower": low, "upper": high, "truth": known.value,
-            "truth_standard_error": known.standard_error, "error": error, "noise": noise, "error_of_log": of_log,
+            "value": found.value,
+            "lower": low,
+            "upper": high,
+            "truth": known.value,
+            "truth_standard_error": known.standard_error,
+            "error": error,
+            "noise": noise,
+            "error_of_log": of_log,
             "covered": float(low <= known.value <= high),
             "covered_paired": float(abs(error) <= margin * np.hypot(of_log, noise)),
         }
-    ]  # fmt: skip
+    ]

@@ -43,10 +43,16 @@ class ChangedCartPole(CartPole):
         force = self.force * self.actions[actions] - self.cart * np.sign(x_dot)
         sine, cosine = np.sin(angle), np.cos(angle)
         pulled = (force + mass * half * speed**2 * sine) / total
-        turned = self.gravity * sine - cosine * pulled - self.joint * speed / (mass * half)
+        turned = (
+            self.gravity * sine - cosine * pulled - self.joint * speed / (mass * half)
+        )
         turned = turned / (half * (4.0 / 3.0 - mass * cosine**2 / total)) + self.push
         moved = pulled - mass * half * turned * cosine / total
-        following = states + 0.02 * np.stack([x_dot, moved, speed, turned], axis=1) + self.noise * disturbance
+        following = (
+            states
+            + 0.02 * np.stack([x_dot, moved, speed, turned], axis=1)
+            + self.noise * disturbance
+        )
         following[:, 3] += self.gusts * disturbance[:, 3]
         return Moves(following, np.ones(len(states)), self.terminated(following))
 
@@ -70,7 +76,10 @@ class Pendulum(Plain):
 
     state_names = feature_names = ("angle", "speed")
     actions = freeze(np.array([-2.0, 0.0, 2.0]))
-    feature_low, feature_high = freeze(np.array([-np.pi, -8.0])), freeze(np.array([np.pi, 8.0]))
+    feature_low, feature_high = (
+        freeze(np.array([-np.pi, -8.0])),
+        freeze(np.array([np.pi, 8.0])),
+    )
     periodic, terminates = (True, False), False
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
@@ -78,11 +87,17 @@ class Pendulum(Plain):
         angle, speed = states.T
         asked = self.actions[actions]
         pulled = 3.0 * self.gravity / (2.0 * self.length) * np.sin(angle)
-        turned = pulled + 3.0 / (self.mass * self.length**2) * (self.torque * asked - self.friction * speed)
+        turned = pulled + 3.0 / (self.mass * self.length**2) * (
+            self.torque * asked - self.friction * speed
+        )
         faster = np.clip(speed + turned * 0.05, -8.0, 8.0)
         upright = (angle + np.pi) % (2.0 * np.pi) - np.pi
         cost = upright**2 + 0.1 * speed**2 + 0.001 * asked**2
-        return Moves(np.stack([angle + faster * 0.05, faster], axis=1), -cost, np.zeros(len(states), dtype=np.bool_))
+        return Moves(
+            np.stack([angle + faster * 0.05, faster], axis=1),
+            -cost,
+            np.zeros(len(states), dtype=np.bool_),
+        )
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Any angle, slow."""
@@ -99,13 +114,22 @@ class MountainCar(Plain):
 
     state_names = feature_names = ("position", "speed")
     actions = freeze(np.array([-1.0, 0.0, 1.0]))
-    feature_low, feature_high = freeze(np.array([-1.2, -0.07])), freeze(np.array([0.6, 0.07]))
+    feature_low, feature_high = (
+        freeze(np.array([-1.2, -0.07])),
+        freeze(np.array([0.6, 0.07])),
+    )
     periodic, terminates = (False, False), True
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step."""
         place, speed = states.T
-        faster = np.clip(speed + self.actions[actions] * self.force - np.cos(3.0 * place) * self.gravity, -0.07, 0.07)
+        faster = np.clip(
+            speed
+            + self.actions[actions] * self.force
+            - np.cos(3.0 * place) * self.gravity,
+            -0.07,
+            0.07,
+        )
         place = np.clip(place + faster, -1.2, 0.6)
         faster = np.where((place == -1.2) & (faster < 0), 0.0, faster)
         following = np.stack([place, faster], axis=1)
@@ -151,7 +175,14 @@ class Acrobot(Plain):
 
     def _rates(self, states: Array, torque: Array) -> Array:
         first, second, speed_1, speed_2 = states.T
-        m1, m2, l1, c1, c2, g = self.mass_1, self.mass_2, self.length_1, 0.5 * self.length_1, 0.5, 9.8
+        m1, m2, l1, c1, c2, g = (
+            self.mass_1,
+            self.mass_2,
+            self.length_1,
+            0.5 * self.length_1,
+            0.5,
+            9.8,
+        )
         sine, cosine = np.sin(second), np.cos(second)
         d1 = m1 * c1**2 + m2 * (l1**2 + c2**2 + 2.0 * l1 * c2 * cosine) + 2.0
         d2 = m2 * (c2**2 + l1 * c2 * cosine) + 1.0
@@ -160,11 +191,15 @@ class Acrobot(Plain):
         phi1 = phi1 + (m1 * c1 + m2 * l1) * g * np.sin(first) + phi2
         faster_2 = torque + d2 / d1 * phi1 - m2 * l1 * c2 * speed_1**2 * sine - phi2
         faster_2 = faster_2 / (m2 * c2**2 + 1.0 - d2**2 / d1)
-        return np.stack([speed_1, speed_2, -(d2 * faster_2 + phi1) / d1, faster_2], axis=1)
+        return np.stack(
+            [speed_1, speed_2, -(d2 * faster_2 + phi1) / d1, faster_2], axis=1
+        )
 
     def terminated(self, states: Array) -> BoolArray:
         """The tip is a link above the joint."""
-        return np.asarray(-np.cos(states[:, 0]) - np.cos(states[:, 0] + states[:, 1]) > 1.0)
+        return np.asarray(
+            -np.cos(states[:, 0]) - np.cos(states[:, 0] + states[:, 1]) > 1.0
+        )
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """Hanging, almost at rest."""
@@ -186,7 +221,9 @@ class Chain(Plain):
     noise: float = 0.01
     name: str = field(default="Chain", init=False)
 
-    state_names = feature_names = tuple(f"{what}_{k}" for what in ("place", "speed") for k in range(1, 5))
+    state_names = feature_names = tuple(
+        f"{what}_{k}" for what in ("place", "speed") for k in range(1, 5)
+    )
     actions = freeze(np.array([-1.0, 0.0, 1.0]))
     n_disturbances = 4
     feature_low, feature_high = freeze(np.full(8, -2.0)), freeze(np.full(8, 2.0))
@@ -204,9 +241,15 @@ class Chain(Plain):
             place = place + 0.05 * speed
         speed = speed + self.noise * disturbance
         following = np.column_stack([place, speed])
-        return Moves(following, self.reward_between(states, actions, following), np.zeros(len(states), dtype=np.bool_))
+        return Moves(
+            following,
+            self.reward_between(states, actions, following),
+            np.zeros(len(states), dtype=np.bool_),
+        )
 
-    def reward_between(self, states: Array, actions: IntArray, next_states: Array) -> Array:
+    def reward_between(
+        self, states: Array, actions: IntArray, next_states: Array
+    ) -> Array:
         """Minus the mean square of the places."""
         return np.asarray(-(next_states[:, :4] ** 2).mean(axis=1))
 
@@ -221,7 +264,12 @@ class LinearGaussian(DerivedTask):
     One model of all actions u, where ``LinearModel`` has one of each. The coordinates that are left out stay as they are.
     """
 
-    def __init__(self, task: ContinuousTask, log: ContinuousTransitions, coordinates: slice = slice(None)) -> None:
+    def __init__(
+        self,
+        task: ContinuousTask,
+        log: ContinuousTransitions,
+        coordinates: slice = slice(None),
+    ) -> None:
         super().__init__(task, f"linear-Gaussian model of a log of {task.name}")
         self._at = coordinates
         design = self._inputs(log.state, log.action_numbers(task.actions))
@@ -230,19 +278,33 @@ class LinearGaussian(DerivedTask):
         with ONE_THREAD:
             self.coefficients = np.linalg.lstsq(design, change)[0]
             rest = change - design @ self.coefficients
-            self.root = np.linalg.cholesky(rest.T @ rest / len(rest) + 1e-12 * np.eye(self.n_disturbances))
+            self.root = np.linalg.cholesky(
+                rest.T @ rest / len(rest) + 1e-12 * np.eye(self.n_disturbances)
+            )
 
     def _inputs(self, states: Array, actions: IntArray) -> Array:
-        return np.column_stack([np.ones(len(states)), states[:, self._at], self.actions[actions]])
+        return np.column_stack(
+            [np.ones(len(states)), states[:, self._at], self.actions[actions]]
+        )
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step of the model."""
         following = np.array(states)
-        following[:, self._at] += self._inputs(states, actions) @ self.coefficients + disturbance @ self.root.T
-        moved = self.task.moves(states, actions, np.zeros((len(states), self.task.n_disturbances)))
+        following[:, self._at] += (
+            self._inputs(states, actions) @ self.coefficients
+            + disturbance @ self.root.T
+        )
+        moved = self.task.moves(
+            states, actions, np.zeros((len(states), self.task.n_disturbances))
+        )
         paid = self.task.reward_between(states, actions, following)
         reward = moved.reward if paid is None else paid
-        return replace(moved, next_state=following, reward=reward, terminated=self.task.terminated(following))
+        return replace(
+            moved,
+            next_state=following,
+            reward=reward,
+            terminated=self.task.terminated(following),
+        )
 
 
 def noisy(wanted: IntArray, delta: float) -> Array:

@@ -35,47 +35,73 @@ def published_table() -> pd.DataFrame:
 def published(figure: str, setting: str, series: str) -> pd.DataFrame:
     """The points of one of the paper's curves, by x; empty where it was not published."""
     table = published_table()
-    points = table[(table.figure == figure) & (table.setting == setting) & (table.series == series)]
+    points = table[
+        (table.figure == figure) & (table.setting == setting) & (table.series == series)
+    ]
     return points.sort_values("x").reset_index(drop=True)
 
 
 def published_at(figure: str, setting: str, series: str, x: float) -> float:
     """The mean at one point; nan where none was published."""
-    return float(published(figure, setting, series).set_index("x")["mean"].get(x, float("nan")))
+    return float(
+        published(figure, setting, series).set_index("x")["mean"].get(x, float("nan"))
+    )
 
 
 @functools.lru_cache(maxsize=8)
-def grids(size: int = 10, real: float = 0.1, discount: float = 0.99) -> tuple[oee.FiniteMDP, oee.FiniteMDP]:
+def grids(
+    size: int = 10, real: float = 0.1, discount: float = 0.99
+) -> tuple[oee.FiniteMDP, oee.FiniteMDP]:
     """The simulated gridworld, of slip 0.3, and the real one."""
-    return gridworld(size, 0.3, discount=discount), gridworld(size, real, discount=discount)
+    return gridworld(size, 0.3, discount=discount), gridworld(
+        size, real, discount=discount
+    )
 
 
 def small_grids() -> tuple[oee.FiniteMDP, oee.FiniteMDP]:
     """5 x 5, discount 0.95, reward -Manhattan distance / 8 of the current cell."""
     row, column = np.divmod(np.arange(25), 5)
     simulator, target = grids(5, discount=0.95)
-    return simulator.with_rewards((row + column - 8) / 8), target.with_rewards((row + column - 8) / 8)
+    return simulator.with_rewards((row + column - 8) / 8), target.with_rewards(
+        (row + column - 8) / 8
+    )
 
 
-def sample_pool(target: oee.FiniteMDP, behavior: Array, n: int, generator: np.random.Generator) -> oee.Transitions:
+def sample_pool(
+    target: oee.FiniteMDP, behavior: Array, n: int, generator: np.random.Generator
+) -> oee.Transitions:
     """Whole episodes of at most 1000 steps that hold at least n transitions: a pilot of 20 says how many are needed."""
     pilot = oee.sample_episodes(target, behavior, 20, LONGEST, seed=generator)
     needed = 20 + round(1.2 * n / (len(pilot) / 20))
-    while len(pool := oee.sample_episodes(target, behavior, needed, LONGEST, seed=generator)) < n:
+    while (
+        len(
+            pool := oee.sample_episodes(
+                target, behavior, needed, LONGEST, seed=generator
+            )
+        )
+        < n
+    ):
         needed *= 2  # not episodes_holding's rule: the saved tables are of these draws
     return pool
 
 
-def sample_log(target: oee.FiniteMDP, delta: float, n: int, generator: np.random.Generator) -> oee.Transitions:
+def sample_log(
+    target: oee.FiniteMDP, delta: float, n: int, generator: np.random.Generator
+) -> oee.Transitions:
     """n transitions drawn without replacement from such episodes of pi_delta: the paper's recipe."""
     behavior = gridworld_policy(round(target.n_states**0.5), delta)
     return sample_pool(target, behavior, n, generator).draw(n, seed=generator)
 
 
-def zeta_error(zeta: oee.TransitionRatio, target: oee.FiniteMDP, simulator: oee.FiniteMDP) -> float:
+def zeta_error(
+    zeta: oee.TransitionRatio, target: oee.FiniteMDP, simulator: oee.FiniteMDP
+) -> float:
     """Mean |zeta_hat - zeta| over all (s, a, s') in the simulator's support; terminal states are left out."""
     truth = oee.true_ratio(target, simulator).values.data
-    live = np.repeat(np.repeat(~simulator.absorbing(), simulator.n_actions), np.diff(simulator.transitions.indptr))
+    live = np.repeat(
+        np.repeat(~simulator.absorbing(), simulator.n_actions),
+        np.diff(simulator.transitions.indptr),
+    )
     return float(np.abs(zeta.values.data - truth)[live].mean())
 
 
@@ -90,8 +116,11 @@ def rmse(errors: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-ErrorPanels = functools.partial(Panels, log=True, slope=-0.5, axes={"xscale": "log"})  # against n
-RmsePanels = functools.partial(ErrorPanels, "error", how=rmse, ylabel="RMSE of (1 - discount) J")
+# against n
+ErrorPanels = functools.partial(Panels, log=True, slope=-0.5, axes={"xscale": "log"})
+RmsePanels = functools.partial(
+    ErrorPanels, "error", how=rmse, ylabel="RMSE of (1 - discount) J"
+)
 
 
 # ---- the robots
@@ -101,29 +130,53 @@ def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
     """The log's own rows n(s, a, s') / n(s, a); a pair that was never recorded stays where it is."""
     total = row_sums(counts)
     unrecorded = np.flatnonzero(total == 0)
-    staying = sparse.csr_array((np.ones(len(unrecorded)), (unrecorded, unrecorded // n_actions)), shape=counts.shape)
-    return sparse.csr_array(sparse.diags_array(1.0 / np.where(total > 0, total, 1.0)) @ counts + staying)
+    staying = sparse.csr_array(
+        (np.ones(len(unrecorded)), (unrecorded, unrecorded // n_actions)),
+        shape=counts.shape,
+    )
+    return sparse.csr_array(
+        sparse.diags_array(1.0 / np.where(total > 0, total, 1.0)) @ counts + staying
+    )
 
 
 def distance_between(first: pd.DataFrame, second: pd.DataFrame) -> float:
     """The mean |difference| of two of the paper's curves; nan where they have no points in common."""
     both = first.merge(second, on="x")
-    return float((both["mean_x"] - both["mean_y"]).abs().mean()) if len(both) else float("nan")
+    return (
+        float((both["mean_x"] - both["mean_y"]).abs().mean())
+        if len(both)
+        else float("nan")
+    )
 
 
-def mark_paper(ax: Any, figure: str, setting: str, markers: Mapping[str, tuple[str, str]]) -> None:
+def mark_paper(
+    ax: Any, figure: str, setting: str, markers: Mapping[str, tuple[str, str]]
+) -> None:
     """What the paper published, series -> (name, marker); its expert is lost, so its points need not lie on our lines."""
     for series, (name, marker) in markers.items():
         points = published(figure, setting, series)
         if len(points):
             label = f"the paper's {name}"
-            ax.plot(points.x, points["mean"], ls="none", marker=marker, mfc="none", color="0.35", label=label)
+            ax.plot(
+                points.x,
+                points["mean"],
+                ls="none",
+                marker=marker,
+                mfc="none",
+                color="0.35",
+                label=label,
+            )
 
 
 def select_deltas(table: pd.DataFrame, deltas: Iterable[float]) -> pd.DataFrame:
     """A row for each policy, with delta, value, truth and error, of columns value_0.1, truth_0.1, ...; for figures."""
     parts = [
-        table.assign(delta=delta, value=table[f"value_{delta:g}"], truth=table[f"truth_{delta:g}"]) for delta in deltas
+        table.assign(
+            delta=delta,
+            value=table[f"value_{delta:g}"],
+            truth=table[f"truth_{delta:g}"],
+        )
+        for delta in deltas
     ]
     found = pd.concat(parts)
     return found.assign(error=(found.value - found.truth).abs())

@@ -22,7 +22,15 @@ from oee_tabular.continuous.episodes import monte_carlo_value
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.residual import ResidualSimulator
 from oee_tabular.exact import policy_value
-from oee_tabular.lab.experiment import Cell, Row, Stream, experiment, panels, percent, reach
+from oee_tabular.lab.experiment import (
+    Cell,
+    Row,
+    Stream,
+    experiment,
+    panels,
+    percent,
+    reach,
+)
 from oee_tabular.lab.experiments.common import frequencies, published_table
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio, transition_ratio
@@ -31,14 +39,20 @@ from oee_tabular.simulate import sample_episodes
 TARGETS: dict[str, dict[str, float]] = {
     "velocity x 1.4": {"velocity_scale": 1.4},
     "everything": {
-        "velocity_scale": 1.2, "latency": 0.05, "payload": 1.0, "friction": 2.0, "gain": 0.4, "encoder_noise": 2e-3,
+        "velocity_scale": 1.2,
+        "latency": 0.05,
+        "payload": 1.0,
+        "friction": 2.0,
+        "gain": 0.4,
+        "encoder_noise": 2e-3,
     },
-}  # fmt: skip
+}
 POLICIES = (0.0, 0.3)  # delta: the controller itself, and with 30 % of random commands
 N_RUNS, CONVERGED = 10, 50  # runs to each goal: recorded, and for a value without noise
 RUNS = (len(kinova.GOALS), N_RUNS, kinova.HORIZON)  # the shape of a log
 DISCOUNTS = 0.99 ** np.arange(kinova.HORIZON)
-EPSILON, STRENGTH = 0.1, 3.0  # of the defensive simulator, and of the ties (moves for each command)
+# of the defensive simulator, and of the ties (moves for each command)
+EPSILON, STRENGTH = 0.1, 3.0
 TRUE, OEE, SIMULATOR = "true value, 50 runs", "OEE, tied, exact", "simulator, 50 runs"
 RESIDUAL = "residual, 250 runs"
 PUBLISHED = {TRUE: "true_value", OEE: "oee", SIMULATOR: "simulator"}
@@ -54,7 +68,9 @@ def arm_of(target: str) -> kinova.KinovaArm:
 @functools.cache
 def simulators() -> tuple[Discretization, Discretization]:
     """The simulator of the hand's position on the grid, and its defensive mixture."""
-    defensive = discretize(kinova.fit_hand(arm_of("simulator")), floor=EPSILON, closure_episodes=0)
+    defensive = discretize(
+        kinova.fit_hand(arm_of("simulator")), floor=EPSILON, closure_episodes=0
+    )
     return replace(defensive, mdp=defensive.plain), defensive
 
 
@@ -71,7 +87,11 @@ def grid_values(target: str) -> dict[str, dict[float, Array]]:
     """name -> delta -> values of the goals on the grid: of the simulators, and of the target itself (the oracle)."""
     plain, defensive = simulators()
     own = discretize(kinova.fit_hand(arm_of(target)), cells=plain, closure_episodes=0)
-    models = {"simulator on the grid": plain, "defensive simulator on the grid": defensive, "oracle on the grid": own}
+    models = {
+        "simulator on the grid": plain,
+        "defensive simulator on the grid": defensive,
+        "oracle on the grid": own,
+    }
     return {name: goal_values(model.mdp) for name, model in models.items()}
 
 
@@ -79,11 +99,18 @@ def simulate_values(task: Any, delta: float) -> Array:
     """(5,) Monte Carlo values of the goals, 50 runs each: in an arm or in a corrected one."""
     goals, horizon = range(len(kinova.GOALS)), kinova.HORIZON
     policies = [kinova.kinova_policy(g, delta) for g in goals]
-    found = [monte_carlo_value(towards(task, g), policies[g], CONVERGED, horizon, seed=[9, g]) for g in goals]
+    found = [
+        monte_carlo_value(
+            towards(task, g), policies[g], CONVERGED, horizon, seed=[9, g]
+        )
+        for g in goals
+    ]
     return np.array([each.value for each in found])
 
 
-known_values = functools.cache(lambda target, delta: simulate_values(arm_of(target), delta))
+known_values = functools.cache(
+    lambda target, delta: simulate_values(arm_of(target), delta)
+)
 
 
 def towards(task: Any, goal: int) -> Any:
@@ -102,7 +129,13 @@ def goal_values(mdp: FiniteMDP) -> dict[float, Array]:
         policy, cost = controller(g)
         paid = mdp.with_rewards(cost)
         for delta, values in found.items():
-            values.append(policy_value(paid, delta / policy.shape[1] + (1.0 - delta) * policy, horizon=kinova.HORIZON))
+            values.append(
+                policy_value(
+                    paid,
+                    delta / policy.shape[1] + (1.0 - delta) * policy,
+                    horizon=kinova.HORIZON,
+                )
+            )
     return {delta: np.array(values) for delta, values in found.items()}
 
 
@@ -117,14 +150,18 @@ def importance_sampling(log: ContinuousTransitions, delta: float) -> Array:
     chosen = np.empty(len(log))
     for g in range(len(kinova.GOALS)):
         rows = np.flatnonzero(goal == g)
-        chosen[rows] = kinova.kinova_policy(g, delta)(log.state[rows])[np.arange(len(rows)), log.action[rows]]
+        chosen[rows] = kinova.kinova_policy(g, delta)(log.state[rows])[
+            np.arange(len(rows)), log.action[rows]
+        ]
     weight = weights_before(np.reshape(chosen / log.behavior_probability, RUNS))  # type: ignore[operator]
     return np.asarray((weight * np.reshape(log.reward, RUNS) @ DISCOUNTS).mean(axis=1))  # type: ignore[arg-type]
 
 
 def weights_before(ratios: Array) -> Array:
     """The product of the ratios of earlier steps, at each step."""
-    return np.concatenate([np.ones_like(ratios[..., :1]), np.cumprod(ratios, axis=-1)[..., :-1]], axis=-1)
+    return np.concatenate(
+        [np.ones_like(ratios[..., :1]), np.cumprod(ratios, axis=-1)[..., :-1]], axis=-1
+    )
 
 
 def product_values(
@@ -137,7 +174,9 @@ def product_values(
         policy = delta / policy.shape[1] + (1.0 - delta) * policy
         runs = sample_episodes(model.mdp, policy, N_RUNS, kinova.HORIZON, seed=rng)
         rows = runs.state * policy.shape[1] + runs.action
-        weight = weights_before(np.reshape(zeta.values[rows, runs.next_state], RUNS[1:]))
+        weight = weights_before(
+            np.reshape(zeta.values[rows, runs.next_state], RUNS[1:])
+        )
         paid = weight * np.reshape(costs[runs.state], RUNS[1:])
         plain.append(paid.mean(axis=0) @ DISCOUNTS)
         normalized.append((paid.sum(axis=0) / weight.sum(axis=0)) @ DISCOUNTS)
@@ -145,16 +184,32 @@ def product_values(
 
 
 ORDER = (
-    TRUE, OEE, SIMULATOR, RESIDUAL, "OEE, tied, exact, calibrated", "OEE, tied, 50 simulated runs",
-    "OEE, tied, 50 simulated runs, self-normalised", "OEE, tied, exact, plain simulator", "OEE, not tied",
-    "model-based", "PDIS", "oracle on the grid", "simulator on the grid", "defensive simulator on the grid",
-    "true value, 250 runs", "simulator, 250 runs",
-)  # fmt: skip
+    TRUE,
+    OEE,
+    SIMULATOR,
+    RESIDUAL,
+    "OEE, tied, exact, calibrated",
+    "OEE, tied, 50 simulated runs",
+    "OEE, tied, 50 simulated runs, self-normalised",
+    "OEE, tied, exact, plain simulator",
+    "OEE, not tied",
+    "model-based",
+    "PDIS",
+    "oracle on the grid",
+    "simulator on the grid",
+    "defensive simulator on the grid",
+    "true value, 250 runs",
+    "simulator, 250 runs",
+)
 
 
 def published_value(row: Row) -> float:
     """Table I, beside the controller's rows of the reference mismatch; the robot's numbers, not the stand-in's."""
-    is_published = row["estimator"] in PUBLISHED and row["policy"] == 0.0 and row["target"] == REFERENCE
+    is_published = (
+        row["estimator"] in PUBLISHED
+        and row["policy"] == 0.0
+        and row["target"] == REFERENCE
+    )
     return paper_value(row["estimator"]) if is_published else np.nan
 
 
@@ -165,38 +220,71 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
     part = summary[summary.policy == 0.0]
     cases: list[Any] = list(part.groupby(["target", "data"], sort=False).groups)
     names = [f"stand-in, {target}; data: delta = {data:g}" for target, data in cases]
-    axes = panels(figure, [*names, "the paper's Table I (the real arm)"], columns=2, size=(6.4, 4.6))
+    axes = panels(
+        figure,
+        [*names, "the paper's Table I (the real arm)"],
+        columns=2,
+        size=(6.4, 4.6),
+    )
     for ax, (target, data) in zip(axes, cases, strict=False):
-        shown = part[(part.target == target) & (part.data == data)].set_index("estimator")
+        shown = part[(part.target == target) & (part.data == data)].set_index(
+            "estimator"
+        )
         mean, sd = shown["value_mean"], shown["value_sd"].fillna(0.0)
         truth = float(mean["true value, 250 runs"])
         ends = (1.25 * min(truth, mean[SIMULATOR]), 0.75 * max(truth, mean[SIMULATOR]))
-        plot_intervals(list(shown.index), mean, mean - sd, mean + sd, ax, truth=truth, limits=ends, xlabel=UNIT)
-    mean, sd = np.array([paper_value(name) for name in PUBLISHED]), np.array([PUBLISHED_SD[name] for name in PUBLISHED])
+        plot_intervals(
+            list(shown.index),
+            mean,
+            mean - sd,
+            mean + sd,
+            ax,
+            truth=truth,
+            limits=ends,
+            xlabel=UNIT,
+        )
+    mean, sd = (
+        np.array([paper_value(name) for name in PUBLISHED]),
+        np.array([PUBLISHED_SD[name] for name in PUBLISHED]),
+    )
     names = ["true value", "OEE", "simulator"]
-    plot_intervals(names, mean, mean - sd, mean + sd, axes[-1], truth=mean[0], xlabel=UNIT)
+    plot_intervals(
+        names, mean, mean - sd, mean + sd, axes[-1], truth=mean[0], xlabel=UNIT
+    )
 
 
 def finding(table: pd.DataFrame) -> str:
     """What OEE removes of the simulator's error, for the controller, over the logs of each target."""
     own = table[(table.policy == 0.0) & (table.estimator == OEE)]
     means = own.groupby(["target", "data"], sort=False).removed.mean()
-    parts = [f"{reach(means[target], percent)} ({target})" for target in own.target.unique()]
+    parts = [
+        f"{reach(means[target], percent)} ({target})" for target in own.target.unique()
+    ]
     return f"Exact OEE, tied, removes {', '.join(parts)} of the simulator's error"
 
 
 def paper_value(name: str) -> float:
     """The paper's number for one of its three rows."""
     table = published_table()
-    return float(table[(table.figure == "kinova") & (table.series == PUBLISHED[name])]["mean"].iloc[0])
+    return float(
+        table[(table.figure == "kinova") & (table.series == PUBLISHED[name])][
+            "mean"
+        ].iloc[0]
+    )
 
 
 @experiment(
-    "Table I on a simulated stand-in for the Kinova Gen3 (not the robot)", group="continuous", requires=("mujoco",),
-    axes={"target": tuple(TARGETS), "data": (0.0, 0.3)}, smoke={"target": (REFERENCE,), "data": (0.0,)},
-    keys=("target", "data", "policy", "estimator"), measures=("value", "error", "removed", "uncovered", "left_out"),
-    draw=draw, finding=finding, paper=published_value,
-)  # fmt: skip
+    "Table I on a simulated stand-in for the Kinova Gen3 (not the robot)",
+    group="continuous",
+    requires=("mujoco",),
+    axes={"target": tuple(TARGETS), "data": (0.0, 0.3)},
+    smoke={"target": (REFERENCE,), "data": (0.0,)},
+    keys=("target", "data", "policy", "estimator"),
+    measures=("value", "error", "removed", "uncovered", "left_out"),
+    draw=draw,
+    finding=finding,
+    paper=published_value,
+)
 def table1(settings: Cell, stream: Stream) -> list[Row]:
     """SIMULATED STAND-IN: no data of the paper's robot was published; the target is the same MuJoCo arm perturbed. Means of
     sum_t 0.99^t (-|x_t - goal|) in m over 5 goals, T = 25, 10 runs to each goal, recorded with a share delta of random
@@ -214,32 +302,50 @@ def table1(settings: Cell, stream: Stream) -> list[Row]:
     }
     corrected = ResidualSimulator(arm_of("simulator"), recorded[data], seed=0)
     log = kinova.hand_log(recorded[data])
-    inside = ~(defensive.cells.outside(log.state) | defensive.cells.outside(log.next_state))
+    inside = ~(
+        defensive.cells.outside(log.state) | defensive.cells.outside(log.next_state)
+    )
     counts = defensive.counts(log if inside.all() else log.select(inside))
     kept, uncovered = defensive.supported(counts)
     kept_plain, uncovered_plain = plain.supported(counts)
-    zeta = transition_ratio(kept, defensive.mdp, tie=defensive.displacement_ties(), strength=STRENGTH)
-    tied_plain = transition_ratio(kept_plain, plain.mdp, tie=plain.displacement_ties(), strength=STRENGTH)
+    zeta = transition_ratio(
+        kept, defensive.mdp, tie=defensive.displacement_ties(), strength=STRENGTH
+    )
+    tied_plain = transition_ratio(
+        kept_plain, plain.mdp, tie=plain.displacement_ties(), strength=STRENGTH
+    )
     cellwise = transition_ratio(kept, defensive.mdp, prior="simulator", strength=1.0)
     models = {
         OEE: (zeta.target_model(defensive.mdp), uncovered),
-        "OEE, tied, exact, plain simulator": (tied_plain.target_model(plain.mdp), uncovered_plain),
+        "OEE, tied, exact, plain simulator": (
+            tied_plain.target_model(plain.mdp),
+            uncovered_plain,
+        ),
         "OEE, not tied": (cellwise.target_model(defensive.mdp), uncovered),
-        "model-based": (plain.mdp.with_transitions(frequencies(counts, plain.mdp.n_actions)), 0.0),
+        "model-based": (
+            plain.mdp.with_transitions(frequencies(counts, plain.mdp.n_actions)),
+            0.0,
+        ),
     }
-    exact = {name: goal_values(model) for name, (model, _) in models.items()} | grid_values(target)
+    exact = {
+        name: goal_values(model) for name, (model, _) in models.items()
+    } | grid_values(target)
     rows: list[Row] = []
     for delta in POLICIES:
         truth, simulated = (known_values(name, delta) for name in (target, "simulator"))
         values = {name: found[delta] for name, found in exact.items()}
-        again = kinova.record_goals(arm_of("simulator"), n_runs=N_RUNS, delta=delta, seed=rng)
+        again = kinova.record_goals(
+            arm_of("simulator"), n_runs=N_RUNS, delta=delta, seed=rng
+        )
         product, normalized = product_values(defensive, zeta, delta, rng)
         values |= {
             TRUE: run_values(recorded[delta]),
             SIMULATOR: run_values(again),
             "true value, 250 runs": truth,
             "simulator, 250 runs": simulated,
-            "OEE, tied, exact, calibrated": values[OEE] + simulated - values["defensive simulator on the grid"],
+            "OEE, tied, exact, calibrated": (
+                values[OEE] + simulated - values["defensive simulator on the grid"]
+            ),
             "OEE, tied, 50 simulated runs": product,
             "OEE, tied, 50 simulated runs, self-normalised": normalized,
             RESIDUAL: simulate_values(corrected, delta),
@@ -248,8 +354,18 @@ def table1(settings: Cell, stream: Stream) -> list[Row]:
         apart = abs(simulated.mean() - truth.mean())
         for name in ORDER:
             value = values[name].mean()
-            row: Row = {"policy": delta, "estimator": name, "value": value, "error": value - truth.mean()}
-            row |= {"removed": 1.0 - abs(value - truth.mean()) / apart, "left_out": 1.0 - inside.mean()}
+            row: Row = {
+                "policy": delta,
+                "estimator": name,
+                "value": value,
+                "error": value - truth.mean(),
+            }
+            row |= {
+                "removed": 1.0 - abs(value - truth.mean()) / apart,
+                "left_out": 1.0 - inside.mean(),
+            }
             row |= {"uncovered": models[name][1] if name in models else 0.0}
-            rows.append(row | {f"goal_{g}": float(x) for g, x in enumerate(values[name])})
+            rows.append(
+                row | {f"goal_{g}": float(x) for g, x in enumerate(values[name])}
+            )
     return rows

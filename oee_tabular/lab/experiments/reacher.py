@@ -22,7 +22,13 @@ from oee_tabular.continuous.task import ContinuousTask
 from oee_tabular.exact import policy_value
 from oee_tabular.lab.experiment import Cell, Panels, Row, Stream, experiment, reach
 from oee_tabular.lab.experiments.classic import LinearGaussian
-from oee_tabular.lab.experiments.common import distance_between, frequencies, mark_paper, published, select_deltas
+from oee_tabular.lab.experiments.common import (
+    distance_between,
+    frequencies,
+    mark_paper,
+    published,
+    select_deltas,
+)
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
 
@@ -32,15 +38,32 @@ TRUTH_EPISODES, MODEL_EPISODES = 4096, 2048
 STRENGTH = 0.1  # what the simulator's row is worth, in moves
 DEFENSIVE = 0.1  # the averaged lengths' share of the defensive simulator
 N_PAPER = 150_000
-LENGTHS = (0.05, 0.07, 0.1, 0.14, 0.2)  # m, of the randomised simulator: the paper's targets are among them
-WIDER = (SIMULATED, 0.04, 0.05, 0.07, 0.14, 0.2, 0.28)  # with those that replace the target's where it is left out
+# m, of the randomised simulator: the paper's targets are among them
+LENGTHS = (0.05, 0.07, 0.1, 0.14, 0.2)
+# with those that replace the target's where it is left out
+WIDER = (SIMULATED, 0.04, 0.05, 0.07, 0.14, 0.2, 0.28)
 CELLS = VisitedCells(3000)
 VISITING = tuple(reacher_policy(delta) for delta in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9))
-WEIGHTED, AVERAGED, PLAIN = "OEE", "OEE, averaged lengths", "OEE, plain simulator (defensive)"
-UNKNOWN, UNKNOWN_AVERAGED = "OEE, target's length left out", "OEE, averaged, target's length left out"
-MODEL, LINEAR, ORACLE = "model, same cells", "linear-Gaussian model", "oracle, same cells"
+WEIGHTED, AVERAGED, PLAIN = (
+    "OEE",
+    "OEE, averaged lengths",
+    "OEE, plain simulator (defensive)",
+)
+UNKNOWN, UNKNOWN_AVERAGED = (
+    "OEE, target's length left out",
+    "OEE, averaged, target's length left out",
+)
+MODEL, LINEAR, ORACLE = (
+    "model, same cells",
+    "linear-Gaussian model",
+    "oracle, same cells",
+)
 RESIDUAL = "residual"
-OWN_REWARD, SIMULATOR, AVERAGE = "simulator, its own reward", "simulator", "averaged-length simulator, same cells"
+OWN_REWARD, SIMULATOR, AVERAGE = (
+    "simulator, its own reward",
+    "simulator",
+    "averaged-length simulator, same cells",
+)
 PUBLISHED = {WEIGHTED: "oee", OWN_REWARD: "simulated", MODEL: "mle"}
 
 
@@ -51,7 +74,13 @@ class Even(Reacher):
         """See the class."""
         steps = np.array([0.7548776662466927, 0.5698402909980532])
         place = (rng.random(2) + np.arange(n)[:, None] * steps) % 1.0
-        return np.column_stack([3.14 * (2.0 * place[:, 0] - 1.0), 1.57 * (2.0 * place[:, 1] - 1.0), np.zeros((n, 2))])
+        return np.column_stack(
+            [
+                3.14 * (2.0 * place[:, 0] - 1.0),
+                1.57 * (2.0 * place[:, 1] - 1.0),
+                np.zeros((n, 2)),
+            ]
+        )
 
 
 @functools.cache
@@ -63,8 +92,13 @@ def truth(length: float, reward_length: float) -> Array:
 def monte_carlo_values(task: ContinuousTask, episodes: int, seed: int) -> Array:
     """(deltas,) values by Monte Carlo."""
     return np.array(
-        [monte_carlo_value(task, reacher_policy(d), episodes, HORIZON, seed=[seed, k]).value for k, d in enumerate(DELTAS)]
-    )  # fmt: skip
+        [
+            monte_carlo_value(
+                task, reacher_policy(d), episodes, HORIZON, seed=[seed, k]
+            ).value
+            for k, d in enumerate(DELTAS)
+        ]
+    )
 
 
 def values_of(mdp: FiniteMDP, policies: list[Array]) -> Array:
@@ -79,7 +113,9 @@ def estimates(
     policies = [model.policy(reacher_policy(delta)) for delta in DELTAS]
     below, above = values_of(model.plain, policies), truth(SIMULATED, length)
     found: dict[str, Array] = {}
-    facts: dict[str, Row] = {SIMULATOR: {"uncovered": replace(model, mdp=model.plain).supported(counts)[1]}}
+    facts: dict[str, Row] = {
+        SIMULATOR: {"uncovered": replace(model, mdp=model.plain).supported(counts)[1]}
+    }
     for averaged, weighted, lengths in (
         (AVERAGED, WEIGHTED, LENGTHS),
         (UNKNOWN_AVERAGED, UNKNOWN, [other for other in WIDER if other != length]),
@@ -88,30 +124,55 @@ def estimates(
         average = np.isin(WIDER, lengths) / len(lengths)
         allowed, uncovered = model.mixture(average).supported(counts)
         weights = fit_among(model, allowed, lengths)
-        mixtures = {averaged: average, weighted: (1.0 - DEFENSIVE) * weights + DEFENSIVE * average}
+        mixtures = {
+            averaged: average,
+            weighted: (1.0 - DEFENSIVE) * weights + DEFENSIVE * average,
+        }
         if is_known:
-            mixtures[PLAIN] = (1.0 - DEFENSIVE) * np.eye(len(WIDER))[0] + DEFENSIVE * average
+            mixtures[PLAIN] = (1.0 - DEFENSIVE) * np.eye(len(WIDER))[
+                0
+            ] + DEFENSIVE * average
             found[AVERAGE] = values_of(model.mixture(average).mdp, policies)
         for name, shares in mixtures.items():
             simulator = model.mixture(shares).mdp
-            zeta = transition_ratio(allowed, simulator, prior="simulator", strength=STRENGTH)
+            zeta = transition_ratio(
+                allowed, simulator, prior="simulator", strength=STRENGTH
+            )
             found[name] = values_of(zeta.target_model(simulator), policies)
             largest = float(zeta.values.data.max())
-            facts[name] = {"uncovered": uncovered, "largest_zeta": largest, "d_inf": float(np.log(largest))}
+            facts[name] = {
+                "uncovered": uncovered,
+                "largest_zeta": largest,
+                "d_inf": float(np.log(largest)),
+            }
             facts[name] |= {"visited": float(zeta.visited.mean())}
-            facts[name] |= {"weight_of_true_length": float(weights[WIDER.index(length)])} if is_known else {}
-    found[MODEL] = values_of(model.with_transitions(frequencies(counts, model.plain.n_actions)), policies)
-    found |= {f"{name}, calibrated": values + above - below for name, values in found.items() if name != AVERAGE}
+            facts[name] |= (
+                {"weight_of_true_length": float(weights[WIDER.index(length)])}
+                if is_known
+                else {}
+            )
+    found[MODEL] = values_of(
+        model.with_transitions(frequencies(counts, model.plain.n_actions)), policies
+    )
+    found |= {
+        f"{name}, calibrated": values + above - below
+        for name, values in found.items()
+        if name != AVERAGE
+    }
     found[ORACLE] = values_of(model.simulators[WIDER.index(length)], policies)
     found[SIMULATOR], found[OWN_REWARD] = above, truth(SIMULATED, SIMULATED)
     return found, facts
 
 
-def fit_among(model: Discretization, counts: sparse.csr_array, lengths: Sequence[float]) -> Array:
+def fit_among(
+    model: Discretization, counts: sparse.csr_array, lengths: Sequence[float]
+) -> Array:
     """(WIDER,) the weights of these lengths that minimise the KL risk; 0 of the others."""
     at = [WIDER.index(length) for length in lengths]
     weights = np.zeros(len(WIDER))
-    weights[at] = replace(model, simulators=tuple(model.simulators[k] for k in at)).fit_weights(counts)
+    weights[at] = replace(
+        model, simulators=tuple(model.simulators[k] for k in at)
+    ).fit_weights(counts)
     return weights
 
 
@@ -125,21 +186,37 @@ def published_error(row: Row) -> float:
     if row["series"] not in PUBLISHED or row["n"] != N_PAPER:
         return np.nan
     curves = (
-        published("reacher", setting_of(row["length"]), name) for name in (PUBLISHED[row["series"]], "true_value")
+        published("reacher", setting_of(row["length"]), name)
+        for name in (PUBLISHED[row["series"]], "true_value")
     )
     return distance_between(*curves)
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
     """Value against delta for each length (at the largest n), and the paper's points, of its own expert and targets."""
-    markers = {name: (name, marker) for name, marker in zip(("true_value", *PUBLISHED.values()), "xo^s", strict=True)}
+    markers = {
+        name: (name, marker)
+        for name, marker in zip(
+            ("true_value", *PUBLISHED.values()), "xo^s", strict=True
+        )
+    }
     shown = (WEIGHTED, RESIDUAL, MODEL, OWN_REWARD, SIMULATOR, UNKNOWN)
     own = table[(table.n == table.n.max()) & table.series.isin(shown)]
     Panels(
-        "value", "series", "delta", ("length",), "links of {length:g} m", "delta: share of random actions",
-        "value (discounted sum of 100 rewards)", extra={"true value": "truth"}, bands=True, size=(6.4, 4.4),
-        beneath=lambda ax, rows: mark_paper(ax, "reacher", setting_of(rows.length.iloc[0]), markers),
-    )(select_deltas(own, DELTAS), summary, figure)  # fmt: skip
+        "value",
+        "series",
+        "delta",
+        ("length",),
+        "links of {length:g} m",
+        "delta: share of random actions",
+        "value (discounted sum of 100 rewards)",
+        extra={"true value": "truth"},
+        bands=True,
+        size=(6.4, 4.4),
+        beneath=lambda ax, rows: mark_paper(
+            ax, "reacher", setting_of(rows.length.iloc[0]), markers
+        ),
+    )(select_deltas(own, DELTAS), summary, figure)
 
 
 def finding(table: pd.DataFrame) -> str:
@@ -147,17 +224,24 @@ def finding(table: pd.DataFrame) -> str:
     n = table.n.max()
     means = table[table.n == n].groupby(["series", "length"]).error.mean()
     parts = [
-        f"{name} {reach(means[name])}" for name in (RESIDUAL, WEIGHTED, UNKNOWN, MODEL, SIMULATOR) if name in means
+        f"{name} {reach(means[name])}"
+        for name in (RESIDUAL, WEIGHTED, UNKNOWN, MODEL, SIMULATOR)
+        if name in means
     ]
     return f"Mean error of the value at n = {n}: " + "; ".join(parts)
 
 
 @experiment(
-    "Figure 3: the value of Reacher's policies on longer and on shorter arms", group="continuous",
-    axes={"length": (0.2, 0.05), "n": (15_000, N_PAPER)}, smoke={"n": (15_000,)},
-    keys=("length", "n", "series"), measures=("error", "uncovered"),
-    draw=draw, finding=finding, paper=published_error,
-)  # fmt: skip
+    "Figure 3: the value of Reacher's policies on longer and on shorter arms",
+    group="continuous",
+    axes={"length": (0.2, 0.05), "n": (15_000, N_PAPER)},
+    smoke={"n": (15_000,)},
+    keys=("length", "n", "series"),
+    measures=("error", "uncovered"),
+    draw=draw,
+    finding=finding,
+    paper=published_error,
+)
 def fig3(settings: Cell, stream: Stream) -> list[Row]:
     """Discounted sums of 100 rewards of delta uniform + (1 - delta) expert; the simulator's links are 0.1 m, the target at a
     fixed place (errors compare with the paper's, values do not). Errors: means over delta against 4096 Monte Carlo episodes.
@@ -172,18 +256,30 @@ def fig3(settings: Cell, stream: Stream) -> list[Row]:
     log = reacher_log(target, n, seed=stream.generator())
     others = [Reacher(other, length) for other in WIDER[1:]]
     model = discretize(
-        Reacher(SIMULATED, length), log, cells=CELLS, others=others, policies=VISITING, closure_episodes=0,
+        Reacher(SIMULATED, length),
+        log,
+        cells=CELLS,
+        others=others,
+        policies=VISITING,
+        closure_episodes=0,
         seed=stream.sequence(use="cells"),
-    )  # fmt: skip
-    with warnings.catch_warnings(action="ignore"):  # next states far from every cell go to the nearest
+    )
+    # next states far from every cell go to the nearest
+    with warnings.catch_warnings(action="ignore"):
         counts = model.counts(log, outside="nearest")
     found, facts = estimates(model, counts, length)
-    found[RESIDUAL] = monte_carlo_values(ResidualSimulator(Even(SIMULATED, length), log, seed=0), MODEL_EPISODES, 4)
+    found[RESIDUAL] = monte_carlo_values(
+        ResidualSimulator(Even(SIMULATED, length), log, seed=0), MODEL_EPISODES, 4
+    )
     found[LINEAR] = monte_carlo_values(LinearGaussian(target, log), MODEL_EPISODES, 4)
     right = truth(length, length)
     rows = []
     for name, values in found.items():
-        row: Row = {"series": name, "error": float(np.abs(values - right).mean()), "uncovered": np.nan}
+        row: Row = {
+            "series": name,
+            "error": float(np.abs(values - right).mean()),
+            "uncovered": np.nan,
+        }
         rows.append(row | facts.get(name, {}))
         for delta, value, true in zip(DELTAS, values, right, strict=True):
             rows[-1] |= {f"value_{delta}": float(value), f"truth_{delta}": float(true)}

@@ -55,7 +55,10 @@ def find_codes(places, state, arrival, indptr, kinds, tolerance):
 def tilt_rows(columns, theta):
     """(entries,) rows proportional to P exp((theta_0 + theta_a) . phi), and ln Z of each row."""
     width = columns.base.shape[1]
-    model, log_normalizer = np.empty(len(columns.weights)), np.empty(len(columns.action))
+    model, log_normalizer = (
+        np.empty(len(columns.weights)),
+        np.empty(len(columns.action)),
+    )
     for row in range(len(columns.action)):
         own = theta[0] + theta[1 + columns.action[row]]
         largest = -np.inf
@@ -142,7 +145,11 @@ def invert_arrow(covariances, penalty):
     The complement is L_0 + sum_a G_a - G_a (G_a + L_a)^-1 G_a = L_0 + sum_a G_a (G_a + L_a)^-1 L_a, which does not cancel.
     """
     n_own, d = len(penalty) - 1, penalty.shape[1]
-    inverse, gain, left = np.empty((n_own, d, d)), np.empty((n_own, d, d)), np.diag(penalty[0])
+    inverse, gain, left = (
+        np.empty((n_own, d, d)),
+        np.empty((n_own, d, d)),
+        np.diag(penalty[0]),
+    )
     for action in range(len(covariances)):
         own = covariances[action].copy()
         if n_own > 0:
@@ -153,7 +160,10 @@ def invert_arrow(covariances, penalty):
         for i in range(d):
             for j in range(d):
                 if n_own > 0:
-                    inverse[action, i, j], gain[action, i, j] = inverted[i, j], own[i, j]
+                    inverse[action, i, j], gain[action, i, j] = (
+                        inverted[i, j],
+                        own[i, j],
+                    )
                     own[i, j] *= penalty[1 + action, i]
                 left[i, j] += 0.5 * own[i, j]
                 left[j, i] += 0.5 * own[i, j]
@@ -175,7 +185,10 @@ def solve_arrow(inverses, b):
     for action in range(len(gain)):
         for i in range(len(right)):
             for j in range(len(right)):
-                x[1 + action, i] += inverse[action, i, j] * b[1 + action, j] - gain[action, i, j] * x[0, j]
+                x[1 + action, i] += (
+                    inverse[action, i, j] * b[1 + action, j]
+                    - gain[action, i, j] * x[0, j]
+                )
     return x
 
 
@@ -248,7 +261,8 @@ def minimise(columns, risk, theta, penalty, tolerance):
         if not decrement > tolerance * size or 1e-12 * size > decrement > 0.25 * last:
             break
         last = decrement
-        slack = 1e-13 * size if decrement < 1e-9 * size else 0.0  # what rounding may add to a fall that it hides
+        # what rounding may add to a fall that it hides
+        slack = 1e-13 * size if decrement < 1e-9 * size else 0.0
         length, trial = 2.0, np.inf
         while trial > value - 1e-4 * length * decrement + slack and length > 1e-12:
             length *= 0.5
@@ -270,11 +284,15 @@ def update_strengths(theta, inverses, penalty, scale, group, n_groups):
     told, size = np.full((2, n_groups), HYPERPRIOR), np.zeros((2, n_groups))
     for block in range(len(penalty)):
         for j in range(len(group)):
-            told[min(block, 1), group[j]] += 1.0 - penalty[block, j] * diagonal[block, j]
+            told[min(block, 1), group[j]] += (
+                1.0 - penalty[block, j] * diagonal[block, j]
+            )
             size[min(block, 1), group[j]] += (scale[block, j] * theta[block, j]) ** 2
     for side in range(2):
         for k in range(n_groups):
-            told[side, k] = min(max(told[side, k] / max(size[side, k], 1e-300), 1.0), LARGEST_STRENGTH)
+            told[side, k] = min(
+                max(told[side, k] / max(size[side, k], 1e-300), 1.0), LARGEST_STRENGTH
+            )
     return told
 
 
@@ -284,7 +302,9 @@ def spread_strengths(strengths, scale, group):
     penalty = np.empty(scale.shape)
     for block in range(len(scale)):
         for j in range(len(group)):
-            penalty[block, j] = strengths[min(block, 1), group[j]] * scale[block, j] ** 2
+            penalty[block, j] = (
+                strengths[min(block, 1), group[j]] * scale[block, j] ** 2
+            )
     return penalty
 
 
@@ -293,8 +313,12 @@ def fit_tilt(columns, risk, theta, strengths, scale, group, n_rounds):
     """theta and the strengths by ``n_rounds`` of MacKay's rule; G and the bound on f less its minimum."""
     for left in range(n_rounds, -1, -1):
         penalty = spread_strengths(strengths, scale, group)
-        theta, covariances, gap = minimise(columns, risk, theta, penalty, ROUND_TOLERANCE if left else 1e-24)
+        theta, covariances, gap = minimise(
+            columns, risk, theta, penalty, ROUND_TOLERANCE if left else 1e-24
+        )
         if left:
             inverses = invert_arrow(covariances, penalty)
-            strengths = update_strengths(theta, inverses, penalty, scale, group, strengths.shape[1])
+            strengths = update_strengths(
+                theta, inverses, penalty, scale, group, strengths.shape[1]
+            )
     return theta, strengths, covariances, gap

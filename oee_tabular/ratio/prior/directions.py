@@ -32,7 +32,9 @@ from oee_tabular.mdp.rows import BLOCK, DIGITS, Rows, distinct_rows, round_displ
 from oee_tabular.ratio.prior._ridge import Columns, find_codes
 
 N_STEPS = 24  # displacements that are directions of their own
-ALL_PAIRS = 4  # coordinates up to which each displacement is multiplied by each coordinate of s; beyond, by its own
+# coordinates up to which each displacement is multiplied by each coordinate of s;
+# beyond, by its own
+ALL_PAIRS = 4
 
 
 GROUPS = ("log P", "log P at s", "drift", "drift at s", "features", "V", "steps")
@@ -79,7 +81,11 @@ class Directions:
         if self.without is not None:
             base, *rest = self.without.columns(rows)
             ahead = self.simulator.discount * self.ahead[rows.arrival]
-            ahead = ahead if self.rewards is None else ahead + self.rewards[rows.entries][:, None]
+            ahead = (
+                ahead
+                if self.rewards is None
+                else ahead + self.rewards[rows.entries][:, None]
+            )
             return Columns(np.concatenate([base, rows.center(ahead)], axis=1), *rest)
         kept = self._kept.get(id(rows))
         if kept is None:
@@ -92,22 +98,39 @@ class Directions:
         """All but V."""
         logs = np.log(rows.weights)
         parts = [logs[:, None], (logs * logs)[:, None]][: self.powers]
-        code = np.full(len(rows.arrival), -1) if self.keys is None else self.keys[rows.entries]
+        code = (
+            np.full(len(rows.arrival), -1)
+            if self.keys is None
+            else self.keys[rows.entries]
+        )
         if self.places.shape[1]:
             start = rows.spread(self.places[rows.state])
             drift = self.places[rows.arrival] - start
             parts += [logs[:, None] * start, drift, _products(drift, start)]
             tolerance = 10.0**-DIGITS
-            code = find_codes(self.places, rows.state, rows.arrival, rows.indptr, self.steps, tolerance)
+            code = find_codes(
+                self.places,
+                rows.state,
+                rows.arrival,
+                rows.indptr,
+                self.steps,
+                tolerance,
+            )
         parts.append(self.features[rows.entries])
         base = np.ascontiguousarray(rows.center(np.concatenate(parts, axis=1)))
-        return Columns(base, code, len(self.steps), rows.indptr, rows.action, rows.weights)
+        return Columns(
+            base, code, len(self.steps), rows.indptr, rows.action, rows.weights
+        )
 
 
 def _products(drift: Array, start: Array) -> Array:
     """Displacements times coordinates of s, (entries, c c); (entries, c) where there are more than ``ALL_PAIRS``."""
     own = drift.shape[1] > ALL_PAIRS
-    return np.asarray(drift * start if own else (drift[:, :, None] * start[:, None, :]).reshape(len(drift), -1))
+    return np.asarray(
+        drift * start
+        if own
+        else (drift[:, :, None] * start[:, None, :]).reshape(len(drift), -1)
+    )
 
 
 def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Directions:
@@ -127,7 +150,9 @@ def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Dir
     drift = places[visited.arrival] - visited.spread(places[visited.state])
     kinds, kind = distinct_rows(round_displacements(drift))
     mass = np.bincount(kind, weights=visited.weights) / len(visited)
-    steps = np.ascontiguousarray(kinds[np.argsort(-np.round(mass, 12), kind="stable")[:N_STEPS]])
+    steps = np.ascontiguousarray(
+        kinds[np.argsort(-np.round(mass, 12), kind="stable")[:N_STEPS]]
+    )
     n_products = _products(drift[:1], places[:1]).shape[1]
     names: tuple[list[str], ...] = (
         ["log P", "(log P)^2"],
@@ -136,12 +161,18 @@ def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Dir
         [f"drift at s {k}" for k in range(n_products)],
         [f"feature {k}" for k in range(features.shape[1])],
         [],
-        [f"step ({', '.join(f'{x:+.4g}' if abs(x) > 1e-9 else '0' for x in step * size)})" for step in steps],
+        [
+            "step"
+            f" ({', '.join(f'{x:+.4g}' if abs(x) > 1e-9 else '0' for x in step * size)})"
+            for step in steps
+        ],
     )
     return _directions(names, simulator, places, steps, features)
 
 
-def own_directions(simulator: FiniteMDP, features: Array | None = None, keys: IntArray | None = None) -> Directions:
+def own_directions(
+    simulator: FiniteMDP, features: Array | None = None, keys: IntArray | None = None
+) -> Directions:
     """The user's features alone, (entries, f), or a direction for each key, (entries,) from 0; log P without either."""
     given = np.zeros((len(simulator.csr.data), 0)) if features is None else features
     n_keys, none = 0 if keys is None else int(keys.max()) + 1, list[str]()
@@ -149,35 +180,64 @@ def own_directions(simulator: FiniteMDP, features: Array | None = None, keys: In
     own = [f"feature {k}" for k in range(given.shape[1])]
     names = (powers, none, none, none, own, none, [f"key {k}" for k in range(n_keys)])
     nowhere = np.zeros((simulator.n_states, 0))
-    return replace(_directions(names, simulator, nowhere, np.zeros((n_keys, 0)), given), keys=keys)
+    return replace(
+        _directions(names, simulator, nowhere, np.zeros((n_keys, 0)), given), keys=keys
+    )
 
 
 def _directions(
-    names: tuple[list[str], ...], simulator: FiniteMDP, places: Array, steps: Array, features: Array
+    names: tuple[list[str], ...],
+    simulator: FiniteMDP,
+    places: Array,
+    steps: Array,
+    features: Array,
 ) -> Directions:
     """Directions with the columns ``names`` of each group."""
     group = np.repeat(np.arange(len(GROUPS)), [len(own) for own in names])
-    columns, nothing_ahead = tuple(itertools.chain(*names)), np.zeros((simulator.n_states, 0))
-    return Directions(columns, group, simulator, len(names[0]), places, steps, features, nothing_ahead)
+    columns, nothing_ahead = (
+        tuple(itertools.chain(*names)),
+        np.zeros((simulator.n_states, 0)),
+    )
+    return Directions(
+        columns, group, simulator, len(names[0]), places, steps, features, nothing_ahead
+    )
 
 
 def add_values(directions: Directions, values: Sequence[Array]) -> Directions:
     """The directions, and V of each policy whose value matters, ``values`` (S,) in the simulator."""
     simulator = directions.simulator
     ahead, pay = np.stack(values, axis=1), simulator.reward_data
-    unit = max(*(float(np.abs(x).max()) for x in (ahead, ahead if pay is None else pay)), 1e-300)
+    unit = max(
+        *(float(np.abs(x).max()) for x in (ahead, ahead if pay is None else pay)),
+        1e-300,
+    )
     rewards = None if pay is None else pay / unit
-    own = ["V"] if len(values) == 1 else [f"V of policy {k + 1}" for k in range(len(values))]
+    own = (
+        ["V"]
+        if len(values) == 1
+        else [f"V of policy {k + 1}" for k in range(len(values))]
+    )
     at = len(directions.names) - len(directions.steps)
     names = (*directions.names[:at], *own, *directions.names[at:])
     group = np.insert(directions.group, at, np.full(len(own), GROUPS.index("V")))
-    return replace(directions, names=names, group=group, ahead=ahead / unit, rewards=rewards, without=directions)
+    return replace(
+        directions,
+        names=names,
+        group=group,
+        ahead=ahead / unit,
+        rewards=rewards,
+        without=directions,
+    )
 
 
 def _standard_places(simulator: FiniteMDP) -> tuple[Array, Array]:
     """The states' coordinates, or their numbers, with mean 0 and standard deviation 1 over the states; their units."""
     layout = simulator.layout
-    places = np.arange(simulator.n_states, dtype=np.float64)[:, None] if layout is None else layout
+    places = (
+        np.arange(simulator.n_states, dtype=np.float64)[:, None]
+        if layout is None
+        else layout
+    )
     largest = np.maximum(np.abs(places).max(axis=0), 1e-300)
     scaled = places / largest
     size = scaled.std(axis=0)
@@ -185,7 +245,9 @@ def _standard_places(simulator: FiniteMDP) -> tuple[Array, Array]:
     return np.ascontiguousarray((scaled - scaled.mean(axis=0)) / size), size * largest
 
 
-def values_in(simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None) -> list[Array]:
+def values_in(
+    simulator: FiniteMDP, policies: Sequence[Array], horizon: int | None
+) -> list[Array]:
     """V_pi of each policy in the simulator, where it exists."""
     values = []
     for policy in policies:

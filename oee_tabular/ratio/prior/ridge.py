@@ -52,7 +52,9 @@ from oee_tabular.ratio.prior._ridge import (
 from oee_tabular.ratio.prior.directions import GROUPS, Directions
 from oee_tabular.ratio.statements import TiltProgram
 
-ROUNDS = 6, 3  # of MacKay's rule, for kappa around the first rows, then for kappa around the tilt; more change nothing
+# of MacKay's rule, for kappa around the first rows, then for kappa around the tilt;
+# more change nothing
+ROUNDS = 6, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,19 +93,30 @@ class Tilt:
         names = self.directions.names
         named = dict(zip(names, self.theta[0].tolist(), strict=True))
         for action in range(len(self.penalty) - 1):
-            named |= {f"{n}, action {action}": float(x) for n, x in zip(names, self.theta[1 + action], strict=True)}
+            named |= {
+                f"{n}, action {action}": float(x)
+                for n, x in zip(names, self.theta[1 + action], strict=True)
+            }
         return named
 
     def named_strengths(self) -> dict[str, tuple[float, float]]:
         """lambda of each group, for all actions and for each action alone."""
         both = zip(GROUPS, *self.strengths.tolist(), strict=True)
         present = set(self.directions.group.tolist())
-        return {name: (shared, own) for k, (name, shared, own) in enumerate(both) if k in present}
+        return {
+            name: (shared, own)
+            for k, (name, shared, own) in enumerate(both)
+            if k in present
+        }
 
     def variance(self, pull: Array) -> float:
         """Posterior variance of a value whose derivative in the log rows ``pull`` sums: p' f''^-1 p."""
         both = np.concatenate([pull.sum(axis=0)[None], pull[: len(self.penalty) - 1]])
-        return float(np.sum(both * solve_arrow(invert_arrow(self.covariances, self.penalty), both)))
+        return float(
+            np.sum(
+                both * solve_arrow(invert_arrow(self.covariances, self.penalty), both)
+            )
+        )
 
 
 def fit_ridge(
@@ -155,21 +168,40 @@ def fit_ridge(
     penalty = spread_strengths(strengths, scale, directions.group)
     if solver != "dual":
         theta = _solve_by_cvxpy(columns, weighted, penalty, solver, rows)
-        gradient, covariances = differentiate(columns, tilt_rows(columns, theta)[0], risk, theta, penalty)
+        gradient, covariances = differentiate(
+            columns, tilt_rows(columns, theta)[0], risk, theta, penalty
+        )
         gap = 0.5 * float(np.sum(gradient**2 / penalty))
-    return Tilt(directions, theta, covariances, penalty, strengths, float(gap) / max(float(n.sum()), 1.0))
+    return Tilt(
+        directions,
+        theta,
+        covariances,
+        penalty,
+        strengths,
+        float(gap) / max(float(n.sum()), 1.0),
+    )
 
 
 def _root_mean_squares(columns: Columns, rows: Rows) -> Array:
     """(1 + A, d) s: of all rows, and of each action's, over the number of all; 1 where a column tells nothing."""
-    _, squares = sum_covariances(columns, rows.weights, np.ones(len(rows)), rows.n_actions)
+    _, squares = sum_covariances(
+        columns, rows.weights, np.ones(len(rows)), rows.n_actions
+    )
     own = np.diagonal(squares, axis1=1, axis2=2) / len(rows)
     mean = np.concatenate([own.sum(axis=0)[None], own])
-    largest = np.concatenate([np.abs(columns.base).max(axis=0, initial=0.0), np.ones(columns.n_codes)])
-    return np.where(mean > 1e-20 * np.maximum(largest, 1e-150) ** 2, np.sqrt(np.maximum(mean, 0.0)), 1.0)
+    largest = np.concatenate(
+        [np.abs(columns.base).max(axis=0, initial=0.0), np.ones(columns.n_codes)]
+    )
+    return np.where(
+        mean > 1e-20 * np.maximum(largest, 1e-150) ** 2,
+        np.sqrt(np.maximum(mean, 0.0)),
+        1.0,
+    )
 
 
-def _solve_by_cvxpy(columns: Columns, counts: Array, penalty: Array, solver: str, rows: Rows) -> Array:
+def _solve_by_cvxpy(
+    columns: Columns, counts: Array, penalty: Array, solver: str, rows: Rows
+) -> Array:
     """theta by a cvxpy solver, which is handed columns of one scale: theta sqrt(penalty) is as large for each."""
     width = columns.base.shape[1]
     dense = np.zeros((len(counts), width + columns.n_codes))
@@ -177,9 +209,13 @@ def _solve_by_cvxpy(columns: Columns, counts: Array, penalty: Array, solver: str
     coded = np.flatnonzero(columns.code >= 0)
     dense[coded, width + columns.code[coded]] = 1.0
     action = rows.spread(rows.action)[:, None]
-    features = np.concatenate([dense, *(dense * (action == a) for a in range(len(penalty) - 1))], axis=1)
+    features = np.concatenate(
+        [dense, *(dense * (action == a) for a in range(len(penalty) - 1))], axis=1
+    )
     root = np.sqrt(penalty).reshape(-1)
     program = TiltProgram(counts, np.log(rows.weights), features / root, rows.indptr)
     theta = np.zeros((1 + rows.n_actions, dense.shape[1]))
-    theta[: len(penalty)] = (statements.solve_tilt(program, solver=solver) / root).reshape(penalty.shape)
+    theta[: len(penalty)] = (
+        statements.solve_tilt(program, solver=solver) / root
+    ).reshape(penalty.shape)
     return theta

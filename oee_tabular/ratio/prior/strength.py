@@ -64,7 +64,14 @@ def log_rising(base, n):
     u, v = 1.0 / (x * x), 1.0 / (y * y)
     series_x = (1.0 / 12.0 - u * (1.0 / 360.0 - u * (1.0 / 1260.0 - u / 1680.0))) / x
     series_y = (1.0 / 12.0 - v * (1.0 / 360.0 - v * (1.0 / 1260.0 - v / 1680.0))) / y
-    return (x - 0.5) * log1p(gap / x) + gap * log(y) - gap + series_y - series_x + log(over / under)
+    return (
+        (x - 0.5) * log1p(gap / x)
+        + gap * log(y)
+        - gap
+        + series_y
+        - series_x
+        + log(over / under)
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -76,7 +83,9 @@ def score_by_kind(kappa, rows, leave_one_out):
         if leave_one_out:
             others = strength + max(rows.n[row] - 1.0, 0.0)
             for x in range(rows.ends[row], rows.ends[row + 1]):
-                gained += rows.counts[x] * log((max(rows.counts[x] - 1.0, 0.0) + strength * rows.prior[x]) / others)
+                gained += rows.counts[x] * log(
+                    (max(rows.counts[x] - 1.0, 0.0) + strength * rows.prior[x]) / others
+                )
         else:
             gained = -log_rising(strength, rows.n[row])
             for x in range(rows.ends[row], rows.ends[row + 1]):
@@ -112,7 +121,8 @@ def maximise_by_kind(grid, rows, n_kinds, leave_one_out, n_halvings):
     return best, value, scores
 
 
-SMALLEST, LARGEST = 1.0, 1e8  # at least one move: few moves must not talk the evidence out of a row of the prior
+# at least one move: few moves must not talk the evidence out of a row of the prior
+SMALLEST, LARGEST = 1.0, 1e8
 FITS, FITS_ROUGHLY = 300.0, 50.0
 FEWEST_ROWS, FEWEST_MOVES = 5, 100
 CRITERIA = ("evidence", "loo")
@@ -142,7 +152,13 @@ class StrengthChoice:
     by_kind: Array
 
 
-def score(strength: float | Array, observed: Array, prior: Array, rows: Rows, criterion: str = "evidence") -> float:
+def score(
+    strength: float | Array,
+    observed: Array,
+    prior: Array,
+    rows: Rows,
+    criterion: str = "evidence",
+) -> float:
     """A criterion of all rows together, one kappa or one a row."""
     kappa = np.broadcast_to(np.asarray(strength, dtype=np.float64), (len(rows),)).copy()
     counts = _counts(observed, prior, rows, np.arange(len(rows)))
@@ -154,11 +170,17 @@ def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
 
     Told apart by the number of entries, the largest, and the sums of squares and of cubes.
     """
-    shape = [rows.largest(rows.weights), rows.sums(rows.weights**2), rows.sums(rows.weights**3)]
+    shape = [
+        rows.largest(rows.weights),
+        rows.sums(rows.weights**2),
+        rows.sums(rows.weights**3),
+    ]
     keys = np.column_stack([np.diff(rows.indptr), *np.round(shape, 6)])
     _, kind = distinct_rows(keys)
     n_row, size = rows.sums(observed), int(kind.max()) + 1
-    few = (np.bincount(kind[n_row > 0], minlength=size) < FEWEST_ROWS) | (np.bincount(kind, n_row, size) < FEWEST_MOVES)
+    few = (np.bincount(kind[n_row > 0], minlength=size) < FEWEST_ROWS) | (
+        np.bincount(kind, n_row, size) < FEWEST_MOVES
+    )
     return np.asarray(np.where(few[kind], 0, kind + 1), dtype=np.int64)
 
 
@@ -180,11 +202,17 @@ def choose_strength(
     n_kinds = int(kind.max()) + 1
     grid = np.linspace(np.log(SMALLEST), np.log(LARGEST), 17)
     counts = _counts(observed, prior, rows, kind)
-    best, value, scores = maximise_by_kind(grid, counts, n_kinds, criterion == "loo", n_halvings)
+    best, value, scores = maximise_by_kind(
+        grid, counts, n_kinds, criterion == "loo", n_halvings
+    )
     strength = np.exp(best)
     n_row = rows.sums(observed)
     table = [
-        (int((n_row[kind == j] > 0).sum()), int(n_row[kind == j].sum()), float(strength[j]))
+        (
+            int((n_row[kind == j] > 0).sum()),
+            int(n_row[kind == j].sum()),
+            float(strength[j]),
+        )
         for j in range(n_kinds)
         if (n_row[kind == j] > 0).any()
     ]
@@ -205,8 +233,16 @@ def _counts(observed: Array, prior: Array, rows: Rows, kind: IntArray) -> Counts
     """What the loops read, of the rows with counts."""
     n_row, seen = rows.sums(observed), observed > 0
     visited = np.flatnonzero(n_row > 0)
-    ends = np.concatenate([[0], np.cumsum(rows.sums(seen.astype(np.int64))[visited])]).astype(np.int64)
-    return Counts(kind[visited].astype(np.int64), ends, observed[seen], prior[seen], n_row[visited])
+    ends = np.concatenate(
+        [[0], np.cumsum(rows.sums(seen.astype(np.int64))[visited])]
+    ).astype(np.int64)
+    return Counts(
+        kind[visited].astype(np.int64),
+        ends,
+        observed[seen],
+        prior[seen],
+        n_row[visited],
+    )
 
 
 def _weighted_median(values: Array, weights: Array) -> float:
@@ -222,9 +258,16 @@ def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
     typical = float(np.median(n_row[n_row > 0]))
     strength = choice.strength
     if np.ptp(choice.curve) < 1.0:
-        return f"too few transitions to decide whether the {name} fits ({typical:.3g} in the median recorded row)"
-    worth = f"{strength:.3g} transitions" if strength < 1e6 else "any number of transitions"
-    compared = f"a row of it is worth {worth}, and the log has {typical:.3g} in the median row"
+        return (
+            f"too few transitions to decide whether the {name} fits ({typical:.3g} in"
+            " the median recorded row)"
+        )
+    worth = (
+        f"{strength:.3g} transitions" if strength < 1e6 else "any number of transitions"
+    )
+    compared = (
+        f"a row of it is worth {worth}, and the log has {typical:.3g} in the median row"
+    )
     if strength >= FITS:
         verdict = f"the {name} fits"
     elif strength >= FITS_ROUGHLY:
@@ -232,5 +275,9 @@ def meaning(choice: StrengthChoice, n_row: Array, name: str) -> str:
     else:
         return f"the {name} does not fit: {compared}"
     misses = sum(rows for rows, _, kappa in choice.kinds if kappa < FITS_ROUGHLY)
-    apart = f"; but not in {misses} of {sum(rows for rows, _, _ in choice.kinds)} rows" if misses else ""
+    apart = (
+        f"; but not in {misses} of {sum(rows for rows, _, _ in choice.kinds)} rows"
+        if misses
+        else ""
+    )
     return f"{verdict}: {compared}{apart}"
