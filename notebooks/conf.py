@@ -1,4 +1,5 @@
-"""Sphinx configuration of the site: the guide, the notebooks with their stored outputs, commands and public names.
+"""Sphinx configuration of the site: the guide, the notebooks with their stored outputs,
+commands and public names.
 
 python -m sphinx -W notebooks build/site
 """
@@ -86,7 +87,9 @@ def describe_pictures(app, doctree):
 
 
 def nest_modules(app, page, template, context, doctree):
-    """Sphinx's list of sources has lists between its items; they belong to the item before."""
+    """Sphinx's list of sources has lists between its items; they belong to the item
+    before.
+    """
     if page == "_modules/index":
         body = context["body"].replace("</li>\n<ul>", "\n<ul>")
         context["body"] = body.replace("</ul><li>", "</ul></li>\n<li>").replace(
@@ -95,7 +98,9 @@ def nest_modules(app, page, template, context, doctree):
 
 
 def write_api(app):
-    """A page for each module, its names by subject, one of the commands and one of dependencies."""
+    """A page for each module, its names by subject, one of the commands and one of
+    dependencies.
+    """
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
     for module, headings in subjects.SUBJECTS.items():

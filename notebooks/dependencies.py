@@ -1,4 +1,6 @@
-"""The page of dependencies and licences, from the metadata of what is installed where the site is built."""
+"""The page of dependencies and licences, from the metadata of what is installed where
+the site is built.
+"""
 
 import re
 from importlib.metadata import PackageNotFoundError, distribution
@@ -16,7 +18,9 @@ and the licences that their metadata name. Optional ones come with the extras of
 
 
 def licence(metadata):
-    """The licence that a package's metadata name: an expression, a short text, or the classifiers' words."""
+    """The licence that a package's metadata name: an expression, a short text, or the
+    classifiers' words.
+    """
     words = [
         line.split(" :: ")[-1]
         for line in metadata.get_all("Classifier", [])
@@ -48,7 +52,9 @@ def needed(name, extras=()):
 
 
 def dependencies(root="oee-tabular"):
-    """{package: the packages that need it}, root and packages that are not installed left out."""
+    """{package: the packages that need it}, root and packages that are not installed
+    left out.
+    """
     found, waiting = {}, [(root, ())]
     while waiting:
         parent, extras = waiting.pop()

@@ -1,4 +1,6 @@
-"""Docstrings are plain text with formulas, not markup: what would be markup is escaped before napoleon reads it."""
+"""Docstrings are plain text with formulas, not markup: what would be markup is escaped
+before napoleon reads it.
+"""
 
 import itertools
 import re
@@ -25,7 +27,9 @@ OUTSIDE = re.compile(r", (?![^(]*\))")  # commas that are not inside of parenthe
 
 
 def plain(lines):
-    """The lines for napoleon: names of attributes and parameters apart from what is said of them, the rest escaped."""
+    """The lines for napoleon: names of attributes and parameters apart from what is
+    said of them, the rest escaped.
+    """
     out, section = [], ""
     for k, line in enumerate(lines):
         stripped = line.strip()
@@ -55,7 +59,9 @@ def plain(lines):
 
 
 def entries(line):
-    """(name, what is said) of an entry ``a, b (of what) : text``; nothing of another line."""
+    """(name, what is said) of an entry ``a, b (of what) : text``; nothing of another
+    line.
+    """
     if not line or line[0].isspace():
         return []
     names, _, text = line.partition(" : ")
@@ -74,7 +80,9 @@ def continued(lines, k):
 
 
 def escaped(line):
-    """The line with what is markup in reStructuredText escaped, outside ``code`` and *emphasis*."""
+    """The line with what is markup in reStructuredText escaped, outside ``code`` and
+    *emphasis*.
+    """
     parts = CODE.split(line)
     return "".join(
         (

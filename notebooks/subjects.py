@@ -1,4 +1,6 @@
-"""The public names by subject, as the site lists them: module -> heading -> names, what is used first in front."""
+"""The public names by subject, as the site lists them: module -> heading -> names, what
+is used first in front.
+"""
 
 import importlib
 
@@ -289,7 +291,9 @@ ELSEWHERE = {"tasks": {"evaluate_continuous", "Settings"}}
 
 
 def public(module):
-    """The public names of a module: its ``__all__``, or those of the package that come from it."""
+    """The public names of a module: its ``__all__``, or those of the package that come
+    from it.
+    """
     loaded = importlib.import_module(f"oee_tabular.{module}")
     names = getattr(loaded, "__all__", None)
     if names is not None:

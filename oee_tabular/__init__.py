@@ -1,7 +1,8 @@
 """Off-environment evaluation, exactly.
 
-A policy was made in a simulator; given a few logged transitions from the target environment, what return will it get
-there, and how sure are we? For finite MDPs this package answers with exact linear algebra and certified convex programs.
+A policy was made in a simulator; given a few logged transitions from the target
+environment, what return will it get there, and how sure are we? For finite MDPs this
+package answers with exact linear algebra and certified convex programs.
 
 >>> import oee_tabular as oee
 >>> simulator = oee.tasks.gridworld(4, slip=0.3)

@@ -12,7 +12,9 @@ INTERRUPTED = 130  # the exit code of what Ctrl-C ended
 
 
 def main() -> None:
-    """The command; Ctrl-C ends it without a traceback, while it is still importing and when it has already ended as well."""
+    """The command; Ctrl-C ends it without a traceback, while it is still importing and
+    when it has already ended as well.
+    """
     # else whoever started it wants it ignored
     handled = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if handled:

@@ -1,4 +1,6 @@
-"""What the command line's words are made of: ``NAME=SPEC``, a spec's arguments, ``10,slip=0.3``, and ``MODULE:OBJECT``."""
+"""What the command line's words are made of: ``NAME=SPEC``, a spec's arguments,
+``10,slip=0.3``, and ``MODULE:OBJECT``.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ def named_specs(
 ) -> dict[str, str]:
     """Name -> SPEC from NAME=SPEC, or from SPEC, which is its own name.
 
-    ``known``: the names there are, where there are no others; each then needs its value.
+    ``known``: the names there are, where there are no others; each then needs its
+    value.
     """
     specs: dict[str, str] = {}
     for text in given:
@@ -41,7 +44,8 @@ def named_specs(
 
 
 def parse_spec(spec: str) -> tuple[str, dict[str, Any]]:
-    """The name and the keywords of "NAME:key=value,..."; ValueError where a value has no key.
+    """The name and the keywords of "NAME:key=value,..."; ValueError where a value has
+    no key.
 
     >>> parse_spec("cartpole:gravity=10,form=full")
     ('cartpole', {'gravity': 10, 'form': 'full'})
@@ -140,7 +144,9 @@ def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
 
 
 def own_object(spec: str, what: str, example: str) -> Any:
-    """The object of "module:object"; errors call it ``what`` and give an ``example`` of the form."""
+    """The object of "module:object"; errors call it ``what`` and give an ``example`` of
+    the form.
+    """
     module_name, path = module_and_path(spec, what, example)
     result: object = own_module(module_name)
     for name in path.split("."):

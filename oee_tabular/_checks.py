@@ -1,4 +1,6 @@
-"""Checks of arguments: each error names the argument, the place, the rule and the value found."""
+"""Checks of arguments: each error names the argument, the place, the rule and the value
+found.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ SINGLE_TOLERANCE = 1e-5  # of sums of single-precision numbers, which are then s
 
 
 class _Shown(reprlib.Repr):
-    """Reprs of bounded length and depth; of an array or a matrix of more than a few entries only type and shape."""
+    """Reprs of bounded length and depth; of an array or a matrix of more than a few
+    entries only type and shape.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -67,7 +71,9 @@ _SHOWN = _Shown()
 
 
 def show(value: object) -> str:
-    """``repr(value)`` for an error: at most 300 characters, quick and safe whatever the value is, nothing invisible."""
+    """``repr(value)`` for an error: at most 300 characters, quick and safe whatever the
+    value is, nothing invisible.
+    """
     try:
         text = _SHOWN.repr(value)
     except Exception:  # whatever the repr of an object of somebody else's raises
@@ -76,7 +82,9 @@ def show(value: object) -> str:
 
 
 def escape_controls(text: str, keep: str = "") -> str:
-    """``text`` with control characters, which a terminal obeys, as Python writes them; those in ``keep`` stay."""
+    """``text`` with control characters, which a terminal obeys, as Python writes them;
+    those in ``keep`` stay.
+    """
     if text.isprintable():
         return text
     return "".join(
@@ -90,7 +98,9 @@ def escape_controls(text: str, keep: str = "") -> str:
 
 
 def is_sparse(value: object) -> bool:
-    """Whether it is one of scipy's sparse matrices; no method of it is called, since a malformed one may end the process."""
+    """Whether it is one of scipy's sparse matrices; no method of it is called, since a
+    malformed one may end the process.
+    """
     sparse = sys.modules.get("scipy.sparse")
     return sparse is not None and bool(sparse.issparse(value))
 
@@ -103,7 +113,9 @@ def place(name: str, index: tuple[int, ...]) -> str:
 def float_array(
     value: object, name: str, *, ndim: int | tuple[int, ...] | None = None
 ) -> Array:
-    """``value`` as a new float64 array of finite numbers, or a ValueError that says where it is not one."""
+    """``value`` as a new float64 array of finite numbers, or a ValueError that says
+    where it is not one.
+    """
     given: Any = as_array(value, name, "an array of numbers")
     kind = given.dtype.kind
     is_text = kind in "USMm" or (
@@ -133,7 +145,9 @@ def float_array(
 
 
 def as_array(value: object, name: str, rule: str = "an array") -> NDArray[Any]:
-    """``numpy.array(value)``, with an error that names the argument where rows have different lengths."""
+    """``numpy.array(value)``, with an error that names the argument where rows have
+    different lengths.
+    """
     try:
         if is_sparse(value):
             raise TypeError("a sparse matrix")
@@ -158,14 +172,18 @@ def require_nonnegative(array: Array, name: str) -> None:
 
 
 def require_sums_to_one(sums: Array, name: str) -> None:
-    """Every entry of ``sums`` (the sums of the rows of ``name``) is 1 up to the tolerance."""
+    """Every entry of ``sums`` (the sums of the rows of ``name``) is 1 up to the
+    tolerance.
+    """
     _require(np.abs(sums - 1.0) <= SUM_TOLERANCE, sums, name, SUM_RULE, "rows")
 
 
 def _require(
     fine: BoolArray, array: Array, name: str, rule: str, counted: str = ""
 ) -> None:
-    """A ValueError that names the first entry of ``array`` that is not ``fine``, and how many such there are."""
+    """A ValueError that names the first entry of ``array`` that is not ``fine``, and
+    how many such there are.
+    """
     if fine.all():
         return
     bad = np.argwhere(~fine)
@@ -178,7 +196,9 @@ def _require(
 
 
 def scale_if_single(array: Array, given: object) -> Array:
-    """The rows of an array that was given in single precision, scaled to sum to 1 where they nearly do."""
+    """The rows of an array that was given in single precision, scaled to sum to 1 where
+    they nearly do.
+    """
     if getattr(given, "dtype", None) != np.float32:
         return array
     sums = array.sum(axis=-1, keepdims=True)
@@ -207,7 +227,9 @@ def number_in(
     open_ends: bool = False,
     infinite: bool = False,
 ) -> float:
-    """``value`` as a float in [low, high], or in (low, high); infinity only where it is allowed."""
+    """``value`` as a float in [low, high], or in (low, high); infinity only where it is
+    allowed.
+    """
     try:
         array: Any = None if is_sparse(value) else np.asarray(value)
         if array is None or array.ndim or array.dtype.kind not in "biufO":
@@ -260,7 +282,9 @@ def boolean(value: object, name: str) -> bool:
 def instance(
     value: object, kind: type[T] | tuple[type[T], ...], name: str, called: str = ""
 ) -> T:
-    """``value``, which is an object of the class ``kind``, or of one of them; ``called``: how the error says it."""
+    """``value``, which is an object of the class ``kind``, or of one of them;
+    ``called``: how the error says it.
+    """
     if not isinstance(value, kind):
         rule = called or " or ".join(
             k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,))
@@ -277,7 +301,9 @@ def function(value: object, name: str) -> None:
 
 
 def warn(text: str) -> None:
-    """A UserWarning at the line of the caller, however deep in the package it is noticed."""
+    """A UserWarning at the line of the caller, however deep in the package it is
+    noticed.
+    """
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         frame, level = frame.f_back, level + 1
@@ -285,7 +311,9 @@ def warn(text: str) -> None:
 
 
 def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
-    """``value`` as a tuple of what it holds; a text is no collection. ``rule`` says of what it must be one."""
+    """``value`` as a tuple of what it holds; a text is no collection. ``rule`` says of
+    what it must be one.
+    """
     try:
         if isinstance(value, str | bytes) or is_sparse(value):
             raise TypeError
@@ -297,9 +325,11 @@ def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
 def require_memory(
     count: float, name: str, value: object = None, *, size: int = 8
 ) -> None:
-    """``count`` numbers of ``size`` bytes fit into memory: asked before, since a system may grant what it does not have.
+    """``count`` numbers of ``size`` bytes fit into memory: asked before, since a system
+    may grant what it does not have.
 
-    A ValueError where the ``value`` of an argument asks for them, else (a file that is read) a MemoryError.
+    A ValueError where the ``value`` of an argument asks for them, else (a file that is
+    read) a MemoryError.
     """
     needed, free = count * size, free_memory()
     if needed <= free:

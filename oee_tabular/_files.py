@@ -1,4 +1,6 @@
-"""Files are written whole or not at all, and read from this machine only; npz files are never pickles."""
+"""Files are written whole or not at all, and read from this machine only; npz files are
+never pickles.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ _ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 
 
 def local(path: str | os.PathLike[str], argument: str = "path") -> str:
-    """``path`` as text; ValueError for an address of another machine, which is never opened (``argument``: its name)."""
+    """``path`` as text; ValueError for an address of another machine, which is never
+    opened (``argument``: its name).
+    """
     if not isinstance(path, str | os.PathLike):
         raise ValueError(
             f"{argument} must be a path of a file; got {type(path).__name__}"
@@ -68,7 +72,9 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
 
 
 def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> None:
-    """ValueError where something stands at ``path`` that may not be lost; OSError where no file can be written there."""
+    """ValueError where something stands at ``path`` that may not be lost; OSError where
+    no file can be written there.
+    """
     local(path)
     if not overwrite and os.path.lexists(path):
         raise ValueError(
@@ -93,9 +99,9 @@ def whole_file(
 ) -> Iterator[IO[bytes]]:
     """A binary file to write, which appears under its name only once it is complete.
 
-    The bytes go to a temporary file in the same folder, are flushed to disk and moved over ``path`` in one step; an
-    error on the way leaves what stood there before, and names ``path``. A link stays one: the file that it leads to is
-    replaced.
+    The bytes go to a temporary file in the same folder, are flushed to disk and moved
+    over ``path`` in one step; an error on the way leaves what stood there before, and
+    names ``path``. A link stays one: the file that it leads to is replaced.
     """
     if suffixes and Path(local(path)).suffix.lower() not in suffixes:
         raise ValueError(
@@ -138,7 +144,9 @@ def whole_file(
 
 
 def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Write every file of ``contents`` into ``folder``, or none of them; what they replace stays until all are ready."""
+    """Write every file of ``contents`` into ``folder``, or none of them; what they
+    replace stays until all are ready.
+    """
     made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -156,7 +164,8 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 
 def csv_bytes(frame: Any, **options: Any) -> bytes:
-    """A DataFrame as CSV, in which a text that a spreadsheet would take for a formula begins with an apostrophe [1].
+    """A DataFrame as CSV, in which a text that a spreadsheet would take for a formula
+    begins with an apostrophe [1].
 
     [1] OWASP, CSV Injection.
     """
@@ -187,9 +196,11 @@ def digest(arrays: Mapping[str, NDArray[Any]]) -> str:
 def save_npz(
     path: str | os.PathLike[str], kind: str, arrays: Mapping[str, NDArray[Any]]
 ) -> None:
-    """An npz of plain arrays with their kind of object and their digest; ValueError for arrays of objects.
+    """An npz of plain arrays with their kind of object and their digest; ValueError for
+    arrays of objects.
 
-    A zip file protects what its members hold, not their names: one that is damaged may lack some of them.
+    A zip file protects what its members hold, not their names: one that is damaged may
+    lack some of them.
     """
     for name, array in arrays.items():
         # it would be a pickle, which numpy 2.0 cannot be told not to write
@@ -211,7 +222,9 @@ def save_npz(
 def load_npz(
     path: str | os.PathLike[str], kind: str, *, hint: str = ""
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of an npz that holds a ``kind``; a ValueError that says what it holds otherwise."""
+    """The arrays of an npz that holds a ``kind``; a ValueError that says what it holds
+    otherwise.
+    """
     arrays = read_npz(path)
     stored = npz_kind(arrays)
     if stored != kind:
@@ -241,9 +254,11 @@ def parts_of(path: str | os.PathLike[str], what: str) -> Iterator[None]:
 
 
 def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
-    """Every array of an npz or npy file (the npy's under the name "array"). No pickles, and no changed file of ours.
+    """Every array of an npz or npy file (the npy's under the name "array"). No pickles,
+    and no changed file of ours.
 
-    Raises ValueError for what is no such file, FileNotFoundError, and MemoryError ("needs 14.9 GiB") where it does not fit.
+    Raises ValueError for what is no such file, FileNotFoundError, and MemoryError
+    ("needs 14.9 GiB") where it does not fit.
     """
     name = local(path)
     with open(name, "rb") as handle, warnings.catch_warnings():
@@ -285,7 +300,9 @@ def npz_kind(arrays: Mapping[str, NDArray[Any]]) -> str | None:
 
 
 def kind_of(path: str | os.PathLike[str]) -> str | None:
-    """What ``save_npz`` said that a file holds; None for other files. Reads that one name."""
+    """What ``save_npz`` said that a file holds; None for other files. Reads that one
+    name.
+    """
     name = local(path)
     if Path(name).suffix.lower() != ".npz" or not os.path.isfile(name):
         return None

@@ -1,7 +1,8 @@
 """Threads and processes, whose number does not change a bit.
 
-BLAS splits long sums among its threads, and their order decides the last digits: ``one_thread``. Work in several processes goes
-through joblib on this machine, or to a dask cluster by its scheduler's address.
+BLAS splits long sums among its threads, and their order decides the last digits:
+``one_thread``. Work in several processes goes through joblib on this machine, or to a
+dask cluster by its scheduler's address.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ def dot(x: Array, y: Array) -> float:
 
 
 class _OneThread:
-    """BLAS with one thread while anybody is inside, and then as before; Python threads may come and go in any order."""
+    """BLAS with one thread while anybody is inside, and then as before; Python threads
+    may come and go in any order.
+    """
 
     def __init__(self) -> None:
         self.lock, self.n_inside = threading.Lock(), 0
@@ -39,7 +42,9 @@ class _OneThread:
             os.register_at_fork(after_in_child=self._reset)
 
     def _reset(self) -> None:
-        """A forked process has none of the threads that were inside, nor one that would open the lock."""
+        """A forked process has none of the threads that were inside, nor one that would
+        open the lock.
+        """
         self.lock = threading.Lock()
         if self.n_inside:
             self.n_inside = 0
@@ -92,9 +97,11 @@ WATCH = 0.5  # seconds between two looks of a worker at its parent
 
 @contextlib.contextmanager
 def backend(jobs: int, dask: str | None) -> Iterator[Any]:
-    """Inside, ``parallel`` starts processes here, which end with this one however it dies, or asks the cluster at ``dask``.
+    """Inside, ``parallel`` starts processes here, which end with this one however it
+    dies, or asks the cluster at ``dask``.
 
-    Gives the cluster's client, or None. OSError where no scheduler answers, RuntimeError where it has no workers.
+    Gives the cluster's client, or None. OSError where no scheduler answers,
+    RuntimeError where it has no workers.
     """
     import joblib
 
@@ -132,7 +139,9 @@ def _connect(address: str) -> Any:
 
 
 def end_with_parent(parent: int, *, with_group: bool = False) -> None:
-    """In a worker: a thread that ends it, or its group, once ``parent`` is gone, which a SIGKILL leaves no time to say."""
+    """In a worker: a thread that ends it, or its group, once ``parent`` is gone, which
+    a SIGKILL leaves no time to say.
+    """
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -146,9 +155,11 @@ def end_with_parent(parent: int, *, with_group: bool = False) -> None:
 
 
 def parallel(number: int, jobs: int, dask: str | None, **options: Any) -> Any:
-    """A ``joblib.Parallel`` for so many calls, in no more processes; ``jobs`` -1: one a core.
+    """A ``joblib.Parallel`` for so many calls, in no more processes; ``jobs`` -1: one a
+    core.
 
-    A single call is made in a process of its own too, unless ``jobs`` is 1: it may be one that ends its process.
+    A single call is made in a process of its own too, unless ``jobs`` is 1: it may be
+    one that ends its process.
     """
     import joblib
 
@@ -166,7 +177,9 @@ def each(
     jobs: int,
     dask: str | None,
 ) -> Iterator[Any]:
-    """``function(*call)`` of each of the ``number`` calls, in their order; an error is raised in its place."""
+    """``function(*call)`` of each of the ``number`` calls, in their order; an error is
+    raised in its place.
+    """
     if dask is None and (jobs == 1 or number < 2):
         yield from (function(*call) for call in calls)
         return
@@ -179,7 +192,9 @@ def each(
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """TimeoutError after so many seconds; none outside of a process's main thread and on Windows, which have no alarm."""
+    """TimeoutError after so many seconds; none outside of a process's main thread and
+    on Windows, which have no alarm.
+    """
     if (
         not hasattr(signal, "setitimer")
         or threading.current_thread() is not threading.main_thread()

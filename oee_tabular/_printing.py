@@ -1,4 +1,6 @@
-"""How results print: what their values are, in words, and one small table for notebooks, everything escaped."""
+"""How results print: what their values are, in words, and one small table for
+notebooks, everything escaped.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ _CELL = "padding:0.15em 0.8em 0.15em 0;text-align:"
 
 
 def spec(lower: float, upper: float) -> str:
-    """The format of an interval's ends, and of the value between them: four digits, and two at least of the width.
+    """The format of an interval's ends, and of the value between them: four digits, and
+    two at least of the width.
 
     Examples
     --------
@@ -57,7 +60,9 @@ def table(
     text_columns: int = 1,
     below: Sequence[str] = (),
 ) -> str:
-    """An HTML table: the first ``text_columns`` left-aligned, the others (numbers) to the right; sentences below."""
+    """An HTML table: the first ``text_columns`` left-aligned, the others (numbers) to
+    the right; sentences below.
+    """
 
     def line(cells: Sequence[object], tag: str) -> str:
         inside = "".join(

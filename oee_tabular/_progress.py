@@ -1,7 +1,8 @@
-"""What is being done, for people who wait: nothing for quick work, else lines and bars on stderr (tqdm).
+"""What is being done, for people who wait: nothing for quick work, else lines and bars
+on stderr (tqdm).
 
-A step is told once the work has taken two seconds, at most one every two. Who waits for the compiler gets one sentence;
-the command sets ``tell``.
+A step is told once the work has taken two seconds, at most one every two. Who waits for
+the compiler gets one sentence; the command sets ``tell``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ _step: str | None = None  # what is being done; None: nobody listens
 
 
 def progress_bar(title: str, items: Any = None, **options: Any) -> Any:
-    """A tqdm bar over ``items`` (or of a ``total``), shown after two seconds, on a terminal alone, gone at the end."""
+    """A tqdm bar over ``items`` (or of a ``total``), shown after two seconds, on a
+    terminal alone, gone at the end.
+    """
     from tqdm import tqdm  # not tqdm.auto: that warns in Jupyter without ipywidgets
 
     return tqdm(
@@ -43,7 +46,9 @@ def report_step(step: str) -> None:
 
 @contextmanager
 def show_steps(*, only_terminal: bool = False) -> Iterator[None]:
-    """Steps inside are told on stderr; those who listen already go on (``only_terminal``: nobody else, unless it is one)."""
+    """Steps inside are told on stderr; those who listen already go on
+    (``only_terminal``: nobody else, unless it is one).
+    """
     global _step
     if _step is not None or (only_terminal and not sys.stderr.isatty()):
         yield

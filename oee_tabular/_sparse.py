@@ -1,4 +1,6 @@
-"""Rows s*A + a in CSR form: canonical storage, look-up of one matrix on the pattern of another."""
+"""Rows s*A + a in CSR form: canonical storage, look-up of one matrix on the pattern of
+another.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from oee_tabular._checks import Array, BoolArray, IntArray, freeze
 
 
 def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
-    """A CSR copy with sorted indices, no duplicates, 32-bit indices where they fit, and read-only arrays."""
+    """A CSR copy with sorted indices, no duplicates, 32-bit indices where they fit, and
+    read-only arrays.
+    """
     csr = sparse.csr_array(matrix, dtype=np.float64, copy=True)
     csr.sum_duplicates()
     if drop_zeros:
@@ -24,11 +28,13 @@ def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
 
 
 def check_csr(matrix: Any, name: str) -> sparse.csr_array:
-    """A sparse matrix that was given, in any of scipy's formats, as CSR of float64 (its arrays may be the given ones).
+    """A sparse matrix that was given, in any of scipy's formats, as CSR of float64 (its
+    arrays may be the given ones).
 
-    Native code follows row pointers and indices wherever they lead, and scipy's matrices may be edited after they were
-    made: whoever takes one looks at all of it here first. Costs O(entries). Raises ValueError, with the part and the
-    place, for what is no matrix of real numbers.
+    Native code follows row pointers and indices wherever they lead, and scipy's
+    matrices may be edited after they were made: whoever takes one looks at all of it
+    here first. Costs O(entries). Raises ValueError, with the part and the place, for
+    what is no matrix of real numbers.
     """
     if not sparse.issparse(matrix):
         raise ValueError(f"{name} must be a sparse matrix; got {type(matrix).__name__}")
@@ -78,7 +84,9 @@ def check_csr(matrix: Any, name: str) -> sparse.csr_array:
 def csr_from_parts(
     data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str
 ) -> sparse.csr_array:
-    """The CSR of these parts; a ValueError, with the part and the place, where they are not those of a matrix."""
+    """The CSR of these parts; a ValueError, with the part and the place, where they are
+    not those of a matrix.
+    """
     values, columns, pointers = (
         np.asarray(data),
         np.asarray(indices),
@@ -146,7 +154,9 @@ def freeze_csr(csr: sparse.csr_array) -> sparse.csr_array:
 def csr_on_pattern(
     pattern: sparse.csr_array, data: Array, *, own: bool = False
 ) -> sparse.csr_array:
-    """The matrix with the entries of ``pattern`` and the values ``data``, copied but where they are its ``own``; zeros stay."""
+    """The matrix with the entries of ``pattern`` and the values ``data``, copied but
+    where they are its ``own``; zeros stay.
+    """
     values = data if own else np.array(data, dtype=np.float64)
     return freeze_csr(
         sparse.csr_array((values, pattern.indices, pattern.indptr), pattern.shape)
@@ -159,7 +169,9 @@ def row_of_entry(csr: sparse.csr_array) -> IntArray:
 
 
 def row_sums(csr: sparse.csr_array, data: Array | None = None) -> Array:
-    """Sums over the rows of the stored entries (of ``data`` on the same pattern, if given)."""
+    """Sums over the rows of the stored entries (of ``data`` on the same pattern, if
+    given).
+    """
     values = csr.data if data is None else data
     result = np.zeros(csr.shape[0])
     filled = np.diff(csr.indptr) > 0
@@ -169,13 +181,17 @@ def row_sums(csr: sparse.csr_array, data: Array | None = None) -> Array:
 
 
 def row_variances(csr: sparse.csr_array, probability: Array, values: Array) -> Array:
-    """Of each row the variance of ``values`` on its stored entries, which have these probabilities."""
+    """Of each row the variance of ``values`` on its stored entries, which have these
+    probabilities.
+    """
     mean = row_sums(csr, probability * values)
     return row_sums(csr, probability * (values - mean[row_of_entry(csr)]) ** 2)
 
 
 def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
-    """A ratio on the entries of ``pattern``: csr of its shape, or an object with such ``values``; 0 where it has none."""
+    """A ratio on the entries of ``pattern``: csr of its shape, or an object with such
+    ``values``; 0 where it has none.
+    """
     values = getattr(ratio, "values", ratio)
     if not sparse.issparse(values) or values.shape != pattern.shape:
         found = getattr(values, "shape", type(values).__name__)
@@ -194,7 +210,9 @@ def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
 def find(
     csr: sparse.csr_array, rows: IntArray, columns: IntArray
 ) -> tuple[IntArray, BoolArray]:
-    """The position in ``csr.data`` of each (row, column), and whether it is stored (position 0 where it is not)."""
+    """The position in ``csr.data`` of each (row, column), and whether it is stored
+    (position 0 where it is not).
+    """
     numbered = sparse.csr_array(
         (np.arange(1, csr.nnz + 1), csr.indices, csr.indptr), csr.shape
     )
@@ -214,7 +232,9 @@ def _has_same_pattern(one: sparse.csr_array, other: sparse.csr_array) -> bool:
 def align(
     source: sparse.csr_array, pattern: sparse.csr_array
 ) -> tuple[Array, BoolArray]:
-    """The values of ``source`` on the entries of ``pattern`` (0 where it has none), and where it has one; rows are sorted."""
+    """The values of ``source`` on the entries of ``pattern`` (0 where it has none), and
+    where it has one; rows are sorted.
+    """
     if _has_same_pattern(source, pattern):
         return np.array(source.data, dtype=np.float64), np.ones(
             pattern.nnz, dtype=np.bool_
@@ -228,7 +248,9 @@ def align(
 def align_to(
     source: sparse.csr_array, pattern: sparse.csr_array
 ) -> tuple[sparse.csr_array, Array]:
-    """``source``, and its values on the entries of ``pattern``; where it has the same entries it takes the pattern's arrays."""
+    """``source``, and its values on the entries of ``pattern``; where it has the same
+    entries it takes the pattern's arrays.
+    """
     values = freeze(align(source, pattern)[0])
     return (
         csr_on_pattern(pattern, values, own=True)

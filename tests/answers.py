@@ -1,4 +1,6 @@
-"""The right answers to the exercises of the notebooks, by the package: the checks are held to them."""
+"""The right answers to the exercises of the notebooks, by the package: the checks are
+held to them.
+"""
 
 import math
 
@@ -153,7 +155,9 @@ def theorem_2():
 
 
 def choice(probabilities, worth=1.0):
-    """A state for each of ``probabilities``, from where one gets there to what is worth ``worth`` of that state, else to 0."""
+    """A state for each of ``probabilities``, from where one gets there to what is worth
+    ``worth`` of that state, else to 0.
+    """
     k = len(probabilities)
     P, r = np.zeros((k + 2, 1, k + 2)), np.zeros((k + 2, 1, k + 2))
     P[:k, 0, k], P[:k, 0, k + 1] = probabilities, 1 - np.asarray(probabilities)

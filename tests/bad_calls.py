@@ -1,6 +1,8 @@
-"""The table of bad calls: a call, and how its error begins, with the argument, the place and the rule; "..." is anything.
+"""The table of bad calls: a call, and how its error begins, with the argument, the
+place and the rule; "..." is anything.
 
-A line that begins with blanks belongs to the one above. The names are those of tests/test_bad_calls.py and of the package.
+A line that begins with blanks belongs to the one above. The names are those of
+tests/test_bad_calls.py and of the package.
 """
 
 TABLE = r"""

@@ -1,4 +1,6 @@
-"""A real Chromium for the tests of pages: what a page says on its console, what it asks for, what axe finds."""
+"""A real Chromium for the tests of pages: what a page says on its console, what it asks
+for, what axe finds.
+"""
 
 import shutil
 

@@ -27,7 +27,9 @@ def _hurried(monkeypatch):
 
 @pytest.fixture
 def run(capsys, monkeypatch, tmp_path):
-    """``oee`` with words, in strings, in a folder of its own: stdout, or stderr with the one line of an error."""
+    """``oee`` with words, in strings, in a folder of its own: stdout, or stderr with
+    the one line of an error.
+    """
     from oee_tabular.cli import main
 
     monkeypatch.chdir(tmp_path)
@@ -59,13 +61,17 @@ IS_COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
 
 
 def pytest_configure(config):
-    """Where kernels are not compiled, numpy warns of overflow to infinity, which machine code does not."""
+    """Where kernels are not compiled, numpy warns of overflow to infinity, which
+    machine code does not.
+    """
     if not IS_COMPILED:
         config.addinivalue_line("filterwarnings", "ignore::RuntimeWarning")
 
 
 def pytest_collection_modifyitems(config, items):
-    """Large problems are left out where kernels are not compiled: they would take hours."""
+    """Large problems are left out where kernels are not compiled: they would take
+    hours.
+    """
     if not IS_COMPILED:
         large = [item for item in items if item.get_closest_marker("large")]
         config.hook.pytest_deselected(items=large)

@@ -1,10 +1,13 @@
-"""Hostile values for every public function: python tests/fuzz_calls.py [--seed 0] [--calls 20000] [--rooms mdp,exact].
+"""Hostile values for every public function: python tests/fuzz_calls.py [--seed 0]
+[--calls 20000] [--rooms mdp,exact].
 
-Functions, classes and their public methods are found by inspection; from a call that works one argument (sometimes two) is
-replaced. What is wrong: an exception that is not raised by the package itself or does not name an argument, a message that is
-long or holds control characters, a call of more than five seconds of CPU, the death of the process, a result with nan and
-without a warning. The calls are made in a child process; where it dies or hangs another takes its place. ``--only K`` makes
-the K-th call here, with its traceback. Exit code 1 where something is wrong.
+Functions, classes and their public methods are found by inspection; from a call that
+works one argument (sometimes two) is replaced. What is wrong: an exception that is not
+raised by the package itself or does not name an argument, a message that is long or
+holds control characters, a call of more than five seconds of CPU, the death of the
+process, a result with nan and without a warning. The calls are made in a child process;
+where it dies or hangs another takes its place. ``--only K`` makes the K-th call here,
+with its traceback. Exit code 1 where something is wrong.
 """
 
 import argparse
@@ -71,7 +74,9 @@ def is_called(value):
 
 
 def functions(known, rooms=None):
-    """Name -> function, of the public modules, with classes' methods bound to valid objects; none is left out."""
+    """Name -> function, of the public modules, with classes' methods bound to valid
+    objects; none is left out.
+    """
     modules = {"top": oee} | {
         name: getattr(oee, name)
         for name in oee.__all__
@@ -94,7 +99,9 @@ def functions(known, rooms=None):
 
 
 def methods(name, kind, holder, inner):
-    """Public methods, class methods and static methods, and calls, bound to a valid object of the class."""
+    """Public methods, class methods and static methods, and calls, bound to a valid
+    object of the class.
+    """
     bound = {}
     for attribute in dir(kind):
         named = attribute[0] != "_" or (
@@ -184,7 +191,8 @@ def has_nan(value, depth=0):
 
 
 def named(message, arguments):
-    """Whether a message names an argument: of two that do not fit it may be the other one.
+    """Whether a message names an argument: of two that do not fit it may be the other
+    one.
 
     ``name`` says what it is called, where a function has that.
     """
@@ -222,7 +230,9 @@ def judged(function, values, replaced):
 
 
 def refusal(error, values, replaced):
-    """The kind of an exception: "refused" where the package raised it, named an argument and was short."""
+    """The kind of an exception: "refused" where the package raised it, named an
+    argument and was short.
+    """
     text = f"{type(error).__name__}: {error}"
     if any(callable(values[name]) for name in replaced):
         return "refused", text  # perhaps the hostile function's own
@@ -254,7 +264,9 @@ WRONG = (
 
 
 def make_call(seed, k, every, calls):
-    """The k-th call, which depends on the seed and k alone: its function, its arguments, and which of them are hostile."""
+    """The k-th call, which depends on the seed and k alone: its function, its
+    arguments, and which of them are hostile.
+    """
     rng, names = np.random.default_rng((seed, k)), sorted(every)
     name = names[k % len(names)]
     values = dict(calls[name])
@@ -269,7 +281,9 @@ def make_call(seed, k, every, calls):
 
 
 def attack(pipe, seed, rooms):
-    """Make the calls whose numbers are asked for; say what each was, its kind and its text."""
+    """Make the calls whose numbers are asked for; say what each was, its kind and its
+    text.
+    """
     os.chdir(tempfile.mkdtemp())
     known = valid_values()
     every = functions(known, rooms)
@@ -309,7 +323,9 @@ def shown(value):
 
 
 def fuzz(seed, seconds, calls=None, rooms=None, first=0):
-    """Counts by kind, and what was wrong: (kind, call, text). The time of the first call, which compiles, is not counted."""
+    """Counts by kind, and what was wrong: (kind, call, text). The time of the first
+    call, which compiles, is not counted.
+    """
     child, counts, wrong, k, end = (
         Child(90.0, attack, seed, rooms),
         Counter(),

@@ -1,4 +1,6 @@
-"""A process that answers questions for the fuzzers; where it dies or hangs another takes its place."""
+"""A process that answers questions for the fuzzers; where it dies or hangs another
+takes its place.
+"""
 
 import multiprocessing
 
@@ -6,7 +8,8 @@ START = 300.0  # seconds for a child to import and compile
 
 
 class Child:
-    """``target(pipe, *arguments)`` in a process of its own, which receives questions and sends answers.
+    """``target(pipe, *arguments)`` in a process of its own, which receives questions
+    and sends answers.
 
     limit : seconds for an answer but the first
     """

@@ -1,11 +1,13 @@
-"""Damaged files: byte-flipped, cut and edited npz, npy, CSV and parquet files of logs, counts, simulators and policies.
+"""Damaged files: byte-flipped, cut and edited npz, npy, CSV and parquet files of logs,
+counts, simulators and policies.
 
     python tests/fuzz_files.py --seed 0 --files 20000
 
-Every file is read in a child process, which may take 10 s for it. A reader gives something finite or raises ValueError,
-FileNotFoundError, or MemoryError with the size that is needed, in a message that names the file. An npz or a parquet file of
-our own, which carries a digest, gives what was saved or nothing. Anything else is printed and the exit code is 1. The same
-seed makes the same files.
+Every file is read in a child process, which may take 10 s for it. A reader gives
+something finite or raises ValueError, FileNotFoundError, or MemoryError with the size
+that is needed, in a message that names the file. An npz or a parquet file of our own,
+which carries a digest, gives what was saved or nothing. Anything else is printed and
+the exit code is 1. The same seed makes the same files.
 """
 
 import argparse
@@ -199,7 +201,9 @@ def noise(data, rng):
 
 
 def packed(arrays, rng):
-    """An npz of arrays, or of bytes that stand for one, with the habits of other programs."""
+    """An npz of arrays, or of bytes that stand for one, with the habits of other
+    programs.
+    """
     buffer = io.BytesIO()
     method = pick(rng, [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA])
     with zipfile.ZipFile(buffer, "w", method) as archive:
@@ -542,7 +546,9 @@ def _readers():
 
 
 def fuzz(seed, seconds, folder, most=10**9):
-    """(outcomes, failures) of as many files as the time allows, the child's start not counted."""
+    """(outcomes, failures) of as many files as the time allows, the child's start not
+    counted.
+    """
     folder = Path(folder)
     sound, rng, child = (
         originals(folder),
@@ -592,7 +598,9 @@ def fuzz(seed, seconds, folder, most=10**9):
 
 
 def is_ours(ending, kind, edit, data):
-    """Whether a file still says that it is one of ours, or is one whose bytes were damaged; its content is then held to."""
+    """Whether a file still says that it is one of ours, or is one whose bytes were
+    damaged; its content is then held to.
+    """
     return kind != "policy" and (
         (ending == ".npz" and edit is not bomb)
         or (ending == ".parquet" and (edit in ANY or b"oee_tabular_digest" in data))

@@ -1,4 +1,6 @@
-"""What tests/fuzz_calls.py gives: a valid value for each argument, by its name, and hostile ones."""
+"""What tests/fuzz_calls.py gives: a valid value for each argument, by its name, and
+hostile ones.
+"""
 
 import contextlib
 import functools
@@ -280,7 +282,9 @@ def saved(known, name):
 
 
 def own_values(known):
-    """Arguments whose meaning differs from that of the same name elsewhere: function name -> values."""
+    """Arguments whose meaning differs from that of the same name elsewhere: function
+    name -> values.
+    """
     moves, log, simulator, driver = (
         known["continuous_log"],
         known["log"],

@@ -1,4 +1,6 @@
-"""What several tests need: random MDPs, dense oracles that share no code with the package, full enumeration, pages."""
+"""What several tests need: random MDPs, dense oracles that share no code with the
+package, full enumeration, pages.
+"""
 
 import copy
 import os
@@ -33,7 +35,8 @@ def random_mdp(
     zeros=0.3,
     like=None,
 ):
-    """A random MDP with exact zeros; ``form`` of rewards 1 = r(s), 2 = r(s, a), 3 = r(s, a, s').
+    """A random MDP with exact zeros; ``form`` of rewards 1 = r(s), 2 = r(s, a), 3 =
+    r(s, a, s').
 
     ``like``: other dynamics for that MDP, inside its support (so that a ratio exists).
     """
@@ -106,7 +109,9 @@ class Dense:
         return np.einsum("sa,sat,sat->s", pi, self.P, self.r)
 
     def values(self, pi, horizon=None):
-        """V (S,), or of a horizon V with t = horizon, ..., 0 rewards to go (T + 1, S), index t the time."""
+        """V (S,), or of a horizon V with t = horizon, ..., 0 rewards to go (T + 1, S),
+        index t the time.
+        """
         if horizon is None:
             return np.linalg.solve(
                 np.eye(len(self.mu)) - self.g * self.chain(pi), self.paid(pi)
@@ -121,7 +126,9 @@ class Dense:
         return float(self.mu @ (found if horizon is None else found[0]))
 
     def visits(self, pi, horizon=None):
-        """(S, A) expected discounted visits, not normalised; over a horizon a list by t, discounted."""
+        """(S, A) expected discounted visits, not normalised; over a horizon a list by
+        t, discounted.
+        """
         if horizon is None:
             return (
                 np.linalg.solve(
@@ -159,7 +166,9 @@ def table_of(log, shape):
 
 
 def paths(mdp, policy, horizon):
-    """Every path of ``horizon`` moves of positive probability: (probability, [(s, a, s', r), ...])."""
+    """Every path of ``horizon`` moves of positive probability: (probability, [(s, a,
+    s', r), ...]).
+    """
     transitions, rewards = dense(mdp)
     found = [(float(p), s, []) for s, p in enumerate(mdp.initial) if p > 0]
     for t in range(horizon):
@@ -187,7 +196,9 @@ NAMED = PLAIN.with_names(STATES, ACTIONS)
 
 
 def survival_chain(discount=0.9):
-    """Two states: alive (pays 1, dies with probability 0.3) and over. V(alive) = 1 / (1 - 0.7 gamma)."""
+    """Two states: alive (pays 1, dies with probability 0.3) and over. V(alive) = 1 / (1
+    - 0.7 gamma).
+    """
     transitions = np.array([[[0.7, 0.3]], [[0.0, 1.0]]])
     return FiniteMDP(transitions, np.array([1.0, 0.0]), np.array([1.0, 0.0]), discount)
 
@@ -211,7 +222,9 @@ def printed(script, **settings):
 
 
 def rows_of(weights, indptr):
-    """``Rows`` of one action with these probabilities; the states that they lead to are no matter."""
+    """``Rows`` of one action with these probabilities; the states that they lead to are
+    no matter.
+    """
     indptr = np.asarray(indptr, dtype=np.int64)
     entries = np.arange(len(weights))
     return Rows(
@@ -226,7 +239,9 @@ def rows_of(weights, indptr):
 
 
 def environments(form, discount=0.7):
-    """A simulator and a target near it, three states and two actions, every move possible."""
+    """A simulator and a target near it, three states and two actions, every move
+    possible.
+    """
     rng = np.random.default_rng(form)
     rows = rng.dirichlet(np.full(3, 4.0), (3, 2))
     rewards = rng.normal(size=(3, 2, 3)[:form])
@@ -241,14 +256,18 @@ BEHAVIOR = np.array([[0.4, 0.6], [0.5, 0.5], [0.6, 0.4]])
 
 
 def ratio_of(rng, simulator):
-    """Any weights on the simulator's entries: rows of zeta * P of any sum, zeros among them."""
+    """Any weights on the simulator's entries: rows of zeta * P of any sum, zeros among
+    them.
+    """
     data = rng.integers(0, 4, simulator.transitions.nnz) / 2.0
     matrix = simulator.transitions
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def tiny(seed, moves=25, left_out=(), form="sa", n_states=3, n_actions=2, discount=0.8):
-    """A simulator, a target near nothing, a log of its moves (none of the pairs ``left_out``), and a policy."""
+    """A simulator, a target near nothing, a log of its moves (none of the pairs
+    ``left_out``), and a policy.
+    """
     rng = np.random.default_rng(seed)
     P = rng.dirichlet(np.full(n_states, 1.5), size=(n_states, n_actions))
     r = rng.normal(size=(n_states, n_actions, n_states)[: len(form)])

@@ -1,6 +1,8 @@
-"""Notebooks are stored with their outputs, which a code host and the site show: what they say when they are run.
+"""Notebooks are stored with their outputs, which a code host and the site show: what
+they say when they are run.
 
-PYTHONPATH=. python tests/saved_notebook.py          runs all of them and stores them again
+PYTHONPATH=. python tests/saved_notebook.py          runs all of them and stores them
+again
 PYTHONPATH=. python tests/saved_notebook.py 00 05    these
 """
 
@@ -24,9 +26,11 @@ SERVE = "--serve"
 
 @contextlib.contextmanager
 def notebook_runner():
-    """A function (path, folder) that runs a notebook in a folder and gives it with its outputs.
+    """A function (path, folder) that runs a notebook in a folder and gives it with its
+    outputs.
 
-    It runs in a process of its own, a fork of one that has imported what all notebooks import and nothing else.
+    It runs in a process of its own, a fork of one that has imported what all notebooks
+    import and nothing else.
     """
     environment = os.environ | {
         "MPLBACKEND": "module://matplotlib_inline.backend_inline"
@@ -135,7 +139,9 @@ def compress(data):
 
 
 def texts(book):
-    """What each code cell prints and returns; of a picture nothing, since its size depends on the extras."""
+    """What each code cell prints and returns; of a picture nothing, since its size
+    depends on the extras.
+    """
     return [
         "".join(map(text_of, cell.outputs))
         for cell in book.cells

@@ -1,6 +1,7 @@
 """The results saved in notebooks/results, and whether today's code makes them.
 
-``python tests/saved_results.py [ID ...]`` draws the figures of the saved tables again, without sampling anything.
+``python tests/saved_results.py [ID ...]`` draws the figures of the saved tables again,
+without sampling anything.
 """
 
 import sys
@@ -18,7 +19,9 @@ def saved(name):
 
 
 def assert_saved(name, cell, table):
-    """The rows computed for a cell are those of the saved table: a table that older code made fails."""
+    """The rows computed for a cell are those of the saved table: a table that older
+    code made fails.
+    """
     rows = saved(name)
     for setting, value in cell.items():
         rows = rows[rows[setting] == value]

@@ -79,7 +79,9 @@ def binary_tree(n):
 
 
 def levels(rng, n, size):
-    """Sets of up to ``size`` states that communicate, each leading to sets after it; states in any order."""
+    """Sets of up to ``size`` states that communicate, each leading to sets after it;
+    states in any order.
+    """
     ends = np.unique(np.append(np.cumsum(rng.integers(1, size + 1, n)), n).clip(max=n))
     kernel = np.zeros((n, n))
     for low, high in zip(np.append(0, ends[:-1]), ends, strict=True):

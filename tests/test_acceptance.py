@@ -26,7 +26,9 @@ TAXI = (
 
 
 def policies(target):
-    """The policy to evaluate (70% optimal in the target) and the one that records (70% of that)."""
+    """The policy to evaluate (70% optimal in the target) and the one that records (70%
+    of that).
+    """
     uniform = oee.uniform_policy(target)
     policy = oee.mix(oee.optimal_policy(target), uniform, 0.7)
     return policy, oee.mix(policy, uniform, 0.7)
@@ -36,10 +38,12 @@ def policies(target):
 def test_three_files_to_a_value_that_removes_most_of_the_simulator_s_error(
     case, tmp_path, capsys
 ):
-    """20 000 transitions recorded by stepping Gymnasium; the median error is below a quarter of the simulator's own.
+    """20 000 transitions recorded by stepping Gymnasium; the median error is below a
+    quarter of the simulator's own.
 
-    For FrozenLake one log in twenty misses it (37 of 40 did not): the error's standard deviation, near what the efficiency
-    bound sets, is 0.14 of the simulator's error. Hence five logs.
+    For FrozenLake one log in twenty misses it (37 of 40 did not): the error's standard
+    deviation, near what the efficiency bound sets, is 0.14 of the simulator's error.
+    Hence five logs.
     """
     simulator, target_name, discount = case
     target = named_task(target_name, discount=discount).mdp
@@ -126,7 +130,9 @@ def test_a_deterministic_simulator_is_refused_and_action_noise_is_the_way_out():
 
 
 def test_the_quotient_explodes_where_the_default_does_not():
-    """Exact dynamic programming on the 10 x 10 grid, n = 1000, T = 200, values times (1 - discount)."""
+    """Exact dynamic programming on the 10 x 10 grid, n = 1000, T = 200, values times (1
+    - discount).
+    """
     simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
     policy = oee.tasks.gridworld_policy(10, 0.1)
     truth = oee.policy_value(target, policy, horizon=200, normalized=True)

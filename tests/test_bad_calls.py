@@ -1,4 +1,6 @@
-"""Bad input: an error at the call that names the argument, the place and the rule. The table of calls is tests/bad_calls.py."""
+"""Bad input: an error at the call that names the argument, the place and the rule. The
+table of calls is tests/bad_calls.py.
+"""
 
 import doctest
 import importlib.util
@@ -126,7 +128,9 @@ POLE = oee.tasks.cartpole_policy(0.3)
 
 
 def pole(width=4, rows=slice(None), **first):
-    """A log of CartPole: so many coordinates of its states, these rows; ``first``: other values in row 0."""
+    """A log of CartPole: so many coordinates of its states, these rows; ``first``:
+    other values in row 0.
+    """
     log = oee.tasks.record(
         oee.tasks.CartPole(), POLE, n_transitions=50, max_steps=100, seed=0
     )

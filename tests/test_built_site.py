@@ -1,4 +1,6 @@
-"""The site as README's command builds it: formulas and pictures page by page, in a real Chromium at two widths."""
+"""The site as README's command builds it: formulas and pictures page by page, in a real
+Chromium at two widths.
+"""
 
 import dataclasses
 import importlib
@@ -44,7 +46,9 @@ EMPTY_PICTURES = (
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """{address from the root: path} of every page but the sources, as the README's command makes them."""
+    """{address from the root: path} of every page but the sources, as the README's
+    command makes them.
+    """
     folder = tmp_path_factory.mktemp("site")
     words = re.search(
         r"python (-m sphinx -W notebooks) build/site$",
@@ -95,7 +99,9 @@ def test_no_page_shows_a_dollar_or_lacks_its_notebooks_link(site):
 
 
 def test_every_page_in_a_browser(site, browser, axe):  # noqa: F811
-    """Two widths, of most pages in one load (theirs without axe, since a theme's script looks at the width of a load)."""
+    """Two widths, of most pages in one load (theirs without axe, since a theme's script
+    looks at the width of a load).
+    """
     loads = [
         (name, widths)
         for name in sorted(site)

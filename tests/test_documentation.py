@@ -1,4 +1,6 @@
-"""Every public name is explained: by a sentence, its parameters' names, and an example, which the suite runs."""
+"""Every public name is explained: by a sentence, its parameters' names, and an example,
+which the suite runs.
+"""
 
 import dataclasses
 import doctest
@@ -62,7 +64,9 @@ def sections(value):
 
 
 def names_in(section):
-    """The names that a section explains: at the beginning of a line that is not indented, alone or before a colon."""
+    """The names that a section explains: at the beginning of a line that is not
+    indented, alone or before a colon.
+    """
     return [
         name.lstrip("*")
         for group in ENTRY.findall(section)
@@ -71,7 +75,9 @@ def names_in(section):
 
 
 def unexplained(value, found):
-    """Parameters, or fields of a dataclass, that its docstring does not name, and those that it names too many."""
+    """Parameters, or fields of a dataclass, that its docstring does not name, and those
+    that it names too many.
+    """
     if inspect.isclass(value) and "Parameters" not in found:
         if not dataclasses.is_dataclass(value):
             return set()
@@ -116,7 +122,9 @@ def test_public_names_are_explained(name):
 
 
 def test_the_suite_collects_the_examples(request):
-    """pytest is told to look for them in the package, and its finder sees those of every public name, module by module."""
+    """pytest is told to look for them in the package, and its finder sees those of
+    every public name, module by module.
+    """
     assert "--doctest-modules" in request.config.getini("addopts")
     assert "oee_tabular" in request.config.getini("testpaths")
     expected = {}

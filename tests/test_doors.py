@@ -1,4 +1,6 @@
-"""What came through the doors in November 2026 (wrong data, a foreign file, orphans, dead processes), each as a test."""
+"""What came through the doors in November 2026 (wrong data, a foreign file, orphans,
+dead processes), each as a test.
+"""
 
 import contextlib
 import subprocess
@@ -22,7 +24,9 @@ LOG = oee.sample_episodes(GRID, UNIFORM, 4, 20, seed=0)
 
 
 def drop_member(path, name):
-    """The same file without one member, as a damaged directory of a zip file makes it: no checksum covers names."""
+    """The same file without one member, as a damaged directory of a zip file makes it:
+    no checksum covers names.
+    """
     with zipfile.ZipFile(path) as archive:
         members = {
             member.filename: archive.read(member) for member in archive.infolist()

@@ -1,4 +1,6 @@
-"""What a newcomer's own files run into: each was met by someone who had read the README alone."""
+"""What a newcomer's own files run into: each was met by someone who had read the README
+alone.
+"""
 
 import numpy as np
 import pytest
@@ -8,7 +10,9 @@ import oee_tabular as oee
 
 
 def dock(slip=0.1):
-    """Three places in a row and a dock; forwards or stay; -1 a step, 10 at the dock, where it is over."""
+    """Three places in a row and a dock; forwards or stay; -1 a step, 10 at the dock,
+    where it is over.
+    """
     P, r = np.zeros((4, 2, 4)), np.full((4, 2, 4), -1.0)
     for s in range(3):
         P[s, 0, s + 1], P[s, 0, s], P[s, 1, s] = 1.0 - slip, slip, 1.0
@@ -69,13 +73,17 @@ DOCK, ENDED = dock(), {"terminated": [False, True]}
 def test_what_contradicts_the_simulator_has_its_own_ways_out(
     simulator, rows, columns, text
 ):
-    """Transitions that no action makes, states numbered from one, time limits that are called ends."""
+    """Transitions that no action makes, states numbered from one, time limits that are
+    called ends.
+    """
     with pytest.raises(ValueError, match=text):
         oee.Problem(simulator, oee.Transitions(*rows, **columns))
 
 
 def test_single_precision_is_scaled():
-    """Frequencies of a network or a file in float32 sum to 1 to 1e-7; what misses 1 by more is refused."""
+    """Frequencies of a network or a file in float32 sum to 1 to 1e-7; what misses 1 by
+    more is refused.
+    """
     rng = np.random.default_rng(0)
     P = rng.dirichlet(np.ones(7), size=(7, 3))
     policy = rng.dirichlet(np.ones(3), size=7)

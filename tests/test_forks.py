@@ -1,4 +1,6 @@
-"""Forked and spawned processes and Python's threads sample what the process that starts them does, to the bit."""
+"""Forked and spawned processes and Python's threads sample what the process that starts
+them does, to the bit.
+"""
 
 import hashlib
 import multiprocessing
@@ -54,7 +56,9 @@ def of_forks_fork(seed):
 
 
 def of_way(way):
-    """The fingerprints of both seeds by a pool of processes, by forks of forks, or by eight threads at once."""
+    """The fingerprints of both seeds by a pool of processes, by forks of forks, or by
+    eight threads at once.
+    """
     if way == "fork of a fork":
         return [of_forks_fork(seed) for seed in SEEDS]
     if way == "8 threads":
@@ -73,7 +77,9 @@ WAYS = [
 
 @pytest.mark.parametrize("way", WAYS)
 def test_the_bits_are_the_same(way):
-    """In a process of its own, which has sampled before, on threads too; it may be killed or wait for ever."""
+    """In a process of its own, which has sampled before, on threads too; it may be
+    killed or wait for ever.
+    """
     command = [sys.executable, "-W", "ignore", __file__, way]
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=120, check=False

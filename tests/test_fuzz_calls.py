@@ -25,7 +25,9 @@ def test_hostile_values_do_no_harm():
 
 @pytest.mark.filterwarnings("ignore")
 def test_no_name_is_left_out(known):
-    """Every public function and class has a valid call; what else is public is a module, a constant or a kind of objects."""
+    """Every public function and class has a valid call; what else is public is a
+    module, a constant or a kind of objects.
+    """
     every = functions(known)
     assert {
         "Transitions.open",

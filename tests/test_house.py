@@ -1,4 +1,6 @@
-"""The house: which module imports which, the floors of the subpackages, and the page that shows them."""
+"""The house: which module imports which, the floors of the subpackages, and the page
+that shows them.
+"""
 
 import ast
 import re
@@ -20,7 +22,9 @@ BY_NAME = re.compile(r'import_module\("(oee_tabular[\w.]*)"\)')
 
 
 def graph_of(by_name=True):
-    """Module -> the modules of the package that it imports anywhere, types aside; ``by_name``: those it asks for on use too."""
+    """Module -> the modules of the package that it imports anywhere, types aside;
+    ``by_name``: those it asks for on use too.
+    """
     found = grimp.build_graph(
         "oee_tabular", exclude_type_checking_imports=True, cache_dir=None
     )
@@ -52,7 +56,9 @@ def rooms_of(graph):
 
 
 def floors(graph):
-    """Name -> floor: 1 for what imports nothing, else one above the highest that is imported."""
+    """Name -> floor: 1 for what imports nothing, else one above the highest that is
+    imported.
+    """
 
     @cache
     def floor(name):
@@ -71,12 +77,16 @@ def test_no_circle_of_files():
 
 
 def test_at_most_thirteen_floors():
-    """Of packages, which have no circle either; what the core has of the wing it asks for by name, on use."""
+    """Of packages, which have no circle either; what the core has of the wing it asks
+    for by name, on use.
+    """
     assert max(floors(rooms_of(graph_of(by_name=False))).values()) <= FLOORS
 
 
 def test_layout_has_the_rooms_and_their_floors():
-    """``notebooks/layout.md``: each room on its floor, highest first, in a sentence; and every file that it names."""
+    """``notebooks/layout.md``: each room on its floor, highest first, in a sentence;
+    and every file that it names.
+    """
     page = (ROOT / "notebooks" / "layout.md").read_text()
     rows = re.findall(
         r"^\| (\d+) \| `(\w+)` \| [A-Z`][^|.]*(?:\.\w[^|.]*)*\. \|$", page, re.M
@@ -126,7 +136,9 @@ def imported(path):
 
 
 def test_tests_import_public_names():
-    """But those of tests/kernels, and one of how the command line finds the user's modules."""
+    """But those of tests/kernels, and one of how the command line finds the user's
+    modules.
+    """
     hidden = re.compile(r"oee_tabular\b.*\._[a-z]")
     found = {
         path.relative_to(TESTS)

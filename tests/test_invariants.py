@@ -1,4 +1,6 @@
-"""The laws of notebooks/statements.md, by number: each has its test, and here are those that belong to no one module."""
+"""The laws of notebooks/statements.md, by number: each has its test, and here are those
+that belong to no one module.
+"""
 
 import re
 from functools import partial
@@ -33,7 +35,9 @@ def pair(rng, **options):
 
 @given(rngs)
 def test_04_shaping(rng):
-    """gamma phi(s') - phi(s) on the move shifts J by -mu_0 phi in any dynamics; averaged over P it does not."""
+    """gamma phi(s') - phi(s) on the move shifts J by -mu_0 phi in any dynamics;
+    averaged over P it does not.
+    """
     simulator, target = pair(rng)
     policy, phi = random_policy(rng, simulator), rng.normal(size=simulator.n_states)
     _, pay = dense(simulator)
@@ -63,7 +67,9 @@ def test_04_shaping(rng):
 
 @given(rngs)
 def test_05_relabelling(rng):
-    """States and actions in another order: J, the bound, and the tilt's estimate (the default's: ratio/test_prior.py)."""
+    """States and actions in another order: J, the bound, and the tilt's estimate (the
+    default's: ratio/test_prior.py).
+    """
     simulator, target = pair(rng, n_states=4, n_actions=2, form=2)
     policy = random_policy(rng, simulator)
     states, actions = rng.permutation(4), rng.permutation(2)
@@ -100,7 +106,9 @@ def test_05_relabelling(rng):
 
 @given(rngs)
 def test_06_a_cloned_state(rng):
-    """A state in two copies, entered with .3 and .7 of its probability: J and the per-decision moments stay."""
+    """A state in two copies, entered with .3 and .7 of its probability: J and the
+    per-decision moments stay.
+    """
     simulator, target = pair(rng, n_states=3, n_actions=2)
     policy = random_policy(rng, simulator)
     parts = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0.3, 0.7]])
@@ -166,7 +174,9 @@ def test_09_the_average_reward(rng):
 
 @given(rngs)
 def test_11_what_the_simulator_cannot_do_is_lost(rng):
-    """sum P zeta = 1 - P'(P = 0), and the product's limit is J of the substochastic P' 1[P > 0]."""
+    """sum P zeta = 1 - P'(P = 0), and the product's limit is J of the substochastic P'
+    1[P > 0].
+    """
     simulator = random_mdp(rng, n_states=4, zeros=0.5, form=2, discount=0.9)
     target = random_mdp(
         rng, n_states=4, n_actions=simulator.n_actions, zeros=0.2, form=2
@@ -236,7 +246,9 @@ def test_16_lumping_and_the_chi_square(rng):
 
 @given(rngs)
 def test_17_three_estimates_of_the_divergence(rng):
-    """KL - E_P phi(g/g*) = E_P log g - E_Q g + 1 <= E_P log g - log E_Q g <= KL; equal once g is normalised."""
+    """KL - E_P phi(g/g*) = E_P log g - E_Q g + 1 <= E_P log g - log E_Q g <= KL; equal
+    once g is normalised.
+    """
     p, q, g = (
         rng.dirichlet(np.ones(5)),
         rng.dirichlet(np.ones(5)),

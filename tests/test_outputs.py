@@ -1,4 +1,6 @@
-"""What the commands write: nothing recorded is lost, links stay, no formulas; one command a folder; Ctrl-C."""
+"""What the commands write: nothing recorded is lost, links stay, no formulas; one
+command a folder; Ctrl-C.
+"""
 
 import csv
 import errno
@@ -121,7 +123,9 @@ def test_a_folder_and_a_loop_of_links_are_named(tmp_path, capsys):
 
 
 def test_a_full_disk_names_the_file(tmp_path):
-    """Processes that may write 100 bytes at most: the error comes in the middle of writing, whoever writes."""
+    """Processes that may write 100 bytes at most: the error comes in the middle of
+    writing, whoever writes.
+    """
 
     def small():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

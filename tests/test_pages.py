@@ -1,4 +1,6 @@
-"""The site's pages tell the truth: their commands and code run, print what they show, and name what is there."""
+"""The site's pages tell the truth: their commands and code run, print what they show,
+and name what is there.
+"""
 
 import re
 import shlex
@@ -24,7 +26,8 @@ def command(line):
 
 
 def run(text, capsys, **names):
-    """Every block in turn, in one name space; each text must be what the last line before it printed.
+    """Every block in turn, in one name space; each text must be what the last line
+    before it printed.
 
     A block of Python whose first line names a file is that file.
     """
@@ -245,7 +248,9 @@ SMALL = {
 
 @pytest.mark.parametrize("line", COMMANDS)
 def test_commands_of_the_readme_run(line, tmp_path, monkeypatch):
-    """Own files and an own estimator stand for the words in capitals and for module:object."""
+    """Own files and an own estimator stand for the words in capitals and for
+    module:object.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     oee.FiniteMDP(np.full((2, 2, 2), 0.5), [[0, 1], [1, 0]], 0, 0.9).save("SIM.npz")

@@ -1,4 +1,6 @@
-"""The page of the paper: every public function that its arrows name, against it, on random MDPs."""
+"""The page of the paper: every public function that its arrows name, against it, on
+random MDPs.
+"""
 
 import functools
 import inspect
@@ -209,7 +211,9 @@ def test_arrows_lead_somewhere():
 
 
 def test_what_arrows_lead_to_says_its_number():
-    """The docstring at an arrow's end has the number that heads the function, or the sentence, where it begins."""
+    """The docstring at an arrow's end has the number that heads the function, or the
+    sentence, where it begins.
+    """
     head = None
     for line in SOURCE.splitlines():
         head = (

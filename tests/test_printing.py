@@ -1,4 +1,6 @@
-"""How results print: units and normalisation are named, in a terminal and in a notebook, and everything is escaped."""
+"""How results print: units and normalisation are named, in a terminal and in a
+notebook, and everything is escaped.
+"""
 
 import numpy as np
 import pytest

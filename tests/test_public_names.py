@@ -1,4 +1,6 @@
-"""Every name that other people's scripts may use, and where they find it (a room's: notebooks/subjects.py)."""
+"""Every name that other people's scripts may use, and where they find it (a room's:
+notebooks/subjects.py).
+"""
 
 import importlib
 

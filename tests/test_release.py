@@ -1,4 +1,6 @@
-"""What a release says of itself: one version everywhere, the lowest releases that are tried, the licences of what it needs."""
+"""What a release says of itself: one version everywhere, the lowest releases that are
+tried, the licences of what it needs.
+"""
 
 import re
 import sys

@@ -1,4 +1,6 @@
-"""The same bits for any number of BLAS threads, which split long sums: as if there were one."""
+"""The same bits for any number of BLAS threads, which split long sums: as if there were
+one.
+"""
 
 import hashlib
 import json

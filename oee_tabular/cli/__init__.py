@@ -21,10 +21,14 @@ from oee_tabular.cli.options import ARGUMENTS, GROUPS, say
 
 
 class Command(TyperCommand):
-    """A command that refuses an option given twice, whose errors name its options, and whose help has them in groups."""
+    """A command that refuses an option given twice, whose errors name its options, and
+    whose help has them in groups.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the words; refuse a second value of an option that takes one, of which the first would be lost."""
+        """Read the words; refuse a second value of an option that takes one, of which
+        the first would be lost.
+        """
         _, _, order = self.make_parser(ctx).parse_args(args=list(args))
         for parameter, times in Counter(order).items():
             if times > 1 and not getattr(parameter, "multiple", False):
@@ -34,7 +38,9 @@ class Command(TyperCommand):
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; an error that begins with the name of an argument begins with the option's instead."""
+        """Run the command; an error that begins with the name of an argument begins
+        with the option's instead.
+        """
         try:
             return super().invoke(ctx)
         except ValueError as error:

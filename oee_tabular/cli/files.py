@@ -1,4 +1,6 @@
-"""The commands of files: record a log, count it, write a policy or a simulator, say what a file holds."""
+"""The commands of files: record a log, count it, write a policy or a simulator, say
+what a file holds.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +38,9 @@ Output:
 def sample(options: Options) -> None:
     """Record a log.
 
-    A Gymnasium environment is stepped through its own step(); a continuous task gives continuous states. States and actions
-    stand there by name where the simulator has names; a Minari folder has numbers.
+    A Gymnasium environment is stepped through its own step(); a continuous task gives
+    continuous states. States and actions stand there by name where the simulator has
+    names; a Minari folder has numbers.
     """
     if (options.transitions is None) == (options.episodes is None):
         raise ValueError("one of --transitions and --episodes must be given")
@@ -147,7 +150,8 @@ Output:
 def export(options: Options) -> None:
     """Write a simulator to a file.
 
-    Of a continuous task it is the finite MDP, with the cells and what they were made from.
+    Of a continuous task it is the finite MDP, with the cells and what they were made
+    from.
     """
     noise, initial, output = options.action_noise, options.initial, options.output
     task = task_of(
@@ -228,7 +232,9 @@ def info(options: Options) -> None:
 
 
 def describe_files(files: list[str]) -> tuple[str, str]:
-    """Say what kind of thing a file, a data set or the files of a log hold, and what it is in words."""
+    """Say what kind of thing a file, a data set or the files of a log hold, and what it
+    is in words.
+    """
     from oee_tabular.continuous.log import holds_states
 
     file, path = files[0], Path(_files.local(files[0]))

@@ -1,6 +1,8 @@
-"""What the command's words mean: simulators, policies, problems and what is known of the target, from words and files.
+"""What the command's words mean: simulators, policies, problems and what is known of
+the target, from words and files.
 
-Simulators are what ``tasks.named_task`` knows, or one's own, MODULE:OBJECT or MODULE:ENV-ID.
+Simulators are what ``tasks.named_task`` knows, or one's own, MODULE:OBJECT or
+MODULE:ENV-ID.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ def task_of(
     initial: str | None = None,
     samples: int | None = None,
 ) -> oee.tasks.NamedTask:
-    """The task that ``spec`` names, with another discount or first state; ``samples`` of each (s, a) where it is stepped."""
+    """The task that ``spec`` names, with another discount or first state; ``samples``
+    of each (s, a) where it is stepped.
+    """
     _progress.report_step(f"reading the simulator {spec}")
     if is_own(spec) or samples is not None:
         with own_modules():
@@ -56,7 +60,9 @@ def task_of(
 
 
 def is_own(spec: str) -> bool:
-    """Whether ``spec`` is MODULE:OBJECT or MODULE:ENV-ID: words on both sides of the colon, the first a module's name."""
+    """Whether ``spec`` is MODULE:OBJECT or MODULE:ENV-ID: words on both sides of the
+    colon, the first a module's name.
+    """
     from oee_tabular.tasks.specs import FINITE
 
     module, colon, rest = spec.partition(":")
@@ -78,7 +84,9 @@ def is_own(spec: str) -> bool:
 
 
 def _maker(spec: str) -> Callable[[], Any]:
-    """What makes the MDP or environment of "module:Object,key=value", "module:Id-v0,key=value" or "Id-v0:key=value"."""
+    """What makes the MDP or environment of "module:Object,key=value",
+    "module:Id-v0,key=value" or "Id-v0:key=value".
+    """
     module, _, rest = spec.partition(":")
     positional, keywords = arguments(rest)
     if not is_own(spec):
@@ -191,7 +199,9 @@ def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
 
 
 def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any]:
-    """Read a table with the columns state, action (and probability), or state and one for each action."""
+    """Read a table with the columns state, action (and probability), or state and one
+    for each action.
+    """
     from oee_tabular.mdp.naming import numbers_of
 
     labels, known = (
@@ -252,7 +262,9 @@ def write_array(path: Path, array: Array) -> None:
 
 
 def describe_new(path: Path) -> str:
-    """The name of a file that is to be written, and whether something stands there that it replaces."""
+    """The name of a file that is to be written, and whether something stands there that
+    it replaces.
+    """
     return f"{path}{' (replaced)' if path.exists() else ''}"
 
 
@@ -319,9 +331,10 @@ def read_box(text: str | None) -> dict[str, float | None]:
 def read_entries(path: Path, name: str, simulator: oee.FiniteMDP) -> tuple[Any, str]:
     """Features, or keys of a tie, on ``simulator.transitions.data``, and what they are.
 
-    A .csv has a transition a row: columns state, action, next_state (numbers, or the simulator's names), and one for each
-    feature, 0 in transitions that are not in the file, or one of keys. A .npy holds (entries,) or (S, A, S), features with a
-    last axis more; what a dense one has where P is 0 is not looked at.
+    A .csv has a transition a row: columns state, action, next_state (numbers, or the
+    simulator's names), and one for each feature, 0 in transitions that are not in the
+    file, or one of keys. A .npy holds (entries,) or (S, A, S), features with a last
+    axis more; what a dense one has where P is 0 is not looked at.
     """
     from oee_tabular.data.rules import MOVE
     from oee_tabular.data.tables import csv_frame

@@ -1,7 +1,9 @@
-"""The options of the commands, in one table with their help, and how a command prints its answer.
+"""The options of the commands, in one table with their help, and how a command prints
+its answer.
 
-A line of a command's table is an option with its marks, the name of its value, two spaces, and what it does. Marks: ``*`` may
-be repeated, ``!`` must be given, ``=0.95`` is the default. Tables name the options that they take from ``SHARED``.
+A line of a command's table is an option with its marks, the name of its value, two
+spaces, and what it does. Marks: ``*`` may be repeated, ``!`` must be given, ``=0.95``
+is the default. Tables name the options that they take from ``SHARED``.
 """
 
 from __future__ import annotations
@@ -94,7 +96,9 @@ LINE = re.compile(
 
 
 def read_table(text: str) -> list[dict[str, str]]:
-    """Read what the lines of a table say of each option, by the names of ``LINE``, and its group."""
+    """Read what the lines of a table say of each option, by the names of ``LINE``, and
+    its group.
+    """
     for placeholder, words in TEXTS.items():
         text = text.replace(placeholder, words)
     options, group = [], ""
@@ -172,8 +176,9 @@ def say(text: str, *, err: bool = False) -> None:
 def answer(text: str, record: Mapping[str, object], as_json: bool) -> None:
     """Print the text, or one JSON object on stdout alone.
 
-    Its keys stand in the help of ``--json``: keys may be added, none is renamed or taken away. Values are in the report's unit;
-    what is not known is null. States and actions are named where the simulator has names.
+    Its keys stand in the help of ``--json``: keys may be added, none is renamed or
+    taken away. Values are in the report's unit; what is not known is null. States and
+    actions are named where the simulator has names.
     """
     if not as_json:
         say(text)

@@ -1,4 +1,6 @@
-"""The commands of values (of policies, which of them is best, what to record next) and of studies (figures, bench, laws)."""
+"""The commands of values (of policies, which of them is best, what to record next) and
+of studies (figures, bench, laws).
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,8 @@ Output:
 def evaluate(options: Options) -> None:
     """Estimate the value of policies in the target.
 
-    It takes a simulator and a log of the target; without arguments, it evaluates the paper's 10 x 10 grid.
+    It takes a simulator and a log of the target; without arguments, it evaluates the
+    paper's 10 x 10 grid.
     """
     if options.output is not None:
         oee.report.check_output(options.output)
@@ -97,7 +100,9 @@ def evaluate(options: Options) -> None:
 
 
 def refuse(options: Options, names: tuple[str, ...], rule: str) -> None:
-    """Raise a ValueError for the first of these options that has another value than its default."""
+    """Raise a ValueError for the first of these options that has another value than its
+    default.
+    """
     for name in names:
         value = getattr(options, name)
         if value not in (None, 0.0, "refuse", "simulator"):
@@ -105,7 +110,9 @@ def refuse(options: Options, names: tuple[str, ...], rule: str) -> None:
 
 
 def _evaluate(options: Options) -> Any:
-    """Make the report of the problem that the options describe: of files, of a continuous task, or the paper's."""
+    """Make the report of the problem that the options describe: of files, of a
+    continuous task, or the paper's.
+    """
     simulator, log, discount = options.simulator, options.log, options.discount
     settings, grid = task_options(options.task_option), read_grid(options.grid)
     wants = {
@@ -200,7 +207,9 @@ def _evaluate(options: Options) -> Any:
 
 
 def _read_known(options: Options, task: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read what is known of the target (box, features, tie), and collect what the report tells of its inputs."""
+    """Read what is known of the target (box, features, tie), and collect what the
+    report tells of its inputs.
+    """
     from oee_tabular.report.page import date_of
 
     specs, noise = named_specs(options.policy or ["optimal"]), options.action_noise
@@ -244,7 +253,8 @@ Output:
 def compare(options: Options) -> None:
     """Say which of several policies is worth most.
 
-    It prints differences with their intervals and P(best), or says that the log cannot tell.
+    It prints differences with their intervals and P(best), or says that the log cannot
+    tell.
     """
     from oee_tabular.report.tables import render_comparison
 
@@ -308,7 +318,8 @@ Output:
 def plan(options: Options) -> None:
     """Plan what to record next.
 
-    It prints a behaviour policy, and the width of each value's interval before and after.
+    It prints a behaviour policy, and the width of each value's interval before and
+    after.
     """
     output, free = options.output, options.free
     if output is not None:
@@ -405,7 +416,8 @@ Output:
 def bench(options: Options) -> None:
     """Measure estimators where the truth is exact.
 
-    They are measured on families of environment shift. An interrupted run goes on where it stopped.
+    They are measured on families of environment shift. An interrupted run goes on where
+    it stopped.
     """
     from oee_tabular.lab.bench import bench as run
 
@@ -426,8 +438,9 @@ Output:
 def check(options: Options) -> None:
     """Check an estimator of yours against the laws.
 
-    It runs in a process of its own. The exit code is 0 if the laws that it claims hold, else 1. Where it is 0, the last line is
-    "all laws hold", or names the default laws that the estimator does not claim.
+    It runs in a process of its own. The exit code is 0 if the laws that it claims hold,
+    else 1. Where it is 0, the last line is "all laws hold", or names the default laws
+    that the estimator does not claim.
     """
     from oee_tabular.testing.conformance import check_module
 

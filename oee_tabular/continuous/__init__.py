@@ -1,13 +1,18 @@
-"""Tasks with continuous states: their logs, the finite MDPs that are made of them, and values by way of those.
+"""Tasks with continuous states: their logs, the finite MDPs that are made of them, and
+values by way of those.
 
-A wing: it imports the core, and nothing of the core imports it but on use, for the names that ``oee_tabular.tasks``, ``data``
-and ``report`` show. A task is a ``ContinuousTask`` (task); a log of it is ``ContinuousTransitions`` (log); a
-``ResidualSimulator`` (residual) is a task corrected by a log, a ``LinearModel`` (regression) one learned from it, both again
-tasks; ``discretize`` (discretization) makes a FiniteMDP with the way from states to its numbers (discretized), on a grid or on
-cells of visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with the configuration by which logs are
-evaluated (evaluation, row by row: rows), and has a name on the command line (command; Gymnasium's environments:
-gymnasium_named). Each of ``cartpole``, ``reacher`` and ``kinova`` has its dynamics and its expert (kinova's controller and logs
-are in ``gen3``); the paper's experiments with them are in ``lab.experiments``.
+A wing: it imports the core, and nothing of the core imports it but on use, for the
+names that ``oee_tabular.tasks``, ``data`` and ``report`` show. A task is a
+``ContinuousTask`` (task); a log of it is ``ContinuousTransitions`` (log); a
+``ResidualSimulator`` (residual) is a task corrected by a log, a ``LinearModel``
+(regression) one learned from it, both again tasks; ``discretize`` (discretization)
+makes a FiniteMDP with the way from states to its numbers (discretized), on a grid or on
+cells of visited states (cells); a ``ContinuousSimulator`` (simulator) is a task with
+the configuration by which logs are evaluated (evaluation, row by row: rows), and has a
+name on the command line (command; Gymnasium's environments: gymnasium_named). Each of
+``cartpole``, ``reacher`` and ``kinova`` has its dynamics and its expert (kinova's
+controller and logs are in ``gen3``); the paper's experiments with them are in
+``lab.experiments``.
 """
 
 from __future__ import annotations

@@ -1,23 +1,31 @@
-"""CartPole: a pole balanced on a cart (the paper's Section VI.B), with gravity as the parameter that is mistaken; its policies.
+"""CartPole: a pole balanced on a cart (the paper's Section VI.B), with gravity as the
+parameter that is mistaken; its policies.
 
-Gymnasium's dynamics (Euler steps of 0.02 s, forces of -10 and 10 N), bit for bit; beside them N(0, noise^2) on each
-component of the state in each step, and the paper's reward: 1 per step, the failing one included, 0 afterwards. An episode
-begins uniformly in [-0.05, 0.05]^4 and is over beyond 2.4 m or 12 degrees.
+Gymnasium's dynamics (Euler steps of 0.02 s, forces of -10 and 10 N), bit for bit;
+beside them N(0, noise^2) on each component of the state in each step, and the paper's
+reward: 1 per step, the failing one included, 0 afterwards. An episode begins uniformly
+in [-0.05, 0.05]^4 and is over beyond 2.4 m or 12 degrees.
 
-The acceleration of the angle depends on (theta, theta', force) only. For a policy that looks at the angle alone,
-(theta, theta') is therefore a Markov process by itself, and the discretisation may leave the cart out; the one thing lost
-is the end of the track, which hardly any episode reaches within 100 steps. A log's moves that end there are truncated to it.
+The acceleration of the angle depends on (theta, theta', force) only. For a policy that
+looks at the angle alone, (theta, theta') is therefore a Markov process by itself, and
+the discretisation may leave the cart out; the one thing lost is the end of the track,
+which hardly any episode reaches within 100 steps. A log's moves that end there are
+truncated to it.
 
-The expert pushes to the right with probability sigma(w_1 theta + w_2 theta' + w_3). It is trained in the simulator (gravity 10)
-by the cross-entropy method [1], which keeps a Gaussian over w, samples a population, runs each candidate for some episodes, and
-fits the Gaussian to the elite; the expert is its last mean. Two iterations only: the paper's expert is no perfect balancer
-either, and its figure is that of a policy which acts at random (a deterministic one does not fit it).
+The expert pushes to the right with probability sigma(w_1 theta + w_2 theta' + w_3). It
+is trained in the simulator (gravity 10) by the cross-entropy method [1], which keeps a
+Gaussian over w, samples a population, runs each candidate for some episodes, and fits
+the Gaussian to the elite; the expert is its last mean. Two iterations only: the paper's
+expert is no perfect balancer either, and its figure is that of a policy which acts at
+random (a deterministic one does not fit it).
 
-``EXPERT`` is what ``train_expert()`` returns, to the last bit. Of the seeds 0 to 3999 its seed is the one whose policy
-comes nearest (mean |difference of probabilities| .020 on 20 000 visited states) to sigma(17.685 theta + 1.367 theta' - .199),
-the expert that this task was first measured with. The choice saw no target.
+``EXPERT`` is what ``train_expert()`` returns, to the last bit. Of the seeds 0 to 3999
+its seed is the one whose policy comes nearest (mean |difference of probabilities| .020
+on 20 000 visited states) to sigma(17.685 theta + 1.367 theta' - .199), the expert that
+this task was first measured with. The choice saw no target.
 
-Reference: [1] R. Rubinstein, The cross-entropy method for combinatorial and continuous optimization, 1999.
+Reference: [1] R. Rubinstein, The cross-entropy method for combinatorial and continuous
+optimization, 1999.
 """
 
 from __future__ import annotations
@@ -52,14 +60,18 @@ class CartPole(ContinuousTask):
 
     Parameters
     ----------
-    gravity : m/s^2; the paper's simulator has 10, its targets 7.5 to 15 (Gymnasium's default is 9.8)
-    noise : standard deviation of the Gaussian noise on each component of the state, each step (the paper's 1e-4)
+    gravity : m/s^2; the paper's simulator has 10, its targets 7.5 to 15 (Gymnasium's
+        default is 9.8)
+    noise : standard deviation of the Gaussian noise on each component of the state,
+        each step (the paper's 1e-4)
     form : "angle" | "full"
-        What is discretised: (theta, theta'), exact for policies of the angle, or the whole state (x, x', theta, theta').
+        What is discretised: (theta, theta'), exact for policies of the angle, or the
+        whole state (x, x', theta, theta').
 
     Notes
     -----
-    States always have the four coordinates of Gymnasium's. Action 0 pushes with -10 N, action 1 with 10 N.
+    States always have the four coordinates of Gymnasium's. Action 0 pushes with -10 N,
+    action 1 with 10 N.
 
     Examples
     --------
@@ -93,7 +105,9 @@ class CartPole(ContinuousTask):
         )
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step. Products and sums stand in the order of Gymnasium's own, so that they agree to the last bit."""
+        """One step. Products and sums stand in the order of Gymnasium's own, so that
+        they agree to the last bit.
+        """
         force = self.actions[np.asarray(actions, dtype=np.int64)]
         x, x_dot, theta, theta_dot = np.asarray(states, dtype=np.float64).T
         cosine, sine = np.cos(theta), np.sin(theta)
@@ -117,7 +131,9 @@ class CartPole(ContinuousTask):
         return rng.uniform(-START, START, (n, 4))
 
     def initial_points(self) -> tuple[Array, Array]:
-        """The uniform distribution as a regular lattice: 64 midpoints in each of theta and theta' (12 each in 4-D)."""
+        """The uniform distribution as a regular lattice: 64 midpoints in each of theta
+        and theta' (12 each in 4-D).
+        """
         k, n = len(self.feature_names), 64 if self.form == "angle" else 12
         line = START * ((2.0 * np.arange(n) + 1.0) / n - 1.0)
         points = self.embed(
@@ -152,13 +168,15 @@ class CartPole(ContinuousTask):
 
 @dataclass(frozen=True)
 class CartPolePolicy:
-    """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4) giving probabilities (n, 2).
+    """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4)
+    giving probabilities (n, 2).
 
     Parameters
     ----------
-    delta : share of the uniform policy, in [0, 1]: the opposite sense to the gridworld, as in the paper
-    deterministic : whether the expert takes its likelier action; else it pushes to the right with probability
-        sigma(w_1 theta + w_2 theta' + w_3)
+    delta : share of the uniform policy, in [0, 1]: the opposite sense to the gridworld,
+        as in the paper
+    deterministic : whether the expert takes its likelier action; else it pushes to the
+        right with probability sigma(w_1 theta + w_2 theta' + w_3)
     weights : w, the shipped expert's by default
 
     Examples
@@ -208,9 +226,12 @@ def train_expert(
 
     Parameters
     ----------
-    seed : the same seed gives the same bits; the default trains the expert that is shipped
-    iterations, population, elite : samples in each iteration, and how many of the best the Gaussian is fitted to
-    episodes, horizon : each candidate's score is its mean number of steps (at most ``horizon``) over so many episodes
+    seed : the same seed gives the same bits; the default trains the expert that is
+        shipped
+    iterations, population, elite : samples in each iteration, and how many of the best
+        the Gaussian is fitted to
+    episodes, horizon : each candidate's score is its mean number of steps (at most
+        ``horizon``) over so many episodes
     task : CartPole, by default the paper's simulator, gravity 10
 
     Returns

@@ -1,7 +1,9 @@
-"""Where numbered states lie among a task's features: on the vertices of a ``Grid``, or in ``VoronoiCells`` around centres.
+"""Where numbered states lie among a task's features: on the vertices of a ``Grid``, or
+in ``VoronoiCells`` around centres.
 
-Both share a point out among their cells with weights that sum to 1: the 2^k vertices around it, so that its mean is kept, or
-the one cell that it lies in. They say which points lie outside of what they describe.
+Both share a point out among their cells with weights that sum to 1: the 2^k vertices
+around it, so that its mean is kept, or the one cell that it lies in. They say which
+points lie outside of what they describe.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ def indicator(numbers: IntArray, n: int) -> sparse.csr_array:
 class Grid:
     """The vertices of a regular grid, numbered in C order.
 
-    ``shape`` vertices from ``low`` to ``high`` along each coordinate; along a periodic one ``high`` is ``low`` again.
+    ``shape`` vertices from ``low`` to ``high`` along each coordinate; along a periodic
+    one ``high`` is ``low`` again.
     """
 
     low: Array
@@ -66,7 +69,9 @@ class Grid:
         return np.asarray(self.low + self.indices() * self.spacing)
 
     def weights(self, features: Array) -> sparse.csr_array:
-        """(n, n_cells) multilinear weights on the 2^k vertices around each point; points outside go to the nearest inside."""
+        """(n, n_cells) multilinear weights on the 2^k vertices around each point;
+        points outside go to the nearest inside.
+        """
         n, shape = len(features), np.array(self.shape)
         place = (features - self.low) / self.spacing
         place = np.where(self.periodic, place % shape, np.clip(place, 0.0, shape - 1.0))
@@ -101,7 +106,9 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class VoronoiCells:
-    """The cells of ``centres`` (n, k) under the distance |x - y| / scale, with the largest distance that was observed."""
+    """The cells of ``centres`` (n, k) under the distance |x - y| / scale, with the
+    largest distance that was observed.
+    """
 
     centres: Array
     scale: Array
@@ -136,16 +143,19 @@ class VoronoiCells:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Cells, the state-action pairs that are stepped, and how a row is the mean of them.
+    """Cells, the state-action pairs that are stepped, and how a row is the mean of
+    them.
 
     Attributes
     ----------
     cells : Grid or VoronoiCells, where the numbered states lie
     states, actions : (m, d), (m,) the pairs that are stepped
     averages : csr (n_cells * A, m), W; None where pair k is row k
-    points, point_cell : (p, d), (p,) states that stand for the cells: policies and costs are means over them
+    points, point_cell : (p, d), (p,) states that stand for the cells: policies and
+        costs are means over them
     noise_points : Gauss-Hermite points of each disturbance; None: the stepped task's
-    seed : of one draw of the disturbances for each pair, in place of those points; None: no draws
+    seed : of one draw of the disturbances for each pair, in place of those points;
+        None: no draws
     """
 
     cells: Any
@@ -158,14 +168,18 @@ class Places:
     seed: int | None = None
 
     def mean(self, values: Array) -> Array:
-        """(n_cells, ...) the mean over each cell of values (p, ...), one for each point."""
+        """(n_cells, ...) the mean over each cell of values (p, ...), one for each
+        point.
+        """
         matrix = indicator(self.point_cell, self.cells.n_cells)
         return np.asarray(((matrix.T @ values).T / matrix.sum(axis=0)).T)
 
     def weights(
         self, task: ContinuousTask, states: Array, ended: BoolArray
     ) -> sparse.csr_array:
-        """(n, S) how states are shared out among the numbered ones; what has ended lies in the absorbing state, the last."""
+        """(n, S) how states are shared out among the numbered ones; what has ended lies
+        in the absorbing state, the last.
+        """
         inner = self.cells.weights(task.features(states))
         if not task.terminates:
             return inner
@@ -210,8 +224,9 @@ class Places:
     ) -> FiniteMDP:
         """The FiniteMDP of rows, which are normalised, and rewards r(s, a).
 
-        Rewards of a task with ``reward_terms`` are those of the cells' mean terms, r(i, a, j): they telescope on cells as they
-        do in the task. Taken transition by transition, their mean error would add up.
+        Rewards of a task with ``reward_terms`` are those of the cells' mean terms, r(i,
+        a, j): they telescope on cells as they do in the task. Taken transition by
+        transition, their mean error would add up.
         """
         matrix = canonical(matrix, drop_zeros=True)
         rows, rewards = row_of_entry(matrix), paid
@@ -232,7 +247,9 @@ class Places:
     def _step(
         self, task: ContinuousTask, part: slice, rng: np.random.Generator | None
     ) -> tuple[sparse.csr_array, Array]:
-        """Where some of the pairs lead, and what they pay, on average over the disturbances."""
+        """Where some of the pairs lead, and what they pay, on average over the
+        disturbances.
+        """
         states, actions = self.states[part], self.actions[part]
         if rng is None:
             points = (
@@ -263,7 +280,8 @@ class Places:
 
 
 def gauss_hermite(points: int, n: int) -> tuple[Array, Array]:
-    """Nodes (m, n) and weights (m,) that average over N(0, I_n): exact for polynomials of degree 2 points - 1.
+    """Nodes (m, n) and weights (m,) that average over N(0, I_n): exact for polynomials
+    of degree 2 points - 1.
 
     >>> nodes, weights = gauss_hermite(3, 2)
     >>> round(float(weights @ nodes[:, 0] ** 4), 12), len(nodes)
@@ -289,7 +307,9 @@ def each_action(task: ContinuousTask, states: Array) -> tuple[Array, IntArray]:
 def spread_over_pairs(
     start: sparse.csr_array, actions: IntArray, n_actions: int
 ) -> sparse.csr_array:
-    """(n, S * A) the weights (n, S) of states that are left by actions (n,), in the columns of the pairs s*A + a."""
+    """(n, S * A) the weights (n, S) of states that are left by actions (n,), in the
+    columns of the pairs s*A + a.
+    """
     pairs = start.indices.astype(np.int64) * n_actions + np.repeat(
         actions, np.diff(start.indptr)
     )
@@ -300,5 +320,7 @@ def spread_over_pairs(
 
 
 def average_of_pairs(weights: sparse.csr_array) -> sparse.csr_array:
-    """(S * A, m) W, of the weights (m, S * A) that stepped pairs have in the numbered ones."""
+    """(S * A, m) W, of the weights (m, S * A) that stepped pairs have in the numbered
+    ones.
+    """
     return sparse.csr_array(sparse.diags_array(1.0 / weights.sum(axis=0)) @ weights.T)

@@ -1,9 +1,11 @@
-"""Continuous simulators by name, and the command for them: their options, policies and logs from specifications and files.
+"""Continuous simulators by name, and the command for them: their options, policies and
+logs from specifications and files.
 
-A task of ours is one line in ``CONTINUOUS``: its name, ``cartpole:gravity=10``, and a function that makes a
-``ContinuousSimulator`` of the arguments, with the configuration that logs are evaluated by. Gymnasium's environments are named
-by their ids, ``Pendulum-v1:g=9`` (``gymnasium_named``). What is slow to import is imported where it is used: every command
-imports this module.
+A task of ours is one line in ``CONTINUOUS``: its name, ``cartpole:gravity=10``, and a
+function that makes a ``ContinuousSimulator`` of the arguments, with the configuration
+that logs are evaluated by. Gymnasium's environments are named by their ids,
+``Pendulum-v1:g=9`` (``gymnasium_named``). What is slow to import is imported where it
+is used: every command imports this module.
 """
 
 from __future__ import annotations
@@ -40,10 +42,12 @@ TASK_OPTIONS = (
 
 
 def cartpole(**parameters: Any) -> ContinuousSimulator:
-    """CartPole under a gravity, by the configuration that ``oee reproduce fig2`` uses for every target.
+    """CartPole under a gravity, by the configuration that ``oee reproduce fig2`` uses
+    for every target.
 
-    On cells: (theta, theta') on 32 x 32 vertices, looked at in the log's own places, floor 0.001, zeta from soft counts with
-    prior "simulator" and strength 0.01, calibrated by the ratio. The whole state (``form=full``) has 1000 visited cells.
+    On cells: (theta, theta') on 32 x 32 vertices, looked at in the log's own places,
+    floor 0.001, zeta from soft counts with prior "simulator" and strength 0.01,
+    calibrated by the ratio. The whole state (``form=full``) has 1000 visited cells.
     """
     from oee_tabular.continuous.cartpole import CartPole, cartpole_policy
     from oee_tabular.continuous.simulator import ContinuousSimulator
@@ -62,10 +66,13 @@ def cartpole(**parameters: Any) -> ContinuousSimulator:
 
 
 def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
-    """Reacher with links of a length; ``reward_length`` is the length by which the target's reward finds the fingertip.
+    """Reacher with links of a length; ``reward_length`` is the length by which the
+    target's reward finds the fingertip.
 
-    On cells: 3000 at the log's own states; the simulator is the average over lengths times .5, .7, 1, 1.4 and 2 (floor 0.8,
-    *not* the plain one); zeta with prior "simulator" and strength 0.1, not calibrated: on figure 3's two targets that did harm.
+    On cells: 3000 at the log's own states; the simulator is the average over lengths
+    times .5, .7, 1, 1.4 and 2 (floor 0.8, *not* the plain one); zeta with prior
+    "simulator" and strength 0.1, not calibrated: on figure 3's two targets that did
+    harm.
     """
     from oee_tabular.continuous.reacher import Reacher, reacher_policy
     from oee_tabular.continuous.simulator import ContinuousSimulator
@@ -87,12 +94,14 @@ def reacher(*, tamed: bool = False, **parameters: Any) -> ContinuousSimulator:
 
 
 def kinova(*, form: str = "arm", **parameters: Any) -> ContinuousSimulator:
-    """A simulated stand-in for the Gen3 that moves its hand to a goal: it is not the robot. MuJoCo is needed.
+    """A simulated stand-in for the Gen3 that moves its hand to a goal: it is not the
+    robot. MuJoCo is needed.
 
-    Parameters of ``tasks.kinova.KinovaArm``, whose logs have its 27 coordinates; ``form=hand``: logs of the hand's position
-    (x, y, z) alone, as a real arm's would be (``tasks.kinova.hand_log`` makes them), against a model of the hand fitted to the
-    simulated arm. On cells: defensive (a tenth of the transitions half or one and a half times as far), zeta tied over
-    displacements, calibrated by the difference.
+    Parameters of ``tasks.kinova.KinovaArm``, whose logs have its 27 coordinates;
+    ``form=hand``: logs of the hand's position (x, y, z) alone, as a real arm's would be
+    (``tasks.kinova.hand_log`` makes them), against a model of the hand fitted to the
+    simulated arm. On cells: defensive (a tenth of the transitions half or one and a
+    half times as far), zeta tied over displacements, calibrated by the difference.
     """
     from oee_tabular.continuous.gen3 import kinova_policy
     from oee_tabular.continuous.kinova import KinovaArm, fit_hand
@@ -138,13 +147,15 @@ def continuous_simulator(
 
     Parameters
     ----------
-    spec : a name in ``CONTINUOUS`` or the id of a Gymnasium environment, and parameters of its task
+    spec : a name in ``CONTINUOUS`` or the id of a Gymnasium environment, and parameters
+        of its task
     state, actions : of a Gymnasium environment; see ``gymnasium_simulator``
 
     Raises
     ------
     ValueError
-        An unknown name, arguments that the task does not take, or values that it refuses.
+        An unknown name, arguments that the task does not take, or values that it
+        refuses.
 
     Examples
     --------
@@ -182,7 +193,9 @@ def continuous_simulator(
 def task_options(
     given: list[str] | None, known: Sequence[str] = TASK_OPTIONS
 ) -> dict[str, Any]:
-    """The values of ``--task-option NAME=VALUE`` by name; what is not given is the task's own."""
+    """The values of ``--task-option NAME=VALUE`` by name; what is not given is the
+    task's own.
+    """
     options: dict[str, Any] = dict(named_specs(given or [], "--task-option", known))
     for name in {"strict", "floor", "simulations", "actions"} & set(options):
         options[name] = literal(options[name], f"--task-option {name}")
@@ -200,7 +213,9 @@ def task_options(
 
 
 def read_grid(text: str | None) -> tuple[int, ...] | int | str | None:
-    """Where ``--grid`` puts the states: 60x60 vertices, 3000 visited cells, or "auto", the task's own."""
+    """Where ``--grid`` puts the states: 60x60 vertices, 3000 visited cells, or "auto",
+    the task's own.
+    """
     try:
         if text is None or text == "auto":
             return text
@@ -227,7 +242,8 @@ def evaluate_files(
 ) -> Report:
     """The report on a continuous simulator, a log of continuous states and policies.
 
-    ``options``: by ``task_options``; ``grid``: by ``read_grid``; ``common``: what ``evaluate_continuous`` takes.
+    ``options``: by ``task_options``; ``grid``: by ``read_grid``; ``common``: what
+    ``evaluate_continuous`` takes.
     """
     from oee_tabular.continuous.evaluation import evaluate_continuous
     from oee_tabular.continuous.log import ContinuousTransitions
@@ -300,7 +316,9 @@ def evaluate_files(
 def record_log(
     spec: str, policy: str, options: dict[str, Any], **limits: Any
 ) -> ContinuousTransitions:
-    """A log of the continuous task that ``spec`` names; actions that are commands are written as such."""
+    """A log of the continuous task that ``spec`` names; actions that are commands are
+    written as such.
+    """
     from oee_tabular.continuous.log import ContinuousTransitions
 
     simulator = continuous_simulator(spec, **options)

@@ -1,17 +1,23 @@
-"""Which correction a log supports: of the simulator's parameters, of its residuals, with how many last actions in the state.
+"""Which correction a log supports: of the simulator's parameters, of its residuals,
+with how many last actions in the state.
 
-The measure is the held-out one-step error of f + g, mean square over every row of the log in units of the displacement's
-variance, summed over coordinates (``Coordinate.unexplained``). Fitted parameters come first where it is no larger with them.
-Actions enter the state where earlier ones explain residuals, and as many as bring the error within a hundredth of a step of the
-least. Where something hidden remains, no correction of a Markov state can be trusted.
+The measure is the held-out one-step error of f + g, mean square over every row of the
+log in units of the displacement's variance, summed over coordinates
+(``Coordinate.unexplained``). Fitted parameters come first where it is no larger with
+them. Actions enter the state where earlier ones explain residuals, and as many as bring
+the error within a hundredth of a step of the least. Where something hidden remains, no
+correction of a Markov state can be trusted.
 
-A simulator's physical parameters are fitted by least squares on the one-step errors of a log (``fit_parameters``),
+A simulator's physical parameters are fitted by least squares on the one-step errors of
+a log (``fit_parameters``),
 
     p* = argmin_p sum_{i, k} rho((s'_ik - f_k(s_i, a_i; p)) / scale_k),    rho(r) = 2 c^2 (sqrt(1 + (r / c)^2) - 1)
 
-rho is quadratic up to c, the median error, and linear beyond: rows that the structure does not explain (contacts, actions that
-were not carried out) pull little. Where the simulator has the target's structure, a few hundred transitions determine p; where
-it has not, p is biased, and a ``ResidualSimulator`` of the fitted task corrects what is left.
+rho is quadratic up to c, the median error, and linear beyond: rows that the structure
+does not explain (contacts, actions that were not carried out) pull little. Where the
+simulator has the target's structure, a few hundred transitions determine p; where it
+has not, p is biased, and a ``ResidualSimulator`` of the fitted task corrects what is
+left.
 """
 
 from __future__ import annotations
@@ -63,7 +69,8 @@ class ParameterFit:
     Attributes
     ----------
     task : ContinuousTask with the fitted parameters
-    parameters, standard_error : name -> number; the standard error is infinite where the log does not determine a parameter
+    parameters, standard_error : name -> number; the standard error is infinite where
+        the log does not determine a parameter
     residual : (n, d) s' - f(s, a) of the fitted task
     start : name -> the number that the fit began from
     at_bounds : names of the parameters that ended at a bound
@@ -84,7 +91,9 @@ class ParameterFit:
     at_bounds: tuple[str, ...] = ()
 
     def describe(self) -> str:
-        """Each parameter with its standard error, and which of them stand at a bound or are not determined."""
+        """Each parameter with its standard error, and which of them stand at a bound or
+        are not determined.
+        """
         values = ", ".join(
             f"{name} {value:.4g} (standard error {self.standard_error[name]:.2g}; the"
             f" simulator has {self.start[name]:.4g})"
@@ -113,20 +122,24 @@ def fit_parameters(
 
     Parameters
     ----------
-    task_of : function of the parameters, by name, that makes the ContinuousTask with them
+    task_of : function of the parameters, by name, that makes the ContinuousTask with
+        them
     start : name -> number from which the search begins, the simulator's own
     log : ContinuousTransitions of the target
-    bounds : name -> (lower, upper); none: a parameter keeps the sign that it starts with
+    bounds : name -> (lower, upper); none: a parameter keeps the sign that it starts
+        with
 
     Returns
     -------
     ParameterFit
-        Standard errors are sandwich estimates: of the best parameters p*, valid where the structure is wrong, too.
+        Standard errors are sandwich estimates: of the best parameters p*, valid where
+        the structure is wrong, too.
 
     Raises
     ------
     ValueError
-        A start that is no number or beyond its bounds; bounds of other names; a log of other states.
+        A start that is no number or beyond its bounds; bounds of other names; a log of
+        other states.
 
     Notes
     -----
@@ -224,7 +237,9 @@ def fit_parameters(
 
 
 def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
-    """(p,) standard errors, diag(H^-1 (sum_i g_i g_i') H^-1)^(1/2), g_i the gradient of row i; inf where H is singular."""
+    """(p,) standard errors, diag(H^-1 (sum_i g_i g_i') H^-1)^(1/2), g_i the gradient of
+    row i; inf where H is singular.
+    """
     size = np.sqrt((jacobian**2).sum(axis=0))
     scale = np.where(size > 0, size, 1.0)
     unit, weight = jacobian / scale, (1.0 + (residual / c) ** 2) ** -0.5
@@ -244,7 +259,8 @@ def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
 def parameters_of(
     task: ContinuousTask, names: Sequence[str]
 ) -> tuple[Callable[..., ContinuousTask], dict[str, float]]:
-    """``task_of`` and ``start`` of parameters by name: fields of a task's class, or a Gymnasium environment's physics.
+    """``task_of`` and ``start`` of parameters by name: fields of a task's class, or a
+    Gymnasium environment's physics.
 
     Raises
     ------
@@ -286,7 +302,9 @@ def parameters_of(
 
 
 def describe_flaw(learned: ResidualSimulator) -> str:
-    """What is wrong where columns are in other units, or history explains the residuals; "ok" where all is well."""
+    """What is wrong where columns are in other units, or history explains the
+    residuals; "ok" where all is well.
+    """
     if learned.units:
         return f"{UNITS}{learned.units}"
     effect = hidden_state(learned)
@@ -299,7 +317,9 @@ def describe_flaw(learned: ResidualSimulator) -> str:
 
 
 def difference(corrected: ResidualSimulator) -> str:
-    """In which coordinates the log's residuals show that the target differs from the simulator."""
+    """In which coordinates the log's residuals show that the target differs from the
+    simulator.
+    """
     changes = ", ".join(
         f"{c.name} (residuals {c.residual_scatter:.2g}, simulator's scatter"
         f" {c.simulator_scatter:.2g}, {max(c.explained, 0.0):.1%} explained)"
@@ -323,7 +343,9 @@ def difference(corrected: ResidualSimulator) -> str:
 
 
 def odd_row(corrected: ResidualSimulator) -> str:
-    """The row that alone makes most of the unexplained residual of a coordinate, perhaps by an error; "" where none does."""
+    """The row that alone makes most of the unexplained residual of a coordinate,
+    perhaps by an error; "" where none does.
+    """
     for k, c in enumerate(corrected.coordinates):
         squares = corrected.left_over[:, k] ** 2
         row, total = int(squares.argmax()), float(squares.sum())
@@ -387,7 +409,9 @@ class Correction:
         )
 
     def advice(self, *, is_auto: bool) -> str:
-        """What to do where history explains residuals and no correction can be trusted; "" elsewhere."""
+        """What to do where history explains residuals and no correction can be trusted;
+        "" elsewhere.
+        """
         if self.is_trusted or self.learned.units:
             return ""
         if not is_auto:
@@ -466,7 +490,9 @@ def choose_correction(
 def _add_history(
     plain: ResidualSimulator, log: ContinuousTransitions, history: int | str, seed: Seed
 ) -> tuple[ResidualSimulator, int]:
-    """The correction with the best number of last actions in the state, or the one that is asked for."""
+    """The correction with the best number of last actions in the state, or the one that
+    is asked for.
+    """
 
     def learn(steps: int) -> ResidualSimulator:
         _progress.report_step(

@@ -1,36 +1,45 @@
-"""Continuous tasks as finite MDPs: ``discretize``, on a grid or on cells of visited states.
+"""Continuous tasks as finite MDPs: ``discretize``, on a grid or on cells of visited
+states.
 
-States s in R^d with features phi(s), cells j = 1, ..., N with weights w_j(phi) that sum to 1 over j, and pairs x_k at which
-the task is stepped (``cells.Places``):
+States s in R^d with features phi(s), cells j = 1, ..., N with weights w_j(phi) that sum
+to 1 over j, and pairs x_k at which the task is stepped (``cells.Places``):
 
     P(j | i, a) = sum_k W_{(i,a),k} E_xi[w_j(phi(f(x_k, xi)))],     r(i, a) = sum_k W_{(i,a),k} E_xi[r(x_k, xi)],
     pi(a | i) = mean of pi(a | s) over the states of cell i
 
-Another task stepped at the same places has the same states; a ratio between the two differs from 1 by their dynamics alone.
-A log becomes soft counts n(i, a, j) = sum over its rows of w_i(s) w_j(s') (``Discretization.counts``) or numbered transitions
-drawn by these weights (``encode``), so that the ratio of the target's and the simulator's transitions is a matrix as it is for
-any finite MDP. Where episodes can end, one absorbing state that pays nothing, the last, stands for all that is over.
+Another task stepped at the same places has the same states; a ratio between the two
+differs from 1 by their dynamics alone. A log becomes soft counts n(i, a, j) = sum over
+its rows of w_i(s) w_j(s') (``Discretization.counts``) or numbered transitions drawn by
+these weights (``encode``), so that the ratio of the target's and the simulator's
+transitions is a matrix as it is for any finite MDP. Where episodes can end, one
+absorbing state that pays nothing, the last, stands for all that is over.
 
-What is exact: the mean of a step on a grid, and rewards r(s, a) at the places. What is lost is measured (``closure_error``):
-the value of a policy on the cells minus its Monte Carlo value in the task. No interval covers that error; ``calibrate`` takes
-out the part that the simulator has itself.
+What is exact: the mean of a step on a grid, and rewards r(s, a) at the places. What is
+lost is measured (``closure_error``): the value of a policy on the cells minus its Monte
+Carlo value in the task. No interval covers that error; ``calibrate`` takes out the part
+that the simulator has itself.
 
-``GridInterpolation``, up to a few dimensions: the Markov chain approximation of Munos and Moore [1]. The mean of a step is
-exact, and its variance too large by f (1 - f) h^2 a step and coordinate, which is why a grid must be fine compared with the
-*step*, not with the range. A log's states lie within the cells, not on the vertices, and soft counts of its transitions spread
-wider than the vertices' own rows. For a ratio of transition probabilities the simulator must be looked at in the same places:
-with a log the row of (i, a) is the mean over the log's own (s, a), each weighed by w_i(s), of where the *simulator* leads from
-there. The strength of a prior must then be given (small): the evidence takes the rows for independent samples, finds them
-closer than those would be, and believes the simulator. Where a command moves the features alike everywhere
-(``task.is_translation_invariant``) it is the other way round: the rows are the vertices' own, and the log's transitions are
-carried to the vertices.
+``GridInterpolation``, up to a few dimensions: the Markov chain approximation of Munos
+and Moore [1]. The mean of a step is exact, and its variance too large by f (1 - f) h^2
+a step and coordinate, which is why a grid must be fine compared with the *step*, not
+with the range. A log's states lie within the cells, not on the vertices, and soft
+counts of its transitions spread wider than the vertices' own rows. For a ratio of
+transition probabilities the simulator must be looked at in the same places: with a log
+the row of (i, a) is the mean over the log's own (s, a), each weighed by w_i(s), of
+where the *simulator* leads from there. The strength of a prior must then be given
+(small): the evidence takes the rows for independent samples, finds them closer than
+those would be, and believes the simulator. Where a command moves the features alike
+everywhere (``task.is_translation_invariant``) it is the other way round: the rows are
+the vertices' own, and the log's transitions are carried to the vertices.
 
-``VisitedCells``, for four dimensions and more, where a uniform grid spends nearly all its vertices where no episode goes: the
-Voronoi cells of centres put (by Lloyd's iteration [2]) among states that a log or the simulator did visit. Some of these are
+``VisitedCells``, for four dimensions and more, where a uniform grid spends nearly all
+its vertices where no episode goes: the Voronoi cells of centres put (by Lloyd's
+iteration [2]) among states that a log or the simulator did visit. Some of these are
 stepped under every action, and the log's under the action that was logged.
 
-References: [1] R. Munos and A. Moore, Variable resolution discretization in optimal control, Machine Learning 49, 2002.
-[2] S. Lloyd, Least squares quantization in PCM, IEEE Transactions on Information Theory 28, 1982.
+References: [1] R. Munos and A. Moore, Variable resolution discretization in optimal
+control, Machine Learning 49, 2002. [2] S. Lloyd, Least squares quantization in PCM,
+IEEE Transactions on Information Theory 28, 1982.
 """
 
 from __future__ import annotations
@@ -75,19 +84,23 @@ TOLERANCE = 0.05  # of the closure error: beyond it is warned about
 
 @dataclass(frozen=True)
 class GridInterpolation:
-    """A regular grid over a task's features, for ``discretize(task, log, cells=GridInterpolation((60, 60)))``.
+    """A regular grid over a task's features, for ``discretize(task, log,
+    cells=GridInterpolation((60, 60)))``.
 
     Parameters
     ----------
     shape : vertices along each feature, at least 2
-    low, high : (k,) the grid's range; default the task's ``feature_low`` and ``feature_high``
-    noise_points : the number of Gauss-Hermite points for each component of the disturbance; 1 leaves it at 0; None: the task's
-        ``noise_points``
-    vertex_weight : at a log, how many transitions the row of the vertex itself is worth beside the log's places
+    low, high : (k,) the grid's range; default the task's ``feature_low`` and
+        ``feature_high``
+    noise_points : the number of Gauss-Hermite points for each component of the
+        disturbance; 1 leaves it at 0; None: the task's ``noise_points``
+    vertex_weight : at a log, how many transitions the row of the vertex itself is worth
+        beside the log's places
 
     Notes
     -----
-    Cost: A S 2^k entries for each noise point; 10^6 vertices with two actions in a few seconds and under a gigabyte.
+    Cost: A S 2^k entries for each noise point; 10^6 vertices with two actions in a few
+    seconds and under a gigabyte.
 
     Examples
     --------
@@ -121,7 +134,9 @@ class GridInterpolation:
     def places(
         self, task: ContinuousTask, log: ContinuousTransitions | None, *others: object
     ) -> Places:
-        """The vertices under each action and, at a log, the log's own states and actions."""
+        """The vertices under each action and, at a log, the log's own states and
+        actions.
+        """
         k = len(task.feature_names)
         if len(self.shape) != k:
             raise ValueError(
@@ -183,20 +198,23 @@ class GridInterpolation:
 
 @dataclass(frozen=True)
 class VisitedCells:
-    """Voronoi cells of visited states, for ``discretize(task, log, cells=VisitedCells(3000))``.
+    """Voronoi cells of visited states, for ``discretize(task, log,
+    cells=VisitedCells(3000))``.
 
     Parameters
     ----------
     n_cells : at most so many; cells in which no visited state lies are dropped
-    n_simulated : states that the task and the ``others`` of ``discretize`` visit by themselves under its ``policies``, for what
-        the log leaves out
-    n_stepped : of all these states, how many are stepped under every action; the log's are under the logged one as well
-    max_steps : longest episode; states of the log later than this do not shape the cells
+    n_simulated : states that the task and the ``others`` of ``discretize`` visit by
+        themselves under its ``policies``, for what the log leaves out
+    n_stepped : of all these states, how many are stepped under every action; the log's
+        are under the logged one as well
+    max_steps : longest episode; states of the log later than this do not shape the
+        cells
 
     Notes
     -----
-    The same log, policies and seed give the same cells. Cost: 3 (n + n_simulated) + A n_stepped nearest-cell searches, for each
-    task.
+    The same log, policies and seed give the same cells. Cost: 3 (n + n_simulated) + A
+    n_stepped nearest-cell searches, for each task.
 
     Examples
     --------
@@ -223,7 +241,9 @@ class VisitedCells:
         policies: Sequence[StatePolicy],
         seed: Any,
     ) -> Places:
-        """Cells of the log's states and of those that the simulators visit, and some of these under each action."""
+        """Cells of the log's states and of those that the simulators visit, and some of
+        these under each action.
+        """
         rng = _checks.generator(seed)
         points = visited_states(
             [task, *others],
@@ -293,11 +313,13 @@ def visited_states(
     max_steps: int,
     seed: Any,
 ) -> Array:
-    """(n, d) states before each transition, in equal parts from every task under every policy.
+    """(n, d) states before each transition, in equal parts from every task under every
+    policy.
 
     Parameters
     ----------
-    tasks : those that the cells must serve: the simulator under several parameters (never the target's data)
+    tasks : those that the cells must serve: the simulator under several parameters
+        (never the target's data)
     policies : functions of states (n, d) giving probabilities (n, A)
     n : how many states in all
     max_steps : longest episode
@@ -338,31 +360,38 @@ def discretize(
     closure_episodes: int = 2000,
     seed: Any = 0,
 ) -> Discretization:
-    """A continuous task as a FiniteMDP on numbered states, so that ratios are matrices there too.
+    """A continuous task as a FiniteMDP on numbered states, so that ratios are matrices
+    there too.
 
     Parameters
     ----------
     task : ContinuousTask, the simulator
-    log : ContinuousTransitions of the target, at whose states and actions the task is stepped (its next states are used for a
-        ``floor`` alone)
-    cells : where the states lie: (n_1, ..., n_k) vertices along each feature or ``GridInterpolation``; a number of cells or
-        ``VisitedCells``; another Discretization, whose states and places are taken; None: the task's own, or a grid up to three
-        features and 1000 visited cells above
-    floor : with this probability a step is another one: one of the ``others``; where there are none, one of the log's that the
-        task gives no probability (``FiniteMDP.with_support_of``). A *defensive* simulator, which gives probability to what the
-        target may do. It is another simulator: results made with it say so (``metadata``), and ``plain`` is the one without
-    others : the task under other parameters, which should bracket the target's: a ratio is at most K / floor wherever the
-        target lies in the convex hull of the K others. None: the task's own ``others()``
-    policies : those whose states the cells must serve, functions of states (n, d) giving probabilities (n, A); none: uniform
+    log : ContinuousTransitions of the target, at whose states and actions the task is
+        stepped (its next states are used for a ``floor`` alone)
+    cells : where the states lie: (n_1, ..., n_k) vertices along each feature or
+        ``GridInterpolation``; a number of cells or ``VisitedCells``; another
+        Discretization, whose states and places are taken; None: the task's own, or a
+        grid up to three features and 1000 visited cells above
+    floor : with this probability a step is another one: one of the ``others``; where
+        there are none, one of the log's that the task gives no probability
+        (``FiniteMDP.with_support_of``). A *defensive* simulator, which gives
+        probability to what the target may do. It is another simulator: results made
+        with it say so (``metadata``), and ``plain`` is the one without
+    others : the task under other parameters, which should bracket the target's: a ratio
+        is at most K / floor wherever the target lies in the convex hull of the K
+        others. None: the task's own ``others()``
+    policies : those whose states the cells must serve, functions of states (n, d)
+        giving probabilities (n, A); none: uniform
     discount : of the MDP, in [0, 1]
-    closure_episodes : of the uniform policy, by which what discretising costs is measured; 0: not measured
+    closure_episodes : of the uniform policy, by which what discretising costs is
+        measured; 0: not measured
     seed : of visited states and random disturbances
 
     Raises
     ------
     ValueError
-        Cells that do not fit the task's features; a task whose step leaves the finite numbers; a log of other states; a floor
-        without a log and without others.
+        Cells that do not fit the task's features; a task whose step leaves the finite
+        numbers; a log of other states; a floor without a log and without others.
 
     Warns
     -----
@@ -444,7 +473,9 @@ def discretize(
 
 
 def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
-    """With the uniform policy's closure error, and a warning where it is beyond the tolerance and Monte Carlo's own error."""
+    """With the uniform policy's closure error, and a warning where it is beyond the
+    tolerance and Monte Carlo's own error.
+    """
     error, noise = model.closure_error(n_episodes=n_episodes)
     if abs(error) > TOLERANCE + 2.0 * noise:
         text = (

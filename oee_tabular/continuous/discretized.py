@@ -1,4 +1,6 @@
-"""A continuous task as a FiniteMDP, with the way from continuous states and logs to its numbered states."""
+"""A continuous task as a FiniteMDP, with the way from continuous states and logs to its
+numbered states.
+"""
 
 from __future__ import annotations
 
@@ -37,16 +39,19 @@ N_RISK_STEPS = 300  # of EM: weights of mixtures change by less than 1e-3 later
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Discretization:
-    """A FiniteMDP made from a continuous task by ``discretize``, with the encoding that belongs to it.
+    """A FiniteMDP made from a continuous task by ``discretize``, with the encoding that
+    belongs to it.
 
     Attributes
     ----------
-    mdp : FiniteMDP with one state for each cell and last, where episodes can end, the one that is over
+    mdp : FiniteMDP with one state for each cell and last, where episodes can end, the
+        one that is over
     task : ContinuousTask whose states are encoded
     places : the cells, and where the task was stepped
     simulators : FiniteMDPs of the task without a floor, and of each of the ``others``
     metadata : how it was made: plain numbers and words
-    diagnostics : ``closure_error`` and ``closure_standard_error`` of the uniform policy, where measured
+    diagnostics : ``closure_error`` and ``closure_standard_error`` of the uniform
+        policy, where measured
 
     Examples
     --------
@@ -91,13 +96,17 @@ class Discretization:
 
     @property
     def over(self) -> int | None:
-        """The number of the absorbing state in which episodes end, None where they do not."""
+        """The number of the absorbing state in which episodes end, None where they do
+        not.
+        """
         return self.cells.n_cells if self.task.terminates else None
 
     def policy(self, policy: StatePolicy | Array, name: str = "policy") -> Array:
-        """(S, A) a policy function in each state: its mean over the points of the cell; uniform where it is over.
+        """(S, A) a policy function in each state: its mean over the points of the cell;
+        uniform where it is over.
 
-        An array is looked at as ``Problem`` looks at it; it may leave out the state that is over.
+        An array is looked at as ``Problem`` looks at it; it may leave out the state
+        that is over.
         """
         n_actions = self.task.n_actions
         if callable(policy):
@@ -112,7 +121,9 @@ class Discretization:
         return array if callable(policy) else check_policy(array, self.mdp, name=name)
 
     def policy_function(self, table: Array) -> StatePolicy:
-        """A policy of states from one on the cells: its mean over the cells that a state is shared out to."""
+        """A policy of states from one on the cells: its mean over the cells that a
+        state is shared out to.
+        """
         inner = np.asarray(table, dtype=np.float64)[: self.cells.n_cells]
 
         def interpolated(states: Array) -> Array:
@@ -129,10 +140,12 @@ class Discretization:
         n_episodes: int = 2000,
         seed: Seed = 0,
     ) -> tuple[float, float]:
-        """What discretising costs: (J on the cells - J in the task) / scale, and its standard error.
+        """What discretising costs: (J on the cells - J in the task) / scale, and its
+        standard error.
 
-        J is the value of ``policy`` (default: uniform), in the task by Monte Carlo. The scale is |J in the task|, or the
-        standard deviation of a return if that is larger (for returns that change sign).
+        J is the value of ``policy`` (default: uniform), in the task by Monte Carlo. The
+        scale is |J in the task|, or the standard deviation of a return if that is
+        larger (for returns that change sign).
         """
         # what it compiles with is imported only here
         from oee_tabular.exact import policy_value
@@ -151,9 +164,11 @@ class Discretization:
         return (value - mc.value) / scale, mc.standard_error / scale
 
     def mixture(self, weights: Sequence[float] | Array) -> Discretization:
-        """The same states with sum_k w_k P_k over ``simulators``: another simulator, and ``metadata`` says so.
+        """The same states with sum_k w_k P_k over ``simulators``: another simulator,
+        and ``metadata`` says so.
 
-        Raises ValueError unless there are as many weights as simulators, nonnegative, summing to 1.
+        Raises ValueError unless there are as many weights as simulators, nonnegative,
+        summing to 1.
         """
         shares = _checks.distribution(weights, "weights", (len(self.simulators),))
         used = [
@@ -172,7 +187,9 @@ class Discretization:
     def with_transitions(
         self, transitions: sparse.csr_array, rewards: Array | None = None
     ) -> FiniteMDP:
-        """Other transitions on the same states with the task's rewards (or these), wherever they lead."""
+        """Other transitions on the same states with the task's rewards (or these),
+        wherever they lead.
+        """
         paid, plain = self.plain.rewards if rewards is None else rewards, self.plain
         return self.places.finite_mdp(
             self.task, transitions, paid, plain.initial, plain.discount
@@ -180,10 +197,12 @@ class Discretization:
 
     @one_thread
     def fit_weights(self, counts: sparse.csr_array) -> Array:
-        """Weights w of ``simulators`` that minimise the KL risk -sum_x n_x log sum_k w_k P_k(x): zeta within their hull.
+        """Weights w of ``simulators`` that minimise the KL risk -sum_x n_x log sum_k
+        w_k P_k(x): zeta within their hull.
 
-        Convex in w; each step of EM decreases it. A simulator with the target's parameters is found where the log is long: this
-        is system identification, stated as a ratio. Raises ValueError for a transition that none of them allows.
+        Convex in w; each step of EM decreases it. A simulator with the target's
+        parameters is found where the log is long: this is system identification, stated
+        as a ratio. Raises ValueError for a transition that none of them allows.
         """
         entries = counts.tocoo()
         table = np.stack(
@@ -216,10 +235,11 @@ class Discretization:
         Parameters
         ----------
         states : (n, d) finite numbers
-        seed : without one, the state with the largest weight; with one, drawn by the weights (so that the mean over draws
-            is the interpolation)
+        seed : without one, the state with the largest weight; with one, drawn by the
+            weights (so that the mean over draws is the interpolation)
         outside : "error" | "nearest"
-            What to do with states outside the cells: name and count them, or take the nearest place with a warning.
+            What to do with states outside the cells: name and count them, or take the
+            nearest place with a warning.
         """
         _checks.one_of(outside, "outside", OUTSIDE[:2])
         array = check_states(self.task, states)
@@ -235,15 +255,18 @@ class Discretization:
 
         Parameters
         ----------
-        seed : as in ``encode_states``; each state that episodes pass through is drawn once
+        seed : as in ``encode_states``; each state that episodes pass through is drawn
+            once
         outside : "error" | "nearest" | "drop"
-            Rows with a state outside the cells: an error that names and counts them, the nearest place, or left out (the rest
-            is then a bag without episodes); both of the latter with a warning.
+            Rows with a state outside the cells: an error that names and counts them,
+            the nearest place, or left out (the rest is then a bag without episodes);
+            both of the latter with a warning.
 
         Raises
         ------
         ValueError
-            A log with other dimensions than the task; actions or states that the task does not know.
+            A log with other dimensions than the task; actions or states that the task
+            does not know.
         """
         kept, actions, ended = self._select_rows(log, outside)
         draws: Any = (None, None)
@@ -273,11 +296,13 @@ class Discretization:
     def counts(
         self, log: ContinuousTransitions, *, outside: str = "error"
     ) -> sparse.csr_array:
-        """Soft counts n(s, a, s') = sum over rows of w_s(state) w_s'(next_state): csr of shape (S*A, S).
+        """Soft counts n(s, a, s') = sum over rows of w_s(state) w_s'(next_state): csr
+        of shape (S*A, S).
 
-        The mean of ``encode(...).counts(...)`` over draws, without their noise. Arguments and errors as there. On a grid, where
-        a command moves the features alike everywhere, a transition is carried to the vertex i of its box, and spread as the
-        simulator's rows are: w_j(vertex_i + phi(s') - phi(s)).
+        The mean of ``encode(...).counts(...)`` over draws, without their noise.
+        Arguments and errors as there. On a grid, where a command moves the features
+        alike everywhere, a transition is carried to the vertex i of its box, and spread
+        as the simulator's rows are: w_j(vertex_i + phi(s') - phi(s)).
         """
         kept, actions, ended = self._select_rows(log, outside)
         task, cells = self.task, self.cells
@@ -297,16 +322,20 @@ class Discretization:
         )
 
     def supported(self, counts: sparse.csr_array) -> tuple[sparse.csr_array, float]:
-        """The counts that lie where ``mdp`` has probability, and the share of those that do not: to be reported with it."""
+        """The counts that lie where ``mdp`` has probability, and the share of those
+        that do not: to be reported with it.
+        """
         matrix = canonical(counts, drop_zeros=True)
         kept = canonical(matrix.multiply(self.mdp.transitions != 0), drop_zeros=True)
         total = float(matrix.data.sum())
         return kept, 1.0 - float(kept.data.sum()) / total if total > 0 else 0.0
 
     def displacement_ties(self) -> IntArray:
-        """(nnz,) a tie for each entry of ``mdp.transitions``: the action, and how many cells along each axis it leads.
+        """(nnz,) a tie for each entry of ``mdp.transitions``: the action, and how many
+        cells along each axis it leads.
 
-        For ``transition_ratio(tie=...)`` of tasks whose commands move the features alike everywhere; on grids alone.
+        For ``transition_ratio(tie=...)`` of tasks whose commands move the features
+        alike everywhere; on grids alone.
         """
         grid, matrix = self.cells, self.mdp.transitions
         if not isinstance(grid, Grid) or self.over is not None:
@@ -333,7 +362,9 @@ class Discretization:
     def _select_rows(
         self, log: ContinuousTransitions, outside: str
     ) -> tuple[ContinuousTransitions, IntArray, BoolArray]:
-        """The rows that can be encoded, their action numbers, and which end in the absorbing state."""
+        """The rows that can be encoded, their action numbers, and which end in the
+        absorbing state.
+        """
         require_log_of(self.task, log)
         _checks.one_of(outside, "outside", OUTSIDE)
         task, actions = self.task, log.action_numbers(self.task.actions)
@@ -376,7 +407,9 @@ class Discretization:
     def _outside(
         self, states: Array, ended: BoolArray, name: str, outside: str
     ) -> BoolArray:
-        """Which states that are not over lie outside the cells: an error or a warning that counts them."""
+        """Which states that are not over lie outside the cells: an error or a warning
+        that counts them.
+        """
         features = self.task.features(states)
         gone = self.cells.outside(features) & ~ended
         rows = np.flatnonzero(gone)
@@ -405,7 +438,9 @@ def uniform_policy_of(task: ContinuousTask) -> StatePolicy:
 
 
 def _pick(weights: sparse.csr_array, draws: Array | None) -> IntArray:
-    """One state number a row: the heaviest, or the one that a uniform number (n,) picks."""
+    """One state number a row: the heaviest, or the one that a uniform number (n,)
+    picks.
+    """
     low, width = weights.indptr[:-1], np.diff(weights.indptr)
     table = np.zeros((len(width), int(width.max())))
     table[np.arange(table.shape[1]) < width[:, None]] = weights.data

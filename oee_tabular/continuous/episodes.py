@@ -1,4 +1,6 @@
-"""Episodes of a continuous task: Monte Carlo values, recorded logs, and a log's own places visited again."""
+"""Episodes of a continuous task: Monte Carlo values, recorded logs, and a log's own
+places visited again.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,8 @@ def monte_carlo_value(
     seed: Seed = None,
     normalized: bool = False,
 ) -> MonteCarlo:
-    """J = E[sum_{t<T} gamma^t r_t] of the continuous task by Monte Carlo: the truth that discretised values are held to.
+    """J = E[sum_{t<T} gamma^t r_t] of the continuous task by Monte Carlo: the truth
+    that discretised values are held to.
 
     Parameters
     ----------
@@ -81,7 +84,8 @@ def monte_carlo_value(
 
     Notes
     -----
-    O(n_episodes * horizon) vectorised steps; episodes that are over are left out of them.
+    O(n_episodes * horizon) vectorised steps; episodes that are over are left out of
+    them.
 
     Examples
     --------
@@ -126,10 +130,11 @@ def compare_returns(
     discount: float,
     seed: np.random.SeedSequence,
 ) -> Array:
-    """(len(tasks), n) returns whose random numbers belong to the episode and the step: tasks that are alike go alike.
+    """(len(tasks), n) returns whose random numbers belong to the episode and the step:
+    tasks that are alike go alike.
 
-    By the difference of two tasks' returns their values are compared with a small part of Monte Carlo's own error. All begin
-    where the first does.
+    By the difference of two tasks' returns their values are compared with a small part
+    of Monte Carlo's own error. All begin where the first does.
     """
     # which has spawned nothing
     fresh = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
@@ -175,7 +180,8 @@ def record(
     task : ContinuousTask
     policy : function of states (n, d) giving probabilities (n, A)
     n_transitions, n_episodes : positive int
-        Exactly one. With n_transitions the last episode is truncated where the log ends.
+        Exactly one. With n_transitions the last episode is truncated where the log
+        ends.
     max_steps : positive int
         Episodes still going after so many steps are truncated, not terminated.
     seed : the same seed gives the same bits
@@ -183,7 +189,8 @@ def record(
     Returns
     -------
     ContinuousTransitions
-        With rewards, termination, truncation, episodes and the probabilities of the actions taken.
+        With rewards, termination, truncation, episodes and the probabilities of the
+        actions taken.
 
     Examples
     --------
@@ -224,7 +231,9 @@ def _walk(
     steps: int,
     rng: np.random.Generator,
 ) -> Iterator[tuple[IntArray, Array, IntArray, Array, Moves]]:
-    """Step by step of n episodes: which go on, their states, actions, the actions' probabilities (n, A), and the step."""
+    """Step by step of n episodes: which go on, their states, actions, the actions'
+    probabilities (n, A), and the step.
+    """
     alive, states = np.arange(n), task.initial_states(n, rng)
     for _ in range(steps):
         probabilities = check_probabilities(policy, states, task.n_actions)

@@ -1,7 +1,8 @@
 """``evaluate`` for a continuous simulator and a log of continuous states.
 
-The rows (``rows``) are functions of a policy, in the order of what they may be trusted for (``evaluate_continuous``); where a
-grid is asked for, a finite problem joins them (``rows.OnCells``). What the cells cannot take is said, and the other rows stand.
+The rows (``rows``) are functions of a policy, in the order of what they may be trusted
+for (``evaluate_continuous``); where a grid is asked for, a finite problem joins them
+(``rows.OnCells``). What the cells cannot take is said, and the other rows stand.
 """
 
 from __future__ import annotations
@@ -96,31 +97,40 @@ def evaluate_continuous(
     ----------
     simulator : ContinuousSimulator, or a ContinuousTask, which needs ``horizon``
     log : ContinuousTransitions of the target
-    policies : name -> function of states (n, d) giving probabilities (n, A), or an (S, A) array of probabilities on the cells
-    settings : grid, calibration, and what to do with states outside and actions not in the set
+    policies : name -> function of states (n, d) giving probabilities (n, A), or an (S,
+        A) array of probabilities on the cells
+    settings : grid, calibration, and what to do with states outside and actions not in
+        the set
     behavior : the policy that recorded the log, where the log lacks its probabilities
     target : the true target, where it is known: adds its own Monte Carlo value
-    history : how many last actions are in the state; "auto" chooses 0 to 5 by held-out error, where the state is not Markov
-    fit : names of parameters of the simulator that are fitted to the log first (or their ``ParameterFit``)
-    estimators : names, as in ``evaluate``; None: oee, a linear model of the log, importance sampling where the log has
-        probabilities, and on cells the simulator and the model-based baseline
+    history : how many last actions are in the state; "auto" chooses 0 to 5 by held-out
+        error, where the state is not Markov
+    fit : names of parameters of the simulator that are fitted to the log first (or
+        their ``ParameterFit``)
+    estimators : names, as in ``evaluate``; None: oee, a linear model of the log,
+        importance sampling where the log has probabilities, and on cells the simulator
+        and the model-based baseline
     horizon : number of rewards; None: the simulator's
     discount : in [0, 1]
-    options : ``seed``, ``facts``, ``confidence``, ``normalized``, ``guaranteed``, ``quick`` of ``evaluate``
+    options : ``seed``, ``facts``, ``confidence``, ``normalized``, ``guaranteed``,
+        ``quick`` of ``evaluate``
 
     Returns
     -------
     Report
-        In front the value of the corrected simulator (``choose_correction``) by Monte Carlo, or, where no correction can be
-        trusted, the simulator's. Row "oee (residual)" where oee is asked for; with ``settings.grid`` also "oee (calibrated)"
-        and, last, "oee on the grid", which has the grid's error; "linear model of the log" where ``estimators`` is None;
-        "simulator (continuous)" (Monte Carlo) always. ``facts`` has the support diagnostics and the closure error. Where the
-        cells cannot take the log, their rows are left out with a sentence.
+        In front the value of the corrected simulator (``choose_correction``) by Monte
+        Carlo, or, where no correction can be trusted, the simulator's. Row "oee
+        (residual)" where oee is asked for; with ``settings.grid`` also "oee
+        (calibrated)" and, last, "oee on the grid", which has the grid's error; "linear
+        model of the log" where ``estimators`` is None; "simulator (continuous)" (Monte
+        Carlo) always. ``facts`` has the support diagnostics and the closure error.
+        Where the cells cannot take the log, their rows are left out with a sentence.
 
     Raises
     ------
     ValueError
-        A log that does not fit the task; states outside the grid, where ``settings.outside`` is "error".
+        A log that does not fit the task; states outside the grid, where
+        ``settings.outside`` is "error".
 
     Examples
     --------
@@ -228,7 +238,9 @@ def evaluate_continuous(
     def learned_row(
         learned: ContinuousTask, status: str, policy: StatePolicy
     ) -> Estimate:
-        """No value of another sign than the rewards of the log, and of the simulator's own steps from there, have."""
+        """No value of another sign than the rewards of the log, and of the simulator's
+        own steps from there, have.
+        """
         return refuse_impossible(
             rollouts.estimate(learned, policy, status), *bounds, steps, scale
         )
@@ -344,8 +356,9 @@ def sampling_rows(
 ) -> dict[str, Row]:
     """Importance sampling by name, on the episodes of a log whose actions are numbers.
 
-    Row i of the log is state i; whatever is done there, the row that follows in its episode comes, or the end, state n. What
-    follows a truncated episode is not known; it is not the end.
+    Row i of the log is state i; whatever is done there, the row that follows in its
+    episode comes, or the end, state n. What follows a truncated episode is not known;
+    it is not the end.
     """
     if not wanted:
         return {}
@@ -382,7 +395,8 @@ def sampling_rows(
 def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimate:
     """A value in the simulator (or the target) itself: no estimate from the log.
 
-    ``is_headline`` where no correction can be trusted; the rollouts' noise is no interval to speak of then.
+    ``is_headline`` where no correction can be trusted; the rollouts' noise is no
+    interval to speak of then.
     """
     error, facts = (
         None if is_headline else mc.standard_error,
@@ -398,7 +412,9 @@ def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimat
 
 
 def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
-    """How far the task's commands are from those of a policy; "" where they are the same."""
+    """How far the task's commands are from those of a policy; "" where they are the
+    same.
+    """
     distance, beyond = policy.rounding(states)
     if distance == beyond == 0.0:
         return ""
@@ -412,7 +428,9 @@ def _describe_rounding(name: str, policy: CommandPolicy, states: Array) -> str:
 
 
 def _describe_rewards(task: ContinuousTask, log: ContinuousTransitions) -> str:
-    """Where the log's rewards are not the task's r(s, a, s'); "" where they are, or where either is unknown."""
+    """Where the log's rewards are not the task's r(s, a, s'); "" where they are, or
+    where either is unknown.
+    """
     known = task.reward_between(log.state, log.action, log.next_state)
     if log.reward is None or known is None:
         return ""
@@ -441,7 +459,9 @@ def _names(names: object, argument: str) -> list[str]:
 def _choose_estimators(
     names: list[str] | None, log: ContinuousTransitions, *, has_cells: bool
 ) -> tuple[dict[str, Estimator], list[str]]:
-    """Estimators by name, those of finite problems only where there are cells, and a sentence on the others."""
+    """Estimators by name, those of finite problems only where there are cells, and a
+    sentence on the others.
+    """
     if names is None:
         is_weighted = all(
             column is not None

@@ -1,11 +1,14 @@
-"""The Gen3: where its hand is, the joint rates that move it, its controller, and its logs as logs of the hand's position.
+"""The Gen3: where its hand is, the joint rates that move it, its controller, and its
+logs as logs of the hand's position.
 
-A command in {-1, 0, 1}^3 asks for 0.1 m/s along the axes of the base during 0.2 s. Resolved rates turn it into a moving
-reference of the joints, and position servos follow that. Where the hand is needs NumPy alone:
+A command in {-1, 0, 1}^3 asks for 0.1 m/s along the axes of the base during 0.2 s.
+Resolved rates turn it into a moving reference of the joints, and position servos follow
+that. Where the hand is needs NumPy alone:
 
     T(q) = prod_k Trans(p_k) Rot_x(r_k) Rot_z(q_k),      dq = J^T (J J^T + lambda^2 I)^-1 (v, 0)
 
-The offsets p_k (m) and r_k (rad) are read from gen3.xml, the file that MuJoCo simulates: there is one set of numbers.
+The offsets p_k (m) and r_k (rad) are read from gen3.xml, the file that MuJoCo
+simulates: there is one set of numbers.
 """
 
 from __future__ import annotations
@@ -38,13 +41,17 @@ DAMPING = 0.02  # lambda: keeps joint speeds finite near singular poses
 
 
 def arm_xml() -> str:
-    """The MJCF of the stand-in: published geometry, masses, inertias and limits; assumed armature and servo gains."""
+    """The MJCF of the stand-in: published geometry, masses, inertias and limits;
+    assumed armature and servo gains.
+    """
     return resources.files("oee_tabular.continuous").joinpath("gen3.xml").read_text()
 
 
 @functools.cache
 def _chain() -> tuple[Array, Array]:
-    """Offsets (8, 3) in m and turns about x (8,) in rad: seven joints and the end effector."""
+    """Offsets (8, 3) in m and turns about x (8,) in rad: seven joints and the end
+    effector.
+    """
     bodies = [
         body.attrib
         for body in ElementTree.fromstring(arm_xml()).iter("body")
@@ -76,7 +83,8 @@ def _frames(joints: Array) -> tuple[Array, Array, Array]:
 
 
 def end_effector(joints: Array) -> Array:
-    """(n, 3) position of the end effector in m, in the frame of the base, at joint angles (n, 7) in rad.
+    """(n, 3) position of the end effector in m, in the frame of the base, at joint
+    angles (n, 7) in rad.
 
     Examples
     --------
@@ -94,7 +102,8 @@ def end_effector(joints: Array) -> Array:
 
 
 def resolved_rates(joints: Array, velocity: Array) -> Array:
-    """(n, 7) joint speeds in rad/s that move the end effector with ``velocity`` (n, 3) m/s and do not turn it.
+    """(n, 7) joint speeds in rad/s that move the end effector with ``velocity`` (n, 3)
+    m/s and do not turn it.
 
     Damped least squares on the 6-row Jacobian; O(n).
     """
@@ -146,7 +155,9 @@ def goal_number(goal: object) -> int:
 
 
 class HandTask(ContinuousTask):
-    """What the arm and the model of its hand share: 27 commands, the position (x, y, z) as the feature, and the cost of it."""
+    """What the arm and the model of its hand share: 27 commands, the position (x, y, z)
+    as the feature, and the cost of it.
+    """
 
     actions = COMMANDS
     feature_names = ("x", "y", "z")
@@ -182,10 +193,12 @@ class HandTask(ContinuousTask):
 
 @dataclass(frozen=True)
 class KinovaPolicy:
-    """pi_delta = delta * uniform + (1 - delta) * the proportional controller, a function of states giving (n, 27).
+    """pi_delta = delta * uniform + (1 - delta) * the proportional controller, a
+    function of states giving (n, 27).
 
-    The controller commands sign(goal_i - x_i) along each axis that is off by more than the dead band of 0.015 m. It looks at
-    the first three coordinates of a state alone, the measured position in m: it is the same for the arm and for its model.
+    The controller commands sign(goal_i - x_i) along each axis that is off by more than
+    the dead band of 0.015 m. It looks at the first three coordinates of a state alone,
+    the measured position in m: it is the same for the arm and for its model.
 
     Parameters
     ----------
@@ -230,12 +243,14 @@ def record_goals(
     horizon: int = HORIZON,
     seed: Any = None,
 ) -> ContinuousTransitions:
-    """``n_runs`` runs to each of the five goals under ``kinova_policy(goal, delta)``, by default the paper's 50 trajectories.
+    """``n_runs`` runs to each of the five goals under ``kinova_policy(goal, delta)``,
+    by default the paper's 50 trajectories.
 
     Parameters
     ----------
     arm : KinovaArm, which needs MuJoCo, or KinovaHand; its own goal is not used
-    n_runs : to each goal; goal g has the episodes g n_runs to (g + 1) n_runs - 1, and the rewards of its goal
+    n_runs : to each goal; goal g has the episodes g n_runs to (g + 1) n_runs - 1, and
+        the rewards of its goal
     delta : share of random commands, in [0, 1]
     horizon : commands of a run
     seed : the same seed gives the same bits
@@ -266,13 +281,15 @@ def record_goals(
 def hand_log(
     log: ContinuousTransitions, *, speed: float | None = None
 ) -> ContinuousTransitions:
-    """The same transitions with the hand's position (n, 3) in m as the state, and commands in {-1, 0, 1}^3.
+    """The same transitions with the hand's position (n, 3) in m as the state, and
+    commands in {-1, 0, 1}^3.
 
     Parameters
     ----------
-    log : states of 3 coordinates (position, m), 7 (joint angles, rad) or 27 (the stand-in's own)
-    speed : m/s that a command of 1 stands for, where the log's actions are velocities; None: they are numbers of the 27
-        commands, or their directions
+    log : states of 3 coordinates (position, m), 7 (joint angles, rad) or 27 (the
+        stand-in's own)
+    speed : m/s that a command of 1 stands for, where the log's actions are velocities;
+        None: they are numbers of the 27 commands, or their directions
 
     Positions beyond 1.3 m and angles beyond 8 pi (millimetres, degrees?) are errors.
 
@@ -307,11 +324,13 @@ def hand_log(
 def load_kinova_log(
     path: str | os.PathLike[str], *, speed: float | None = None
 ) -> ContinuousTransitions:
-    """``hand_log`` of a file: .csv, .parquet, .npz, or a Minari folder or id with continuous observations.
+    """``hand_log`` of a file: .csv, .parquet, .npz, or a Minari folder or id with
+    continuous observations.
 
     Parameters
     ----------
-    path : of a file whose name ends in .csv, .parquet or .npz; else a Minari folder or id
+    path : of a file whose name ends in .csv, .parquet or .npz; else a Minari folder or
+        id
     speed : m/s that a command of 1 stands for, see ``hand_log``
 
     Examples

@@ -1,11 +1,14 @@
-"""Gymnasium environments by id with other physics, ``Pendulum-v1:g=9``, as continuous simulators.
+"""Gymnasium environments by id with other physics, ``Pendulum-v1:g=9``, as continuous
+simulators.
 
-Physics are arguments of the constructor, constants of the class, and fields of a MuJoCo model. A constant is set while the
-environment is made, wherever its ``__init__`` would set it, so that what is computed from it there (CartPole's
-``polemass_length`` from ``length``) follows.
+Physics are arguments of the constructor, constants of the class, and fields of a MuJoCo
+model. A constant is set while the environment is made, wherever its ``__init__`` would
+set it, so that what is computed from it there (CartPole's ``polemass_length`` from
+``length``) follows.
 
-How a state is read and set is found: classic control keeps it in ``unwrapped.state``; MuJoCo's is (qpos, qvel), set by
-``set_state``. Of others two functions say it, get(env) and set(env, state).
+How a state is read and set is found: classic control keeps it in ``unwrapped.state``;
+MuJoCo's is (qpos, qvel), set by ``set_state``. Of others two functions say it, get(env)
+and set(env, state).
 """
 
 from __future__ import annotations
@@ -97,15 +100,18 @@ def gymnasium_simulator(
 
     Parameters
     ----------
-    spec : ID, ``ID:key=value,...`` or ``ID,key=value,...``: arguments of the environment, its constants (``gravity``,
-        ``LINK_MASS_2``), fields of a MuJoCo model (arrays whole); ``MODULE:ID`` imports what registers it
-    state : "module:get,set", functions get(env) -> (d,) and set(env, state); None: found
+    spec : ID, ``ID:key=value,...`` or ``ID,key=value,...``: arguments of the
+        environment, its constants (``gravity``, ``LINK_MASS_2``), fields of a MuJoCo
+        model (arrays whole); ``MODULE:ID`` imports what registers it
+    state : "module:get,set", functions get(env) -> (d,) and set(env, state); None:
+        found
     actions : of a Box, see ``simulator.action_set``
 
     Raises
     ------
     ValueError
-        An unknown id, physics that it lacks, a state that cannot be set or does not decide the next one.
+        An unknown id, physics that it lacks, a state that cannot be set or does not
+        decide the next one.
 
     Examples
     --------
@@ -131,7 +137,8 @@ def gymnasium_simulator(
 
 
 def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
-    """The id and the physics of ``ID:key=value,...``; a comma after the id does as well.
+    """The id and the physics of ``ID:key=value,...``; a comma after the id does as
+    well.
 
     >>> gymnasium_spec("Pendulum-v1,g=9.0")
     ('Pendulum-v1', {'g': 9.0})
@@ -143,7 +150,9 @@ def gymnasium_spec(spec: str) -> tuple[str, dict[str, Any]]:
 
 
 def is_continuous_id(spec: str) -> bool:
-    """Whether ``spec`` begins with the id of a Gymnasium environment whose observations are no numbers of states."""
+    """Whether ``spec`` begins with the id of a Gymnasium environment whose observations
+    are no numbers of states.
+    """
     import gymnasium
 
     identifier = re.split("[:,]", _register(spec), maxsplit=1)[0]
@@ -159,7 +168,9 @@ def is_continuous_id(spec: str) -> bool:
 
 
 def _register(spec: str) -> str:
-    """``spec`` from its id on; the module that stands before it is imported, which registers the environment."""
+    """``spec`` from its id on; the module that stands before it is imported, which
+    registers the environment.
+    """
     own = OWN_ID.match(spec)
     if own is None:
         return spec
@@ -191,7 +202,9 @@ def _parse_state(state: str) -> dict[str, Any]:
 
 
 def _find_state(env: Any, identifier: str) -> dict[str, Any]:
-    """What is known of the state: of classic control, of MuJoCo, else that ``env.state`` is numbers."""
+    """What is known of the state: of classic control, of MuJoCo, else that
+    ``env.state`` is numbers.
+    """
     for owner in type(env).__mro__:
         if owner.__name__ in CLASSIC and owner.__module__.startswith("gymnasium."):
             return dict(CLASSIC[owner.__name__])
@@ -251,13 +264,15 @@ def action_set(space: Any, given: Any = None) -> Array:
     Parameters
     ----------
     space : Gymnasium's Discrete or Box
-    given : of a Box, how many levels each coordinate has, evenly from low to high (None: 9 of one coordinate, 5 of two,
-        else 3); or the levels themselves, (m,); or the commands, (A, k)
+    given : of a Box, how many levels each coordinate has, evenly from low to high
+        (None: 9 of one coordinate, 5 of two, else 3); or the levels themselves, (m,);
+        or the commands, (A, k)
 
     Raises
     ------
     ValueError
-        Another space; levels of an endless range; actions of a Discrete space; commands outside the space.
+        Another space; levels of an endless range; actions of a Discrete space; commands
+        outside the space.
 
     Examples
     --------
@@ -305,7 +320,8 @@ def action_set(space: Any, given: Any = None) -> Array:
 
 
 class Physics:
-    """Environment ``identifier`` with these parameters by name; a ValueError for what it does not have.
+    """Environment ``identifier`` with these parameters by name; a ValueError for what
+    it does not have.
 
     With a ``task`` of the environment it is a ``task_of`` of ``fit_parameters``.
     """
@@ -410,7 +426,9 @@ class Physics:
 
     @property
     def make_vector(self) -> Callable[[int], Any] | None:
-        """n -> n environments that step at once, where Gymnasium has such; None where not."""
+        """n -> n environments that step at once, where Gymnasium has such; None where
+        not.
+        """
         if self.spec.vector_entry_point is None or self._fields:
             return None
         return lambda n: self.make("vector_entry_point", num_envs=n)
@@ -423,7 +441,9 @@ class Physics:
         )
 
     def known(self) -> dict[str, float]:
-        """Name -> number, as it is: arguments, constants, and elements of a MuJoCo model (body_mass.pole)."""
+        """Name -> number, as it is: arguments, constants, and elements of a MuJoCo
+        model (body_mass.pole).
+        """
         env = self.make()
         found = (
             {name: p.default for name, p in self._takes.items()}
@@ -448,7 +468,9 @@ def _is_number(value: object) -> bool:
 
 
 def _numbers_of(inner: object) -> dict[str, Any]:
-    """The attributes of an environment that are numbers, its class's too, by name; none that are computed."""
+    """The attributes of an environment that are numbers, its class's too, by name; none
+    that are computed.
+    """
     names = [name for name in sorted(dir(inner)) if not name.startswith("_")]
     plain = [
         name
@@ -459,7 +481,9 @@ def _numbers_of(inner: object) -> dict[str, Any]:
 
 
 def _elements(inner: Any) -> dict[str, Any]:
-    """FIELD.ELEMENT -> its numbers, a view, of an environment's MuJoCo model; friction and gear have more than the first."""
+    """FIELD.ELEMENT -> its numbers, a view, of an environment's MuJoCo model; friction
+    and gear have more than the first.
+    """
     found: dict[str, Any] = {}
     model: Any = getattr(inner, "model", None)
     for field, (kind, count) in ELEMENTS.items() if hasattr(model, "nbody") else ():

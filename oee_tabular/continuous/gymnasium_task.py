@@ -1,9 +1,12 @@
-"""Any Gymnasium environment whose state can be read and set, as a continuous task; and logs by stepping one.
+"""Any Gymnasium environment whose state can be read and set, as a continuous task; and
+logs by stepping one.
 
-The state must be the environment's own, not its observation: CartPole's observations are float32 copies of a float64 state,
-Pendulum's leave the angle to be found from its sine and cosine. Say how it is read and set, and which actions there are. A
-record of random actions is then stepped again from its states: does a state decide the next one, can many states be stepped at
-once, how many random numbers does a step draw (``Chance``).
+The state must be the environment's own, not its observation: CartPole's observations
+are float32 copies of a float64 state, Pendulum's leave the angle to be found from its
+sine and cosine. Say how it is read and set, and which actions there are. A record of
+random actions is then stepped again from its states: does a state decide the next one,
+can many states be stepped at once, how many random numbers does a step draw
+(``Chance``).
 """
 
 from __future__ import annotations
@@ -55,35 +58,42 @@ class GymnasiumTask(ContinuousTask):
 
     Parameters
     ----------
-    make : function without arguments that makes the environment; what is stepped is ``env.unwrapped``, so that wrappers (time
-        limits, scalings) do nothing
-    actions : (A,) or (A, k), what is passed to ``step``: integers where the environment's actions are Discrete
-    state_names : names of the d coordinates that ``get_state`` returns; default: its own ``state_names``, or state_0, ...
-    low, high, periodic : (d,) the usual range of each coordinate, and whether it is an angle; for grids. Default: what random
-        actions reach and a tenth more, of an angle one turn; no angles
-    get_state, set_state : read the state of an environment as (d,) numbers; put the environment into such a state, as if no
-        episode had ended there. Default: its ``unwrapped.state``
+    make : function without arguments that makes the environment; what is stepped is
+        ``env.unwrapped``, so that wrappers (time limits, scalings) do nothing
+    actions : (A,) or (A, k), what is passed to ``step``: integers where the
+        environment's actions are Discrete
+    state_names : names of the d coordinates that ``get_state`` returns; default: its
+        own ``state_names``, or state_0, ...
+    low, high, periodic : (d,) the usual range of each coordinate, and whether it is an
+        angle; for grids. Default: what random actions reach and a tenth more, of an
+        angle one turn; no angles
+    get_state, set_state : read the state of an environment as (d,) numbers; put the
+        environment into such a state, as if no episode had ended there. Default: its
+        ``unwrapped.state``
     terminates : whether episodes can end before a time limit
-    over : function of states (n, d) giving (n,) which are over, for vertices and logs (default: none; steps always ask the
-        environment)
+    over : function of states (n, d) giving (n,) which are over, for vertices and logs
+        (default: none; steps always ask the environment)
     reward_between : function of (states, action numbers, next states), optional
     parameters : what distinguishes it, written into files
-    make_vector : function of n that makes n environments whose ``state`` is (d, n) and which step at once; used where it
-        repeats the steps of one, and the environment's own step does not do so with arrays in place of numbers
+    make_vector : function of n that makes n environments whose ``state`` is (d, n) and
+        which step at once; used where it repeats the steps of one, and the
+        environment's own step does not do so with arrays in place of numbers
     check_steps : how many recorded steps are stepped again from their states; 0: none
 
     Raises
     ------
     ValueError
-        Functions, states, ranges and actions that do not fit the environment; a state that does not decide the next one, or
-        a step that draws random numbers of its own (in how many steps, in which coordinate, by how much).
+        Functions, states, ranges and actions that do not fit the environment; a state
+        that does not decide the next one, or a step that draws random numbers of its
+        own (in how many steps, in which coordinate, by how much).
 
     Notes
     -----
-    Some 10^5 steps a second and less, where each state is put into the environment by itself; some 10^6 and more at once
-    (``steps_at_once``). The normal, uniform and whole numbers that a step draws from ``np_random`` are the disturbance
-    (``Chance``), as many as its checked steps drew. Where it draws others there is no disturbance: ``step`` gives the
-    environment its own generator, ``moves`` one of seed 0.
+    Some 10^5 steps a second and less, where each state is put into the environment by
+    itself; some 10^6 and more at once (``steps_at_once``). The normal, uniform and
+    whole numbers that a step draws from ``np_random`` are the disturbance (``Chance``),
+    as many as its checked steps drew. Where it draws others there is no disturbance:
+    ``step`` gives the environment its own generator, ``moves`` one of seed 0.
 
     Examples
     --------
@@ -192,9 +202,11 @@ class GymnasiumTask(ContinuousTask):
             self.n_disturbances = self._count_draws(*record)
 
     def _check_steps(self, env: Any, steps: int) -> tuple[Array, IntArray]:
-        """Step a record of random actions again from its states, in another order; its (s, a).
+        """Step a record of random actions again from its states, in another order; its
+        (s, a).
 
-        What differs is an error, where it is at most a twentieth of the steps a warning.
+        What differs is an error, where it is at most a twentieth of the steps a
+        warning.
         """
         env.reset(seed=0)
         rng, generators = np.random.default_rng(0), []
@@ -244,7 +256,9 @@ class GymnasiumTask(ContinuousTask):
         states: Array,
         numbers: IntArray,
     ) -> bool:
-        """Whether this way of stepping many states at once does as the environment does one by one."""
+        """Whether this way of stepping many states at once does as the environment does
+        one by one.
+        """
         one = self.one_by_one(states, numbers, np.random.default_rng(0))
         try:
             with warnings.catch_warnings(action="ignore"):
@@ -260,7 +274,9 @@ class GymnasiumTask(ContinuousTask):
         )
 
     def _count_draws(self, states: Array, numbers: IntArray) -> int:
-        """The most random numbers that one of these steps draws; 0: none, or others than ``Chance`` has."""
+        """The most random numbers that one of these steps draws; 0: none, or others
+        than ``Chance`` has.
+        """
         chances = [
             Chance(xi)
             for xi in np.random.default_rng(0).standard_normal((len(states), MAX_DRAWS))
@@ -323,7 +339,9 @@ class GymnasiumTask(ContinuousTask):
         return self.one_by_one(states, actions, rng)
 
     def _step_arrays(self, states: Array, actions: IntArray) -> Moves:
-        """By the environment's own step, whose formulas take arrays in place of numbers."""
+        """By the environment's own step, whose formulas take arrays in place of
+        numbers.
+        """
         inner, n = self._env.unwrapped, len(states)
         inner.np_random = NO_CHANCE
         self._set(self._env, states.T.copy())
@@ -358,7 +376,9 @@ class GymnasiumTask(ContinuousTask):
         actions: IntArray,
         rng: np.random.Generator | Sequence[Chance],
     ) -> Moves:
-        """Each state put into the environment by itself; random numbers are one generator's, or each its own."""
+        """Each state put into the environment by itself; random numbers are one
+        generator's, or each its own.
+        """
         env = self._env
         following, reward, over = (
             np.empty_like(states),
@@ -399,10 +419,11 @@ class GymnasiumTask(ContinuousTask):
     def play(
         self, env: Any, choose: Callable[[Array], int], n: int, limit: Any = None
     ) -> tuple[NDArray[Any], ...]:
-        """Step an environment that was reset as any program would, never setting its state, n times; then close it.
+        """Step an environment that was reset as any program would, never setting its
+        state, n times; then close it.
 
-        Columns: state, action number, next state, reward, whether it is over, and whether the environment cut the episode,
-        which also ends after ``limit`` steps.
+        Columns: state, action number, next state, reward, whether it is over, and
+        whether the environment cut the episode, which also ends after ``limit`` steps.
         """
         rows, inner, t = [], env.unwrapped, 0
         for _ in range(n):
@@ -443,8 +464,8 @@ class GymnasiumTask(ContinuousTask):
     ) -> ContinuousTransitions:
         """A log of what the environment does, whose state is never set (``play``).
 
-        ``policy`` is a function of states (n, d) giving probabilities (n, A). Episodes are truncated after ``max_steps``, the
-        last one where the log ends.
+        ``policy`` is a function of states (n, d) giving probabilities (n, A). Episodes
+        are truncated after ``max_steps``, the last one where the log ends.
         """
         rows, steps = (
             _checks.positive_integer(n_transitions, "n_transitions"),

@@ -1,9 +1,11 @@
 """The state with the last actions in it, and a test of whether they matter.
 
-Where steps are delayed, or an actuator has a memory, s' depends on more than (s, a). What a correction g leaves over is then
-predicted by the actions and the residuals of earlier steps, y_t by a_{t-1}, ..., a_{t-5} and y_{t-1}, ..., y_{t-5}. Independent
-residuals cannot carry that, and every value that takes the state to be Markov is wrong. With the last actions in the state
-(``HistoryTask``) a delay is Markov again, and a motor's lag nearly so.
+Where steps are delayed, or an actuator has a memory, s' depends on more than (s, a).
+What a correction g leaves over is then predicted by the actions and the residuals of
+earlier steps, y_t by a_{t-1}, ..., a_{t-5} and y_{t-1}, ..., y_{t-5}. Independent
+residuals cannot carry that, and every value that takes the state to be Markov is wrong.
+With the last actions in the state (``HistoryTask``) a delay is Markov again, and a
+motor's lag nearly so.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ SURE = 4.0
 
 
 class HistoryTask(DerivedTask):
-    """A task whose state includes its last actions, each as A coordinates: 1 at its number, all 0 before an episode.
+    """A task whose state includes its last actions, each as A coordinates: 1 at its
+    number, all 0 before an episode.
 
     Parameters
     ----------
@@ -48,12 +51,14 @@ class HistoryTask(DerivedTask):
     Raises
     ------
     ValueError
-        ``steps`` below 0; a log of other states, or none of whose episodes is longer than ``steps``.
+        ``steps`` below 0; a log of other states, or none of whose episodes is longer
+        than ``steps``.
 
     Notes
     -----
-    ``log`` brings a log into these states, ``policy`` a policy of the task's own. The task itself does not look at the last
-    actions; a ``ResidualSimulator`` of it learns what does, from the steps that the task makes under each of them.
+    ``log`` brings a log into these states, ``policy`` a policy of the task's own. The
+    task itself does not look at the last actions; a ``ResidualSimulator`` of it learns
+    what does, from the steps that the task makes under each of them.
 
     Examples
     --------
@@ -93,7 +98,9 @@ class HistoryTask(DerivedTask):
         self.periodic = tuple(task.periodic) + (False,) * len(last)
 
     def log(self, log: ContinuousTransitions) -> ContinuousTransitions:
-        """The log with the last actions in its states; rows that follow no other row of their episode have none."""
+        """The log with the last actions in its states; rows that follow no other row of
+        their episode have none.
+        """
         require_log_of(self.task, log)
         actions = log.action_numbers(self.actions)
         earlier = earlier_rows(log, self.steps)
@@ -152,7 +159,9 @@ class HistoryTask(DerivedTask):
     def displacements(
         self, states: Array, actions: IntArray, next_states: Array
     ) -> list[Array]:
-        """The task's, and f(s, b) - s under each of the last actions b; under the present one where there was none."""
+        """The task's, and f(s, b) - s under each of the last actions b; under the
+        present one where there was none.
+        """
         own, past = (
             self.own(states),
             self._last(states).reshape(len(states), self.steps, self.n_actions),
@@ -200,7 +209,9 @@ class HistoryTask(DerivedTask):
 
 
 def consecutive(log: ContinuousTransitions) -> tuple[IntArray, IntArray]:
-    """Rows and the rows that follow them in the same episode; without episodes, where the next row begins as they end."""
+    """Rows and the rows that follow them in the same episode; without episodes, where
+    the next row begins as they end.
+    """
     order = (
         np.arange(len(log))
         if log.episode is None
@@ -217,7 +228,9 @@ def consecutive(log: ContinuousTransitions) -> tuple[IntArray, IntArray]:
 
 
 def earlier_rows(log: ContinuousTransitions, steps: int) -> IntArray:
-    """(n, steps) the rows one, two, ... steps before each in its episode; -1 where there is none."""
+    """(n, steps) the rows one, two, ... steps before each in its episode; -1 where
+    there is none.
+    """
     before, after = consecutive(log)
     last = np.full(len(log) + 1, -1)  # the last entry is that of no row
     last[after] = before
@@ -233,10 +246,12 @@ class HistoryEffect:
 
     Attributes
     ----------
-    r_squared : share of its mean square that all of the last five explain, on episodes that the regression was not fitted to
+    r_squared : share of its mean square that all of the last five explain, on episodes
+        that the regression was not fitted to
     lag, of : the step back, and "action" or "residual", that alone explains most
     lag_r_squared : how much that is
-    part : root mean square of what they explain, of rows far from the others at most ``CLIP`` root mean squares
+    part : root mean square of what they explain, of rows far from the others at most
+        ``CLIP`` root mean squares
     """
 
     r_squared: float = 0.0
@@ -257,12 +272,15 @@ def history_effects(
     is_free: BoolArray,
     least: Array,
 ) -> list[HistoryEffect]:
-    """What history explains of each coordinate's residual, beyond the action's own mean and the residuals near by.
+    """What history explains of each coordinate's residual, beyond the action's own mean
+    and the residuals near by.
 
-    By linear regressions on the last five actions, the steps that the simulator makes under them, and the last five residuals,
-    on smooth rows (no contacts); and on the actions alone at all free rows (no stops), because a delay of a command that rarely
-    changes is a rare large residual too. None where fewer than 200 rows follow another, or where what is explained is below
-    ``least`` (k,) among the rows that were looked at: a few odd rows do not make it larger.
+    By linear regressions on the last five actions, the steps that the simulator makes
+    under them, and the last five residuals, on smooth rows (no contacts); and on the
+    actions alone at all free rows (no stops), because a delay of a command that rarely
+    changes is a rare large residual too. None where fewer than 200 rows follow another,
+    or where what is explained is below ``least`` (k,) among the rows that were looked
+    at: a few odd rows do not make it larger.
     """
     earlier = earlier_rows(log, MAX_LAG)
     rows = np.flatnonzero((earlier[:, 0] >= 0) & is_free)[
@@ -337,7 +355,9 @@ def history_effects(
 
 
 def hidden_state(learned: Any) -> str:
-    """Which earlier action or residual matters to a ``ResidualSimulator``, and by how much; "" where the state is Markov."""
+    """Which earlier action or residual matters to a ``ResidualSimulator``, and by how
+    much; "" where the state is Markov.
+    """
     hidden = [c for c in learned.coordinates if c.hidden]
     # of equal ones, to rounding, in the task's order
     hidden.sort(key=lambda c: -round(c.history.lag_r_squared, 6))
@@ -369,7 +389,9 @@ def _mean_near(
     is_usable: BoolArray,
     group: IntArray,
 ) -> Array:
-    """(n, k) mean of the nearest rows of the same action in other folds: what (s, a) explains, however rough."""
+    """(n, k) mean of the nearest rows of the same action in other folds: what (s, a)
+    explains, however rough.
+    """
     neighbors, mean, fold = Neighbors(task, states), np.zeros_like(y), group % FOLDS
     for a, f in itertools.product(np.unique(actions), range(FOLDS)):
         here = np.flatnonzero((actions == a) & (fold == f))
@@ -382,7 +404,9 @@ def _mean_near(
 
 
 def _errors_held_out(inputs: list[Array], y: Array, fold: IntArray) -> Array:
-    """(n, k) squared errors of a linear regression, each row's by the fit to the other folds."""
+    """(n, k) squared errors of a linear regression, each row's by the fit to the other
+    folds.
+    """
     x, errors = np.column_stack(inputs), np.empty_like(y)
     for f in range(FOLDS):
         inside, outside = fold == f, fold != f

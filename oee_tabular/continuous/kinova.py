@@ -1,26 +1,33 @@
-"""The paper's robot, a Kinova Gen3 that moves its hand to five goals (Section VI.D, Table I), as a simulated stand-in.
+"""The paper's robot, a Kinova Gen3 that moves its hand to five goals (Section VI.D,
+Table I), as a simulated stand-in.
 
-**It is not the robot, and its target is not reality**: no data of the arm was ever published. ``KinovaArm`` simulates it with
-MuJoCo (extra ``mujoco``) from the manufacturer's published geometry and masses, with assumed servos; the same arm with another
-``velocity_scale``, latency, payload, friction, gain or encoder noise plays the target. Payload, gain and friction change the
-value by less than 1 %, since the servos are stiff and gravity is compensated; what a task of Cartesian commands notices is how
-far a command moves the hand. ``hand_log`` and ``load_kinova_log`` take what a real arm would log.
+**It is not the robot, and its target is not reality**: no data of the arm was ever
+published. ``KinovaArm`` simulates it with MuJoCo (extra ``mujoco``) from the
+manufacturer's published geometry and masses, with assumed servos; the same arm with
+another ``velocity_scale``, latency, payload, friction, gain or encoder noise plays the
+target. Payload, gain and friction change the value by less than 1 %, since the servos
+are stiff and gravity is compensated; what a task of Cartesian commands notices is how
+far a command moves the hand. ``hand_log`` and ``load_kinova_log`` take what a real arm
+would log.
 
     simulator = discretize(KinovaArm(), floor=0.1)                         a FiniteMDP of the hand's position
     log = record_goals(KinovaArm(velocity_scale=1.4), n_runs=10, seed=0)   50 trajectories of T = 25
     counts, uncovered = simulator.supported(simulator.counts(log))
     zeta = oee_tabular.transition_ratio(counts, simulator.mdp, tie=simulator.displacement_ties(), strength=3.0)
 
-Without MuJoCo everything imports; what simulates the arm raises an ImportError that names the extra.
+Without MuJoCo everything imports; what simulates the arm raises an ImportError that
+names the extra.
 
 ``KinovaHand`` is the arm as a process of its hand's position alone,
 
     x' = x + D_a(x) + L_a xi,     D_a(x) = B_a (1, z, z z^T),   z = (x - x_home) / reach
 
-The displacement D_a of a command is fitted by least squares to what the arm does from states that it visits (its joints as
-they then are, moving or at rest), under every command; L_a L_a^T is the covariance of what is left: mostly whether the hand
-was moving already. This closes the process over 3 of 27 coordinates; what that costs is measured by Monte Carlo of the arm
-itself, which stands beside the discretised values wherever they are shown.
+The displacement D_a of a command is fitted by least squares to what the arm does from
+states that it visits (its joints as they then are, moving or at rest), under every
+command; L_a L_a^T is the covariance of what is left: mostly whether the hand was moving
+already. This closes the process over 3 of 27 coordinates; what that costs is measured
+by Monte Carlo of the arm itself, which stands beside the discretised values wherever
+they are shown.
 """
 
 from __future__ import annotations
@@ -95,7 +102,8 @@ STAND_IN = "simulated stand-in, not a robot"
 
 @dataclass(frozen=True, eq=False)
 class KinovaHand(gen3.HandTask):
-    """The position of the (simulated) arm's hand as a process of its own; made by ``fit_hand``.
+    """The position of the (simulated) arm's hand as a process of its own; made by
+    ``fit_hand``.
 
     Attributes
     ----------
@@ -144,7 +152,9 @@ class KinovaHand(gen3.HandTask):
         )
 
     def others(self) -> tuple[KinovaHand, ...]:
-        """Hands that go half and one and a half times as far, with twice the scatter: a target may lie between."""
+        """Hands that go half and one and a half times as far, with twice the scatter: a
+        target may lie between.
+        """
         wider = replace(self, scatter=WIDER * self.scatter, noise_points=2)
         sources = [
             self.source | {"scaled": factor, "scatter": WIDER} for factor in FACTORS
@@ -169,7 +179,9 @@ class KinovaHand(gen3.HandTask):
 
 
 def ideal_hand(scale: float = 1.0, *, scatter: float = 0.05) -> KinovaHand:
-    """A hand that every command moves by ``scale`` steps, with a scatter of ``scatter`` steps, without MuJoCo."""
+    """A hand that every command moves by ``scale`` steps, with a scatter of ``scatter``
+    steps, without MuJoCo.
+    """
     coefficients = np.zeros((len(COMMANDS), 10, 3))
     coefficients[:, 0] = (
         _checks.number_in(scale, "scale", 0.0, 3.0) * gen3.STEP * COMMANDS
@@ -185,7 +197,9 @@ def ideal_hand(scale: float = 1.0, *, scatter: float = 0.05) -> KinovaHand:
 
 
 def basis(states: Array) -> Array:
-    """(n, 10): 1, z, and the products of z, in units of the workspace; held fixed outside of it."""
+    """(n, 10): 1, z, and the products of z, in units of the workspace; held fixed
+    outside of it.
+    """
     z = np.clip((states - gen3.CENTER) / gen3.REACH, -1.0, 1.0)
     x, y, w = z.T
     return np.stack(
@@ -195,12 +209,15 @@ def basis(states: Array) -> Array:
 
 @one_thread
 def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> KinovaHand:
-    """D_a and L_a from ``n_states`` states that the arm visits, each stepped under all 27 commands.
+    """D_a and L_a from ``n_states`` states that the arm visits, each stepped under all
+    27 commands.
 
     Parameters
     ----------
-    arm : KinovaArm, which needs MuJoCo; or a KinovaHand, to see what the fit finds of a hand that is known
-    n_states : how many states are stepped, at most; 27 n_states commands of the arm, some seconds by default
+    arm : KinovaArm, which needs MuJoCo; or a KinovaHand, to see what the fit finds of a
+        hand that is known
+    n_states : how many states are stepped, at most; 27 n_states commands of the arm,
+        some seconds by default
     seed : the same seed gives the same bits
 
     Examples
@@ -242,24 +259,29 @@ def fit_hand(arm: gen3.HandTask, *, n_states: int = 500, seed: Any = 0) -> Kinov
 
 @dataclass(frozen=True)
 class KinovaArm(gen3.HandTask):
-    """The simulated Gen3 that moves its hand to a goal; a stand-in for the paper's robot.
+    """The simulated Gen3 that moves its hand to a goal; a stand-in for the paper's
+    robot.
 
         r(s) = -|x - goal| in m,  27 commands of 0.2 s,  x the measured position of the hand
 
     Parameters
     ----------
     goal : 0..4, a row of GOALS
-    velocity_scale : what a commanded speed is multiplied with; 1.4 is the reference mismatch
-    latency : s, in [0, 0.2]: for so long a period begins with the command of the one before
+    velocity_scale : what a commanded speed is multiplied with; 1.4 is the reference
+        mismatch
+    latency : s, in [0, 0.2]: for so long a period begins with the command of the one
+        before
     payload : kg at the end effector, not compensated
     friction : N m of dry friction in each joint
     gain : factor on the servos' stiffness and damping
-    encoder_noise : rad, standard deviation of each joint's reading from which the position is computed
+    encoder_noise : rad, standard deviation of each joint's reading from which the
+        position is computed
 
     Notes
     -----
-    A state has 27 coordinates: the measured position (3), joint angles (7), speeds (7) and references (7), and the last
-    command (3). Only the position is a feature. 40 steps of MuJoCo a command: some thousand commands a second.
+    A state has 27 coordinates: the measured position (3), joint angles (7), speeds (7)
+    and references (7), and the last command (3). Only the position is a feature. 40
+    steps of MuJoCo a command: some thousand commands a second.
 
     Examples
     --------

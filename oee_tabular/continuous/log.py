@@ -1,8 +1,10 @@
-"""A log of transitions between states in R^d, before a task has encoded it into numbered states.
+"""A log of transitions between states in R^d, before a task has encoded it into
+numbered states.
 
-The fields are those of ``Transitions``; in files a state is spread over the columns state_0, state_1, ..., next_state_0, ...
-An action is a number from the task's finite set (column ``action``), or what was commanded (columns action_0, action_1, ...),
-which is matched to the nearest action of the set.
+The fields are those of ``Transitions``; in files a state is spread over the columns
+state_0, state_1, ..., next_state_0, ... An action is a number from the task's finite
+set (column ``action``), or what was commanded (columns action_0, action_1, ...), which
+is matched to the nearest action of the set.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ NUMBERED = re.compile(rf"({'|'.join(Format.required)})_(0|[1-9][0-9]{{0,8}})")
 
 
 class VectorFormat(Format):
-    """Columns of vectors, (n, d) in an npz, numbered in a table; Minari data sets are read, not written."""
+    """Columns of vectors, (n, d) in an npz, numbered in a table; Minari data sets are
+    read, not written.
+    """
 
     kind = "continuous_transitions"
     endings = ".npz, .csv, .parquet"
@@ -130,7 +134,9 @@ VECTORS = VectorFormat()
 
 
 def holds_states(path: str | os.PathLike[str]) -> bool:
-    """Whether a file or Minari data set is a log of continuous states; of tables only the header is read."""
+    """Whether a file or Minari data set is a log of continuous states; of tables only
+    the header is read.
+    """
     name = _files.local(path)
     suffix = Path(name).suffix.lower()
     if suffix == ".npz":
@@ -148,15 +154,18 @@ def holds_states(path: str | os.PathLike[str]) -> bool:
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class ContinuousTransitions(LogColumns):
-    """Logged transitions with continuous states, one per row; checked when made and immutable.
+    """Logged transitions with continuous states, one per row; checked when made and
+    immutable.
 
     Parameters
     ----------
     state, next_state : (n, d) finite numbers
-    action : (n,) integers from 0, numbers of a task's actions; or (n, k) numbers, the commands themselves
+    action : (n,) integers from 0, numbers of a task's actions; or (n, k) numbers, the
+        commands themselves
     reward : (n,) finite numbers, optional
     terminated, truncated, episode, timestep, behavior_probability : (n,), optional
-        As in ``Transitions``; within an episode each next_state is the following row's state, up to a relative 1e-6.
+        As in ``Transitions``; within an episode each next_state is the following row's
+        state, up to a relative 1e-6.
 
     Raises
     ------
@@ -165,7 +174,8 @@ class ContinuousTransitions(LogColumns):
 
     Notes
     -----
-    ``Discretization.encode`` makes ``Transitions`` of it, ``Discretization.counts`` soft counts.
+    ``Discretization.encode`` makes ``Transitions`` of it, ``Discretization.counts``
+    soft counts.
 
     Examples
     --------
@@ -219,8 +229,9 @@ class ContinuousTransitions(LogColumns):
     def action_numbers(self, actions: object, *, strict: bool = False) -> IntArray:
         """(n,) which of a task's ``actions`` (A,) or (A, k) each row took.
 
-        Commands are matched to the nearest action (Euclidean distance). Where one is not in the set a warning says how many
-        are not and the largest distance, or an error does with ``strict``, and where one lies farther off than half of what the
+        Commands are matched to the nearest action (Euclidean distance). Where one is
+        not in the set a warning says how many are not and the largest distance, or an
+        error does with ``strict``, and where one lies farther off than half of what the
         actions are apart.
         """
         _checks.boolean(strict, "strict")

@@ -1,18 +1,23 @@
-"""Reacher: an arm of two links in a plane (the paper's Section VI.C), with a mistaken length of the links; its policies.
+"""Reacher: an arm of two links in a plane (the paper's Section VI.C), with a mistaken
+length of the links; its policies.
 
-The state is (q1, q2, w1, w2): the shoulder's angle, the elbow's angle against the upper link, and their speeds in rad/s.
-Masses, inertias and drag are those that Bullet computes for its Reacher (capsules of radius 0.01 m and 1000 kg/m^3; boxes with
-a margin for the inertias; the armature and the damping of the model file ignored), steps are semi-implicit Euler. The reward is
-the paper's,
+The state is (q1, q2, w1, w2): the shoulder's angle, the elbow's angle against the upper
+link, and their speeds in rad/s. Masses, inertias and drag are those that Bullet
+computes for its Reacher (capsules of radius 0.01 m and 1000 kg/m^3; boxes with a margin
+for the inertias; the armature and the damping of the model file ignored), steps are
+semi-implicit Euler. The reward is the paper's,
 
     r = 100 (d - d') - 0.01 (|a0 w0'| + |a1 w1'|) - 0.01 (|a0| + |a1|) - 0.1 [elbow at its stop],
 
-d the distance from the fingertip to the target; Bullet's electricity cost 0.1 |a w| has w in units of 10 rad/s. Its first
-part telescopes, so that reward is made by getting there. The nine actions are part of the environment, and so is the
-target's place: the paper's Reacher draws another one each episode, which would make the state six-dimensional.
+d the distance from the fingertip to the target; Bullet's electricity cost 0.1 |a w| has
+w in units of 10 rad/s. Its first part telescopes, so that reward is made by getting
+there. The nine actions are part of the environment, and so is the target's place: the
+paper's Reacher draws another one each episode, which would make the state
+six-dimensional.
 
-The fingertip is left out of the state: with it in, arms of different lengths move on different manifolds, and no ratio exists.
-The reward is then one of joint angles and of a length: ``reward_length`` is the length it is paid by, the arm's own by default.
+The fingertip is left out of the state: with it in, arms of different lengths move on
+different manifolds, and no ratio exists. The reward is then one of joint angles and of
+a length: ``reward_length`` is the length it is paid by, the arm's own by default.
 """
 
 from __future__ import annotations
@@ -41,10 +46,12 @@ FACTORS = (0.5, 0.7, 1.4, 2.0)
 
 
 def link_bodies(length: float, inertia: str = "box") -> Array:
-    """(3, 3) mass (kg), distance of the centre of mass from the joint (m), moment about it (kg m^2): upper link, lower, tip.
+    """(3, 3) mass (kg), distance of the centre of mass from the joint (m), moment about
+    it (kg m^2): upper link, lower, tip.
 
-    The tip is a ball 0.01 m beyond the lower link's end. ``inertia``: Bullet's "box" around a link, m/12 [(2 r + .08)^2 +
-    (l + 2 r + .08)^2], or that of the "capsule" itself (MuJoCo's).
+    The tip is a ball 0.01 m beyond the lower link's end. ``inertia``: Bullet's "box"
+    around a link, m/12 [(2 r + .08)^2 + (l + 2 r + .08)^2], or that of the "capsule"
+    itself (MuJoCo's).
     """
     long = _checks.number_in(length, "length", 0.0, np.inf)
     if long == 0.0:
@@ -68,7 +75,9 @@ def link_bodies(length: float, inertia: str = "box") -> Array:
 
 
 def fingertip(states: Array, length: float) -> Array:
-    """(n, 2) where the fingertip is: l (cos q1, sin q1) + (l + 0.01) (cos(q1 + q2), sin(q1 + q2)), in m."""
+    """(n, 2) where the fingertip is: l (cos q1, sin q1) + (l + 0.01) (cos(q1 + q2),
+    sin(q1 + q2)), in m.
+    """
     q1, q12 = states[:, 0], states[:, 0] + states[:, 1]
     reach = length + RADIUS
     return np.stack(
@@ -82,12 +91,14 @@ def fingertip(states: Array, length: float) -> Array:
 
 @dataclass(frozen=True)
 class Reacher(ContinuousTask):
-    """The arm, with the paper's reward and nine actions: torques gear * (-2/3, 0 or 2/3) in each joint.
+    """The arm, with the paper's reward and nine actions: torques gear * (-2/3, 0 or
+    2/3) in each joint.
 
     Parameters
     ----------
     length : of each link, m; the paper's simulator has 0.1, its targets 0.2 and 0.05
-    reward_length : the length by which the reward finds the fingertip; None: the arm's own
+    reward_length : the length by which the reward finds the fingertip; None: the arm's
+        own
     target : (x, y) in m
     gear : torque of an action of 1, N m
     damping : of each joint, N m s/rad
@@ -103,9 +114,11 @@ class Reacher(ContinuousTask):
 
     Notes
     -----
-    A step is deterministic, O(n substeps). Episodes begin at rest, q1 uniform in [-3.14, 3.14], q2 in
+    A step is deterministic, O(n substeps). Episodes begin at rest, q1 uniform in
+    [-3.14, 3.14], q2 in
     [-1.57, 1.57]; they do not end. Features are (cos q1, sin q1, q2, w1, w2).
-    Checked against MuJoCo, which knows no drag, with ``inertia="capsule"``: see tests/continuous/test_tasks.py.
+    Checked against MuJoCo, which knows no drag, with ``inertia="capsule"``: see
+    tests/continuous/test_tasks.py.
 
     Examples
     --------
@@ -157,7 +170,9 @@ class Reacher(ContinuousTask):
 
     @classmethod
     def tamed(cls, length: float = LENGTH, **changes: Any) -> Self:
-        """The variant for tests: damping 0.01 N m s/rad, an action held for 0.066 s; a horizon of 25 is the paper's 1.65 s."""
+        """The variant for tests: damping 0.01 N m s/rad, an action held for 0.066 s; a
+        horizon of 25 is the paper's 1.65 s.
+        """
         return cls(length, **({"damping": 0.01, "substeps": 4} | changes))
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
@@ -171,7 +186,9 @@ class Reacher(ContinuousTask):
         return Moves(following, reward, np.zeros(len(states), dtype=np.bool_))
 
     def advance(self, states: Array, commands: Array) -> Array:
-        """(n, 4) the next states under commands (n, 2), which need not be among the nine; torques are gear * command."""
+        """(n, 4) the next states under commands (n, 2), which need not be among the
+        nine; torques are gear * command.
+        """
         mass, centre, moment = self._bodies.T  # type: ignore[attr-defined]
         inertia, h, length = moment + mass * centre**2, self.timestep, self.length
         upper, lower = (
@@ -213,7 +230,9 @@ class Reacher(ContinuousTask):
         return np.stack([q1, q2, w1, w2], axis=1)
 
     def _drag(self, cosine: Array, w1: Array, w12: Array) -> tuple[Array, Array]:
-        """What Bullet's drag takes from the two joints' torques, for a drag of 1; the links turn at w1 and w12."""
+        """What Bullet's drag takes from the two joints' torques, for a drag of 1; the
+        links turn at w1 and w12.
+        """
         bodies, length = self._bodies, self.length  # type: ignore[attr-defined]
         mass, centre, moment = bodies[0]
         first = w1 * (
@@ -241,7 +260,9 @@ class Reacher(ContinuousTask):
         )
 
     def reward_terms(self, states: Array) -> Array:
-        """(n, 4) the distance, the two speeds, and 1 where the elbow is within 1 % of its stop, where Bullet's Reacher pays."""
+        """(n, 4) the distance, the two speeds, and 1 where the elbow is within 1 % of
+        its stop, where Bullet's Reacher pays.
+        """
         at_stop = np.abs(np.abs(states[:, 1]) / STOP - 1.0) < 0.01
         return np.column_stack([self.distance(states), np.abs(states[:, 2:]), at_stop])
 
@@ -289,9 +310,11 @@ class Reacher(ContinuousTask):
 
 
 def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
-    """(q1, q2) that put the fingertip on ``target``, the elbow bent to the left (q2 >= 0).
+    """(q1, q2) that put the fingertip on ``target``, the elbow bent to the left (q2 >=
+    0).
 
-    cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)); a ValueError for a target out of the arm's reach.
+    cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)); a ValueError for a
+    target out of the arm's reach.
     """
     (x, y), far = _checks.float_array(target, "target"), length + RADIUS
     bend = (x * x + y * y - length**2 - far**2) / (2.0 * length * far)
@@ -311,15 +334,18 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class ReacherPolicy:
-    """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4) giving probabilities (n, 9).
+    """pi_delta = delta * uniform + (1 - delta) * expert, a function of states (n, 4)
+    giving probabilities (n, 9).
 
-    The expert (ours: the paper's is lost) is a proportional-derivative controller of the joint angles that put the
-    *simulator's* fingertip on the target, u = stiffness * (q* - q) - brake * w, each joint taking the nearest of its three
-    levels. It believes in the simulator's links whatever the arm.
+    The expert (ours: the paper's is lost) is a proportional-derivative controller of
+    the joint angles that put the *simulator's* fingertip on the target, u = stiffness *
+    (q* - q) - brake * w, each joint taking the nearest of its three levels. It believes
+    in the simulator's links whatever the arm.
 
     Parameters
     ----------
-    delta : share of random actions, in [0, 1]: the opposite sense to the gridworld, as in the paper
+    delta : share of random actions, in [0, 1]: the opposite sense to the gridworld, as
+        in the paper
     target : (x, y) in m
     length : of the links that the expert believes in, m
     stiffness, brake : of the controller
@@ -360,7 +386,8 @@ reacher_policy = ReacherPolicy
 def reacher_log(
     task: Reacher, n: int, *, max_steps: int = 150, seed: Any = None
 ) -> ContinuousTransitions:
-    """The paper's data: n transitions by pi_delta, delta = 0, .1, ..., 1 in equal parts, episodes of ``max_steps``.
+    """The paper's data: n transitions by pi_delta, delta = 0, .1, ..., 1 in equal
+    parts, episodes of ``max_steps``.
 
     Parameters
     ----------

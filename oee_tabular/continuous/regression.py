@@ -1,12 +1,13 @@
-"""Regressions on a log's steps: nested classes of functions of (s, a) for a correction, and a linear model of the log alone.
+"""Regressions on a log's steps: nested classes of functions of (s, a) for a correction,
+and a linear model of the log alone.
 
-Ridge regression chooses for each target the class by held-out error over episodes (``Grams``). All that fits, held-out errors
-and refits on resampled episodes need is
+Ridge regression chooses for each target the class by held-out error over episodes
+(``Grams``). All that fits, held-out errors and refits on resampled episodes need is
 
     G[group, a] = sum over the group's rows of action a of (phi, y) (phi, y)^T;
 
-with weights k over groups, the coefficients of a class C are w = (sum_g k_g G_CC + ridge)^-1 sum_g k_g G_Cy, and the squared
-error on a group is y'y - 2 w'G_Cy + w'G_CC w.
+with weights k over groups, the coefficients of a class C are w = (sum_g k_g G_CC +
+ridge)^-1 sum_g k_g G_Cy, and the squared error on a group is y'y - 2 w'G_Cy + w'G_CC w.
 """
 
 from __future__ import annotations
@@ -63,14 +64,17 @@ def _predict(
     w,
     ends,
 ):
-    """(n, k) values g_k = sum_j w[a, j, k] phi_j of a regression, kept within ``ends`` (2, k).
+    """(n, k) values g_k = sum_j w[a, j, k] phi_j of a regression, kept within ``ends``
+    (2, k).
 
         phi_j = z[first_j] z[second_j],  j < q,    phi_j = cos(sum_i z_i frequency_ij + phase_j)
 
-    over z = (1, inputs kept within what was logged and standardised). A row is summed in the order of j, whatever rows stand
-    beside it, so its bits depend on nothing else; the inner loops run over rows of one action, side by side in the processor's
-    registers. Inputs are x (n, .), the command of each action, d (n, .); ``order`` sorts rows by action, ``kept`` numbers the
-    inputs that are used, ``limits`` (4, m) are the least and the most of each, its centre and 1 over its scale.
+    over z = (1, inputs kept within what was logged and standardised). A row is summed
+    in the order of j, whatever rows stand beside it, so its bits depend on nothing
+    else; the inner loops run over rows of one action, side by side in the processor's
+    registers. Inputs are x (n, .), the command of each action, d (n, .); ``order``
+    sorts rows by action, ``kept`` numbers the inputs that are used, ``limits`` (4, m)
+    are the least and the most of each, its centre and 1 over its scale.
     """
     n, m, q = len(x), len(kept), len(first)
     n_x, n_c, k = x.shape[1], commands.shape[1], w.shape[2]
@@ -127,9 +131,11 @@ def _predict(
 
 
 class Functions:
-    """phi(s, a): products of (1, x, d) and cos(w (x, d) + b), of standardised inputs kept within what was logged.
+    """phi(s, a): products of (1, x, d) and cos(w (x, d) + b), of standardised inputs
+    kept within what was logged.
 
-    x are the task's ``smooth`` coordinates and the command, d = f(s, a) - s is the displacement.
+    x are the task's ``smooth`` coordinates and the command, d = f(s, a) - s is the
+    displacement.
 
     Attributes
     ----------
@@ -222,7 +228,9 @@ class Functions:
         w: Array,
         ends: Array,
     ) -> Array:
-        """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends`` (2, k): compiled, O(n p k)."""
+        """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends``
+        (2, k): compiled, O(n p k).
+        """
         q, inputs = (
             min(w.shape[1], len(self._first)),
             (self._task.smooth(states), displacement),
@@ -254,7 +262,8 @@ class Fit:
     ridge : of a column's mean square
     columns, coefficients : (p,), (A, p)
     error : sum of its squared errors on episodes that it was not fitted to
-    t_statistic : how many standard errors (over groups of episodes) that is below the error of g = 0
+    t_statistic : how many standard errors (over groups of episodes) that is below the
+        error of g = 0
     """
 
     kind: str
@@ -267,7 +276,9 @@ class Fit:
 
 
 class Grams:
-    """G (groups, A, q, q) of the columns of all classes and the targets (n, k), of the rows that are used."""
+    """G (groups, A, q, q) of the columns of all classes and the targets (n, k), of the
+    rows that are used.
+    """
 
     def __init__(
         self,
@@ -304,7 +315,9 @@ class Grams:
         ridge: float,
         per_action: bool,
     ) -> Array:
-        """(A, p, targets) the coefficients from a weighted sum over groups; an action without rows has the pooled ones."""
+        """(A, p, targets) the coefficients from a weighted sum over groups; an action
+        without rows has the pooled ones.
+        """
         size = np.sqrt(np.maximum(self.mean_square[columns], 1e-300))
 
         def solve_one(gram: Array) -> Array:
@@ -327,7 +340,8 @@ class Grams:
         )
 
     def choose(self) -> list[Fit]:
-        """For each target the simplest class whose held-out error is within a standard error (over groups) of the best.
+        """For each target the simplest class whose held-out error is within a standard
+        error (over groups) of the best.
 
         Simplest: fewest coefficients, then the largest ridge.
         """
@@ -390,7 +404,9 @@ class Grams:
         fold: IntArray,
         grams: list[Array],
     ) -> Array:
-        """(options, groups, targets) sums of squared errors on groups by the fit to the other folds, ``grams`` theirs."""
+        """(options, groups, targets) sums of squared errors on groups by the fit to the
+        other folds, ``grams`` theirs.
+        """
         errors = np.empty((len(options), len(fold), self.k))
         for f in range(FOLDS):
             inside = np.flatnonzero(fold == f)
@@ -409,7 +425,9 @@ class Grams:
         return errors
 
     def refit(self, fits: Sequence[Fit], weights: Array | None = None) -> list[Fit]:
-        """The same classes fitted to all groups, or to groups with these weights: a bootstrap's."""
+        """The same classes fitted to all groups, or to groups with these weights: a
+        bootstrap's.
+        """
         gram = (
             self.g.sum(axis=0)
             if weights is None
@@ -428,7 +446,8 @@ class Grams:
 def episode_groups(
     episode: IntArray | None, n: int, width: int, n_actions: int
 ) -> IntArray:
-    """(n,) groups of whole episodes (of rows in turn, without episodes), as many as the Gram matrices' memory allows.
+    """(n,) groups of whole episodes (of rows in turn, without episodes), as many as the
+    Gram matrices' memory allows.
 
     At least 8 and at most 40, if there are so many episodes.
     """
@@ -447,12 +466,14 @@ def draw_groups(n_groups: int, seed: Any) -> Array:
 
 
 class LinearModel(DerivedTask):
-    """The task with steps linear in its smooth coordinates, fitted to a log: what a corrected simulator must beat.
+    """The task with steps linear in its smooth coordinates, fitted to a log: what a
+    corrected simulator must beat.
 
         s' = s + B_a (1, x(s)) + e,    B_a by least squares on the log's transitions of action a,
 
-    x the task's ``smooth`` coordinates (cosine and sine of angles), e a whole row's residual drawn from the log's transitions
-    of the same action. The simulator says only where episodes begin, where they end and what the rewards are.
+    x the task's ``smooth`` coordinates (cosine and sine of angles), e a whole row's
+    residual drawn from the log's transitions of the same action. The simulator says
+    only where episodes begin, where they end and what the rewards are.
 
     Parameters
     ----------
@@ -461,7 +482,8 @@ class LinearModel(DerivedTask):
 
     Attributes
     ----------
-    coefficients : (A, p, d) B_a; an action that was never recorded has those of all transitions
+    coefficients : (A, p, d) B_a; an action that was never recorded has those of all
+        transitions
     residuals : (n, d) what they leave over
 
     Raises
@@ -471,8 +493,9 @@ class LinearModel(DerivedTask):
 
     Notes
     -----
-    Next states stay within those that were logged, for a linear model's own may run away. Rewards are ``reward_between``'s, or
-    else those of the simulator's own step from (s, a). O(n p^2).
+    Next states stay within those that were logged, for a linear model's own may run
+    away. Rewards are ``reward_between``'s, or else those of the simulator's own step
+    from (s, a). O(n p^2).
 
     Examples
     --------
@@ -530,7 +553,9 @@ class LinearModel(DerivedTask):
         )
 
     def resampled(self, seed: Any = None) -> LinearModel:
-        """The same of a bootstrap's log: groups of whole episodes drawn with replacement."""
+        """The same of a bootstrap's log: groups of whole episodes drawn with
+        replacement.
+        """
         again = copy.copy(self)
         again._fit(draw_groups(int(self._group.max()) + 1, seed)[self._group])
         return again

@@ -1,15 +1,19 @@
-"""A simulator corrected by what a log leaves over: ``ResidualSimulator``, a ``ContinuousTask`` again.
+"""A simulator corrected by what a log leaves over: ``ResidualSimulator``, a
+``ContinuousTask`` again.
 
     s' = f(s, a) + g(s, a) + e
 
-f is the task's own step, g a function of the state, the action and the displacement f(s, a) - s, chosen for each coordinate
-among nested classes by held-out error over episodes (regression), e what g leaves over, drawn from the log. It is the paper's
-ratio of transitions with one tie: with q the law of the simulator's scatter s' - f(s, a) and p that of g + e,
+f is the task's own step, g a function of the state, the action and the displacement
+f(s, a) - s, chosen for each coordinate among nested classes by held-out error over
+episodes (regression), e what g leaves over, drawn from the log. It is the paper's ratio
+of transitions with one tie: with q the law of the simulator's scatter s' - f(s, a) and
+p that of g + e,
 
     zeta(s, a, s') = p(s' - f(s, a) | s, a) / q(s' - f(s, a)),
 
-so that transitions of one displacement from f share what the log says of it. No cells, and no support: the corrected simulator
-is stepped, not weighted. Cells, ratios and exact values can come after it, as after any simulator.
+so that transitions of one displacement from f share what the log says of it. No cells,
+and no support: the corrected simulator is stepped, not weighted. Cells, ratios and
+exact values can come after it, as after any simulator.
 """
 
 from __future__ import annotations
@@ -70,17 +74,21 @@ MISSED, MET = 0.5, 0.1
 
 @dataclass(frozen=True)
 class Coordinate:
-    """What a log says of one coordinate of the next state (or of the reward): how the target differs, and is it Markov.
+    """What a log says of one coordinate of the next state (or of the reward): how the
+    target differs, and is it Markov.
 
     Attributes
     ----------
     name : the coordinate's
-    kind, per_action : the class of functions that g is of, and whether each action has its own coefficients
+    kind, per_action : the class of functions that g is of, and whether each action has
+        its own coefficients
     t_statistic : how many standard errors what g explains is from 0
-    simulator_scatter, residual_scatter : root mean squares, of the simulator's own step about f and of s' - f(s, a) in the log
+    simulator_scatter, residual_scatter : root mean squares, of the simulator's own step
+        about f and of s' - f(s, a) in the log
     left_over : root mean square of s' - f(s, a) - g(s, a)
     displacement : standard deviation of s' - s in the log (of the reward)
-    explained : share of the residual's mean square, of every row, that g explains on episodes that it was not fitted to
+    explained : share of the residual's mean square, of every row, that g explains on
+        episodes that it was not fitted to
     scatter : "none" | "simulator" | "log", where the noise about f + g is taken from
     history : what earlier actions and residuals explain of what is left over
     """
@@ -99,7 +107,9 @@ class Coordinate:
 
     @property
     def differs(self) -> bool:
-        """Whether the target's step differs from the simulator's: g is surely not zero, or the scatter is another."""
+        """Whether the target's step differs from the simulator's: g is surely not zero,
+        or the scatter is another.
+        """
         is_alike = (
             abs(self.left_over - self.simulator_scatter)
             <= ALIKE * self.simulator_scatter
@@ -115,7 +125,9 @@ class Coordinate:
 
     @property
     def hidden(self) -> bool:
-        """Whether something that is not in the state decides: history explains enough of what is left over."""
+        """Whether something that is not in the state decides: history explains enough
+        of what is left over.
+        """
         return (
             self.history.r_squared > HIDDEN
             and self.history.part > SMALL * self.displacement
@@ -129,14 +141,18 @@ class ResidualSimulator(DerivedTask):
     ----------
     task : ContinuousTask, the simulator
     log : ContinuousTransitions of the target
-    seed : of the random functions that g may be made of, and of the simulator's scatter that the log's is compared with
+    seed : of the random functions that g may be made of, and of the simulator's scatter
+        that the log's is compared with
 
     Attributes
     ----------
-    coordinates : a ``Coordinate`` for each coordinate of the state, and for the reward where it had to be learned
+    coordinates : a ``Coordinate`` for each coordinate of the state, and for the reward
+        where it had to be learned
     fits : g of each of them; see ``regression.Fit``
-    residuals, left_over : (n, k) s' - f(s, a) of the log's rows, f without its stops, and what g leaves of it
-    units : the columns that seem to be in another unit than the simulator's, and in which; "" where none does
+    residuals, left_over : (n, k) s' - f(s, a) of the log's rows, f without its stops,
+        and what g leaves of it
+    units : the columns that seem to be in another unit than the simulator's, and in
+        which; "" where none does
 
     Raises
     ------
@@ -145,15 +161,19 @@ class ResidualSimulator(DerivedTask):
 
     Notes
     -----
-    g is kept within the residuals that were logged, and its arguments within theirs. Rows that no smooth g fits (contacts)
-    are left to e; those that end at a stop are in neither: the simulator's own is undone before g, the target's put where the
-    corrected step passes it (``stops``). e is 0 where nothing is left over; the simulator's own where that is of its size and
-    mean; otherwise a whole row's e is drawn from the log's rows of the same action: from all, or from 8 near by where the
-    residuals of neighbours tell of each other. A coordinate that ended at one extreme five times in the log goes no further.
-    The reward is ``reward_between``; where the task has none, its own step's plus a residual learned alike. Steps end where
-    ``terminated`` says so; where that does not repeat the task's own steps, where the nearest known next state does.
-    O(n p^2) for p functions (some 200), accumulated in blocks: a log of 150 000 transitions needs some 200 MB. A step costs the
-    task's own and O(p).
+    g is kept within the residuals that were logged, and its arguments within theirs.
+    Rows that no smooth g fits (contacts) are left to e; those that end at a stop are in
+    neither: the simulator's own is undone before g, the target's put where the
+    corrected step passes it (``stops``). e is 0 where nothing is left over; the
+    simulator's own where that is of its size and mean; otherwise a whole row's e is
+    drawn from the log's rows of the same action: from all, or from 8 near by where the
+    residuals of neighbours tell of each other. A coordinate that ended at one extreme
+    five times in the log goes no further. The reward is ``reward_between``; where the
+    task has none, its own step's plus a residual learned alike. Steps end where
+    ``terminated`` says so; where that does not repeat the task's own steps, where the
+    nearest known next state does. O(n p^2) for p functions (some 200), accumulated in
+    blocks: a log of 150 000 transitions needs some 200 MB. A step costs the task's own
+    and O(p).
 
     Examples
     --------
@@ -225,7 +245,9 @@ class ResidualSimulator(DerivedTask):
         is_free: BoolArray,
         rng: np.random.Generator,
     ) -> BoolArray:
-        """Fit g to smooth rows, which it finds by what g leaves over; then what is lost at stops."""
+        """Fit g to smooth rows, which it finds by what g leaves over; then what is lost
+        at stops.
+        """
         d, free = (
             self.n_state,
             self._stops.free(self.task, log.state, actions, own.next_state),
@@ -276,7 +298,9 @@ class ResidualSimulator(DerivedTask):
         return last
 
     def _displacements(self, states: Array, actions: IntArray, free: Array) -> Array:
-        """(n, m) what g depends on besides (s, a), ``free`` the simulator's next states without its stops."""
+        """(n, m) what g depends on besides (s, a), ``free`` the simulator's next states
+        without its stops.
+        """
         return np.column_stack(
             [
                 shortest(d, self._periods)
@@ -285,7 +309,9 @@ class ResidualSimulator(DerivedTask):
         )
 
     def _is_outlying(self, left: Array) -> BoolArray:
-        """(n,) rows with a residual far beyond the others', where they are few: contacts, stops."""
+        """(n,) rows with a residual far beyond the others', where they are few:
+        contacts, stops.
+        """
         size = np.median(np.abs(left), axis=0) / 0.6745
         floor = 1e-3 * root_mean_square(self.residuals)
         is_far = np.abs(left) > OUTLYING * np.maximum(size, floor) + 1e-300
@@ -314,7 +340,9 @@ class ResidualSimulator(DerivedTask):
         is_smooth: BoolArray,
         is_free: BoolArray,
     ) -> tuple[Coordinate, ...]:
-        """One ``Coordinate`` each; rows that g was not fitted to count by what it leaves of them."""
+        """One ``Coordinate`` each; rows that g was not fitted to count by what it
+        leaves of them.
+        """
         scatter, left, residual = (
             self._scatter,
             root_mean_square(self.left_over),
@@ -370,7 +398,9 @@ class ResidualSimulator(DerivedTask):
         )
 
     def resampled(self, seed: Any = None) -> ResidualSimulator:
-        """The same corrected by a bootstrap's log: groups of whole episodes drawn with replacement, g of the same classes."""
+        """The same corrected by a bootstrap's log: groups of whole episodes drawn with
+        replacement, g of the same classes.
+        """
         weights, again = draw_groups(len(self._grams.g), seed), copy.copy(self)
         again._set_fits(self._grams.refit(self.fits, weights))
         again._scatter = self._scatter.reweighted(weights[self._group[self._is_free]])
@@ -378,12 +408,16 @@ class ResidualSimulator(DerivedTask):
 
     @property
     def rewards(self) -> tuple[float, float]:
-        """The least and the largest reward of the log and of the simulator's own steps from its rows."""
+        """The least and the largest reward of the log and of the simulator's own steps
+        from its rows.
+        """
         return float(self._known_rewards.min()), float(self._known_rewards.max())
 
     @property
     def hidden_part(self) -> float:
-        """The largest part of a step, in its deviations, that history explains; 0 where the state is Markov."""
+        """The largest part of a step, in its deviations, that history explains; 0 where
+        the state is Markov.
+        """
         return max(
             (c.history.part / c.displacement for c in self.coordinates if c.hidden),
             default=0.0,
@@ -391,17 +425,23 @@ class ResidualSimulator(DerivedTask):
 
     @property
     def held_out_error(self) -> float:
-        """Mean square one-step error on held-out episodes, in the displacement's variance, summed over coordinates."""
+        """Mean square one-step error on held-out episodes, in the displacement's
+        variance, summed over coordinates.
+        """
         return sum(c.unexplained for c in self.coordinates)
 
     def beyond(self, states: Array) -> BoolArray:
-        """(n,) states with a feature outside the range of the log's, where no data support g."""
+        """(n,) states with a feature outside the range of the log's, where no data
+        support g.
+        """
         features, (low, high) = self.task.features(states), self._range
         return np.asarray(((features < low) | (features > high)).any(axis=1))
 
     @one_thread
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One corrected step; the last disturbance chooses e, where it is drawn from the log."""
+        """One corrected step; the last disturbance chooses e, where it is drawn from
+        the log.
+        """
         actions, scatter = np.asarray(actions, dtype=np.int64), self._scatter
         own = self.task.noiseless_step(states, actions)
         free = (
@@ -436,7 +476,9 @@ class ResidualSimulator(DerivedTask):
         )
 
     def step(self, states: Array, actions: IntArray, rng: np.random.Generator) -> Moves:
-        """One random step; what chooses e is a stream of its own, so that ``rng`` gives what it gives to the task."""
+        """One random step; what chooses e is a stream of its own, so that ``rng`` gives
+        what it gives to the task.
+        """
         xi = rng.standard_normal((len(states), self.task.n_disturbances))
         if self._scatter.drawn.any():
             xi = np.column_stack([xi, rng.spawn(1)[0].standard_normal(len(states))])
@@ -459,7 +501,9 @@ class ResidualSimulator(DerivedTask):
         own: Moves,
         added: Array,
     ) -> Array:
-        """r(s, a, s'); the simulator's own and what was learned where a task has none, or that of the nearest such end."""
+        """r(s, a, s'); the simulator's own and what was learned where a task has none,
+        or that of the nearest such end.
+        """
         known = self.task.reward_between(states, actions, following)
         if known is not None:
             return known
@@ -489,12 +533,14 @@ class ResidualSimulator(DerivedTask):
 def other_units(
     task: ContinuousTask, log: ContinuousTransitions, actions: IntArray, periods: Array
 ) -> str:
-    """Which columns are in another unit than the simulator's, and in which; "" where none is, or no factor makes steps alike.
+    """Which columns are in another unit than the simulator's, and in which; "" where
+    none is, or no factor makes steps alike.
 
         miss(c)_k = min(1, |c s' - f(c s, a)|_k^2 / |c s' - c s|_k^2),   c a factor for each column
 
-    Columns one by one, and in pairs by the same factor: the least sum of misses of those that bring a coordinate from more than
-    half to less than a tenth. One call of f with 500 rows, some 200 where a coordinate is missed.
+    Columns one by one, and in pairs by the same factor: the least sum of misses of
+    those that bring a coordinate from more than half to less than a tenth. One call of
+    f with 500 rows, some 200 where a coordinate is missed.
     """
     d, rows = (
         task.n_state,

@@ -1,12 +1,16 @@
-"""The rows of a continuous task's report: functions of a policy that give an ``Estimate`` of J = E[sum_{t<T} gamma^t r_t].
+"""The rows of a continuous task's report: functions of a policy that give an
+``Estimate`` of J = E[sum_{t<T} gamma^t r_t].
 
-Monte Carlo in a task (``Rollouts``): the simulator, the simulator corrected by the log's residuals, a linear model of the log;
-of the last two the error counts the rollouts and the log, see ``corrected_value``. Importance sampling on the log's own
-episodes, with the policy's probabilities in the log's own states: every row of the log is a state of its own.
+Monte Carlo in a task (``Rollouts``): the simulator, the simulator corrected by the
+log's residuals, a linear model of the log; of the last two the error counts the
+rollouts and the log, see ``corrected_value``. Importance sampling on the log's own
+episodes, with the policy's probabilities in the log's own states: every row of the log
+is a state of its own.
 
-On cells (``OnCells``): the simulator is discretised at the log's own places, with the small defensive share of its
-configuration; the log becomes numbered transitions and soft counts on the same cells; zeta is fitted to the soft counts. Beside
-the raw value stands the calibrated one, by the simulator without the defensive share.
+On cells (``OnCells``): the simulator is discretised at the log's own places, with the
+small defensive share of its configuration; the log becomes numbered transitions and
+soft counts on the same cells; zeta is fitted to the soft counts. Beside the raw value
+stands the calibrated one, by the simulator without the defensive share.
 """
 
 from __future__ import annotations
@@ -75,7 +79,8 @@ class Rollouts:
     horizon, discount : of the value
     episodes : of each value
     seed : of all of them, whatever the policy and the task
-    refits, paths : how many logs are resampled, and the episodes by which J_b - J is computed
+    refits, paths : how many logs are resampled, and the episodes by which J_b - J is
+        computed
     """
 
     horizon: int
@@ -108,12 +113,14 @@ class Rollouts:
     def estimate(
         self, learned: Any, policy: StatePolicy, status: str = "ok"
     ) -> Estimate:
-        """J in a task learned from the log, with the error of the log and of the rollouts.
+        """J in a task learned from the log, with the error of the log and of the
+        rollouts.
 
         Parameters
         ----------
-        learned : ContinuousTask whose ``resampled(rng)`` is the same fitted to a bootstrap's log; a report begins with the
-            value in a ``ResidualSimulator``, which says how often the policy leaves what the log has seen
+        learned : ContinuousTask whose ``resampled(rng)`` is the same fitted to a
+            bootstrap's log; a report begins with the value in a ``ResidualSimulator``,
+            which says how often the policy leaves what the log has seen
         policy : of the task's states
         status : why the value is not to be relied on, and then has no error; "ok"
         """
@@ -186,7 +193,8 @@ def corrected_value(
     paths: int = 1000,
     seed: Seed = None,
 ) -> Estimate:
-    """J = E[sum_{t<T} gamma^t r_t] in the corrected simulator by Monte Carlo, its standard error and 95% interval.
+    """J = E[sum_{t<T} gamma^t r_t] in the corrected simulator by Monte Carlo, its
+    standard error and 95% interval.
 
         se^2 = se_MC^2 + Var_b (J_b - J),   J_b of the correction fitted to resampled episodes; by common random numbers
 
@@ -197,19 +205,21 @@ def corrected_value(
     n_episodes : of the value
     horizon : T, the number of rewards
     discount : gamma, in [0, 1]
-    refits, paths : how many logs are resampled, at least 2, and the episodes by which J_b - J is computed
+    refits, paths : how many logs are resampled, at least 2, and the episodes by which
+        J_b - J is computed
     seed : the same seed gives the same bits
 
     Returns
     -------
     Estimate
-        ``status`` is not "ok", and there is no interval, where history explains what the correction leaves over: the state is
-        not Markov then.
+        ``status`` is not "ok", and there is no interval, where history explains what
+        the correction leaves over: the state is not Markov then.
 
     Notes
     -----
-    (n_episodes + (refits + 1) paths) horizon steps of the corrected simulator. The interval is that of Student's t. It covers
-    the variation between logs, not a change that no smooth correction fits.
+    (n_episodes + (refits + 1) paths) horizon steps of the corrected simulator. The
+    interval is that of Student's t. It covers the variation between logs, not a change
+    that no smooth correction fits.
 
     Examples
     --------
@@ -243,9 +253,11 @@ def corrected_value(
 def refuse_impossible(
     estimate: Estimate, lowest: float, highest: float, horizon: int, scale: float = 1.0
 ) -> Estimate:
-    """Without a value that lies beyond the least and the most that the rewards can sum to, and with a sentence.
+    """Without a value that lies beyond the least and the most that the rewards can sum
+    to, and with a sentence.
 
-    A value that is beyond by at most 1.96 standard errors is put on the bound; ``scale`` multiplies values in the sentence.
+    A value that is beyond by at most 1.96 standard errors is put on the bound;
+    ``scale`` multiplies values in the sentence.
     """
     value = estimate.value
     room = 1e-9 * max(
@@ -274,16 +286,20 @@ def refuse_impossible(
 
 
 class NoCellsError(ValueError):
-    """The cells cannot take the log; its text is the sentence that a report says in place of their rows."""
+    """The cells cannot take the log; its text is the sentence that a report says in
+    place of their rows.
+    """
 
 
 class OnCells:
-    """What does not depend on the policies: a simulator and a log on cells, and the ratio between the two.
+    """What does not depend on the policies: a simulator and a log on cells, and the
+    ratio between the two.
 
     Parameters
     ----------
     simulator, log : the simulator, and the log, whose actions are numbers
-    settings : where the cells lie (``grid``), and what is done with what lies outside of them
+    settings : where the cells lie (``grid``), and what is done with what lies outside
+        of them
     horizon, discount, seed : of the values, of the numbers of the log's states
 
     Attributes
@@ -297,7 +313,8 @@ class OnCells:
     NoCellsError
         Too many transitions have no support.
     ValueError
-        Settings that do not fit; states outside the cells, where ``settings.outside`` is "error".
+        Settings that do not fit; states outside the cells, where ``settings.outside``
+        is "error".
     """
 
     def __init__(
@@ -455,7 +472,9 @@ class OnCells:
     def calibrated(
         self, simulate: Callable[[Array], MonteCarlo], kind: str, scale: float
     ) -> Estimator:
-        """The raw value calibrated by ``simulate(policy)``, Monte Carlo's; not beyond what the rewards can sum to."""
+        """The raw value calibrated by ``simulate(policy)``, Monte Carlo's; not beyond
+        what the rewards can sum to.
+        """
 
         def row(problem: Problem, policy: Any, *, seed: Seed = None) -> Estimate:
             below = self.plain(problem, policy).value
@@ -486,7 +505,9 @@ class OnCells:
     def describe_loss(
         self, simulate: Callable[[Array], MonteCarlo], tables: Mapping[str, Array]
     ) -> str:
-        """By how much the cells change the simulator's own values, which no interval counts."""
+        """By how much the cells change the simulator's own values, which no interval
+        counts.
+        """
         values = {name: simulate(table).value for name, table in tables.items()}
         changes = ", ".join(
             f"{self.plain(self.problem, tables[name]).value - value:+.3g} of"
@@ -523,7 +544,9 @@ class OnCells:
 def calibrated_row(
     raw: Estimate, outside: MonteCarlo, below: float, kind: str, scale: float
 ) -> Estimate:
-    """The raw value times J_continuous / J_discretised of the simulator, or plus their difference, in a row of its own."""
+    """The raw value times J_continuous / J_discretised of the simulator, or plus their
+    difference, in a row of its own.
+    """
     found = calibrate(
         raw,
         discretised=below,

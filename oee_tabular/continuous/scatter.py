@@ -1,10 +1,14 @@
-"""What a log says of single steps: where they are stopped (``Stops``), and what they scatter about f + g (``Scatter``).
+"""What a log says of single steps: where they are stopped (``Stops``), and what they
+scatter about f + g (``Scatter``).
 
-A stop is a value that a coordinate of the next state does not pass, found in the data by its repetition. A free step differs
-smoothly from the target's; one that ends at a stop does not. So the simulator's own stop is undone before a correction is
-added, by a step from a little further back, and the target's is put where the corrected step passes it.
+A stop is a value that a coordinate of the next state does not pass, found in the data
+by its repetition. A free step differs smoothly from the target's; one that ends at a
+stop does not. So the simulator's own stop is undone before a correction is added, by a
+step from a little further back, and the target's is put where the corrected step passes
+it.
 
-A corrected simulator scatters by nothing, by the simulator's own noise, or by residuals drawn from the log.
+A corrected simulator scatters by nothing, by the simulator's own noise, or by residuals
+drawn from the log.
 """
 
 from __future__ import annotations
@@ -34,7 +38,8 @@ ROUNDING = 1e-9  # of a displacement's deviation
 
 
 class Stops:
-    """Where steps are stopped, by a log's transitions and the simulator's own steps from there.
+    """Where steps are stopped, by a log's transitions and the simulator's own steps
+    from there.
 
     Parameters
     ----------
@@ -44,9 +49,12 @@ class Stops:
     Attributes
     ----------
     bounds : (2, d) what no next state passes; infinite where nothing is known
-    target, own : (2, d) the target's stops and the simulator's, which are the target's too unless the log passes them
-    held : (side, i) -> coordinates and their values, which all have that are stopped at that side of coordinate i
-    pushes : (side, i) -> (h, d) what who loses v of the h held coordinates is pushed by, v C, in the others; see ``learn``
+    target, own : (2, d) the target's stops and the simulator's, which are the target's
+        too unless the log passes them
+    held : (side, i) -> coordinates and their values, which all have that are stopped at
+        that side of coordinate i
+    pushes : (side, i) -> (h, d) what who loses v of the h held coordinates is pushed
+        by, v C, in the others; see ``learn``
     """
 
     def __init__(
@@ -79,7 +87,9 @@ class Stops:
     def free(
         self, task: ContinuousTask, states: Array, actions: IntArray, own: Array
     ) -> Array:
-        """(n, d) the simulator's next states ``own`` without its stops, f(s - b) + b; b is as short as is free of them."""
+        """(n, d) the simulator's next states ``own`` without its stops, f(s - b) + b; b
+        is as short as is free of them.
+        """
         if np.isinf(self.own).all():
             return own
         at, free = _side(self.own, own), own.copy()
@@ -94,7 +104,9 @@ class Stops:
         return free
 
     def learn(self, moved: Array, following: Array) -> None:
-        """Fit the pushes by least squares on rows that ended at a stop, ``moved`` their f + g; 0 where they are too few."""
+        """Fit the pushes by least squares on rows that ended at a stop, ``moved`` their
+        f + g; 0 where they are too few.
+        """
         for (side, i), (held, values) in self.held.items():
             rows = following[:, i] == self.target[side, i]
             others = np.setdiff1d(np.arange(self._reach.size), [i, *held])
@@ -105,7 +117,9 @@ class Stops:
                 )[0]
 
     def push(self, moved: Array) -> Array:
-        """(n, d) steps f + g, pushed where they are stopped; the bounds are left to come."""
+        """(n, d) steps f + g, pushed where they are stopped; the bounds are left to
+        come.
+        """
         for (side, i), (held, values) in self.held.items():
             rows = self._rows_at(side, i, moved)
             if rows.any():
@@ -139,9 +153,11 @@ def _extremes(values: Array) -> Array:
 
 
 def _find(values: Array, extremes: Array, is_angle: BoolArray) -> Array:
-    """The extremes that are stops: of a coordinate that is no angle and no number, and for few rows.
+    """The extremes that are stops: of a coordinate that is no angle and no number, and
+    for few rows.
 
-    Something must be held there, as a speed is at a wall: a limit that holds nothing else is a bound, no more.
+    Something must be held there, as a speed is at a wall: a limit that holds nothing
+    else is a bound, no more.
     """
     none = np.full(extremes.shape, [[-np.inf], [np.inf]])
     stops = extremes.copy()
@@ -169,14 +185,18 @@ def _group_stops(
 
 
 def draw_rows(pool: tuple[IntArray, Array], uniform: Array) -> IntArray:
-    """Rows by the quantile ``uniform`` of their weights; ``pool``: rows, and the running sum of their weights."""
+    """Rows by the quantile ``uniform`` of their weights; ``pool``: rows, and the
+    running sum of their weights.
+    """
     rows, running = pool
     place = np.searchsorted(running, uniform * running[-1], side="right")
     return np.asarray(rows[np.minimum(place, len(rows) - 1)])
 
 
 class Neighbors:
-    """States (n, d) of a task among which the nearest are looked for, each coordinate in units of its deviation."""
+    """States (n, d) of a task among which the nearest are looked for, each coordinate
+    in units of its deviation.
+    """
 
     def __init__(self, task: ContinuousTask, states: Array) -> None:
         places = task.smooth(states)
@@ -187,7 +207,9 @@ class Neighbors:
     def find(
         self, states: Array, rows: IntArray, k: int = 1, *, key: Hashable
     ) -> IntArray:
-        """(n, k) or, with k = 1, (n,) which of ``rows`` are nearest; ``key`` names these rows, whose tree is kept."""
+        """(n, k) or, with k = 1, (n,) which of ``rows`` are nearest; ``key`` names
+        these rows, whose tree is kept.
+        """
         if key not in self._trees:
             self._trees[key] = cKDTree(self._places[rows])
         return np.asarray(
@@ -202,7 +224,8 @@ class Scatter:
     ----------
     task, log, actions : the simulator, the log and the numbers (n,) of its actions
     own : the simulator's steps from the log's rows, without noise
-    left_over : (n, k) what f + g leaves of the log's next states, and of its rewards where they are learned
+    left_over : (n, k) what f + g leaves of the log's next states, and of its rewards
+        where they are learned
     is_free : (n,) rows that count
     periods : of angles, as in ``shortest``
 
@@ -278,7 +301,9 @@ class Scatter:
         return self._near is not None
 
     def _is_local(self, near: IntArray, some: IntArray) -> bool:
-        """Whether the residuals of the rows near by, or their sizes, explain some of a row's."""
+        """Whether the residuals of the rows near by, or their sizes, explain some of a
+        row's.
+        """
         some = some[np.bincount(self._actions)[self._actions[some]] > N_NEIGHBORS]
         if len(some) < 50:
             return False
@@ -302,7 +327,9 @@ class Scatter:
         return False
 
     def _set_weights(self, weights: Array) -> None:
-        """Of each action its rows in order with these weights; of an action without rows, all."""
+        """Of each action its rows in order with these weights; of an action without
+        rows, all.
+        """
         self._weights, self._pools = weights, []
         for rows in self._rows:
             pool = rows if weights[rows].any() else np.arange(len(self._e))
@@ -316,7 +343,9 @@ class Scatter:
         return again
 
     def draw(self, states: Array, actions: IntArray, uniform: Array) -> Array:
-        """(n, k) residuals of logged rows of the same action, by the quantile ``uniform``."""
+        """(n, k) residuals of logged rows of the same action, by the quantile
+        ``uniform``.
+        """
         chosen = np.empty(len(states), dtype=np.int64)
         for a in np.unique(actions):
             at = np.flatnonzero(actions == a)

@@ -1,7 +1,9 @@
-"""A continuous simulator with the configuration by which logs are evaluated in it: ``ContinuousSimulator``.
+"""A continuous simulator with the configuration by which logs are evaluated in it:
+``ContinuousSimulator``.
 
-Its task has finitely many actions, which of a Gymnasium action space are chosen here (``action_set``). Policies may say
-commands or numbers of actions in place of probabilities (``as_probabilities``).
+Its task has finitely many actions, which of a Gymnasium action space are chosen here
+(``action_set``). Policies may say commands or numbers of actions in place of
+probabilities (``as_probabilities``).
 """
 
 from __future__ import annotations
@@ -31,10 +33,11 @@ SLOW = {"episodes": 2000, "refit_paths": 200, "refits": 10}
 
 
 def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandPolicy:
-    """A policy that may say, for states (n, d), probabilities (n, A), action numbers (n,) or commands (n, k).
+    """A policy that may say, for states (n, d), probabilities (n, A), action numbers
+    (n,) or commands (n, k).
 
-    A command between those of a product grid is shared out among its neighbours so that its mean is kept; elsewhere the nearest
-    of ``actions`` (A, k) is taken.
+    A command between those of a product grid is shared out among its neighbours so that
+    its mean is kept; elsewhere the nearest of ``actions`` (A, k) is taken.
 
     Examples
     --------
@@ -52,7 +55,9 @@ def as_probabilities(policy: Callable[[Array], Any], actions: Array) -> CommandP
 
 @dataclass(frozen=True, eq=False)
 class CommandPolicy:
-    """``policy`` of states as probabilities of ``actions``; made by ``as_probabilities``."""
+    """``policy`` of states as probabilities of ``actions``; made by
+    ``as_probabilities``.
+    """
 
     policy: Callable[[Array], Any]
     actions: Array
@@ -62,7 +67,9 @@ class CommandPolicy:
         return self._play(states)[0]
 
     def rounding(self, states: Array) -> tuple[float, float]:
-        """How far the actions are from the commands (root mean square), and the share of these that is cut to their range."""
+        """How far the actions are from the commands (root mean square), and the share
+        of these that is cut to their range.
+        """
         weights, commands = self._play(states)
         if commands is None:
             return 0.0, 0.0
@@ -76,7 +83,9 @@ class CommandPolicy:
         )
 
     def _play(self, states: Array) -> tuple[Array, Array | None]:
-        """Probabilities, and the commands (n, k) that they are of, where the policy gave such."""
+        """Probabilities, and the commands (n, k) that they are of, where the policy
+        gave such.
+        """
         found, n, actions = (
             np.asarray(ask_policy(self.policy, states)),
             len(states),
@@ -105,7 +114,9 @@ class CommandPolicy:
 
 
 def _interpolate_weights(commands: Array, actions: Array) -> Array:
-    """(n, A) multilinear weights on a product grid, the nearest where the actions are none."""
+    """(n, A) multilinear weights on a product grid, the nearest where the actions are
+    none.
+    """
     levels = [np.unique(column) for column in actions.T]
     shape = tuple(len(each) for each in levels)
     if np.prod(shape) != len(actions) or len(np.unique(actions, axis=0)) != len(
@@ -134,14 +145,17 @@ class ContinuousSimulator:
     ----------
     name : str, as it was given
     task : ContinuousTask
-    expert : function of states (n, d) giving probabilities (n, A); None where there is none
+    expert : function of states (n, d) giving probabilities (n, A); None where there is
+        none
     horizon : of an episode and of a value, where none is given
-    floor : share of the defensive simulator's other steps, where a log is evaluated on cells
+    floor : share of the defensive simulator's other steps, where a log is evaluated on
+        cells
     ratio : options of ``transition_ratio`` for the counts on cells
     calibration : "ratio" | "difference" | "none"; see ``estimators.calibrate``
     policies : those whose states the cells must serve
     episodes : of Monte Carlo, for each policy
-    refits, refit_paths : of a corrected simulator, and the episodes by which each is compared with it
+    refits, refit_paths : of a corrected simulator, and the episodes by which each is
+        compared with it
 
     Examples
     --------
@@ -164,10 +178,11 @@ class ContinuousSimulator:
     refits: int = 20
 
     def policy(self, spec: str, name: str = "policy") -> StatePolicy:
-        """``uniform``; ``expert``; ``mix:0.7``, the expert with that probability, else uniform; or ``module:function``.
+        """``uniform``; ``expert``; ``mix:0.7``, the expert with that probability, else
+        uniform; or ``module:function``.
 
-        The function takes states (n, d) and gives probabilities (n, A), action numbers (n,) or commands (n, k); see
-        ``as_probabilities``.
+        The function takes states (n, d) and gives probabilities (n, A), action numbers
+        (n,) or commands (n, k); see ``as_probabilities``.
         """
         expert = self.expert
         if spec == "uniform":
@@ -204,7 +219,9 @@ class ContinuousSimulator:
         cells: Any = None,
         **options: Any,
     ) -> Discretization:
-        """The finite MDP of the task, looked at where the log was; ``floor`` and ``discount`` as in ``tasks.discretize``."""
+        """The finite MDP of the task, looked at where the log was; ``floor`` and
+        ``discount`` as in ``tasks.discretize``.
+        """
         chosen = self.task.default_cells if cells is None else cells
         if isinstance(chosen, int):
             chosen = VisitedCells(chosen, max_steps=self.horizon)
@@ -220,7 +237,9 @@ class ContinuousSimulator:
     def record(
         self, policy: StatePolicy, *, max_steps: int | None = None, **options: Any
     ) -> ContinuousTransitions:
-        """A log of the simulator; ``n_transitions`` or ``n_episodes``, and ``seed``, as in ``tasks.record``."""
+        """A log of the simulator; ``n_transitions`` or ``n_episodes``, and ``seed``, as
+        in ``tasks.record``.
+        """
         return record(
             self.task,
             policy,
@@ -232,7 +251,9 @@ class ContinuousSimulator:
 def as_simulator(
     task: ContinuousTask, horizon: int | None, **options: Any
 ) -> ContinuousSimulator:
-    """A task as a simulator, configured as a Gymnasium environment is but for ``options``; ``horizon`` of its episodes."""
+    """A task as a simulator, configured as a Gymnasium environment is but for
+    ``options``; ``horizon`` of its episodes.
+    """
     if horizon is None:
         raise ValueError(
             f"horizon must be given for {task.name}, which has no time limit of its"
@@ -260,9 +281,11 @@ class Settings:
 
     Attributes
     ----------
-    grid : None: no rows on cells; "auto": on the task's own; vertices along each feature; or a number of visited cells
-    outside : "error" | "nearest" | "drop", for states outside the grid; "drop" leaves out transitions without support as
-        well, however many (otherwise more than a hundredth leave out the rows on the grid)
+    grid : None: no rows on cells; "auto": on the task's own; vertices along each
+        feature; or a number of visited cells
+    outside : "error" | "nearest" | "drop", for states outside the grid; "drop" leaves
+        out transitions without support as well, however many (otherwise more than a
+        hundredth leave out the rows on the grid)
     strict : an error, not a warning, for actions that are not in the task's set
     calibration : "ratio" | "difference" | "none"
     floor : defensive share, in [0, 1]

@@ -4,9 +4,10 @@ A task is a set of numbered actions, a place where episodes begin, and one step:
 
     s' = f(s, a, xi),   xi ~ N(0, I),     with its reward and whether the episode is over.
 
-All randomness of a step comes from the disturbance xi, whose length the task declares. So the same xi can be used twice
-(pairing a simulator with its target), replaced by Gauss-Hermite points (an exact average over Gaussian noise), or set to 0.
-Everything is vectorised over states: (n, d) in, (n, d) out.
+All randomness of a step comes from the disturbance xi, whose length the task declares.
+So the same xi can be used twice (pairing a simulator with its target), replaced by
+Gauss-Hermite points (an exact average over Gaussian noise), or set to 0. Everything is
+vectorised over states: (n, d) in, (n, d) out.
 """
 
 from __future__ import annotations
@@ -50,26 +51,34 @@ class Moves:
 class ContinuousTask(ABC):
     """A decision process with states in R^d and finitely many actions.
 
-    A subclass sets the attributes, and writes ``moves`` and ``initial_states``; the other methods have defaults.
+    A subclass sets the attributes, and writes ``moves`` and ``initial_states``; the
+    other methods have defaults.
 
     Attributes
     ----------
     name : str
     state_names : names of the d coordinates of a state
-    actions : (A,) or (A, k); action number a means ``actions[a]``, and the set is part of the environment
+    actions : (A,) or (A, k); action number a means ``actions[a]``, and the set is part
+        of the environment
     n_disturbances : length of xi; 0 where a step is deterministic
-    feature_names : names of the coordinates that are discretised (those of ``features``)
-    feature_low, feature_high : (k,) the usual range of each feature, the default extent of a grid
+    feature_names : names of the coordinates that are discretised (those of
+        ``features``)
+    feature_low, feature_high : (k,) the usual range of each feature, the default extent
+        of a grid
     periodic : (k,) whether a feature is an angle, whose range closes on itself
     terminates : whether episodes can end before a time limit
-    default_cells : what ``discretize`` takes for ``cells`` where none are given; None: by the number of features
-    noise_points : Gauss-Hermite points of each disturbance on a grid; 1 leaves them at 0
-    is_translation_invariant : whether a command moves the features by about the same wherever it is given; ``discretize`` then
-        carries a log's transitions to the vertices, and a ratio may be tied over displacements
+    default_cells : what ``discretize`` takes for ``cells`` where none are given; None:
+        by the number of features
+    noise_points : Gauss-Hermite points of each disturbance on a grid; 1 leaves them at
+        0
+    is_translation_invariant : whether a command moves the features by about the same
+        wherever it is given; ``discretize`` then carries a log's transitions to the
+        vertices, and a ratio may be tied over displacements
 
     Notes
     -----
-    A reward is 0 after termination. A time limit is not part of a task: it is the horizon of an evaluation.
+    A reward is 0 after termination. A time limit is not part of a task: it is the
+    horizon of an evaluation.
 
     Examples
     --------
@@ -105,7 +114,9 @@ class ContinuousTask(ABC):
 
     @abstractmethod
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
-        """One step from states (n, d) under action numbers (n,) with xi = disturbance (n, n_disturbances)."""
+        """One step from states (n, d) under action numbers (n,) with xi = disturbance
+        (n, n_disturbances).
+        """
 
     @abstractmethod
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
@@ -118,7 +129,8 @@ class ContinuousTask(ABC):
     def end_shows(self, states: Array) -> BoolArray:
         """(n,) of terminal states, whether their features show it; default: all do.
 
-        Where features leave out what ended an episode, the discretised process goes on: such an end is a truncation to it.
+        Where features leave out what ended an episode, the discretised process goes on:
+        such an end is a truncation to it.
         """
         return np.ones(len(states), dtype=np.bool_)
 
@@ -127,9 +139,11 @@ class ContinuousTask(ABC):
         return states
 
     def smooth(self, states: Array) -> Array:
-        """(n, m) the coordinates that functions of a state are smooth in: cosine and sine of what is periodic.
+        """(n, m) the coordinates that functions of a state are smooth in: cosine and
+        sine of what is periodic.
 
-        Default: the state, and those of its features that are not coordinates of it. A task says here which angles it has.
+        Default: the state, and those of its features that are not coordinates of it. A
+        task says here which angles it has.
         """
         features = self.features(states)
         whole = features is states or (
@@ -147,7 +161,9 @@ class ContinuousTask(ABC):
         )
 
     def embed(self, features: Array) -> Array:
-        """(n, d) a state with these features, for a grid to step from; default: the features themselves."""
+        """(n, d) a state with these features, for a grid to step from; default: the
+        features themselves.
+        """
         return features
 
     def reward_between(
@@ -162,16 +178,20 @@ class ContinuousTask(ABC):
         )
 
     def reward_terms(self, states: Array) -> Array | None:
-        """(n, m) functions of a state that the reward of a transition is linear in; None where there are none.
+        """(n, m) functions of a state that the reward of a transition is linear in;
+        None where there are none.
 
-        With ``reward_of`` they make a reward that telescopes telescope on cells as well. Of tasks whose episodes do not end.
+        With ``reward_of`` they make a reward that telescopes telescope on cells as
+        well. Of tasks whose episodes do not end.
         """
         return None
 
     def displacements(
         self, states: Array, actions: IntArray, next_states: Array
     ) -> list[Array]:
-        """What a correction of the step depends on besides (s, a), each (n, <= d): s' - s of the task's own step."""
+        """What a correction of the step depends on besides (s, a), each (n, <= d): s' -
+        s of the task's own step.
+        """
         return [next_states - states]
 
     def reward_of(self, before: Array, actions: IntArray, after: Array) -> Array:
@@ -179,20 +199,28 @@ class ContinuousTask(ABC):
         raise NotImplementedError
 
     def others(self) -> Sequence[ContinuousTask]:
-        """The task under other parameters, of which the defensive simulator of ``discretize`` is made; default: none."""
+        """The task under other parameters, of which the defensive simulator of
+        ``discretize`` is made; default: none.
+        """
         return ()
 
     def on_features(self) -> ContinuousTask:
-        """The task as a process of its features, which ``discretize`` steps; default: the task itself."""
+        """The task as a process of its features, which ``discretize`` steps; default:
+        the task itself.
+        """
         return self
 
     def initial_points(self) -> tuple[Array, Array]:
-        """States (m, d) and weights (m,) of the initial distribution; default: 50 000 equally likely draws of one seed."""
+        """States (m, d) and weights (m,) of the initial distribution; default: 50 000
+        equally likely draws of one seed.
+        """
         states = self.initial_states(50_000, np.random.default_rng(0))
         return states, np.full(len(states), 1.0 / len(states))
 
     def parameters(self) -> dict[str, Any]:
-        """What distinguishes this task from others of its name; written beside everything that is made from it."""
+        """What distinguishes this task from others of its name; written beside
+        everything that is made from it.
+        """
         return {}
 
     @property
@@ -217,7 +245,9 @@ class ContinuousTask(ABC):
 
 
 class DerivedTask(ContinuousTask):
-    """A task made of another: what a subclass does not say is the other's, of ``own`` of a state."""
+    """A task made of another: what a subclass does not say is the other's, of ``own``
+    of a state.
+    """
 
     def __init__(self, task: ContinuousTask, name: str) -> None:
         for attribute in ContinuousTask.__annotations__:
@@ -257,7 +287,9 @@ class DerivedTask(ContinuousTask):
 
 
 def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:
-    """``states`` as (n, d) finite numbers of the task's d; ValueError with the place and the value found."""
+    """``states`` as (n, d) finite numbers of the task's d; ValueError with the place
+    and the value found.
+    """
     array = _checks.float_array(states, name)
     if array.ndim != 2 or array.shape[1] != task.n_state:
         raise ValueError(
@@ -288,10 +320,11 @@ def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
 
 
 class Chance:
-    """Stands in for an environment's ``np_random``: its numbers are the quantiles at xi in turn; at xi = 0 the medians.
+    """Stands in for an environment's ``np_random``: its numbers are the quantiles at xi
+    in turn; at xi = 0 the medians.
 
-    What it has is what steps draw: normal, uniform and whole numbers. Another draw is an AttributeError, more than xi has an
-    IndexError.
+    What it has is what steps draw: normal, uniform and whole numbers. Another draw is
+    an AttributeError, more than xi has an IndexError.
 
     >>> chance = Chance(np.array([0.0, 1.0, 0.0]))
     >>> float(chance.uniform(-1.0, 1.0)), float(chance.normal(2.0, 0.5)), chance.integers(5), chance.used
@@ -302,7 +335,9 @@ class Chance:
         self._xi, self.used = xi, 0
 
     def _draw(self, size: Any, *bounds: Any) -> Any:
-        """N(0, 1) of this size, or of the bounds' own shape; a number where that is none."""
+        """N(0, 1) of this size, or of the bounds' own shape; a number where that is
+        none.
+        """
         shape = np.broadcast_shapes(*map(np.shape, bounds)) if size is None else size
         end, most = self.used + int(np.prod(shape)), len(self._xi)
         if end > most:
@@ -340,7 +375,9 @@ class Chance:
         *,
         endpoint: bool = False,
     ) -> Any:
-        """Whole numbers from low to below high; from 0 to below low where there is no high."""
+        """Whole numbers from low to below high; from 0 to below low where there is no
+        high.
+        """
         start, end = (0, low) if high is None else (low, high)
         found = start + np.floor(
             (end + endpoint - start) * np.asarray(self.random(size))
@@ -356,7 +393,9 @@ class BadPolicy(ValueError):
 
 
 def ask_policy(policy: Callable[[Array], Any], states: Array) -> Any:
-    """What a policy function says for all ``states`` at once; a ValueError that says so where it raises."""
+    """What a policy function says for all ``states`` at once; a ValueError that says so
+    where it raises.
+    """
     try:
         return policy(states)
     except (MemoryError, BadPolicy):
@@ -389,7 +428,9 @@ def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> A
 
 
 def find_periods(task: ContinuousTask, states: Array) -> Array:
-    """(d,) the period of coordinates that are angles, 0 of others: where the features of these states are the states."""
+    """(d,) the period of coordinates that are angles, 0 of others: where the features
+    of these states are the states.
+    """
     if task.n_state != len(task.periodic) or not np.array_equal(
         task.features(states), states
     ):

@@ -1,6 +1,7 @@
 """Logged transitions of the target: loaded, checked, counted, saved.
 
-A log is n transitions (s_i, a_i, s'_i), with what a recording may add, a column each, (n,)::
+A log is n transitions (s_i, a_i, s'_i), with what a recording may add, a column each,
+(n,)::
 
     state, action, next_state     integers from 0, or names, which are matched to a simulator's
     reward                        r_i, finite; nan if it is missing, and no column if all are
@@ -9,27 +10,34 @@ A log is n transitions (s_i, a_i, s'_i), with what a recording may add, a column
     episode, timestep             rows of an episode are consecutive, t = 0, 1, ...; s'_i = s_(i+1) inside of it
     behavior_probability          mu(a_i | s_i), in [0, 1]
 
-Without episodes transitions are independent, and their states need not follow an MDP's initial distribution. Estimates
-use their counts alone, (S*A, S), row s*A + a::
+Without episodes transitions are independent, and their states need not follow an MDP's
+initial distribution. Estimates use their counts alone, (S*A, S), row s*A + a::
 
     n(s, a, s') = #{i: s_i = s, a_i = a, s'_i = s'}            ``log.counts(n_states, n_actions)``
     n_gamma(s, a, s') = sum_i gamma^t_i [s_i = s, ...]         with ``discount``: the paper's discounted d, times n
     rbar(s, a, s') = sum_i r_i / #{i with a reward}            over the transitions that have one
 
-Counts are sufficient for values, ratios, tests and intervals. ``Transitions.open`` makes them of files of any size, in the
-memory of the counts, with a sample of whole episodes for importance sampling.
+Counts are sufficient for values, ratios, tests and intervals. ``Transitions.open``
+makes them of files of any size, in the memory of the counts, with a sample of whole
+episodes for importance sampling.
 
 - ``transitions.py``, ``columns.py``: the class ``Transitions``, and what every log has
-- ``frames.py``: data frames of any library (narwhals), episodes as lists of steps, names, Minari data sets
-- ``rules.py``: the labels of columns and what each must hold, for arrays, tables and counts
+- ``frames.py``: data frames of any library (narwhals), episodes as lists of steps,
+  names, Minari data sets
+- ``rules.py``: the labels of columns and what each must hold, for arrays, tables and
+  counts
 - ``files.py``: npz, and which files a path, a pattern or a folder names
 - ``tables.py``: CSV and parquet, in pieces
-- ``counts.py``: the class ``TransitionCounts``; ``sums.py``: sums over the transitions of each (s, a, s')
-- ``counting.py``: one file as counts; ``opening.py``: several, and whatever a log may be given as
+- ``counts.py``: the class ``TransitionCounts``; ``sums.py``: sums over the transitions
+  of each (s, a, s')
+- ``counting.py``: one file as counts; ``opening.py``: several, and whatever a log may
+  be given as
 
-Guaranteed: a file is read by one thread in the order of its rows, and files are added in the order of their names, so that
-one process, several and a cluster give the same bits. An npz or a parquet file that was saved here carries a digest, and is
-refused where it does not fit. An error names the file, the column, the row, the rule and the value. Nothing is fetched.
+Guaranteed: a file is read by one thread in the order of its rows, and files are added
+in the order of their names, so that one process, several and a cluster give the same
+bits. An npz or a parquet file that was saved here carries a digest, and is refused
+where it does not fit. An error names the file, the column, the row, the rule and the
+value. Nothing is fetched.
 """
 
 from __future__ import annotations

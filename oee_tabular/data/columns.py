@@ -25,7 +25,9 @@ from oee_tabular.data.rules import (
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class LogColumns:
-    """The columns of a log, (n,) or, where states are vectors, (n, d); those of ``Transitions`` are described there."""
+    """The columns of a log, (n,) or, where states are vectors, (n, d); those of
+    ``Transitions`` are described there.
+    """
 
     FILES: ClassVar[files.Format]
     ALLOWS_MISSING_REWARDS: ClassVar[bool] = False
@@ -89,7 +91,9 @@ class LogColumns:
             object.__setattr__(self, name, None if column is None else freeze(column))
 
     def _check_episodes(self, columns: dict[str, Any]) -> None:
-        """Episodes stand together, in order, and end where they say; fills in timestep and truncated."""
+        """Episodes stand together, in order, and end where they say; fills in timestep
+        and truncated.
+        """
         episode = columns["episode"]
         starts = _episode_starts(episode)
         repeat = find_repeat(episode[starts[:-1]], starts[:-1])
@@ -134,7 +138,9 @@ class LogColumns:
 
     @property
     def episode_starts(self) -> IntArray | None:
-        """(n_episodes + 1,) row numbers at which episodes begin, and n at the end; None without episodes."""
+        """(n_episodes + 1,) row numbers at which episodes begin, and n at the end; None
+        without episodes.
+        """
         return None if self.episode is None else _episode_starts(self.episode)
 
     @property
@@ -152,7 +158,9 @@ class LogColumns:
         }
 
     def select(self, rows: object) -> Self:
-        """The given rows (a mask or row numbers) as independent transitions: timesteps are kept, episodes are not."""
+        """The given rows (a mask or row numbers) as independent transitions: timesteps
+        are kept, episodes are not.
+        """
         try:
             asked = np.asarray(rows)
             chosen = (
@@ -178,7 +186,9 @@ class LogColumns:
         )
 
     def first(self, n: int) -> Self:
-        """The first n rows with their episodes; the last episode is truncated where it is cut."""
+        """The first n rows with their episodes; the last episode is truncated where it
+        is cut.
+        """
         size = self._check_size(n)
         columns = {
             name: column[:size].copy() for name, column in self.columns().items()
@@ -189,7 +199,8 @@ class LogColumns:
 
     @classmethod
     def concatenate(cls, logs: Sequence[Self]) -> Self:
-        """One log of several, in their order: episodes are numbered on; a column that one of them lacks is dropped.
+        """One log of several, in their order: episodes are numbered on; a column that
+        one of them lacks is dropped.
 
         Rewards that one of them lacks are missing there, nan.
 
@@ -227,7 +238,9 @@ class LogColumns:
         return cls(**{name: np.concatenate(part) for name, part in joined.items()})
 
     def draw(self, n: int, *, seed: Seed) -> Self:
-        """Draw n rows without replacement, as independent transitions: the paper's way of sampling."""
+        """Draw n rows without replacement, as independent transitions: the paper's way
+        of sampling.
+        """
         return self.select(
             _checks.generator(seed).permutation(len(self))[: self._check_size(n)]
         )
@@ -241,20 +254,24 @@ class LogColumns:
         return size
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write .npz, .csv or .parquet; a log of numbered states also as a Minari data set (which needs episodes and rewards).
+        """Write .npz, .csv or .parquet; a log of numbered states also as a Minari data
+        set (which needs episodes and rewards).
 
-        A Minari data set is a folder without suffix, or ``minari:namespace/name-v0``. What is written appears whole or not at
-        all; numbers survive each format to the last bit.
+        A Minari data set is a folder without suffix, or ``minari:namespace/name-v0``.
+        What is written appears whole or not at all; numbers survive each format to the
+        last bit.
         """
         files.save(self, self.FILES, path)
 
     @classmethod
     def load(cls, path: Any) -> Self:
-        """Read .npz, .csv, .parquet, a Minari folder or a Minari id that is on this machine.
+        """Read .npz, .csv, .parquet, a Minari folder or a Minari id that is on this
+        machine.
 
-        Several files, a pattern or a folder of files are one log, in the order of their names (``concatenate``).
-        Columns of CSV and parquet are the constructor's names, only state, action and next_state are required; those of
-        vectors are state_0, state_1, ..., next_state_0, ..., action or action_0, ...
+        Several files, a pattern or a folder of files are one log, in the order of their
+        names (``concatenate``). Columns of CSV and parquet are the constructor's names,
+        only state, action and next_state are required; those of vectors are state_0,
+        state_1, ..., next_state_0, ..., action or action_0, ...
         """
         logs = []
         reported: set[str] = set()

@@ -1,8 +1,10 @@
 """One file of a log as counts, in one pass and in the memory of the counts.
 
-Of each piece of the file the values are checked (``rules.py``), rows that break a rule are noted, and the others are added to
-the sums of their (s, a, s', ended). Of whole episodes a sample is kept, for importance sampling: those first in the order of
-a hash of the file's name and the episode's number. It is uniform over the whole episodes, and the same wherever it is drawn.
+Of each piece of the file the values are checked (``rules.py``), rows that break a rule
+are noted, and the others are added to the sums of their (s, a, s', ended). Of whole
+episodes a sample is kept, for importance sampling: those first in the order of a hash
+of the file's name and the episode's number. It is uniform over the whole episodes, and
+the same wherever it is drawn.
 """
 
 from __future__ import annotations
@@ -37,7 +39,9 @@ WAY = " (bad_rows='drop', --bad-rows drop, leaves such rows out and counts them)
 
 
 class Limits(NamedTuple):
-    """What rows must keep to: numbers below ``sizes`` (states, actions), or names; ``drop``: others are left out."""
+    """What rows must keep to: numbers below ``sizes`` (states, actions), or names;
+    ``drop``: others are left out.
+    """
 
     sizes: tuple[int, int] = (LARGEST, LARGEST)
     names: tuple[tuple[Name, ...] | None, tuple[Name, ...] | None] = (None, None)
@@ -46,13 +50,17 @@ class Limits(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """Rows of whole episodes, in their order, each with its episode's place in the draw; all places are below ``limit``."""
+    """Rows of whole episodes, in their order, each with its episode's place in the
+    draw; all places are below ``limit``.
+    """
 
     rows: dict[str, Column] = {}  # noqa: RUF012
     limit: int = LAST_PLACE
 
     def join(self, other: Sample, kept: int) -> Sample:
-        """The episodes first in the draw of both; a reward that only one has is nan in the other."""
+        """The episodes first in the draw of both; a reward that only one has is nan in
+        the other.
+        """
         limit, parts = (
             min(self.limit, other.limit),
             [sample.rows for sample in (self, other) if sample.rows],
@@ -74,7 +82,9 @@ class Sample(NamedTuple):
 
 
 def cut_sample(rows: dict[str, Column], kept: int, limit: int) -> Sample:
-    """Those below ``limit`` first in the draw that have ``kept`` rows at most; the first that is left out is the new limit."""
+    """Those below ``limit`` first in the draw that have ``kept`` rows at most; the
+    first that is left out is the new limit.
+    """
     rows = choose(rows, rows["place"] < np.uint64(limit))
     # an episode's rows stand together
     starts = np.flatnonzero(np.diff(rows["place"], prepend=rows["place"][:1] + 1))
@@ -88,7 +98,9 @@ def cut_sample(rows: dict[str, Column], kept: int, limit: int) -> Sample:
 
 
 class FileCounts(NamedTuple):
-    """What a file came to: its sums, how it was recorded, and the labels of its columns."""
+    """What a file came to: its sums, how it was recorded, and the labels of its
+    columns.
+    """
 
     sums: dict[str, Column] | None
     recording: Recording
@@ -146,7 +158,9 @@ class _FileCount:
         self.limit = LAST_PLACE
 
     def add_groups(self, table: Table) -> bool:
-        """The whole of a parquet file without episodes; False, and nothing added, where a value is odd."""
+        """The whole of a parquet file without episodes; False, and nothing added, where
+        a value is odd.
+        """
         groups = (
             sum_groups(self.path, table.known)
             if set(table.known) <= set(table.labels)
@@ -205,7 +219,9 @@ class _FileCount:
         add_sums(self.sums, good)
 
     def _check(self, raw: Column, label: str) -> tuple[Column, Fault | None]:
-        """The values of a column, names as the simulator's numbers, and what is wrong with it."""
+        """The values of a column, names as the simulator's numbers, and what is wrong
+        with it.
+        """
         if label not in MOVE:
             return check_column(raw, label)
         is_action = label == "action"
@@ -221,7 +237,9 @@ class _FileCount:
         self._note(kind, row, fault.describe(row), len(fault.rows))
 
     def _note(self, kind: str, row: int, words: str, n: int = 1) -> None:
-        """Keep the words for the first row of each kind of fault, and how many there are."""
+        """Keep the words for the first row of each kind of fault, and how many there
+        are.
+        """
         first_row, first_words, before = self.faults.get(kind, (row, words, 0))
         self.faults[kind] = first_row, first_words, before + n
 
@@ -276,7 +294,9 @@ class _FileCount:
         return sample
 
     def draw_episodes(self) -> Sample:
-        """A sample of the whole episodes, of which the rows stand together: no run has the episode of another."""
+        """A sample of the whole episodes, of which the rows stand together: no run has
+        the episode of another.
+        """
         names = np.concatenate(self.names)
         names = names.astype(str) if names.dtype.hasobject else names
         repeat = find_repeat(names, np.concatenate(self.starts, axis=1)[1])
@@ -294,7 +314,9 @@ class _FileCount:
         )
 
     def recording(self, sums: Mapping[str, Column] | None, table: Table) -> Recording:
-        """How the file was recorded, with the first row of each fault; ValueError where rows are refused."""
+        """How the file was recorded, with the first row of each fault; ValueError where
+        rows are refused.
+        """
         words = []
         for _, text, n in sorted(self.faults.values())[:N_REASONS]:
             more = f"; {n - 1} other rows break the same rule" * (n > 1)

@@ -1,7 +1,8 @@
-"""A log as counts: each distinct transition once, with its count and rewards; for logs beyond memory.
+"""A log as counts: each distinct transition once, with its count and rewards; for logs
+beyond memory.
 
-Counts are sufficient for values, ratios, tests and intervals. For what needs whole episodes (importance sampling) a sample of
-them can stand beside the counts.
+Counts are sufficient for values, ratios, tests and intervals. For what needs whole
+episodes (importance sampling) a sample of them can stand beside the counts.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ N_REASONS = 5  # kinds of bad rows that are told with an example
 class Recording(NamedTuple):
     """How counted transitions were recorded, and which were left out.
 
-    ``by_episodes``: whether transitions may depend on those before them. ``broken``: episodes with a bad row.
-    ``dropped``: rows left out, with the first of each kind in words.
+    ``by_episodes``: whether transitions may depend on those before them. ``broken``:
+    episodes with a bad row. ``dropped``: rows left out, with the first of each kind in
+    words.
     """
 
     by_episodes: bool = True
@@ -62,19 +64,26 @@ class Recording(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TransitionCounts:
-    """The distinct transitions of a log with their counts; checked when made and immutable.
+    """The distinct transitions of a log with their counts; checked when made and
+    immutable.
 
-    ``Transitions.open`` counts files of any size; ``Problem`` takes the result in place of a log.
+    ``Transitions.open`` counts files of any size; ``Problem`` takes the result in place
+    of a log.
 
     Parameters
     ----------
     state, action, next_state : (K,) integers from 0
     count : (K,) positive numbers; tests and intervals need whole ones
-    terminated : (K,) booleans, optional; one transition may stand twice, terminated and not
-    reward_sum, reward_min, reward_max : (K,) finite numbers, optional: of the rewards of a row's transitions
-    reward_count : (K,) numbers, how many of them have a reward; by default all. Least and largest of none are nan
-    recording : how they were recorded; by default as episodes, whose bounds are valid for independent transitions too
-    sample : Transitions, optional: whole episodes of the log, drawn uniformly, for importance sampling
+    terminated : (K,) booleans, optional; one transition may stand twice, terminated and
+        not
+    reward_sum, reward_min, reward_max : (K,) finite numbers, optional: of the rewards
+        of a row's transitions
+    reward_count : (K,) numbers, how many of them have a reward; by default all. Least
+        and largest of none are nan
+    recording : how they were recorded; by default as episodes, whose bounds are valid
+        for independent transitions too
+    sample : Transitions, optional: whole episodes of the log, drawn uniformly, for
+        importance sampling
 
     Raises
     ------
@@ -190,7 +199,9 @@ class TransitionCounts:
     def counts(
         self, n_states: int, n_actions: int, *, discount: float | None = None
     ) -> sparse.csr_array:
-        """The counts of each (s, a, s'): csr of shape (S*A, S), row s*A + a; errors as of ``Transitions.counts``."""
+        """The counts of each (s, a, s'): csr of shape (S*A, S), row s*A + a; errors as
+        of ``Transitions.counts``.
+        """
         if discount is not None:
             raise ValueError(
                 "discount must be left out where counts are given: they have no"
@@ -254,7 +265,9 @@ class TransitionCounts:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TransitionCounts:
-        """Read what ``save`` wrote; a ValueError that names the file where it is something else, or has changed since."""
+        """Read what ``save`` wrote; a ValueError that names the file where it is
+        something else, or has changed since.
+        """
         arrays = _files.load_npz(path, KIND)
         with _files.parts_of(path, "counts"):
             return _from_arrays(arrays)

@@ -113,7 +113,9 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
 
 
 def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
-    """The columns of a log in the format of the path's ending; warns of unknown ones that are not ``reported``."""
+    """The columns of a log in the format of the path's ending; warns of unknown ones
+    that are not ``reported``.
+    """
     name = _files.local(file.path)
     if file.suffix == ".npz":
         columns = _files.load_npz(name, form.kind)
@@ -152,7 +154,9 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
 
 
 def _read_whole(file: LogFile, table: Table) -> Columns:
-    """The raw columns of a table, whole; ValueError for a line that has another number of fields than its header."""
+    """The raw columns of a table, whole; ValueError for a line that has another number
+    of fields than its header.
+    """
     if file.suffix == ".parquet":
         _checks.require_memory(
             count_parquet_rows(file.path) * len(table.known), repr(file.path)
@@ -171,10 +175,12 @@ def _read_whole(file: LogFile, table: Table) -> Columns:
 
 
 def find_log_files(path: Paths) -> list[LogFile]:
-    """The files that a path, a folder, a pattern or a list of them names, in the order of their names.
+    """The files that a path, a folder, a pattern or a list of them names, in the order
+    of their names.
 
-    Files and folders that begin with a dot or an underscore are left out, as writers of folders mean them; folders
-    ``column=value`` name a column [1]. A folder without any is a Minari data set.
+    Files and folders that begin with a dot or an underscore are left out, as writers of
+    folders mean them; folders ``column=value`` name a column [1]. A folder without any
+    is a Minari data set.
 
     [1] Apache Hive.
     """

@@ -1,4 +1,6 @@
-"""Logs as people have them: data frames of any library, episodes as lists of steps, columns of names, Minari data sets."""
+"""Logs as people have them: data frames of any library, episodes as lists of steps,
+columns of names, Minari data sets.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ STEP = (
 
 
 def is_frame(value: object) -> bool:
-    """Whether ``value`` is a data frame of a library that narwhals knows, eager or lazy."""
+    """Whether ``value`` is a data frame of a library that narwhals knows, eager or
+    lazy.
+    """
     if isinstance(value, np.ndarray | Sequence | Mapping):
         return False
     import narwhals as nw
@@ -48,9 +52,11 @@ def is_frame(value: object) -> bool:
 
 
 def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str, Any]:
-    """The columns of a log, by the constructor's names, of a data frame; ``column_names``: what it calls them.
+    """The columns of a log, by the constructor's names, of a data frame;
+    ``column_names``: what it calls them.
 
-    Raises ValueError for what is no frame, for columns that it has not, and for the first value that is none of a log's.
+    Raises ValueError for what is no frame, for columns that it has not, and for the
+    first value that is none of a log's.
     """
     for field in column_names:
         if field not in COLUMNS:
@@ -112,7 +118,9 @@ def _join_columns(table: Any, labels: list[str]) -> Column:
 
 
 def eager(frame: Any) -> Any:
-    """A frame as narwhals has it, its rows read; ValueError for what is none, or has a column twice."""
+    """A frame as narwhals has it, its rows read; ValueError for what is none, or has a
+    column twice.
+    """
     import narwhals as nw
 
     if not is_frame(frame):
@@ -154,7 +162,9 @@ def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
 
 
 def episode_columns(episodes: object) -> dict[str, Any]:
-    """The columns of a log, of a list of episodes, each a list of steps; ``Transitions.from_episodes`` has the forms."""
+    """The columns of a log, of a list of episodes, each a list of steps;
+    ``Transitions.from_episodes`` has the forms.
+    """
     given = _checks.collection(
         episodes, "episodes", "a list of episodes, each a list of steps"
     )
@@ -197,7 +207,9 @@ def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
 
 
 def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
-    """(state, action, reward, next_state, terminated) of each step, without next_state where nothing says where it led."""
+    """(state, action, reward, next_state, terminated) of each step, without next_state
+    where nothing says where it led.
+    """
     steps = [
         _parts(step, f"episodes[{episode}][{t}]", f"a step, {STEP}")
         for t, step in enumerate(given)
@@ -232,7 +244,9 @@ def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
 def number_in_order(
     items: Sequence[Any], first: dict[Any, int] | None = None
 ) -> tuple[IntArray, dict[Any, int]]:
-    """Numbers of the different items in the order in which they first stand there, behind those that ``first`` has."""
+    """Numbers of the different items in the order in which they first stand there,
+    behind those that ``first`` has.
+    """
     number = {} if first is None else first
     return (
         np.array(
@@ -245,7 +259,9 @@ def number_in_order(
 def encode_names(
     columns: dict[str, Any], given: object, name: str
 ) -> tuple[list[Any], tuple[Name, ...] | None]:
-    """Columns of names as numbers, with the names; columns of numbers as they are, with the names that were given."""
+    """Columns of names as numbers, with the names; columns of numbers as they are, with
+    the names that were given.
+    """
     found = {
         column: items
         for column, value in columns.items()
@@ -272,7 +288,9 @@ def encode_names(
 
 
 def _names_in(value: object, name: str) -> list[Any] | None:
-    """The items of a column of names; None for a column of anything else, which its own reader judges."""
+    """The items of a column of names; None for a column of anything else, which its own
+    reader judges.
+    """
     array = value if isinstance(value, list | tuple) else _checks.as_array(value, name)
     if isinstance(array, np.ndarray) and (
         array.dtype.kind not in "UO" or array.ndim != 1
@@ -307,7 +325,9 @@ FOLDER = "MINARI_DATASETS_PATH"  # the variable that says where Minari has its d
 
 
 def is_minari(name: str) -> bool:
-    """Whether ``name`` is a Minari folder or id rather than a file; FileNotFoundError where it can be neither."""
+    """Whether ``name`` is a Minari folder or id rather than a file; FileNotFoundError
+    where it can be neither.
+    """
     suffix = Path(name).suffix.lower()
     if (
         suffix == ""
@@ -333,7 +353,9 @@ def require_minari() -> None:
 
 
 def find_folder(identifier: str) -> Path:
-    """The folder of a Minari id; a ValueError, before any folder is made, for what is none."""
+    """The folder of a Minari id; a ValueError, before any folder is made, for what is
+    none.
+    """
     from minari.dataset.minari_dataset import parse_dataset_id
     from minari.storage.datasets_root_dir import get_dataset_path
 
@@ -451,7 +473,9 @@ def minari_episodes(name: str) -> list[Any]:
 def minari_columns(
     name: str, check: Callable[[Column, Column, str], None]
 ) -> dict[str, Column]:
-    """A Minari data set as columns; ``check(observations, actions, name)`` refuses an episode that is none of the log's."""
+    """A Minari data set as columns; ``check(observations, actions, name)`` refuses an
+    episode that is none of the log's.
+    """
     parts: list[dict[str, Column]] = []
     for number, episode in enumerate(minari_episodes(name)):
         observations, actions = (

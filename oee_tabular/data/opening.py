@@ -1,4 +1,5 @@
-"""Files of any size as counts: each is summed alone, and the sums are added in the order of the files' names.
+"""Files of any size as counts: each is summed alone, and the sums are added in the
+order of the files' names.
 
 So one process, several, and a cluster give the same bits.
 """
@@ -36,33 +37,40 @@ def open_log(
     dask: str | None = None,
     progress: bool = False,
 ) -> TransitionCounts:
-    """Count a log of any size, in memory of the size of its counts; ``Problem`` takes the result.
+    """Count a log of any size, in memory of the size of its counts; ``Problem`` takes
+    the result.
 
     Parameters
     ----------
-    path : file (.parquet, .csv, .csv.gz, .npz), folder (with all inside, ``column=value`` folders as columns), pattern, Minari
-        data set, or a list of these
-    simulator : FiniteMDP, optional: states and actions outside it are bad; the log may use its names
+    path : file (.parquet, .csv, .csv.gz, .npz), folder (with all inside,
+        ``column=value`` folders as columns), pattern, Minari data set, or a list of
+        these
+    simulator : FiniteMDP, optional: states and actions outside it are bad; the log may
+        use its names
     n_states, n_actions : int, optional, in its place: larger states and actions are bad
-    bad_rows : "refuse" | "drop": raise at the first invalid row, or leave such rows out and give their number; the other
-        transitions of a broken episode are still counted
-    kept_moves : int, 200 000: whole episodes of so many transitions are kept for importance sampling, drawn by a hash
+    bad_rows : "refuse" | "drop": raise at the first invalid row, or leave such rows out
+        and give their number; the other transitions of a broken episode are still
+        counted
+    kept_moves : int, 200 000: whole episodes of so many transitions are kept for
+        importance sampling, drawn by a hash
     output : .npz to write the counts to, whole or not at all
-    jobs : processes on this machine, -1: one a core; dask : address of a scheduler whose workers see the files
+    jobs : processes on this machine, -1: one a core; dask : address of a scheduler
+        whose workers see the files
     progress : whether to show a bar
 
     Raises
     ------
     ValueError
-        Names the file, the row or the column, the rule and the value: files that are no tables or have other columns than
-        the first; invalid rows if they are refused. Rewards alone may be missing.
+        Names the file, the row or the column, the rule and the value: files that are no
+        tables or have other columns than the first; invalid rows if they are refused.
+        Rewards alone may be missing.
     OSError
         A file that is not there; no scheduler at the address.
 
     Notes
     -----
-    Cost: O(rows) time, memory of the different transitions of a file and of the episodes' names. Serial, processes and
-    cluster give the same bits.
+    Cost: O(rows) time, memory of the different transitions of a file and of the
+    episodes' names. Serial, processes and cluster give the same bits.
 
     Examples
     --------
@@ -114,7 +122,9 @@ def open_log(
 
 
 def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
-    """All files have the same of a log's columns as the first; rewards alone may be missing in some."""
+    """All files have the same of a log's columns as the first; rewards alone may be
+    missing in some.
+    """
     first = next(iter(columns))
     differ = sorted((columns[first] ^ columns[path]) - {"reward"})
     if differ:
@@ -128,7 +138,9 @@ def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
 def _to_counts(
     sums: dict[str, Column], recording: Recording, sample: Sample
 ) -> TransitionCounts:
-    """Counts in the order of s, a, s', ended, with their sample; without rewards where there are none."""
+    """Counts in the order of s, a, s', ended, with their sample; without rewards where
+    there are none.
+    """
     order, has_rewards = (
         np.lexsort([sums[label] for label in reversed(KEY)]),
         sums["reward_count"].any(),
@@ -172,8 +184,8 @@ def read_log(
 ) -> Transitions | TransitionCounts:
     """What was recorded, in the simulator's numbers, of whatever form it has.
 
-    ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path, or a list of paths, a pattern or a
-    folder. ``name``: what errors call it.
+    ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path,
+    or a list of paths, a pattern or a folder. ``name``: what errors call it.
     """
     log: Any = source
     is_list = isinstance(source, list | tuple)

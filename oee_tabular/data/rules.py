@@ -1,8 +1,9 @@
-"""The columns of a log: their labels, and what each must hold, by one check for arrays, tables and counts.
+"""The columns of a log: their labels, and what each must hold, by one check for arrays,
+tables and counts.
 
-A check returns the values and, where some break the rule, a ``Fault``: all such rows, and the words for the first. Whoever
-asks raises it, or leaves the rows out. A value is missing where it is nan or None. In tables, a text is the number that it
-writes.
+A check returns the values and, where some break the rule, a ``Fault``: all such rows,
+and the words for the first. Whoever asks raises it, or leaves the rows out. A value is
+missing where it is nan or None. In tables, a text is the number that it writes.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ FLAG_TEXTS = {
 
 
 class Fault(NamedTuple):
-    """The rows of a column that break its rule, in their order, with the value in the first.
+    """The rows of a column that break its rule, in their order, with the value in the
+    first.
 
     ``shift``: -1 where the value is that of the row before.
     """
@@ -60,7 +62,9 @@ class Fault(NamedTuple):
     shift: int = 0
 
     def describe(self, row: int | None = None) -> str:
-        """The place, the rule and the value; ``row``: the number of the first row, where it has another in its file."""
+        """The place, the rule and the value; ``row``: the number of the first row,
+        where it has another in its file.
+        """
         place = f"{self.label}[{(self.rows[0] if row is None else row) + self.shift}]"
         if is_missing(self.value):
             return f"{place} must have a value; it has none"
@@ -88,7 +92,9 @@ def is_missing(value: Any) -> bool:
 def find_fault(
     label: str, raw: Column, rules: Mapping[str, BoolArray], *, has_names: bool = False
 ) -> Fault | None:
-    """The fault of the rows that break one of the rules, if any; ``rules``: by the words of each, the rows that break it."""
+    """The fault of the rows that break one of the rules, if any; ``rules``: by the
+    words of each, the rows that break it.
+    """
     rows = np.flatnonzero(np.any(list(rules.values()), axis=0))
     if not rows.size:
         return None
@@ -142,7 +148,9 @@ def _parse_number(item: Any) -> int | float:
 
 
 def check_array(value: object, label: str) -> Column:
-    """A column that is given as an array or a list; ValueError with the row, the rule and the value found."""
+    """A column that is given as an array or a list; ValueError with the row, the rule
+    and the value found.
+    """
     kind = KINDS[label]
     if kind == "numbers":
         array: Column = _checks.float_array(value, label, ndim=1)
@@ -164,7 +172,9 @@ def check_array(value: object, label: str) -> Column:
 
 
 def check_table(columns: Mapping[str, Column], source: str) -> dict[str, Column]:
-    """The values of a table's columns, names and the texts of episodes as they are; ValueError for the first fault."""
+    """The values of a table's columns, names and the texts of episodes as they are;
+    ValueError for the first fault.
+    """
     values = {}
     for label, raw in columns.items():
         values[label], fault = check_column(
@@ -183,10 +193,12 @@ def count_others(fault: Fault) -> str:
 def check_column(
     raw: Column, label: str, *, high: int = 2**63, names: tuple[Name, ...] | None = None
 ) -> tuple[Column, Fault | None]:
-    """The values of a column by its label, and what is wrong with them; labels that a log does not know are numbers.
+    """The values of a column by its label, and what is wrong with them; labels that a
+    log does not know are numbers.
 
-    ``high``: integers are below it. ``names``: those that may stand in place of numbers, which they become; empty: any, which
-    stay, as the texts of episodes do; None: none.
+    ``high``: integers are below it. ``names``: those that may stand in place of
+    numbers, which they become; empty: any, which stay, as the texts of episodes do;
+    None: none.
     """
     kind = KINDS.get(label, "numbers")
     raw = raw.astype(str) if raw.dtype.kind in "Mm" else raw  # dates are no numbers
@@ -291,7 +303,9 @@ def _match_names(
 
 
 def find_repeat(names: Column, rows: IntArray) -> tuple[int, str] | None:
-    """The first row, of ``rows`` where episodes of these names begin, whose episode began before, and the words for it."""
+    """The first row, of ``rows`` where episodes of these names begin, whose episode
+    began before, and the words for it.
+    """
     unique, index = np.unique(names, return_index=True)
     if len(unique) == len(names):
         return None
@@ -313,11 +327,13 @@ def find_order_faults(
 
     Parameters
     ----------
-    columns : state and episode, and of timestep, terminated and truncated those that there are
+    columns : state and episode, and of timestep, terminated and truncated those that
+        there are
     before : the same and next_state, of the row before each
-    is_first, follows : (n,) whether a row begins an episode, and whether it goes on with the one of the row before; neither
-        where nothing is known of that row
-    differs : whether a next_state and the state after it differ; ``show``: a state as errors print it
+    is_first, follows : (n,) whether a row begins an episode, and whether it goes on
+        with the one of the row before; neither where nothing is known of that row
+    differs : whether a next_state and the state after it differ; ``show``: a state as
+        errors print it
     """
     faults = []
     if "timestep" in columns:
@@ -356,7 +372,8 @@ def find_order_faults(
 def require_columns(
     name: str, required: Sequence[str], labels: Iterable[str], *, way: str = ""
 ) -> None:
-    """ValueError where a required column is missing, with the separator or the spelling that was probably meant.
+    """ValueError where a required column is missing, with the separator or the spelling
+    that was probably meant.
 
     ``way``: what else helps, where that cannot be said.
     """
@@ -373,7 +390,9 @@ def require_columns(
 
 
 def suggest_columns(required: Sequence[str], labels: Sequence[str]) -> str:
-    """What is to be changed: the separator, or how a label is written; empty where that cannot be said."""
+    """What is to be changed: the separator, or how a label is written; empty where that
+    cannot be said.
+    """
     for mark, word in SEPARATORS.items():
         if any(
             mark in label and set(_plain(label.split(mark))) & set(required)

@@ -1,10 +1,13 @@
-"""Sums over the transitions of each (s, a, s', ended), each of which stands once, in the order of its first row.
+"""Sums over the transitions of each (s, a, s', ended), each of which stands once, in
+the order of its first row.
 
-Of the transitions i of each, and of their rewards, there are the number n, and the sum, least, largest and number m::
+Of the transitions i of each, and of their rewards, there are the number n, and the sum,
+least, largest and number m::
 
     n += n_i,  total += total_i,  least = min(least, least_i),  largest = max(largest, largest_i),  m += m_i
 
-A row i is a transition (n_i = 1) or itself such a sum. nan is a least or largest of no reward.
+A row i is a transition (n_i = 1) or itself such a sum. nan is a least or largest of no
+reward.
 """
 
 from __future__ import annotations
@@ -25,7 +28,9 @@ N_APART = 2**20  # entries that are not joined yet
 
 
 class RowSums(NamedTuple):
-    """Of each row of a log: how many transitions it stands for, and of their rewards the sum, least, largest and number."""
+    """Of each row of a log: how many transitions it stands for, and of their rewards
+    the sum, least, largest and number.
+    """
 
     number: Array
     reward_sum: Array | None
@@ -49,7 +54,9 @@ class RowSums(NamedTuple):
 
 
 def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Sum transitions, as the columns of a log, or sums; those of one (s, a, s', ended) in the order of their rows."""
+    """Sum transitions, as the columns of a log, or sums; those of one (s, a, s', ended)
+    in the order of their rows.
+    """
     import pandas as pd
 
     n = len(columns["state"])
@@ -75,7 +82,9 @@ def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
 
 
 def _encode(key: list[IntArray]) -> IntArray:
-    """One number for each row of a key, in whose order it is; parts are numbered anew where 64 bits do not hold them."""
+    """One number for each row of a key, in whose order it is; parts are numbered anew
+    where 64 bits do not hold them.
+    """
     code, size = np.zeros(len(key[0]), dtype=np.int64), 1
     for part in key:
         if size * (int(part.max()) + 1) >= 2**63:
@@ -89,7 +98,9 @@ def _encode(key: list[IntArray]) -> IntArray:
 
 
 def add_sums(parts: list[dict[str, Column]], columns: Mapping[str, Column]) -> None:
-    """Append the sums of ``columns`` to ``parts``, which are joined when the later are as long as the first: O(n log n)."""
+    """Append the sums of ``columns`` to ``parts``, which are joined when the later are
+    as long as the first: O(n log n).
+    """
     if len(columns["state"]):
         parts.append(sum_rows(columns))
         if sum(len(part["count"]) for part in parts[1:]) > max(
@@ -108,7 +119,9 @@ def join_sums(parts: Sequence[Mapping[str, Column]]) -> dict[str, Column]:
 def counts_of(
     log: Any, weights: Array, n_states: int, n_actions: int
 ) -> sparse.csr_array:
-    """The sums of the weights of the rows of each (s, a, s'): csr of shape (S*A, S); ValueError for numbers out of range."""
+    """The sums of the weights of the rows of each (s, a, s'): csr of shape (S*A, S);
+    ValueError for numbers out of range.
+    """
     _checks.positive_integer(n_states, "n_states")
     _checks.positive_integer(n_actions, "n_actions")
     _checks.require_memory(

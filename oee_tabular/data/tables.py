@@ -1,9 +1,11 @@
-"""CSV and parquet files of a log, read in pieces: the raw values of some thousand rows at a time, in the order of the file.
+"""CSV and parquet files of a log, read in pieces: the raw values of some thousand rows
+at a time, in the order of the file.
 
-pandas reads CSV, in half of the time of DuckDB's reader (10^6 rows of 6 columns: 0.17 s of CPU, 0.29 s), and Python what is
-small. DuckDB reads parquet in one thread, so that the same file gives the same bits; it may open that file alone and loads no
-extension. Parquet of our own has a digest of all its other bytes, which no page of parquet has, in its metadata.
-``rules.py`` says which values are those of a log.
+pandas reads CSV, in half of the time of DuckDB's reader (10^6 rows of 6 columns: 0.17 s
+of CPU, 0.29 s), and Python what is small. DuckDB reads parquet in one thread, so that
+the same file gives the same bits; it may open that file alone and loads no extension.
+Parquet of our own has a digest of all its other bytes, which no page of parquet has, in
+its metadata. ``rules.py`` says which values are those of a log.
 """
 
 from __future__ import annotations
@@ -58,9 +60,11 @@ class LogFile(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Rows that follow each other: the raw values by label, and the numbers of the rows in the file.
+    """Rows that follow each other: the raw values by label, and the numbers of the rows
+    in the file.
 
-    ``lost``: the lines of a CSV file that have another number of fields than its header, in words, by the number of the row.
+    ``lost``: the lines of a CSV file that have another number of fields than its
+    header, in words, by the number of the row.
     """
 
     columns: dict[str, Column]
@@ -70,7 +74,9 @@ class Piece(NamedTuple):
 
 @dataclass
 class Table:
-    """A log's rows: ``labels`` of all columns, ``known`` those of a log, which ``pieces`` gives."""
+    """A log's rows: ``labels`` of all columns, ``known`` those of a log, which
+    ``pieces`` gives.
+    """
 
     labels: list[str]
     known: list[str]
@@ -78,7 +84,9 @@ class Table:
 
 
 def open_table(file: LogFile, form: Any) -> Table:
-    """The table in a file, its header read; ValueError that names it for what is none of a log of this ``files.Format``."""
+    """The table in a file, its header read; ValueError that names it for what is none
+    of a log of this ``files.Format``.
+    """
     is_parquet = file.suffix == ".parquet"
     if is_parquet:
         check_digest(file.path)
@@ -171,7 +179,9 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
 
 
 def _parquet_labels(path: str) -> list[str]:
-    """The names of the columns, without those inside of others: parquet lists a tree in depth-first order."""
+    """The names of the columns, without those inside of others: parquet lists a tree in
+    depth-first order.
+    """
     with open_duckdb(path) as run:
         schema = run("SELECT name, num_children FROM parquet_schema($path)").fetchall()
     labels, n_inside = [], 0
@@ -189,9 +199,11 @@ def count_parquet_rows(path: str) -> int:
 
 
 def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
-    """The columns of ``sum_rows`` of a parquet file, truncated or not apart; of its others least, largest and number in each.
+    """The columns of ``sum_rows`` of a parquet file, truncated or not apart; of its
+    others least, largest and number in each.
 
-    In half of the time of the pieces. None where DuckDB cannot compute them, which a look at the values will explain.
+    In half of the time of the pieces. None where DuckDB cannot compute them, which a
+    look at the values will explain.
     """
     import duckdb
 
@@ -277,7 +289,9 @@ def write_parquet(path: str, columns: Mapping[str, Column]) -> None:
 
 
 def check_digest(path: str) -> None:
-    """ValueError where a parquet file of this package has other bytes than it was written with."""
+    """ValueError where a parquet file of this package has other bytes than it was
+    written with.
+    """
     stored, digest, _ = _read_digest(path)
     if stored != digest:
         raise ValueError(
@@ -288,7 +302,9 @@ def check_digest(path: str) -> None:
 
 
 def _read_digest(path: str) -> tuple[bytes, bytes, int]:
-    """The digest in a file, that of its bytes (SHA-256, zeros where it stands), its place; twice nothing of others' files."""
+    """The digest in a file, that of its bytes (SHA-256, zeros where it stands), its
+    place; twice nothing of others' files.
+    """
     with open(path, "rb") as handle:
         n_before = max(os.fstat(handle.fileno()).st_size - TAIL, 0)
         handle.seek(n_before)
@@ -375,7 +391,9 @@ def _csv_lines(path: str, encoding: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece]:
-    """The values that pandas makes of the fields; names stay texts. Of a small or an odd file the fields, by Python."""
+    """The values that pandas makes of the fields; names stay texts. Of a small or an
+    odd file the fields, by Python.
+    """
     _, first, encoding = _csv_header(path)
     if os.path.getsize(path) < SMALL or _has_odd_lines(path, len(labels), encoding):
         yield from _read_lines(path, labels, chosen, encoding)
@@ -406,7 +424,9 @@ def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece
 
 
 def _has_odd_lines(path: str, n: int, encoding: str) -> bool:
-    """Whether a line has another number of fields than n: by its commas alone, where there are no quotes."""
+    """Whether a line has another number of fields than n: by its commas alone, where
+    there are no quotes.
+    """
     line = b"," * (n - 1) + b"\n"
     with _csv_errors(path), _open_csv(path) as handle:
         while block := handle.read(2**20) + handle.readline():
@@ -442,7 +462,9 @@ def _read_lines(
 
 
 def csv_frame(path: str) -> Any:
-    """A CSV file with a header as a DataFrame, its numbers to the last bit; ValueError for another file."""
+    """A CSV file with a header as a DataFrame, its numbers to the last bit; ValueError
+    for another file.
+    """
     name = _files.local(path)
     encoding = _csv_header(name)[2]
     with _csv_errors(name), _open_csv(name) as handle:
@@ -450,7 +472,9 @@ def csv_frame(path: str) -> Any:
 
 
 def _call_pandas(handle: IO[bytes], **options: Any) -> Any:
-    """What pandas makes of a CSV file, numbers to the last bit; ValueError where it has more fields than its header names."""
+    """What pandas makes of a CSV file, numbers to the last bit; ValueError where it has
+    more fields than its header names.
+    """
     import pandas as pd
 
     # later ones need no option

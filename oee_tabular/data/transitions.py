@@ -1,7 +1,8 @@
 """A log of transitions (s, a, s'), with rewards, episodes and other optional columns.
 
-Episodes are ragged: a flat table with an episode number for each row, never padded. A *terminated* transition ends the
-task (all later rewards are 0); a *truncated* one ends the recording only, and the task would have continued.
+Episodes are ragged: a flat table with an episode number for each row, never padded. A
+*terminated* transition ends the task (all later rewards are 0); a *truncated* one ends
+the recording only, and the task would have continued.
 """
 
 from __future__ import annotations
@@ -27,28 +28,33 @@ from oee_tabular.mdp.naming import Name, name_text, renumber
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Transitions(LogColumns):
-    """Logged transitions of the target environment, one a row; checked when made and immutable.
+    """Logged transitions of the target environment, one a row; checked when made and
+    immutable.
 
     Parameters
     ----------
     state, action, next_state : (n,) integers from 0, or names
-        Names are texts, or tuples of texts and numbers, none of which reads as a number. They are numbered in the order
-        of their first appearance (``state_names[state]``); ``numbered(simulator)`` matches them to a simulator's,
+        Names are texts, or tuples of texts and numbers, none of which reads as a
+        number. They are numbered in the order of their first appearance
+        (``state_names[state]``); ``numbered(simulator)`` matches them to a simulator's,
         which ``Problem`` and ``transition_ratio`` do by themselves.
-    reward : (n,) finite numbers, optional; nan if one is missing (without any, ``log.reward`` is None)
+    reward : (n,) finite numbers, optional; nan if one is missing (without any,
+        ``log.reward`` is None)
     terminated : (n,) booleans, optional
         The transition ended the task. Default: none did.
     episode : (n,) integers or texts, optional
-        Rows of one episode are consecutive and in order; each row's next_state is the following row's state, and a
-        terminated or truncated row is the last of its episode. Without episodes the transitions are independent.
+        Rows of one episode are consecutive and in order; each row's next_state is the
+        following row's state, and a terminated or truncated row is the last of its
+        episode. Without episodes the transitions are independent.
     timestep : (n,) integers from 0, optional
         t of each row; within an episode 0, 1, 2, ... (the default there).
     behavior_probability : (n,) numbers in [0, 1], optional
         Probability with which the behaviour policy took the recorded action.
     truncated : (n,) booleans, optional
-        The recording stopped after this transition, but not the task. Default: the last row of every episode that did
-        not terminate.
-    state_names, action_names : names of the numbers in state and next_state, in action; None: they are a simulator's numbers
+        The recording stopped after this transition, but not the task. Default: the last
+        row of every episode that did not terminate.
+    state_names, action_names : names of the numbers in state and next_state, in action;
+        None: they are a simulator's numbers
 
     Raises
     ------
@@ -147,7 +153,9 @@ class Transitions(LogColumns):
         )
 
     def columns(self) -> dict[str, Column]:
-        """The columns that the log has, in the order of the file formats; names where it has names."""
+        """The columns that the log has, in the order of the file formats; names where
+        it has names.
+        """
         names = {column: as_objects(own) for column, own in self._names().items()}
         columns = super().columns()
         return columns | {column: own[columns[column]] for column, own in names.items()}
@@ -160,22 +168,26 @@ class Transitions(LogColumns):
         simulator: FiniteMDP | None = None,
         **column_names: object,
     ) -> Self:
-        """A log from a data frame of pandas, polars, arrow, or what else narwhals reads; its index is ignored.
+        """A log from a data frame of pandas, polars, arrow, or what else narwhals
+        reads; its index is ignored.
 
         Parameters
         ----------
         frame : data frame, one transition a row
         simulator : FiniteMDP, optional
-            Names of states and actions are matched to its names at once; otherwise the log keeps them (``numbered``).
-        column_names : the frame's own names of the columns of a log: ``state="from", next_state="to"``; by default the
-            same. Several, ``state=["row", "column"]``, make tuples of their values: names. Episodes may be texts. Other
-            columns are left out.
+            Names of states and actions are matched to its names at once; otherwise the
+            log keeps them (``numbered``).
+        column_names : the frame's own names of the columns of a log: ``state="from",
+            next_state="to"``; by default the same. Several, ``state=["row",
+            "column"]``, make tuples of their values: names. Episodes may be texts.
+            Other columns are left out.
 
         Raises
         ------
         ValueError
-            No data frame; missing columns (with those present); a row without a value; a name that is not the simulator's
-            (with the nearest one); and the constructor's errors.
+            No data frame; missing columns (with those present); a row without a value;
+            a name that is not the simulator's (with the nearest one); and the
+            constructor's errors.
 
         Examples
         --------
@@ -199,16 +211,20 @@ class Transitions(LogColumns):
     def from_episodes(
         cls, episodes: object, *, simulator: FiniteMDP | None = None
     ) -> Self:
-        """A log from episodes as lists of (state, action, reward) steps; states and actions are numbers or names.
+        """A log from episodes as lists of (state, action, reward) steps; states and
+        actions are numbers or names.
 
         Parameters
         ----------
         episodes : list of episodes, each a list of steps
-            A step is (state, action, reward): it led to the next step's state. An episode ends with its last state,
-            (state,), or (state, terminated) with whether the task ended; without it the next state of the last step is
-            unknown, and the step is left out with a warning. Steps may also be (state, action, reward, next_state),
-            (state, action, reward, next_state, terminated), or with truncated after these, as a loop over a Gymnasium
-            environment's ``step`` has them: an episode that ends without being terminated is truncated.
+            A step is (state, action, reward): it led to the next step's state. An
+            episode ends with its last state, (state,), or (state, terminated) with
+            whether the task ended; without it the next state of the last step is
+            unknown, and the step is left out with a warning. Steps may also be (state,
+            action, reward, next_state), (state, action, reward, next_state,
+            terminated), or with truncated after these, as a loop over a Gymnasium
+            environment's ``step`` has them: an episode that ends without being
+            terminated is truncated.
         simulator : FiniteMDP, optional; names are matched to its names
 
         Examples
@@ -221,9 +237,11 @@ class Transitions(LogColumns):
         return log if simulator is None else log.numbered(simulator, "episodes")
 
     def numbered(self, simulator: FiniteMDP, name: str = "log") -> Self:
-        """The log in the numbers of ``simulator``'s states and actions, matched by their names; itself if it has none.
+        """The log in the numbers of ``simulator``'s states and actions, matched by
+        their names; itself if it has none.
 
-        Raises a ValueError with the first row whose name is not the simulator's, and the nearest name.
+        Raises a ValueError with the first row whose name is not the simulator's, and
+        the nearest name.
         """
         if not self._names():
             return self
@@ -254,8 +272,9 @@ class Transitions(LogColumns):
     ) -> sparse.csr_array:
         """The counts of each (s, a, s'): csr of shape (S*A, S), row s*A + a.
 
-        With ``discount`` each transition has weight discount**timestep, the paper's discounted d (needs timesteps).
-        Raises a ValueError if a state or action is outside the given numbers.
+        With ``discount`` each transition has weight discount**timestep, the paper's
+        discounted d (needs timesteps). Raises a ValueError if a state or action is
+        outside the given numbers.
         """
         if self._names():
             raise ValueError(
@@ -329,7 +348,9 @@ class Transitions(LogColumns):
 
 
 def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> str:
-    """A log's summary in one line; ``names``: of its states and actions, where they have names."""
+    """A log's summary in one line; ``names``: of its states and actions, where they
+    have names.
+    """
     text = f"{facts['transitions']} transitions"
     if facts.get("different"):
         text += f", {facts['different']} different"

@@ -1,4 +1,6 @@
-"""The advice of a plan and of a report: which state-action pairs to record next, one transition after another."""
+"""The advice of a plan and of a report: which state-action pairs to record next, one
+transition after another.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,13 @@ NOTHING = "More transitions would not narrow it."
 def next_pairs(
     table: Array, counts: Array, n_actions: int, number: int, confidence: float
 ) -> tuple[tuple[int, int], ...]:
-    """Choose the ``number`` pairs (s, a) that most reduce the widths of the policies' intervals, one after another.
+    """Choose the ``number`` pairs (s, a) that most reduce the widths of the policies'
+    intervals, one after another.
 
-    ``table`` (K, S*A) costs c of each policy, ``counts`` (S*A,) n. Off a width 2 z se, se^2 = sum c / n, a transition of a
-    recorded row takes z c / (n (n + 1)) / se; of a row never recorded 2 z sqrt(c), all that one transition of it leaves.
-    None that costs 0.
+    ``table`` (K, S*A) costs c of each policy, ``counts`` (S*A,) n. Off a width 2 z se,
+    se^2 = sum c / n, a transition of a recorded row takes z c / (n (n + 1)) / se; of a
+    row never recorded 2 z sqrt(c), all that one transition of it leaves. None that
+    costs 0.
     """
     z, n, chosen = (
         NormalDist().inv_cdf(0.5 + confidence / 2.0),
@@ -53,7 +57,9 @@ def advice_sentence(
     optimistic: BoolArray,
     names: Names,
 ) -> str:
-    """Say the first of the pairs, and why; ``table`` (K, S, A), ``counts`` and ``optimistic`` (S, A)."""
+    """Say the first of the pairs, and why; ``table`` (K, S, A), ``counts`` and
+    ``optimistic`` (S, A).
+    """
     if not pairs:
         return NOTHING
     state, action = pairs[0]
@@ -82,12 +88,15 @@ def describe_pair(names: Names, state: int, action: int) -> str:
 
 
 def _quote(name: str) -> str:
-    """Quote a name of several words, so that one sees where it ends; coordinates have their brackets."""
+    """Quote a name of several words, so that one sees where it ends; coordinates have
+    their brackets.
+    """
     return f"“{name}”" if " " in name and not name.startswith("(") else name
 
 
 def advice(problem: Problem, policies: Mapping[str, Array], confidence: float) -> str:
-    """Return the sentence of ``plan_data_collection`` with the same log, policies and confidence.
+    """Return the sentence of ``plan_data_collection`` with the same log, policies and
+    confidence.
 
     Cost: one ratio, and an evaluation and an occupancy a policy.
     """

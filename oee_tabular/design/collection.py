@@ -1,4 +1,6 @@
-"""``plan_data_collection``: which pairs to record next, or which behaviour policy to run, for the narrowest intervals."""
+"""``plan_data_collection``: which pairs to record next, or which behaviour policy to
+run, for the narrowest intervals.
+"""
 
 from __future__ import annotations
 
@@ -49,11 +51,14 @@ def plan_data_collection(
     solver: Solver = "auto",
     confidence: float = 0.95,
 ) -> Plan:
-    """Choose where to record the next n transitions of the target to estimate the policies' values most precisely.
+    """Choose where to record the next n transitions of the target to estimate the
+    policies' values most precisely.
 
-    minimise over q  max_pi sum_x c^pi_x / (n_x + n q_x) / best_pi,   c^pi_x = Var_{s' ~ P'(.|x)}[dJ_pi / dP'(s' | x)],
+    minimise over q  max_pi sum_x c^pi_x / (n_x + n q_x) / best_pi,   c^pi_x = Var_{s' ~
+    P'(.|x)}[dJ_pi / dP'(s' | x)],
 
-    with n_x the log's counts and best_pi the smallest sum that a plan for pi alone reaches.
+    with n_x the log's counts and best_pi the smallest sum that a plan for pi alone
+    reaches.
 
     Parameters
     ----------
@@ -63,25 +68,32 @@ def plan_data_collection(
     sampling : "free"
         Any state-action pair can be recorded.
         "behavior"
-        A behaviour policy records: q is its occupancy in ``model``, restarted after each transition with probability
-        ``restart``, and on entering a state that no action leaves.
-    model : P', at which variances are evaluated: "estimate" (``transition_ratio``'s zeta * P from the log; the simulator
-        if there is no log), "simulator", or a FiniteMDP, of which the transitions are used
-    horizon : positive int or None; only if ``problem`` is a simulator (a Problem has its own)
-    lower_ratio, upper_ratio : the box for pairs without spread, see ``optimistic``; None: any distribution there
+        A behaviour policy records: q is its occupancy in ``model``, restarted after
+        each transition with probability ``restart``, and on entering a state that no
+        action leaves.
+    model : P', at which variances are evaluated: "estimate" (``transition_ratio``'s
+        zeta * P from the log; the simulator if there is no log), "simulator", or a
+        FiniteMDP, of which the transitions are used
+    horizon : positive int or None; only if ``problem`` is a simulator (a Problem has
+        its own)
+    lower_ratio, upper_ratio : the box for pairs without spread, see ``optimistic``;
+        None: any distribution there
     optimistic : True
-        Pairs that ``model`` makes deterministic cost the largest plausible variance, not 0, or they would never be tested
-        (``design`` has the set: another action is executed or nothing happens, within the box, and less often the more
-        transitions the log has).
-    restart : in (0, 1), "behavior" only; default 1 - discount (1 / horizon at discount 1)
-    restart_costs_a_move : False: the transition recorded after an episode's end is from a first state; True: one more is
-        recorded in the state that ended it
+        Pairs that ``model`` makes deterministic cost the largest plausible variance,
+        not 0, or they would never be tested (``design`` has the set: another action is
+        executed or nothing happens, within the box, and less often the more transitions
+        the log has).
+    restart : in (0, 1), "behavior" only; default 1 - discount (1 / horizon at discount
+        1)
+    restart_costs_a_move : False: the transition recorded after an episode's end is from
+        a first state; True: one more is recorded in the state that ended it
     solver : "auto"
-        In closed form for one policy and free sampling, else by an interior point method, to a gap of 0.01%. "frank_wolfe"
-        is an older name of it.
+        In closed form for one policy and free sampling, else by an interior point
+        method, to a gap of 0.01%. "frank_wolfe" is an older name of it.
         "CLARABEL"
         Clarabel by cvxpy: a smaller gap, but slow above 4000 pairs.
-    confidence : in (0, 1), of the intervals whose widths are predicted (J ± z standard errors)
+    confidence : in (0, 1), of the intervals whose widths are predicted (J ± z standard
+        errors)
 
     Returns
     -------
@@ -90,15 +102,19 @@ def plan_data_collection(
     Raises
     ------
     ValueError
-        Bad arguments; discount 1 without a horizon; a ``model`` with transitions outside the simulator's support; episodes too
-        short to reach a pair that matters.
+        Bad arguments; discount 1 without a horizon; a ``model`` with transitions
+        outside the simulator's support; episodes too short to reach a pair that
+        matters.
 
     Notes
     -----
-    Predictions are first-order and at ``model``: the variance of maximum likelihood with the counts that the plan expects. A
-    pair that matters and has no data makes the present error infinite. An estimator that shares information between pairs
-    (``OffEnvironment()``, by its tilt) has smaller errors, and gains less by planning. Cost: free, O(S A log(S A)) after two
-    solves a policy; several policies or behaviour, 10 to 40 steps of 20 to 300 products with the collection MDP's transitions.
+    Predictions are first-order and at ``model``: the variance of maximum likelihood
+    with the counts that the plan expects. A pair that matters and has no data makes the
+    present error infinite. An estimator that shares information between pairs
+    (``OffEnvironment()``, by its tilt) has smaller errors, and gains less by planning.
+    Cost: free, O(S A log(S A)) after two solves a policy; several policies or
+    behaviour, 10 to 40 steps of 20 to 300 products with the collection MDP's
+    transitions.
 
     Examples
     --------

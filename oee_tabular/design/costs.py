@@ -1,6 +1,8 @@
-"""Costs of the state-action pairs: c_x = Var_{s' ~ P'(.|x)}[G_x(s')], and what is assumed where the model has no spread.
+"""Costs of the state-action pairs: c_x = Var_{s' ~ P'(.|x)}[G_x(s')], and what is
+assumed where the model has no spread.
 
-The set of plausible rows, and its bounds, are stated at the door of the room (``oee_tabular.design``).
+The set of plausible rows, and its bounds, are stated at the door of the room
+(``oee_tabular.design``).
 """
 
 from __future__ import annotations
@@ -38,9 +40,11 @@ def row_costs(
     confidence: float,
     optimistic: bool,
 ) -> tuple[Array, BoolArray]:
-    """Compute c_x (K, S*A) of each policy at ``model`` (on the simulator's support), and the rows (S*A,) with a worst case.
+    """Compute c_x (K, S*A) of each policy at ``model`` (on the simulator's support),
+    and the rows (S*A,) with a worst case.
 
-    ``counts`` (S*A,) are the log's. Units: those of J, squared. Cost: one policy evaluation and one occupancy a policy.
+    ``counts`` (S*A,) are the log's. Units: those of J, squared. Cost: one policy
+    evaluation and one occupancy a policy.
     """
     largest = np.maximum.reduceat(model.transitions.data, model.transitions.indptr[:-1])
     is_terminal = np.repeat(simulator.closed(), simulator.n_actions)
@@ -70,7 +74,9 @@ def _bounds(
     counts: Array,
     confidence: float,
 ) -> tuple[Array, Array]:
-    """Bound each entry; the outcome that the model is sure of keeps what its observations assure."""
+    """Bound each entry; the outcome that the model is sure of keeps what its
+    observations assure.
+    """
     lengths, sure = np.diff(matrix.indptr), matrix.data >= CERTAIN
     low = box.lower * reference
     high = (
@@ -90,9 +96,11 @@ def _bounds(
 def _add_reference_entries(
     simulator: FiniteMDP, model: Model, certain: BoolArray
 ) -> tuple[ReweightedModel, Array]:
-    """Give the model the entries of R in the rows ``certain``, most of them 0, and return R there (0 in the other rows).
+    """Give the model the entries of R in the rows ``certain``, most of them 0, and
+    return R there (0 in the other rows).
 
-    A transition that the simulator lacks in this row has its reward under another action, or else the row's
+    A transition that the simulator lacks in this row has its reward under another
+    action, or else the row's
     mean.
     """
     n_states, n_actions = simulator.rewards.shape
@@ -143,11 +151,14 @@ def _add_reference_entries(
 
 @njit(cache=True)
 def largest_variances(indptr, rows, values, low, high):
-    """max Var_p[v] over low <= p <= high, sum p = 1, of each of ``rows`` of a CSR pattern (sum low <= 1 <= sum high).
+    """max Var_p[v] over low <= p <= high, sum p = 1, of each of ``rows`` of a CSR
+    pattern (sum low <= 1 <= sum high).
 
-    A best p has what is free above ``low`` at both ends of the sorted values. All of it is put at the upper end, and from
-    there, the least value y first, to the lower end, the least value x first: d Var / d mass = (y - x) (2 E v - x - y),
-    which changes its sign once. The largest variance of v in {0, 1}; with the mass of the 1 at most 0.1; in [0.6, 0.7]:
+    A best p has what is free above ``low`` at both ends of the sorted values. All of it
+    is put at the upper end, and from there, the least value y first, to the lower end,
+    the least value x first: d Var / d mass = (y - x) (2 E v - x - y), which changes its
+    sign once. The largest variance of v in {0, 1}; with the mass of the 1 at most 0.1;
+    in [0.6, 0.7]:
 
     >>> bounds = np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.2]), np.array([1.0, 1.0, 1.0, 0.1, 0.4, 0.7])
     >>> largest_variances(np.array([0, 2, 4, 6]), np.arange(3), np.array([0.0, 1.0] * 3), *bounds).round(9)

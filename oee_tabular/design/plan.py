@@ -27,9 +27,10 @@ class Outlook:
     Attributes
     ----------
     name : the policy's
-    variance_now, variance_after : asymptotic variance of J with the log, and after the plan; inf if a state-action pair that
-        matters has no data
-    inefficiency : variance_after divided by the smallest that a plan for this policy alone reaches (1 at best)
+    variance_now, variance_after : asymptotic variance of J with the log, and after the
+        plan; inf if a state-action pair that matters has no data
+    inefficiency : variance_after divided by the smallest that a plan for this policy
+        alone reaches (1 at best)
     free_inefficiency : the same if any pair could be recorded
     confidence : of ``width``
 
@@ -70,18 +71,24 @@ class Plan:
     ----------
     sampling : "free" or "behavior"
     n, confidence : as asked for
-    distribution : (S, A), sums to 1: the share of the n transitions that each pair gets ("behavior": on average)
-    behavior_policy : (S, A): distribution / sum over actions, uniform in states that it never visits
+    distribution : (S, A), sums to 1: the share of the n transitions that each pair gets
+        ("behavior": on average)
+    behavior_policy : (S, A): distribution / sum over actions, uniform in states that it
+        never visits
     policies : an Outlook for each policy
-    gap : certificate: the relative optimality gap of the criterion (the largest inefficiency)
-    next_pairs : the best next single pairs, one after another (at most 10): those that most reduce the summed interval widths
-        2 z se, by z c_x / (n_x (n_x + 1)) / se each; a pair never recorded by 2 z sqrt(c_x)
+    gap : certificate: the relative optimality gap of the criterion (the largest
+        inefficiency)
+    next_pairs : the best next single pairs, one after another (at most 10): those that
+        most reduce the summed interval widths 2 z se, by z c_x / (n_x (n_x + 1)) / se
+        each; a pair never recorded by 2 z sqrt(c_x)
     counts : (S, A) the log's
     costs : name -> (S, A) c_x, squared units of J
-    optimistic : (S, A) where the model is deterministic, and c_x is the largest plausible variance
+    optimistic : (S, A) where the model is deterministic, and c_x is the largest
+        plausible variance
     restart : probability of a restart after each transition; None for free sampling
     names : of states and actions
-    model, solver, status : the model at which variances are evaluated, the solver, "ok" or the problem
+    model, solver, status : the model at which variances are evaluated, the solver, "ok"
+        or the problem
 
     Examples
     --------
@@ -113,12 +120,16 @@ class Plan:
 
     @property
     def inefficiency(self) -> float:
-        """The largest of the policies': variance over the smallest that a plan for that policy alone reaches."""
+        """The largest of the policies': variance over the smallest that a plan for that
+        policy alone reaches.
+        """
         return max(outlook.inefficiency for outlook in self.policies)
 
     @property
     def free_inefficiency(self) -> float:
-        """The largest of the policies', relative to recording any pairs for that policy alone."""
+        """The largest of the policies', relative to recording any pairs for that policy
+        alone.
+        """
         return max(outlook.free_inefficiency for outlook in self.policies)
 
     @property
@@ -131,7 +142,9 @@ class Plan:
 
     @property
     def expected_width(self) -> tuple[float, float]:
-        """(now, after n more transitions) of the interval for J, the largest of the policies'."""
+        """(now, after n more transitions) of the interval for J, the largest of the
+        policies'.
+        """
         now, after = zip(*(outlook.width for outlook in self.policies), strict=True)
         return max(now), max(after)
 
@@ -144,7 +157,9 @@ class Plan:
 
     @property
     def allocation(self) -> IntArray:
-        """(S, A) whole numbers of transitions that sum to n: n * distribution, the largest remainders rounded up."""
+        """(S, A) whole numbers of transitions that sum to n: n * distribution, the
+        largest remainders rounded up.
+        """
         exact = self.n * self.distribution.reshape(-1)
         whole = np.floor(exact)
         order = np.argsort(-(exact - whole), kind="stable")[: self.n - int(whole.sum())]
@@ -174,7 +189,9 @@ class Plan:
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """The same as ``str``, as plain values; states and actions by name if they have names."""
+        """The same as ``str``, as plain values; states and actions by name if they have
+        names.
+        """
 
         def pair(s: int, a: int) -> dict[str, Any]:
             numbers = {
@@ -215,7 +232,9 @@ class Plan:
         return [divmod(int(row), self.distribution.shape[1]) for row in order]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the states where the plan records most, with their counts in the log; without ``ax`` on new axes."""
+        """Draw the states where the plan records most, with their counts in the log;
+        without ``ax`` on new axes.
+        """
         numbers = range(len(self.counts))
         names = [
             f"state {s}" if self.names.states is None else self.names.state(s)

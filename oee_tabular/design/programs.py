@@ -1,8 +1,10 @@
-"""The programs of experimental design: minimise over q  max_k F_k(q),  F_k(q) = sum_x C_kx / (b_x + q_x).
+"""The programs of experimental design: minimise over q  max_k F_k(q),  F_k(q) = sum_x
+C_kx / (b_x + q_x).
 
-Two ways to solve them, stated at the door of the room (``oee_tabular.design``): an interior point method
-(``solve_by_interior_point``), and the statement in cvxpy (``solve_by_clarabel``). Both end with a value and a lower bound
-that do not depend on how q was found.
+Two ways to solve them, stated at the door of the room (``oee_tabular.design``): an
+interior point method (``solve_by_interior_point``), and the statement in cvxpy
+(``solve_by_clarabel``). Both end with a value and a lower bound that do not depend on
+how q was found.
 """
 
 from __future__ import annotations
@@ -37,7 +39,9 @@ NEGLIGIBLE = 1e-60
 
 
 def sum_variances(costs: Array, base: Array, q: Array) -> Array:
-    """(K,) F_k(q) = sum_x C_kx / (b_x + q_x), 0 / 0 being 0; inf where a row that costs has nothing."""
+    """(K,) F_k(q) = sum_x C_kx / (b_x + q_x), 0 / 0 being 0; inf where a row that costs
+    has nothing.
+    """
     total = base + q
     empty = total <= 0.0
     finite: Array = np.sum(
@@ -47,9 +51,11 @@ def sum_variances(costs: Array, base: Array, q: Array) -> Array:
 
 
 def fill(cost: Array, base: Array) -> Array:
-    """The q >= 0, sum q = 1, that minimises sum_x c_x / (b_x + q_x): b + q = max(b, t sqrt(c)), exactly.
+    """The q >= 0, sum q = 1, that minimises sum_x c_x / (b_x + q_x): b + q = max(b, t
+    sqrt(c)), exactly.
 
-    With b = 0 Neyman's allocation q ~ sqrt(c), value (sum sqrt c)^2. Cost: O(rows log rows).
+    With b = 0 Neyman's allocation q ~ sqrt(c), value (sum sqrt c)^2. Cost: O(rows log
+    rows).
 
     >>> fill(np.array([1.0, 4.0]), np.zeros(2)), fill(np.array([1.0, 4.0]), np.array([1.0, 0.0]))
     (array([0.33333333, 0.66666667]), array([0., 1.]))
@@ -74,10 +80,12 @@ def collection_mdp(
     ends: BoolArray | None = None,
     restart_costs_a_move: bool = False,
 ) -> FiniteMDP:
-    """Make the MDP in which data are collected: ``model``, started again after each transition with probability ``restart``.
+    """Make the MDP in which data are collected: ``model``, started again after each
+    transition with probability ``restart``.
 
-    Its discount is 1 - restart, its occupancy the long-run share of recorded transitions, its rewards 0. An episode ends in the
-    states ``ends`` (S,), by default those that no action leaves: entering one leads to a start (as ``sample_episodes``
+    Its discount is 1 - restart, its occupancy the long-run share of recorded
+    transitions, its rewards 0. An episode ends in the states ``ends`` (S,), by default
+    those that no action leaves: entering one leads to a start (as ``sample_episodes``
     records), or, with ``restart_costs_a_move``, one more recorded transition does.
     """
     matrix: Any = model.transitions
@@ -108,9 +116,11 @@ def behavior_of(q: Array, shape: tuple[int, int]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """minimise max_k F_k(q), with ``costs`` C (K, S*A) and ``base`` b (S*A,), over the feasible q.
+    """minimise max_k F_k(q), with ``costs`` C (K, S*A) and ``base`` b (S*A,), over the
+    feasible q.
 
-    ``collection`` None: all distributions over the rows; a collection MDP: the occupancies of its policies.
+    ``collection`` None: all distributions over the rows; a collection MDP: the
+    occupancies of its policies.
     """
 
     costs: Array
@@ -118,7 +128,8 @@ class Program:
     collection: FiniteMDP | None
 
     def start(self, policies: list[Array]) -> Array:
-        """A feasible q, positive where another can usefully be: best for all costs at once, or what the policies record.
+        """A feasible q, positive where another can usefully be: best for all costs at
+        once, or what the policies record.
 
         Raises ValueError where that is not what matters to a policy.
         """
@@ -143,7 +154,9 @@ class Program:
         return np.asarray(q)
 
     def equations(self) -> tuple[sparse.csr_array, Array]:
-        """(M, m): q >= 0 is feasible where M q = m: sum q = 1, or the flow of the collection MDP."""
+        """(M, m): q >= 0 is feasible where M q = m: sum q = 1, or the flow of the
+        collection MDP.
+        """
         if self.collection is None:
             return sparse.csr_array(np.ones((1, self.base.size))), np.ones(1)
         mdp = self.collection
@@ -154,7 +167,9 @@ class Program:
         return sparse.csr_array(flow), (1.0 - mdp.discount) * mdp.initial
 
     def project(self, q: Array) -> Array:
-        """The feasible point that a solver's q stands for: its shares, or the occupancy of its policy."""
+        """The feasible point that a solver's q stands for: its shares, or the occupancy
+        of its policy.
+        """
         kept = np.maximum(q, 0.0)
         if self.collection is not None:
             shape = (self.collection.n_states, self.collection.n_actions)
@@ -165,9 +180,11 @@ class Program:
         return np.asarray(kept / kept.sum())
 
     def lower_bound(self, weights: Array, prices: Array, level: float) -> float:
-        """Bound min_q max_k F_k by Lagrange: sum_x min_q [w . C_x / (b_x + q) + kappa_x q] - level, ``prices`` kappa = M' v.
+        """Bound min_q max_k F_k by Lagrange: sum_x min_q [w . C_x / (b_x + q) + kappa_x
+        q] - level, ``prices`` kappa = M' v.
 
-        ``level`` is m . v. A constant is added to all prices, and to the level, that makes every price nonnegative.
+        ``level`` is m . v. A constant is added to all prices, and to the level, that
+        makes every price nonnegative.
         """
         shift = max(0.0, -float(prices.min()))
         cost, kappa = weights @ self.costs, prices + shift
@@ -189,7 +206,9 @@ def solve_for_all(
     policies: list[Array],
     solver: Solver,
 ) -> tuple[Solution, Array, Array]:
-    """The solution, and of each policy the least variance of a plan for it alone: sampling as here, and at will."""
+    """The solution, and of each policy the least variance of a plan for it alone:
+    sampling as here, and at will.
+    """
     free = np.array(
         [float(sum_variances(c[None], base, fill(c, base))[0]) for c in costs]
     )
@@ -211,7 +230,9 @@ def solve_for_all(
 
 
 def solve(program: Program, policies: list[Array], solver: Solver) -> Solution:
-    """Solve by cvxpy where it is asked for, else in closed form, or by the interior point method."""
+    """Solve by cvxpy where it is asked for, else in closed form, or by the interior
+    point method.
+    """
     start = program.start(policies)
     if solver == "CLARABEL":
         return solve_by_clarabel(program)
@@ -223,16 +244,17 @@ def solve(program: Program, policies: list[Array], solver: Solver) -> Solution:
 
 
 def solve_by_interior_point(program: Program, start: Array) -> Solution:
-    """Take primal-dual Newton steps until the relative gap is at most 0.01%; after 200 steps end with the gap there is.
+    """Take primal-dual Newton steps until the relative gap is at most 0.01%; after 200
+    steps end with the gap there is.
 
-    For weights w of the policies and c = w . C the conditions of the least sum_x c_x / (b_x + q_x) are, with z the
-    multipliers of q >= 0 and mu falling to 0,
+    For weights w of the policies and c = w . C the conditions of the least sum_x c_x /
+    (b_x + q_x) are, with z the multipliers of q >= 0 and mu falling to 0,
 
         M' v - c / (b + q)^2 - z = 0,   M q = m,   q z = mu.
 
-    Elimination leaves M diag(1 / theta) M' dv = ..., theta = 2 c / (b + q)^3 + z / q, which is solved by conjugate
-    gradients; each step begins with one for the weights. Cost: 10 to 40 steps of 20 to 300 products with M, and an
-    occupancy each.
+    Elimination leaves M diag(1 / theta) M' dv = ..., theta = 2 c / (b + q)^3 + z / q,
+    which is solved by conjugate gradients; each step begins with one for the weights.
+    Cost: 10 to 40 steps of 20 to 300 products with M, and an occupancy each.
     """
     used = start > NEGLIGIBLE
     costs, base, q = program.costs[:, used], program.base[used], start[used]
@@ -287,10 +309,12 @@ def solve_by_interior_point(program: Program, start: Array) -> Solution:
 
 
 def update_weights(weights: Array, costs: Array, total: Array, theta: Array) -> Array:
-    """Take a Newton step for the conditions of the worst policies: F_k = t, or w_k = 0 and F_k < t.
+    """Take a Newton step for the conditions of the worst policies: F_k = t, or w_k = 0
+    and F_k < t.
 
-    With dF = -S dw, S = G diag(1 / theta) G', G_kx = C_kx / (b_x + q_x)^2: what a change of the weights moves where q needs
-    no flow, so never too far. A policy below t has slack, which takes its weight to 0.
+    With dF = -S dw, S = G diag(1 / theta) G', G_kx = C_kx / (b_x + q_x)^2: what a
+    change of the weights moves where q needs no flow, so never too far. A policy below
+    t has slack, which takes its weight to 0.
     """
     values, slopes = np.sum(costs / total, axis=1), costs / total**2
     slack = values.max() - values
@@ -305,9 +329,11 @@ def update_weights(weights: Array, costs: Array, total: Array, theta: Array) -> 
 
 
 def solve_by_clarabel(program: Program) -> Solution:
-    """Solve the statement in cvxpy by Clarabel; its point is made feasible, and gets a bound by its multipliers.
+    """Solve the statement in cvxpy by Clarabel; its point is made feasible, and gets a
+    bound by its multipliers.
 
-    Raises SolverStatusError (a RuntimeError) for any status but "optimal". Cost: a conic program with a cone a row.
+    Raises SolverStatusError (a RuntimeError) for any status but "optimal". Cost: a
+    conic program with a cone a row.
     """
     import cvxpy as cp
 

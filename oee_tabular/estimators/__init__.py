@@ -1,9 +1,12 @@
-"""Estimators of a policy's value in the target: ``estimator(problem, policy, seed=...) -> Estimate``.
+"""Estimators of a policy's value in the target: ``estimator(problem, policy, seed=...)
+-> Estimate``.
 
-Objects. P (S*A, S) is the simulator, P* the target, mu (S,) the start, gamma the discount, pi (S, A) the policy, b (S, A) the
-log's. n(s, a, s') are the log's counts, f = n(s, a, s') / n(s, a) its frequencies; zeta = P* / P on the support of P, or an
-estimate. V_M, Q_M, J_M are values of pi in a model M, d_M(s, a) = sum_t gamma^t Pr(s_t = s, a_t = a), m = zeta P unless said
-otherwise. Along a path W_t = zeta_1 ... zeta_t and rho_t = product of pi / b up to t::
+Objects. P (S*A, S) is the simulator, P* the target, mu (S,) the start, gamma the
+discount, pi (S, A) the policy, b (S, A) the log's. n(s, a, s') are the log's counts, f
+= n(s, a, s') / n(s, a) its frequencies; zeta = P* / P on the support of P, or an
+estimate. V_M, Q_M, J_M are values of pi in a model M, d_M(s, a) = sum_t gamma^t Pr(s_t
+= s, a_t = a), m = zeta P unless said otherwise. Along a path W_t = zeta_1 ... zeta_t
+and rho_t = product of pi / b up to t::
 
     Simulator           J_P                                                                      simulator
     OffEnvironment      J_m (eq. 4.2), moved towards the log where that contradicts it           off_environment
@@ -20,19 +23,24 @@ otherwise. Along a path W_t = zeta_1 ... zeta_t and rho_t = product of pi / b up
                         d_m / d_P, or A^T theta = -(1 - gamma) E phi_0 (Katdare et al. 2023)     marginalized
     DualDice            w = nu - gamma f^pi nu at the least of a quadratic (Nachum et al. 2019)  marginalized
 
-``estimator.limit(simulator, target, policy, ...)`` is the limit of the value as the log (and its rollouts)
-grow, bias included. Where the log covers the policy it is J_P* for all but the simulator,
-DoublyRobust(weights="beta") (an error of second order), clipped ratios, and features whose class lacks
-d_P* / d_P. Pairs never recorded are the prior's (OffEnvironment), the fallback's (ModelBased), the simulator's
-(DoublyRobust, DualDice), or count nothing (Marginalized).
+``estimator.limit(simulator, target, policy, ...)`` is the limit of the value as the log
+(and its rollouts)
+grow, bias included. Where the log covers the policy it is J_P* for all but the
+simulator, DoublyRobust(weights="beta") (an error of second order), clipped ratios, and
+features whose class lacks
+d_P* / d_P. Pairs never recorded are the prior's (OffEnvironment), the fallback's
+(ModelBased), the simulator's (DoublyRobust, DualDice), or count nothing (Marginalized).
 
-Standard errors are those of the log by the delta method, sqrt(sum over recorded pairs of Var_f(G) / n) with
-G = dJ / dP(s' | s, a) (``exact.transition_gradient``), or of independent episodes or rollouts. OffEnvironment takes
-the variances under zeta P, and adds Var(G) of each unrecorded pair inside the root.
+Standard errors are those of the log by the delta method, sqrt(sum over recorded pairs
+of Var_f(G) / n) with
+G = dJ / dP(s' | s, a) (``exact.transition_gradient``), or of independent episodes or
+rollouts. OffEnvironment takes the variances under zeta P, and adds Var(G) of each
+unrecorded pair inside the root.
 
-``base`` has the common parts, ``problem`` checks the inputs (``rewards``: the log's), ``functions`` makes estimators
-of functions (``as_estimator``), ``findings`` has the warnings, ``names`` the short names, ``calibrated`` removes the
-error of a discretised task.
+``base`` has the common parts, ``problem`` checks the inputs (``rewards``: the log's),
+``functions`` makes estimators of functions (``as_estimator``), ``findings`` has the
+warnings, ``names`` the short names, ``calibrated`` removes the error of a discretised
+task.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""What an estimator is and returns, its exact limit, its option ``ratio``; means with standard errors."""
+"""What an estimator is and returns, its exact limit, its option ``ratio``; means with
+standard errors.
+"""
 
 from __future__ import annotations
 
@@ -50,27 +52,33 @@ IN_VALUES_UNIT = frozenset(
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value of a policy in the target, a discounted sum of rewards (not multiplied by 1 - discount).
+    """A value of a policy in the target, a discounted sum of rewards (not multiplied by
+    1 - discount).
 
     Attributes
     ----------
     value : float (nan if there is none; status says why)
     standard_error : float or None
         None also if the data do not vary: one transition, or equal returns.
-        ``diagnostics["standard_error_of"]`` says what it covers: the log or the rollouts.
+        ``diagnostics["standard_error_of"]`` says what it covers: the log or the
+        rollouts.
     interval : (lower, upper) or None
-        The estimator's own, at 95%. If ``model_value`` is set, ``oee.evaluate`` quotes the likelihood interval
-        instead, where there is one. ``diagnostics["interval_method"]`` names the interval.
+        The estimator's own, at 95%. If ``model_value`` is set, ``oee.evaluate`` quotes
+        the likelihood interval instead, where there is one.
+        ``diagnostics["interval_method"]`` names the interval.
     diagnostics : numbers and strings
-        If they apply: ``effective_sample_size``, ``largest_weight``, ``coverage`` (share of the
-        policy's discounted time in recorded pairs), ``unrecorded_share`` (the rest), ``row_sum_error``,
-        ``error_bound`` (of the linear algebra), ``gap`` (of the convex programs).
+        If they apply: ``effective_sample_size``, ``largest_weight``, ``coverage``
+        (share of the
+        policy's discounted time in recorded pairs), ``unrecorded_share`` (the rest),
+        ``row_sum_error``, ``error_bound`` (of the linear algebra), ``gap`` (of the
+        convex programs).
     status : "ok", or the problem and a remedy
     findings : warnings, which a report prints
     model_value : the exact value of zeta * P, or None
-        Set if the value is that of a corrected simulator whose rows sum to 1. A report quotes such values first,
-        with the likelihood interval.
-    measured : share of the policy's time in pairs whose variance the standard error includes
+        Set if the value is that of a corrected simulator whose rows sum to 1. A report
+        quotes such values first, with the likelihood interval.
+    measured : share of the policy's time in pairs whose variance the standard error
+        includes
     is_normal : whether the interval is the value ± a quantile times the standard error
     is_from_log : False if the value uses the simulator alone
     is_from_episodes : whether it averages the log's own episodes and rewards
@@ -153,7 +161,8 @@ class Estimate:
 
 
 class Estimator(Protocol):
-    """An estimator as a callable; the package's own are frozen dataclasses of their options.
+    """An estimator as a callable; the package's own are frozen dataclasses of their
+    options.
 
     Examples
     --------
@@ -175,7 +184,9 @@ class Estimator(Protocol):
 
 
 def effective_sample_size(weights: Array) -> float:
-    """Kish's (sum w)^2 / sum w^2: how many equally weighted samples would vary as much; 0 where all weights are 0."""
+    """Kish's (sum w)^2 / sum w^2: how many equally weighted samples would vary as much;
+    0 where all weights are 0.
+    """
     # squares of very large or small numbers leave the range of floats
     scaled = np.ldexp(weights, -exponent(weights))
     square = float(scaled @ scaled)
@@ -186,7 +197,8 @@ ROUNDING = 1e-12  # of the largest number involved: what is smaller does not var
 
 
 def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | None]:
-    """Mean and standard error of independent values, without an error where they do not vary.
+    """Mean and standard error of independent values, without an error where they do not
+    vary.
 
     ``size``: of the numbers that the values are differences of, where they are.
     """
@@ -205,7 +217,9 @@ def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | Non
 def delta_error(
     matrix: sparse.csr_array, frequency: Array, totals: Array, gradient: Array
 ) -> float:
-    """Delta method, root of the sum over recorded rows of Var(gradient) / n, variances under ``frequency``."""
+    """Delta method, root of the sum over recorded rows of Var(gradient) / n, variances
+    under ``frequency``.
+    """
     shift = exponent(gradient)
     gradient = np.ldexp(gradient, -shift)
     variance = row_variances(matrix, frequency, gradient)
@@ -237,8 +251,10 @@ def learnable_shares(problem: Problem, time: Array) -> Array:
 def coverage(problem: Problem, shares: Array, counts: Array) -> dict[str, Any]:
     """The share of the policy's time in recorded pairs, and the effective sample size.
 
-    ``shares`` (S, A) are those of ``learnable_shares``, ``counts`` (S, A) the log's. The effective sample
-    size is (sum d)^2 / sum d^2 / n over recorded pairs: as many transitions drawn from the policy's
+    ``shares`` (S, A) are those of ``learnable_shares``, ``counts`` (S, A) the log's.
+    The effective sample
+    size is (sum d)^2 / sum d^2 / n over recorded pairs: as many transitions drawn from
+    the policy's
     occupancy have the same variance.
     """
     visited = counts > 0
@@ -268,7 +284,8 @@ class TabularEstimator:
     ) -> Estimate:
         """Estimate J of ``policy`` in the target.
 
-        ``seed`` is for rollouts, resamples and the simulator's data. The value is nan if its sum diverges;
+        ``seed`` is for rollouts, resamples and the simulator's data. The value is nan
+        if its sum diverges;
         the status says why.
         """
         pi = require_policy(problem, policy)
@@ -286,7 +303,9 @@ class TabularEstimator:
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """The estimate of a checked policy, without the findings that its diagnostics make."""
+        """The estimate of a checked policy, without the findings that its diagnostics
+        make.
+        """
         raise NotImplementedError
 
     def limit(
@@ -307,7 +326,8 @@ class TabularEstimator:
             The target inside the simulator's support where there are data.
         policy : (S, A)
         data_distribution : (S, A) or None
-            How pairs are recorded (None: evenly). Its support alone matters but for the quotient of two
+            How pairs are recorded (None: evenly). Its support alone matters but for the
+            quotient of two
             ratios, and with features.
         behavior_policy : (S, A) of the log's episodes; None: one with support
         horizon : positive int or None
@@ -371,7 +391,9 @@ class RatioEstimator(TabularEstimator):
     def fit(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> TransitionRatio:
-        """zeta from the log, as ``ratio`` says; V of ``policy`` is a direction of "conditional"."""
+        """zeta from the log, as ``ratio`` says; V of ``policy`` is a direction of
+        "conditional".
+        """
         if isinstance(self.ratio, TransitionRatio):
             zeta = self.ratio
         elif callable(self.ratio):
@@ -410,7 +432,9 @@ class RatioEstimator(TabularEstimator):
 
     @property
     def model_claims(self) -> frozenset[str]:
-        """What the exact value of zeta * P claims; a zeta that is given is right for one pair only."""
+        """What the exact value of zeta * P claims; a zeta that is given is right for
+        one pair only.
+        """
         if isinstance(self.ratio, TransitionRatio):
             return (
                 OF_COUNTS | {"shift"}

@@ -1,14 +1,17 @@
 """Calibration: taking out of an estimate what discretising has put into it.
 
-A task's FiniteMDP values a policy at J_d, the task itself at J_c (by Monte Carlo). The difference is the
-discretisation's, and an estimate in the same finite states carries much the same:
+A task's FiniteMDP values a policy at J_d, the task itself at J_c (by Monte Carlo). The
+difference is the discretisation's, and an estimate in the same finite states carries
+much the same:
 
     ratio        J_hat * J_c / J_d        where returns have one sign, and the error is one of scale
     difference   J_hat + J_c - J_d        where they change sign
 
-A calibrated value stands beside the raw one and never replaces it. It helps as far as the estimate and J_d
+A calibrated value stands beside the raw one and never replaces it. It helps as far as
+the estimate and J_d
 see the cells alike: the simulator must be discretised at the log's own places
-(``tasks.discretize(task, log)``), or the estimate differs from J_d by where in its cell a state lies.
+(``tasks.discretize(task, log)``), or the estimate differs from J_d by where in its cell
+a state lies.
 """
 
 from __future__ import annotations
@@ -33,12 +36,14 @@ def calibrate(
     continuous_error: float = 0.0,
     kind: str = "ratio",
 ) -> Estimate:
-    """Add a calibrated value to the diagnostics of an estimate; its own value is unchanged.
+    """Add a calibrated value to the diagnostics of an estimate; its own value is
+    unchanged.
 
     Parameters
     ----------
     estimate : the raw estimate, of a policy's value in the target
-    discretised : J_d, the same policy's exact value in the simulator's FiniteMDP, in the estimate's unit
+    discretised : J_d, the same policy's exact value in the simulator's FiniteMDP, in
+        the estimate's unit
     continuous : J_c, its value in the continuous simulator, by Monte Carlo
     continuous_error : standard error of ``continuous``
     kind : "ratio" | "difference"
@@ -46,13 +51,15 @@ def calibrate(
     Returns
     -------
     Estimate
-        ``diagnostics["calibrated_value"]``; ``["calibrated_standard_error"]`` (the estimate's own, carried along, and
-        Monte Carlo's; None where the estimate has none); ``["calibration"]``, what was done in words.
+        ``diagnostics["calibrated_value"]``; ``["calibrated_standard_error"]`` (the
+        estimate's own, carried along, and Monte Carlo's; None where the estimate has
+        none); ``["calibration"]``, what was done in words.
 
     Raises
     ------
     ValueError
-        Numbers that are not finite; "ratio" where the two values differ in sign or ``discretised`` is 0.
+        Numbers that are not finite; "ratio" where the two values differ in sign or
+        ``discretised`` is 0.
 
     Examples
     --------

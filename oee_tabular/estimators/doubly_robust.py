@@ -1,4 +1,6 @@
-"""Doubly robust estimators: a model's value, and the log's residuals on top of it; and a blend of the two (MAGIC)."""
+"""Doubly robust estimators: a model's value, and the log's residuals on top of it; and
+a blend of the two (MAGIC).
+"""
 
 from __future__ import annotations
 
@@ -51,24 +53,30 @@ class DoublyRobust(RatioEstimator):
     Parameters
     ----------
     data : "transitions" | "rollouts" | "episodes"
-        transitions: J_sim + 1/(1 - gamma) E_log[w (r + gamma V_sim(s') - Q_sim(s, a))], the simulator and the
-        occupancy-weighted sim-to-real residual; exact given the log, for any horizon (time sums inside).
-        rollouts: on rollouts of the simulator, D_t = r_t + gamma [m_t + zeta_{t+1} (D_{t+1} - V_sim(s_{t+1}))],
-        m_t = sum_s' zeta P V_sim: the paper's product with a control variate.
-        episodes: on the log's episodes, D_t = V(s_t) + rho_t [r_t + gamma D_{t+1} - Q(s_t, a_t)], V and Q of
+        transitions: J_sim + 1/(1 - gamma) E_log[w (r + gamma V_sim(s') - Q_sim(s, a))],
+        the simulator and the occupancy-weighted sim-to-real residual; exact given the
+        log, for any horizon (time sums inside). rollouts: on rollouts of the simulator,
+        D_t = r_t + gamma [m_t + zeta_{t+1} (D_{t+1} - V_sim(s_{t+1}))], m_t = sum_s'
+        zeta P V_sim: the paper's product with a control variate.
+        episodes: on the log's episodes, D_t = V(s_t) + rho_t [r_t + gamma D_{t+1} -
+        Q(s_t, a_t)], V and Q of
         zeta * P [1]; a truncated episode continues with V.
     weights : "occupancy" | "beta", for transitions
-        w = d / d_log with d the occupancy in zeta * P, or in the simulator: then the error is of second order
+        w = d / d_log with d the occupancy in zeta * P, or in the simulator: then the
+        error is of second order
         in the mismatch of the two environments, and no zeta is fitted
     ratio : as in ``OffEnvironment``: the source of zeta
-    self_normalized : for episodes: the weights of each step divided by their sum (weighted doubly robust [2])
+    self_normalized : for episodes: the weights of each step divided by their sum
+        (weighted doubly robust [2])
     n_rollouts : for rollouts
 
     Notes
     -----
-    On transitions with a zeta from the log the standard error is that of J(zeta * P), since d is as uncertain
-    as the residual. Under a zeta that is given, or with "beta", d is known, and the error is the residual's.
-    Sources: [1] N. Jiang and L. Li, Doubly robust off-policy value evaluation, ICML 2016. [2] P. Thomas and
+    On transitions with a zeta from the log the standard error is that of J(zeta * P),
+    since d is as uncertain
+    as the residual. Under a zeta that is given, or with "beta", d is known, and the
+    error is the residual's. Sources: [1] N. Jiang and L. Li, Doubly robust off-policy
+    value evaluation, ICML 2016. [2] P. Thomas and
     E. Brunskill, Data-efficient off-policy policy evaluation, ICML 2016.
 
     Examples
@@ -133,7 +141,9 @@ class DoublyRobust(RatioEstimator):
     def _correct_by_transitions(
         self, problem: Problem, policy: Array, zeta: TransitionRatio | None
     ) -> Estimate:
-        """J_sim + sum over recorded pairs of visits(s, a) sum_s' (frequency - P) (r + gamma V_sim)."""
+        """J_sim + sum over recorded pairs of visits(s, a) sum_s' (frequency - P) (r +
+        gamma V_sim).
+        """
         simulator, horizon = problem.model, problem.horizon
         model: Model = simulator if zeta is None else reweight(simulator, zeta)
         base = policy_value(simulator, policy, horizon=horizon)
@@ -204,9 +214,10 @@ class DoublyRobust(RatioEstimator):
     def limit_of(self, population: Population) -> float:
         """The exact population limit.
 
-        transitions: J_sim + sum_x visits(x) sum_s' (P_target - P_sim) (r + gamma V_sim), x where the data are;
-        rollouts: J of the limit of zeta * P; episodes: J_target where the behaviour policy takes every action of
-        the policy (None: it does), else what the model makes of the rest (self-normalised: an error).
+        transitions: J_sim + sum_x visits(x) sum_s' (P_target - P_sim) (r + gamma
+        V_sim), x where the data are; rollouts: J of the limit of zeta * P; episodes:
+        J_target where the behaviour policy takes every action of the policy (None: it
+        does), else what the model makes of the rest (self-normalised: an error).
         """
         simulator, target, policy = (
             population.simulator,
@@ -238,10 +249,11 @@ class DoublyRobust(RatioEstimator):
 class Magic(RatioEstimator):
     """Model and guided importance sampling combining [1], on the log's episodes.
 
-    g_j uses weighted doubly robust for the first j steps and the model zeta * P after them (j = 0: the model
-    alone). The weights x on the simplex minimise x^T (Omega + b b^T) x, Omega the covariance of the g_j over
-    episodes and b_j how far g_j is from the central half of the bootstrap distribution of g_T, the weights
-    normalised again on each resample (one without any weight at some step is left out).
+    g_j uses weighted doubly robust for the first j steps and the model zeta * P after
+    them (j = 0: the model alone). The weights x on the simplex minimise x^T (Omega + b
+    b^T) x, Omega the covariance of the g_j over episodes and b_j how far g_j is from
+    the central half of the bootstrap distribution of g_T, the weights normalised again
+    on each resample (one without any weight at some step is left out).
 
     Parameters
     ----------
@@ -251,8 +263,9 @@ class Magic(RatioEstimator):
 
     Notes
     -----
-    Limit: that of weighted doubly robust. The standard error treats the model as known, and is too small if most
-    of the weight is on it. Source: [1] P. Thomas and E. Brunskill, Data-efficient off-policy policy
+    Limit: that of weighted doubly robust. The standard error treats the model as known,
+    and is too small if most of the weight is on it. Source: [1] P. Thomas and E.
+    Brunskill, Data-efficient off-policy policy
     evaluation for reinforcement learning, ICML 2016.
 
     Examples
@@ -313,11 +326,14 @@ class Magic(RatioEstimator):
 
 @dataclass(frozen=True, eq=False)
 class EpisodeTerms:
-    """The doubly robust estimator on n episodes of at most T steps, V and Q of zeta * P as control variates.
+    """The doubly robust estimator on n episodes of at most T steps, V and Q of zeta * P
+    as control variates.
 
-    The value is sum_t sum_i share_ti ``gains``_ti, share_ti = ``weights``_ti = rho_0 ... rho_{t-1} over n, or
-    over their sum at t (both (T + 1, n); an episode that has ended keeps its weight). ``partial`` (n, T + 1)
-    are its parts where the log is used for j = 0..T steps and the model's value after them.
+    The value is sum_t sum_i share_ti ``gains``_ti, share_ti = ``weights``_ti = rho_0
+    ... rho_{t-1} over n, or over their sum at t (both (T + 1, n); an episode that has
+    ended keeps its weight). ``partial`` (n, T + 1)
+    are its parts where the log is used for j = 0..T steps and the model's value after
+    them.
     """
 
     weights: Array
@@ -375,7 +391,8 @@ class EpisodeTerms:
         return float(self.partial[:, -1].sum())
 
     def resample(self, draws: IntArray) -> Array:
-        """(b,) self-normalised values of the resamples ``draws`` (b, n) of the episodes, weights normalised on each.
+        """(b,) self-normalised values of the resamples ``draws`` (b, n) of the
+        episodes, weights normalised on each.
 
         nan where at some step all weights of a resample are 0.
         """
@@ -444,7 +461,8 @@ def _episode_limit(population: Population, model: Model) -> float:
 
 
 def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
-    """D_0 of each rollout, backward: D = m + zeta gamma (D' - V(s')), m = sum_s' zeta P (r + gamma V(s')).
+    """D_0 of each rollout, backward: D = m + zeta gamma (D' - V(s')), m = sum_s' zeta P
+    (r + gamma V(s')).
 
     ``values`` (T + 1, S) are V; those after the last step change no mean.
     """
@@ -468,7 +486,8 @@ def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
 def _minimize_on_simplex(matrix: Array) -> Array:
     """argmin x^T A x over the simplex, A positive semidefinite.
 
-    Nonnegative least squares: the minimiser of y^T A y + (sum y - 1)^2 over y >= 0 is a multiple of it.
+    Nonnegative least squares: the minimiser of y^T A y + (sum y - 1)^2 over y >= 0 is a
+    multiple of it.
     """
     values, vectors = np.linalg.eigh(matrix)
     scale = max(float(values.max()), 1e-300)

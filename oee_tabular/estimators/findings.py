@@ -1,4 +1,6 @@
-"""Findings: the warnings about an estimate. Functions return () where there is nothing to warn of."""
+"""Findings: the warnings about an estimate. Functions return () where there is nothing
+to warn of.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ FEW_WEIGHTED = "weights"
 
 @dataclass(frozen=True)
 class Finding:
-    """A warning about a value; findings of one kind and text about policies make one sentence.
+    """A warning about a value; findings of one kind and text about policies make one
+    sentence.
 
     Attributes
     ----------
@@ -165,7 +168,9 @@ def from_diagnostics(
 def truncation(
     number: int, episodes: int, bound: float, value: float, error: float | None
 ) -> Findings:
-    """``number`` of the episodes lack rewards that can change the value by up to ``bound``."""
+    """``number`` of the episodes lack rewards that can change the value by up to
+    ``bound``.
+    """
     if not bound > max(1e-3 * abs(value), 0.1 * (error or 0.0)):
         return ()
     reach = (
@@ -199,7 +204,9 @@ MADE_FROM_LOG = Finding(
 
 
 def conflict_with_log(ml_value: float, distance: float) -> Findings:
-    """The value is that of the corrected simulator, ``distance`` standard errors from maximum likelihood's."""
+    """The value is that of the corrected simulator, ``distance`` standard errors from
+    maximum likelihood's.
+    """
     text = (
         "Two estimates disagree. The value is that of the corrected simulator. Maximum"
         " likelihood (the corrected simulator in unrecorded pairs) gives"
@@ -220,7 +227,9 @@ def outside(value: str, severity: float, end: str) -> Finding:
 
 
 def missing_support(share: float, largest: float, nats: float) -> Findings:
-    """Transitions that only the defensive share of a continuous simulator makes possible."""
+    """Transitions that only the defensive share of a continuous simulator makes
+    possible.
+    """
     text = (
         "{} of the log's transitions have probability 0 in the plain simulator, so"
         " they have no ratio. Their estimates rest on the defensive share (largest"
@@ -253,7 +262,9 @@ def rows_dropped(rows: int, reasons: tuple[str, ...]) -> Findings:
 
 
 def moves_dropped(dropped: Array, kept: float) -> Findings:
-    """Transitions that the simulator calls impossible: ``dropped`` of each pair, beside ``kept`` in all."""
+    """Transitions that the simulator calls impossible: ``dropped`` of each pair, beside
+    ``kept`` in all.
+    """
     number, pairs = float(dropped.sum()), int((dropped > 0).sum())
     text = (
         f"{number:g} of the log's {number + kept:g} transitions, in {pairs}"

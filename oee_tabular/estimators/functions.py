@@ -1,4 +1,6 @@
-"""Functions as estimators: ``(problem, policy)`` or ``(problem, policy, seed)`` to a float or an ``Estimate``."""
+"""Functions as estimators: ``(problem, policy)`` or ``(problem, policy, seed)`` to a
+float or an ``Estimate``.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ class FunctionEstimator:
     def __call__(
         self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
     ) -> Estimate:
-        """The function's answer as an ``Estimate``; AnswerError where it is neither a number nor an ``Estimate``."""
+        """The function's answer as an ``Estimate``; AnswerError where it is neither a
+        number nor an ``Estimate``.
+        """
         answer = self.function(
             problem, policy, **({"seed": seed} if self.takes_seed else {})
         )
@@ -60,17 +64,20 @@ class AnswerError(ValueError):
 
 
 def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
-    """An estimator from a function, from another callable, or from a class or function that makes one without arguments.
+    """An estimator from a function, from another callable, or from a class or function
+    that makes one without arguments.
 
     Parameters
     ----------
-    given : callable (problem, policy) or (problem, policy, seed) -> float or ``Estimate``; seed is passed by its name
+    given : callable (problem, policy) or (problem, policy, seed) -> float or
+        ``Estimate``; seed is passed by its name
     name : what errors call it
 
     Raises
     ------
     ValueError
-        An object that cannot be called, or has another signature; a class that cannot be made without arguments.
+        An object that cannot be called, or has another signature; a class that cannot
+        be made without arguments.
 
     Examples
     --------
@@ -120,7 +127,9 @@ def is_number(value: object) -> bool:
 
 
 def _accepts(function: Any, *arguments: object, **options: object) -> bool:
-    """Whether a call with these arguments is possible; a callable that does not tell its parameters takes the protocol's."""
+    """Whether a call with these arguments is possible; a callable that does not tell
+    its parameters takes the protocol's.
+    """
     try:
         inspect.signature(function).bind(*arguments, **options)
     except TypeError:

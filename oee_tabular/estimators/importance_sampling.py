@@ -1,7 +1,8 @@
-"""Policy importance sampling on the log's episodes, which never uses the simulator's transition probabilities.
+"""Policy importance sampling on the log's episodes, which never uses the simulator's
+transition probabilities.
 
-Of the simulator it reads the discount, the absorbing states, the support of the start, and the rewards (its own where
-the log has none, and to bound what is missing).
+Of the simulator it reads the discount, the absorbing states, the support of the start,
+and the rewards (its own where the log has none, and to bound what is missing).
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ LARGEST_WEIGHT = 1e150  # its square is still a float
 class Episodes(NamedTuple):
     """The log's n episodes within the horizon.
 
-    ``rows`` of the log, one episode after the other: that of episode i in starts[i] to starts[i + 1]. ``is_over`` (n,) says
-    which have ended then.
+    ``rows`` of the log, one episode after the other: that of episode i in starts[i] to
+    starts[i + 1]. ``is_over`` (n,) says which have ended then.
     """
 
     log: Transitions
@@ -84,7 +85,9 @@ class Episodes(NamedTuple):
 
 
 def _behavior_ratios(problem: Problem, policy: Array, *, is_estimated: bool) -> Array:
-    """policy(a | s) / behaviour(a | s) of each row of the log; 1 where the episode is over."""
+    """policy(a | s) / behaviour(a | s) of each row of the log; 1 where the episode is
+    over.
+    """
     log = problem.recorded
     if is_estimated:
         pairs = np.zeros((problem.simulator.n_states, problem.simulator.n_actions))
@@ -130,25 +133,30 @@ def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
 
 @dataclass(frozen=True)
 class ImportanceSampling(TabularEstimator):
-    """Importance sampling: episodes of the log weighted by products of policy(a|s) / behaviour(a|s).
+    """Importance sampling: episodes of the log weighted by products of policy(a|s) /
+    behaviour(a|s).
 
     Parameters
     ----------
     kind : "trajectory" | "per_decision"
         The whole product on every reward, or at step t the product up to t.
     self_normalized : bool
-        Divide by the sum of the weights (weighted importance sampling), per step for per_decision.
+        Divide by the sum of the weights (weighted importance sampling), per step for
+        per_decision.
     ragged : "pad" | "zero"
-        In self-normalised per-decision sampling, an ended episode keeps its last weight in the normaliser of later
-        steps, or has weight 0 (which estimates E[r_t | not ended], another quantity).
+        In self-normalised per-decision sampling, an ended episode keeps its last weight
+        in the normaliser of later steps, or has weight 0 (which estimates E[r_t | not
+        ended], another quantity).
     behavior : "recorded" | "estimated"
-        The log's behaviour probabilities (or ``Problem(behavior_policy=...)``), or the log's action frequencies.
+        The log's behaviour probabilities (or ``Problem(behavior_policy=...)``), or the
+        log's action frequencies.
 
     Notes
     -----
-    Limit, plain: J(P_target) where the behaviour policy takes every action that the policy takes, from the
-    starts of the log's episodes. Episodes that were truncated before the horizon lack their later rewards:
-    ``truncation_bias_bound`` bounds the bias.
+    Limit, plain: J(P_target) where the behaviour policy takes every action that the
+    policy takes, from the
+    starts of the log's episodes. Episodes that were truncated before the horizon lack
+    their later rewards: ``truncation_bias_bound`` bounds the bias.
 
     Examples
     --------
@@ -255,11 +263,14 @@ class ImportanceSampling(TabularEstimator):
         )
 
     def limit_of(self, population: Population) -> float:
-        """The mean of what is averaged over episodes of ``behavior_policy`` in the target.
+        """The mean of what is averaged over episodes of ``behavior_policy`` in the
+        target.
 
-        J_target where that policy takes every action that the policy takes (None: it does); otherwise the
-        rewards of the paths that it can make, self-normalised over their weight. Where ended episodes are
-        dropped: sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at t}].
+        J_target where that policy takes every action that the policy takes (None: it
+        does); otherwise the
+        rewards of the paths that it can make, self-normalised over their weight. Where
+        ended episodes are dropped: sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at
+        t}].
         """
         target, behavior = population.target, population.behavior
         if not self._drops_ended and behavior is None:
@@ -289,9 +300,11 @@ class ImportanceSampling(TabularEstimator):
 def _truncation_bound(
     problem: Problem, episodes: Episodes, last: Array, *, self_normalized: bool
 ) -> tuple[int, float]:
-    """How many episodes are cut before the horizon, and a bound on what their missing rewards can change.
+    """How many episodes are cut before the horizon, and a bound on what their missing
+    rewards can change.
 
-    A missing reward is at most the largest of the log and the simulator, and carries in expectation the
+    A missing reward is at most the largest of the log and the simulator, and carries in
+    expectation the
     episode's last weight.
     """
     lengths, gamma = episodes.lengths.astype(np.float64), problem.simulator.discount

@@ -40,10 +40,12 @@ RANK_TOLERANCE = 1e-10  # of a unit column's part that others do not span
 
 @dataclass(frozen=True, eq=False)
 class Marginalized(RatioEstimator):
-    """The paper's follow-up [1]: J = E_log[beta w r] / (1 - gamma), with two ratios of occupancies.
+    """The paper's follow-up [1]: J = E_log[beta w r] / (1 - gamma), with two ratios of
+    occupancies.
 
-    beta = d_sim / d_log, by ``density_ratio``, and w = d_target / d_sim: the occupancy in zeta * P over the
-    simulator's, or with ``features`` the published saddle point in the class w = phi theta,
+    beta = d_sim / d_log, by ``density_ratio``, and w = d_target / d_sim: the occupancy
+    in zeta * P over the simulator's, or with ``features`` the published saddle point in
+    the class w = phi theta,
 
         A = E_log[beta phi (gamma phi'_pi - phi)^T],    A^T theta = -(1 - gamma) E phi_0,
 
@@ -51,23 +53,29 @@ class Marginalized(RatioEstimator):
 
     Parameters
     ----------
-    ratio : as in ``OffEnvironment``: the source of zeta; not with ``features``, which need none
-    lower, upper : lower <= beta <= upper where the log has pairs (None: no bound; beta is then exact there)
-    features : phi(s, a), an array of shape (S, A), (S, A, d) or (S*A, d), or a function of (s, a) arrays
-        Without a horizon only. They are 0 after the end of an episode; those that are 0 in every recorded pair
-        are left out.
+    ratio : as in ``OffEnvironment``: the source of zeta; not with ``features``, which
+        need none
+    lower, upper : lower <= beta <= upper where the log has pairs (None: no bound; beta
+        is then exact there)
+    features : phi(s, a), an array of shape (S, A), (S, A, d) or (S*A, d), or a function
+        of (s, a) arrays
+        Without a horizon only. They are 0 after the end of an episode; those that are 0
+        in every recorded pair are left out.
 
     Notes
     -----
-    Unrecorded pairs have reward 0. One-hot features give maximum likelihood on the recorded
-    pairs. Limit: exact; with ``features`` that of the class, which depends on how pairs are recorded unless the
-    class contains d_target / d_sim. Source: [1] P. Katdare, N. Jiang and K. Driggs-Campbell, Marginalized
-    importance sampling for off-environment policy evaluation, CoRL 2023.
+    Unrecorded pairs have reward 0. One-hot features give maximum likelihood on the
+    recorded
+    pairs. Limit: exact; with ``features`` that of the class, which depends on how pairs
+    are recorded unless the class contains d_target / d_sim. Source: [1] P. Katdare, N.
+    Jiang and K. Driggs-Campbell, Marginalized importance sampling for off-environment
+    policy evaluation, CoRL 2023.
 
     Raises
     ------
     ValueError
-        When called: features of another shape, all constant, or linearly dependent (the columns are named);
+        When called: features of another shape, all constant, or linearly dependent (the
+        columns are named);
         a horizon, or discount 1, with features.
 
     Examples
@@ -95,7 +103,9 @@ class Marginalized(RatioEstimator):
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
-        """Exact given the log and zeta; ``generator`` is for ratios that sample the simulator."""
+        """Exact given the log and zeta; ``generator`` is for ratios that sample the
+        simulator.
+        """
         simulator, horizon = problem.simulator, problem.horizon
         total = problem.counts.sum()
         share = row_sums(problem.counts) / total
@@ -123,7 +133,9 @@ class Marginalized(RatioEstimator):
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``. Unrecorded pairs have reward 0: rewards cannot be shifted."""
+        """Words of ``testing.CLAIMS``. Unrecorded pairs have reward 0: rewards cannot
+        be shifted.
+        """
         if self.features is not None:
             return frozenset({"scale", "infinite"})
         known = self.model_claims - {"shift"}
@@ -131,7 +143,9 @@ class Marginalized(RatioEstimator):
         return known - {"consistent", "padding", "after_end"} if boxed else known
 
     def limit_of(self, population: Population) -> float:
-        """sum over the data's support of clipped beta * w * d_log * r, w as zeta * P or the class have it."""
+        """sum over the data's support of clipped beta * w * d_log * r, w as zeta * P or
+        the class have it.
+        """
         simulator, policy, horizon = (
             population.simulator,
             population.policy,
@@ -196,7 +210,9 @@ class Marginalized(RatioEstimator):
         transitions: sparse.csr_array,
         beta: Array,
     ) -> Array:
-        """w = phi theta on (S*A,); ``transitions`` (S*A, S) are the log's shares, which sum to 1."""
+        """w = phi theta on (S*A,); ``transitions`` (S*A, S) are the log's shares, which
+        sum to 1.
+        """
         gamma, shape = simulator.discount, (simulator.n_states, simulator.n_actions)
         phi, names = _pair_features(self.features, simulator)
         share = row_sums(transitions)
@@ -228,7 +244,9 @@ class Marginalized(RatioEstimator):
 def _occupancy_ratio(
     model: Model, simulator: FiniteMDP, policy: Array, horizon: int | None
 ) -> Array:
-    """(S*A,) the policy's occupancy in the model over the simulator's; 0 where the simulator has none."""
+    """(S*A,) the policy's occupancy in the model over the simulator's; 0 where the
+    simulator has none.
+    """
     here, there = (
         occupancy(m, policy, horizon=horizon).reshape(-1) for m in (simulator, model)
     )
@@ -236,7 +254,9 @@ def _occupancy_ratio(
 
 
 def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntArray]:
-    """phi (S*A, d), 0 where the episode is over, and the numbers of the columns that are not 0 then."""
+    """phi (S*A, d), 0 where the episode is over, and the numbers of the columns that
+    are not 0 then.
+    """
     shape = (simulator.n_states, simulator.n_actions)
     size = shape[0] * shape[1]
     array = (
@@ -294,17 +314,21 @@ def _refuse_dependent(phi: Array, names: IntArray, where: str = "") -> None:
 
 @dataclass(frozen=True)
 class DualDice(TabularEstimator):
-    """Tabular DualDICE [1] for a shift of the environment; the simulator's occupancy is its base distribution.
+    """Tabular DualDICE [1] for a shift of the environment; the simulator's occupancy is
+    its base distribution.
 
-    nu minimises 1/2 E_{d_sim}[(nu - gamma P^pi nu)^2] - (1 - gamma) E_{mu_0 pi}[nu], P the log's frequencies
-    (the simulator's rows where it has none); w = nu - gamma P^pi nu = d_target / d_sim, and
+    nu minimises 1/2 E_{d_sim}[(nu - gamma P^pi nu)^2] - (1 - gamma) E_{mu_0 pi}[nu], P
+    the log's frequencies
+    (the simulator's rows where it has none); w = nu - gamma P^pi nu = d_target / d_sim,
+    and
     J = E_{d_sim}[w r] / (1 - gamma).
 
     Notes
     -----
-    Without a horizon only. Identical to the model-based value with ``fallback="simulator"``. Source: [1]
-    O. Nachum et al., DualDICE: behavior-agnostic estimation of discounted stationary distribution corrections,
-    NeurIPS 2019.
+    Without a horizon only. Identical to the model-based value with
+    ``fallback="simulator"``. Source: [1]
+    O. Nachum et al., DualDICE: behavior-agnostic estimation of discounted stationary
+    distribution corrections, NeurIPS 2019.
 
     Examples
     --------
@@ -322,7 +346,8 @@ class DualDice(TabularEstimator):
     ) -> Estimate:
         """Exact given the log.
 
-        With B = I - gamma P^pi on pairs the normal equations are B^T D B nu = (1 - gamma) mu_0 pi: first
+        With B = I - gamma P^pi on pairs the normal equations are B^T D B nu = (1 -
+        gamma) mu_0 pi: first
         y = D w from B^T y, then nu from B nu = w.
         """
         if problem.horizon is not None:

@@ -34,15 +34,17 @@ class ModelBased(TabularEstimator):
     Parameters
     ----------
     fallback : "stay" | "simulator"
-        Unrecorded pairs: the state stays (with reward r(s, a, s) if the simulator defines it, else its expected
-        r(s, a)), or as simulated.
+        Unrecorded pairs: the state stays (with reward r(s, a, s) if the simulator
+        defines it, else its expected r(s, a)), or as simulated.
 
     Notes
     -----
-    Limit: J(P_lim) with P_lim = P_target where the log's distribution has mass, the fallback elsewhere; it attains the
-    efficiency bound. With known simulator and full coverage it equals off-environment evaluation without shrinkage.
-    The standard error takes the variance of a row's own frequencies, 0 in a row with one transition:
-    ``diagnostics["single_share"]`` is the share of the policy's discounted time in such pairs (of several next states).
+    Limit: J(P_lim) with P_lim = P_target where the log's distribution has mass, the
+    fallback elsewhere; it attains the efficiency bound. With known simulator and full
+    coverage it equals off-environment evaluation without shrinkage. The standard error
+    takes the variance of a row's own frequencies, 0 in a row with one transition:
+    ``diagnostics["single_share"]`` is the share of the policy's discounted time in such
+    pairs (of several next states).
 
     Examples
     --------

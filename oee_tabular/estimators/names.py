@@ -1,4 +1,6 @@
-"""The estimators that have a short name, for the command line, reports and tables: the one list of them."""
+"""The estimators that have a short name, for the command line, reports and tables: the
+one list of them.
+"""
 
 from __future__ import annotations
 
@@ -168,7 +170,9 @@ def names(*, needs_target: bool = False) -> list[str]:
 def named_estimators(
     names: Sequence[str], target: FiniteMDP | None = None
 ) -> dict[str, Estimator]:
-    """The estimators of these names or aliases, by name; a ValueError with the nearest name for an unknown one."""
+    """The estimators of these names or aliases, by name; a ValueError with the nearest
+    name for an unknown one.
+    """
     estimators: dict[str, Estimator] = {}
     for given in names:
         name = ALIASES.get(given, given)
@@ -190,7 +194,9 @@ def named_estimators(
 
 
 def default_names(problem: Problem) -> tuple[list[str], list[str]]:
-    """The estimators that this problem's data allow, and a sentence for each that they do not."""
+    """The estimators that this problem's data allow, and a sentence for each that they
+    do not.
+    """
     chosen, left_out = ["simulator", "oee", "model-based"], []
     log = problem.recorded
     if log.episode is None:

@@ -1,4 +1,6 @@
-"""Off-environment evaluation: the value of the simulator reweighted by an estimated zeta."""
+"""Off-environment evaluation: the value of the simulator reweighted by an estimated
+zeta.
+"""
 
 from __future__ import annotations
 
@@ -61,20 +63,25 @@ OVERFLOW = "the product of ratios overflows: shorten the horizon, or use oee"
 
 @dataclass(frozen=True)
 class OffEnvironment(RatioEstimator):
-    """The default: the value of the corrected simulator zeta * P (eq. 4.2), moved towards the log.
+    """The default: the value of the corrected simulator zeta * P (eq. 4.2), moved
+    towards the log.
 
     zeta is shrunk to a prior. The paper's own estimator is
     ``OffEnvironment(Quotient(normalized=False), evaluation="monte_carlo")``.
 
     Parameters
     ----------
-    ratio : "conditional" | "ratio_of_ratios" | "joint", a Method, a TransitionRatio, or a function
-        A method of ``oee.ratio`` with its options (``Conditional(...)``, ``Quotient(normalized=False)``, the
-        paper's own); or (log, simulator) -> TransitionRatio
-        (``functools.partial(oee.transition_ratio, strength=3.0)``), which gets the counts where the problem
+    ratio : "conditional" | "ratio_of_ratios" | "joint", a Method, a TransitionRatio, or
+        a function
+        A method of ``oee.ratio`` with its options (``Conditional(...)``,
+        ``Quotient(normalized=False)``, the paper's own); or (log, simulator) ->
+        TransitionRatio
+        (``functools.partial(oee.transition_ratio, strength=3.0)``), which gets the
+        counts where the problem
         was given counts.
     evaluation : "exact" | "monte_carlo"
-        Dynamic programming in zeta * P (no product of ratios, no variance), or the paper's product of ratios
+        Dynamic programming in zeta * P (no product of ratios, no variance), or the
+        paper's product of ratios
         on rollouts of the simulator.
     weighting : "per_decision" | "trajectory", for "monte_carlo"
     self_normalized : bool, for "monte_carlo": divide by the sum of the weights
@@ -82,26 +89,34 @@ class OffEnvironment(RatioEstimator):
 
     Notes
     -----
-    Limit with "conditional", as n grows: J(P_target) if the log covers the policy; unrecorded pairs have the
-    prior (the tilted simulator). ``Estimate.value`` is J(zeta P), the exact value of the corrected simulator
-    (``model_value``), moved towards the log by a soft threshold:
+    Limit with "conditional", as n grows: J(P_target) if the log covers the policy;
+    unrecorded pairs have the prior (the tilted simulator). ``Estimate.value`` is J(zeta
+    P), the exact value of the corrected simulator (``model_value``), moved towards the
+    log by a soft threshold:
 
         J(zeta P) + sign(change) max(0, |change| - lambda s),   s^2 = se^2 - se_fit^2,
 
-    change is the difference to the one-step value or to that of maximum likelihood, whichever is nearer (0 if
-    they lie on two sides): the first is linear in the log's frequencies and can overshoot, the second has a
-    large variance with few transitions. If the nearer is more than 2 s away, change goes on towards maximum
-    likelihood, and reaches it at 4 s: the error of the first order is then larger than the noise. s is the
-    standard error of the difference of the two values, se that of the one-step value, se_fit that of zeta * P
-    if its prior fits. lambda grows with s / se_fit: the more the prior can gain, the more evidence the log
-    needs against it. Its values minimise the largest regret over all biases of the prior [1].
+    change is the difference to the one-step value or to that of maximum likelihood,
+    whichever is nearer (0 if they lie on two sides): the first is linear in the log's
+    frequencies and can overshoot, the second has a
+    large variance with few transitions. If the nearer is more than 2 s away, change
+    goes on towards maximum likelihood, and reaches it at 4 s: the error of the first
+    order is then larger than the noise. s is the standard error of the difference of
+    the two values, se that of the one-step value, se_fit that of zeta * P
+    if its prior fits. lambda grows with s / se_fit: the more the prior can gain, the
+    more evidence the log
+    needs against it. Its values minimise the largest regret over all biases of the
+    prior [1].
 
-    ``Estimate.standard_error`` is sqrt(sum over recorded rows of Var(G) / n + sum over the others of Var(G)),
-    G the derivative of J in zeta * P, variances under zeta * P; ``interval`` is the value +- 1.96 of it. The
-    narrower ``standard_error_if_centre_fits`` includes sampling noise alone. With "monte_carlo" the standard
-    error is that of the rollouts given zeta, too small if weights have heavy tails.
+    ``Estimate.standard_error`` is sqrt(sum over recorded rows of Var(G) / n + sum over
+    the others of Var(G)),
+    G the derivative of J in zeta * P, variances under zeta * P; ``interval`` is the
+    value +- 1.96 of it. The narrower ``standard_error_if_centre_fits`` includes
+    sampling noise alone. With "monte_carlo" the standard error is that of the rollouts
+    given zeta, too small if weights have heavy tails.
 
-    Reference: [1] T. Armstrong, P. Kline and L. Sun, Adapting to misspecification, arXiv 2305.14265.
+    Reference: [1] T. Armstrong, P. Kline and L. Sun, Adapting to misspecification,
+    arXiv 2305.14265.
 
     Examples
     --------
@@ -136,7 +151,9 @@ class OffEnvironment(RatioEstimator):
 
     @property
     def claims(self) -> frozenset[str]:
-        """Words of ``testing.CLAIMS``. Products move with the rewards only over the sum of their weights."""
+        """Words of ``testing.CLAIMS``. Products move with the rewards only over the sum
+        of their weights.
+        """
         if self.evaluation == "exact":
             return self.model_claims
         if self.self_normalized:
@@ -150,7 +167,9 @@ class OffEnvironment(RatioEstimator):
         policy: Array,
         generator: np.random.Generator,
     ) -> Estimate:
-        """J by rollouts of the simulator weighted by products of zeta: the episodes of ``sample_returns``."""
+        """J by rollouts of the simulator weighted by products of zeta: the episodes of
+        ``sample_returns``.
+        """
         model, per_decision = problem.model, self.weighting == "per_decision"
         n_steps = horizon_length(
             rollout_horizon(model.discount, problem.horizon), model
@@ -195,11 +214,13 @@ class OffEnvironment(RatioEstimator):
         )
 
     def limit_of(self, population: Population) -> float:
-        """J of the limit of zeta * P; of the product of ratios the mean of what is averaged.
+        """J of the limit of zeta * P; of the product of ratios the mean of what is
+        averaged.
 
-        "conditional": the target's rows where the data are, the prior's elsewhere. "ratio_of_ratios", "joint":
-        the box-clipped quotient, against the simulator's exact occupancy under the behaviour policy (that of the
-        data where none is given).
+        "conditional": the target's rows where the data are, the prior's elsewhere.
+        "ratio_of_ratios", "joint": the box-clipped quotient, against the simulator's
+        exact occupancy under the behaviour policy (that of the data where none is
+        given).
         """
         model, simulator = self.limit_model(population), population.simulator
         if self.evaluation == "exact" or (
@@ -224,7 +245,9 @@ class OffEnvironment(RatioEstimator):
 def _estimate_exactly(
     problem: Problem, zeta: TransitionRatio, policy: Array
 ) -> Estimate:
-    """J of zeta * P by dynamic programming, moved towards the log where rows of zeta * P are probabilities."""
+    """J of zeta * P by dynamic programming, moved towards the log where rows of zeta *
+    P are probabilities.
+    """
     model = reweight(problem.model, zeta)
     result = evaluate_policy(model, policy, horizon=problem.horizon)
     exact = Estimate(
@@ -259,7 +282,9 @@ def _estimate_exactly(
 def _move(
     exact: Estimate, ml_value: float | None, zeta: TransitionRatio, gradient: Array
 ) -> Estimate:
-    """Move J(zeta P) towards the log, by the soft threshold; ``ml_value`` is J of the maximum-likelihood model."""
+    """Move J(zeta P) towards the log, by the soft threshold; ``ml_value`` is J of the
+    maximum-likelihood model.
+    """
     se_fit, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
     if se_fit is None or step is None:
         return exact
@@ -318,7 +343,9 @@ def _move(
 
 
 def threshold(s: float, se_fit: float) -> float:
-    """lambda of the soft threshold, by the ratio of ``s``, the standard error of the two values' difference, to ``se_fit``."""
+    """lambda of the soft threshold, by the ratio of ``s``, the standard error of the
+    two values' difference, to ``se_fit``.
+    """
     if not se_fit > 0.0:
         return THRESHOLDS[-1]
     logs = np.log(VARIANCE_RATIOS)
@@ -328,7 +355,9 @@ def threshold(s: float, se_fit: float) -> float:
 def _maximum_likelihood_value(
     problem: Problem, zeta: TransitionRatio, policy: Array
 ) -> float | None:
-    """None without one, or where at discount 1 states with rewards keep the policy for ever."""
+    """None without one, or where at discount 1 states with rewards keep the policy for
+    ever.
+    """
     rows = zeta.maximum_likelihood_rows
     if rows is None:
         return None
@@ -341,9 +370,11 @@ def _maximum_likelihood_value(
 
 
 def change_to_log(one_step: float, likelihood: float, s: float) -> float:
-    """The change towards the log: to the nearer of two values, 0 if they lie on two sides.
+    """The change towards the log: to the nearer of two values, 0 if they lie on two
+    sides.
 
-    If the nearer is 2 to 4 times ``s``, the standard error of the difference, away, partly to maximum likelihood's.
+    If the nearer is 2 to 4 times ``s``, the standard error of the difference, away,
+    partly to maximum likelihood's.
     """
     if one_step * likelihood <= 0:
         return 0.0

@@ -32,39 +32,50 @@ _ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem:
-    """The input of an estimator: a simulator, a log of the target, and the definition of the value.
+    """The input of an estimator: a simulator, a log of the target, and the definition
+    of the value.
 
     Parameters
     ----------
     simulator : FiniteMDP
     log : Transitions of the target, or their source
-        A path or Minari id (``Transitions.load``), a data frame (``Transitions.from_frame``), or episodes as
-        lists of steps (``Transitions.from_episodes``); names of states and actions are matched to the
-        simulator's. Or counts: ``TransitionCounts``, their file, or a sparse (S*A, S) matrix.
+        A path or Minari id (``Transitions.load``), a data frame
+        (``Transitions.from_frame``), or episodes as lists of steps
+        (``Transitions.from_episodes``); names of states and actions are matched to the
+        simulator's. Or counts: ``TransitionCounts``, their file, or a sparse (S*A, S)
+        matrix.
     horizon : T, the number of rewards; None for the infinite discounted sum
     behavior_policy : (S, A), the policy that recorded the log
         For importance sampling where the log lacks probabilities.
-    simulator_data : a log of the simulator, or "exact"; for the paper's ratio of ratios only
+    simulator_data : a log of the simulator, or "exact"; for the paper's ratio of ratios
+        only
     rewards : "simulator" | "log"
-        Rewards of oee and model-based: the simulator's, or the log's mean for each transition that has one
+        Rewards of oee and model-based: the simulator's, or the log's mean for each
+        transition that has one
         (the simulator's elsewhere). Importance sampling always uses the log's.
     episodes : Transitions, optional
-        Whole episodes for importance sampling if ``log`` has transitions without episodes.
+        Whole episodes for importance sampling if ``log`` has transitions without
+        episodes.
     counts : sparse (S*A, S) of nonnegative numbers, optional
-        Counts in place of the log's, for estimators that use counts (``Discretization.counts`` gives soft ones).
-        Importance sampling and the paper's ratio of ratios use the log. Tests and intervals need whole counts.
+        Counts in place of the log's, for estimators that use counts
+        (``Discretization.counts`` gives soft ones). Importance sampling and the paper's
+        ratio of ratios use the log. Tests and intervals need whole counts.
     impossible : "refuse" | "drop"
-        Transitions of the log with simulator probability 0 are an error, or left out of ``counts``. Likelihood
-        and guaranteed intervals then let them lead anywhere (``inference.asymptotic``).
+        Transitions of the log with simulator probability 0 are an error, or left out of
+        ``counts``. Likelihood and guaranteed intervals then let them lead anywhere
+        (``inference.asymptotic``).
 
-    Terminated transitions in ``log`` are redirected to the simulator's terminal states; ``counts`` is csr,
+    Terminated transitions in ``log`` are redirected to the simulator's terminal states;
+        ``counts`` is csr,
     without dropped transitions.
 
     Raises
     ------
     ValueError
-        States or actions outside the simulator's; transitions with simulator probability 0 (the first are
-        named); a terminated transition into a state that is not terminal in the simulator; rewards="log"
+        States or actions outside the simulator's; transitions with simulator
+        probability 0 (the first are
+        named); a terminated transition into a state that is not terminal in the
+        simulator; rewards="log"
         without rewards; counts of another shape, negative, not finite, or all 0.
 
     Examples
@@ -180,12 +191,16 @@ class Problem:
 
     @property
     def counts(self) -> sparse.csr_array:
-        """(S*A, S) counts of the log's transitions, or the given ones, without those that were dropped."""
+        """(S*A, S) counts of the log's transitions, or the given ones, without those
+        that were dropped.
+        """
         return self._split_counts[0]
 
     @property
     def dropped(self) -> Array:
-        """(S*A,) the number of transitions of each pair that were dropped as impossible in the simulator."""
+        """(S*A,) the number of transitions of each pair that were dropped as impossible
+        in the simulator.
+        """
         return self._split_counts[1]
 
     @cached_property
@@ -223,7 +238,9 @@ class Problem:
 
     @property
     def recorded(self) -> Any:
-        """The log with whole episodes: ``episodes``, the sample beside its counts, or the log itself."""
+        """The log with whole episodes: ``episodes``, the sample beside its counts, or
+        the log itself.
+        """
         kept = self.log.sample if isinstance(self.log, TransitionCounts) else None
         return self.episodes or kept or self.log
 
@@ -238,12 +255,16 @@ class Problem:
 
     @cached_property
     def reward_conflict(self) -> RewardConflict | None:
-        """Where the rewards of log and simulator differ; None if they agree or the log has none."""
+        """Where the rewards of log and simulator differ; None if they agree or the log
+        has none.
+        """
         return conflict(self.simulator, self.log)
 
     @cached_property
     def behavior_conflict(self) -> int:
-        """The number of transitions whose behaviour probability is not that of ``behavior_policy``."""
+        """The number of transitions whose behaviour probability is not that of
+        ``behavior_policy``.
+        """
         log = self.recorded
         if self.behavior_policy is None or log.behavior_probability is None:
             return 0
@@ -290,7 +311,9 @@ def require_policy(problem: object, policy: PolicyLike) -> Array:
 
 
 def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
-    """The log with terminated transitions redirected to ``simulator.terminal_state``, or an error."""
+    """The log with terminated transitions redirected to ``simulator.terminal_state``,
+    or an error.
+    """
     sizes = {
         "state": simulator.n_states,
         "action": simulator.n_actions,

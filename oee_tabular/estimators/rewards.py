@@ -1,4 +1,6 @@
-"""Rewards of a log beside the simulator's: where they contradict each other, and the simulator with the log's."""
+"""Rewards of a log beside the simulator's: where they contradict each other, and the
+simulator with the log's.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ TOLERANCE = 1e-6  # of the largest reward: what differs by less agrees
 
 @dataclass(frozen=True)
 class RewardConflict:
-    """The number of transitions whose reward differs from the simulator's, and a sentence about it."""
+    """The number of transitions whose reward differs from the simulator's, and a
+    sentence about it.
+    """
 
     rows: int
     sentence: str
@@ -33,7 +37,9 @@ class RewardConflict:
 def simulator_rewards(
     simulator: FiniteMDP, log: Transitions | TransitionCounts
 ) -> Array:
-    """The simulator's reward for each row of the log; its expected r(s, a) off its support."""
+    """The simulator's reward for each row of the log; its expected r(s, a) off its
+    support.
+    """
     expected = simulator.rewards[log.state, log.action]
     if simulator.transition_rewards is None:
         return expected
@@ -63,7 +69,9 @@ def with_log_rewards(
 
 
 def mean_rewards(problem: Problem) -> Array:
-    """(S*A,) mean over the recorded transitions of each pair: of the log's rewards, else the simulator's."""
+    """(S*A,) mean over the recorded transitions of each pair: of the log's rewards,
+    else the simulator's.
+    """
     simulator = problem.simulator
     model = (
         simulator
@@ -84,7 +92,9 @@ def mean_rewards(problem: Problem) -> Array:
 def conflict(
     simulator: FiniteMDP, log: Transitions | TransitionCounts
 ) -> RewardConflict | None:
-    """Where the log's reward differs from the simulator's for the same transition; None: nowhere."""
+    """Where the log's reward differs from the simulator's for the same transition;
+    None: nowhere.
+    """
     _, _, least, most, number = log.moves()
     if least is None or most is None or number is None:
         return None

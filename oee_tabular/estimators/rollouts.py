@@ -1,8 +1,12 @@
-"""Weighted sums over episodes: the log's, or rollouts of the simulator (the paper's J in terms of zeta).
+"""Weighted sums over episodes: the log's, or rollouts of the simulator (the paper's J
+in terms of zeta).
 
-W_t = zeta_1 ... zeta_t along a path; a reward r(s, a) at time t carries W_t, a reward r(s, a, s') W_{t+1}.
-Per decision: sum_t gamma^t W r_t; trajectory-wise: the last weight times the whole return. An episode that
-is over keeps its last weight. Episodes stand in flat arrays, episode i in rows starts[i] to starts[i + 1].
+W_t = zeta_1 ... zeta_t along a path; a reward r(s, a) at time t carries W_t, a reward
+r(s, a, s') W_{t+1}.
+Per decision: sum_t gamma^t W r_t; trajectory-wise: the last weight times the whole
+return. An episode that
+is over keeps its last weight. Episodes stand in flat arrays, episode i in rows
+starts[i] to starts[i + 1].
 """
 
 from __future__ import annotations
@@ -56,7 +60,9 @@ def segment_products(values: Array, starts: IntArray) -> Array:
 
 
 def normalize_by_episode(totals: Array, weights: Array) -> tuple[float, float | None]:
-    """sum_i X_i / sum_i W_i and its linearised error; nan where the weights are all 0, or infinite."""
+    """sum_i X_i / sum_i W_i and its linearised error; nan where the weights are all 0,
+    or infinite.
+    """
     mass = float(weights.sum())
     if not 0.0 < mass < np.inf:
         return float("nan"), None
@@ -79,8 +85,10 @@ def normalize_by_step(
 ) -> tuple[float, float | None]:
     """sum_t sum_i w_it r_it / sum_i w_it and its linearised error.
 
-    ``reward`` is discounted. An episode that has ended counts in the sums of weights with its ``last``
-    weight, or with 0 unless ``keep_last``. nan where the weights of a step are all 0, or infinite.
+    ``reward`` is discounted. An episode that has ended counts in the sums of weights
+    with its ``last``
+    weight, or with 0 unless ``keep_last``. nan where the weights of a step are all 0,
+    or infinite.
     """
     step, lengths = step_numbers(starts), np.diff(starts)
     n, horizon = len(lengths), int(lengths.max())

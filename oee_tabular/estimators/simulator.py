@@ -1,13 +1,16 @@
-"""The two ends of the scale: the simulator as it is, and the oracle that knows the true ratio.
+"""The two ends of the scale: the simulator as it is, and the oracle that knows the true
+ratio.
 
-A simulator made of samples (``FiniteMDP.from_env``, ``from_log``) has a sampling error of its own. By the
-delta method, with G(s, a, s') = dJ / dP(s' | s, a) (``exact.transition_gradient``), D(s, a) the discounted time
-in (s, a), n(s, a) samples of each pair and m first states,
+A simulator made of samples (``FiniteMDP.from_env``, ``from_log``) has a sampling error
+of its own. By the
+delta method, with G(s, a, s') = dJ / dP(s' | s, a) (``exact.transition_gradient``),
+D(s, a) the discounted time in (s, a), n(s, a) samples of each pair and m first states,
 
     Var J = sum_(s, a) Var_(s' ~ P(. | s, a)) G(s, a, s') / (n(s, a) - 1) + Var_mu V / m
             + sum_(s, a, s') (D(s, a) P(s' | s, a))^2 Var(mean reward of the transition).
 
-n - 1, since P is the frequency of these samples. A pair without two samples has no variance to show.
+n - 1, since P is the frequency of these samples. A pair without two samples has no
+variance to show.
 """
 
 from __future__ import annotations
@@ -48,8 +51,9 @@ MIN_SHARE = 1e-3  # of the policy's discounted time: less is not worth a sentenc
 class Simulator(TabularEstimator):
     """J in the simulator itself, with its own rewards; the log is not used.
 
-    If the simulator was made of samples, the value has a standard error and a 95% interval. Limit:
-    J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target - P_simulator) V_simulator>.
+    If the simulator was made of samples, the value has a standard error and a 95%
+    interval. Limit: J(P_simulator); its error is gamma/(1 - gamma) <d_target, (P_target
+    - P_simulator) V_simulator>.
 
     Examples
     --------
@@ -113,7 +117,9 @@ def _sampling_error(
     values: Array,
     share: Array,
 ) -> float:
-    """The standard error of J by the equation above; ``share`` (S*A,) of the policy's time."""
+    """The standard error of J by the equation above; ``share`` (S*A,) of the policy's
+    time.
+    """
     sampling, matrix = simulator.sampling, simulator.transitions
     assert sampling is not None
     gradient = transition_gradient(simulator, policy, horizon=horizon)
@@ -157,12 +163,14 @@ def _few_samples(
 
 @dataclass(frozen=True)
 class Oracle(TabularEstimator):
-    """The value under the true zeta of a known target: exactly, or as in the paper by rollouts.
+    """The value under the true zeta of a known target: exactly, or as in the paper by
+    rollouts.
 
     Parameters
     ----------
     target : FiniteMDP
-    evaluation : "exact" | "monte_carlo" (the paper's oracle: only the error of averaging remains)
+    evaluation : "exact" | "monte_carlo" (the paper's oracle: only the error of
+        averaging remains)
     weighting, self_normalized, n_rollouts : as in ``OffEnvironment``
 
     Raises
@@ -206,7 +214,9 @@ class Oracle(TabularEstimator):
         return known if self.self_normalized else known | {"unbiased"}
 
     def limit_of(self, population: Population) -> float:
-        """J of its own target in zeta * P, which ``target`` need not be; of the product the mean of what is averaged."""
+        """J of its own target in zeta * P, which ``target`` need not be; of the product
+        the mean of what is averaged.
+        """
         return self._evaluate_with(
             true_ratio(self.target, population.simulator)
         ).limit_of(population)

@@ -1,7 +1,10 @@
-"""Means and covariances of weighted returns, backward in time; weights and returns so far, forward.
+"""Means and covariances of weighted returns, backward in time; weights and returns so
+far, forward.
 
-Actions are drawn from ``act`` and transitions from ``prob``; a step multiplies the weight by
-f = u(s, a) w(s, a, s'). Every X is the second part of a pair (L, X) that a matrix carries back by a step:
+Actions are drawn from ``act`` and transitions from ``prob``; a step multiplies the
+weight by
+f = u(s, a) w(s, a, s'). Every X is the second part of a pair (L, X) that a matrix
+carries back by a step:
 
     L_t = l L_{t+1},   X_t = e L_{t+1} + f (gamma_t X_{t+1} - k_t(s'))
     per decision   l = 1, L = 1,   e = u r(s, a)  or  f r(s, a, s')
@@ -9,21 +12,27 @@ f = u(s, a) w(s, a, s'). Every X is the second part of a pair (L, X) that a matr
 
     means m = E[A m'],   covariances C = E[A C' A^T] + Cov(A m' | s)
 
-(law of total variance: every term is a variance or a positive multiple of one; E X^2 - (E X)^2 would lose digits).
+(law of total variance: every term is a variance or a positive multiple of one; E X^2 -
+(E X)^2 would lose digits).
 
-Per decision under a policy and rewards that do not depend on time, the actions are merged, which is 6 to 10 times as fast. In
-state s, transitions to s' by several actions give X = e + b y: b the weight and e the reward of action and transition, and
-y = gamma X' - k of what follows s'. Over the actions that lead there, of probability q together, X has the mean
+Per decision under a policy and rewards that do not depend on time, the actions are
+merged, which is 6 to 10 times as fast. In state s, transitions to s' by several actions
+give X = e + b y: b the weight and e the reward of action and transition, and y = gamma
+X' - k of what follows s'. Over the actions that lead there, of probability q together,
+X has the mean
 z = b_mean y + e_mean and the variance
 
     (c (y + rho)^2 + the residual of e on b) / q,     c = q Var b, rho = Cov(b, e) / Var b;
 
-between the s' it has sum q (z - mean)^2. All are squares. The last is had from the differences d to the first entry's z,
-sum q d^2 - (sum q d)^2, of which at most a share 1 - q cancels: the first has at least half of the largest probability.
+between the s' it has sum q (z - mean)^2. All are squares. The last is had from the
+differences d to the first entry's z, sum q d^2 - (sum q d)^2, of which at most a share
+1 - q cancels: the first has at least half of the largest probability.
 
-States are taken LANES at a time, those with equally many s' together, and an entry's numbers stand side by side for such a
-strip: its arithmetic is done by vector instructions, with every sum in the order of its state. Entries are in the
-order in which actions have them: in grids those of a strip lead mostly to consecutive states and are read as such.
+States are taken LANES at a time, those with equally many s' together, and an entry's
+numbers stand side by side for such a strip: its arithmetic is done by vector
+instructions, with every sum in the order of its state. Entries are in the order in
+which actions have them: in grids those of a strip lead mostly to consecutive states and
+are read as such.
 """
 
 from collections import namedtuple
@@ -43,10 +52,12 @@ Strips = namedtuple("Strips", "offsets columns aligned numbers fixed order")
 
 @njit(cache=True, error_model="numpy")
 def backward(walk, discounts, offsets, is_trajectory, keep):
-    """(5, S): E L, E X, Var L, Cov(L, X), Var X of the first step; each step's own Cov(A m' | s) if ``keep``.
+    """(5, S): E L, E X, Var L, Cov(L, X), Var X of the first step; each step's own
+    Cov(A m' | s) if ``keep``.
 
-    The latter is (T, 1, S), of X alone, or for a trajectory (T, 3, S): Var L, Cov(L, X), Var X. ``discounts`` (T,) are gamma_t,
-    ``offsets`` (1 or T, S) k_t. A trajectory with rewards r(s, a) leaves the last w out: T rewards, T - 1 transitions.
+    The latter is (T, 1, S), of X alone, or for a trajectory (T, 3, S): Var L, Cov(L,
+    X), Var X. ``discounts`` (T,) are gamma_t, ``offsets`` (1 or T, S) k_t. A trajectory
+    with rewards r(s, a) leaves the last w out: T rewards, T - 1 transitions.
     """
     indptr, indices, prob, w, act, u, by_transition, rewards, initial, _ = walk
     horizon, n_states = len(discounts), len(initial)
@@ -115,9 +126,11 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
 
 @njit(cache=True, error_model="numpy")
 def forward(walk, horizon, power, with_returns):
-    """(T + 1, 3 or 1, S): E[W^p G^i 1{s_t = s}], p = ``power``, i = 0, 1, 2, G the discounted return before t.
+    """(T + 1, 3 or 1, S): E[W^p G^i 1{s_t = s}], p = ``power``, i = 0, 1, 2, G the
+    discounted return before t.
 
-    W holds the factors of the steps before t. Without ``with_returns`` only i = 0 is there.
+    W holds the factors of the steps before t. Without ``with_returns`` only i = 0 is
+    there.
     """
     indptr, indices, prob, w, act, u, by_transition, rewards, initial, gamma = walk
     n_states = len(initial)
@@ -153,7 +166,9 @@ def forward(walk, horizon, power, with_returns):
 
 @njit(cache=True, error_model="numpy")
 def merge(walk):
-    """The transitions of each state merged by where they lead, as CSR with ``PARTS`` numbers an entry; residuals."""
+    """The transitions of each state merged by where they lead, as CSR with ``PARTS``
+    numbers an entry; residuals.
+    """
     indptr, indices, prob, w, acts, us, by_transition, rewards, initial, _ = walk
     n_states, act, u = len(initial), acts[0], us[0]
     n_actions, filled = len(act) // n_states, np.uint32(0)
@@ -220,7 +235,9 @@ def strip_offsets(lengths, order):
 
 @njit(cache=True)
 def lay_strips(starts, columns, numbers, residual):
-    """The ``Strips`` of merged transitions, the first of each state one of large probability."""
+    """The ``Strips`` of merged transitions, the first of each state one of large
+    probability.
+    """
     n_states, n_filled = len(residual), len(columns)
     lengths, states = np.diff(starts.astype(np.int64)), np.arange(n_states)
     offsets = strip_offsets(lengths, states)
@@ -266,10 +283,12 @@ def lay_strips(starts, columns, numbers, residual):
 
 @njit(cache=True, error_model="numpy")
 def step_back(strips, factor, offset, here, there, local, room, lanes):
-    """All strips, one step back: y, v -> factor X - offset, factor^2 Var X; ``local`` takes each state's own variance.
+    """All strips, one step back: y, v -> factor X - offset, factor^2 Var X; ``local``
+    takes each state's own variance.
 
-    The last LANES of y and v are room for what an entry leads to where that does not stand side by side. ``lanes`` is LANES:
-    a short loop over a number known beforehand would be unrolled before it is made of vector instructions, and not be.
+    The last LANES of y and v are room for what an entry leads to where that does not
+    stand side by side. ``lanes`` is LANES: a short loop over a number known beforehand
+    would be unrolled before it is made of vector instructions, and not be.
     """
     offsets, columns, aligned, numbers, fixed, _ = strips
     (y, v), (new_y, new_v) = here, there
@@ -325,7 +344,8 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
 
 @njit(cache=True, error_model="numpy")
 def backward_merged(strips, discounts, offsets, keep):
-    """E X, Var X (N,) of the first step and, if ``keep``, each step's own variance (T, N), by places.
+    """E X, Var X (N,) of the first step and, if ``keep``, each step's own variance (T,
+    N), by places.
 
     ``discounts`` (T,) are gamma_t, ``offsets`` (T, N) k_t, or (0, N) where they are 0.
     """

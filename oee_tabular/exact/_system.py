@@ -1,6 +1,8 @@
-"""Loops over a policy's system: its kernel from the rows s*A + a, residuals, and the graph of the kernel.
+"""Loops over a policy's system: its kernel from the rows s*A + a, residuals, and the
+graph of the kernel.
 
-Of the graph: a breadth-first order, whether it expands, and what an elimination fills, before anything is solved.
+Of the graph: a breadth-first order, whether it expands, and what an elimination fills,
+before anything is solved.
 """
 
 import numpy as np
@@ -9,7 +11,9 @@ from numba import njit
 
 @njit(cache=True)
 def add_entry(columns, values, place, begin, filled, column, value):
-    """Add to the row from ``begin`` on, or append to it; where it ends then. ``place`` has each column's last entry."""
+    """Add to the row from ``begin`` on, or append to it; where it ends then. ``place``
+    has each column's last entry.
+    """
     at = place[column]
     if begin <= at and at < filled and columns[at] == column:
         values[at] += value
@@ -20,10 +24,12 @@ def add_entry(columns, values, place, begin, filled, column, value):
 
 @njit(cache=True)
 def average_rows(rows, policy, states, number, columns, values):
-    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros; a row's entries in the order in which its actions have them.
+    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros; a row's entries in the
+    order in which its actions have them.
 
-    ``states`` : those whose rows are made, of which ``number`` has 1 + the new number of each that follows; or none: all rows.
-    ``columns`` (uint32) and ``values`` have room for all entries; in numpy's memory, whose large pages save time.
+    ``states`` : those whose rows are made, of which ``number`` has 1 + the new number
+    of each that follows; or none: all rows. ``columns`` (uint32) and ``values`` have
+    room for all entries; in numpy's memory, whose large pages save time.
     """
     indptr, indices, data = rows
     n_rows, n_columns, n_actions = len(policy), len(policy), policy.shape[1]
@@ -56,7 +62,9 @@ def average_rows(rows, policy, states, number, columns, values):
 
 @njit(cache=True)
 def average_rewards(policy, rewards):
-    """sum_a policy[s, a] r(s, a), and the largest sum of the magnitudes: what its rounding is measured by."""
+    """sum_a policy[s, a] r(s, a), and the largest sum of the magnitudes: what its
+    rounding is measured by.
+    """
     total, largest = np.zeros(len(policy)), 0.0
     for state in range(len(policy)):
         size = 0.0
@@ -70,7 +78,9 @@ def average_rewards(policy, rewards):
 
 @njit(cache=True)
 def largest_magnitude(numbers):
-    """The largest absolute value, 0 of nothing; numpy's needs several passes, which few states feel."""
+    """The largest absolute value, 0 of nothing; numpy's needs several passes, which few
+    states feel.
+    """
     largest = 0.0
     for i in range(len(numbers)):
         if not abs(numbers[i]) <= largest:  # nan as well
@@ -80,7 +90,9 @@ def largest_magnitude(numbers):
 
 @njit(cache=True)
 def range_of_sums(kernel, n_roundings):
-    """The smallest sum of a row, the largest with its rounding and ``n_roundings`` an entry, the middle of the two."""
+    """The smallest sum of a row, the largest with its rounding and ``n_roundings`` an
+    entry, the middle of the two.
+    """
     indptr, data = kernel.indptr, kernel.data
     smallest, largest, entries = np.inf, 0.0, np.uint32(0)
     for i in range(len(indptr) - 1):
@@ -115,10 +127,12 @@ def multiply(kernel, transpose, x, out):
 
 @njit(cache=True)
 def residual(kernel, transpose, b, x, n_roundings):
-    """b - M x with M = I - discount K or its transpose, its largest magnitude, a bound, and the largest rounding.
+    """b - M x with M = I - discount K or its transpose, its largest magnitude, a bound,
+    and the largest rounding.
 
-    Each term of an entry meets at most (entries of the row + 4) roundings, and ``n_roundings`` more in the kernel itself. The
-    bound is on the largest magnitude with its rounding, transposed on the sum of them.
+    Each term of an entry meets at most (entries of the row + 4) roundings, and
+    ``n_roundings`` more in the kernel itself. The bound is on the largest magnitude
+    with its rounding, transposed on the sum of them.
     """
     indptr, indices, data, discount = kernel
     n = len(b)
@@ -166,7 +180,9 @@ def residual(kernel, transpose, b, x, n_roundings):
 
 @njit(cache=True)
 def transpose_rows(indptr, indices, data, n_columns):
-    """The CSR of the transposed matrix; within a row in the order of the rows that they came from."""
+    """The CSR of the transposed matrix; within a row in the order of the rows that they
+    came from.
+    """
     starts = np.zeros(n_columns + 1, dtype=np.uint32)
     for k in range(len(indices)):
         starts[indices[k] + np.uint32(1)] += np.uint32(1)
@@ -190,10 +206,12 @@ N_FREE = 1000  # entries that a count may begin with before it is held to its li
 
 @njit(cache=True)
 def breadth_first(kernel, back, widest):
-    """The states in breadth-first order, later trees before earlier ones, and each state's place.
+    """The states in breadth-first order, later trees before earlier ones, and each
+    state's place.
 
-    Along the rows; where ``back``, the transposed rows, has any, along both. Empty where states stand more than ``widest``
-    places behind the state that led to them, on average.
+    Along the rows; where ``back``, the transposed rows, has any, along both. Empty
+    where states stand more than ``widest`` places behind the state that led to them, on
+    average.
     """
     n = len(kernel.indptr) - 1
     place, queue = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint32)
@@ -236,9 +254,11 @@ def breadth_first(kernel, back, widest):
 
 @njit(cache=True)
 def expands(kernel):
-    """Whether twice as many steps lead to 9 times as many states, more than in lattices of up to three dimensions.
+    """Whether twice as many steps lead to 9 times as many states, more than in lattices
+    of up to three dimensions.
 
-    By five searches of at most 32 steps each, from states that lie far from each other in the numbering.
+    By five searches of at most 32 steps each, from states that lie far from each other
+    in the numbering.
     """
     indptr, indices, _, _ = kernel
     n, n_expanding = len(indptr) - 1, 0
@@ -272,12 +292,14 @@ def expands(kernel):
 
 @njit(cache=True)
 def find_envelope(kernel, place):
-    """The order of elimination, the reverse of ``place``; the first linked state of each; where its row begins.
+    """The order of elimination, the reverse of ``place``; the first linked state of
+    each; where its row begins.
 
-    Row i of the factor L and column i of U begin with the first state that i is linked to, either way; only what lies between
-    is filled [1].
+    Row i of the factor L and column i of U begin with the first state that i is linked
+    to, either way; only what lies between is filled [1].
 
-    Reference: [1] George and Liu, Computer Solution of Large Sparse Positive Definite Systems, 1981, chapter 4.
+    Reference: [1] George and Liu, Computer Solution of Large Sparse Positive Definite
+    Systems, 1981, chapter 4.
     """
     n = len(place)
     order, first, starts = (
@@ -299,11 +321,14 @@ def find_envelope(kernel, place):
 
 @njit(cache=True)
 def fills_little(kernel, back, order, place, most):
-    """Whether factors of M + M^T have up to ``most`` entries a state below the diagonal, in the reverse of the order.
+    """Whether factors of M + M^T have up to ``most`` entries a state below the
+    diagonal, in the reverse of the order.
 
-    Row i has an entry in column k where k is on the way from one of its entries to i in the elimination tree [1].
+    Row i has an entry in column k where k is on the way from one of its entries to i in
+    the elimination tree [1].
 
-    Reference: [1] Liu, The role of elimination trees in sparse factorization, SIAM J. Matrix Anal. Appl. 11 (1990).
+    Reference: [1] Liu, The role of elimination trees in sparse factorization, SIAM J.
+    Matrix Anal. Appl. 11 (1990).
     """
     n = len(order)
     parent, mark = np.full(n, n, dtype=np.int64), np.full(n, n, dtype=np.int64)

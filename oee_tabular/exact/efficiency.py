@@ -1,11 +1,14 @@
 """Efficiency bounds, and the exact asymptotic variance and bias of some estimators.
 
-Notation: G_x(s') = dJ / dP'(s' | x) is the gradient of ``transition_gradient``, x = (s, a), at the target P'; for an infinite
-horizon and rewards r(s, a) that is gamma d(x) V(s') / (1 - gamma). Values are discounted sums. The bounds for transition data
-are those of n independent rows x ~ data_distribution, s' ~ P'(. | x), the initial distribution and rewards known.
+Notation: G_x(s') = dJ / dP'(s' | x) is the gradient of ``transition_gradient``, x = (s,
+a), at the target P'; for an infinite horizon and rewards r(s, a) that is gamma d(x)
+V(s') / (1 - gamma). Values are discounted sums. The bounds for transition data are
+those of n independent rows x ~ data_distribution, s' ~ P'(. | x), the initial
+distribution and rewards known.
 
-References: [1] N. Kallus and M. Uehara, Double reinforcement learning for efficient off-policy evaluation in Markov decision
-processes, JMLR 21, 2020. [2] A. W. van der Vaart, Asymptotic Statistics, 1998, chapters 20 and 25.
+References: [1] N. Kallus and M. Uehara, Double reinforcement learning for efficient
+off-policy evaluation in Markov decision processes, JMLR 21, 2020. [2] A. W. van der
+Vaart, Asymptotic Statistics, 1998, chapters 20 and 25.
 """
 
 from __future__ import annotations
@@ -37,8 +40,10 @@ def efficiency_bound(
 ) -> float:
     """Compute lim n * variance of the best estimator of J from n target transitions.
 
-    sum_x Var_{s' ~ P'(.|x)}[G_x(s')] / data_distribution(x); for r(s, a) and an infinite horizon
-    (gamma / (1 - gamma))^2 sum_x d(x)^2 / data_distribution(x) Var_{P'}[V]. The maximum-likelihood model attains it [2].
+    sum_x Var_{s' ~ P'(.|x)}[G_x(s')] / data_distribution(x); for r(s, a) and an
+    infinite horizon
+    (gamma / (1 - gamma))^2 sum_x d(x)^2 / data_distribution(x) Var_{P'}[V]. The
+    maximum-likelihood model attains it [2].
 
     Parameters
     ----------
@@ -49,7 +54,8 @@ def efficiency_bound(
 
     Returns
     -------
-    float, squared units of J; inf if the data never have a pair whose next state matters
+    float, squared units of J; inf if the data never have a pair whose next state
+        matters
 
     Examples
     --------
@@ -69,10 +75,12 @@ def efficiency_bound(
 def leading_bias(
     target: FiniteMDP, policy: PolicyLike, data_distribution: ArrayLike
 ) -> float:
-    """Compute lim n * (E[J of the maximum-likelihood model] - J) from n target transitions, infinite horizon.
+    """Compute lim n * (E[J of the maximum-likelihood model] - J) from n target
+    transitions, infinite horizon.
 
-    gamma / (1 - gamma) sum_x d(x) / data_distribution(x) Cov_{s' ~ P'(.|x)}(U_x(s'), r(s, a, s') + gamma V(s')), U_x(s') the
-    expected discounted number of visits to x from s' (the reward is left out where it does not depend on s').
+    gamma / (1 - gamma) sum_x d(x) / data_distribution(x) Cov_{s' ~ P'(.|x)}(U_x(s'),
+    r(s, a, s') + gamma V(s')), U_x(s') the expected discounted number of visits to x
+    from s' (the reward is left out where it does not depend on s').
 
     Parameters
     ----------
@@ -80,7 +88,8 @@ def leading_bias(
 
     Notes
     -----
-    In units of J, not normalised; inf if the data never have a pair that matters. Cost: O(S^3 + nnz S).
+    In units of J, not normalised; inf if the data never have a pair that matters. Cost:
+    O(S^3 + nnz S).
 
     Examples
     --------
@@ -118,19 +127,23 @@ def ratio_of_ratios_variance(
     rows: Literal["as_they_are", "normalised"] = "as_they_are",
     independent_samples: bool = False,
 ) -> float:
-    """Compute lim n * variance of J(zeta P) for the paper's zeta, a quotient of two fitted ratios, under the exact simulator.
+    """Compute lim n * variance of J(zeta P) for the paper's zeta, a quotient of two
+    fitted ratios, under the exact simulator.
 
-    From n target transitions and n of the simulator's. The bound of ``efficiency_bound`` plus, q = simulator_distribution,
-    as they are: sum_x Var_P[zeta G] / q(x), and with separate samples for the (s, a) and the (s, a, s') ratio (Algorithm 1,
-    lines 1 and 3) moreover 2 Var_D[E_P' G / d_D] + 2 Var_q[E_P' G / q]; rows normalised: sum_x E_P[zeta^2 (G - E_P' G)^2]
-    / q(x), whatever the samples of the (s, a) ratio, which a row's sum cancels.
+    From n target transitions and n of the simulator's. The bound of
+    ``efficiency_bound`` plus, q = simulator_distribution, as they are: sum_x Var_P[zeta
+    G] / q(x), and with separate samples for the (s, a) and the (s, a, s') ratio
+    (Algorithm 1, lines 1 and 3) moreover 2 Var_D[E_P' G / d_D] + 2 Var_q[E_P' G / q];
+    rows normalised: sum_x E_P[zeta^2 (G - E_P' G)^2] / q(x), whatever the samples of
+    the (s, a) ratio, which a row's sum cancels.
 
     Parameters
     ----------
     simulator : FiniteMDP
     target, policy, data_distribution, horizon : as in ``efficiency_bound``
     simulator_distribution : (S, A), sums to 1: how the simulator's pairs are drawn
-    rows : "as_they_are" | "normalised": whether each row of zeta * P is divided by its sum
+    rows : "as_they_are" | "normalised": whether each row of zeta * P is divided by its
+        sum
     independent_samples : whether the two ratios are fitted to separate samples
 
     Returns
@@ -192,22 +205,27 @@ def trajectory_efficiency_bound(
     horizon: int,
     model: Literal["mdp", "tree", "stationary"] = "mdp",
 ) -> float:
-    """Compute lim n * variance of the best estimator from n episodes of ``horizon`` transitions, under three models.
+    """Compute lim n * variance of the best estimator from n episodes of ``horizon``
+    transitions, under three models.
 
-    "mdp", Kallus and Uehara's [1]: the kernel may differ between steps, the distribution of the first state is unknown.
-    "tree", theirs too: transitions may depend on the whole history. For both
+    "mdp", Kallus and Uehara's [1]: the kernel may differ between steps, the
+    distribution of the first state is unknown. "tree", theirs too: transitions may
+    depend on the whole history. For both
 
         Var V_0(s_0) + sum_t gamma^2t sum_x weight_t(x) Var[r + gamma V_{t+1}(s') | x],
 
-    weight_t(x) = alpha_t(x)^2 / beta_t(x) ("mdp"; alpha, beta the distributions of (s_t, a_t) under the policy and the
-    behaviour policy) and E[rho_0..t^2 1{x_t = x}] ("tree"). They apply to estimators that assume no more, such as
-    importance sampling and doubly robust ones; an estimator that pools steps can have lower variance.
-    "stationary": one kernel, the first state's distribution and the rewards known, the Cramer-Rao bound
+    weight_t(x) = alpha_t(x)^2 / beta_t(x) ("mdp"; alpha, beta the distributions of
+    (s_t, a_t) under the policy and the behaviour policy) and E[rho_0..t^2 1{x_t = x}]
+    ("tree"). They apply to estimators that assume no more, such as importance sampling
+    and doubly robust ones; an estimator that pools steps can have lower variance.
+    "stationary": one kernel, the first state's distribution and the rewards known, the
+    Cramer-Rao bound
 
         sum_x Var_{s' ~ P'(.|x)}[G_x(s')] / sum_t beta_t(x),    G_x(s') = sum_t gamma^t alpha_t(x) (r + gamma V_{t+1}(s')),
 
-    since the log-likelihood of an episode is a sum over its transitions: a pair's information is that of one transition
-    times its expected visits. ``estimators.ModelBased`` (maximum likelihood) attains it. Never above "mdp".
+    since the log-likelihood of an episode is a sum over its transitions: a pair's
+    information is that of one transition times its expected visits.
+    ``estimators.ModelBased`` (maximum likelihood) attains it. Never above "mdp".
 
     Parameters
     ----------
@@ -223,7 +241,8 @@ def trajectory_efficiency_bound(
     Raises
     ------
     ValueError
-        The behaviour policy never takes an action that the policy takes in a reachable state: no estimator is consistent.
+        The behaviour policy never takes an action that the policy takes in a reachable
+        state: no estimator is consistent.
 
     Examples
     --------
@@ -282,7 +301,9 @@ def trajectory_efficiency_bound(
 def require_action_support(
     mdp: FiniteMDP, behavior: Array, policy: Array, horizon: int | None
 ) -> None:
-    """A ValueError that names the first (s, a) which the policy reaches and takes and the behaviour policy never does."""
+    """A ValueError that names the first (s, a) which the policy reaches and takes and
+    the behaviour policy never does.
+    """
     missing = (policy > 0) & (behavior == 0) & ~mdp.absorbing()[:, None]
     if missing.any():
         missing &= walk_of(mdp, policy).reachable_states(horizon)[:, None]
@@ -301,7 +322,9 @@ def _check_share(
     horizon: int | None,
     name: str = "data_distribution",
 ) -> Array:
-    """The distribution of rows as (S*A,); what every function of data from the target needs is checked."""
+    """The distribution of rows as (S*A,); what every function of data from the target
+    needs is checked.
+    """
     _checks.instance(target, FiniteMDP, "target")
     if horizon is None and target.discount == 1.0:
         raise ValueError("horizon must be given at discount 1")

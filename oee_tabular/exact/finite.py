@@ -2,11 +2,12 @@
 
     V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0;    d_{t+1} = P_pi^T d_t, d_0 = mu_0;    J = mu_0 . V_0 = sum_t gamma^t d_t . r_pi
 
-Where only J is wanted, T rewards can depend on no more than the states that T - 1 transitions reach: rows of P_pi are made for
-these alone (the light cone of the support of mu_0), and each step backward leaves its outermost ring out.
+Where only J is wanted, T rewards can depend on no more than the states that T - 1
+transitions reach: rows of P_pi are made for these alone (the light cone of the support
+of mu_0), and each step backward leaves its outermost ring out.
 
-Rows are read four entries at a time, with unsigned indices: signed ones, which could count from the end, cost twice as much.
-Every sum keeps the order of its row.
+Rows are read four entries at a time, with unsigned indices: signed ones, which could
+count from the end, cost twice as much. Every sum keeps the order of its row.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ CHUNK = 128
 
 
 class Cone(NamedTuple):
-    """States in the order in which they are first reached, with their rows and rewards under these numbers.
+    """States in the order in which they are first reached, with their rows and rewards
+    under these numbers.
 
     In at most k transitions the first ends[k] of them are reached.
     """
@@ -49,7 +51,9 @@ class Cone(NamedTuple):
 
 
 def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
-    """The states that ``horizon`` rewards of a stationary policy can depend on, with their rows and rewards."""
+    """The states that ``horizon`` rewards of a stationary policy can depend on, with
+    their rows and rewards.
+    """
     # numpy's zeros cost nothing until they are touched, the kernel's own would be
     # written
     rows, place, ends = (
@@ -72,7 +76,9 @@ def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
 def values_by_horizon(
     model: Model, policy: Array, horizon: int, *, is_each: bool = True
 ) -> Array:
-    """(T + 1,): J of 0 .. T rewards, of a policy that has been checked; the last alone unless ``is_each``."""
+    """(T + 1,): J of 0 .. T rewards, of a policy that has been checked; the last alone
+    unless ``is_each``.
+    """
     if policy.ndim == 3:
         return _sum_forward(model, policy, np.zeros((0, 0)))
     return np.asarray(sweep_cone(light_cone(model, policy, horizon), is_each))
@@ -102,7 +108,9 @@ def _sum_forward(model: Model, policy: Array, pairs: Array) -> Array:
 def values_to_go(
     model: Model, policy: Array, horizon: int, *, is_each: bool = True
 ) -> Array:
-    """(T + 1, S): V_t of a stationary policy that has been checked, T - t rewards to go; or V_0 alone, (1, S)."""
+    """(T + 1, S): V_t of a stationary policy that has been checked, T - t rewards to
+    go; or V_0 alone, (1, S).
+    """
     out = np.zeros((horizon + 1 if is_each else 2, model.n_states))
     rewards, _ = average_rewards(np.ascontiguousarray(policy), model.rewards)
     sweep(policy_system(model, policy).kernel, rewards, horizon, out)
@@ -112,7 +120,9 @@ def values_to_go(
 def gradient_to_horizon(
     model: Model, valued: Model, policy: Array, horizon: int
 ) -> Array:
-    """sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], alpha of ``model``, on the entries of ``valued``."""
+    """sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], alpha of
+    ``model``, on the entries of ``valued``.
+    """
     back = Kernel(*policy_system(model, policy).back, 1.0)
     rewards = as_readonly(
         np.zeros(0) if valued.reward_data is None else valued.reward_data
@@ -154,8 +164,9 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
 
     Notes
     -----
-    Cost: O(T nnz) over the states that are reached in t transitions, whatever the number of the others. A stationary
-    policy's are the values at the first states during one backward sweep, any other's are summed forward.
+    Cost: O(T nnz) over the states that are reached in t transitions, whatever the
+    number of the others. A stationary policy's are the values at the first states
+    during one backward sweep, any other's are summed forward.
 
     Examples
     --------
@@ -206,7 +217,9 @@ def dot(x, y, size):
 
 @njit(cache=True)
 def sweep(kernel, rewards, horizon, out):
-    """V_t = r + gamma K V_{t+1}, V_T = 0, in row t % len(out) of ``out``, which begins with zeros."""
+    """V_t = r + gamma K V_{t+1}, V_T = 0, in row t % len(out) of ``out``, which begins
+    with zeros.
+    """
     k = len(out)
     for t in range(horizon - 1, -1, -1):
         backup(
@@ -221,10 +234,11 @@ def sweep(kernel, rewards, horizon, out):
 
 @njit(cache=True)
 def reach_forward(rows, policy, initial, place, ends):
-    """The states that len(ends) - 1 transitions reach, in the order in which they are; the entries of rows that count.
+    """The states that len(ends) - 1 transitions reach, in the order in which they are;
+    the entries of rows that count.
 
-    ``ends`` takes how many of them k transitions reach, ``place`` (S,), zeros before, 1 + each state's number; what is not
-    reached is not read.
+    ``ends`` takes how many of them k transitions reach, ``place`` (S,), zeros before, 1
+    + each state's number; what is not reached is not read.
     """
     indptr, indices, data = rows
     n_actions = policy.shape[1]
@@ -259,7 +273,9 @@ def reach_forward(rows, policy, initial, place, ends):
 
 @njit(cache=True)
 def sweep_cone(cone, is_each):
-    """(T + 1,): J of 0 .. T rewards, a ring of the cone left out at each step; the last alone unless ``is_each``."""
+    """(T + 1,): J of 0 .. T rewards, a ring of the cone left out at each step; the last
+    alone unless ``is_each``.
+    """
     ends = cone.ends
     horizon = len(ends)
     out = np.zeros(horizon + 1)
@@ -282,7 +298,9 @@ def sweep_cone(cone, is_each):
 
 @njit(cache=True)
 def visit_cone(cone):
-    """sum_{t<T} gamma^t Pr(s_t = s) of the cone's states: d_{t+1} = K^T d_t as far as t transitions reach."""
+    """sum_{t<T} gamma^t Pr(s_t = s) of the cone's states: d_{t+1} = K^T d_t as far as t
+    transitions reach.
+    """
     ends = cone.ends
     indptr, indices, data, gamma = cone.kernel
     size = ends[-1]
@@ -303,10 +321,12 @@ def visit_cone(cone):
 
 @njit(cache=True)
 def step_forward(rows, rewards, policy, initial, gamma, pairs):
-    """(T + 1,): J of 0 .. T rewards of a policy (T, S, A), which is read as a whole before, so that S a step costs nothing.
+    """(T + 1,): J of 0 .. T rewards of a policy (T, S, A), which is read as a whole
+    before, so that S a step costs nothing.
 
-    d_{t+1}(s') = sum_{s, a} d_t(s) policy_t(s, a) K(s' | s, a), J_{t+1} = J_t + gamma^t d_t . r. Where ``pairs`` (S, A) has
-    room, sum_t gamma^t Pr(s_t = s, a_t = a) is added to it.
+    d_{t+1}(s') = sum_{s, a} d_t(s) policy_t(s, a) K(s' | s, a), J_{t+1} = J_t + gamma^t
+    d_t . r. Where ``pairs`` (S, A) has room, sum_t gamma^t Pr(s_t = s, a_t = a) is
+    added to it.
     """
     indptr, indices, data = rows
     horizon, n_states, n_actions = policy.shape
@@ -337,10 +357,12 @@ def step_forward(rows, rewards, policy, initial, gamma, pairs):
 
 @njit(cache=True)
 def add_flows(to_go, gamma, back, initial, rows, policy, rewards, out):
-    """out[k] += sum_t gamma^t d_t(s) (r[k] + gamma V_{t+1}(s')) for the entries k of the actions that are taken.
+    """out[k] += sum_t gamma^t d_t(s) (r[k] + gamma V_{t+1}(s')) for the entries k of
+    the actions that are taken.
 
-    ``to_go`` (T + 1, S) is V; ``back`` is the transposed kernel that d is of, with discount 1; ``rows`` (S*A, S) has the
-    entries, ``rewards`` r(s, a, s') is aligned with them or empty.
+    ``to_go`` (T + 1, S) is V; ``back`` is the transposed kernel that d is of, with
+    discount 1; ``rows`` (S*A, S) has the entries, ``rewards`` r(s, a, s') is aligned
+    with them or empty.
     """
     indptr, columns, _ = rows
     n_states, n_actions = policy.shape

@@ -1,15 +1,18 @@
 """Exact means and variances of returns and of weighted returns, by dynamic programming.
 
-The estimators are averages over n independent episodes of X; ``Moments`` has the mean and the variance of one X (so that the
-estimator's variance is ``variance / n``). Recursions in ``recursions``; definitions in each function. Reward timing: a
-reward r(s, a) at t carries the ratios of the transitions before it, zeta_1 .. zeta_t, a reward r(s, a, s') also that of its own
-transition. In an absorbing state, where an episode has ended, weights are constant.
+The estimators are averages over n independent episodes of X; ``Moments`` has the mean
+and the variance of one X (so that the estimator's variance is ``variance / n``).
+Recursions in ``recursions``; definitions in each function. Reward timing: a reward r(s,
+a) at t carries the ratios of the transitions before it, zeta_1 .. zeta_t, a reward r(s,
+a, s') also that of its own transition. In an absorbing state, where an episode has
+ended, weights are constant.
 
-Sources: the recursions of the second moment are Sobel's [1]; self-normalised estimators as ratio estimators [2, 2.6]; doubly
-robust per decision [3].
+Sources: the recursions of the second moment are Sobel's [1]; self-normalised estimators
+as ratio estimators [2, 2.6]; doubly robust per decision [3].
 
-References: [1] M. J. Sobel, The variance of discounted Markov decision processes, J. Applied Probability 19, 1982. [2] W. G.
-Cochran, Sampling Techniques, 1977. [3] N. Jiang and L. Li, Doubly robust off-policy value evaluation, ICML 2016.
+References: [1] M. J. Sobel, The variance of discounted Markov decision processes, J.
+Applied Probability 19, 1982. [2] W. G. Cochran, Sampling Techniques, 1977. [3] N. Jiang
+and L. Li, Doubly robust off-policy value evaluation, ICML 2016.
 """
 
 from __future__ import annotations
@@ -99,11 +102,13 @@ def weighted_return_moments(
     self_normalized: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Compute mean and variance of the paper's product of ratios on one rollout, W_t = zeta_1 ... zeta_t.
+    """Compute mean and variance of the paper's product of ratios on one rollout, W_t =
+    zeta_1 ... zeta_t.
 
     In absorbing states with reward 0, where an episode has ended, W_t is constant.
 
-    per_decision: X = sum_t gamma^t W_t r_t; trajectory: X = W_{T-1} G (W_T where rewards depend on s').
+    per_decision: X = sum_t gamma^t W_t r_t; trajectory: X = W_{T-1} G (W_T where
+    rewards depend on s').
 
     Parameters
     ----------
@@ -116,12 +121,14 @@ def weighted_return_moments(
     Raises
     ------
     ValueError
-        Bad arguments; without a horizon, if the second moment does not exist: the spectral radius of gamma^2 (P zeta^2)
-        under the policy is not below 1 (it is given).
+        Bad arguments; without a horizon, if the second moment does not exist: the
+        spectral radius of gamma^2 (P zeta^2) under the policy is not below 1 (it is
+        given).
 
     Notes
     -----
-    The mean per decision is J of the model zeta * P. Cost: O(T nnz), or two sparse solves.
+    The mean per decision is J of the model zeta * P. Cost: O(T nnz), or two sparse
+    solves.
 
     Examples
     --------
@@ -151,10 +158,11 @@ def policy_is_moments(
     self_normalized: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Compute mean and variance of policy importance sampling (eq. 3.5) on one episode of ``behavior_policy``.
+    """Compute mean and variance of policy importance sampling (eq. 3.5) on one episode
+    of ``behavior_policy``.
 
-    rho_t = prod_{k <= t} policy / behavior; per_decision: X = sum_t gamma^t rho_t r_t; trajectory: X = rho_{T-1} G. rho_t is
-    constant after an episode's end.
+    rho_t = prod_{k <= t} policy / behavior; per_decision: X = sum_t gamma^t rho_t r_t;
+    trajectory: X = rho_{T-1} G. rho_t is constant after an episode's end.
 
     Parameters
     ----------
@@ -164,7 +172,8 @@ def policy_is_moments(
 
     Notes
     -----
-    If the behaviour policy never takes an action that the policy takes, the mean is not J.
+    If the behaviour policy never takes an action that the policy takes, the mean is not
+    J.
 
     Examples
     --------
@@ -194,19 +203,22 @@ def doubly_robust_moments(
     action_baseline: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Compute mean and variance of the doubly robust estimator on one rollout of the simulator.
+    """Compute mean and variance of the doubly robust estimator on one rollout of the
+    simulator.
 
-    D_t = r_t + gamma [m_t(s_t, a_t) + zeta_{t+1} (D_{t+1} - U_{t+1}(s_{t+1}))], m_t(s, a) = sum_s' zeta P U_{t+1}(s'); for
-    rewards r(s, a, s'), r(s, a, s') + gamma U takes the place of gamma U and m_t has E[zeta r] in it. Its mean is J of
-    zeta * P for every U.
+    D_t = r_t + gamma [m_t(s_t, a_t) + zeta_{t+1} (D_{t+1} - U_{t+1}(s_{t+1}))], m_t(s,
+    a) = sum_s' zeta P U_{t+1}(s'); for rewards r(s, a, s'), r(s, a, s') + gamma U takes
+    the place of gamma U and m_t has E[zeta r] in it. Its mean is J of zeta * P for
+    every U.
 
     Parameters
     ----------
     simulator, zeta, policy : as in ``weighted_return_moments``
-    baseline : U, (T + 1, S) values to go at t (row T is not used); None: those of the simulator
+    baseline : U, (T + 1, S) values to go at t (row T is not used); None: those of the
+        simulator
     horizon : T
-    action_baseline : whether m and the reward are replaced by their mean over the policy's actions; with U the true
-        values that leaves Var V_0(s_0) alone
+    action_baseline : whether m and the reward are replaced by their mean over the
+        policy's actions; with U the true values that leaves Var V_0(s_0) alone
     sources : as in ``return_moments``
 
     Notes

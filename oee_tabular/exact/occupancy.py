@@ -1,5 +1,6 @@
-"""Discounted occupancies d(s), d(s, a), d(s, a, s'), the paper's equations for d_P^pi, normalised to sum to 1; and what they
-make of values: the derivative of J with respect to each transition probability, which carries sampling error from a model to J.
+"""Discounted occupancies d(s), d(s, a), d(s, a, s'), the paper's equations for d_P^pi,
+normalised to sum to 1; and what they make of values: the derivative of J with respect
+to each transition probability, which carries sampling error from a model to J.
 """
 
 from __future__ import annotations
@@ -46,16 +47,19 @@ def occupancy(
     horizon: int | None = None,
     of: Literal["state", "state_action", "transition"] = "state_action",
 ) -> Array | sparse.csr_array:
-    """Compute the share of discounted time in each state, state-action pair or transition (eq. 3.2, 3.3).
+    """Compute the share of discounted time in each state, state-action pair or
+    transition (eq. 3.2, 3.3).
 
-    d(s, a) = sum_t gamma^t Pr(s_t = s, a_t = a) / sum_t gamma^t, over t = 0..T-1 or over all t.
+    d(s, a) = sum_t gamma^t Pr(s_t = s, a_t = a) / sum_t gamma^t, over t = 0..T-1 or
+    over all t.
 
     Parameters
     ----------
     mdp : FiniteMDP
     policy : (S, A), or (T, S, A) with a horizon T
     horizon : positive int or None (discount below 1)
-    of : "state" -> (S,), "state_action" -> (S, A), "transition" -> csr of shape (S*A, S) aligned with mdp.transitions
+    of : "state" -> (S,), "state_action" -> (S, A), "transition" -> csr of shape (S*A,
+        S) aligned with mdp.transitions
 
     Notes
     -----
@@ -96,9 +100,11 @@ def occupancy(
 
 
 def infinite_visits(model: Model, policy: Array) -> Array:
-    """(S,): sum_t gamma^t Pr(s_t = s) over all t; at discount 1 it is 0 in states that the policy never leaves, where V is 0.
+    """(S,): sum_t gamma^t Pr(s_t = s) over all t; at discount 1 it is 0 in states that
+    the policy never leaves, where V is 0.
 
-    DivergentKernelError at discount 1 where the policy is not absorbed in states with reward 0. Cost: one sparse solve.
+    DivergentKernelError at discount 1 where the policy is not absorbed in states with
+    reward 0. Cost: one sparse solve.
     """
     system, over = (
         policy_system(model, policy),
@@ -112,7 +118,9 @@ def infinite_visits(model: Model, policy: Array) -> Array:
 
 
 def time_in_pairs(model: Model, policy: Array, horizon: int | None) -> Array:
-    """``occupancy`` of state-action pairs; at discount 1 without a horizon shares of the time until the policy is absorbed."""
+    """``occupancy`` of state-action pairs; at discount 1 without a horizon shares of
+    the time until the policy is absorbed.
+    """
     if horizon is None and model.discount == 1.0:
         visits = infinite_visits(model, policy)[:, None] * policy
         # 0 where all is over at once
@@ -131,22 +139,26 @@ def transition_gradient(
 ) -> Array:
     """Compute dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
 
-    sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], where alpha_t is the distribution of (s_t, a_t); r
-    stands there only where rewards depend on s'. Defined up to a constant in each row (rows sum to 1).
+    sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], where alpha_t is the
+    distribution of (s_t, a_t); r stands there only where rewards depend on s'. Defined
+    up to a constant in each row (rows sum to 1).
 
     Parameters
     ----------
     model : FiniteMDP (or a ReweightedModel)
     policy : (S, A), stationary
     horizon : positive int or None
-    values_of : the model whose V and rewards are used; the result is aligned with its ``transitions.data``. None: ``model``
+    values_of : the model whose V and rewards are used; the result is aligned with its
+        ``transitions.data``. None: ``model``
     values : (S,) that V, where it is known; not used with a horizon
-    time : (S, A) ``occupancy(model, policy)``, where it is known; used below discount 1 without a horizon
+    time : (S, A) ``occupancy(model, policy)``, where it is known; used below discount 1
+        without a horizon
 
     Notes
     -----
-    Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves. At discount 1 without a horizon the policy must be
-    absorbed in states with reward 0; the derivative is 0 there.
+    Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves. At discount 1
+    without a horizon the policy must be absorbed in states with reward 0; the
+    derivative is 0 there.
 
     Examples
     --------

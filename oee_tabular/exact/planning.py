@@ -1,9 +1,11 @@
-"""Optimal policies: modified policy iteration, then policy iteration with exact values, which certifies.
+"""Optimal policies: modified policy iteration, then policy iteration with exact values,
+which certifies.
 
-Modified policy iteration sweeps over all actions, and over those that were best [1, 6.5]. Only differences between states
-matter to actions, so that it is the spread of the changes that has to fall: the change that all states share is left out, and
-the discount does not slow it down. In the end it is summed: the values of the last actions are what is left plus
-gamma / (1 - gamma) of it.
+Modified policy iteration sweeps over all actions, and over those that were best [1,
+6.5]. Only differences between states matter to actions, so that it is the spread of the
+changes that has to fall: the change that all states share is left out, and the discount
+does not slow it down. In the end it is summed: the values of the last actions are what
+is left plus gamma / (1 - gamma) of it.
 
 Reference: [1] Puterman, Markov Decision Processes, 1994.
 """
@@ -30,10 +32,12 @@ N_TURNS_NARROW = 3
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     """Compute a deterministic optimal policy: (S, A), or (T, S, A) for a horizon T.
 
-    Modified policy iteration until the greedy policy is stable, then policy iteration (Puterman, Markov Decision Processes,
-    1994, sections 6.5 and 6.4) with exact evaluation. An action changes only if another one is better by more than rounding
-    (1e-11 of the largest value, less if 1 - discount is below 1e-5; the loss is below a millionth of that value up to discount
-    1 - 1e-8). Of equally good actions the first is taken. With a horizon, backward induction.
+    Modified policy iteration until the greedy policy is stable, then policy iteration
+    (Puterman, Markov Decision Processes, 1994, sections 6.5 and 6.4) with exact
+    evaluation. An action changes only if another one is better by more than rounding
+    (1e-11 of the largest value, less if 1 - discount is below 1e-5; the loss is below a
+    millionth of that value up to discount 1 - 1e-8). Of equally good actions the first
+    is taken. With a horizon, backward induction.
 
     Parameters
     ----------
@@ -43,7 +47,8 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
     Raises
     ------
     ValueError
-        At discount 1 without a horizon, if the iteration reaches a policy that is not absorbed.
+        At discount 1 without a horizon, if the iteration reaches a policy that is not
+        absorbed.
 
     Examples
     --------
@@ -112,7 +117,9 @@ def action_value(model, values, state, action):
 
 @njit(cache=True)
 def improve(model, values, new, actions):
-    """The best actions, the first of equals, for these values; new = max_a Q; the spread of new - values, the largest value."""
+    """The best actions, the first of equals, for these values; new = max_a Q; the
+    spread of new - values, the largest value.
+    """
     low, high, largest = np.inf, -np.inf, 0.0
     for state in range(len(values)):
         best, chosen = -np.inf, 0
@@ -157,9 +164,11 @@ def induce_backward(model, horizon):
 
 @njit(cache=True)
 def iterate_modified(model, relative, n_turns):
-    """(S,) actions, after at most so many turns or where they stand, and about their values.
+    """(S,) actions, after at most so many turns or where they stand, and about their
+    values.
 
-    The values are swept to rounding while four sweeps halve what is missing, as they do where a graph mixes.
+    The values are swept to rounding while four sweeps halve what is missing, as they do
+    where a graph mixes.
     """
     n, discount = len(model[1]), model[2]
     values, new, actions = np.zeros(n), np.empty(n), np.zeros(n, dtype=np.int64)
@@ -189,7 +198,9 @@ def iterate_modified(model, relative, n_turns):
 
 @njit(cache=True)
 def find_better_actions(model, values, actions, relative):
-    """For values of these actions: each state's first best one, up to rounding; these, or that where it is better by more."""
+    """For values of these actions: each state's first best one, up to rounding; these,
+    or that where it is better by more.
+    """
     n_states, n_actions = model[1].shape
     q, largest = np.empty((n_states, n_actions)), 0.0
     for state in range(n_states):

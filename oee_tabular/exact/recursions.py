@@ -1,8 +1,11 @@
-"""Mean and variance of sums along a walk: per decision, over the whole trajectory, for ever, self-normalised.
+"""Mean and variance of sums along a walk: per decision, over the whole trajectory, for
+ever, self-normalised.
 
-Sums go backward in time with the law of total variance, so that nothing cancels (``_moments``): X = p L + q R with
-the pair (L, R) of the kernels. By steps and states, the variance is Var X_0(s_0) plus what each step adds given the path before
-it, E[(p_t, q_t) C_t (p_t, q_t)^T], (p_t, q_t) = (p, q) A_0 ... A_{t-1} and C_t the step's own covariance.
+Sums go backward in time with the law of total variance, so that nothing cancels
+(``_moments``): X = p L + q R with the pair (L, R) of the kernels. By steps and states,
+the variance is Var X_0(s_0) plus what each step adds given the path before it, E[(p_t,
+q_t) C_t (p_t, q_t)^T], (p_t, q_t) = (p, q) A_0 ... A_{t-1} and C_t the step's own
+covariance.
 """
 
 from __future__ import annotations
@@ -25,7 +28,8 @@ from oee_tabular.mdp.horizons import SHORT_HORIZON, limit_horizon
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Mean and variance of one episode's X; for a self-normalised estimator, what n episodes have to first order.
+    """Mean and variance of one episode's X; for a self-normalised estimator, what n
+    episodes have to first order.
 
     Attributes
     ----------
@@ -33,9 +37,10 @@ class Moments:
     variance : Var[X]; self-normalised: lim n * variance of the estimator
     bias : 0; self-normalised: lim n * (expectation of the estimator - mean)
         Overflow gives inf or nan, with a warning.
-    by_step : (T + 1,) parts of the variance: that of the start, then of each step; None unless asked for
-    by_state : (S,) parts of the variance by the state that the step was taken from (without the start's); None unless
-        asked for
+    by_step : (T + 1,) parts of the variance: that of the start, then of each step; None
+        unless asked for
+    by_state : (S,) parts of the variance by the state that the step was taken from
+        (without the start's); None unless asked for
 
     Examples
     --------
@@ -56,7 +61,9 @@ class Moments:
 
     @property
     def standard_deviation(self) -> float:
-        """sqrt(variance), also where the variance is too large or too small for a float."""
+        """sqrt(variance), also where the variance is too large or too small for a
+        float.
+        """
         return (
             float(np.sqrt(self.variance))
             if self._deviation is None
@@ -81,7 +88,9 @@ def compute_moments(
     self_normalized: bool,
     sources: bool,
 ) -> Moments:
-    """Of the product of ratios on one walk, with one weight for the whole return or one for each reward."""
+    """Of the product of ratios on one walk, with one weight for the whole return or one
+    for each reward.
+    """
     shift = exponent(walk.rewards)
     if shift != 0:  # rewards that are never reached may be of any size
         taken = (walk.act.max(axis=0) > 0.0) & np.repeat(
@@ -113,7 +122,9 @@ def compute_moments(
 
 
 def limit_walk(walk: Walk, horizon: int, is_lasting: bool, sources: bool) -> int:
-    """The steps of a horizon that are carried out; weights that grow faster than the discount, or stay, keep all of them."""
+    """The steps of a horizon that are carried out; weights that grow faster than the
+    discount, or stay, keep all of them.
+    """
     if horizon <= SHORT_HORIZON or len(walk.act) > 1:
         return horizon
     rate = walk.discount
@@ -135,7 +146,9 @@ def per_decision_moments(
     q: float = 1.0,
     start: Array | float = 0.0,
 ) -> Moments:
-    """Of q X_0 + start(s_0), X_t = u r + w (gamma_t X_{t+1} - k_t), k_t the ``offsets`` (1 or T, 1 or S)."""
+    """Of q X_0 + start(s_0), X_t = u r + w (gamma_t X_{t+1} - k_t), k_t the ``offsets``
+    (1 or T, 1 or S).
+    """
     if len(walk.act) == len(walk.rewards) == 1:
         out, local = _merged_backward(walk, discounts, offsets, sources)
     else:
@@ -190,7 +203,9 @@ def trajectory_moments(
 
 
 def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Moments:
-    """sum_t gamma^t (sum_i W_it r_it) / (sum_i W_it): to first order the mean of sum_t gamma^t W_t (r_t - j_t) / E W_t."""
+    """sum_t gamma^t (sum_i W_it r_it) / (sum_i W_it): to first order the mean of sum_t
+    gamma^t W_t (r_t - j_t) / E W_t.
+    """
     horizon = len(discounts)
     (mass, rewards), (square, square_rewards) = (
         _step_weights(walk, horizon, power) for power in (1, 2)
@@ -238,7 +253,9 @@ def _step_weights(walk: Walk, horizon: int, power: int) -> tuple[Array, Array]:
 def _combine(
     walk: Walk, discounts: Array, out: Array, local: Array, p: float, q: float
 ) -> Moments:
-    """Of X = p L + q R, with -Cov(L, X) as its ``bias``; by step and state where the kernel kept what each step adds."""
+    """Of X = p L + q R, with -Cov(L, X) as its ``bias``; by step and state where the
+    kernel kept what each step adds.
+    """
     # what other states have must not count, even infinite
     begin = np.flatnonzero(walk.initial)
     initial, (mean_l, mean_r, var_l, cov, var_r) = walk.initial[begin], out[:, begin]
@@ -306,7 +323,9 @@ def infinite_moments(walk: Walk, sources: bool) -> Moments:
 
 
 def scale_moments(moments: Moments, shift: int) -> Moments:
-    """The moments of 2^shift X from those of X, with a warning where they are not finite."""
+    """The moments of 2^shift X from those of X, with a warning where they are not
+    finite.
+    """
     if shift != 0:
         with np.errstate(over="ignore", under="ignore"):
             deviation = float(np.ldexp(moments.standard_deviation, shift))

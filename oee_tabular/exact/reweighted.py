@@ -1,7 +1,9 @@
 """The simulator reweighted by a ratio: K_zeta(s' | s, a) = zeta(s, a, s') P(s' | s, a).
 
-Its rows need not sum to 1. The exact value of the per-decision product of ratios is J(K_zeta) (statement 20):
-a reward r(s, a) at time t carries zeta_1 ... zeta_t, a reward r(s, a, s') also zeta_{t+1}.
+Its rows need not sum to 1. The exact value of the per-decision product of ratios is
+J(K_zeta) (statement 20):
+a reward r(s, a) at time t carries zeta_1 ... zeta_t, a reward r(s, a, s') also
+zeta_{t+1}.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from oee_tabular.mdp.naming import NAMELESS, Names
 
 @dataclass(frozen=True, eq=False)
 class ReweightedModel:
-    """K_zeta with the simulator's rewards, initial distribution and discount; made by ``reweight``.
+    """K_zeta with the simulator's rewards, initial distribution and discount; made by
+    ``reweight``.
 
     Attributes
     ----------
@@ -97,7 +100,9 @@ def reweight(mdp: FiniteMDP, ratio: Any) -> ReweightedModel:
 
 
 def entries_of_ratio(mdp: FiniteMDP, ratio: Any, name: str) -> Array:
-    """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the support of P; finite and nonnegative."""
+    """(entries,) zeta, a csr (S*A, S) or an object with such ``values``, on the support
+    of P; finite and nonnegative.
+    """
     zeta = ratio_on(mdp.csr, ratio, name)
     if not 0.0 <= zeta.min() <= zeta.max() < np.inf:
         bad = int(np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))[0])
@@ -109,7 +114,9 @@ def entries_of_ratio(mdp: FiniteMDP, ratio: Any, name: str) -> Array:
 
 
 def with_rows(mdp: FiniteMDP, rows: Array, *, own: bool = False) -> ReweightedModel:
-    """The model with these rows (entries,) in place of P's, zeros kept; copied but where they are its ``own``."""
+    """The model with these rows (entries,) in place of P's, zeros kept; copied but
+    where they are its ``own``.
+    """
     kernel = csr_on_pattern(mdp.transitions, rows, own=own)
     rewards = mdp.rewards
     if mdp.reward_data is not None:

@@ -1,4 +1,6 @@
-"""A policy's linear system M x = b, M = I - gamma K, as arrays that compiled loops read."""
+"""A policy's linear system M x = b, M = I - gamma K, as arrays that compiled loops
+read.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ class DivergentKernelError(ValueError):
 
 
 class Csr(NamedTuple):
-    """A CSR matrix as kernels read it: indices of 32 bits, unsigned (signed ones cost twice the time), all read-only."""
+    """A CSR matrix as kernels read it: indices of 32 bits, unsigned (signed ones cost
+    twice the time), all read-only.
+    """
 
     indptr: Any
     indices: Any
@@ -49,7 +53,9 @@ class Kernel(NamedTuple):
 
 
 def rows_of(matrix: sparse.csr_array) -> Csr:
-    """The arrays of the matrix itself where they have 32 bits, so that each kernel is compiled for one kind of array."""
+    """The arrays of the matrix itself where they have 32 bits, so that each kernel is
+    compiled for one kind of array.
+    """
     indptr, indices, data = matrix.indptr, matrix.indices, matrix.data
     if indptr.dtype != np.int32 or indices.dtype != np.int32:
         if indptr[-1] >= 2**32:
@@ -93,7 +99,8 @@ class System:
     ----------
     kernel : K and gamma
     transpose : whether M^T x = b is meant
-    n_roundings : counts the roundings in the entries of K, where K stands for a kernel that is not rounded
+    n_roundings : counts the roundings in the entries of K, where K stands for a kernel
+        that is not rounded
     """
 
     kernel: Kernel
@@ -107,7 +114,9 @@ class System:
 
     @cached_property
     def row_sums(self) -> tuple[float, float, float]:
-        """Of K the smallest, the largest with its rounding, and half way between them, without rounding."""
+        """Of K the smallest, the largest with its rounding, and half way between them,
+        without rounding.
+        """
         smallest, largest, middle = _system.range_of_sums(
             self.kernel, float(self.n_roundings)
         )
@@ -141,10 +150,12 @@ class System:
 
     @cached_property
     def envelope(self) -> tuple[Any, ...] | None:
-        """Places in a breadth-first order, and the envelope of M in the reverse of it, where that is narrow.
+        """Places in a breadth-first order, and the envelope of M in the reverse of it,
+        where that is narrow.
 
-        Both the order along the rows and the one along the rows and back are tried: the first suits graphs in which all states
-        lead back to one, the second layers. The latter ends as soon as it is wider than ``WIDEST`` entries a state.
+        Both the order along the rows and the one along the rows and back are tried: the
+        first suits graphs in which all states lead back to one, the second layers. The
+        latter ends as soon as it is wider than ``WIDEST`` entries a state.
         """
         # an envelope has half of them at least
         if len(self.kernel.indices) > (2.0 * WIDEST + 1.0) * self.n_states:
@@ -171,14 +182,18 @@ class System:
 
 
 def average_rows(rows: Csr, policy: Array) -> Csr:
-    """sum_a policy[s, a] K(s' | s, a) of the rows s*A + a, without zeros, a row's entries in the order of its actions."""
+    """sum_a policy[s, a] K(s' | s, a) of the rows s*A + a, without zeros, a row's
+    entries in the order of its actions.
+    """
     return average_rows_of(NO_STATES, rows, policy, NO_STATES, len(rows.data))
 
 
 def average_rows_of(
     states: Any, rows: Csr, policy: Array, number: Any, n_entries: int
 ) -> Csr:
-    """The same of these states, those that follow under a new number less 1; they have ``n_entries`` in all."""
+    """The same of these states, those that follow under a new number less 1; they have
+    ``n_entries`` in all.
+    """
     room = np.empty(n_entries, dtype=np.uint32), np.empty(n_entries)
     averaged = Csr(
         *_system.average_rows(rows, np.ascontiguousarray(policy), states, number, *room)
@@ -203,7 +218,9 @@ def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
 def recurrent_states(
     system: System, rewards: Array, names: Names = NAMELESS
 ) -> BoolArray:
-    """(S,) mask of the closed classes at discount 1, which must have reward 0; the other states are solved for."""
+    """(S,) mask of the closed classes at discount 1, which must have reward 0; the
+    other states are solved for.
+    """
     kernel = system.csr()
     _, component = csgraph.connected_components(
         kernel, directed=True, connection="strong"
@@ -236,7 +253,9 @@ def drop_states(system: System, dropped: BoolArray) -> System:
 
 
 def exponent(numbers: Array) -> int:
-    """That of the largest number, where its square may leave the range of floats; else 0."""
+    """That of the largest number, where its square may leave the range of floats; else
+    0.
+    """
     largest = float(
         _system.largest_magnitude(
             np.ascontiguousarray(numbers, dtype=np.float64).reshape(-1)
@@ -250,7 +269,9 @@ def exponent(numbers: Array) -> int:
 
 
 def spectral_radius(kernel: sparse.csr_array, discount: float = 1.0) -> float:
-    """The spectral radius of discount * K for a nonnegative K, by the power method (a mean over 1000 steps)."""
+    """The spectral radius of discount * K for a nonnegative K, by the power method (a
+    mean over 1000 steps).
+    """
     vector = np.ones(kernel.shape[0])
     growth = []
     for _ in range(2000):

@@ -1,7 +1,8 @@
-"""Values of a policy: V(s), Q(s, a) and J = mu_0 . V (the paper's equation for J_P(pi)).
+"""Values of a policy: V(s), Q(s, a) and J = mu_0 . V (the paper's equation for
+J_P(pi)).
 
-A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted sum. ``normalized=True`` multiplies by
-(1 - discount), for both kinds of horizon.
+A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted sum.
+``normalized=True`` multiplies by (1 - discount), for both kinds of horizon.
 
 Each policy system, (I - gamma P) x = b or its transpose, is solved with a bound on the error: |x - x*|_inf <= |M^-1|_inf
 |residual|_inf, rounding included. ``solvers`` says which solver is asked, and where the norm of the inverse comes from.
@@ -42,7 +43,8 @@ class LinearSolution:
     Attributes
     ----------
     x : (S,)
-    error_bound : of |x - x*|_inf (of |x - x*|_1 for a transposed system), rounding included
+    error_bound : of |x - x*|_inf (of |x - x*|_1 for a transposed system), rounding
+        included
     method : "dense LU", "LU in a band", "value iteration", "BiCGSTAB" or "sparse LU"
 
     Examples
@@ -60,26 +62,29 @@ class LinearSolution:
 def solve_policy_system(
     kernel: sparse.csr_array, b: Array, discount: float, *, transpose: bool = False
 ) -> LinearSolution:
-    """Solve (I - discount K) x = b, or the transposed system, for a nonnegative kernel K.
+    """Solve (I - discount K) x = b, or the transposed system, for a nonnegative kernel
+    K.
 
     Parameters
     ----------
     kernel : csr (S, S), nonnegative; its rows may have any sum
     b : (S,)
     discount : float in [0, 1]
-    transpose : whether (I - discount K)^T x = b is solved: occupancies instead of values
+    transpose : whether (I - discount K)^T x = b is solved: occupancies instead of
+        values
 
     Raises
     ------
     ValueError
-        A kernel that is not square, sparse, finite and nonnegative, a right side of another length or not finite.
+        A kernel that is not square, sparse, finite and nonnegative, a right side of
+        another length or not finite.
     DivergentKernelError
         A ValueError: the spectral radius of discount * K is not below 1.
 
     Notes
     -----
-    Cost: O(S^3) up to 100 states; one pass where few states can reach each other (layered models); else a few
-    dozen sparse sweeps.
+    Cost: O(S^3) up to 100 states; one pass where few states can reach each other
+    (layered models); else a few dozen sparse sweeps.
 
     Examples
     --------
@@ -106,7 +111,8 @@ def solve_policy_system(
 def solve(
     system: System, b: Array, *, rounding: float = 0.0, near: Array | None = None
 ) -> LinearSolution:
-    """M x = b where every number has been checked; each entry of b is ``rounding`` from what it stands for, at most.
+    """M x = b where every number has been checked; each entry of b is ``rounding`` from
+    what it stands for, at most.
 
     ``near`` : about x, to begin with.
     """
@@ -154,8 +160,9 @@ EPS = float(np.finfo(float).eps)
 class PolicyValues:
     """V and J of a policy.
 
-    ``error_bound`` bounds |V - V*|_inf, from the residual of the linear system (0 for a finite horizon, where the sums
-    are carried out as they stand); ``method`` names the solver.
+    ``error_bound`` bounds |V - V*|_inf, from the residual of the linear system (0 for a
+    finite horizon, where the sums are carried out as they stand); ``method`` names the
+    solver.
     """
 
     values: Array
@@ -176,7 +183,8 @@ def evaluate_policy(
 ) -> PolicyValues:
     """Compute V, J and a bound on their error.
 
-    Finite horizon: V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0; infinite: (I - gamma P_pi) V = r_pi.
+    Finite horizon: V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0; infinite: (I - gamma P_pi)
+    V = r_pi.
 
     Parameters
     ----------
@@ -187,19 +195,22 @@ def evaluate_policy(
     Returns
     -------
     PolicyValues
-        ``values`` (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf and ``method``. V* is the exact solution for the
-        numbers as they are stored: transitions, policy and ``rewards`` (S, A), the rounded expectation of r(s, a, s').
+        ``values`` (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf and ``method``.
+        V* is the exact solution for the numbers as they are stored: transitions, policy
+        and ``rewards`` (S, A), the rounded expectation of r(s, a, s').
 
     Raises
     ------
     ValueError
-        Bad arguments; without a horizon, a sum that does not exist (discount 1 and a policy that is not absorbed in
-        states without reward, or a kernel whose spectral radius times the discount is not below 1).
+        Bad arguments; without a horizon, a sum that does not exist (discount 1 and a
+        policy that is not absorbed in states without reward, or a kernel whose spectral
+        radius times the discount is not below 1).
 
     Notes
     -----
-    With a horizon the recursion goes backward over all states. Cost: O(T * nnz), or one sparse solve. Values beyond the
-    largest float are infinite, and the error bound then is.
+    With a horizon the recursion goes backward over all states. Cost: O(T * nnz), or one
+    sparse solve. Values beyond the largest float are infinite, and the error bound then
+    is.
 
     Examples
     --------
@@ -224,7 +235,8 @@ def evaluate_policy(
 def infinite_values(
     model: Model, policy: Array, near: Array | None = None
 ) -> PolicyValues:
-    """V of the infinite sum; the bound on its error counts the rounding of the policy's kernel and rewards.
+    """V of the infinite sum; the bound on its error counts the rounding of the policy's
+    kernel and rewards.
 
     ``near`` (S,): about V, to begin with.
     """
@@ -298,8 +310,9 @@ def policy_value(
     Parameters
     ----------
     mdp : FiniteMDP (or a ReweightedModel)
-    policy, horizon : as in ``evaluate_policy``, whose errors are these, and its cost; with a horizon it sums over the
-        light cone: only the states that are reached within it cost anything
+    policy, horizon : as in ``evaluate_policy``, whose errors are these, and its cost;
+        with a horizon it sums over the light cone: only the states that are reached
+        within it cost anything
     normalized : whether J is multiplied by (1 - discount); an error at discount 1
 
     Examples
@@ -333,7 +346,8 @@ def policy_value(
 def state_values(
     mdp: Model, policy: PolicyLike, *, horizon: int | None = None
 ) -> Array:
-    """Compute V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised (eq. 4.1).
+    """Compute V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised (eq.
+    4.1).
 
     Parameters
     ----------
@@ -354,7 +368,8 @@ def state_values(
 def action_values(
     mdp: Model, policy: PolicyLike, *, horizon: int | None = None
 ) -> Array:
-    """Compute Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], shape (S, A); with a horizon, V has one step less to go.
+    """Compute Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], shape (S, A); with a horizon,
+    V has one step less to go.
 
     Parameters
     ----------

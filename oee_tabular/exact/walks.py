@@ -1,4 +1,6 @@
-"""Weighted paths: how they are drawn and weighted, where they lead, and how fast their weights grow."""
+"""Weighted paths: how they are drawn and weighted, where they lead, and how fast their
+weights grow.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from oee_tabular.mdp.horizons import limit_horizon
 class Walk(NamedTuple):
     """How paths are drawn, weighted and rewarded, as the kernels read it.
 
-    Actions are drawn from ``act`` and transitions from ``prob``; a step multiplies the weight by u(s, a) and w(s, a, s').
+    Actions are drawn from ``act`` and transitions from ``prob``; a step multiplies the
+    weight by u(s, a) and w(s, a, s').
 
     Attributes
     ----------
@@ -28,7 +31,8 @@ class Walk(NamedTuple):
     w : aligned with its entries
     act, u : (1 or T, S*A)
     by_transition : whether rewards are r(s, a, s')
-    rewards : (1 or T, .), aligned with the entries of P, or with its rows unless ``by_transition``
+    rewards : (1 or T, .), aligned with the entries of P, or with its rows unless
+        ``by_transition``
     initial, discount : of the MDP
     """
 
@@ -82,7 +86,9 @@ class Walk(NamedTuple):
     def weights_by_state(
         self, horizon: int, *, power: int, with_returns: bool = False
     ) -> Array:
-        """(T + 1, 3 or 1, S): E[W^power G^i 1{s_t = s}]; without ``with_returns`` i = 0 alone."""
+        """(T + 1, 3 or 1, S): E[W^power G^i 1{s_t = s}]; without ``with_returns`` i = 0
+        alone.
+        """
         return np.asarray(_moments.forward(self, horizon, power, with_returns))
 
     def reachable_states(self, horizon: int | None = None) -> BoolArray:
@@ -106,9 +112,11 @@ def walk_of(
     ratio: object = None,
     policy: Array | None = None,
 ) -> Walk:
-    """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on transitions or by policy / behavior on actions.
+    """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on transitions or by
+    policy / behavior on actions.
 
-    The weights are constant in absorbing states. Behaviour policies without support are the callers' concern.
+    The weights are constant in absorbing states. Behaviour policies without support are
+    the callers' concern.
     """
     matrix, absorbing = mdp.csr, mdp.absorbing()
     w = (
@@ -150,11 +158,13 @@ def transition_factors(mdp: FiniteMDP, ratio: object, absorbing: BoolArray) -> A
 def weight_moments(
     simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int
 ) -> tuple[Array, Array]:
-    """Compute E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,) arrays.
+    """Compute E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,)
+    arrays.
 
     In absorbing states with reward 0, where an episode has ended, W_t is constant.
 
-    E[W_t] = 1 for every t where the rows of zeta * P sum to 1; log E[W_t^2] / t -> ``weight_growth``.
+    E[W_t] = 1 for every t where the rows of zeta * P sum to 1; log E[W_t^2] / t ->
+    ``weight_growth``.
 
     Parameters
     ----------
@@ -194,10 +204,11 @@ def radius_of(matrix: sparse.csr_array) -> float:
 
 @one_thread
 def weight_growth(simulator: FiniteMDP, zeta: object, policy: PolicyLike) -> float:
-    """Compute the log of the spectral radius of (P zeta^2) under the policy: the rate at which E[W_t^2] grows, nats a step.
+    """Compute the log of the spectral radius of (P zeta^2) under the policy: the rate
+    at which E[W_t^2] grows, nats a step.
 
-    Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the transitions that recur. Of a reducible chain the
-    largest over all classes.
+    Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the
+    transitions that recur. Of a reducible chain the largest over all classes.
 
     Parameters
     ----------

@@ -1,29 +1,36 @@
-"""Confidence intervals, comparisons of policies, and tests of the simulator against the log.
+"""Confidence intervals, comparisons of policies, and tests of the simulator against the
+log.
 
-Given are the simulator P (S, A, S), counts n (S, A, S) of the target's transitions, n_x those of a state-action pair x = (s, a)
-and phat_x = n(x, .) / n_x, a policy pi (S, A), and J of eq. 3.1. Rewards are taken as known. With V the values and d the
-policy's discounted time in the pairs, unnormalised, the gradient of J is G(x, s') = d(x) (r(x, s') + gamma V(s')).
+Given are the simulator P (S, A, S), counts n (S, A, S) of the target's transitions, n_x
+those of a state-action pair x = (s, a) and phat_x = n(x, .) / n_x, a policy pi (S, A),
+and J of eq. 3.1. Rewards are taken as known. With V the values and d the policy's
+discounted time in the pairs, unnormalised, the gradient of J is G(x, s') = d(x) (r(x,
+s') + gamma V(s')).
 
 *The quoted interval* (``likelihood``, kernels in ``_likelihood``):
 
     {J(P') : sum_x n_x KL(phat_x || P'_x) <= chi^2_1 / 2},   rows without data anything that simulator or box allow,
 
-at the confidence asked for as n grows; P'_i = phat_i / (1 + e_x - tau G_i / n_x) at an end. ``Interval.sampling`` beside it
-takes rows without data as estimated. ``shared_ends``: the same where rows share parameters (a tie, features).
+at the confidence asked for as n grows; P'_i = phat_i / (1 + e_x - tau G_i / n_x) at an
+end. ``Interval.sampling`` beside it takes rows without data as estimated.
+``shared_ends``: the same where rows share parameters (a tie, features).
 
-*Large samples* (``asymptotic``): Var J = sum_x Var_phat(G_x) / n_x, or resamples; rows without data are the simulator's.
+*Large samples* (``asymptotic``): Var J = sum_x Var_phat(G_x) / n_x, or resamples; rows
+without data are the simulator's.
 
-*Guaranteed* (``robust``): P'_x in {KL(phat_x || P'_x) <= epsilon_x, nu P <= P' <= mu P} for all x at once, at any
-sample size, and V = sum_a pi max_{P'_x} P'_x (r + gamma V). ``value_range`` has the box alone, Assumption V.1.
+*Guaranteed* (``robust``): P'_x in {KL(phat_x || P'_x) <= epsilon_x, nu P <= P' <= mu P}
+for all x at once, at any sample size, and V = sum_a pi max_{P'_x} P'_x (r + gamma V).
+``value_range`` has the box alone, Assumption V.1.
 
-*Comparison* (``comparison``): Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), and one rule, ``Comparison.decide``, for the
-ranking, P(best) and every sentence about it.
+*Comparison* (``comparison``): Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), and
+one rule, ``Comparison.decide``, for the ranking, P(best) and every sentence about it.
 
-*What the simulator may lack* (``asymptotic``): the variance of a simulator that was made of samples, and to first order what
-transitions outside its support may change. ``changes``: kl(phat(A), P'(A)) <= epsilon_x bounds from below how far P' is from P.
+*What the simulator may lack* (``asymptotic``): the variance of a simulator that was
+made of samples, and to first order what transitions outside its support may change.
+``changes``: kl(phat(A), P'(A)) <= epsilon_x bounds from below how far P' is from P.
 
-``evidence`` reads counts, box and policy once for all of these. The theorems (``oee_tabular.theory``) and plans
-(``oee_tabular.design``) are reachable here as well.
+``evidence`` reads counts, box and policy once for all of these. The theorems
+(``oee_tabular.theory``) and plans (``oee_tabular.design``) are reachable here as well.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Compiled parts of the likelihood interval: one ascent, on the rows that a policy takes (``likelihood.PolicyRows``).
+"""Compiled parts of the likelihood interval: one ascent, on the rows that a policy
+takes (``likelihood.PolicyRows``).
 
-Row r of state state[r] has the entries indptr[r] .. indptr[r+1]; entry i leads to column[i], pays pay[i], has weight[i] =
-pi(a | s), and edge[i] is the place of (state, column) among the edges of the graph of states. With u_i = tau v_i / n_r, v
-centred so that sum phat v = 0, the rows that are best for v are
+Row r of state state[r] has the entries indptr[r] .. indptr[r+1]; entry i leads to
+column[i], pays pay[i], has weight[i] = pi(a | s), and edge[i] is the place of (state,
+column) among the edges of the graph of states. With u_i = tau v_i / n_r, v centred so
+that sum phat v = 0, the rows that are best for v are
 
     P_i = phat_i / (1 + e_r - u_i),   e_r: sum_i P_i = 1,   KL_r = sum_i phat_i log(1 + e_r - u_i).
 """
@@ -49,7 +51,9 @@ def ascend(rows, ascent):
 
 @njit(cache=True, error_model="numpy")
 def propose(rows, ascent):
-    """Fill ``trial`` with the rows P(x) that are best for x, the limit met as closely as the last step was long."""
+    """Fill ``trial`` with the rows P(x) that are best for x, the limit met as closely
+    as the last step was long.
+    """
     s = ascent.numbers[0]
     width = abs(s.value - s.reference) + TINY
     s.slack = SOLVED * min(s.change, width)
@@ -63,7 +67,9 @@ def propose(rows, ascent):
 
 @njit(cache=True, error_model="numpy")
 def accept(ascent, value):
-    """Take the trial rows, of this J and gradient ``slope``, or halve the step; set the next x. Whether that was the last."""
+    """Take the trial rows, of this J and gradient ``slope``, or halve the step; set the
+    next x. Whether that was the last.
+    """
     s = ascent.numbers[0]
     gain = s.sign * (value - s.value)
     is_first, is_last = s.iterations == 0, s.iterations >= N_ITERATIONS - 1
@@ -124,7 +130,8 @@ def fill_values(rows, p, values, visits, gradient):
 def fill_gradient(rows, values, visits, gradient):
     """d(s) pi(a | s) (r + gamma V(s')) less its row's mean, which counts for nothing.
 
-    In rows without data r + gamma V alone, which does not vanish where they are never reached.
+    In rows without data r + gamma V alone, which does not vanish where they are never
+    reached.
     """
     for r in range(len(rows.n)):
         mean, weight, size = 0.0, 1.0, 0.0
@@ -143,7 +150,8 @@ def fill_gradient(rows, values, visits, gradient):
 def fill_values_of_steps(rows, p, values, visits, gradient):
     """With a horizon T.
 
-    V_t = r_pi + gamma P_pi V_{t+1},   d = sum_t gamma^t alpha_t,   dJ / dP_i = pi sum_t gamma^t alpha_t (pay_i + gamma V_{t+1})
+    V_t = r_pi + gamma P_pi V_{t+1},   d = sum_t gamma^t alpha_t,   dJ / dP_i = pi sum_t
+    gamma^t alpha_t (pay_i + gamma V_{t+1})
     """
     n, gamma = len(rows.initial), rows.discount
     to_go, worth, share = (
@@ -186,10 +194,12 @@ def fill_values_of_steps(rows, p, values, visits, gradient):
 
 @njit(cache=True, error_model="numpy")
 def best_rows(rows, x, share, limit, room, tau, p):
-    """The rows that are best for ``x``, over those in ``p``: max sum x P subject to sum n KL <= limit; tau and that sum.
+    """The rows that are best for ``x``, over those in ``p``: max sum x P subject to sum
+    n KL <= limit; tau and that sum.
 
-    The limit is met to a share ``room``, from inside; ``tau`` is a guess, or 0. Of mass that goes all to one next state (rows
-    without data; states that the log never reached) only ``share`` moves.
+    The limit is met to a share ``room``, from inside; ``tau`` is a guess, or 0. Of mass
+    that goes all to one next state (rows without data; states that the log never
+    reached) only ``share`` moves.
     """
     n_rows = len(rows.n)
     spread, curvature, best = (
@@ -236,9 +246,11 @@ def best_rows(rows, x, share, limit, room, tau, p):
 
 @njit(cache=True, error_model="numpy")
 def meet_limit(tau, moving, rows, v, best, curvature, limit, room, p):
-    """tau with sum n KL at the limit, from inside, and the sum; Newton's steps in logarithms.
+    """tau with sum n KL at the limit, from inside, and the sum; Newton's steps in
+    logarithms.
 
-    Steps that leave the bracket, or find nothing to go by, become bisections (doublings while there is no bracket).
+    Steps that leave the bracket, or find nothing to go by, become bisections (doublings
+    while there is no bracket).
     """
     near, far, reached = 0.0, np.inf, 0.0
     for _ in range(200):
@@ -273,8 +285,9 @@ def meet_limit(tau, moving, rows, v, best, curvature, limit, room, p):
 def tilt(tau, moving, rows, v, best, curvature, p):
     """P of the rows that move into p; sum n KL, and its derivative in log tau.
 
-    ``curvature`` is e / tau^2, by which e of one tau is near that of the next; for a small tau the variance of v / n. Mass goes
-    to a next state that was never observed where its u is at least 1 + e: then 1 + e = u there, and it gets what is left.
+    ``curvature`` is e / tau^2, by which e of one tau is near that of the next; for a
+    small tau the variance of v / n. Mass goes to a next state that was never observed
+    where its u is at least 1 + e: then 1 + e = u there, and it gets what is left.
     """
     total, growth, phat = 0.0, 0.0, rows.phat
     for r in moving:
@@ -315,7 +328,9 @@ def tilt(tau, moving, rows, v, best, curvature, p):
 
 @njit(cache=True, error_model="numpy")
 def find_root(start, stop, phat, v, slope, e):
-    """e with sum phat / (1 + e - u) = 1, from one near by: 1 / sum is concave in e, so that Newton's steps end below it."""
+    """e with sum phat / (1 + e - u) = 1, from one near by: 1 / sum is concave in e, so
+    that Newton's steps end below it.
+    """
     low = 0.0
     for i in range(start, stop):
         if phat[i] > 0.0:
@@ -341,7 +356,9 @@ def find_root(start, stop, phat, v, slope, e):
 
 @njit(cache=True, error_model="numpy")
 def blend(rows, share, new, p):
-    """``new`` into ``p``; of mass that goes all to one next state only ``share``, the rest where it was."""
+    """``new`` into ``p``; of mass that goes all to one next state only ``share``, the
+    rest where it was.
+    """
     for r in range(len(rows.n)):
         mass, had = 0.0, 0.0
         for i in range(rows.indptr[r], rows.indptr[r + 1]):

@@ -1,24 +1,30 @@
-"""Large-sample errors of the maximum-likelihood model: covariances by the delta method, and the bootstrap.
+"""Large-sample errors of the maximum-likelihood model: covariances by the delta method,
+and the bootstrap.
 
-An interval is widened for transitions outside the simulator's support, and for a simulator that was made of samples itself.
+An interval is widened for transitions outside the simulator's support, and for a
+simulator that was made of samples itself.
 
-Of the transitions from (s, a) the target may make a share q_sa that the simulator rules out, to any state at all:
+Of the transitions from (s, a) the target may make a share q_sa that the simulator rules
+out, to any state at all:
 
     q_sa = f / (m + n)          Good and Turing's estimate of the probability of transitions never met [1]: m samples of the
                                 simulator and n of the log, f of them met once; 1 in a row without any, which was filled in
          + k / (k + n)          k transitions of the log dropped as impossible (``Problem(impossible="drop")``)
 
-To first order, at the maximum-likelihood model with D_sa the discounted time in (s, a), they take or add at most
+To first order, at the maximum-likelihood model with D_sa the discounted time in (s, a),
+they take or add at most
 
     sum_sa D_sa q_sa |extreme over all states and rewards of r + gamma V - E_p (r + gamma V)|
 
-(with a horizon the sum goes over steps too, V having those that are left). That is a band and no bound: where q is large,
-transitions that lead to where q is large again may lead further. A simulator's own sampling (``FiniteMDP.from_env``,
-``from_log``) adds the variance
+(with a horizon the sum goes over steps too, V having those that are left). That is a
+band and no bound: where q is large, transitions that lead to where q is large again may
+lead further. A simulator's own sampling (``FiniteMDP.from_env``, ``from_log``) adds the
+variance
 
     Var_mu(V) / m_starts + sum_sa,s' (D_sa p_s')^2 Var(mean reward of the transition).
 
-Source: [1] I. Good, The population frequencies of species and the estimation of population parameters, Biometrika 40, 1953.
+Source: [1] I. Good, The population frequencies of species and the estimation of
+population parameters, Biometrika 40, 1953.
 
 The bootstrap: B. Efron and R. Tibshirani, An Introduction to the Bootstrap, 1993.
 """
@@ -42,9 +48,11 @@ FEWEST_EPISODES = 10
 
 
 def value_covariances(evidences: list[Evidence], prior: float) -> tuple[Array, Array]:
-    """Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), (k, k) each of the rows that the log has, and of those it has not.
+    """Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), (k, k) each of the rows that
+    the log has, and of those it has not.
 
-    Cov_x is under (n_x phat + prior * P) / (n_x + prior), G the gradient of J at the maximum-likelihood model.
+    Cov_x is under (n_x phat + prior * P) / (n_x + prior), G the gradient of J at the
+    maximum-likelihood model.
     """
     first = evidences[0]
     rows, n = first.rows, first.rows.spread(first.n)
@@ -64,7 +72,9 @@ def value_covariances(evidences: list[Evidence], prior: float) -> tuple[Array, A
 def bootstrap_values(
     problem: Problem, evidence: Evidence, *, by: str, n_bootstrap: int, seed: Seed
 ) -> Array:
-    """J of the models of ``n_bootstrap`` resamples of transitions or of whole episodes; rows without data the simulator's."""
+    """J of the models of ``n_bootstrap`` resamples of transitions or of whole episodes;
+    rows without data the simulator's.
+    """
     generator, log, rows = _checks.generator(seed), problem.log, evidence.rows
     entry, _ = find(
         evidence.model.transitions,
@@ -113,7 +123,9 @@ def bootstrap_values(
 
 
 class Margin(NamedTuple):
-    """J of the frequencies, the variance that the simulator's sampling adds, and what the band takes and adds."""
+    """J of the frequencies, the variance that the simulator's sampling adds, and what
+    the band takes and adds.
+    """
 
     value: float
     variance: float
@@ -122,7 +134,9 @@ class Margin(NamedTuple):
     diagnostics: dict[str, float]
 
     def widen(self, lower: float, upper: float, z: float) -> tuple[float, float]:
-        """The ends for this simulator, from those for one that is known and rules nothing out wrongly."""
+        """The ends for this simulator, from those for one that is known and rules
+        nothing out wrongly.
+        """
         spread = z * np.sqrt(self.variance)
         low = (
             self.value
@@ -183,7 +197,9 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
 
 
 def _unmet_share(evidence: Evidence, pairs: Array) -> Array:
-    """(S*A,) Good and Turing's estimate in each row; ``pairs`` are the simulator's samples, inf where it is known."""
+    """(S*A,) Good and Turing's estimate in each row; ``pairs`` are the simulator's
+    samples, inf where it is known.
+    """
     rows, known, samples = (
         evidence.rows,
         ~np.isfinite(pairs),
@@ -224,7 +240,9 @@ def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
 
 
 def _reach(evidence: Evidence, values: Array) -> Array:
-    """(S*A, 2) by how much the worst and the best r + gamma V of any transition differ from the row's own mean."""
+    """(S*A, 2) by how much the worst and the best r + gamma V of any transition differ
+    from the row's own mean.
+    """
     rewards, gamma = evidence.model.reward_data, evidence.model.discount
     # r(s, a) is the row's own wherever the transition leads
     rewards_or_0 = np.zeros(1) if rewards is None else rewards

@@ -1,9 +1,11 @@
-"""Where the target differs significantly from the simulator: a lower bound on the change in every recorded pair.
+"""Where the target differs significantly from the simulator: a lower bound on the
+change in every recorded pair.
 
-With the confidence asked for, all rows at once satisfy KL(phat || P_target) <= epsilon (the balls of ``interval(method=
-"robust")``). A set A of next states has, by the data-processing inequality, kl(phat(A), P_target(A)) <= epsilon as well, so
-P_target(A) >= l, the smaller root of kl(phat(A), l) = epsilon, and the total variation between the rows is at least l - P(A).
-A is where the log has more than the simulator, {phat > P}.
+With the confidence asked for, all rows at once satisfy KL(phat || P_target) <= epsilon
+(the balls of ``interval(method= "robust")``). A set A of next states has, by the
+data-processing inequality, kl(phat(A), P_target(A)) <= epsilon as well, so P_target(A)
+>= l, the smaller root of kl(phat(A), l) = epsilon, and the total variation between the
+rows is at least l - P(A). A is where the log has more than the simulator, {phat > P}.
 """
 
 from __future__ import annotations
@@ -23,16 +25,21 @@ from oee_tabular.mdp import uniform_policy
 
 @dataclass(frozen=True, eq=False)
 class RowChanges:
-    """The distance of each pair from the simulator in total variation, the share of transitions that end elsewhere.
+    """The distance of each pair from the simulator in total variation, the share of
+    transitions that end elsewhere.
 
     Attributes
     ----------
-    certain : (S, A) in [0, 1]: at least so much, all at once, with ``confidence``; 0 where nothing is certain
-    estimated : (S, A) between the log's frequencies and the simulator; 0 without transitions
+    certain : (S, A) in [0, 1]: at least so much, all at once, with ``confidence``; 0
+        where nothing is certain
+    estimated : (S, A) between the log's frequencies and the simulator; 0 without
+        transitions
     counts : (S, A) transitions of the log
-    evidence : (S, A) nats, n KL(phat || P): the evidence of the pair's own transitions against the simulator
+    evidence : (S, A) nats, n KL(phat || P): the evidence of the pair's own transitions
+        against the simulator
     next_state : (S, A) where the log's frequency differs most, -1 without transitions
-    simulated, observed : (S, A) its probability in the simulator and its frequency in the log; nan without transitions
+    simulated, observed : (S, A) its probability in the simulator and its frequency in
+        the log; nan without transitions
     confidence, tested : of all rows together; how many they are
 
     Examples
@@ -59,7 +66,9 @@ class RowChanges:
         return int((self.certain > 0).sum())
 
     def largest(self, k: int = 10) -> list[tuple[int, int]]:
-        """The k pairs (s, a) with the largest certain change (the more evidence first among equals); none that are 0."""
+        """The k pairs (s, a) with the largest certain change (the more evidence first
+        among equals); none that are 0.
+        """
         number = _checks.positive_integer(k, "k")
         flat, guess = self.certain.reshape(-1), self.evidence.reshape(-1)
         order = np.lexsort((-guess, -flat))[:number]
@@ -76,8 +85,9 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
 
     Notes
     -----
-    Radii are "anytime" for a log with episodes, "independent" otherwise, as in ``interval``; they share 1 - confidence evenly
-    among the rows with data and more than one next state. Cost: O(nnz).
+    Radii are "anytime" for a log with episodes, "independent" otherwise, as in
+    ``interval``; they share 1 - confidence evenly among the rows with data and more
+    than one next state. Cost: O(nnz).
 
     Examples
     --------
@@ -124,7 +134,9 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
 
 
 def lower_mass(frequency: Array, epsilon: Array) -> Array:
-    """The smallest p with kl(frequency, p) <= epsilon, binary; rounded down. Bisection, O(60) passes."""
+    """The smallest p with kl(frequency, p) <= epsilon, binary; rounded down. Bisection,
+    O(60) passes.
+    """
     low, high = np.zeros(len(frequency)), np.array(frequency)
     for _ in range(60):
         middle = 0.5 * (low + high)

@@ -1,4 +1,6 @@
-"""Several policies from one log: differences with their correlation kept, a ranking, and how well estimates rank policies."""
+"""Several policies from one log: differences with their correlation kept, a ranking,
+and how well estimates rank policies.
+"""
 
 from __future__ import annotations
 
@@ -42,10 +44,12 @@ class Decision:
 
     Attributes
     ----------
-    candidates : the policies that are not significantly worse than another, largest value first
+    candidates : the policies that are not significantly worse than another, largest
+        value first
     are_equal : whether several candidates agree in all that affects J
     probability_best : policy -> P(best); None if the log cannot say
-    margin : by how much the best exceeds the next, and an interval: (difference, lower, upper); None without a best
+    margin : by how much the best exceeds the next, and an interval: (difference, lower,
+        upper); None without a best
 
     Examples
     --------
@@ -64,7 +68,9 @@ class Decision:
 
     @property
     def best(self) -> str | None:
-        """The policy that is worth most; None where the log cannot say, or several are worth the same."""
+        """The policy that is worth most; None where the log cannot say, or several are
+        worth the same.
+        """
         return self.candidates[0] if len(self.candidates) == 1 else None
 
 
@@ -78,11 +84,13 @@ class Comparison:
     values, standard_errors : (k,) of the maximum-likelihood model
     differences : (k, k) value of the row's policy minus that of the column's
     lower, upper : (k, k) intervals for the differences, at ``confidence``
-    probability_best : (k,) P(best): the probability that the policy has the largest value, under the values' joint normal
-        distribution (or the bootstrap's); ``decide`` gives it only where the log covers the policies
+    probability_best : (k,) P(best): the probability that the policy has the largest
+        value, under the values' joint normal distribution (or the bootstrap's);
+        ``decide`` gives it only where the log covers the policies
     covariance : (k, k) of the values
-    unrecorded_share : (k,) in [0, 1], the share of each policy's discounted time in states that can be left that is in
-        unrecorded stochastic pairs or in dropped transitions
+    unrecorded_share : (k,) in [0, 1], the share of each policy's discounted time in
+        states that can be left that is in unrecorded stochastic pairs or in dropped
+        transitions
     confidence : of ``lower`` and ``upper``, each by itself
 
     Examples
@@ -110,12 +118,15 @@ class Comparison:
         values: Mapping[str, float] | None = None,
         intervals: Mapping[str, Interval] | None = None,
     ) -> Decision:
-        """Say which policy is worth most: one rule for the ranking, P(best) and every sentence.
+        """Say which policy is worth most: one rule for the ranking, P(best) and every
+        sentence.
 
-        One policy is significantly better than another if the interval of their difference says so and the log has ``ENOUGH``
-        of both policies' time, or where likelihood intervals say so. P(best) is given where the log has ``ENOUGH`` of every
-        policy's time, unless it contradicts the ranking: no policy is best but P(best) exceeds the confidence of all
-        differences, or one is best (by likelihood intervals) and P(best) is below that confidence.
+        One policy is significantly better than another if the interval of their
+        difference says so and the log has ``ENOUGH`` of both policies' time, or where
+        likelihood intervals say so. P(best) is given where the log has ``ENOUGH`` of
+        every policy's time, unless it contradicts the ranking: no policy is best but
+        P(best) exceeds the confidence of all differences, or one is best (by likelihood
+        intervals) and P(best) is below that confidence.
 
         Parameters
         ----------
@@ -173,10 +184,12 @@ class Comparison:
     def bounds(
         self, one: str, other: str, intervals: Mapping[str, Interval] | None = None
     ) -> tuple[float, float]:
-        """An interval for the value of one policy minus that of another, which includes unrecorded pairs.
+        """An interval for the value of one policy minus that of another, which includes
+        unrecorded pairs.
 
-        The paired one where the log has ``ENOUGH`` of both policies' time, the difference of the likelihood intervals' ends
-        else; of two that there are, one that tells the policies apart, or the shorter. nan without either.
+        The paired one where the log has ``ENOUGH`` of both policies' time, the
+        difference of the likelihood intervals' ends else; of two that there are, one
+        that tells the policies apart, or the shorter. nan without either.
 
         Parameters
         ----------
@@ -217,7 +230,9 @@ class Comparison:
         )
 
     def _rows(self) -> list[list[str]]:
-        """The header, then a row each policy; P(best) is left out where the log cannot say."""
+        """The header, then a row each policy; P(best) is left out where the log cannot
+        say.
+        """
         rows = [
             ["policy", "value", "std. error", "P(best)", "difference from the best"]
         ]
@@ -240,7 +255,9 @@ class Comparison:
         return rows
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw by how much each policy differs from the best, with its interval; without ``ax`` on new axes."""
+        """Draw by how much each policy differs from the best, with its interval;
+        without ``ax`` on new axes.
+        """
         ends = self.differences[1:, 0], self.lower[1:, 0], self.upper[1:, 0]
         names = [f"{name} less {self.names[0]}" for name in self.names[1:]]
         best = self.decide().best
@@ -279,12 +296,15 @@ def compare_policies(
     n_bootstrap: int = 400,
     seed: Seed = 0,
 ) -> Comparison:
-    """Compare the values of policies on the same log: differences with intervals, and P(best).
+    """Compare the values of policies on the same log: differences with intervals, and
+    P(best).
 
-    Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), G the gradient of J at the maximum-likelihood model, Cov_x under the
-    frequencies with one simulated transition added, (n_x phat + P) / (n_x + 1) ("delta"): an unrecorded pair is as uncertain
-    as one transition would leave it, and a pair recorded once is not certain. With "bootstrap" the covariance is over common
-    resamples of the transitions, with unrecorded pairs as before. Differences are known much more precisely than values if
+    Cov(J_i, J_j) = sum_x Cov_x(G_i, G_j) / max(n_x, 1), G the gradient of J at the
+    maximum-likelihood model, Cov_x under the frequencies with one simulated transition
+    added, (n_x phat + P) / (n_x + 1) ("delta"): an unrecorded pair is as uncertain as
+    one transition would leave it, and a pair recorded once is not certain. With
+    "bootstrap" the covariance is over common resamples of the transitions, with
+    unrecorded pairs as before. Differences are known much more precisely than values if
     the policies visit the same pairs.
 
     Parameters
@@ -292,19 +312,22 @@ def compare_policies(
     problem : Problem
     policies : two or more, a mapping name -> policy or a list of them
     method, confidence, lower_ratio, upper_ratio : as in ``interval``
-    n_draws : draws of the joint normal distribution behind ``probability_best`` ("delta")
+    n_draws : draws of the joint normal distribution behind ``probability_best``
+        ("delta")
     n_bootstrap, seed : of the bootstrap, and of the draws
 
     Notes
     -----
-    In a box [nu, mu] sum (P' - P)^2 / P is at most (1 - nu) (mu - 1), so no pair changes the mean of G by more than the root of
-    that times its standard deviation under P: the most that an unrecorded pair adds to a standard error.
+    In a box [nu, mu] sum (P' - P)^2 / P is at most (1 - nu) (mu - 1), so no pair
+    changes the mean of G by more than the root of that times its standard deviation
+    under P: the most that an unrecorded pair adds to a standard error.
 
-    Dropped transitions, and a simulator that was sampled, widen each difference by the most that they can change either value;
-    P(best) ignores them.
+    Dropped transitions, and a simulator that was sampled, widen each difference by the
+    most that they can change either value; P(best) ignores them.
 
-    Unrecorded pairs are as simulated in the values. If a policy spends much of its time there (``unrecorded_share``), a target
-    that differs there in one direction can change its value by more than the variance shows.
+    Unrecorded pairs are as simulated in the values. If a policy spends much of its time
+    there (``unrecorded_share``), a target that differs there in one direction can
+    change its value by more than the variance shows.
 
     Examples
     --------
@@ -405,7 +428,9 @@ def _unrecorded_share(problem: Problem, evidence: Evidence) -> float:
 def _outside_changes(
     problem: Problem, evidence: Evidence, z: float
 ) -> tuple[float, float]:
-    """By how much dropped transitions, and the simulator's own sampling, may change a value: down, up."""
+    """By how much dropped transitions, and the simulator's own sampling, may change a
+    value: down, up.
+    """
     margin = outside_margin(problem, evidence)
     if margin is None:
         return 0.0, 0.0
@@ -414,7 +439,9 @@ def _outside_changes(
 
 
 def _root(covariance: Array) -> Array:
-    """B with B B^T = covariance; what of it is rounding, whose root is not, is left out: equal rows stay equal."""
+    """B with B B^T = covariance; what of it is rounding, whose root is not, is left
+    out: equal rows stay equal.
+    """
     values, vectors = np.linalg.eigh(covariance)
     is_real = values > 4.0 * len(values) * np.finfo(float).eps * values.max(initial=0.0)
     return np.asarray(vectors * np.sqrt(np.where(is_real, values, 0.0)))
@@ -427,8 +454,8 @@ class Selection:
     Attributes
     ----------
     rank_correlation : Spearman's; 1: the same order
-    regret : the best value of all minus the best of the k policies ranked first, divided by the range of true values if
-        that is not 0
+    regret : the best value of all minus the best of the k policies ranked first,
+        divided by the range of true values if that is not 0
     absolute_error : the mean |estimate - true value|, units of J
 
     Examples
@@ -445,7 +472,8 @@ class Selection:
 def selection_measures(
     estimates: ArrayLike, truths: ArrayLike, *, k: int = 1
 ) -> Selection:
-    """Compute Spearman's rank correlation, regret@k (a share of the range of true values) and mean absolute error.
+    """Compute Spearman's rank correlation, regret@k (a share of the range of true
+    values) and mean absolute error.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""The log's frequencies of each pair, and the bounds of the simulator's support and the box."""
+"""The log's frequencies of each pair, and the bounds of the simulator's support and the
+box.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,12 @@ LARGEST_REWARD = 1e140
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A problem as the sets of distributions read it, on the entries of the simulator's transitions.
+    """A problem as the sets of distributions read it, on the entries of the simulator's
+    transitions.
 
-    ``phat`` (entries,) frequencies (the simulator's rows where there are none), ``n`` (S*A,) counts, ``low`` and ``high`` the
-    box lower_ratio * P and upper_ratio * P (at most 1).
+    ``phat`` (entries,) frequencies (the simulator's rows where there are none), ``n``
+    (S*A,) counts, ``low`` and ``high`` the box lower_ratio * P and upper_ratio * P (at
+    most 1).
     """
 
     model: FiniteMDP
@@ -55,7 +59,9 @@ class Evidence:
 
     @cached_property
     def reachable(self) -> BoolArray:
-        """(S*A,) the rows that the policy can reach in some model on the simulator's support."""
+        """(S*A,) the rows that the policy can reach in some model on the simulator's
+        support.
+        """
         return reachable_rows(self)
 
     @cached_property
@@ -89,7 +95,9 @@ def evidence_of(
     lower_ratio: float | None,
     upper_ratio: float | None,
 ) -> Evidence:
-    """The same of a model and counts on its support, or None, for a policy that was checked."""
+    """The same of a model and counts on its support, or None, for a policy that was
+    checked.
+    """
     nu = (
         0.0
         if lower_ratio is None
@@ -116,7 +124,9 @@ def evidence_of(
 
 
 def require_squares(model: FiniteMDP) -> None:
-    """Rewards so small that floats hold the squares of values: what multiplies two of them would be nan."""
+    """Rewards so small that floats hold the squares of values: what multiplies two of
+    them would be nan.
+    """
     largest = float(
         np.abs(model.rewards if model.reward_data is None else model.reward_data).max()
     )
@@ -129,7 +139,9 @@ def require_squares(model: FiniteMDP) -> None:
 
 
 def unrecorded_share(evidence: Evidence) -> float:
-    """Of the policy's discounted time, the share in open rows without data, which are the simulator's."""
+    """Of the policy's discounted time, the share in open rows without data, which are
+    the simulator's.
+    """
     time = occupancy(evidence.fitted, evidence.policy, horizon=evidence.horizon)
     return float(time.reshape(-1)[(evidence.n == 0) & evidence.open_rows].sum())
 

@@ -1,4 +1,6 @@
-"""Confidence intervals for J: ``interval``, by four methods, and ``value_range``, the range of J under Assumption V.1."""
+"""Confidence intervals for J: ``interval``, by four methods, and ``value_range``, the
+range of J under Assumption V.1.
+"""
 
 from __future__ import annotations
 
@@ -58,18 +60,23 @@ class Interval:
     Attributes
     ----------
     lower, upper : the ends (nan where ``status`` says why there is none)
-    confidence : the level asked for; at least that for "robust", asymptotically for the others; 1 of a ``value_range``
-    method : "likelihood", "delta", "bootstrap" or "robust"; "likelihood under the tie" or "... under the features"; "range" of
-        a ``value_range``
-    diagnostics : plain numbers: ``unrecorded_share``, of the policy's discounted time in stochastic pairs never recorded,
-        ``unrecorded_pairs``, how many of them the policy reaches, and those of the method; if impossible transitions were
-        dropped, their number (``dropped_transitions``) and estimated share of the policy's time (``dropped_share``)
+    confidence : the level asked for; at least that for "robust", asymptotically for the
+        others; 1 of a ``value_range``
+    method : "likelihood", "delta", "bootstrap" or "robust"; "likelihood under the tie"
+        or "... under the features"; "range" of a ``value_range``
+    diagnostics : plain numbers: ``unrecorded_share``, of the policy's discounted time
+        in stochastic pairs never recorded, ``unrecorded_pairs``, how many of them the
+        policy reaches, and those of the method; if impossible transitions were dropped,
+        their number (``dropped_transitions``) and estimated share of the policy's time
+        (``dropped_share``)
     status : "ok", or the contradiction between the log and the assumed box
-    sampling : of the likelihood interval: (lower, upper) from the recorded transitions alone. If the policy reaches
-        recorded pairs only and no transition was dropped, the interval itself, before a sampled simulator widens it;
-        else the value of ``OffEnvironment()`` ± a normal quantile times its standard error, in which unrecorded pairs
-        are as estimated, with the uncertainty that one transition would leave (it covers 96% at 3 to 10 transitions a
-        pair and 90% of the time recorded). None without a standard error, and for the other methods
+    sampling : of the likelihood interval: (lower, upper) from the recorded transitions
+        alone. If the policy reaches recorded pairs only and no transition was dropped,
+        the interval itself, before a sampled simulator widens it; else the value of
+        ``OffEnvironment()`` ± a normal quantile times its standard error, in which
+        unrecorded pairs are as estimated, with the uncertainty that one transition
+        would leave (it covers 96% at 3 to 10 transitions a pair and 90% of the time
+        recorded). None without a standard error, and for the other methods
 
     Examples
     --------
@@ -108,7 +115,9 @@ class Interval:
         return f"{_printing.interval(self.lower, self.upper)}, {what}; {_printing.SUM}"
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the interval on a line (``oee_tabular.plots.plot_intervals``); without ``ax`` on new axes."""
+        """Draw the interval on a line (``oee_tabular.plots.plot_intervals``); without
+        ``ax`` on new axes.
+        """
         return plot_intervals(
             ["value"], [np.nan], [self.lower], [self.upper], ax, title=str(self)
         )
@@ -154,43 +163,52 @@ def interval(
     n_bootstrap: int = 400,
     seed: Seed = None,
 ) -> Interval:
-    """Compute a confidence interval for J of a policy in the target. Rewards are taken as known.
+    """Compute a confidence interval for J of a policy in the target. Rewards are taken
+    as known.
 
     Parameters
     ----------
     problem, policy : as for an estimator
     method : "likelihood"
-        Profile likelihood, chi-square with one degree of freedom; unrecorded pairs that the policy reaches are set to their
-        extremes in the box.
+        Profile likelihood, chi-square with one degree of freedom; unrecorded pairs that
+        the policy reaches are set to their extremes in the box.
         "delta", "bootstrap"
-        Intervals of the maximum-likelihood model; unrecorded pairs are exactly as simulated, without uncertainty.
-        "robust"
-        Guaranteed: each pair's distribution lies in a KL ball around its frequencies and in the box, in all pairs at once; the
-        extreme values by robust policy evaluation, certified.
+        Intervals of the maximum-likelihood model; unrecorded pairs are exactly as
+        simulated, without uncertainty. "robust"
+        Guaranteed: each pair's distribution lies in a KL ball around its frequencies
+        and in the box, in all pairs at once; the extreme values by robust policy
+        evaluation, certified.
     confidence : in (0, 1)
-    lower_ratio, upper_ratio : the box lower_ratio * P <= P_target <= upper_ratio * P; None: any distribution on the simulator's
-        support. It limits "likelihood" in unrecorded pairs and "robust" in all; the log is tested against it in each recorded
-        pair, weakly: ``radius`` at ``confidence``, shared by all pairs
-    tie, features : as in ``transition_ratio``, one of them: the likelihood interval of the model in which transitions of one
-        key, or along features, differ from the simulator alike, and nothing else does (``inference.likelihood``). It is
+    lower_ratio, upper_ratio : the box lower_ratio * P <= P_target <= upper_ratio * P;
+        None: any distribution on the simulator's support. It limits "likelihood" in
+        unrecorded pairs and "robust" in all; the log is tested against it in each
+        recorded pair, weakly: ``radius`` at ``confidence``, shared by all pairs
+    tie, features : as in ``transition_ratio``, one of them: the likelihood interval of
+        the model in which transitions of one key, or along features, differ from the
+        simulator alike, and nothing else does (``inference.likelihood``). It is
         narrower if the assumption is true and may miss the value if it is not
-    radius : of the balls: "independent" (fixed counts), "anytime" (random counts, as in episodes), "auto": anytime for a log
-        with episodes
-    resample, n_bootstrap, seed : what the percentile bootstrap resamples ("transitions" or "episodes"), how often, its seed
+    radius : of the balls: "independent" (fixed counts), "anytime" (random counts, as in
+        episodes), "auto": anytime for a log with episodes
+    resample, n_bootstrap, seed : what the percentile bootstrap resamples ("transitions"
+        or "episodes"), how often, its seed
 
     Returns
     -------
     Interval
-        If the counts contradict the box (with this confidence), no interval, but a status that names the pairs.
+        If the counts contradict the box (with this confidence), no interval, but a
+        status that names the pairs.
 
     Notes
     -----
-    Cost: likelihood about a hundred linear solves (10 000 states in a second); robust a few policy evaluations with O(nnz) row
-    problems each; bootstrap n_bootstrap evaluations. ``promised`` in a likelihood interval's diagnostics is a first-order bound
-    on how far models in the set may lie beyond its ends, 0 at convergence. If a Problem dropped impossible transitions,
-    "likelihood" and "robust" let them lead anywhere (to first order), and the others are refused. All intervals widen for a
-    sampled simulator's uncertainty in first states, rewards and unsampled transitions (``inference.asymptotic``;
-    ``unmet_share``: the time that the latter may take). ``sampling`` includes neither.
+    Cost: likelihood about a hundred linear solves (10 000 states in a second); robust a
+    few policy evaluations with O(nnz) row problems each; bootstrap n_bootstrap
+    evaluations. ``promised`` in a likelihood interval's diagnostics is a first-order
+    bound on how far models in the set may lie beyond its ends, 0 at convergence. If a
+    Problem dropped impossible transitions, "likelihood" and "robust" let them lead
+    anywhere (to first order), and the others are refused. All intervals widen for a
+    sampled simulator's uncertainty in first states, rewards and unsampled transitions
+    (``inference.asymptotic``; ``unmet_share``: the time that the latter may take).
+    ``sampling`` includes neither.
 
     Examples
     --------
@@ -320,7 +338,8 @@ def value_range(
     *,
     horizon: int | None = None,
 ) -> Interval:
-    """Return the values of a policy in all targets with lower_ratio * P <= P' <= upper_ratio * P (Assumption V.1).
+    """Return the values of a policy in all targets with lower_ratio * P <= P' <=
+    upper_ratio * P (Assumption V.1).
 
     Parameters
     ----------
@@ -333,18 +352,20 @@ def value_range(
     Returns
     -------
     Interval
-        Models in the box attain both ends. ``confidence`` is 1, and ``method`` "range". ``diagnostics``: the number of
-        ``sweeps``, and by how much at most rounding widened an end (``certified_beyond``).
+        Models in the box attain both ends. ``confidence`` is 1, and ``method`` "range".
+        ``diagnostics``: the number of ``sweeps``, and by how much at most rounding
+        widened an end (``certified_beyond``).
 
     Raises
     ------
     ValueError
-        Bad arguments; discount 1 without a horizon where the sum diverges in some model of the box.
+        Bad arguments; discount 1 without a horizon where the sum diverges in some model
+        of the box.
 
     Notes
     -----
-    Without data ``interval`` with this box is the same. With a horizon the target may change from step to step. Cost: some
-    policy evaluations, and O(nnz) a sweep.
+    Without data ``interval`` with this box is the same. With a horizon the target may
+    change from step to step. Cost: some policy evaluations, and O(nnz) a sweep.
 
     Examples
     --------
@@ -409,7 +430,9 @@ def _interval_under(
 def _interval_as_estimated(
     problem: Problem, evidence: Evidence, z: float, quoted: tuple[float, float]
 ) -> tuple[float, float] | None:
-    """The default's value, plus or minus a normal quantile times its standard error; within the quoted ends under a box."""
+    """The default's value, plus or minus a normal quantile times its standard error;
+    within the quoted ends under a box.
+    """
     estimate = OffEnvironment()(problem, evidence.policy)  # exact: no seed matters
     if estimate.standard_error is None or not np.isfinite(estimate.standard_error):
         return None

@@ -1,37 +1,46 @@
-"""Profile likelihood intervals: all values J(P') of models whose likelihood ratio the log does not reject.
+"""Profile likelihood intervals: all values J(P') of models whose likelihood ratio the
+log does not reject.
 
     {J(P') : sum_x n_x KL(phat_x || P'_x) <= c},   c half the chi-square quantile with one degree of freedom,
 
-asymptotically of the confidence asked for [1]; on tables the same as CoinDICE's empirical likelihood [2]. Rows without data, if
-the policy reaches them, are set to their extreme in the box (the whole simplex on the simulator's support without one).
+asymptotically of the confidence asked for [1]; on tables the same as CoinDICE's
+empirical likelihood [2]. Rows without data, if the policy reaches them, are set to
+their extreme in the box (the whole simplex on the simulator's support without one).
 
-An end is stationary where its rows are best for the gradient of J at themselves. P(x) are the rows that maximise sum x P over
-the set (``_likelihood``: P_i = phat_i / (1 + e - u_i)), G_k = d(s) pi(a | s) (r + gamma V(s')) is the gradient of J at P_k, and
-the ascent to the upper end (with -G: to the lower) is
+An end is stationary where its rows are best for the gradient of J at themselves. P(x)
+are the rows that maximise sum x P over the set (``_likelihood``: P_i = phat_i / (1 + e
+- u_i)), G_k = d(s) pi(a | s) (r + gamma V(s')) is the gradient of J at P_k, and the
+ascent to the upper end (with -G: to the lower) is
 
     P_k = P(x_k),   x_{k+1} = x_k + a (G_k - x_k);
 
-where J(P_k) is worse than J(P_{k-1}), a is halved and the step from x_{k-1} is made again; else a grows by a fifth, up to 1.
-Rows that are best for x + a (G - x) lie on an ascent of J from those that are best for x. An iteration is two linear solves,
-for V and d, and a pass over the rows.
+where J(P_k) is worse than J(P_{k-1}), a is halved and the step from x_{k-1} is made
+again; else a grows by a fifth, up to 1. Rows that are best for x + a (G - x) lie on an
+ascent of J from those that are best for x. An iteration is two linear solves, for V and
+d, and a pass over the rows.
 
-J is not concave in the rows, and where the frequencies never lead to a reward it is flat: ascents are made from several
-directions, the same each time, and the farthest ends are taken. Of 640 ends of random problems, half of them with many rows
-without data, 3 were short of the best that is known by more than 1e-5 of the interval's width, by 1.3% at most. With a horizon
-rows without data may be best mixed; these are approached slowly (.04% of the width in one of the three).
+J is not concave in the rows, and where the frequencies never lead to a reward it is
+flat: ascents are made from several directions, the same each time, and the farthest
+ends are taken. Of 640 ends of random problems, half of them with many rows without
+data, 3 were short of the best that is known by more than 1e-5 of the interval's width,
+by 1.3% at most. With a horizon rows without data may be best mixed; these are
+approached slowly (.04% of the width in one of the three).
 
-Where rows share parameters, by a tie or by features phi, the target is assumed to be P_theta proportional to P exp(theta .
-phi) in each row, phi the indicators of the keys under a tie. f(theta) is the negative log-likelihood of the counts with a
-unit Gaussian penalty on standardised directions (``ratio.prior.ridge``), theta_hat its minimiser, and the interval holds
-J(P_theta) over {theta : f(theta) - f(theta_hat) <= c}. An end is found by linearising J (Frank and Wolfe). With g the
-gradient of J at theta_k, theta_{k+1} lies between theta_k and the maximiser of s g . theta over the set, s = 1 or -1, as far
-as J grows. The set is convex, so that the maximiser is argmin f(theta) - c' s g . theta for the one c' > 0 that puts it on
-the boundary: a bracketed root in c', each value by Newton's method. At the fixed point g and f' are parallel, the first-order
-condition of an end. Pairs that were never recorded follow from theta; where the tie or the features are wrong the interval
-need not cover, however many transitions there are.
+Where rows share parameters, by a tie or by features phi, the target is assumed to be
+P_theta proportional to P exp(theta . phi) in each row, phi the indicators of the keys
+under a tie. f(theta) is the negative log-likelihood of the counts with a unit Gaussian
+penalty on standardised directions (``ratio.prior.ridge``), theta_hat its minimiser, and
+the interval holds J(P_theta) over {theta : f(theta) - f(theta_hat) <= c}. An end is
+found by linearising J (Frank and Wolfe). With g the gradient of J at theta_k,
+theta_{k+1} lies between theta_k and the maximiser of s g . theta over the set, s = 1 or
+-1, as far as J grows. The set is convex, so that the maximiser is argmin f(theta) - c'
+s g . theta for the one c' > 0 that puts it on the boundary: a bracketed root in c',
+each value by Newton's method. At the fixed point g and f' are parallel, the first-order
+condition of an end. Pairs that were never recorded follow from theta; where the tie or
+the features are wrong the interval need not cover, however many transitions there are.
 
-Sources: [1] A. Owen, Empirical Likelihood, 2001. [2] B. Dai et al., CoinDICE: Off-policy confidence interval estimation,
-NeurIPS 2020.
+Sources: [1] A. Owen, Empirical Likelihood, 2001. [2] B. Dai et al., CoinDICE:
+Off-policy confidence interval estimation, NeurIPS 2020.
 """
 
 from __future__ import annotations
@@ -83,9 +92,10 @@ FINE = 1e-9  # the same, where nothing is near
 class End(NamedTuple):
     """An end of the interval.
 
-    ``rows`` are the probabilities of the model that has it, ``divergence`` their sum of n KL (c where the set binds),
-    ``change`` the last iteration's; ``promised`` is the most that rows of the set have beyond it to first order, max G (P'' -
-    P'): 0 at a stationary point.
+    ``rows`` are the probabilities of the model that has it, ``divergence`` their sum of
+    n KL (c where the set binds), ``change`` the last iteration's; ``promised`` is the
+    most that rows of the set have beyond it to first order, max G (P'' - P'): 0 at a
+    stationary point.
     """
 
     value: float
@@ -97,10 +107,12 @@ class End(NamedTuple):
 
 
 class PolicyRows(NamedTuple):
-    """An Evidence cut down to the rows that the policy reaches in any model on the simulator's support, as kernels read it.
+    """An Evidence cut down to the rows that the policy reaches in any model on the
+    simulator's support, as kernels read it.
 
-    ``entries`` are those of the evidence; states are numbered anew; ``n_steps`` is 0 without a horizon; rewards are
-    given in their largest one as ``unit``, so that floats hold the squares of values.
+    ``entries`` are those of the evidence; states are numbered anew; ``n_steps`` is 0
+    without a horizon; rewards are given in their largest one as ``unit``, so that
+    floats hold the squares of values.
     """
 
     entries: Any
@@ -163,7 +175,8 @@ class PolicyRows(NamedTuple):
 
 
 class Ascent(NamedTuple):
-    """Where an ascent is: rows p, found for ``last_x``, with the gradient of J there (negative on the way down).
+    """Where an ascent is: rows p, found for ``last_x``, with the gradient of J there
+    (negative on the way down).
 
     Then x and the rows on ``trial``, with their V, d and gradient of J (``slope``).
     """
@@ -182,7 +195,8 @@ class Ascent(NamedTuple):
 def likelihood_ends(evidence: Evidence, confidence: float) -> tuple[End, End]:
     """Find the smallest and the largest value in the set.
 
-    Ascents begin along the gradient at the frequencies, along r + gamma V of the simulator, and along drawn directions.
+    Ascents begin along the gradient at the frequencies, along r + gamma V of the
+    simulator, and along drawn directions.
     """
     rows = PolicyRows.from_evidence(evidence)
     base, own = (
@@ -209,7 +223,9 @@ def _find_end(
     directions: list[Array],
     sign: float,
 ) -> End:
-    """The farthest end of ascents from several directions: its value to rounding, its rows, and what is promised."""
+    """The farthest end of ascents from several directions: its value to rounding, its
+    rows, and what is promised.
+    """
     is_large, end = len(rows.initial) > N_DENSE, base
     for x in directions:
         ascent = Ascent(*(part.copy() for part in base))
@@ -281,7 +297,9 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
 
 
 def _ascend(rows: PolicyRows, ascent: Ascent, settled: float) -> None:
-    """Run the loop above, or continue it, until iterations move the end by a share ``settled``."""
+    """Run the loop above, or continue it, until iterations move the end by a share
+    ``settled``.
+    """
     ascent.numbers["settled"], ascent.numbers["quiet"], is_over = (
         settled,
         0.0,
@@ -304,8 +322,8 @@ def value_of_rows(rows: PolicyRows, p: Array) -> float:
 def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> float:
     """J at rows p, whose V, d and gradient go into the ascent.
 
-    In large problems V and d are corrected from those of the rows before, to a share ``left`` of what these miss, and J = mu V
-    + d (what V misses) is then far closer.
+    In large problems V and d are corrected from those of the rows before, to a share
+    ``left`` of what these miss, and J = mu V + d (what V misses) is then far closer.
     """
     values, visits = ascent.values, ascent.visits
     if not rows.is_sparse:

@@ -1,29 +1,37 @@
-"""Guaranteed extremes of J: every row in its own set of distributions, by robust policy evaluation.
+"""Guaranteed extremes of J: every row in its own set of distributions, by robust policy
+evaluation.
 
     U(s, a) = {P : sum phat log(phat / P) <= epsilon(s, a),  low <= P <= high,  sum P = 1}
     V(s)    = sum_a pi(a | s) max_{P in U(s, a)} sum_s' P(s') (r(s, a, s') + gamma V(s'))       (min for the lower end)
 
-The best rows for V, then V for these rows, until the Bellman residual is rounding [3]. The row problems are solved with an
-upper bound each, and what is left of the residual widens the interval. The radii hold for all rows at once with the confidence
-asked for (a union over the rows).
+The best rows for V, then V for these rows, until the Bellman residual is rounding [3].
+The row problems are solved with an upper bound each, and what is left of the residual
+widens the interval. The radii hold for all rows at once with the confidence asked for
+(a union over the rows).
 
-A row's problem, maximise sum P v over U, has with multipliers lambda of the ball and eta of the sum the solution
-P = clip(lambda phat / (eta - v), low, high), ``high`` where eta <= v. For a given lambda the sum is nonincreasing in eta (one
-bracketed root; at a jump the two ends are combined), and KL falls as lambda grows (another).
+A row's problem, maximise sum P v over U, has with multipliers lambda of the ball and
+eta of the sum the solution P = clip(lambda phat / (eta - v), low, high), ``high`` where
+eta <= v. For a given lambda the sum is nonincreasing in eta (one bracketed root; at a
+jump the two ends are combined), and KL falls as lambda grows (another).
 
-Before any log there is the box of Assumption V.1 alone, nu P <= P' <= mu P. With u(s') = r(s, a, s') + gamma V-(s') the least
-value of the models within it is [3, 4]
+Before any log there is the box of Assumption V.1 alone, nu P <= P' <= mu P. With u(s')
+= r(s, a, s') + gamma V-(s') the least value of the models within it is [3, 4]
 
     V-(s) = sum_a pi(a | s) [nu E_P u + (1 - nu) CVaR_tau(u)],    tau = (1 - nu) / (mu - nu),
 
-CVaR_tau the mean of u over its worst share tau under P: each row keeps nu P and sends the remaining 1 - nu to the worst next
-states, (mu - nu) P at most to each. The largest value V+ has the best share in place of the worst.
+CVaR_tau the mean of u over its worst share tau under P: each row keeps nu P and sends
+the remaining 1 - nu to the worst next states, (mu - nu) P at most to each. The largest
+value V+ has the best share in place of the worst.
 
-Sources: [1] R. Agrawal, Finite-sample concentration of the multinomial in relative entropy, IEEE Trans. Information Theory 66,
-2020. [2] A. Jonsson et al., Planning in Markov decision processes with gap-dependent sample complexity, NeurIPS 2020. [3] G.
-Iyengar, Robust dynamic programming, Mathematics of Operations Research 30, 2005; A. Nilim and L. El Ghaoui, Robust control of
-Markov decision processes, Operations Research 53, 2005. [4] A. Bennett, N. Kallus, M. Oprescu, W. Sun and K. Wang, Efficient
-and sharp off-policy evaluation in robust Markov decision processes, NeurIPS 2024, arXiv 2404.00099.
+Sources: [1] R. Agrawal, Finite-sample concentration of the multinomial in relative
+entropy, IEEE Trans. Information Theory 66,
+2020. [2] A. Jonsson et al., Planning in Markov decision processes with gap-dependent
+  sample complexity, NeurIPS 2020. [3] G.
+Iyengar, Robust dynamic programming, Mathematics of Operations Research 30, 2005; A.
+Nilim and L. El Ghaoui, Robust control of Markov decision processes, Operations Research
+53, 2005. [4] A. Bennett, N. Kallus, M. Oprescu, W. Sun and K. Wang, Efficient and sharp
+off-policy evaluation in robust Markov decision processes, NeurIPS 2024, arXiv
+2404.00099.
 """
 
 from __future__ import annotations
@@ -47,9 +55,11 @@ N_STALLED = 8  # sweeps that no longer halve the residual: what is left is round
 
 
 def independent_radius(n: Array, k: IntArray, level: float) -> Array:
-    """epsilon with Pr(KL(phat || P) > epsilon) <= level for n independent draws over k outcomes [1].
+    """epsilon with Pr(KL(phat || P) > epsilon) <= level for n independent draws over k
+    outcomes [1].
 
-    c = n epsilon solves e^-c (e c / (k - 1))^(k - 1) = level, c > k - 1. inf where n = 0.
+    c = n epsilon solves e^-c (e c / (k - 1))^(k - 1) = level, c > k - 1. inf where n =
+    0.
     """
     order = np.maximum(k - 1.0, 1.0)
     # -c + (k-1) (1 + log(c / (k-1))) = log level: with y = c / (k-1), y e^-y = exp(log
@@ -59,14 +69,18 @@ def independent_radius(n: Array, k: IntArray, level: float) -> Array:
 
 
 def anytime_radius(n: Array, k: IntArray, level: float) -> Array:
-    """The same where n is itself random, as in episodes: (log(1/level) + (k - 1) log(e (1 + n / (k - 1)))) / n [2]."""
+    """The same where n is itself random, as in episodes: (log(1/level) + (k - 1) log(e
+    (1 + n / (k - 1)))) / n [2].
+    """
     order = np.maximum(k - 1.0, 1.0)
     c = np.log(1.0 / level) + order * (1.0 + np.log1p(n / order))
     return np.where(n > 0, c / np.maximum(n, 1.0), np.inf)
 
 
 def radii(evidence: Evidence, confidence: float, kind: str) -> Array:
-    """(S*A,) radius of each row, the failure probability shared evenly by the rows that are reached and open."""
+    """(S*A,) radius of each row, the failure probability shared evenly by the rows that
+    are reached and open.
+    """
     level = (1.0 - confidence) / max(
         int((evidence.open_rows & evidence.reachable).sum()), 1
     )
@@ -75,7 +89,9 @@ def radii(evidence: Evidence, confidence: float, kind: str) -> Array:
 
 
 class Extreme(NamedTuple):
-    """The largest value or the smallest, a bound beyond it, the Bellman residual that is left, and how many sweeps it took."""
+    """The largest value or the smallest, a bound beyond it, the Bellman residual that
+    is left, and how many sweeps it took.
+    """
 
     value: float
     bound: float
@@ -84,7 +100,9 @@ class Extreme(NamedTuple):
 
 
 def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
-    """The extreme of J over the rectangular set, largest for sign 1, certified (at discount 1 to rounding)."""
+    """The extreme of J over the rectangular set, largest for sign 1, certified (at
+    discount 1 to rounding).
+    """
     model, policy = evidence.model, evidence.policy
     p, guesses = evidence.phat.copy(), np.zeros(len(radius))
 
@@ -121,7 +139,9 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
 
 
 def find_contradictions(evidence: Evidence, confidence: float, kind: str) -> IntArray:
-    """Rows in which the KL ball of the counts misses the box: the box is wrong there, with the confidence given."""
+    """Rows in which the KL ball of the counts misses the box: the box is wrong there,
+    with the confidence given.
+    """
     radius, p = radii(evidence, confidence, kind), evidence.phat.copy()
     _, kl = _solve_rows(evidence, radius, np.zeros(len(p)), np.zeros(len(radius)), p)
     return np.flatnonzero(np.isfinite(radius) & (kl > radius * (1.0 + 1e-9) + 1e-15))
@@ -130,7 +150,9 @@ def find_contradictions(evidence: Evidence, confidence: float, kind: str) -> Int
 def _solve_rows(
     evidence: Evidence, radius: Array, v: Array, guesses: Array, p: Array
 ) -> tuple[Array, Array]:
-    """(S*A,) certified bounds on max sum P v, and the KL of the maximisers, which go into p."""
+    """(S*A,) certified bounds on max sum P v, and the KL of the maximisers, which go
+    into p.
+    """
     bound, kl = np.empty((2, len(radius)))
     part = evidence
     worst_rows(
@@ -149,10 +171,11 @@ def _solve_rows(
 
 
 def require_end(evidence: Evidence) -> None:
-    """Refuse a box in which some model keeps the policy for ever among states that it leaves in the simulator.
+    """Refuse a box in which some model keeps the policy for ever among states that it
+    leaves in the simulator.
 
-    The largest set X of such states: of each of its rows nothing has to leave X (nu = 0 or no successor outside), and X can
-    take all mass (mu P(X) >= 1).
+    The largest set X of such states: of each of its rows nothing has to leave X (nu = 0
+    or no successor outside), and X can take all mass (mu P(X) >= 1).
     """
     model, rows = evidence.model, evidence.rows
     system, rewards = (
@@ -197,7 +220,9 @@ def fill_at(eta, lam, phat, v, low, high, start, stop, out):
 
 @njit(cache=True, error_model="numpy")
 def greedy_row(v, low, high, start, stop, out):
-    """Without a ball: what ``low`` leaves goes to the largest v, then to the next; returns the last v that got some."""
+    """Without a ball: what ``low`` leaves goes to the largest v, then to the next;
+    returns the last v that got some.
+    """
     rest, eta = 1.0, np.inf
     for i in range(start, stop):
         out[i] = low[i]
@@ -215,7 +240,9 @@ def greedy_row(v, low, high, start, stop, out):
 
 @njit(cache=True, error_model="numpy")
 def row_at(lam, phat, v, low, high, start, stop, out, spare):
-    """P for a lambda above 0, summing to 1, into ``out``; returns eta. Needs sum low <= 1 <= sum high."""
+    """P for a lambda above 0, summing to 1, into ``out``; returns eta. Needs sum low <=
+    1 <= sum high.
+    """
     least, smallest, largest = 0.0, np.inf, -np.inf
     for i in range(start, stop):
         least += low[i]
@@ -254,7 +281,9 @@ def row_at(lam, phat, v, low, high, start, stop, out, spare):
 
 @njit(cache=True, error_model="numpy")
 def divergence(phat, p, start, stop):
-    """KL(phat || P) = sum phat (-log(1 + u)) + u-terms, u = (P - phat) / phat, without cancellation where P is near phat."""
+    """KL(phat || P) = sum phat (-log(1 + u)) + u-terms, u = (P - phat) / phat, without
+    cancellation where P is near phat.
+    """
     total = 0.0
     for i in range(start, stop):
         if phat[i] == 0.0:
@@ -275,7 +304,9 @@ def divergence(phat, p, start, stop):
 
 @njit(cache=True, error_model="numpy")
 def bound_above(eta, lam, epsilon, phat, v, low, high, start, stop):
-    """The Lagrangian's maximum: an upper bound on the row's problem for any eta and lambda >= 0."""
+    """The Lagrangian's maximum: an upper bound on the row's problem for any eta and
+    lambda >= 0.
+    """
     total = eta + (lam * epsilon if lam > 0.0 else 0.0)
     for i in range(start, stop):
         slope = v[i] - eta
@@ -293,7 +324,9 @@ def bound_above(eta, lam, epsilon, phat, v, low, high, start, stop):
 
 @njit(cache=True, error_model="numpy")
 def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
-    """Fill ``out`` with the maximiser; returns lambda, an upper bound on the maximum, and the KL (above epsilon: none)."""
+    """Fill ``out`` with the maximiser; returns lambda, an upper bound on the maximum,
+    and the KL (above epsilon: none).
+    """
     spread = v[start:stop].max() - v[start:stop].min()
     eta = greedy_row(v, low, high, start, stop, out)
     kl = 0.0 if epsilon == np.inf else divergence(phat, out, start, stop)
@@ -338,7 +371,9 @@ def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
 
 @njit(cache=True, error_model="numpy")
 def worst_rows(epsilon, phat, v, low, high, indptr, lam, out, above, kl):
-    """Every row; ``lam`` holds guesses and gets the multipliers. inf in ``epsilon`` is a row without data."""
+    """Every row; ``lam`` holds guesses and gets the multipliers. inf in ``epsilon`` is
+    a row without data.
+    """
     spare = np.empty(len(phat))
     for k in range(len(indptr) - 1):
         start, stop = indptr[k], indptr[k + 1]

@@ -1,8 +1,10 @@
-"""Experiments as data: settings, a function from one cell of them to rows; tables, figures and pages made of the rows.
+"""Experiments as data: settings, a function from one cell of them to rows; tables,
+figures and pages made of the rows.
 
-The cells are the product of the axes and the repetitions. ``run(cell, stream)`` returns the rows of one cell; all its random
-numbers come from ``stream``, which knows the cell and the seed alone. A cell's rows are therefore the same bits in any process,
-in any order, in the full sweep and in its smoke subset. Tables and figures read the rows only.
+The cells are the product of the axes and the repetitions. ``run(cell, stream)`` returns
+the rows of one cell; all its random numbers come from ``stream``, which knows the cell
+and the seed alone. A cell's rows are therefore the same bits in any process, in any
+order, in the full sweep and in its smoke subset. Tables and figures read the rows only.
 """
 
 from __future__ import annotations
@@ -29,10 +31,12 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Stream:
-    """The random numbers of a cell: ``numpy.random.SeedSequence(seed, spawn_key=(words, repetition))``.
+    """The random numbers of a cell: ``numpy.random.SeedSequence(seed, spawn_key=(words,
+    repetition))``.
 
-    The words are a digest of the experiment's id, of the settings named (all of the cell's by default; cells that name the
-    same ones share their random numbers) and of what they are for (``use``): numbers for different uses are independent.
+    The words are a digest of the experiment's id, of the settings named (all of the
+    cell's by default; cells that name the same ones share their random numbers) and of
+    what they are for (``use``): numbers for different uses are independent.
     """
 
     experiment: str
@@ -52,7 +56,9 @@ class Stream:
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
     def generator(self, *names: str, use: str = "") -> np.random.Generator:
-        """A new generator of ``sequence(*names, use=use)``; the same call gives the same numbers again."""
+        """A new generator of ``sequence(*names, use=use)``; the same call gives the
+        same numbers again.
+        """
         return np.random.default_rng(self.sequence(*names, use=use))
 
 
@@ -64,16 +70,19 @@ class Experiment:
     ----------
     id, title : as in ``oee reproduce ID``; the title is that of the summary
     axes : name -> values; repetitions : seeds of each cell of the axes
-    smoke : name -> values of a smoke run, of one seed; the first of an axis that is not named
-    run : (cell, stream) -> rows; the cell's own settings are added to each row. Its docstring is the caption
-    keys : columns that tell the points of the summary apart; measures : numbers that are averaged over the repetitions, the
-        first being what the experiment is about
+    smoke : name -> values of a smoke run, of one seed; the first of an axis that is not
+        named
+    run : (cell, stream) -> rows; the cell's own settings are added to each row. Its
+        docstring is the caption
+    keys : columns that tell the points of the summary apart; measures : numbers that
+        are averaged over the repetitions, the first being what the experiment is about
     draw : (table, summary, figure) -> None
-    finding : table -> what its rows show, in their own numbers, a line: the figure's title
+    finding : table -> what its rows show, in their own numbers, a line: the figure's
+        title
     paper : row of the summary -> the paper's number (nan: none published)
     group : "gridworld" | "gymnasium" | "sureness" | "continuous" | "bench"
-    requires : modules that the cells import and that an installation may lack; extra : what installs them, where it is not
-        called as the module is
+    requires : modules that the cells import and that an installation may lack; extra :
+        what installs them, where it is not called as the module is
     """
 
     id: str
@@ -99,7 +108,9 @@ class Experiment:
     def settings(
         self, *, smoke: bool = False, repetitions: int | None = None, seed: int = 0
     ) -> RunSettings:
-        """The full sweep, or its smoke subset; ``repetitions`` instead of the experiment's own."""
+        """The full sweep, or its smoke subset; ``repetitions`` instead of the
+        experiment's own.
+        """
         first = {name: values[:1] for name, values in self.axes.items()}
         axes = {**self.axes, **first, **self.smoke} if smoke else self.axes
         return RunSettings(
@@ -110,7 +121,9 @@ class Experiment:
 def experiment(
     title: str, *, draw: Any, **options: Any
 ) -> Callable[[Callable[[Cell, Stream], list[Row]]], Experiment]:
-    """Make the function below an experiment of its name; without ``finding``, that of ``draw``, which is ``Panels``."""
+    """Make the function below an experiment of its name; without ``finding``, that of
+    ``draw``, which is ``Panels``.
+    """
     options = {"finding": getattr(draw, "find", None), **options}
     return lambda run: Experiment(
         id=run.__name__, title=title, run=run, draw=draw, **options
@@ -121,8 +134,9 @@ def experiment(
 class RunSettings:
     """What a results folder is made from.
 
-    ``asked`` are settings that are no axes (JSON's types): results of others are not taken for these. ``modules`` are a
-    user's modules that the cells run: their files are part of the code.
+    ``asked`` are settings that are no axes (JSON's types): results of others are not
+    taken for these. ``modules`` are a user's modules that the cells run: their files
+    are part of the code.
     """
 
     experiment: Experiment
@@ -159,12 +173,14 @@ SIZE = (4.8, 3.9)  # of a panel, inches
 
 @dataclass(frozen=True)
 class Panels:
-    """Curves of a table against one of its columns, in a panel for each group of its rows: a figure of an experiment.
+    """Curves of a table against one of its columns, in a panel for each group of its
+    rows: a figure of an experiment.
 
     Attributes
     ----------
     y, x : columns; a point is the mean over the rows of an x (the seeds)
-    curves : the column that tells the curves apart; None: there are those of ``extra`` alone
+    curves : the column that tells the curves apart; None: there are those of ``extra``
+        alone
     by : columns that tell the groups apart
     title : of a panel, with columns of ``by`` in braces; None: their names and values
     xlabel, ylabel : with units
@@ -173,10 +189,12 @@ class Panels:
     bands : whether the smallest and the largest row of each point are shown
     only : rows -> those that are drawn
     log : whether y is logarithmic; what is not positive is left out
-    slope : of a line in logarithmic axes through the first curve's first point; None: none
+    slope : of a line in logarithmic axes through the first curve's first point; None:
+        none
     beneath : (ax, rows) -> draws first what is no curve of the table
     axes : further settings, as ``Axes.set`` takes them
-    beside : further panels for each group, whose ``by``, ``columns`` and ``size`` are this one's
+    beside : further panels for each group, whose ``by``, ``columns`` and ``size`` are
+        this one's
     columns : panels side by side, None: all; size : of a panel, inches
     """
 
@@ -219,7 +237,9 @@ class Panels:
             panel._draw(panel.only(rows), ax)
 
     def find(self, table: pd.DataFrame) -> str:
-        """The three lowest curves at the largest x: "RMSE at n = 31623: 0.0041 (default), 0.012 (simulator)"."""
+        """The three lowest curves at the largest x: "RMSE at n = 31623: 0.0041
+        (default), 0.012 (simulator)".
+        """
         rows = self.only(table)
         last = rows[self.x].max()
         values = (
@@ -331,7 +351,9 @@ TITLE_SIZE = 12.0  # points at most
 
 
 def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
-    """Mean, sd, standard error of the measures and number of seeds at each point; the paper's number, and ours / paper."""
+    """Mean, sd, standard error of the measures and number of seeds at each point; the
+    paper's number, and ours / paper.
+    """
     grouped = table.groupby(list(experiment.keys), sort=False, dropna=False)
     parts: list[Any] = [grouped.size().rename("seeds")]
     for measure in experiment.measures:
@@ -349,7 +371,9 @@ def summary_of(experiment: Experiment, table: pd.DataFrame) -> pd.DataFrame:
 
 
 def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
-    """What is made of the rows of a sweep, by the names of the files; the same bytes for the same table."""
+    """What is made of the rows of a sweep, by the names of the files; the same bytes
+    for the same table.
+    """
     experiment = settings.experiment
     summary, finding = summary_of(experiment, table), experiment.finding(table)
 
@@ -389,7 +413,9 @@ def draw_bytes(
 
 
 def share_legend(figure: Any) -> None:
-    """One legend below the panels instead of one in each, where one panel has the series of all and more than three."""
+    """One legend below the panels instead of one in each, where one panel has the
+    series of all and more than three.
+    """
     drawn = [ax for ax in figure.axes if ax.get_legend() is not None]
     entries = [
         dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
@@ -422,7 +448,9 @@ def set_title(figure: Any, text: str) -> None:
 
 
 def page(settings: RunSettings, finding: str, summary: pd.DataFrame) -> str:
-    """The summary as markdown: its title, the figure with what it shows, how it was made, the numbers."""
+    """The summary as markdown: its title, the figure with what it shows, how it was
+    made, the numbers.
+    """
     experiment = settings.experiment
     is_full = settings.as_dict()["axes"] == experiment.settings().as_dict()["axes"]
     command = (

@@ -1,13 +1,17 @@
-"""Sweeps: the cells of an experiment through joblib, on this machine or on a dask cluster, and the folder that keeps them.
+"""Sweeps: the cells of an experiment through joblib, on this machine or on a dask
+cluster, and the folder that keeps them.
 
-Every cell runs with one BLAS thread, and draws its numbers from its own stream: serial, processes and cluster give the same
-bits. Finished cells are written by this process as they come in, one repetition of all after the other; an interrupted sweep
-goes on from there, or is written with as many repetitions as it has (``--seeds``).
+Every cell runs with one BLAS thread, and draws its numbers from its own stream: serial,
+processes and cluster give the same bits. Finished cells are written by this process as
+they come in, one repetition of all after the other; an interrupted sweep goes on from
+there, or is written with as many repetitions as it has (``--seeds``).
 
-A results folder has settings.json, cells.jsonl and the files that are made of them. A line of cells.jsonl is a finished cell:
-what it is of (experiment, seed, cell, code), its rows, and a checksum of both. A folder may come from a stranger. A line whose
-checksum, settings or columns do not fit is left out, its cell is computed again, and the run says so. Links, and whatever else
-is no plain file, are refused before anything is written. Results of other code are kept: that code may be run again.
+A results folder has settings.json, cells.jsonl and the files that are made of them. A
+line of cells.jsonl is a finished cell: what it is of (experiment, seed, cell, code),
+its rows, and a checksum of both. A folder may come from a stranger. A line whose
+checksum, settings or columns do not fit is left out, its cell is computed again, and
+the run says so. Links, and whatever else is no plain file, are refused before anything
+is written. Results of other code are kept: that code may be run again.
 """
 
 from __future__ import annotations
@@ -76,9 +80,11 @@ DAMAGE = (
 
 @functools.cache
 def code_version(*modules: str) -> str:
-    """The package's version and a digest of its files: what a result depends on, besides the settings and the libraries.
+    """The package's version and a digest of its files: what a result depends on,
+    besides the settings and the libraries.
 
-    The files of a user's ``modules`` count as well, each by itself (not what it imports).
+    The files of a user's ``modules`` count as well, each by itself (not what it
+    imports).
     """
     digest = hashlib.sha256()
     for path in sorted(
@@ -102,7 +108,9 @@ def code_version(*modules: str) -> str:
 def refuse_links(
     folder: Path, names: Iterable[str] = (*FILES, LOCK), *, are_folders: bool = False
 ) -> None:
-    """ValueError where what a run writes is a link, or no plain file (no folder): it could lead out of the folder."""
+    """ValueError where what a run writes is a link, or no plain file (no folder): it
+    could lead out of the folder.
+    """
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder} must be a folder; it is a file")
     for path in (folder / name for name in names):
@@ -117,7 +125,8 @@ def refuse_links(
 
 @contextlib.contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Hold ``folder``, made where it is not there; ValueError where another command does, or a file in it is a link.
+    """Hold ``folder``, made where it is not there; ValueError where another command
+    does, or a file in it is a link.
 
     The lock is the system's: it ends with the process that holds it, however it dies.
     """
@@ -158,14 +167,16 @@ class Store:
 
     Attributes
     ----------
-    stale : lines of other code, which are kept; damaged : lines that do not fit, which are left out
+    stale : lines of other code, which are kept; damaged : lines that do not fit, which
+        are left out
     computed, cached : cells that a run computed, and that it took from here
 
     Raises
     ------
     ValueError
-        The folder holds results of other settings (the difference is named), unless ``fresh``, which empties it first.
-        More repetitions are no other settings, nor are fewer where the sweep was interrupted: finished cells are kept.
+        The folder holds results of other settings (the difference is named), unless
+        ``fresh``, which empties it first. More repetitions are no other settings, nor
+        are fewer where the sweep was interrupted: finished cells are kept.
     """
 
     def __init__(
@@ -268,7 +279,9 @@ class Store:
             self._others.append(line.decode() + "\n")
 
     def _fits(self, cell: Cell, rows: list[Row]) -> bool:
-        """Whether it is a cell of the axes, and its rows hold plain values, every key, and numbers as measures."""
+        """Whether it is a cell of the axes, and its rows hold plain values, every key,
+        and numbers as measures.
+        """
         experiment, axes = self.settings.experiment, self.settings.axes
         is_cell = {*cell} == {*axes, "repetition"} and all(
             cell[name] in values for name, values in axes.items()
@@ -293,7 +306,9 @@ class Store:
         return True
 
     def open(self) -> None:
-        """Make the folder and say what it will hold; what did not fit leaves cells.jsonl."""
+        """Make the folder and say what it will hold; what did not fit leaves
+        cells.jsonl.
+        """
         self.folder.mkdir(parents=True, exist_ok=True)
         settings = json.dumps(self.settings.as_dict(), indent=1) + "\n"
         lines = [
@@ -321,7 +336,9 @@ class Store:
         return json.dumps({"content": content, "sha256": digest}) + "\n"
 
     def missing(self) -> list[Cell]:
-        """The cells that are still to be computed, one repetition of all after the other."""
+        """The cells that are still to be computed, one repetition of all after the
+        other.
+        """
         left = [cell for cell in self.settings.cells() if _name(cell) not in self._done]
         return sorted(left, key=lambda cell: cell["repetition"])
 
@@ -401,7 +418,9 @@ def run_and_write(
     say: Callable[[str], object],
     **options: Any,
 ) -> None:
-    """What both commands do in a folder that is theirs alone: compute, write the files, say what was done."""
+    """What both commands do in a folder that is theirs alone: compute, write the files,
+    say what was done.
+    """
     start = time.perf_counter()
     with alone(folder):
         store = run_experiment(folder, settings, **options)
@@ -420,8 +439,9 @@ def run_experiment(
 ) -> Store:
     """Compute the cells that are not in the folder yet.
 
-    ``jobs``: processes on this machine, no more than cells are left; -1: one a core. ``dask``: address of a scheduler, where
-    the cells go instead. ``fresh``: empty the folder first. Nothing is written before the workers are there and have this code.
+    ``jobs``: processes on this machine, no more than cells are left; -1: one a core.
+    ``dask``: address of a scheduler, where the cells go instead. ``fresh``: empty the
+    folder first. Nothing is written before the workers are there and have this code.
     """
     if (
         isinstance(jobs, bool)
@@ -511,7 +531,9 @@ def _run_cell(
     modules: tuple[str, ...],
     code: str,
 ) -> tuple[int, list[Row]]:
-    """The rows of one cell, with one thread; refused where the package is another version than the one that asks."""
+    """The rows of one cell, with one thread; refused where the package is another
+    version than the one that asks.
+    """
     from threadpoolctl import threadpool_limits
 
     _refuse_other_code("a worker", code_version(*modules), code)
@@ -527,7 +549,9 @@ def _run_cell(
 
 
 def _check_workers(client: Any) -> None:
-    """Every worker that is there now has this code; those that come later are checked by their first cell."""
+    """Every worker that is there now has this code; those that come later are checked
+    by their first cell.
+    """
     for address, threads in client.nthreads().items():
         if threads > 1:
             raise RuntimeError(
@@ -548,7 +572,9 @@ def _refuse_other_code(worker: str, found: object, asked: str) -> None:
 
 @contextlib.contextmanager
 def _hold_interrupts() -> Iterator[None]:
-    """Processes that are started here are not interrupted by Ctrl-C: this one is, and ends them."""
+    """Processes that are started here are not interrupted by Ctrl-C: this one is, and
+    ends them.
+    """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return

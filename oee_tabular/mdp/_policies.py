@@ -1,4 +1,6 @@
-"""The test that the rows of an array are distributions, in one pass: .2 us where numpy takes 6.4 (4 states, 2 actions)."""
+"""The test that the rows of an array are distributions, in one pass: .2 us where numpy
+takes 6.4 (4 states, 2 actions).
+"""
 
 from numba import njit
 

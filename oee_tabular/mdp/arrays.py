@@ -1,4 +1,6 @@
-"""Arrays of an MDP: their rules, and P(s' | s, a) and r(s, a, s') as the entries of sparse rows s*A + a."""
+"""Arrays of an MDP: their rules, and P(s' | s, a) and r(s, a, s') as the entries of
+sparse rows s*A + a.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ _SHAPES = (
 
 
 class CsrArrays(NamedTuple):
-    """The read-only arrays of a csr matrix, without scipy's object, which takes longer to make than V of 4 states."""
+    """The read-only arrays of a csr matrix, without scipy's object, which takes longer
+    to make than V of 4 states.
+    """
 
     indptr: IntArray
     indices: IntArray
@@ -72,7 +76,9 @@ class CsrArrays(NamedTuple):
 def name_transition(
     matrix: Any, entry: int, n_actions: int, names: Names = NAMELESS
 ) -> str:
-    """``s=3, a=1 -> s'=7`` for an entry of rows s*A + a; names in place of numbers where there are some."""
+    """``s=3, a=1 -> s'=7`` for an entry of rows s*A + a; names in place of numbers
+    where there are some.
+    """
     row = int(np.searchsorted(matrix.indptr, entry, side="right")) - 1
     return names.transition(*divmod(row, n_actions), matrix.indices[entry])
 
@@ -87,7 +93,9 @@ def csr_from_entries(
 
 
 def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
-    """Return the entries of P, S and A; what another MDP has checked (``CsrArrays``) is taken as it is."""
+    """Return the entries of P, S and A; what another MDP has checked (``CsrArrays``) is
+    taken as it is.
+    """
     if isinstance(transitions, CsrArrays):
         csr = transitions
         # those of a pickle can be written to
@@ -136,7 +144,8 @@ def _check_sparse_transitions(transitions: Any) -> CsrArrays:
 def check_rewards(
     rewards: Any, csr: CsrArrays, n_actions: int
 ) -> tuple[Array, Array | None, Any]:
-    """Return r(s, a); and of r(s, a, s') its values on the entries of P and its table, where nan or no entry is undefined.
+    """Return r(s, a); and of r(s, a, s') its values on the entries of P and its table,
+    where nan or no entry is undefined.
 
     r(s, a) = sum_s' P(s' | s, a) r(s, a, s').
     """
@@ -237,10 +246,12 @@ def require_numbers(values: Any, size: int, name: str, whose: str = "") -> None:
 
 
 def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
-    """Return a new (S, c) array of coordinates: (S,) or (S, c) finite numbers, or a grid's shape (height, width).
+    """Return a new (S, c) array of coordinates: (S,) or (S, c) finite numbers, or a
+    grid's shape (height, width).
 
-    In a grid state s lies in row s // width, column s % width. A tuple of two integers is a grid's shape; of two states it may
-    also be their coordinates, where its product is not 2.
+    In a grid state s lies in row s // width, column s % width. A tuple of two integers
+    is a grid's shape; of two states it may also be their coordinates, where its product
+    is not 2.
     """
     if (
         isinstance(value, tuple)

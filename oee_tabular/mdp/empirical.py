@@ -1,14 +1,18 @@
-"""Empirical MDPs: P(s' | s, a) = n(s, a, s') / n(s, a) of a log, or of an environment that is stepped.
+"""Empirical MDPs: P(s' | s, a) = n(s, a, s') / n(s, a) of a log, or of an environment
+that is stepped.
 
-The ``Explorer`` of an environment goes where state-action pairs have too few samples. With n(s, a) samples of each pair, N
-wanted, and the frequencies P_n, mu_n of what has been met so far, value iteration solves
+The ``Explorer`` of an environment goes where state-action pairs have too few samples.
+With n(s, a) samples of each pair, N wanted, and the frequencies P_n, mu_n of what has
+been met so far, value iteration solves
 
     V(s) = max(gamma V_0, max_a Q(s, a)),    V_0 = sum_s mu_n(s) V(s),
     Q(s, a) = 1 where n(s, a) < N (an action that was never taken among them), else gamma sum_s' P_n(s' | s, a) V(s'),
 
-with V_0 in place of V(s') where the episode terminates; gamma V_0 is what a reset is worth, so that traps are left. V is the
-largest E gamma^t, t the steps to the nearest pair that lacks samples. Each state that was met was reached from a first state:
-V > 0 as long as a pair lacks. On a warehouse of 144 states and 3 actions each sample that is wanted takes 2.2 steps.
+with V_0 in place of V(s') where the episode terminates; gamma V_0 is what a reset is
+worth, so that traps are left. V is the largest E gamma^t, t the steps to the nearest
+pair that lacks samples. Each state that was met was reached from a first state: V > 0
+as long as a pair lacks. On a warehouse of 144 states and 3 actions each sample that is
+wanted takes 2.2 steps.
 """
 
 from __future__ import annotations
@@ -40,9 +44,11 @@ class Sampling(NamedTuple):
 
     Attributes
     ----------
-    pairs : (S*A,) samples of each (s, a): inf of terminal states, 0 where none was taken and the row was filled in
+    pairs : (S*A,) samples of each (s, a): inf of terminal states, 0 where none was
+        taken and the row was filled in
     starts : first states that were sampled, inf if the initial distribution was given
-    reward_error : csr (S*A, S), the variance of the mean reward of each transition; None where rewards were given
+    reward_error : csr (S*A, S), the variance of the mean reward of each transition;
+        None where rewards were given
     """
 
     pairs: Array
@@ -58,7 +64,9 @@ def log_arguments(
     names: tuple[Any, Any],
     layout: object,
 ) -> dict[str, Any]:
-    """Return the arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_log`` explains these."""
+    """Return the arguments of ``FiniteMDP`` but for the discount;
+    ``FiniteMDP.from_log`` explains these.
+    """
     require_log(log)
     n_states, states, (state, following) = _resolve(
         log, "state", ("state", "next_state"), sizes[0], names[0]
@@ -102,7 +110,9 @@ def log_arguments(
 def _resolve(
     log: Any, label: str, columns: tuple[str, ...], size: object, names: object
 ) -> tuple[int, tuple[Name, ...] | None, list[IntArray]]:
-    """Return the number of states or actions, their names, and the log's columns of them in these numbers."""
+    """Return the number of states or actions, their names, and the log's columns of
+    them in these numbers.
+    """
     own, codes = (
         getattr(log, f"{label}_names"),
         [getattr(log, column) for column in columns],
@@ -136,7 +146,9 @@ def _resolve(
 def env_arguments(
     env: Any, samples_per_pair: object, seed: Seed, max_steps: object
 ) -> dict[str, Any]:
-    """Return the arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_env`` explains these."""
+    """Return the arguments of ``FiniteMDP`` but for the discount;
+    ``FiniteMDP.from_env`` explains these.
+    """
     n_wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
     limit = _checks.positive_integer(max_steps, "max_steps")
     if not hasattr(env, "step") or not hasattr(env, "reset"):
@@ -227,7 +239,8 @@ def _empirical_arguments(
 ) -> dict[str, Any]:
     """Return the arguments of the MDP of samples, and what they are known by.
 
-    ``initial`` None: the frequencies of ``starts``. ``rewards`` None: the mean reward of each transition.
+    ``initial`` None: the frequencies of ``starts``. ``rewards`` None: the mean reward
+    of each transition.
     """
     n_states, n_actions = shape
     law = (
@@ -285,8 +298,9 @@ def _fill_pairs(
 ) -> Outcomes:
     """Return the samples, and others for pairs (s, a) that have none.
 
-    An action never taken in a state does what the other actions did there; a state never left is absorbing with reward 0,
-    but for those that are entered by termination alone. A warning names such pairs.
+    An action never taken in a state does what the other actions did there; a state
+    never left is absorbing with reward 0, but for those that are entered by termination
+    alone. A warning names such pairs.
     """
     state, action, following, _, _, terminated = samples
     n_states = len(initial)
@@ -330,9 +344,11 @@ def _count_samples(
     *,
     has_rewards: bool,
 ) -> Sampling:
-    """Count the samples of each pair, and compute the variance of each transition's mean reward where they have rewards.
+    """Count the samples of each pair, and compute the variance of each transition's
+    mean reward where they have rewards.
 
-    The variance of a mean of k rewards is s^2 / k, s^2 the transition's own, or the pooled one where k = 1.
+    The variance of a mean of k rewards is s^2 / k, s^2 the transition's own, or the
+    pooled one where k = 1.
     """
     n_rows, n_states = shape
     row = samples.state * (n_rows // n_states) + samples.action
@@ -368,10 +384,12 @@ RESET = -1  # the action of leaving an episode; the next state where it terminat
 
 
 class Explorer:
-    """Samples of an environment: ``transitions`` (state, action, next state, reward, terminated), and ``starts``.
+    """Samples of an environment: ``transitions`` (state, action, next state, reward,
+    terminated), and ``starts``.
 
-    ``states``: the number of each observation, in the order in which they are met. ``open``: those in which an episode can
-    act; ``lacking``: their pairs (state, action) with too few samples.
+    ``states``: the number of each observation, in the order in which they are met.
+    ``open``: those in which an episode can act; ``lacking``: their pairs (state,
+    action) with too few samples.
     """
 
     def __init__(
@@ -446,7 +464,9 @@ class Explorer:
         ]
 
     def _set_open(self, state: int, is_open: bool) -> None:
-        """Keep whether an episode can act in a state, so that its pairs are to have samples."""
+        """Keep whether an episode can act in a state, so that its pairs are to have
+        samples.
+        """
         if is_open and state not in self.open:
             self.open.add(state)
             self.lacking.update((state, a) for a in self._actions_that_lack(state))
@@ -455,7 +475,9 @@ class Explorer:
             self.lacking.difference_update((state, a) for a in range(self.n_actions))
 
     def _choose(self, state: int, is_first: bool) -> int:
-        """Return a lacking action, the one that leads nearest to others; else what the plan says."""
+        """Return a lacking action, the one that leads nearest to others; else what the
+        plan says.
+        """
         is_planned = state < len(self._values)
         if lacking := self._actions_that_lack(state):
             ahead = self._values[state] if is_planned else [0.0] * self.n_actions
@@ -471,7 +493,9 @@ class Explorer:
         )
 
     def _plan(self) -> None:
-        """Solve for V by value iteration from 0, and keep the best actions and gamma sum_s' P_n V of each pair."""
+        """Solve for V by value iteration from 0, and keep the best actions and gamma
+        sum_s' P_n V of each pair.
+        """
         n = len(self.states)
         is_lacking, is_taken = np.zeros((2, n, self.n_actions), dtype=np.bool_)
         for pair in self.lacking:

@@ -1,4 +1,6 @@
-"""A FiniteMDP as the plain arrays of an npz file: csr parts of P and r(s, a, s'), the others as they are."""
+"""A FiniteMDP as the plain arrays of an npz file: csr parts of P and r(s, a, s'), the
+others as they are.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ _PARTS = ("data", "indices", "indptr")
 
 
 def file_arrays(mdp: Any, layout: object) -> dict[str, Any]:
-    """Return what a file holds; ``layout``: the one that was given, without the coordinates of names."""
+    """Return what a file holds; ``layout``: the one that was given, without the
+    coordinates of names.
+    """
     pairs, starts, error = mdp.sampling or (None, None, None)
     arrays = {
         "shape": mdp.rewards.shape,
@@ -47,7 +51,9 @@ def file_arrays(mdp: Any, layout: object) -> dict[str, Any]:
 
 
 def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of ``FiniteMDP`` from what a file holds; KeyError or ValueError for what is none."""
+    """Return the arguments of ``FiniteMDP`` from what a file holds; KeyError or
+    ValueError for what is none.
+    """
     sizes = arrays["shape"]
     if sizes.shape != (2,) or sizes.dtype.kind not in "iu" or sizes.min() < 1:
         raise ValueError(

@@ -1,4 +1,6 @@
-"""A finite MDP (S, A, P, r, mu_0, gamma), the model of the paper's eq. 3.4, on sparse rows s*A + a."""
+"""A finite MDP (S, A, P, r, mu_0, gamma), the model of the paper's eq. 3.4, on sparse
+rows s*A + a.
+"""
 
 from __future__ import annotations
 
@@ -37,41 +39,54 @@ KIND = "finite_mdp"
 
 
 class FiniteMDP:
-    """A finite Markov decision process, checked when it is made and immutable afterwards.
+    """A finite Markov decision process, checked when it is made and immutable
+    afterwards.
 
     Parameters
     ----------
     transitions : (S, A, S) array, or sparse of shape (S*A, S)
-        P(s' | s, a), in row ``s*A + a`` of the sparse form; nonnegative, rows sum to 1 (tolerance 1e-8; those of a dense
-        single-precision array are scaled). A terminal state leads to itself with reward 0.
+        P(s' | s, a), in row ``s*A + a`` of the sparse form; nonnegative, rows sum to 1
+        (tolerance 1e-8; those of a dense single-precision array are scaled). A terminal
+        state leads to itself with reward 0.
     rewards : (S,), (S, A) or (S, A, S) array, or sparse of shape (S*A, S)
-        r(s), r(s, a) or r(s, a, s'), finite. In a dense r(s, a, s') a nan outside the support of P means "undefined".
-        In a sparse one an absent entry is 0 on the support and undefined elsewhere.
+        r(s), r(s, a) or r(s, a, s'), finite. In a dense r(s, a, s') a nan outside the
+        support of P means "undefined". In a sparse one an absent entry is 0 on the
+        support and undefined elsewhere.
     initial : (S,) array
-        Distribution mu_0 of the first state; or one state, by number or name, or a mapping state -> probability.
+        Distribution mu_0 of the first state; or one state, by number or name, or a
+        mapping state -> probability.
     discount : float in [0, 1]
-        gamma. At 1 an infinite horizon is defined only for policies that are absorbed in states without reward.
+        gamma. At 1 an infinite horizon is defined only for policies that are absorbed
+        in states without reward.
     terminal_state : (S0,) integers, optional
-        terminal_state[s] is the state that a transition which *terminates* on entering s goes to, for s < S0, the number
-        of the environment's own states. By default s itself.
+        terminal_state[s] is the state that a transition which *terminates* on entering
+        s goes to, for s < S0, the number of the environment's own states. By default s
+        itself.
     layout : (S,) or (S, c) array, or a grid's shape (height, width), optional
-        Finite coordinates of the states, for displacements (``mdp.displacements``) and maps ((row, column) if c = 2). With a
-        shape, whose product is S, state s lies in row s // width. None: the coordinates in ``state_names`` if all are tuples
-        of numbers of one length, (3, 4); else none.
+        Finite coordinates of the states, for displacements (``mdp.displacements``) and
+        maps ((row, column) if c = 2). With a shape, whose product is S, state s lies in
+        row s // width. None: the coordinates in ``state_names`` if all are tuples of
+        numbers of one length, (3, 4); else none.
     sampling : Sampling, optional
-        The sample sizes of an MDP made of samples; ``from_log`` and ``from_env`` give it, and intervals widen by it.
+        The sample sizes of an MDP made of samples; ``from_log`` and ``from_env`` give
+        it, and intervals widen by it.
     state_names, action_names : S, A texts or tuples of texts and numbers, optional
-        Distinct names of the states and the actions; none reads as a number. Logs and policies may use them.
+        Distinct names of the states and the actions; none reads as a number. Logs and
+        policies may use them.
 
     Attributes
     ----------
     n_states, n_actions : int
     transitions : csr_array of shape (S*A, S), without explicit zeros
     rewards : (S, A) expected reward
-    transition_rewards : csr_array of shape (S*A, S), an entry wherever r(s, a, s') is defined, or None
-    initial, discount, terminal_state, layout ((S, c) or None), state_names, action_names (tuples or None), sampling (or None)
-    csr : the arrays of ``transitions`` (indptr, indices, data, shape); scipy's matrix is made when it is first asked for
-    reward_data : r(s, a, s') on the entries of ``transitions`` (aligned with ``transitions.data``), None for r(s, a)
+    transition_rewards : csr_array of shape (S*A, S), an entry wherever r(s, a, s') is
+        defined, or None
+    initial, discount, terminal_state, layout ((S, c) or None), state_names,
+        action_names (tuples or None), sampling (or None)
+    csr : the arrays of ``transitions`` (indptr, indices, data, shape); scipy's matrix
+        is made when it is first asked for
+    reward_data : r(s, a, s') on the entries of ``transitions`` (aligned with
+        ``transitions.data``), None for r(s, a)
     names : both, for sentences (``mdp.naming``)
 
     Raises
@@ -198,12 +213,16 @@ class FiniteMDP:
 
     @cached_property
     def transitions(self) -> sparse.csr_array:
-        """P(s' | s, a): csr of shape (S*A, S), sorted, without explicit zeros, read-only."""
+        """P(s' | s, a): csr of shape (S*A, S), sorted, without explicit zeros,
+        read-only.
+        """
         return self.csr.to_matrix()
 
     @cached_property
     def transition_rewards(self) -> sparse.csr_array | None:
-        """r(s, a, s') as csr of shape (S*A, S), an entry wherever it is defined; None for r(s, a)."""
+        """r(s, a, s') as csr of shape (S*A, S), an entry wherever it is defined; None
+        for r(s, a).
+        """
         if not isinstance(self._reward_table, np.ndarray):
             return self._reward_table
         rows = self._reward_table.reshape(self.csr.shape)
@@ -213,7 +232,9 @@ class FiniteMDP:
 
     @property
     def names(self) -> Names:
-        """The names of states and actions for sentences, which use numbers where there are none."""
+        """The names of states and actions for sentences, which use numbers where there
+        are none.
+        """
         return Names(self.state_names, self.action_names)
 
     def absorbing(self) -> BoolArray:
@@ -230,7 +251,8 @@ class FiniteMDP:
     def with_transitions(self, new: object) -> Self:
         """The same MDP under other dynamics (eq. 3.4); r(s, a, s') is averaged again.
 
-        Raises ValueError where ``new`` has a transition for which r(s, a, s') is not defined.
+        Raises ValueError where ``new`` has a transition for which r(s, a, s') is not
+        defined.
         """
         try:
             csr, *sizes = check_transitions(new)
@@ -267,37 +289,49 @@ class FiniteMDP:
         return self._replace(discount=discount)
 
     def with_initial(self, initial: object) -> Self:
-        """The same MDP with another first state, or another distribution of it, in any of the constructor's forms."""
+        """The same MDP with another first state, or another distribution of it, in any
+        of the constructor's forms.
+        """
         return self._replace(
             initial=initial,
             sampling=self.sampling and self.sampling._replace(starts=np.inf),
         )
 
     def with_layout(self, layout: ArrayLike | None) -> Self:
-        """The same MDP with other coordinates of its states; None: those in its names, or none."""
+        """The same MDP with other coordinates of its states; None: those in its names,
+        or none.
+        """
         return self._replace(layout=layout)
 
     def with_names(
         self, state_names: object = None, action_names: object = None
     ) -> Self:
-        """The same MDP with these names of its states and of its actions; None: with none."""
+        """The same MDP with these names of its states and of its actions; None: with
+        none.
+        """
         return self._replace(state_names=state_names, action_names=action_names)
 
     def with_action_noise(self, epsilon: float) -> Self:
-        """With probability epsilon the action is replaced by a uniform one (which may be the same).
+        """With probability epsilon the action is replaced by a uniform one (which may
+        be the same).
 
-        P_eps(. | s, a) = (1 - eps) P(. | s, a) + eps mean_b P(. | s, b), and the rewards are those of the action that
-        was carried out: r_eps(s, a, s') = E[r(s, b, s') | s, a, s'], or r_eps(s, a) = E[r(s, b) | s, a] where rewards
-        do not depend on s'. It gives a too deterministic simulator the support that a ratio needs.
-        A state's value under (P_eps, policy) is its value under (P, (1 - eps) policy + eps uniform).
+        P_eps(. | s, a) = (1 - eps) P(. | s, a) + eps mean_b P(. | s, b), and the
+        rewards are those of the action that was carried out: r_eps(s, a, s') = E[r(s,
+        b, s') | s, a, s'], or r_eps(s, a) = E[r(s, b) | s, a] where rewards do not
+        depend on s'. It gives a too deterministic simulator the support that a ratio
+        needs.
+        A state's value under (P_eps, policy) is its value under (P, (1 - eps) policy +
+        eps uniform).
         """
         return self._replace(**add_action_noise(self, epsilon))
 
     def with_support_of(self, log: object, epsilon: float) -> Self:
-        """The same MDP with the log's impossible transitions made possible: P' = (1 - eps) P + eps U in their pairs.
+        """The same MDP with the log's impossible transitions made possible: P' = (1 -
+        eps) P + eps U in their pairs.
 
-        U is uniform over the log's transitions from (s, a) that P gives probability 0; other pairs stay as they are. A
-        new transition has the log's mean reward for it, or r(s, a) if the log has none.
+        U is uniform over the log's transitions from (s, a) that P gives probability 0;
+        other pairs stay as they are. A new transition has the log's mean reward for it,
+        or r(s, a) if the log has none.
 
         Parameters
         ----------
@@ -334,20 +368,24 @@ class FiniteMDP:
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: float = 0.99) -> Self:
-        """The MDP of a Gymnasium environment with a toy-text table ``env.unwrapped.P`` (FrozenLake, CliffWalking, Taxi).
+        """The MDP of a Gymnasium environment with a toy-text table ``env.unwrapped.P``
+        (FrozenLake, CliffWalking, Taxi).
 
-        State numbers stay Gymnasium's. A state that is only entered by termination becomes terminal itself; otherwise a
-        terminal twin is appended, and ``terminal_state[s]`` says where a terminated transition into s leads. Outcomes of
-        one (s, a) that enter the same s' are merged: r(s, a, s') is their mean. Time limits are not part of the table: they
-        are the ``horizon`` of an evaluation. Of an environment on a map (``desc`` or ``shape``, a cell for each state)
-        ``layout`` has row and column. Names are the environment's ``state_names``, ``action_names`` or
-        ``get_action_meanings()``, else its module's (LEFT = 0).
+        State numbers stay Gymnasium's. A state that is only entered by termination
+        becomes terminal itself; otherwise a terminal twin is appended, and
+        ``terminal_state[s]`` says where a terminated transition into s leads. Outcomes
+        of one (s, a) that enter the same s' are merged: r(s, a, s') is their mean. Time
+        limits are not part of the table: they are the ``horizon`` of an evaluation. Of
+        an environment on a map (``desc`` or ``shape``, a cell for each state)
+        ``layout`` has row and column. Names are the environment's ``state_names``,
+        ``action_names`` or ``get_action_meanings()``, else its module's (LEFT = 0).
 
         Raises
         ------
         ValueError
-            Without such a table (Blackjack), or where the dynamics are not in it: a fickle Taxi passenger, a wrapper that
-            changes actions, observations or rewards.
+            Without such a table (Blackjack), or where the dynamics are not in it: a
+            fickle Taxi passenger, a wrapper that changes actions, observations or
+            rewards.
         """
         return cls(**read_table(env), discount=discount)
 
@@ -365,25 +403,31 @@ class FiniteMDP:
         action_names: object = None,
         layout: object = None,
     ) -> Self:
-        """The MDP of a log's frequencies, P(s' | s, a) = n(s, a, s') / n(s, a): a simulator from its own log.
+        """The MDP of a log's frequencies, P(s' | s, a) = n(s, a, s') / n(s, a): a
+        simulator from its own log.
 
-        An action never recorded in a state gets the mean distribution of those recorded there, weighted by their counts; a
-        state without recorded actions is absorbing with reward 0. A warning says how many such pairs there are. States in
-        which transitions terminated are terminal, as in ``from_gymnasium``.
+        An action never recorded in a state gets the mean distribution of those recorded
+        there, weighted by their counts; a state without recorded actions is absorbing
+        with reward 0. A warning says how many such pairs there are. States in which
+        transitions terminated are terminal, as in ``from_gymnasium``.
 
         Parameters
         ----------
         log : Transitions
-        rewards : (S,), (S, A) or (S, A, S), S the log's own states; None: the log's mean for each transition
-        initial : (S,), a state, or a mapping; None: how often episodes began in each state (without episodes: all states)
-        n_states, n_actions : default one more than the largest of the log, or as many as there are names
+        rewards : (S,), (S, A) or (S, A, S), S the log's own states; None: the log's
+            mean for each transition
+        initial : (S,), a state, or a mapping; None: how often episodes began in each
+            state (without episodes: all states)
+        n_states, n_actions : default one more than the largest of the log, or as many
+            as there are names
         state_names, action_names : default the log's; given ones also order its numbers
         discount, layout : as in the constructor
 
         Raises
         ------
         ValueError
-            No log; no rewards at all; a state or an action outside the given numbers or names; the constructor's errors.
+            No log; no rewards at all; a state or an action outside the given numbers or
+            names; the constructor's errors.
 
         Examples
         --------
@@ -408,21 +452,27 @@ class FiniteMDP:
         discount: float = 0.99,
         max_steps: int = 1_000_000,
     ) -> Self:
-        """The MDP of the frequencies of a Gymnasium environment that can only be stepped.
+        """The MDP of the frequencies of a Gymnasium environment that can only be
+        stepped.
 
-        Episodes go to the nearest state-action pair with too few samples, by value iteration on the transitions so far
-        (``mdp.empirical``), until every action of every state reached has been taken ``samples_per_pair`` times; an
-        episode that cannot lead there is ended by ``env.reset``. Observations that are not Discrete (tuples, integer arrays,
-        texts) become the states' names. States that no episode reached are absorbing with reward 0. ``sampling`` keeps the
-        numbers of samples: intervals widen by it.
+        Episodes go to the nearest state-action pair with too few samples, by value
+        iteration on the transitions so far (``mdp.empirical``), until every action of
+        every state reached has been taken ``samples_per_pair`` times; an episode that
+        cannot lead there is ended by ``env.reset``. Observations that are not Discrete
+        (tuples, integer arrays, texts) become the states' names. States that no episode
+        reached are absorbing with reward 0. ``sampling`` keeps the numbers of samples:
+        intervals widen by it.
 
         Parameters
         ----------
-        env : with discrete observations and Discrete actions; it is stepped and reset, not closed
+        env : with discrete observations and Discrete actions; it is stepped and reset,
+            not closed
         samples_per_pair : positive int
-        seed : anything that ``numpy.random.default_rng`` takes; of the first ``env.reset`` and of the actions
+        seed : anything that ``numpy.random.default_rng`` takes; of the first
+            ``env.reset`` and of the actions
         discount : gamma
-        max_steps : positive int, the most steps; a warning gives the number of pairs with fewer samples, and names three
+        max_steps : positive int, the most steps; a warning gives the number of pairs
+            with fewer samples, and names three
 
         Raises
         ------

@@ -1,7 +1,8 @@
-"""Outcomes of actions as the arrays of an MDP, and the table of them that a toy text of Gymnasium has.
+"""Outcomes of actions as the arrays of an MDP, and the table of them that a toy text of
+Gymnasium has.
 
-``P[s][a]`` is a list of (probability, s', reward, terminated). Gymnasium itself is not imported: the environment that is
-handed over brings what is needed.
+``P[s][a]`` is a list of (probability, s', reward, terminated). Gymnasium itself is not
+imported: the environment that is handed over brings what is needed.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ _HARMLESS = frozenset(
 
 
 class Outcomes(NamedTuple):
-    """What may follow, or did: six columns, (n,) each; the weight is a probability, or a number of samples."""
+    """What may follow, or did: six columns, (n,) each; the weight is a probability, or
+    a number of samples.
+    """
 
     state: IntArray
     action: IntArray
@@ -43,7 +46,9 @@ class Outcomes(NamedTuple):
 
 
 def read_table(env: Any) -> dict[str, Any]:
-    """Return the arguments of ``FiniteMDP`` but for the discount; ``FiniteMDP.from_gymnasium`` explains them."""
+    """Return the arguments of ``FiniteMDP`` but for the discount;
+    ``FiniteMDP.from_gymnasium`` explains them.
+    """
     _refuse_changing_wrappers(env)
     base = getattr(env, "unwrapped", env)
     table = getattr(base, "P", None)
@@ -94,10 +99,12 @@ def build_arguments(
     state_names: tuple[Name, ...] | None = None,
     action_names: tuple[Name, ...] | None = None,
 ) -> dict[str, Any]:
-    """Return the arguments of an MDP in which outcomes that terminate lead to terminal states; P has the sums of weights.
+    """Return the arguments of an MDP in which outcomes that terminate lead to terminal
+    states; P has the sums of weights.
 
-    A state that is only entered by termination is terminal itself; any other has a twin for it. Outcomes of one (s, a) that
-    enter the same s' are merged: r(s, a, s') is their mean. ``rewards``: (S, A) of the own states, in place of theirs.
+    A state that is only entered by termination is terminal itself; any other has a twin
+    for it. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is
+    their mean. ``rewards``: (S, A) of the own states, in place of theirs.
     """
     n_own, (state, action, to, weight, reward, terminated) = len(initial), outcomes
     is_ended = np.bincount(to[terminated], minlength=n_own) > 0
@@ -163,7 +170,9 @@ def _refuse_changing_wrappers(env: object) -> None:
 
 
 def _map_layout(base: object, n_states: int) -> Array | None:
-    """Return (S, 2) row and column of the states of an environment on a map with a cell a state."""
+    """Return (S, 2) row and column of the states of an environment on a map with a cell
+    a state.
+    """
     shapes: tuple[Any, ...] = (
         getattr(getattr(base, "desc", None), "shape", None),
         getattr(base, "shape", None),
@@ -189,7 +198,9 @@ def _valid_names(given: object, size: int) -> tuple[Name, ...] | None:
 
 
 def _action_names(base: object, n_actions: int) -> tuple[Name, ...] | None:
-    """Return what an environment calls its actions, or its module's constants (LEFT = 0) where they number them all."""
+    """Return what an environment calls its actions, or its module's constants (LEFT =
+    0) where they number them all.
+    """
     meanings = getattr(base, "get_action_meanings", None)
     given = getattr(base, "action_names", None if meanings is None else meanings())
     if given is not None:

@@ -1,4 +1,6 @@
-"""Horizons: no further than the discount can show, and refused where the cost would be absurd."""
+"""Horizons: no further than the discount can show, and refused where the cost would be
+absurd.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,14 @@ SLOW, ABSURD = 2e9, 2e10  # multiply-adds: some seconds, and a minute or more
 def limit_horizon(
     horizon: int, rate: float, *, ahead: int = 0, work: float = 1.0, kept: float = 1.0
 ) -> int:
-    """Return min(horizon, max(10 000, ahead + t)) with rate^t = 2^-200, and warn where that is less or takes long.
+    """Return min(horizon, max(10 000, ahead + t)) with rate^t = 2^-200, and warn where
+    that is less or takes long.
 
-    ``rate``: what a step multiplies the weight of all later rewards by, at most; from 1 on nothing fades. ``ahead``: steps
-    before a reward may come at all (the number of states). ``work``, ``kept``: multiply-adds of a step, and numbers that
-    are kept of it; ValueError above a million steps that cost more than 2e10 multiply-adds, or where memory lacks.
+    ``rate``: what a step multiplies the weight of all later rewards by, at most; from 1
+    on nothing fades. ``ahead``: steps before a reward may come at all (the number of
+    states). ``work``, ``kept``: multiply-adds of a step, and numbers that are kept of
+    it; ValueError above a million steps that cost more than 2e10 multiply-adds, or
+    where memory lacks.
 
     >>> limit_horizon(500, 0.9), limit_horizon(5000, 1.0, work=100.0)
     (500, 5000)
@@ -59,7 +64,9 @@ def limit_horizon(
 def horizon_length(
     horizon: object, model: Any, policy: PolicyLike | None = None, *, kept: float = 1.0
 ) -> int:
-    """Return a horizon as an int, limited in ``model`` (FiniteMDP or ReweightedModel); with a policy (T, S, A) as it is."""
+    """Return a horizon as an int, limited in ``model`` (FiniteMDP or ReweightedModel);
+    with a policy (T, S, A) as it is.
+    """
     length = _checks.positive_integer(horizon, "horizon")
     if length <= SHORT_HORIZON or count_dimensions(policy) == 3:
         return length

@@ -1,4 +1,6 @@
-"""Names of states and actions: their rules, their numbers, their form in files and in sentences."""
+"""Names of states and actions: their rules, their numbers, their form in files and in
+sentences.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,8 @@ def name_text(names: tuple[Name, ...] | None, number: Any) -> str:
 
 
 def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
-    """Return ``value`` as ``size`` different names: texts that read as no number, or tuples of texts and numbers.
+    """Return ``value`` as ``size`` different names: texts that read as no number, or
+    tuples of texts and numbers.
 
     >>> check_names(["hall", (0, 1)], "state_names", 2)
     ('hall', (0, 1))
@@ -105,7 +108,9 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
 
 
 def to_plain(item: object, depth: int = 0) -> Any:
-    """Return a name without numpy's types; lists and arrays in it become tuples, but for those that are too deep."""
+    """Return a name without numpy's types; lists and arrays in it become tuples, but
+    for those that are too deep.
+    """
     if isinstance(item, np.generic) or (
         isinstance(item, np.ndarray) and item.ndim == 0
     ):
@@ -116,7 +121,9 @@ def to_plain(item: object, depth: int = 0) -> Any:
 
 
 def is_name(item: object) -> bool:
-    """Say whether ``item`` is a text, or a tuple, not empty, of texts, numbers and such tuples."""
+    """Say whether ``item`` is a text, or a tuple, not empty, of texts, numbers and such
+    tuples.
+    """
     if not isinstance(item, tuple):
         return isinstance(item, str)
     return bool(item) and all(
@@ -126,7 +133,9 @@ def is_name(item: object) -> bool:
 
 
 def is_number_text(text: str) -> bool:
-    """Say whether a file's reader would take ``text`` for a number, or for none at all (nan)."""
+    """Say whether a file's reader would take ``text`` for a number, or for none at all
+    (nan).
+    """
     try:
         float(text)
     except ValueError:
@@ -153,7 +162,9 @@ _LOOKUPS: dict[int, tuple[tuple[Name, ...], dict[Hashable, int]]] = {}
 
 
 def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
-    """Return name -> number; a tuple is there by its text as well, "(0, 1)" or "(0,1)". Made once for a tuple of names."""
+    """Return name -> number; a tuple is there by its text as well, "(0, 1)" or "(0,1)".
+    Made once for a tuple of names.
+    """
     known, numbers = _LOOKUPS.get(id(names), ((), {}))
     if known is not names:
         named: dict[Hashable, int] = {item: k for k, item in enumerate(names)}
@@ -178,7 +189,8 @@ def number_of(
     name: str,
     owner: str = "the MDP's",
 ) -> int:
-    """Return the number of a state or an action that is given by name or number; ValueError with the nearest name.
+    """Return the number of a state or an action that is given by name or number;
+    ValueError with the nearest name.
 
     >>> number_of("lefft", ("left", "right"), 2, "action")
     Traceback (most recent call last):
@@ -227,7 +239,9 @@ def renumber(
     size: int,
     name: str,
 ) -> IntArray:
-    """Return numbers by a log's own names as numbers by an MDP's; ValueError with the first row whose name it has not."""
+    """Return numbers by a log's own names as numbers by an MDP's; ValueError with the
+    first row whose name it has not.
+    """
     known = {} if names is None else numbers_of(names)
     numbers = np.array([known.get(item, -1) for item in own], dtype=np.int64)[codes]
     bad = np.flatnonzero(numbers < 0)
@@ -273,7 +287,9 @@ def from_text(stored: NDArray[Any], name: str) -> tuple[Name, ...]:
 def initial_distribution(
     initial: Any, names: tuple[Name, ...] | None, n_states: int
 ) -> Any:
-    """Return a first state, or a mapping state -> probability, as a distribution (S,); anything else as it is."""
+    """Return a first state, or a mapping state -> probability, as a distribution (S,);
+    anything else as it is.
+    """
     is_scalar, is_tuple = (
         getattr(initial, "ndim", 1) == 0,
         isinstance(initial, tuple) and names is not None,

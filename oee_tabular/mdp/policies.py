@@ -1,4 +1,6 @@
-"""Policies pi(a | s): in every form that people have them, checked and made (S, A), or (T, S, A) with a horizon."""
+"""Policies pi(a | s): in every form that people have them, checked and made (S, A), or
+(T, S, A) with a horizon.
+"""
 
 from __future__ import annotations
 
@@ -24,17 +26,20 @@ from oee_tabular.mdp.naming import (
 def check_policy(
     policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon: int | None = None
 ) -> Array:
-    """Return ``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is given), rows summing to 1 to 1e-8.
+    """Return ``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is
+    given), rows summing to 1 to 1e-8.
 
-    A policy of the environment's own number of states is extended to the twins that termination appended, where any
-    action does.
+    A policy of the environment's own number of states is extended to the twins that
+    termination appended, where any action does.
 
     Parameters
     ----------
-    policy : (S, A), or (T, S, A) with a horizon T; nonnegative. Rows in single precision are scaled to sum to 1.
-        Or (S,): an action for each state, by number or name; a mapping state -> action, or its distribution ((A,), or a
-        mapping action -> probability), in which terminal states may be left out; a function of a state that returns such.
-        A function is given a state's name, or its number where there are no names
+    policy : (S, A), or (T, S, A) with a horizon T; nonnegative. Rows in single
+        precision are scaled to sum to 1. Or (S,): an action for each state, by number
+        or name; a mapping state -> action, or its distribution ((A,), or a mapping
+        action -> probability), in which terminal states may be left out; a function of
+        a state that returns such. A function is given a state's name, or its number
+        where there are no names
     mdp : FiniteMDP, or anything with ``n_states``, ``n_actions`` and ``terminal_state``
     name : what errors call the policy
     horizon : T; None: stationary policies only
@@ -102,7 +107,9 @@ def _are_distributions(array: Array) -> bool:
 
 
 def _check_distributions(array: Array, given: object, name: str) -> Array:
-    """Return an array whose rows are distributions; rows that were ``given`` in single precision are scaled."""
+    """Return an array whose rows are distributions; rows that were ``given`` in single
+    precision are scaled.
+    """
     if _are_distributions(np.ascontiguousarray(array)):
         return array
     array = _checks.scale_if_single(array, given)
@@ -114,7 +121,8 @@ def _check_distributions(array: Array, given: object, name: str) -> Array:
 def check_policies(
     policies: Any, mdp: Any, *, name: str = "policies", alone: str = "policy"
 ) -> dict[str, Array]:
-    """Return name -> (S, A) from a policy (called ``alone``), a list of policies, or a mapping name -> policy.
+    """Return name -> (S, A) from a policy (called ``alone``), a list of policies, or a
+    mapping name -> policy.
 
     A mapping all of whose keys are states is one policy.
     """
@@ -128,7 +136,9 @@ def check_policies(
 
 
 def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
-    """Return name -> policy of a mapping of policies, or of a list of them; None for what is one policy."""
+    """Return name -> policy of a mapping of policies, or of a list of them; None for
+    what is one policy.
+    """
     # a dok_array is a mapping
     if isinstance(policies, Mapping) and not _checks.is_sparse(policies):
         known = numbers_of(names_of(mdp).states or ())
@@ -191,11 +201,13 @@ def deterministic_policy(actions: Any, n_actions: int, name: str = "actions") ->
 
 
 def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
-    """Return weight_of_a * policy_a + (1 - weight_of_a) * policy_b, action by action in each state.
+    """Return weight_of_a * policy_a + (1 - weight_of_a) * policy_b, action by action in
+    each state.
 
     Parameters
     ----------
-    policy_a, policy_b : (S, A) or (T, S, A), of one shape; rows sum to 1. One of them may be (S,) integers
+    policy_a, policy_b : (S, A) or (T, S, A), of one shape; rows sum to 1. One of them
+        may be (S,) integers
     weight_of_a : float in [0, 1]
 
     Examples
@@ -253,7 +265,9 @@ def require_sized(mdp: object) -> None:
 
 
 def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
-    """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an array among it, as it is."""
+    """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an
+    array among it, as it is.
+    """
     if isinstance(policy, str | bytes | int | np.integer) or policy is None:
         hint = (
             f"the same in every state: lambda state: {_checks.show(policy):.40}; a"
@@ -280,7 +294,9 @@ def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
 
 
 def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
-    """Return (S, A) of a mapping or a function of the environment's own states; terminal ones may be left out."""
+    """Return (S, A) of a mapping or a function of the environment's own states;
+    terminal ones may be left out.
+    """
     names, n_own = names_of(mdp), len(mdp.terminal_state)
     is_free = (
         mdp.absorbing()
@@ -310,7 +326,9 @@ def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
 def _list_choices(
     policy: Any, states: Any, name: str
 ) -> Iterator[tuple[Any, Any, str]]:
-    """Each state of a mapping, or of ``states``, with its choice and what errors call that."""
+    """Each state of a mapping, or of ``states``, with its choice and what errors call
+    that.
+    """
     if isinstance(policy, Mapping):
         yield from (
             (state, choice, f"{name}[{_checks.show(state)}]")
@@ -356,7 +374,9 @@ def _choice_row(
 
 
 def _action_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
-    """Return the (S, A) of an action for each state, by number or name; anything else as it is."""
+    """Return the (S, A) of an action for each state, by number or name; anything else
+    as it is.
+    """
     names, n_actions = names_of(mdp).actions, mdp.n_actions
     try:
         array = np.asarray(policy)

@@ -1,4 +1,6 @@
-"""The rows of a simulator, or some of them: their entries, sums over each row, and displacements."""
+"""The rows of a simulator, or some of them: their entries, sums over each row, and
+displacements.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +83,9 @@ class Rows:
         return self._part(at, inside, indptr)
 
     def blocks(self) -> Iterator[Rows]:
-        """All of them in turn, some ``BLOCK`` entries at a time: what is computed of a block stays small."""
+        """All of them in turn, some ``BLOCK`` entries at a time: what is computed of a
+        block stays small.
+        """
         n_blocks = max(1, round(int(self.indptr[-1]) / BLOCK))
         if n_blocks == 1:
             yield self
@@ -153,7 +157,9 @@ class Rows:
         return np.repeat(values, np.diff(self.indptr), axis=0)
 
     def mean(self, model: Array, values: Array) -> Array:
-        """The mean over each row of (entries,) or (entries, d) values: sum_x model_x values_x, ``model`` (entries,)."""
+        """The mean over each row of (entries,) or (entries, d) values: sum_x model_x
+        values_x, ``model`` (entries,).
+        """
         if values.ndim == 1 or values.size <= SMALL:
             return self.sums((model if values.ndim == 1 else model[:, None]) * values)
         parts = model, np.arange(len(model)), self.indptr
@@ -184,7 +190,8 @@ class Rows:
 def distinct_rows(table: Array) -> tuple[Array, IntArray]:
     """The distinct rows of a table (n, c) in order, and which of them each row is.
 
-    ``numpy.unique(table, axis=0, return_inverse=True)`` in a third to a twentieth of its time (400 000 rows).
+    ``numpy.unique(table, axis=0, return_inverse=True)`` in a third to a twentieth of
+    its time (400 000 rows).
     """
     order = np.lexsort(table.T[::-1])
     ordered, new = table[order], np.ones(len(table), dtype=np.bool_)
@@ -197,7 +204,8 @@ def distinct_rows(table: Array) -> tuple[Array, IntArray]:
 def displacements(
     mdp: FiniteMDP, *, layout: ArrayLike | None = None
 ) -> tuple[Array, IntArray]:
-    """Compute the displacement of each transition: layout[s'] - layout[s], or s' - s in the states' numbers without a layout.
+    """Compute the displacement of each transition: layout[s'] - layout[s], or s' - s in
+    the states' numbers without a layout.
 
     Parameters
     ----------
@@ -206,11 +214,12 @@ def displacements(
 
     Returns
     -------
-    kinds : (k, c) the displacements that occur, in the layout's units, rounded to 1e-9; c = 1 without a layout. Sorted by
-        the sum of P over their transitions, the largest first; of equal ones the smaller displacement (by its first
-        coordinate, then its second, ...)
-    kind_of_entry : (nnz,) integers: the displacement of the transition at ``mdp.transitions.data[j]`` is
-        ``kinds[kind_of_entry[j]]``
+    kinds : (k, c) the displacements that occur, in the layout's units, rounded to 1e-9;
+        c = 1 without a layout. Sorted by the sum of P over their transitions, the
+        largest first; of equal ones the smaller displacement (by its first coordinate,
+        then its second, ...)
+    kind_of_entry : (nnz,) integers: the displacement of the transition at
+        ``mdp.transitions.data[j]`` is ``kinds[kind_of_entry[j]]``
 
     Raises
     ------
@@ -247,5 +256,7 @@ def displacements(
 
 
 def round_displacements(differences: Array) -> Array:
-    """Return differences of coordinates, those of less than 1e-9 made equal; + 0.0 makes -0.0 plain."""
+    """Return differences of coordinates, those of less than 1e-9 made equal; + 0.0
+    makes -0.0 plain.
+    """
     return np.asarray(np.round(differences, DIGITS) + 0.0)

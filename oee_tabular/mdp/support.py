@@ -1,4 +1,6 @@
-"""Dynamics with more support: action noise, and the transitions of a log to which an MDP gives probability 0."""
+"""Dynamics with more support: action noise, and the transitions of a log to which an
+MDP gives probability 0.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
 
 
 def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
-    """Return the arguments that change where an MDP is to allow the log's transitions (``FiniteMDP.with_support_of``)."""
+    """Return the arguments that change where an MDP is to allow the log's transitions
+    (``FiniteMDP.with_support_of``).
+    """
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
     rows, columns, reward = _read_transitions(mdp, log)
     matrix = mdp.transitions
@@ -86,7 +90,9 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
 
 
 def _read_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | None]:
-    """Rows, next states and rewards of a log's transitions, terminated ones led to where that leads; or of counts."""
+    """Rows, next states and rewards of a log's transitions, terminated ones led to
+    where that leads; or of counts.
+    """
     shape = mdp.csr.shape
     if sparse.issparse(log):
         if log.shape != shape:
@@ -111,7 +117,9 @@ def _read_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | N
 
 
 def require_log(log: object) -> None:
-    """Raise ValueError for what is no log (``data``, which knows its class, stands above)."""
+    """Raise ValueError for what is no log (``data``, which knows its class, stands
+    above).
+    """
     is_class = isinstance(log, type)
     if is_class or not (hasattr(log, "numbered") and hasattr(log, "episode_starts")):
         hint = " (of a data frame: Transitions.from_frame(log))" * (

@@ -1,7 +1,8 @@
 """Pictures: functions that take arrays and draw on an ``ax``, which they return.
 
-Colours are Okabe and Ito's, which colour-blind readers can tell apart; markers and lines differ as well. Axes are labelled,
-with units. ``figure_png`` and ``figure_svg`` make a file's content of what a function draws.
+Colours are Okabe and Ito's, which colour-blind readers can tell apart; markers and
+lines differ as well. Axes are labelled, with units. ``figure_png`` and ``figure_svg``
+make a file's content of what a function draws.
 """
 
 from oee_tabular.plots.curves import (

@@ -1,4 +1,6 @@
-"""Curves: value against a parameter, error against n, variance against the horizon; their names at the ends of lines."""
+"""Curves: value against a parameter, error against n, variance against the horizon;
+their names at the ends of lines.
+"""
 
 from __future__ import annotations
 
@@ -106,7 +108,8 @@ def plot_errors(
     xlabel: str = "transitions of the target, n",
     ylabel: str = "mean L1 error",
 ) -> Axes:
-    """Draw errors against n on logarithmic axes, with a line of ``slope`` (None: none) from the first curve's first point.
+    """Draw errors against n on logarithmic axes, with a line of ``slope`` (None: none)
+    from the first curve's first point.
 
     Parameters
     ----------
@@ -216,9 +219,11 @@ def _check_like(values: object, where: Array, name: str) -> Array:
 
 
 def label_ends(ax: Axes) -> Axes:
-    """Write each line's name to the right of the axes, at the height of its last point and in its colour; no legend.
+    """Write each line's name to the right of the axes, at the height of its last point
+    and in its colour; no legend.
 
-    Names that would overlap are moved apart, no more than it takes. To be called last: limits and scales stay as they are.
+    Names that would overlap are moved apart, no more than it takes. To be called last:
+    limits and scales stay as they are.
 
     Parameters
     ----------

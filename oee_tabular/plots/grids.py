@@ -1,6 +1,8 @@
-"""Maps of the states that lie on a grid: values, ratios, what the log has recorded, where a policy goes.
+"""Maps of the states that lie on a grid: values, ratios, what the log has recorded,
+where a policy goes.
 
-A ``Map`` says where the states lie: the cells of a grid, from the layout of an MDP or from its transitions.
+A ``Map`` says where the states lie: the cells of a grid, from the layout of an MDP or
+from its transitions.
 """
 
 from __future__ import annotations
@@ -32,12 +34,15 @@ CLOSE = 1e-6  # of a cell, by which a place may miss its middle
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Cells of a grid, row 0 on top, and the states in them; what ``plot_grid`` and its like take for a shape.
+    """Cells of a grid, row 0 on top, and the states in them; what ``plot_grid`` and its
+    like take for a shape.
 
     Attributes
     ----------
-    rows, columns : the coordinates of the rows and of the columns, as they are written on the axes
-    cell : (S,) where each state is, row * columns + column; -1 for one that is not drawn
+    rows, columns : the coordinates of the rows and of the columns, as they are written
+        on the axes
+    cell : (S,) where each state is, row * columns + column; -1 for one that is not
+        drawn
 
     Examples
     --------
@@ -98,8 +103,9 @@ class Map:
 def map_of(mdp: FiniteMDP) -> Map | None:
     """The map of an MDP whose states lie on a grid, or None.
 
-    ``mdp.layout`` of two columns, (row, column), with even steps puts the states there; holes stay blank. A state that is
-    over and lies where another does is not drawn. Without such a layout: ``detect_grid``.
+    ``mdp.layout`` of two columns, (row, column), with even steps puts the states there;
+    holes stay blank. A state that is over and lies where another does is not drawn.
+    Without such a layout: ``detect_grid``.
 
     Parameters
     ----------
@@ -107,7 +113,8 @@ def map_of(mdp: FiniteMDP) -> Map | None:
 
     Notes
     -----
-    None where two states that can be left share a place, and where fewer than one cell in fifty is a state. O(S log S + nnz).
+    None where two states that can be left share a place, and where fewer than one cell
+    in fifty is a state. O(S log S + nnz).
 
     Examples
     --------
@@ -126,7 +133,9 @@ def map_of(mdp: FiniteMDP) -> Map | None:
 
 
 def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
-    """The map of places on a grid with even steps, from the least coordinate to the largest; None where there is none."""
+    """The map of places on a grid with even steps, from the least coordinate to the
+    largest; None where there is none.
+    """
     coordinates, numbers = [], []
     for place in layout.T:
         distinct = np.unique(place)
@@ -174,10 +183,12 @@ def as_map(shape: tuple[int, int] | Map) -> Map:
 
 
 def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
-    """(rows, columns) of a gridworld whose states are numbered row * columns + column, or None where it is none.
+    """(rows, columns) of a gridworld whose states are numbered row * columns + column,
+    or None where it is none.
 
-    A gridworld's transitions stay, go to the neighbour on the left or right (never around an edge), or to the one above or
-    below; a jump back to a first state (as from CliffWalking's cliff) is allowed. O(nnz).
+    A gridworld's transitions stay, go to the neighbour on the left or right (never
+    around an edge), or to the one above or below; a jump back to a first state (as from
+    CliffWalking's cliff) is allowed. O(nnz).
 
     Parameters
     ----------
@@ -219,12 +230,14 @@ def plot_grid(
     crossed: object = None,
     ticks: Any = None,
 ) -> Axes:
-    """Draw a heat map of one number a state; row 0 is on top. A cell without a state stays blank.
+    """Draw a heat map of one number a state; row 0 is on top. A cell without a state
+    stays blank.
 
     Parameters
     ----------
     values : (S,), or (rows, columns); nan for a cell without colour
-    shape : (rows, columns) of states numbered row * columns + column; or a ``Map``, as ``map_of`` makes it
+    shape : (rows, columns) of states numbered row * columns + column; or a ``Map``, as
+        ``map_of`` makes it
     ax : matplotlib Axes; None makes them
     label : of the colour bar, with the unit
     norm, colormap : matplotlib's; None: linear
@@ -312,7 +325,8 @@ def plot_ratio(
     *,
     label: str = "ratio P_target / P_simulator",
 ) -> Axes:
-    """Draw a heat map of ratios, logarithmic around 1: a colour for more often than in the simulator, one for less often.
+    """Draw a heat map of ratios, logarithmic around 1: a colour for more often than in
+    the simulator, one for less often.
 
     Parameters
     ----------
@@ -352,7 +366,8 @@ def plot_coverage(
     over: object = None,
     label: str = "recorded transitions from the state (logarithmic)",
 ) -> Axes:
-    """Draw how many transitions the log has from each state, logarithmic; states without any are crossed out.
+    """Draw how many transitions the log has from each state, logarithmic; states
+    without any are crossed out.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Colours, markers and lines that colour-blind readers can tell apart; new axes; figures as a PNG or as an SVG for a page."""
+"""Colours, markers and lines that colour-blind readers can tell apart; new axes;
+figures as a PNG or as an SVG for a page.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +85,9 @@ _SVG_STYLE: dict[Any, Any] = {
 
 
 def series(k: int) -> dict[str, Any]:
-    """Colour, marker and line of the k-th series; from the ninth on other markers, hollow, for the same colours."""
+    """Colour, marker and line of the k-th series; from the ninth on other markers,
+    hollow, for the same colours.
+    """
     again = 3 * (k // len(COLORS))
     style = {
         "color": COLORS[k % len(COLORS)],
@@ -94,7 +98,8 @@ def series(k: int) -> dict[str, Any]:
 
 
 def places(names: Sequence[str]) -> list[int]:
-    """The series of each name: its own for one of ``ESTIMATORS``, in every picture; others take what is left, in order.
+    """The series of each name: its own for one of ``ESTIMATORS``, in every picture;
+    others take what is left, in order.
 
     >>> places(["model-based", "mine", "oee", "mine"]), places(["a", "b"])
     ([4, 0, 1, 0], [0, 1])
@@ -108,7 +113,9 @@ def places(names: Sequence[str]) -> list[int]:
 
 
 def shorten(name: object, longest: int = 36) -> str:
-    """A name as a picture can hold it: no control characters, at most ``longest`` letters."""
+    """A name as a picture can hold it: no control characters, at most ``longest``
+    letters.
+    """
     whole = (
         str(name)
         if isinstance(name, str | int | float | np.generic)
@@ -162,7 +169,8 @@ def check_pair(pair: object, name: str) -> tuple[float, float]:
 def figure_png(
     draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)
 ) -> bytes:
-    """The picture that ``draw`` makes on one axis, as the bytes of a PNG (no display, no global state).
+    """The picture that ``draw`` makes on one axis, as the bytes of a PNG (no display,
+    no global state).
 
     Parameters
     ----------
@@ -185,10 +193,12 @@ def figure_svg(
     description: str,
     size: tuple[float, float] = (4.4, 3.2),
 ) -> str:
-    """The picture that ``draw`` makes on one axis, as an ``<svg>`` to stand inside a page.
+    """The picture that ``draw`` makes on one axis, as an ``<svg>`` to stand inside a
+    page.
 
-    Its ids start with ``name``. Its colours are the page's CSS variables --ink, --quiet, --paper and --series-0 to
-    --series-7 where it has them. The same call gives the same text.
+    Its ids start with ``name``. Its colours are the page's CSS variables --ink,
+    --quiet, --paper and --series-0 to --series-7 where it has them. The same call gives
+    the same text.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Values and their intervals, a line each, by policy; and the states where a policy spends its time, ranked."""
+"""Values and their intervals, a line each, by policy; and the states where a policy
+spends its time, ranked.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ def plot_values(
     unit: str = "",
     limits: tuple[float, float] | None = None,
 ) -> Axes:
-    """Draw the values of a report with their intervals: policies one below the other, a line for each estimator.
+    """Draw the values of a report with their intervals: policies one below the other, a
+    line for each estimator.
 
     Exact values in the target are dashed lines.
 
@@ -100,18 +103,22 @@ def plot_intervals(
     xlabel: str = "value (discounted sum of rewards)",
     title: str = "",
 ) -> Axes:
-    """Draw a forest plot: one line a name, from the top, with its value and interval; the truth as a dashed line.
+    """Draw a forest plot: one line a name, from the top, with its value and interval;
+    the truth as a dashed line.
 
     Parameters
     ----------
     names : k names
-    values, lower, upper : (k,); an end that is nan leaves the interval out, a nan value with an interval the marker
+    values, lower, upper : (k,); an end that is nan leaves the interval out, a nan value
+        with an interval the marker
     ax : matplotlib Axes; None makes them
-    groups : k names (of policies): lines of one group stand together, under its name; None: one group without a name
+    groups : k names (of policies): lines of one group stand together, under its name;
+        None: one group without a name
     truth : number, or group -> number; None: not known
     truth_label : what ``truth`` is
-    limits : of the axis; None: what truths and intervals span. Values and ends that are far outside (estimates that
-        explode) do not stretch it. A value outside is an open marker at the edge, with its number
+    limits : of the axis; None: what truths and intervals span. Values and ends that are
+        far outside (estimates that explode) do not stretch it. A value outside is an
+        open marker at the edge, with its number
     xlabel : what the value is, with its unit
     title : what the picture shows, in a sentence
 
@@ -223,7 +230,9 @@ def plot_intervals(
 def _draw_interval(
     ax: Axes, y: float, value: float, ends: Array, span: tuple[float, float], marks: Any
 ) -> None:
-    """Draw an interval and its value; a value outside the axis as an open marker at the edge, with its number."""
+    """Draw an interval and its value; a value outside the axis as an open marker at the
+    edge, with its number.
+    """
     has_interval = np.isfinite(ends).all()
     if has_interval:
         # an interval without a value has ends
@@ -243,7 +252,9 @@ def _draw_interval(
 def _write_beside(
     ax: Axes, text: str, place: tuple[float, float], shift: float, **options: Any
 ) -> None:
-    """Write a text some points to the right of a place, to the left where the shift is negative."""
+    """Write a text some points to the right of a place, to the left where the shift is
+    negative.
+    """
     ax.annotate(
         text,
         place,
@@ -262,7 +273,9 @@ def _text_of(value: float) -> str:
 def _span(
     value: Array, low: Array, high: Array, group: Array, truth: list[float]
 ) -> tuple[float, float]:
-    """The ends of an axis for the truths, in each group the narrower half of the intervals, and what is near to them."""
+    """The ends of an axis for the truths, in each group the narrower half of the
+    intervals, and what is near to them.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         width = high - low
     core, widths = [float(x) for x in truth if math.isfinite(x)], []
@@ -298,12 +311,14 @@ def plot_states(
     names: Sequence[str] | None = None,
     xlabel: str = "share of the policy's discounted time (%)",
 ) -> Axes:
-    """Draw bars of the states where a policy spends most time, each in the part that the log has recorded and the rest.
+    """Draw bars of the states where a policy spends most time, each in the part that
+    the log has recorded and the rest.
 
     Parameters
     ----------
     time : (S,) or (S, A) shares, which sum to at most 1
-    recorded : of the same shape: how many transitions the log has of each state or (s, a); the sum stands beside the bar
+    recorded : of the same shape: how many transitions the log has of each state or (s,
+        a); the sum stands beside the bar
     ax : matplotlib Axes; None makes them
     top : how many states to show; those without time are left out
     names : of the states; None: their numbers

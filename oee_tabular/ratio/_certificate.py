@@ -2,10 +2,12 @@
 
 This file shares no code with what solves the programs (``dual``, ``joint``).
 
-With the multipliers fixed, the Lagrangian of an entry is b g - p log g + a/2 g^2 up to a constant, and its least value over
-the box has a closed form. The gap is the sum of what the handed-over g is above those, a sum of terms that are none of them
-negative, plus |multiplier| times what an equality is missed by, and the miss itself where it is more than the rounding of
-its sum: a wrong g, a wrong multiplier and a point outside the constraints all show.
+With the multipliers fixed, the Lagrangian of an entry is b g - p log g + a/2 g^2 up to
+a constant, and its least value over the box has a closed form. The gap is the sum of
+what the handed-over g is above those, a sum of terms that are none of them negative,
+plus |multiplier| times what an equality is missed by, and the miss itself where it is
+more than the rounding of its sum: a wrong g, a wrong multiplier and a point outside the
+constraints all show.
 """
 
 from math import log1p
@@ -16,7 +18,8 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy")
 def excess(b, a, p, g, lower, upper):
-    """h(g) - min of h over [lower, upper], h(g) = b g - p log g + a/2 g^2; inf where there is no minimum.
+    """h(g) - min of h over [lower, upper], h(g) = b g - p log g + a/2 g^2; inf where
+    there is no minimum.
 
     A g outside counts as the nearest inside, and as far as it is off.
     """
@@ -56,10 +59,11 @@ def equality_gap(miss, multiplier, n):
 
 @njit(cache=True, error_model="numpy")
 def row_gaps(program, box, indptr, g, m, tied):
-    """(rows,) gaps of g with the multipliers m - 1 of sum q g = sum q (``tied``; without it m is 1).
+    """(rows,) gaps of g with the multipliers m - 1 of sum q g = sum q (``tied``;
+    without it m is 1).
 
-    ``program`` (``dual.Coordinates``): minimise sum q g - p log g + a/2 (g - c)^2, or (squares) sum q g^2 / 2 - p g +
-    a/2 (g - c)^2, over the box.
+    ``program`` (``dual.Coordinates``): minimise sum q g - p log g + a/2 (g - c)^2, or
+    (squares) sum q g^2 / 2 - p g + a/2 (g - c)^2, over the box.
     """
     p, q, a, c, squares = program
     gaps = np.zeros(len(indptr) - 1)
@@ -81,7 +85,9 @@ def row_gaps(program, box, indptr, g, m, tied):
 
 @njit(cache=True, error_model="numpy")
 def excesses(slope, p, g, lower, upper):
-    """The sum of what l(g) = slope g - p log g is above its least value in [lower, upper_x], entry by entry."""
+    """The sum of what l(g) = slope g - p log g is above its least value in [lower,
+    upper_x], entry by entry.
+    """
     total = 0.0
     for x in range(len(p)):
         total += excess(slope[x], 0.0, p[x], g[x], lower, upper[x])
@@ -90,7 +96,9 @@ def excesses(slope, p, g, lower, upper):
 
 @njit(cache=True, error_model="numpy")
 def joint_gaps(f, point):
-    """(rows,) gaps of ``point`` (B, b and multipliers, ``statements.JointPoint``) in the program ``f`` of ``ratio.joint``."""
+    """(rows,) gaps of ``point`` (B, b and multipliers, ``statements.JointPoint``) in
+    the program ``f`` of ``ratio.joint``.
+    """
     moves, pairs, theta, eta, xi = point
     gaps = np.zeros(len(f.s))
     for k in range(len(gaps)):

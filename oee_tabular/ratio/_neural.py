@@ -1,7 +1,8 @@
 """Algorithm 1 on a network, in jax: the only file that imports the extra ``neural``.
 
-Double precision, batches from numpy's generator, one thread: the same seed gives the same bits. jax sums in an order that
-depends on its number of threads, which is settled where a process first uses jax: one that has used it before keeps its own.
+Double precision, batches from numpy's generator, one thread: the same seed gives the
+same bits. jax sums in an order that depends on its number of threads, which is settled
+where a process first uses jax: one that has used it before keeps its own.
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ N_CELLS_AT_ONCE = 2**16  # evaluated together
 class Training(NamedTuple):
     """The cells, their weights (each side's sum to 1), and the risk's other terms.
 
-    ``cells`` are the columns s, a and, for moves, s'; ``places`` (S, c), or None for one-hot states; ``sizes`` S and A.
-    ``p``, ``q`` : train on; ``held_p``, ``held_q`` : stop on, None without. ``ridge`` : (cells,). ``rows`` : those in which
-    sum P g = 1, whose cells are all there are and q their share of p times P; None: the box is all.
+    ``cells`` are the columns s, a and, for moves, s'; ``places`` (S, c), or None for
+    one-hot states; ``sizes`` S and A. ``p``, ``q`` : train on; ``held_p``, ``held_q`` :
+    stop on, None without. ``ridge`` : (cells,). ``rows`` : those in which sum P g = 1,
+    whose cells are all there are and q their share of p times P; None: the box is all.
     """
 
     cells: tuple[IntArray, ...]
@@ -63,7 +65,9 @@ class Training(NamedTuple):
 
 
 class Trained(NamedTuple):
-    """The ratio kept, of iteration ``kept``; at each ``iteration`` checked the ratio and the held-out risk (nan without)."""
+    """The ratio kept, of iteration ``kept``; at each ``iteration`` checked the ratio
+    and the held-out risk (nan without).
+    """
 
     ratio: Array
     kept: int
@@ -73,7 +77,9 @@ class Trained(NamedTuple):
 
 
 class Perceptron(eqx.Module):  # type: ignore[misc]
-    """f on cells. The first layer is one table an input: a one-hot vector times a matrix is a row of it."""
+    """f on cells. The first layer is one table an input: a one-hot vector times a
+    matrix is a row of it.
+    """
 
     tables: list[jax.Array]
     bias: jax.Array
@@ -116,7 +122,9 @@ class Perceptron(eqx.Module):  # type: ignore[misc]
 
 
 class Batch(NamedTuple):
-    """The cells of an iteration, what p and q they have; of rows: which of the batch's rows each is in, and its P there."""
+    """The cells of an iteration, what p and q they have; of rows: which of the batch's
+    rows each is in, and its P there.
+    """
 
     index: Any
     p: Any
@@ -126,10 +134,12 @@ class Batch(NamedTuple):
 
 
 class NetworkProgram(eqx.Module):  # type: ignore[misc]
-    """From f to the ratio, and what a batch is: cell by cell in a box, or row by row (``row``, ``known``, ``indptr``).
+    """From f to the ratio, and what a batch is: cell by cell in a box, or row by row
+    (``row``, ``known``, ``indptr``).
 
-    In a box log g = log nu + (log mu - log nu) sigmoid(f + c), and a batch is draws of p and draws of q; by rows
-    log zeta = f - log sum_s' P exp f, and a batch is draws of p, each with the whole of its row.
+    In a box log g = log nu + (log mu - log nu) sigmoid(f + c), and a batch is draws of
+    p and draws of q; by rows log zeta = f - log sum_s' P exp f, and a batch is draws of
+    p, each with the whole of its row.
     """
 
     p: jax.Array
@@ -177,7 +187,9 @@ class NetworkProgram(eqx.Module):  # type: ignore[misc]
         return Batch(jnp.arange(len(self.p)), self.p, self.q, self.row, self.known)
 
     def batch(self, drawn: jax.Array) -> Batch:
-        """N draws of p, then N of q; by rows those of N draws of p, where narrow ones repeat a cell without weight."""
+        """N draws of p, then N of q; by rows those of N draws of p, where narrow ones
+        repeat a cell without weight.
+        """
         if self.row is None or self.indptr is None or self.known is None:
             size = len(drawn) // 2
             of_p = jnp.asarray(np.repeat([1.0 / size, 0.0], size))
@@ -215,7 +227,9 @@ def _iterate(
     draws: Any,
     count: int,
 ) -> Any:
-    """``count`` iterations, on the cells that ``draws`` (count, ...) say, or on all; and the risk of each batch."""
+    """``count`` iterations, on the cells that ``draws`` (count, ...) say, or on all;
+    and the risk of each batch.
+    """
     moving, fixed = eqx.partition(model, eqx.is_array)
 
     def risk(moving: Any, batch: Batch) -> Any:
@@ -247,7 +261,9 @@ def _outputs(model: Any, places: Any, cells: Any) -> Any:
 
 @functools.cache
 def _cpu() -> Any:
-    """The processor, as a device with one thread (the variable is read where the device is made)."""
+    """The processor, as a device with one thread (the variable is read where the device
+    is made).
+    """
     before = os.environ.get("PJRT_NPROC")
     os.environ["PJRT_NPROC"] = "1"
     try:
@@ -341,7 +357,9 @@ def _draw(
     generator: np.random.Generator,
     count: int,
 ) -> Any:
-    """(count, draws): the cells of N draws from each side; None where every iteration has them all."""
+    """(count, draws): the cells of N draws from each side; None where every iteration
+    has them all.
+    """
     if size is None:
         return None
     sides = (program.p, program.q) if program.row is None else (program.p,)
@@ -356,7 +374,9 @@ def _draw(
 def _refuse_divergence(
     values: Array, start: float, done: int, step_size: float
 ) -> None:
-    """RuntimeError where a batch's risk is no number, or these batches' mean is 1 nat above that of g = 1."""
+    """RuntimeError where a batch's risk is no number, or these batches' mean is 1 nat
+    above that of g = 1.
+    """
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size or values.mean() > start + 1.0:
         at, value = (

@@ -1,8 +1,11 @@
-"""zeta row by row against the known simulator: shrunk frequencies, then the KL program of each row.
+"""zeta row by row against the known simulator: shrunk frequencies, then the KL program
+of each row.
 
-A row's frequencies get ``strength`` pseudo-counts of a prior row m (the simulator, or its tilt), p = (n + kappa m) / (n_sa +
-kappa), and zeta minimises sum_s' P z - p log z (+ ridge) over the box, subject to sum_s' P z = 1. Without ridge and box that is
-zeta = (n_sas' / P + kappa zeta_prior) / (n_sa + kappa), the posterior mean under a Dirichlet prior.
+A row's frequencies get ``strength`` pseudo-counts of a prior row m (the simulator, or
+its tilt), p = (n + kappa m) / (n_sa + kappa), and zeta minimises sum_s' P z - p log z
+(+ ridge) over the box, subject to sum_s' P z = 1. Without ridge and box that is zeta =
+(n_sas' / P + kappa zeta_prior) / (n_sa + kappa), the posterior mean under a Dirichlet
+prior.
 """
 
 from __future__ import annotations
@@ -44,11 +47,14 @@ SMALLEST = np.finfo(float).tiny  # in place of a weight of 0
 
 @dataclass(frozen=True, eq=False)
 class Conditional(Method):
-    """zeta row by row against the known simulator: the default. Rows of zeta * P sum to 1.
+    """zeta row by row against the known simulator: the default. Rows of zeta * P sum to
+    1.
 
-    For each (s, a): minimise  sum_s' P z - p log z + ridge/2 sum_s' P (z - toward)^2  over the box, subject to sum_s' P z = 1,
-    with p the row's frequencies shrunk to a prior row m, p = (n + kappa m) / (n_sa + kappa): eq. 3.7 with q = P known. Without
-    ridge and box zeta = (n_sas' / P + kappa m / P) / (n_sa + kappa); at kappa = 0 the maximum-likelihood model.
+    For each (s, a): minimise  sum_s' P z - p log z + ridge/2 sum_s' P (z - toward)^2
+    over the box, subject to sum_s' P z = 1, with p the row's frequencies shrunk to a
+    prior row m, p = (n + kappa m) / (n_sa + kappa): eq. 3.7 with q = P known. Without
+    ridge and box zeta = (n_sas' / P + kappa m / P) / (n_sa + kappa); at kappa = 0 the
+    maximum-likelihood model.
 
     Parameters
     ----------
@@ -59,26 +65,31 @@ class Conditional(Method):
         (``ratio.prior``; "average" is an older name). "tilt": ``features`` alone (log P without any), under the penalty
         |theta|^2 / 2 on standardised features, a unit Gaussian prior. Neither has to do with the option ``ridge``.
     strength : "evidence" (default) | "loo", or a nonnegative number
-        How many transitions the prior is worth in each pair (kappa, the strength of a Dirichlet prior): chosen by marginal
-        likelihood or by leave-one-out, at least 1, one for each kind of pairs (those with the same simulator
-        probabilities; kinds with fewer than 5 recorded pairs or 100 transitions are pooled), or given. ``details`` has the
-        choice, its curve and its meaning.
-    features : directions of your own for the tilt: an array aligned with ``simulator.transitions.data``, one of shape
-        (S, A, S) or (S, A, S, d), a function of (s, a, s'), or a data frame (columns state, action, next_state, by number
-        or name, and one a feature); ``oee.ratio.action_displacement`` makes some
+        How many transitions the prior is worth in each pair (kappa, the strength of a
+        Dirichlet prior): chosen by marginal likelihood or by leave-one-out, at least 1,
+        one for each kind of pairs (those with the same simulator probabilities; kinds
+        with fewer than 5 recorded pairs or 100 transitions are pooled), or given.
+        ``details`` has the choice, its curve and its meaning.
+    features : directions of your own for the tilt: an array aligned with
+        ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), a
+        function of (s, a, s'), or a data frame (columns state, action, next_state, by
+        number or name, and one a feature); ``oee.ratio.action_displacement`` makes some
     lower, upper : bounds on zeta; None: 0 and no bound
-    ridge, toward : as above (default 0); toward None: ridge/2 * sum zeta^2. A function gets the count n_sa of each row that
-        has one, and "evidence" or "loo" chooses kappa / n_sa on the data
+    ridge, toward : as above (default 0); toward None: ridge/2 * sum zeta^2. A function
+        gets the count n_sa of each row that has one, and "evidence" or "loo" chooses
+        kappa / n_sa on the data
     solver : "dual", or a cvxpy solver
-    functions : None (tables: one number an entry), or ``Network(layers, ...)``: zeta = exp f / sum_s' P exp f, f a network
-        trained by Algorithm 1 on the rows together, each with its share n_sa / n: the log's mean -log zeta, and the ridge.
-        Without a prior, a box or a solver; in unrecorded pairs it is the network's extrapolation
+    functions : None (tables: one number an entry), or ``Network(layers, ...)``: zeta =
+        exp f / sum_s' P exp f, f a network trained by Algorithm 1 on the rows together,
+        each with its share n_sa / n: the log's mean -log zeta, and the ridge. Without a
+        prior, a box or a solver; in unrecorded pairs it is the network's extrapolation
 
     Notes
     -----
-    Limit: the target's distributions in recorded pairs, the prior's elsewhere; at rate n^-1/2, without the error of
-    training. O(nnz) with "dual". A network's ``gap`` is the mean's over the log's transitions, to the optimum over all rows;
-    ``details`` has ``trace``, ``kept`` and ``held_out_risk``.
+    Limit: the target's distributions in recorded pairs, the prior's elsewhere; at rate
+    n^-1/2, without the error of training. O(nnz) with "dual". A network's ``gap`` is
+    the mean's over the log's transitions, to the optimum over all rows; ``details`` has
+    ``trace``, ``kept`` and ``held_out_risk``.
 
     Examples
     --------
@@ -142,7 +153,9 @@ class Conditional(Method):
         return replace(self, functions=None)
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
-        """The exact P_target / P_simulator on the rows that have data, the prior's elsewhere."""
+        """The exact P_target / P_simulator on the rows that have data, the prior's
+        elsewhere.
+        """
         fitted = super().limit(population)
         if self.lower is not None or self.upper is not None or self.ridge != 0.0:
             return fitted
@@ -228,7 +241,9 @@ class Conditional(Method):
     def _choose_kappa(
         self, given: RatioInput, tilt: Tilt | None, details: dict[str, Any]
     ) -> Array:
-        """kappa of each row as ``strength`` says, 0 without a prior; ``details`` get the choice."""
+        """kappa of each row as ``strength`` says, 0 without a prior; ``details`` get
+        the choice.
+        """
         if self.prior == "none" or not isinstance(self.strength, str):
             kappa = (
                 0.0
@@ -261,7 +276,9 @@ class Conditional(Method):
     def _choose_ridge(
         self, given: RatioInput, n_row: Array, details: dict[str, Any]
     ) -> Array:
-        """lambda of each row with data; chosen on them, kappa / n_sa: to second order that of a Dirichlet prior."""
+        """lambda of each row with data; chosen on them, kappa / n_sa: to second order
+        that of a Dirichlet prior.
+        """
         if isinstance(self.ridge, str):
             _checks.one_of(self.ridge, "ridge", CRITERIA)
             choice = choose_strength(
@@ -290,7 +307,9 @@ def _no_tilt(
 def _tilt_along_features(
     given: RatioInput, method: Conditional
 ) -> tuple[Tilt | None, dict[str, Any]]:
-    """The tilt along the user's features alone, or log P, under a unit Gaussian penalty."""
+    """The tilt along the user's features alone, or log P, under a unit Gaussian
+    penalty.
+    """
     features, details = _features(given, method)
     rows: Rows = given.get_or_compute(_informative)
     if not len(rows):
@@ -385,7 +404,9 @@ def _kinds(given: RatioInput) -> IntArray:
 def _features(
     given: RatioInput, method: Conditional
 ) -> tuple[Array | None, dict[str, Any]]:
-    """The user's features on the simulator's entries, and their rank; a warning where they are collinear within rows."""
+    """The user's features on the simulator's entries, and their rank; a warning where
+    they are collinear within rows.
+    """
     if method.features is None:
         return None, {}
     features = feature_array(method.features, given.simulator)

@@ -1,6 +1,8 @@
-"""The ratio of two distributions by minimising the dual of the KL divergence: eq. 3.6 and 3.7.
+"""The ratio of two distributions by minimising the dual of the KL divergence: eq. 3.6
+and 3.7.
 
-Reference ([1] is the room's): [2] T. Kanamori, S. Hido and M. Sugiyama, A least-squares approach
+Reference ([1] is the room's): [2] T. Kanamori, S. Hido and M. Sugiyama, A least-squares
+approach
 to direct importance estimation, JMLR 10, 2009.
 """
 
@@ -32,8 +34,8 @@ class RatioFit:
     Attributes
     ----------
     ratio : (n,) array, beta = dP/dQ
-    enclosure : (lower, upper) arrays with the exact minimiser between them, entry by entry: from the bracket of the
-        multiplier with "dual", else the box
+    enclosure : (lower, upper) arrays with the exact minimiser between them, entry by
+        entry: from the bracket of the multiplier with "dual", else the box
     objective : value of the program at ``ratio``, p and q scaled to sum to 1
     dual_bound : a lower bound on the program's optimum, from the multiplier
     gap : objective - dual_bound >= 0, absolute, in nats, computed without cancellation
@@ -43,8 +45,10 @@ class RatioFit:
     p_total, q_total : sums of the given p and q, before they were scaled to 1
     trace : for "sgd", its iterations (``SgdTrace``); None otherwise
     weights : w of a linear or kernel class, g = Phi w; None for tables
-    details : for a class: the features' rank, or the kernel's centres and the part of its Gram matrix that they leave
-    status : "optimal", or "inaccurate" if the gap exceeds 1e-8 (a box within rounding of 1, features of many scales)
+    details : for a class: the features' rank, or the kernel's centres and the part of
+        its Gram matrix that they leave
+    status : "optimal", or "inaccurate" if the gap exceeds 1e-8 (a box within rounding
+        of 1, features of many scales)
 
     Examples
     --------
@@ -118,7 +122,8 @@ def density_ratio(
 ) -> RatioFit:
     """Estimate the ratio p/q as the solution of a convex program.
 
-    minimise  sum q g - sum p log g + (ridge/2) I(g)^2  over  lower <= g <= upper,  and sum q g = 1 if normalized,
+    minimise  sum q g - sum p log g + (ridge/2) I(g)^2  over  lower <= g <= upper,  and
+    sum q g = 1 if normalized,
 
     eq. 3.7, the negative of eq. 3.6. I(g)^2 = sum g^2, the paper's, where
     ``toward`` is None, else sum q (g - toward)^2.
@@ -131,35 +136,44 @@ def density_ratio(
     ridge : nonnegative number, or a function of n (the sum of p)
     toward : None, or the number that the ridge pulls g to
     normalized : whether sum q g = 1 is imposed
-    loss : "kl" (the paper's), or "chi2": least squares (LSIF [2]), sum q g^2 / 2 - sum p g in place of the first two terms
-    solver : "dual" (structured, exact; of classes Clarabel), a cvxpy solver ("CLARABEL", "SCS"), "sgd" or ``Sgd(...)``: the
-        paper's Algorithm 1, for what training adds to the error (normalized=False, a box with 0 < lower and finite upper)
-    features : None (a table: one parameter an entry), or (n,) or (n, d) numbers: the class g = Phi w, for which the ridge is
-        ridge/2 * |w|^2; within lower <= g <= upper
-    kernel, coordinates, n_centers : "gaussian" (in standard deviations of the coordinates) or a function of (m, c) and (k, c)
-        points giving an (m, k) array: the kernel's expansions over the entries, at ``coordinates`` (n,) or (n, c); the ridge
-        is that of the squared RKHS norm. Beyond ``n_centers`` the kernel is replaced by its pivoted Cholesky approximation
+    loss : "kl" (the paper's), or "chi2": least squares (LSIF [2]), sum q g^2 / 2 - sum
+        p g in place of the first two terms
+    solver : "dual" (structured, exact; of classes Clarabel), a cvxpy solver
+        ("CLARABEL", "SCS"), "sgd" or ``Sgd(...)``: the paper's Algorithm 1, for what
+        training adds to the error (normalized=False, a box with 0 < lower and finite
+        upper)
+    features : None (a table: one parameter an entry), or (n,) or (n, d) numbers: the
+        class g = Phi w, for which the ridge is ridge/2 * |w|^2; within lower <= g <=
+        upper
+    kernel, coordinates, n_centers : "gaussian" (in standard deviations of the
+        coordinates) or a function of (m, c) and (k, c) points giving an (m, k) array:
+        the kernel's expansions over the entries, at ``coordinates`` (n,) or (n, c); the
+        ridge is that of the squared RKHS norm. Beyond ``n_centers`` the kernel is
+        replaced by its pivoted Cholesky approximation
     step_size, batch_size, n_iterations, seed : of "sgd"
 
     Returns
     -------
     RatioFit
-        Without box, ridge and normalisation exactly p/q. Entries with p = q = 0 are no part of the program; they get
-        ``toward`` (1 where it is None), clipped to the box.
+        Without box, ridge and normalisation exactly p/q. Entries with p = q = 0 are no
+        part of the program; they get ``toward`` (1 where it is None), clipped to the
+        box.
 
     Raises
     ------
     ValueError
-        q = 0 < p with neither an upper bound nor a ridge towards 0 (the program is unbounded; names the entries);
-        lower > upper; a box that excludes the normalisation; negative weights; all-zero p or q; a solver that is not
+        q = 0 < p with neither an upper bound nor a ridge towards 0 (the program is
+        unbounded; names the entries); lower > upper; a box that excludes the
+        normalisation; negative weights; all-zero p or q; a solver that is not
         installed; features of another length, or that span no function in the box.
     RuntimeError
         The cvxpy solver stopped short of "optimal"; a class without a minimum.
 
     Notes
     -----
-    Cost: O(n) times a few Newton steps with "dual"; with features, solved by Clarabel, about forty steps of O(n d^2).
-    Collinear features are solved, with a warning and their rank.
+    Cost: O(n) times a few Newton steps with "dual"; with features, solved by Clarabel,
+    about forty steps of O(n d^2). Collinear features are solved, with a warning and
+    their rank.
 
     Examples
     --------
@@ -281,7 +295,9 @@ def _refuse_unbounded(index: Any, program: dual.Coordinates, box: Box) -> None:
 
 
 def _check_sgd(box: Box, normalized: bool, loss: str) -> None:
-    """Algorithm 1 minimises the KL risk alone, within a box that keeps its gradients bounded."""
+    """Algorithm 1 minimises the KL risk alone, within a box that keeps its gradients
+    bounded.
+    """
     if normalized or loss != "kl":
         raise ValueError(
             'solver "sgd" must have normalized=False and loss="kl": Algorithm 1 knows'

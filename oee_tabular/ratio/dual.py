@@ -1,11 +1,14 @@
-"""The structured solver: rows of a separable program, each through a one-dimensional dual root, with its gap.
+"""The structured solver: rows of a separable program, each through a one-dimensional
+dual root, with its gap.
 
     minimise  sum_x q g - p log g + A/2 (g - c)^2   subject to  lower <= g <= upper,  sum_x q g = sum_x q    (eq. 3.7)
 
-in each row. The loops solve q g - p log g - pull g + a/2 g^2. With the multiplier eta of the equality and m = 1 + eta (m
-itself is iterated on: near m = 0 nothing cancels) each coordinate has the closed form of ``coordinate``, and the miss sum_x q
-(g_x(m) - 1) is nonincreasing in m: a bracketed root, by Newton's method. Where a = 0 it is Newton's in 1/m, in which the miss
-is linear as long as the same entries are inside the box. Gaps are those of the program as stated (``_certificate``).
+in each row. The loops solve q g - p log g - pull g + a/2 g^2. With the multiplier eta
+of the equality and m = 1 + eta (m itself is iterated on: near m = 0 nothing cancels)
+each coordinate has the closed form of ``coordinate``, and the miss sum_x q (g_x(m) - 1)
+is nonincreasing in m: a bracketed root, by Newton's method. Where a = 0 it is Newton's
+in 1/m, in which the miss is linear as long as the same entries are inside the box. Gaps
+are those of the program as stated (``_certificate``).
 """
 
 from __future__ import annotations
@@ -34,7 +37,9 @@ def check_box(
     normalized: bool,
     names: tuple[str, str] = ("lower", "upper"),
 ) -> Box:
-    """The bounds of a ratio as floats; errors for a box that is empty or, where g is normalised, excludes 1."""
+    """The bounds of a ratio as floats; errors for a box that is empty or, where g is
+    normalised, excludes 1.
+    """
     nu = 0.0 if lower is None else _checks.number_in(lower, names[0], 0.0, np.inf)
     mu = (
         np.inf
@@ -65,7 +70,9 @@ def check_ridge(value: object, n: float) -> float:
 
 
 def check_weights(p: object, q: object) -> tuple[Array, Array]:
-    """Return p and q, counts or probabilities of the same cells, nonnegative and each with a positive sum."""
+    """Return p and q, counts or probabilities of the same cells, nonnegative and each
+    with a positive sum.
+    """
     weights = [
         _checks.float_array(value, name, ndim=1) for value, name in ((p, "p"), (q, "q"))
     ]
@@ -86,15 +93,19 @@ def check_weights(p: object, q: object) -> tuple[Array, Array]:
 
 
 def check_distributions(p: object, q: object) -> tuple[Array, Array]:
-    """Return p and q, counts or probabilities of the same cells, each scaled to sum to 1."""
+    """Return p and q, counts or probabilities of the same cells, each scaled to sum to
+    1.
+    """
     p_weights, q_weights = check_weights(p, q)
     return p_weights / p_weights.sum(), q_weights / q_weights.sum()
 
 
 class Coordinates(NamedTuple):
-    """A separable program as it is stated, entry by entry: sum q g - p log g + curvature/2 (g - center)^2.
+    """A separable program as it is stated, entry by entry: sum q g - p log g +
+    curvature/2 (g - center)^2.
 
-    ``squares``: least squares (LSIF), the chi-square divergence's dual, sum q g^2 / 2 - p g in place of the KL risk.
+    ``squares``: least squares (LSIF), the chi-square divergence's dual, sum q g^2 / 2 -
+    p g in place of the KL risk.
     """
 
     p: Array
@@ -132,10 +143,12 @@ class Coordinates(NamedTuple):
 
 
 class RowSolution(NamedTuple):
-    """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap (absolute).
+    """Minimisers, m = 1 + multiplier of each row's equality, and each row's duality gap
+    (absolute).
 
-    below <= the exact minimiser <= above, entry by entry: the minimisers at the two ends of the bracket of m, equal, up to
-    rounding, but where a jump leaves the minimiser free (inf where nothing bounds it).
+    below <= the exact minimiser <= above, entry by entry: the minimisers at the two
+    ends of the bracket of m, equal, up to rounding, but where a jump leaves the
+    minimiser free (inf where nothing bounds it).
     """
 
     ratio: Array
@@ -148,10 +161,11 @@ class RowSolution(NamedTuple):
 def solve_rows(
     program: Coordinates, lower: float, upper: float, indptr: IntArray
 ) -> RowSolution:
-    """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the callers.
+    """Every row ``indptr[k]:indptr[k+1]`` by itself. Arguments are checked by the
+    callers.
 
-    p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper. Cost: O(entries) times a few steps; it
-    cannot fail.
+    p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper.
+    Cost: O(entries) times a few steps; it cannot fail.
     """
     rows, m = indptr.astype(np.int64), np.empty(len(indptr) - 1)
     ratio, below, above = np.empty((3, len(program.p)))
@@ -174,9 +188,11 @@ def row_gaps(
     upper: float,
     indptr: IntArray,
 ) -> Array:
-    """(rows,) duality gaps of any g with multipliers ``m`` - 1 of the rows' equalities (None: there is no equality).
+    """(rows,) duality gaps of any g with multipliers ``m`` - 1 of the rows' equalities
+    (None: there is no equality).
 
-    From the program as stated, by code that no solver uses; what constraints are missed by counts as it is. Cost: O(entries).
+    From the program as stated, by code that no solver uses; what constraints are missed
+    by counts as it is. Cost: O(entries).
     """
     multiplier, box = (
         np.ones(len(indptr) - 1) if m is None else m,
@@ -210,7 +226,9 @@ class Form(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def coordinate(b, a, p, lower, upper):
-    """argmin of b g - p log g + a/2 g^2 over [lower, upper]; ``lower`` where every point is one."""
+    """argmin of b g - p log g + a/2 g^2 over [lower, upper]; ``lower`` where every
+    point is one.
+    """
     if p > 0.0:
         if a > 0.0:
             root = np.sqrt(b * b + 4.0 * a * p)
@@ -239,7 +257,9 @@ def minimiser(m, form, x):
 # rows are short: a call costs as much as its loop
 @njit(cache=True, error_model="numpy", inline="always")
 def fill_row(m, form, low, high, g):
-    """g_x(m) for the entries low..high; returns sum q (g - 1) and minus its derivative in m."""
+    """g_x(m) for the entries low..high; returns sum q (g - 1) and minus its derivative
+    in m.
+    """
     miss, slope = 0.0, 0.0
     for x in range(low, high):
         q, value = form.q[x], minimiser(m, form, x)
@@ -257,11 +277,14 @@ def fill_row(m, form, low, high, g):
 
 @njit(cache=True, error_model="numpy")
 def solve_row(form, low, high, g, below, above):
-    """Solve one row into ``g``, with the minimisers at the ends of m's bracket, below <= g <= above; returns m.
+    """Solve one row into ``g``, with the minimisers at the ends of m's bracket, below
+    <= g <= above; returns m.
 
-    Needs lower <= 1 <= upper. The bracket has miss(left) >= 0 >= miss(right); from m = 1 it shrinks by Newton's steps, each a
-    little too long near the root so that both ends come within rounding of it, by doubled steps where it has no end, and by
-    halving. g is the convex combination of the two ends' minimisers that meets the equality, right at jumps too (p = 0 = a).
+    Needs lower <= 1 <= upper. The bracket has miss(left) >= 0 >= miss(right); from m =
+    1 it shrinks by Newton's steps, each a little too long near the root so that both
+    ends come within rounding of it, by doubled steps where it has no end, and by
+    halving. g is the convex combination of the two ends' minimisers that meets the
+    equality, right at jumps too (p = 0 = a).
     """
     mass, curved = 0.0, False
     for x in range(low, high):

@@ -1,16 +1,20 @@
-"""Function classes that are linear in their parameters: features given by the user, or made from a kernel.
+"""Function classes that are linear in their parameters: features given by the user, or
+made from a kernel.
 
-A kernel class on points x_1..x_n (the RKHS, by the representer theorem) is the linear class with features L, where the Gram
-matrix is L L^T, and the squared RKHS norm is |w|^2. L is a pivoted Cholesky factor [1]: exact up to ``residual``, the largest
+A kernel class on points x_1..x_n (the RKHS, by the representer theorem) is the linear
+class with features L, where the Gram matrix is L L^T, and the squared RKHS norm is
+|w|^2. L is a pivoted Cholesky factor [1]: exact up to ``residual``, the largest
 diagonal entry of K - L L^T.
 
-Differs from [1] in that it also stops after ``n_centers`` pivots, and refuses a kernel whose variances become negative.
+Differs from [1] in that it also stops after ``n_centers`` pivots, and refuses a kernel
+whose variances become negative.
 
-Features, and the keys of ``ties``, may also come as a data frame: a transition a row, in the columns state, action and
-next_state (numbers or names), beside them one for each feature, or one of keys.
+Features, and the keys of ``ties``, may also come as a data frame: a transition a row,
+in the columns state, action and next_state (numbers or names), beside them one for each
+feature, or one of keys.
 
-Reference: [1] H. Harbrecht, M. Peters and R. Schneider, On the low-rank approximation by the pivoted Cholesky decomposition,
-Applied Numerical Mathematics 62, 2012.
+Reference: [1] H. Harbrecht, M. Peters and R. Schneider, On the low-rank approximation
+by the pivoted Cholesky decomposition, Applied Numerical Mathematics 62, 2012.
 """
 
 from __future__ import annotations
@@ -36,7 +40,8 @@ N_DIAGONAL = 64  # points whose k(x, x) is taken from one square of the Gram mat
 
 
 def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
-    """Compute exp(-|x - c|^2 / (2 bandwidth^2)), for (n, d) and (m, d) points an (n, m) array.
+    """Compute exp(-|x - c|^2 / (2 bandwidth^2)), for (n, d) and (m, d) points an (n, m)
+    array.
 
     Parameters
     ----------
@@ -57,7 +62,9 @@ def gaussian(bandwidth: float) -> Callable[[Array, Array], Array]:
 
 
 class KernelFeatures(NamedTuple):
-    """``matrix`` (n, r) with K = matrix matrix^T up to ``residual`` on the diagonal; ``pivots`` are the r points used."""
+    """``matrix`` (n, r) with K = matrix matrix^T up to ``residual`` on the diagonal;
+    ``pivots`` are the r points used.
+    """
 
     matrix: Array
     pivots: IntArray
@@ -67,7 +74,8 @@ class KernelFeatures(NamedTuple):
 def kernel_features(
     points: Array, kernel: KernelFunction, n_centers: int
 ) -> KernelFeatures:
-    """Pivoted Cholesky of the kernel's Gram matrix on ``points`` (n, d); O(n r^2), with r kernel columns evaluated.
+    """Pivoted Cholesky of the kernel's Gram matrix on ``points`` (n, d); O(n r^2), with
+    r kernel columns evaluated.
 
     Raises ValueError where the kernel is not positive semidefinite on these points.
     """
@@ -138,7 +146,9 @@ def class_features(
     n_centers: int,
     n: int,
 ) -> tuple[Array, dict[str, Any]]:
-    """(n, d) features of n cells from the user's, or from a kernel on the cells' coordinates; and what is said of them."""
+    """(n, d) features of n cells from the user's, or from a kernel on the cells'
+    coordinates; and what is said of them.
+    """
     if features is not None:
         for value, name in ((kernel, "kernel"), (coordinates, "coordinates")):
             if value is not None:
@@ -169,7 +179,9 @@ def class_features(
 
 
 def count_rank(features: Array, *, where: str = "") -> int:
-    """The number of independent columns, each scaled to length 1, up to 1e-10; warns where some are collinear."""
+    """The number of independent columns, each scaled to length 1, up to 1e-10; warns
+    where some are collinear.
+    """
     lengths, d = np.sqrt((features**2).sum(axis=0)), features.shape[1]
     used = features[:, lengths > 0] / lengths[lengths > 0]
     values = np.linalg.eigvalsh(used.T @ used)
@@ -185,9 +197,11 @@ def count_rank(features: Array, *, where: str = "") -> int:
 def feature_array(features: object, simulator: FiniteMDP) -> Array:
     """phi as an (entries, d) array of finite numbers.
 
-    ``features``: a function of (s, a, s') arrays, an array of (entries,) or (entries, d)
-    aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d), or a data frame with columns state, action,
-    next_state (numbers or the simulator's names) and one for each feature, 0 for transitions that are not in it.
+    ``features``: a function of (s, a, s') arrays, an array of (entries,) or (entries,
+    d)
+    aligned with ``simulator.transitions.data``, or of (S, A, S) or (S, A, S, d), or a
+    data frame with columns state, action, next_state (numbers or the simulator's names)
+    and one for each feature, 0 for transitions that are not in it.
     """
     matrix, rows = simulator.transitions, Rows.of(simulator)
     if not callable(features) and is_frame(features):
@@ -227,7 +241,9 @@ def _check_points(coordinates: object, n: int, rule: str) -> Array:
 
 
 def move_points(simulator: FiniteMDP, coordinates: object) -> Array:
-    """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of each simulator transition."""
+    """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of
+    each simulator transition.
+    """
     places, rows = (
         _check_points(coordinates, simulator.n_states, "one a state"),
         Rows.of(simulator),
@@ -239,16 +255,19 @@ def move_points(simulator: FiniteMDP, coordinates: object) -> Array:
 
 
 def action_displacement(simulator: FiniteMDP, coordinates: ArrayLike) -> Array:
-    """Make indicator features of (action, displacement), which share information between all states.
+    """Make indicator features of (action, displacement), which share information
+    between all states.
 
     Parameters
     ----------
     simulator : FiniteMDP
-    coordinates : (S,) or (S, c): where each state is; the displacement is the difference of the two ends' coordinates
+    coordinates : (S,) or (S, c): where each state is; the displacement is the
+        difference of the two ends' coordinates
 
     Returns
     -------
-    (entries, d) : one column per action and displacement; of each action the commonest displacement is the reference
+    (entries, d) : one column per action and displacement; of each action the commonest
+        displacement is the reference
 
     Examples
     --------
@@ -277,7 +296,8 @@ WHOLE = 2.0**53  # up to which a float is the integer that was written
 def features_in(
     frame: Any, simulator: FiniteMDP, source: str
 ) -> tuple[Array, list[str]]:
-    """(entries, d) finite numbers on ``simulator.transitions.data``, their names; 0 for transitions not in the frame.
+    """(entries, d) finite numbers on ``simulator.transitions.data``, their names; 0 for
+    transitions not in the frame.
 
     ``source`` is what errors call the frame.
     """
@@ -316,7 +336,9 @@ def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
 def _moves_of(
     frame: Any, simulator: FiniteMDP, source: str
 ) -> tuple[list[_Column], IntArray]:
-    """The columns beside the transitions, and the entry of the simulator's transitions that each row is about."""
+    """The columns beside the transitions, and the entry of the simulator's transitions
+    that each row is about.
+    """
     table = eager(frame)
     labels = [str(label) for label in table.columns]
     require_columns(source, MOVE, labels)
@@ -411,7 +433,9 @@ class _Column(NamedTuple):
         return numbers.astype(np.int64)
 
     def numbered(self, names: tuple[Name, ...] | None, size: int) -> IntArray:
-        """States or actions: integers in 0..size-1, or the simulator's names where it has some."""
+        """States or actions: integers in 0..size-1, or the simulator's names where it
+        has some.
+        """
         values = np.asarray(self.series.to_numpy())
         if names is None or values.dtype.kind in "biuf":
             numbers = self.integers()

@@ -1,20 +1,24 @@
-"""Both ratios at once: beta_sas' and beta_sa under marginal consistency, whose quotient has rows that sum to 1.
+"""Both ratios at once: beta_sas' and beta_sa under marginal consistency, whose quotient
+has rows that sum to 1.
 
     minimise  [sum q B - sum p log B + ridge/2 I(B)^2] + [sum r b - sum s log b + ridge/2 I(b)^2]
     subject to  lower <= B, b <= upper,   sum_s' d(s, a, s') B(s, a, s') = d(s, a) b(s, a)  for each (s, a),
                 ratio_lower b <= B <= ratio_upper b  where the ratio has a box of its own,
 
-p, s the target's frequencies of (s, a, s') and (s, a); q = d(s, a) P(s' | s, a), r = d(s, a) the simulator's, whose data enter
-through d(s, a) alone. The constraint says sum_s' P B / b = 1.
+p, s the target's frequencies of (s, a, s') and (s, a); q = d(s, a) P(s' | s, a), r =
+d(s, a) the simulator's, whose data enter through d(s, a) alone. The constraint says
+sum_s' P B / b = 1.
 
-Each (s, a) is solved by itself, B_x = B(s, a, x) and b together, r = sum_x q_x. With the multiplier theta of the equality and
-a given b, each B_x has the coordinate's closed form (``dual``) in its bounds, and the Lagrangian's least value is convex in b
-with the derivative (envelope theorem)
+Each (s, a) is solved by itself, B_x = B(s, a, x) and b together, r = sum_x q_x. With
+the multiplier theta of the equality and a given b, each B_x has the coordinate's closed
+form (``dual``) in its bounds, and the Lagrangian's least value is convex in b with the
+derivative (envelope theorem)
 
     (1 - theta) r - s / b + lam b + ratio_lower sum eta - ratio_upper sum xi,
 
-eta and xi the slopes of B at the bounds that move with b: b is a bracketed root, or of closed form without a box. Then
-phi(theta) = sum q B(theta) - r b(theta) is nonincreasing: a bracketed root again.
+eta and xi the slopes of B at the bounds that move with b: b is a bracketed root, or of
+closed form without a box. Then phi(theta) = sum q B(theta) - r b(theta) is
+nonincreasing: a bracketed root again.
 """
 
 from __future__ import annotations
@@ -38,21 +42,25 @@ from oee_tabular.ratio.statements import JointPoint, JointProgram
 
 @dataclass(frozen=True, eq=False)
 class Joint(Method):
-    """Both ratios in one program, under sum_s' d(s, a, s') beta(s, a, s') = d(s, a) beta(s, a): rows of zeta * P sum to 1.
+    """Both ratios in one program, under sum_s' d(s, a, s') beta(s, a, s') = d(s, a)
+    beta(s, a): rows of zeta * P sum to 1.
 
-    The program is the module's. d(s, a) alone is taken from the simulator's data: P is known.
+    The program is the module's. d(s, a) alone is taken from the simulator's data: P is
+    known.
 
     Parameters
     ----------
     lower, upper : nu and mu, on each beta (0.01 and 10; ``numpy.inf`` for none)
-    ratio_lower, ratio_upper : the box ratio_lower <= beta(s, a, s') / beta(s, a) <= ratio_upper; None: none
+    ratio_lower, ratio_upper : the box ratio_lower <= beta(s, a, s') / beta(s, a) <=
+        ratio_upper; None: none
     ridge : lambda_n of both, a number or a function of n
     solver : "dual", or a cvxpy solver
     data, behavior_policy : as in ``Quotient``
 
     Notes
     -----
-    Limit: the program's with the simulator's exact occupancy. zeta is 1 for pairs outside the simulator's data.
+    Limit: the program's with the simulator's exact occupancy. zeta is 1 for pairs
+    outside the simulator's data.
 
     Examples
     --------
@@ -151,7 +159,9 @@ def slope_at(x, theta, f, g):
 
 @njit(cache=True, error_model="numpy")
 def fill_moves(b, theta, f, k, moves):
-    """B_x(theta, b) of row k into ``moves``; returns the derivative of the Lagrangian's least value in b."""
+    """B_x(theta, b) of row k into ``moves``; returns the derivative of the Lagrangian's
+    least value in b.
+    """
     lower, upper = max(f.nu, f.ratio_lower * b), min(f.mu, f.ratio_upper * b)
     slope = f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0)
     for x in range(f.indptr[k], f.indptr[k + 1]):
@@ -236,7 +246,8 @@ def solve(f, k, moves, at_left, at_right):
 def fill_multipliers(b, theta, f, k, moves, eta, xi):
     """eta and xi of the bounds on the ratio, for B (``moves``), b and theta.
 
-    Where a moving bound coincides with a fixed one its share of the multiplier is what b's own condition asks for.
+    Where a moving bound coincides with a fixed one its share of the multiplier is what
+    b's own condition asks for.
     """
     rest, loose = (
         f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0),

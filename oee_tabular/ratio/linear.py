@@ -1,20 +1,24 @@
-"""Ratios in linear and kernel classes: g = Phi w for two distributions, zeta = 1 + Phi w for a simulator's rows.
+"""Ratios in linear and kernel classes: g = Phi w for two distributions, zeta = 1 + Phi
+w for a simulator's rows.
 
     minimise  sum_x q g - p log g  +  ridge/2 |w|^2   over w, g = offset + Phi w,   lower <= g <= upper,
 
-and sum q g = 1 where the program is normalised: eq. 3.7 over a class. For zeta, offset = 1 and the features are centred in
-each row, sum_s' P(s' | s, a) phi(s, a, s') = 0, so that rows of zeta * P sum to 1 for every w; p = n_sas' / n and
-q = n_sa P / n. With ridge = 1/n (the default) the penalty is worth one transition: a unit Gaussian prior on w, for a kernel
-a Gaussian process of unit amplitude around the simulator.
+and sum q g = 1 where the program is normalised: eq. 3.7 over a class. For zeta, offset
+= 1 and the features are centred in each row, sum_s' P(s' | s, a) phi(s, a, s') = 0, so
+that rows of zeta * P sum to 1 for every w; p = n_sas' / n and q = n_sa P / n. With
+ridge = 1/n (the default) the penalty is worth one transition: a unit Gaussian prior on
+w, for a kernel a Gaussian process of unit amplitude around the simulator.
 
-*Solution*: Clarabel, by the statement of ``ratio.statements``. *Certificate*: with g and w apart, tied by g = offset + Phi w
-with multiplier v, and eta that of sum q g = 1, the dual function at any v and eta is
+*Solution*: Clarabel, by the statement of ``ratio.statements``. *Certificate*: with g
+and w apart, tied by g = offset + Phi w with multiplier v, and eta that of sum q g = 1,
+the dual function at any v and eta is
 
     D(v, eta) = sum_x min {(q + v + eta q) g - p log g} - v . offset - |Phi^T v|^2 / (2 ridge) - eta,
 
-the minima over [lower, upper] in closed form: a lower bound on the optimum whatever solver v and eta are from (v is first
-moved so that Phi^T v = ridge w). ``gap`` is the value at the w that is handed over less D, a sum of terms that
-are none of them negative.
+the minima over [lower, upper] in closed form: a lower bound on the optimum whatever
+solver v and eta are from (v is first moved so that Phi^T v = ridge w). ``gap`` is the
+value at the w that is handed over less D, a sum of terms that are none of them
+negative.
 """
 
 from __future__ import annotations
@@ -55,7 +59,9 @@ USELESS_GAP = 1.0  # nats
 
 
 class ClassFit(NamedTuple):
-    """w, g = offset + Phi w clipped to the box, eta, and the gap, what constraints are missed by included."""
+    """w, g = offset + Phi w clipped to the box, eta, and the gap, what constraints are
+    missed by included.
+    """
 
     weights: Array
     ratio: Array
@@ -66,8 +72,9 @@ class ClassFit(NamedTuple):
 def solve_class(program: LinearProgram, solver: str) -> ClassFit:
     """The optimum by Clarabel ("dual") or another cvxpy solver, with its gap.
 
-    Without a ridge the features are first reduced to an orthonormal basis of their span, and the smallest w is given.
-    ValueError where no function of the class meets the constraints, RuntimeError where the solver reaches none that does.
+    Without a ridge the features are first reduced to an orthonormal basis of their
+    span, and the smallest w is given. ValueError where no function of the class meets
+    the constraints, RuntimeError where the solver reaches none that does.
     """
     solver, back, best = (
         "CLARABEL" if solver == "dual" else solver,
@@ -106,12 +113,15 @@ def solve_class(program: LinearProgram, solver: str) -> ClassFit:
 
 
 def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> ClassFit:
-    """The fit that w and the multipliers of the constraints make; its gap is infinite where w misses them by much.
+    """The fit that w and the multipliers of the constraints make; its gap is infinite
+    where w misses them by much.
 
-    gap = sum_x [l(g) - min l] + ridge/2 |w - Phi^T v / ridge|^2 + |eta (sum q g - 1)|,   l(g) = (q + v + eta q) g - p log g.
+    gap = sum_x [l(g) - min l] + ridge/2 |w - Phi^T v / ridge|^2 + |eta (sum q g - 1)|,
+    l(g) = (q + v + eta q) g - p log g.
 
-    Any v gives a bound; the one that is taken is near ``tie``, but has Phi^T v = ridge w, and q + v + eta q >= 0 where nothing
-    else bounds an entry, so that it is not spoilt by the rounding of a solver. Entries with p > 0 take the change: there it
+    Any v gives a bound; the one that is taken is near ``tie``, but has Phi^T v = ridge
+    w, and q + v + eta q >= 0 where nothing else bounds an entry, so that it is not
+    spoilt by the rounding of a solver. Entries with p > 0 take the change: there it
     costs its square.
     """
     p, q, phi, ridge = program.p, program.q, program.features, program.penalty
@@ -154,7 +164,9 @@ def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> C
 
 
 def _refuse_class_without_room(program: LinearProgram) -> None:
-    """ValueError where the class has no function strictly within the bounds, with sum q g = 1 where it is asked for."""
+    """ValueError where the class has no function strictly within the bounds, with sum q
+    g = 1 where it is asked for.
+    """
     miss = statements.nearest_miss(program)
     if miss <= -1e-9:
         return
@@ -197,24 +209,31 @@ def _refuse_thin_box(box: Box, normalized: bool) -> None:
 
 @dataclass(frozen=True, eq=False)
 class InClass(Method):
-    """zeta = 1 + Phi w, all rows sharing w: the module's program. Rows of zeta * P sum to 1.
+    """zeta = 1 + Phi w, all rows sharing w: the module's program. Rows of zeta * P sum
+    to 1.
 
     Parameters
     ----------
-    features : an array aligned with ``simulator.transitions.data``, one of shape (S, A, S) or (S, A, S, d), a function of
-        (s, a, s'), or a data frame (columns state, action, next_state, by number or name, and one a feature); or instead of it
-    kernel : "gaussian" (of the coordinates of s and the displacement to s', for each action), or a function
-        of (m, 1 + 2c) and (k, 1 + 2c) points (action, coordinates of s, displacement) giving an (m, k) array
+    features : an array aligned with ``simulator.transitions.data``, one of shape (S, A,
+        S) or (S, A, S, d), a function of (s, a, s'), or a data frame (columns state,
+        action, next_state, by number or name, and one a feature); or instead of it
+    kernel : "gaussian" (of the coordinates of s and the displacement to s', for each
+        action), or a function
+        of (m, 1 + 2c) and (k, 1 + 2c) points (action, coordinates of s, displacement)
+        giving an (m, k) array
     coordinates : (S,) or (S, c), of each state; with a kernel
     bandwidth : of the Gaussian, in standard deviations
-    n_centers : above this number of transitions, the pivoted Cholesky approximation, whose error is in ``details``
+    n_centers : above this number of transitions, the pivoted Cholesky approximation,
+        whose error is in ``details``
     lower, upper : bounds on zeta; None: 0 and no bound
-    ridge : ridge/2 * |w|^2 in the risk per transition; None: 1 / n, worth one transition
+    ridge : ridge/2 * |w|^2 in the risk per transition; None: 1 / n, worth one
+        transition
     solver : "dual" (Clarabel, with the module's certificate), or another cvxpy solver
 
     Notes
     -----
-    Limit: the member of the class nearest to the target in KL risk. Cost: about forty steps of O(nnz d^2).
+    Limit: the member of the class nearest to the target in KL risk. Cost: about forty
+    steps of O(nnz d^2).
 
     Examples
     --------
@@ -265,7 +284,9 @@ class InClass(Method):
         return "linear" if self.kernel is None else "kernel"
 
     def _kernel_of_moves(self, points: Array) -> KernelFunction:
-        """The user's, or 1[same action] times a Gaussian in the standardised coordinates and displacements."""
+        """The user's, or 1[same action] times a Gaussian in the standardised
+        coordinates and displacements.
+        """
         if callable(self.kernel):
             return self.kernel
         smooth = standard_gaussian(points[:, 1:], self.bandwidth)

@@ -1,4 +1,6 @@
-"""Methods for zeta from counts: objects with options, ``fit`` to a log, and the ``limit`` with infinite data."""
+"""Methods for zeta from counts: objects with options, ``fit`` to a log, and the
+``limit`` with infinite data.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ _MANY = 1e12
 
 @dataclass(frozen=True, eq=False)
 class RatioInput:
-    """What there is to go by, checked: ``observed`` are the counts on the simulator's entries."""
+    """What there is to go by, checked: ``observed`` are the counts on the simulator's
+    entries.
+    """
 
     observed: Array
     simulator: FiniteMDP
@@ -52,7 +56,9 @@ class RatioInput:
         return rows
 
     def get_or_compute(self, make: Callable[..., Any]) -> Any:
-        """``make(given)``, which looks at counts and simulator alone, for all fits that share a cache."""
+        """``make(given)``, which looks at counts and simulator alone, for all fits that
+        share a cache.
+        """
         if make not in self.cache:
             self.cache[make] = make(self)
         return self.cache[make]
@@ -89,10 +95,11 @@ def _visited(given: RatioInput) -> Rows:
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """A pair and the data that an estimator, or a method of ratios, would have infinitely many of.
+    """A pair and the data that an estimator, or a method of ratios, would have
+    infinitely many of.
 
-    ``distribution`` (S, A) is how rows of the target are drawn, uniform where the caller gives none; ``support`` (S*A,) its
-    support, or all rows.
+    ``distribution`` (S, A) is how rows of the target are drawn, uniform where the
+    caller gives none; ``support`` (S*A,) its support, or all rows.
     """
 
     simulator: FiniteMDP
@@ -110,7 +117,9 @@ class Population:
         return csr_on_pattern(matrix, weight * matrix.data)
 
     def model(self, fallback: sparse.csr_array) -> FiniteMDP:
-        """The target's rows where the data have them, ``fallback``'s elsewhere, with the simulator's rewards."""
+        """The target's rows where the data have them, ``fallback``'s elsewhere, with
+        the simulator's rewards.
+        """
         keep, rest = (
             sparse.diags_array(mask.astype(np.float64), format="csr")
             for mask in (self.support, ~self.support)
@@ -124,7 +133,8 @@ class Population:
 
 
 class Method:
-    """A method for zeta from counts. Subclasses are frozen dataclasses whose fields are the options; they define ``_fit``.
+    """A method for zeta from counts. Subclasses are frozen dataclasses whose fields are
+    the options; they define ``_fit``.
 
     Examples
     --------
@@ -150,7 +160,9 @@ class Method:
         return type(self).__name__.lower()
 
     def refuse_unused(self, **inputs: Any) -> None:
-        """ValueError that names an input that is given and that ``fit`` would not look at."""
+        """ValueError that names an input that is given and that ``fit`` would not look
+        at.
+        """
         for name, value in inputs.items():
             if value is not None and name not in self.uses:
                 raise ValueError(
@@ -185,8 +197,9 @@ class Method:
     ) -> TransitionRatio:
         """zeta from a log of the target, or from counts, csr (S*A, S).
 
-        The rest as in ``transition_ratio``; and ``cache``, a dict for fits to one log and simulator: what does not depend on
-        the rest is computed once. What the method has no use for is not looked at.
+        The rest as in ``transition_ratio``; and ``cache``, a dict for fits to one log
+        and simulator: what does not depend on the rest is computed once. What the
+        method has no use for is not looked at.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
         log, cache = None, {} if cache is None else cache
@@ -250,7 +263,9 @@ class Method:
         return result
 
     def limit(self, population: Population) -> TransitionRatio | sparse.csr_array:
-        """zeta as the number of transitions grows, recorded as ``population`` says; training is no part of it."""
+        """zeta as the number of transitions grows, recorded as ``population`` says;
+        training is no part of it.
+        """
         return self._exact().fit(
             population.counts(),
             population.simulator,

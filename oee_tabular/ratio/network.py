@@ -1,8 +1,11 @@
-"""The paper's class of functions: g is a multilayer perceptron, trained on eq. 3.7 by Algorithm 1.
+"""The paper's class of functions: g is a multilayer perceptron, trained on eq. 3.7 by
+Algorithm 1.
 
-What a user states of it, what its training is given, and the gap to the optimum over all functions (or all rows) of what
-comes back: cell by cell, within a box (``Quotient``), or row by row with q = P
-known, each row's sum q g = 1 (``Conditional``). Training needs the extra ``neural`` (jax, equinox, optax).
+What a user states of it, what its training is given, and the gap to the optimum over
+all functions (or all rows) of what comes back: cell by cell, within a box
+(``Quotient``), or row by row with q = P
+known, each row's sum q g = 1 (``Conditional``). Training needs the extra ``neural``
+(jax, equinox, optax).
 """
 
 from __future__ import annotations
@@ -28,7 +31,8 @@ OPTIMIZERS = ("adam", "sgd")
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A multilayer perceptron f_theta(s, a[, s']) for a ratio, and its training by Algorithm 1.
+    """A multilayer perceptron f_theta(s, a[, s']) for a ratio, and its training by
+    Algorithm 1.
 
         ``Quotient``:     log g = log nu + (log mu - log nu) sigmoid(f_theta + c),   within the box,
         ``Conditional``:  log zeta = f_theta - log sum_s' P exp f_theta,             each row of zeta P sums to 1;
@@ -37,19 +41,25 @@ class Network:
 
         theta <- theta - step d/d theta [mean of g over N draws of q - mean of log g over N draws of p],
 
-    where ``Conditional`` replaces the draws of q by the known rows of N transitions: the log's mean -log zeta.
+    where ``Conditional`` replaces the draws of q by the known rows of N transitions:
+    the log's mean -log zeta.
 
     Parameters
     ----------
     layers : widths of the hidden layers; () is a linear f
     activation : "relu" | "tanh" | "gelu" | "silu" | "softplus"
-    inputs : "one_hot": of s, a and s'; or (S,) or (S, c) coordinates of the states (standardised), actions one-hot
+    inputs : "one_hot": of s, a and s'; or (S,) or (S, c) coordinates of the states
+        (standardised), actions one-hot
     step_size : of the first iteration; it falls to 0 along a quarter of a cosine
-    batch_size : draws of each side an iteration (N); None: the whole log at each, full batch
+    batch_size : draws of each side an iteration (N); None: the whole log at each, full
+        batch
     n_iterations : at most
-    held_out : the share of each log's transitions kept out of batches, to choose the parameters of least risk. 0: the last
-    patience : training stops after so many checks of the held-out risk, one every 100 iterations, without a new least one
-    optimizer : "adam", or "sgd" as Algorithm 1 is printed (which hardly trains rare cells)
+    held_out : the share of each log's transitions kept out of batches, to choose the
+        parameters of least risk. 0: the last
+    patience : training stops after so many checks of the held-out risk, one every 100
+        iterations, without a new least one
+    optimizer : "adam", or "sgd" as Algorithm 1 is printed (which hardly trains rare
+        cells)
 
     Raises
     ------
@@ -60,11 +70,12 @@ class Network:
 
     Notes
     -----
-    The risk is convex in g, not in theta: training gives no certificate in its class. The gap of its ``RatioFit`` is
-    to the optimum over all functions in the box (or over all rows), which contain the class. The same seed gives identical
-    results: one thread, unless the process has used jax before. Cost: O(n_iterations batch_size sum of the products of
-    consecutive widths), in ``Conditional`` times the simulator's widest row; about 0.5 ms an iteration for (64, 64) and
-    batches of 128.
+    The risk is convex in g, not in theta: training gives no certificate in its class.
+    The gap of its ``RatioFit`` is to the optimum over all functions in the box (or over
+    all rows), which contain the class. The same seed gives identical results: one
+    thread, unless the process has used jax before. Cost: O(n_iterations batch_size sum
+    of the products of consecutive widths), in ``Conditional`` times the simulator's
+    widest row; about 0.5 ms an iteration for (64, 64) and batches of 128.
 
     Examples
     --------
@@ -113,7 +124,9 @@ class Network:
 
 
 def check_network(method: Any) -> None:
-    """What no method can have with a network: a ValueError, at the making of the method."""
+    """What no method can have with a network: a ValueError, at the making of the
+    method.
+    """
     _checks.instance(method.functions, Network, "functions", "Network(...)")
     if method.solver != "dual":
         raise ValueError(
@@ -156,10 +169,11 @@ def fit_network(
     toward: float | None,
     seed: Seed,
 ) -> RatioFit:
-    """p / q on the cells by a network: counts (or probabilities) p, q and the columns of the cells.
+    """p / q on the cells by a network: counts (or probabilities) p, q and the columns
+    of the cells.
 
-    ``trace`` has excess and error against the optimum over all functions in the box; ``details`` the iteration kept and the
-    held-out risk at each check.
+    ``trace`` has excess and error against the optimum over all functions in the box;
+    ``details`` the iteration kept and the held-out risk at each check.
     """
     neural, generator = _require_neural(), _checks.generator(seed)
     best = density_ratio(
@@ -204,11 +218,13 @@ def fit_network(
 def fit_rows(
     network: Network, counts: Array, program: Coordinates, rows: Rows, *, seed: Seed
 ) -> tuple[Array, float, dict[str, Any]]:
-    """zeta by a network, each row of zeta P summing to 1: the rows' programs, each with its share of the counts.
+    """zeta by a network, each row of zeta P summing to 1: the rows' programs, each with
+    its share of the counts.
 
-    Risk: sum over rows of n_sa / n [sum_s' P z - p log z + curvature/2 (z - center)^2], p = counts / n_sa. Returns zeta on the
-    simulator's entries, its risk above the optimum over all rows (nats per transition), and details: the ``trace`` against
-    that optimum, ``iterations``, the one kept, the held-out risk at each check.
+    Risk: sum over rows of n_sa / n [sum_s' P z - p log z + curvature/2 (z - center)^2],
+    p = counts / n_sa. Returns zeta on the simulator's entries, its risk above the
+    optimum over all rows (nats per transition), and details: the ``trace`` against that
+    optimum, ``iterations``, the one kept, the held-out risk at each check.
     """
     neural, generator = _require_neural(), _checks.generator(seed)
     p_train, p_held = _split(counts, "p", network.held_out, generator)
@@ -268,13 +284,17 @@ def _require_neural() -> Any:
 def _trace(
     trained: Any, risks: list[float], least: float, ratio: Array, known: BoolArray
 ) -> SgdTrace:
-    """Excess risk and error of each check against the optimum, ``least`` at ``ratio``; the error where something is known."""
+    """Excess risk and error of each check against the optimum, ``least`` at ``ratio``;
+    the error where something is known.
+    """
     errors = [np.abs(each - ratio)[known].mean() for each in trained.checked]
     return SgdTrace(trained.iteration, np.array(risks) - least, np.array(errors))
 
 
 def _places(network: Network, n_states: int) -> Array | None:
-    """(S, c) coordinates, each of mean 0 and standard deviation 1 (0 where it is constant); None: one-hot."""
+    """(S, c) coordinates, each of mean 0 and standard deviation 1 (0 where it is
+    constant); None: one-hot.
+    """
     if isinstance(network.inputs, str):
         return None
     places = check_layout(network.inputs, n_states, "inputs")
@@ -287,7 +307,9 @@ def _places(network: Network, n_states: int) -> Array | None:
 def _split(
     weights: Array, name: str, held_out: float, generator: np.random.Generator
 ) -> tuple[Array, Array | None]:
-    """Shares to train on and to stop on. Probabilities (q of an exact simulator) are both, whole."""
+    """Shares to train on and to stop on. Probabilities (q of an exact simulator) are
+    both, whole.
+    """
     if held_out == 0.0:
         return weights / weights.sum(), None
     if (weights != np.round(weights)).any():

@@ -1,4 +1,6 @@
-"""Eq. 4.4: zeta as the quotient of two density ratios, (s, a, s') over (s, a), each by eq. 3.7."""
+"""Eq. 4.4: zeta as the quotient of two density ratios, (s, a, s') over (s, a), each by
+eq. 3.7.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ _LONGEST_EPISODE = 1000
 
 @dataclass(frozen=True, eq=False)
 class Quotient(Method):
-    """The paper's zeta: two density ratios, target to simulator, fitted separately, and their quotient (eq. 4.4).
+    """The paper's zeta: two density ratios, target to simulator, fitted separately, and
+    their quotient (eq. 4.4).
 
         zeta(s, a, s') = beta(s, a, s') / beta(s, a),   each beta = d_te / d_tr by eq. 3.7 (``density_ratio``).
 
@@ -36,22 +39,28 @@ class Quotient(Method):
 
     Parameters
     ----------
-    lower, upper : the paper's nu and mu, on each beta (0.01 and 10; ``numpy.inf`` for none), so that zeta lies in
-        [lower/upper, upper/lower]
-    ridge, toward : lambda_n and its centre, as in ``density_ratio``; toward None is the paper's I(g)^2 = sum g^2
-    normalized : whether sum beta q = 1 is imposed on each: True (default), or False as in the paper
-    solver : "dual", a cvxpy solver, or ``Sgd(...)``: Algorithm 1, both tables in turn; needs normalized=False
-    data : a log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
-        the seed of ``fit``; "exact": the simulator's exact occupancy under that policy
+    lower, upper : the paper's nu and mu, on each beta (0.01 and 10; ``numpy.inf`` for
+        none), so that zeta lies in [lower/upper, upper/lower]
+    ridge, toward : lambda_n and its centre, as in ``density_ratio``; toward None is the
+        paper's I(g)^2 = sum g^2
+    normalized : whether sum beta q = 1 is imposed on each: True (default), or False as
+        in the paper
+    solver : "dual", a cvxpy solver, or ``Sgd(...)``: Algorithm 1, both tables in turn;
+        needs normalized=False
+    data : a log of the simulator; None: one of the target log's size is sampled under
+        its estimated behaviour policy, with the seed of ``fit``; "exact": the
+        simulator's exact occupancy under that policy
     behavior_policy : (S, A), instead of the estimated one
-    functions : None (tables: one number a cell), or ``Network(layers, ...)``: each beta is a network, trained by Algorithm 1
-        with the network's own settings; needs normalized=False, and solver left out
+    functions : None (tables: one number a cell), or ``Network(layers, ...)``: each beta
+        is a network, trained by Algorithm 1 with the network's own settings; needs
+        normalized=False, and solver left out
 
     Notes
     -----
-    Limit: the box-clipped quotient of the exact ratios, whatever the solver or the functions. If a transition was recorded on
-    neither side, 0/0, zeta is 1 for tables; a network has a value there. ``details["beta"]``: the fits of (s, a, s') and
-    (s, a), with the traces of ``Sgd`` or of the network.
+    Limit: the box-clipped quotient of the exact ratios, whatever the solver or the
+    functions. If a transition was recorded on neither side, 0/0, zeta is 1 for tables;
+    a network has a value there. ``details["beta"]``: the fits of (s, a, s') and (s, a),
+    with the traces of ``Sgd`` or of the network.
 
     Examples
     --------
@@ -175,9 +184,11 @@ def check_simulator_data(value: object) -> None:
 def simulator_weights(
     given: RatioInput, data: SimulatorData, behavior_policy: PolicyLike | None
 ) -> Array:
-    """Counts or probabilities of the simulator's transitions, on its entries; weighted by discount^t where one is given.
+    """Counts or probabilities of the simulator's transitions, on its entries; weighted
+    by discount^t where one is given.
 
-    ``data`` and ``behavior_policy`` are a method's own; without them those that are given, without these the estimates.
+    ``data`` and ``behavior_policy`` are a method's own; without them those that are
+    given, without these the estimates.
     """
     observed, simulator, discount = given.observed, given.simulator, given.discount
     simulator_data = given.simulator_data if data is None else data

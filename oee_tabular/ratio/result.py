@@ -1,4 +1,6 @@
-"""The result of a fit of zeta: the ratio, its certificate, and the influence of sampling noise on values."""
+"""The result of a fit of zeta: the ratio, its certificate, and the influence of
+sampling noise on values.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,15 @@ class TransitionRatio:
     ----------
     values : csr of shape (S*A, S) with the entries of ``simulator.transitions``
     method : the method's name
-    gap : the largest duality gap of the programs solved (nats, each program scaled to probabilities)
-    visited : (S, A), whether the pair was recorded; elsewhere zeta is the prior's (1, or the tilt's)
+    gap : the largest duality gap of the programs solved (nats, each program scaled to
+        probabilities)
+    visited : (S, A), whether the pair was recorded; elsewhere zeta is the prior's (1,
+        or the tilt's)
     row_sum_error : largest |sum_s' zeta P - 1| over (s, a)
     counts : (S, A) transitions of the log in each pair
     details : the method's own diagnostics
-    tied : whether transitions of one key share one value, so that unrecorded pairs are not the prior's
+    tied : whether transitions of one key share one value, so that unrecorded pairs are
+        not the prior's
 
     Examples
     --------
@@ -86,7 +91,9 @@ class TransitionRatio:
         )
 
     def on(self, simulator: FiniteMDP) -> Array:
-        """The values on the entries of ``simulator.transitions``; ValueError where they are another simulator's."""
+        """The values on the entries of ``simulator.transitions``; ValueError where they
+        are another simulator's.
+        """
         _checks.instance(simulator, FiniteMDP, "simulator")
         if self.values.shape != simulator.transitions.shape:
             raise ValueError(
@@ -109,7 +116,8 @@ class TransitionRatio:
     ) -> FiniteMDP:
         """zeta * P as a FiniteMDP.
 
-        Raises ValueError where its rows do not sum to 1 (the paper's quotient), unless ``normalize`` divides them.
+        Raises ValueError where its rows do not sum to 1 (the paper's quotient), unless
+        ``normalize`` divides them.
         """
         _checks.boolean(normalize, "normalize")
         zeta = self.on(simulator)
@@ -127,7 +135,9 @@ class TransitionRatio:
         return simulator.with_transitions(csr_on_pattern(simulator.transitions, data))
 
     def maximum_likelihood_model(self, simulator: FiniteMDP) -> FiniteMDP:
-        """The log's frequencies in recorded pairs, zeta * P in the others; a ValueError if no log is known."""
+        """The log's frequencies in recorded pairs, zeta * P in the others; a ValueError
+        if no log is known.
+        """
         self.on(simulator)  # or an error
         if self._influence is None:
             raise ValueError(
@@ -139,7 +149,9 @@ class TransitionRatio:
 
     @property
     def maximum_likelihood_rows(self) -> Array | None:
-        """(entries,) the rows of ``maximum_likelihood_model``; None where no log is known."""
+        """(entries,) the rows of ``maximum_likelihood_model``; None where no log is
+        known.
+        """
         return (
             None
             if self._influence is None
@@ -148,7 +160,9 @@ class TransitionRatio:
 
     @property
     def finite(self) -> bool:
-        """Whether zeta, its gap and what its errors are computed from are finite numbers."""
+        """Whether zeta, its gap and what its errors are computed from are finite
+        numbers.
+        """
         known = [self.values.data, self.gap]
         if self._influence is not None:
             tilt, information = self._influence.tilt, self._influence.information
@@ -158,12 +172,15 @@ class TransitionRatio:
 
     @one_thread
     def log_standard_error(self, gradient: Array) -> float | None:
-        """Standard error of a function of zeta * P if its prior fits: that of the log's sampling noise.
+        """Standard error of a function of zeta * P if its prior fits: that of the log's
+        sampling noise.
 
-        ``gradient`` is its derivative in each entry of zeta * P (``exact.transition_gradient``). Rows are taken as
-        multinomial given their counts, and what was chosen on the data (the prior's strength, the strengths of directions) as
-        given; parameters of a tilt have their posterior variance, so that rows without data add what they share with others.
-        The error that a wrong prior makes is not in it. None where no formula is known.
+        ``gradient`` is its derivative in each entry of zeta * P
+        (``exact.transition_gradient``). Rows are taken as multinomial given their
+        counts, and what was chosen on the data (the prior's strength, the strengths of
+        directions) as given; parameters of a tilt have their posterior variance, so
+        that rows without data add what they share with others. The error that a wrong
+        prior makes is not in it. None where no formula is known.
         """
         scaled, shift = self._scale(gradient)
         return (
@@ -174,10 +191,12 @@ class TransitionRatio:
 
     @one_thread
     def one_step(self, gradient: Array) -> OneStep | None:
-        """The first-order correction of a function of zeta * P towards maximum likelihood.
+        """The first-order correction of a function of zeta * P towards maximum
+        likelihood.
 
-        sum_x gradient_x (n_x / n_sa - zeta P), over the rows that the log has recorded: it removes, to first order, the bias
-        that the prior brings, and takes on the variance of maximum likelihood. Its error takes the variances of a row under
+        sum_x gradient_x (n_x / n_sa - zeta P), over the rows that the log has recorded:
+        it removes, to first order, the bias that the prior brings, and takes on the
+        variance of maximum likelihood. Its error takes the variances of a row under
         zeta P: a row with a single transition has none under its own frequencies.
         """
         scaled, shift = self._scale(gradient)
@@ -191,7 +210,9 @@ class TransitionRatio:
         )
 
     def _scale(self, gradient: ArrayLike) -> tuple[Array, int]:
-        """A checked gradient divided by the power of two 2^shift that makes its squares numbers, and shift."""
+        """A checked gradient divided by the power of two 2^shift that makes its squares
+        numbers, and shift.
+        """
         array = _checks.float_array(gradient, "gradient", ndim=1)
         _checks.require_finite(array, "gradient")
         if len(array) != self.values.nnz:
@@ -210,8 +231,10 @@ class OneStep:
     Attributes
     ----------
     change : what to add to the value
-    standard_error : of the corrected value, sqrt(sum over recorded rows of Var(gradient) / n), variances under zeta P
-    unrecorded : what unrecorded pairs may add to it: sqrt(sum of Var(gradient)), each as of one transition
+    standard_error : of the corrected value, sqrt(sum over recorded rows of
+        Var(gradient) / n), variances under zeta P
+    unrecorded : what unrecorded pairs may add to it: sqrt(sum of Var(gradient)), each
+        as of one transition
     change_error : of the change alone, sqrt(sum (1 - share)^2 Var(gradient) / n)
     """
 
@@ -223,15 +246,18 @@ class OneStep:
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """The derivative of zeta * P in the log's frequencies, from the conditions that determine zeta.
+    """The derivative of zeta * P in the log's frequencies, from the conditions that
+    determine zeta.
 
     Attributes
     ----------
     rows : the simulator's; counts : n_x on their entries; ratio : zeta
-    curvature : p / zeta^2 + A inside the box, 0 at its bounds (where the derivative is 0)
+    curvature : p / zeta^2 + A inside the box, 0 at its bounds (where the derivative is
+        0)
     share : of the data in a row, n_sa / (n_sa + kappa)
     tilt : what the prior's rows are, where it is fitted
-    scores, information : of a class that all rows share, d log zeta / d parameters (entries, d) and its risk's Hessian (d, d)
+    scores, information : of a class that all rows share, d log zeta / d parameters
+        (entries, d) and its risk's Hessian (d, d)
 
     What is computed of them goes over the rows block by block.
     """
@@ -253,9 +279,10 @@ class Influence:
     def standard_error(self, gradient: Array) -> float:
         """The error that the log's noise makes.
 
-        Of a class, sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation). Else sqrt(sum_rows share^2 Var(d) / n
-        + p' H^-1 p), d = d value / d frequencies, p and H the derivative in the tilt's parameters, through what the rows
-        have of it, and their information. Variances are those under the frequencies.
+        Of a class, sqrt(sum_rows n Var(psi)), psi = d value / d (one more observation).
+        Else sqrt(sum_rows share^2 Var(d) / n + p' H^-1 p), d = d value / d frequencies,
+        p and H the derivative in the tilt's parameters, through what the rows have of
+        it, and their information. Variances are those under the frequencies.
         """
         total, step = 0.0, None
         if self.scores is not None:
@@ -296,7 +323,9 @@ class Influence:
         return model
 
     def one_step(self, gradient: Array) -> OneStep:
-        """See ``TransitionRatio.one_step``; the variances of a row are those under zeta P, the prior taken as given."""
+        """See ``TransitionRatio.one_step``; the variances of a row are those under zeta
+        P, the prior taken as given.
+        """
         variance, change = np.empty(len(self.rows)), 0.0
         for rows in self.rows.blocks():
             kernel, slope = (
@@ -319,7 +348,9 @@ class Influence:
         return OneStep(change, *(float(np.sqrt(x)) for x in squares))
 
     def _by_probability(self, gradient: Array, rows: Rows) -> Array:
-        """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q dg = 0 in each of the rows."""
+        """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q
+        dg = 0 in each of the rows.
+        """
         q, zeta, curvature = (
             rows.weights,
             self.ratio[rows.entries],

@@ -1,10 +1,12 @@
-"""The paper's Algorithm 1 on tables: stochastic gradient descent on the KL risk, to see what its training adds to the error.
+"""The paper's Algorithm 1 on tables: stochastic gradient descent on the KL risk, to see
+what its training adds to the error.
 
 At each iteration N points are drawn from p and N from q, and
 
     g <- clip(g - step (count_q / N - count_p / (N g) + ridge term), lower, upper),
 
-one parameter an entry. Its trace is measured against the exact optimum of the same program.
+one parameter an entry. Its trace is measured against the exact optimum of the same
+program.
 """
 
 from __future__ import annotations
@@ -71,7 +73,8 @@ class SgdTrace:
 def descend(
     program: dual.Coordinates, lower: float, upper: float, options: Sgd, seed: Seed
 ) -> tuple[Array, SgdTrace]:
-    """g after all iterations, from g = 1, and its trace at about fifty of them, even in the logarithm of the iteration.
+    """g after all iterations, from g = 1, and its trace at about fifty of them, even in
+    the logarithm of the iteration.
 
     ``program`` is that of the KL risk; 0 < lower, upper finite.
     """

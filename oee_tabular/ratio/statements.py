@@ -1,7 +1,8 @@
-"""Every program as data, and as cvxpy states it for a conic solver: the reference that the structured solvers are held to.
+"""Every program as data, and as cvxpy states it for a conic solver: the reference that
+the structured solvers are held to.
 
-Squares stand in epigraph form (s >= (g - c)^2 as second-order cones): a quadratic objective beside exponential cones stalls.
-Only the status "optimal" is accepted.
+Squares stand in epigraph form (s >= (g - c)^2 as second-order cones): a quadratic
+objective beside exponential cones stalls. Only the status "optimal" is accepted.
 """
 
 from __future__ import annotations
@@ -32,9 +33,11 @@ class SolverStatusError(RuntimeError):
 
 
 class JointProgram(NamedTuple):
-    """The joint program of ``ratio.joint``: p, q are (entries,), s, r (rows,); nu, mu the box, lam the ridge.
+    """The joint program of ``ratio.joint``: p, q are (entries,), s, r (rows,); nu, mu
+    the box, lam the ridge.
 
-    ``ratio_lower`` and ``ratio_upper`` bound the ratio beta_sas' / beta_sa (0 and inf: free).
+    ``ratio_lower`` and ``ratio_upper`` bound the ratio beta_sas' / beta_sa (0 and inf:
+    free).
     """
 
     p: Array
@@ -50,7 +53,9 @@ class JointProgram(NamedTuple):
 
 
 class JointPoint(NamedTuple):
-    """beta_sas', beta_sa, the multipliers of each (s, a)'s consistency and of the lower and upper bounds on their ratio."""
+    """beta_sas', beta_sa, the multipliers of each (s, a)'s consistency and of the lower
+    and upper bounds on their ratio.
+    """
 
     moves: Array
     pairs: Array
@@ -62,7 +67,8 @@ class JointPoint(NamedTuple):
 class LinearProgram(NamedTuple):
     """The program of ``ratio.linear`` over g = offset + features w.
 
-    p, q are (n,), features (n, d); ``penalty`` is that of |w|^2 / 2; ``normalized`` says whether sum q g = 1 is imposed.
+    p, q are (n,), features (n, d); ``penalty`` is that of |w|^2 / 2; ``normalized``
+    says whether sum q g = 1 is imposed.
     """
 
     p: Array
@@ -76,7 +82,9 @@ class LinearProgram(NamedTuple):
 
 
 class TiltProgram(NamedTuple):
-    """The tilt's program: counts (entries,), log of the simulator's rows, features (entries, d), rows by ``indptr``."""
+    """The tilt's program: counts (entries,), log of the simulator's rows, features
+    (entries, d), rows by ``indptr``.
+    """
 
     counts: Array
     log_weights: Array
@@ -92,11 +100,13 @@ def solve_rows(
     *,
     solver: str = "CLARABEL",
 ) -> tuple[Array, Array]:
-    """minimise sum q g - p log g + A/2 (g - c)^2 over the box, with sum q g = sum q in each row (indptr None: free).
+    """minimise sum q g - p log g + A/2 (g - c)^2 over the box, with sum q g = sum q in
+    each row (indptr None: free).
 
-    Least squares: q g^2 / 2 - p g in place of the first two terms. Returns g inside the box, and the multipliers of the
-    equalities (one a row). Raises SolverStatusError (a RuntimeError) for any status but "optimal", ValueError for a solver
-    that is not installed. Cost: a conic program with an exponential cone an entry.
+    Least squares: q g^2 / 2 - p g in place of the first two terms. Returns g inside the
+    box, and the multipliers of the equalities (one a row). Raises SolverStatusError (a
+    RuntimeError) for any status but "optimal", ValueError for a solver that is not
+    installed. Cost: a conic program with an exponential cone an entry.
     """
     import cvxpy as cp
 
@@ -179,11 +189,13 @@ def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoin
 def solve_linear(
     program: LinearProgram, *, solver: str = "CLARABEL", step_fraction: float = 0.99
 ) -> tuple[Array, Array, float] | None:
-    """w, the multiplier v of g = offset + Phi w, and eta of sum q g = 1; None where no w meets the constraints.
+    """w, the multiplier v of g = offset + Phi w, and eta of sum q g = 1; None where no
+    w meets the constraints.
 
-    Clarabel's steps end at ``step_fraction`` of the way to the boundary, and what it reaches is handed over whatever its
-    status: the caller has a certificate. Any other solver must report "optimal". Here alone the square stands in the
-    objective: without a scaling of the rows Clarabel then gets further.
+    Clarabel's steps end at ``step_fraction`` of the way to the boundary, and what it
+    reaches is handed over whatever its status: the caller has a certificate. Any other
+    solver must report "optimal". Here alone the square stands in the objective: without
+    a scaling of the rows Clarabel then gets further.
     """
     import cvxpy as cp
 
@@ -219,7 +231,8 @@ def solve_linear(
 
 
 def nearest_miss(program: LinearProgram) -> float:
-    """How far the class stays from the bounds at best, sum q g = 1 held; inf: nowhere. Below 0 where it has room.
+    """How far the class stays from the bounds at best, sum q g = 1 held; inf: nowhere.
+    Below 0 where it has room.
 
     A linear program: minimise t >= -1 over lower - t <= offset + Phi w <= upper + t.
     """
@@ -238,7 +251,8 @@ def nearest_miss(program: LinearProgram) -> float:
 
 
 def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
-    """theta: minimise sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta + |theta|^2 / 2.
+    """theta: minimise sum_k n_k log sum_x exp(log P_x + phi_x theta) - n_x phi_x theta
+    + |theta|^2 / 2.
 
     Rows of one length share one log-sum-exp atom.
     """
@@ -260,7 +274,9 @@ def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
 
 
 def run(problem: Any, solver: str, tolerances: tuple[float, ...] = TOLERANCES) -> str:
-    """Solve, Clarabel at falling demands; the status that was reached (a failure is one)."""
+    """Solve, Clarabel at falling demands; the status that was reached (a failure is
+    one).
+    """
     status = "failed"
     for options in (
         [clarabel_options(t) for t in tolerances] if solver == "CLARABEL" else [{}]
@@ -272,7 +288,9 @@ def run(problem: Any, solver: str, tolerances: tuple[float, ...] = TOLERANCES) -
 
 
 def _attempt(problem: Any, solver: str, options: dict[str, Any]) -> str:
-    """Solve once; the status that was reached (a failure is one). ValueError for a solver that is not installed."""
+    """Solve once; the status that was reached (a failure is one). ValueError for a
+    solver that is not installed.
+    """
     import cvxpy as cp
 
     if solver not in cp.installed_solvers():

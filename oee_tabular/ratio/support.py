@@ -1,4 +1,6 @@
-"""The support of a ratio: transitions with simulator probability 0, and the paper's assumptions checked on a given pair."""
+"""The support of a ratio: transitions with simulator probability 0, and the paper's
+assumptions checked on a given pair.
+"""
 
 from __future__ import annotations
 
@@ -168,7 +170,9 @@ def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
 def _possible(
     moves: Any, simulator: FiniteMDP, name: str = "moves"
 ) -> tuple[sparse.csr_array, _checks.BoolArray]:
-    """The transitions as csr, and which of them have a probability in the simulator that a ratio can be taken of."""
+    """The transitions as csr, and which of them have a probability in the simulator
+    that a ratio can be taken of.
+    """
     _checks.instance(simulator, FiniteMDP, "simulator")
     matrix = simulator.transitions
     if not sparse.issparse(moves) or moves.shape != matrix.shape:
@@ -184,7 +188,8 @@ def _possible(
 def without_impossible(
     counts: sparse.csr_array, simulator: FiniteMDP
 ) -> tuple[sparse.csr_array, Array]:
-    """Canonical counts without transitions of simulator probability 0, and (S*A,) how many those were.
+    """Canonical counts without transitions of simulator probability 0, and (S*A,) how
+    many those were.
 
     Examples
     --------
@@ -205,7 +210,9 @@ def without_impossible(
 
 
 def checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
-    """Counts as a canonical csr of the simulator's shape; errors for shape, sign and size that name the place."""
+    """Counts as a canonical csr of the simulator's shape; errors for shape, sign and
+    size that name the place.
+    """
     shape = simulator.transitions.shape
     if not sparse.issparse(counts):
         raise ValueError(
@@ -234,7 +241,9 @@ def checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
 
 
 def aligned_counts(counts: sparse.csr_array, simulator: FiniteMDP) -> Array:
-    """Counts on the entries of the simulator's transitions; errors for shapes, signs and support."""
+    """Counts on the entries of the simulator's transitions; errors for shapes, signs
+    and support.
+    """
     return supported_counts(checked_counts(counts, simulator), simulator)
 
 
@@ -267,7 +276,8 @@ class Assumptions:
     Attributes
     ----------
     box_contains_one : nu < 1 < mu (Assumption V.1)
-    inside : nu <= p/q <= mu wherever q > 0 (Assumption V.2 for the class of all functions in the box)
+    inside : nu <= p/q <= mu wherever q > 0 (Assumption V.2 for the class of all
+        functions in the box)
     supported : p = 0 wherever q = 0
     below, above, unsupported : how many entries miss each
     smallest, largest : of p/q where q > 0
@@ -308,7 +318,8 @@ class Assumptions:
 def check_assumptions(
     p: ArrayLike, q: ArrayLike, *, lower: float, upper: float
 ) -> Assumptions:
-    """Check assumptions V.1 and V.2 for the distributions p, q (counts are scaled) and the box [lower, upper].
+    """Check assumptions V.1 and V.2 for the distributions p, q (counts are scaled) and
+    the box [lower, upper].
 
     Parameters
     ----------

@@ -1,15 +1,17 @@
-"""zeta tied between cells: entries (s, a, s') with one key share one ratio, so that their counts are pooled.
+"""zeta tied between cells: entries (s, a, s') with one key share one ratio, so that
+their counts are pooled.
 
-With few transitions hardly any row (s, a) is visited, but rows may be alike: a command moves an arm by much the same
-displacement wherever it is. Let c(s, a, s') be the key of an entry. The paper's risk, summed over the log's rows and over g
-that depend on the key alone, is a program over one number a key:
+With few transitions hardly any row (s, a) is visited, but rows may be alike: a command
+moves an arm by much the same displacement wherever it is. Let c(s, a, s') be the key of
+an entry. The paper's risk, summed over the log's rows and over g that depend on the key
+alone, is a program over one number a key:
 
     minimise  sum_c  M_c g_c - N_c log g_c     subject to  sum_c M_c g_c = sum_c N_c,
     N_c = sum n(s, a, s') + kappa M_c / M,     M_c = sum n(s, a) P(s' | s, a) (1 + kappa / M),    both over entries with key c
 
-for each group of keys that occur together in rows, M the group's total of n(s, a); kappa transitions as the simulator
-makes them keep g near 1. Then zeta = g_c / sum_s' P g_c, row by row, which leaves zeta alone where all rows of a group are
-alike.
+for each group of keys that occur together in rows, M the group's total of n(s, a);
+kappa transitions as the simulator makes them keep g near 1. Then zeta = g_c / sum_s' P
+g_c, row by row, which leaves zeta alone where all rows of a group are alike.
 """
 
 from __future__ import annotations
@@ -37,29 +39,35 @@ Tie = Callable[[IntArray, IntArray, IntArray], Any]
 
 @dataclass(frozen=True, eq=False)
 class Tied(Method):
-    """zeta from pooled counts: one number for all entries with the same key, then each row of zeta * P scaled to sum to 1.
+    """zeta from pooled counts: one number for all entries with the same key, then each
+    row of zeta * P scaled to sum to 1.
 
     Parameters
     ----------
-    tie : array of integers, one for each entry of ``simulator.transitions.data``; or a function of the arrays (s, a, s') of
-        all entries that returns one; or a data frame with columns state, action, next_state (numbers or the simulator's
-        names) and one of keys
-    strength : kappa >= 0, how many transitions the simulator is worth in each group of keys
+    tie : array of integers, one for each entry of ``simulator.transitions.data``; or a
+        function of the arrays (s, a, s') of all entries that returns one; or a data
+        frame with columns state, action, next_state (numbers or the simulator's names)
+        and one of keys
+    strength : kappa >= 0, how many transitions the simulator is worth in each group of
+        keys
 
     Raises
     ------
     ValueError
-        Keys of another length or not integers; a negative strength; transitions outside the simulator's support.
+        Keys of another length or not integers; a negative strength; transitions outside
+        the simulator's support.
 
     Notes
     -----
-    ``gap`` is the largest duality gap of the pooled programs (nats); ``visited`` and ``counts`` are the log's own, row by
-    row. ``details``: ``n_keys``, ``n_groups``, ``groups_visited``, ``pooled_row_sums`` (smallest and largest sum_s' P g before
-    the rows were scaled: far from 1 if rows of a group differ), ``strength``.
+    ``gap`` is the largest duality gap of the pooled programs (nats); ``visited`` and
+    ``counts`` are the log's own, row by row. ``details``: ``n_keys``, ``n_groups``,
+    ``groups_visited``, ``pooled_row_sums`` (smallest and largest sum_s' P g before the
+    rows were scaled: far from 1 if rows of a group differ), ``strength``.
 
-    Limit: the pooled ratio N_c / M_c, which is zeta if zeta is a function of the key; the error of a wrong tie does not vanish
-    with more data. An unrecorded group keeps zeta = 1, and so does a key that occurs only in unrecorded pairs. No standard
-    error is known. Cost: O(nnz log nnz).
+    Limit: the pooled ratio N_c / M_c, which is zeta if zeta is a function of the key;
+    the error of a wrong tie does not vanish with more data. An unrecorded group keeps
+    zeta = 1, and so does a key that occurs only in unrecorded pairs. No standard error
+    is known. Cost: O(nnz log nnz).
 
     Examples
     --------
@@ -141,7 +149,9 @@ class Tied(Method):
 
 
 def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
-    """Keys numbered from 0, one for each entry, from (entries,) or (S, A, S), a function or a data frame."""
+    """Keys numbered from 0, one for each entry, from (entries,) or (S, A, S), a
+    function or a data frame.
+    """
     if callable(tie):
         tie = tie(*rows.transitions)
     elif is_frame(tie):

@@ -1,4 +1,6 @@
-"""The ratio of transition probabilities zeta = P_target / P_simulator (eq. 4.3) from a log: the front door."""
+"""The ratio of transition probabilities zeta = P_target / P_simulator (eq. 4.3) from a
+log: the front door.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,8 @@ OPTIONS = {
 
 
 def method_named(name: str, **options: Any) -> Method:
-    """The method object that a name and options stand for; an option of None is one left out, but for ``toward``.
+    """The method object that a name and options stand for; an option of None is one
+    left out, but for ``toward``.
 
     >>> method_named("linear", features=[1.0, 2.0])
     InClass(kernel=None, bandwidth=1.0, n_centers=200, lower=None, upper=None, ridge=None, solver='dual')
@@ -86,16 +89,20 @@ def transition_ratio(
     ----------
     log_or_counts : Transitions, or csr of counts of shape (S*A, S)
     simulator : FiniteMDP
-    method : "conditional" | "tied" (also where ``tie`` is given) | "linear" | "kernel" | "ratio_of_ratios" | "joint", or an
-        object with its options: ``Conditional``, ``Tied``, ``InClass``, ``Quotient``, ``Joint`` (``oee.ratio``)
-    discount : weight each transition by discount^timestep, as the paper's discounted d does, on both sides (default: 1)
+    method : "conditional" | "tied" (also where ``tie`` is given) | "linear" | "kernel"
+        | "ratio_of_ratios" | "joint", or an object with its options: ``Conditional``,
+        ``Tied``, ``InClass``, ``Quotient``, ``Joint`` (``oee.ratio``)
+    discount : weight each transition by discount^timestep, as the paper's discounted d
+        does, on both sides (default: 1)
     values_of : (S, A), or a list of such
-        The policies whose values matter: r(s, a, s') + gamma V(s') of each in the simulator is a direction of
-        ``Conditional``'s prior "ridge"; with another prior it is an error
+        The policies whose values matter: r(s, a, s') + gamma V(s') of each in the
+        simulator is a direction of ``Conditional``'s prior "ridge"; with another prior
+        it is an error
     horizon : of these values; None: the infinite sum. Only with ``values_of``
     simulator_data : ``Quotient`` and ``Joint`` (which uses its d(s, a) alone)
-        A log of the simulator; None: one of the target log's size is sampled under its estimated behaviour policy, with
-        ``seed``; "exact": the simulator's exact occupancy under that policy
+        A log of the simulator; None: one of the target log's size is sampled under its
+        estimated behaviour policy, with ``seed``; "exact": the simulator's exact
+        occupancy under that policy
     behavior_policy : (S, A), instead of the estimated one; ``Quotient`` and ``Joint``
     seed : of the simulator's data, if they are sampled, and of Algorithm 1's batches
     options : of the method, if it is given by name; each class explains its own
@@ -103,12 +110,14 @@ def transition_ratio(
     Returns
     -------
     TransitionRatio
-        Unrecorded pairs have the prior's zeta (1, or the tilt's); ``visited`` marks the recorded ones.
+        Unrecorded pairs have the prior's zeta (1, or the tilt's); ``visited`` marks the
+        recorded ones.
 
     Raises
     ------
     ValueError
-        A transition with simulator probability 0 (named); an option that the method does not have; bad options.
+        A transition with simulator probability 0 (named); an option that the method
+        does not have; bad options.
     TypeError
         An option that no method has.
 

@@ -1,4 +1,6 @@
-"""From a problem and policies to a table, warnings in plain language, a picture, a JSON file and a page for people."""
+"""From a problem and policies to a table, warnings in plain language, a picture, a JSON
+file and a page for people.
+"""
 
 from __future__ import annotations
 

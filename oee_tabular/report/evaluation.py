@@ -1,4 +1,6 @@
-"""``evaluate``: policies by estimators, with what a reader must know; ``contest``: which policy is best."""
+"""``evaluate``: policies by estimators, with what a reader must know; ``contest``:
+which policy is best.
+"""
 
 from __future__ import annotations
 
@@ -57,26 +59,34 @@ def evaluate(
     Parameters
     ----------
     problem : Problem
-    policies : a policy in any of its forms (``mdp.check_policy``: (S, A), (S,) actions, by state, a function), a list of such,
-        or a mapping name -> policy
-    estimators : names, estimators, or a mapping name -> estimator; None: the simulator, off-environment evaluation, the
-        model-based baseline, and importance sampling where the log allows it
+    policies : a policy in any of its forms (``mdp.check_policy``: (S, A), (S,) actions,
+        by state, a function), a list of such, or a mapping name -> policy
+    estimators : names, estimators, or a mapping name -> estimator; None: the simulator,
+        off-environment evaluation, the model-based baseline, and importance sampling
+        where the log allows it
     confidence : level of the intervals
-    seed : int, or anything that ``numpy.random.SeedSequence`` takes; every (policy, estimator) has a stream of its own
+    seed : int, or anything that ``numpy.random.SeedSequence`` takes; every (policy,
+        estimator) has a stream of its own
     normalized : whether the report multiplies by (1 - discount)
-    target : the true target, where it is known (teaching, research): adds its exact values and the errors
-    guaranteed : whether the intervals that hold at any sample size are computed too (``interval(method="robust")``)
-    quick : whether likelihood intervals, most of the time of large problems, are left out
-    assumed : what you know about the target, by the keywords lower_ratio, upper_ratio, tie and features (as in
-        ``inference.interval``): a box narrows likelihood and guaranteed intervals and comparisons; a tie, or features, adds
-        a row (oee-tied, oee-features) with the interval of its own model
-    facts : more to keep in the report's ``facts`` (names of files, how the simulator was changed)
+    target : the true target, where it is known (teaching, research): adds its exact
+        values and the errors
+    guaranteed : whether the intervals that hold at any sample size are computed too
+        (``interval(method="robust")``)
+    quick : whether likelihood intervals, most of the time of large problems, are left
+        out
+    assumed : what you know about the target, by the keywords lower_ratio, upper_ratio,
+        tie and features (as in ``inference.interval``): a box narrows likelihood and
+        guaranteed intervals and comparisons; a tie, or features, adds a row (oee-tied,
+        oee-features) with the interval of its own model
+    facts : more to keep in the report's ``facts`` (names of files, how the simulator
+        was changed)
 
     Returns
     -------
     Report
-        Estimates with their intervals, in the order policy, estimator; warnings in plain language; ``uncertainty``. A value
-        that the log corrects and that lies outside the likelihood interval is replaced by the nearer end.
+        Estimates with their intervals, in the order policy, estimator; warnings in
+        plain language; ``uncertainty``. A value that the log corrects and that lies
+        outside the likelihood interval is replaced by the nearer end.
         ``diagnostics["interval_method"]`` names the interval.
 
     Raises
@@ -205,19 +215,21 @@ def evaluate(
 
 
 def contest(problem: Problem, policies: object, **options: Any) -> Report:
-    """Compare policies on one log: ``evaluate`` by off-environment evaluation alone, which is exact; of two or more policies.
+    """Compare policies on one log: ``evaluate`` by off-environment evaluation alone,
+    which is exact; of two or more policies.
 
     Parameters
     ----------
     problem : Problem
     policies : two or more, as for ``evaluate``
-    options : confidence (of the values' intervals, and of all differences from the best together), quick, lower_ratio,
-        upper_ratio, tie, features, as for ``evaluate``
+    options : confidence (of the values' intervals, and of all differences from the best
+        together), quick, lower_ratio, upper_ratio, tie, features, as for ``evaluate``
 
     Returns
     -------
     Report
-        ``best`` is the policy that is worth most, None where the log cannot say; ``comparison()`` has the differences.
+        ``best`` is the policy that is worth most, None where the log cannot say;
+        ``comparison()`` has the differences.
 
     Raises
     ------
@@ -242,9 +254,11 @@ def contest(problem: Problem, policies: object, **options: Any) -> Report:
 
 
 def is_best_in_log(problem: Problem, policy: Array) -> bool:
-    """Whether the policy is optimal in the log's own model, without a horizon, and not in the simulator.
+    """Whether the policy is optimal in the log's own model, without a horizon, and not
+    in the simulator.
 
-    The log's own model has its frequencies, and the simulator's rows where there are none.
+    The log's own model has its frequencies, and the simulator's rows where there are
+    none.
     """
     if problem.simulator.discount == 1.0:
         return False
@@ -301,7 +315,9 @@ def _run_estimators(
     chosen: Mapping[str, Estimator],
     seed: Any,
 ) -> list[Result]:
-    """Every estimate of every policy; of a policy that was made from the log with a finding about that."""
+    """Every estimate of every policy; of a policy that was made from the log with a
+    finding about that.
+    """
     results = []
     for i, (name, policy) in enumerate(policies.items()):
         is_from_log = is_best_in_log(problem, policy)
@@ -321,7 +337,9 @@ def _run_estimators(
 
 
 def _drop_weightless(results: Sequence[Result]) -> tuple[list[Result], list[str]]:
-    """Without importance sampling that has no positive weight, and a sentence about that."""
+    """Without importance sampling that has no positive weight, and a sentence about
+    that.
+    """
     kept = [result for result in results if WEIGHTLESS not in result.estimate.findings]
     lost = [result for result in results if WEIGHTLESS in result.estimate.findings]
     names = ", ".join(dict.fromkeys(result.policy for result in lost))
@@ -335,7 +353,9 @@ N_FIGURES = 3  # of policies, the worst ones, that a note gives
 
 
 def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
-    """One sentence for all findings of one kind and text, with the (policy, estimator) that it is about."""
+    """One sentence for all findings of one kind and text, with the (policy, estimator)
+    that it is about.
+    """
     groups: dict[tuple[str, str], list[tuple[Finding, str, str]]] = {}
     for result in results:
         for finding in result.estimate.findings:
@@ -374,7 +394,9 @@ def group_findings(results: Sequence[Result]) -> list[tuple[str, list[Pair]]]:
 def number_notes(
     results: Iterable[Result], warnings: Sequence[tuple[str, Collection[Pair]]]
 ) -> tuple[tuple[str, ...], dict[Pair, tuple[int, ...]]]:
-    """The sentences, numbered from 1, and the numbers of those that are about each (policy, estimator)."""
+    """The sentences, numbered from 1, and the numbers of those that are about each
+    (policy, estimator).
+    """
     every = [(result.policy, result.estimator) for result in results]
     notes = {
         pair: tuple(

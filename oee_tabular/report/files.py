@@ -1,4 +1,6 @@
-"""Files of reports: whether they can be written, asked before the work is done, and what one says."""
+"""Files of reports: whether they can be written, asked before the work is done, and
+what one says.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from oee_tabular import _checks, _files, _printing
 
 
 def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
-    """``folder`` can be made and written; a ValueError before any work is done otherwise.
+    """``folder`` can be made and written; a ValueError before any work is done
+    otherwise.
 
     Parameters
     ----------
@@ -54,7 +57,8 @@ def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
 
 
 def check_page(path: str | os.PathLike[str]) -> Path:
-    """``path`` as a Path of a page that can be written, in a folder that exists or can be made.
+    """``path`` as a Path of a page that can be written, in a folder that exists or can
+    be made.
 
     Parameters
     ----------

@@ -1,6 +1,8 @@
-"""The page: contents and pictures set by the template. One file, no network, the same input the same bytes.
+"""The page: contents and pictures set by the template. One file, no network, the same
+input the same bytes.
 
-Below it what it was made from: names of files, their date, a short hash; and the command that plans the next recording.
+Below it what it was made from: names of files, their date, a short hash; and the
+command that plans the next recording.
 """
 
 from __future__ import annotations
@@ -118,7 +120,9 @@ def render(
 
 
 def legible(words: object) -> str:
-    """Without the control characters that a name from a file may hold, which no page can show."""
+    """Without the control characters that a name from a file may hold, which no page
+    can show.
+    """
     return re.sub(
         r"[^\t\n -~]",
         lambda x: x[0] if x[0].isprintable() or x[0].isspace() else "\ufffd",
@@ -141,13 +145,17 @@ def _versions() -> dict[str, str]:
 
 
 def date_of(files: Iterable[str | os.PathLike[str]]) -> str:
-    """The day (UTC) of the newest of the files that exist: the same inputs, the same day; "" where none does."""
+    """The day (UTC) of the newest of the files that exist: the same inputs, the same
+    day; "" where none does.
+    """
     times = [Path(file).stat().st_mtime for file in files if Path(file).is_file()]
     return _day(max(times)) if times else ""
 
 
 def date(report: Report) -> str:
-    """The day to print: of SOURCE_DATE_EPOCH where it is set, else of the newest input file; "" where there are no files."""
+    """The day to print: of SOURCE_DATE_EPOCH where it is set, else of the newest input
+    file; "" where there are no files.
+    """
     given = os.environ.get(EPOCH, "")
     try:
         return _day(int(given)) if given else str(report.facts.get("date", ""))
@@ -188,7 +196,8 @@ def fingerprint(problem: Problem, policies: Mapping[str, np.ndarray]) -> str:
 
 
 def plan_command(report: Report) -> str:
-    """What plans the next recording, ready to be typed: the command in the files' own names, or the call in Python.
+    """What plans the next recording, ready to be typed: the command in the files' own
+    names, or the call in Python.
 
     "" where neither can (a continuous task's log).
     """
@@ -225,8 +234,9 @@ def plan_command(report: Report) -> str:
 class Portrait:
     """The log and the policies, on the task's map where it has one.
 
-    ``changes`` has the log's counts (S, A), and how far each pair is from the simulator. ``over`` (S,) are states that no
-    action leaves. ``time`` of each policy (S, A) are its shares of discounted time before an episode is over, in the simulator
+    ``changes`` has the log's counts (S, A), and how far each pair is from the
+    simulator. ``over`` (S,) are states that no action leaves. ``time`` of each policy
+    (S, A) are its shares of discounted time before an episode is over, in the simulator
     as the log corrects it; they sum to 1.
     """
 
@@ -260,7 +270,9 @@ class Portrait:
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """The pairs with the largest certain change; where none is certain, those with the most evidence."""
+        """The pairs with the largest certain change; where none is certain, those with
+        the most evidence.
+        """
         evidence = self.changes.evidence
         order = np.argsort(-evidence, axis=None, kind="stable")[:N_PAIRS]
         likely = (divmod(int(k), evidence.shape[1]) for k in order)
@@ -304,7 +316,9 @@ class Portrait:
         return plots.plot_states(time, self.changes.counts, ax, names=names)
 
     def plot_changes(self, ax: Axes) -> Axes:
-        """By how much the target differs for certain: the largest of each state's actions."""
+        """By how much the target differs for certain: the largest of each state's
+        actions.
+        """
         assert self.map is not None
         least = 100.0 * self.changes.certain.max(axis=1)
         shown = np.where(
@@ -326,7 +340,9 @@ class Portrait:
         *,
         policy: str = "",
     ) -> str:
-        """A picture as wide as the others: of a map its square cells and the colour bar, else 20 bars at most."""
+        """A picture as wide as the others: of a map its square cells and the colour
+        bar, else 20 bars at most.
+        """
         if self.map is None:
             height = 1.1 + 0.25 * min(
                 20, max(1, int((self.time[policy].sum(axis=1) > 0).sum()))

@@ -58,7 +58,9 @@ class Result:
 
 
 def first_results(results: Sequence[Result]) -> dict[str, Result]:
-    """Of each policy the one to say first: a finite value, corrected by the log where there is one, the simulator's last."""
+    """Of each policy the one to say first: a finite value, corrected by the log where
+    there is one, the simulator's last.
+    """
 
     def order(result: Result) -> tuple[bool, bool, bool, bool]:
         found = result.estimate
@@ -85,13 +87,16 @@ class Report:
     results : one entry per policy and estimator; estimates are raw discounted sums
     truth : exact value of each policy in the target, where the target is known
     warnings : about the values, in plain language
-    notes : for each (policy, estimator), the numbers (from 1) of the warnings that concern it
+    notes : for each (policy, estimator), the numbers (from 1) of the warnings that
+        concern it
     confidence : of the intervals
     normalized : whether table, picture and JSON multiply values by (1 - discount)
     discount, horizon, seed, facts : how it was computed
-    uncertainty : intervals of each policy, the comparison of the policies, and their sentences
+    uncertainty : intervals of each policy, the comparison of the policies, and their
+        sentences
     problem, policies : what was evaluated, for the pictures of ``to_html``
-    hidden : the (policy, estimator) whose rows a short table leaves out: importance sampling that rests on a few episodes
+    hidden : the (policy, estimator) whose rows a short table leaves out: importance
+        sampling that rests on a few episodes
 
     Examples
     --------
@@ -148,7 +153,9 @@ class Report:
 
     @property
     def answers(self) -> list[Answer]:
-        """What there is to say of each policy: the value that the log corrects, where there is one, with its interval."""
+        """What there is to say of each policy: the value that the log corrects, where
+        there is one, with its interval.
+        """
         answers = []
         for policy, first in first_results(self.results).items():
             row = self._record(first)
@@ -184,9 +191,11 @@ class Report:
 
     @property
     def headline(self) -> str:
-        """The answer in a sentence or two: the policy's value, or which of several policies is worth most.
+        """The answer in a sentence or two: the policy's value, or which of several
+        policies is worth most.
 
-        It first names a log that contradicts the simulator's rewards or covers less than half of what a policy does.
+        It first names a log that contradicts the simulator's rewards or covers less
+        than half of what a policy does.
         """
         answers = [answer for answer in self.answers if math.isfinite(answer.value)]
         if not answers:
@@ -209,7 +218,8 @@ class Report:
 
     @property
     def answer(self) -> str:
-        """The headline; of several policies also the value of each, with its interval, beside the simulator's.
+        """The headline; of several policies also the value of each, with its interval,
+        beside the simulator's.
 
         >>> import oee_tabular as oee
         >>> pair = oee.testing.case("ragged")
@@ -228,7 +238,9 @@ class Report:
         )
 
     def records(self) -> list[dict[str, Any]]:
-        """The results as plain rows, in the report's unit (diagnostics that are values as well)."""
+        """The results as plain rows, in the report's unit (diagnostics that are values
+        as well).
+        """
         return [self._record(result) for result in self.results]
 
     def _record(self, result: Result) -> dict[str, Any]:
@@ -270,10 +282,12 @@ class Report:
         return pd.DataFrame(self.records())
 
     def comparison(self) -> list[dict[str, Any]]:
-        """A row each policy, best first: its value and interval, P(best), and by how much it is worth less than the best.
+        """A row each policy, best first: its value and interval, P(best), and by how
+        much it is worth less than the best.
 
-        P(best), and the ends of a difference, are None where the log cannot say. The intervals of all differences cover
-        together; one that is the difference of two likelihood intervals' ends covers where both of these do.
+        P(best), and the ends of a difference, are None where the log cannot say. The
+        intervals of all differences cover together; one that is the difference of two
+        likelihood intervals' ends covers where both of these do.
         [] of a single policy.
         """
         compared, decision = self.uncertainty.comparison, self.uncertainty.decision
@@ -306,7 +320,9 @@ class Report:
 
     @property
     def best(self) -> str | None:
-        """The policy that is worth most; None where the log cannot say, or several are worth the same."""
+        """The policy that is worth most; None where the log cannot say, or several are
+        worth the same.
+        """
         return (
             None
             if self.uncertainty.decision is None
@@ -321,8 +337,10 @@ class Report:
 
         Parameters
         ----------
-        all : whether rows stand there that a short report leaves out (importance sampling that rests on a few episodes)
-        verbose : whether every note stands there, and the table has columns of diagnostics
+        all : whether rows stand there that a short report leaves out (importance
+            sampling that rests on a few episodes)
+        verbose : whether every note stands there, and the table has columns of
+            diagnostics
         """
         return tables.render(
             self,
@@ -340,7 +358,9 @@ class Report:
         ]
 
     def legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
-        """What the intervals of the table are, for each method; ``rows`` are some of ``records()``."""
+        """What the intervals of the table are, for each method; ``rows`` are some of
+        ``records()``.
+        """
         members: dict[str, dict[str, None]] = {}
         for row in _checks.collection(rows, "rows", "a Report's records()"):
             if not isinstance(row, Mapping) or not row.keys() >= {
@@ -392,7 +412,8 @@ class Report:
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
     def plot(self, ax: Axes | None = None, *, all: bool = False) -> Axes:
-        """Draw the values with their intervals (``plots.plot_values``); without ``ax`` on new axes.
+        """Draw the values with their intervals (``plots.plot_values``); without ``ax``
+        on new axes.
 
         Parameters
         ----------
@@ -409,7 +430,9 @@ class Report:
         )
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write report.json, table.csv and values.png into ``folder``: all of them or none."""
+        """Write report.json, table.csv and values.png into ``folder``: all of them or
+        none.
+        """
         check_output(folder, "folder")
         target = Path(folder)
         contents = {
@@ -430,14 +453,18 @@ class Report:
         title: str | None = None,
         grid: tuple[int, int] | None = None,
     ) -> str:
-        """The report as one self-contained page, for people who did not run it; written to ``path`` if one is given.
+        """The report as one self-contained page, for people who did not run it; written
+        to ``path`` if one is given.
 
         Parameters
         ----------
-        path : .html or .htm file; its folder is made, the file appears whole or not at all
+        path : .html or .htm file; its folder is made, the file appears whole or not at
+            all
         title : of the page
-        grid : (rows, columns) of a task whose states are cells, row * columns + column; None: the simulator's layout, or the
-            transitions that it makes (``plots.map_of``). Other tasks get a picture of the states where a policy spends its time
+        grid : (rows, columns) of a task whose states are cells, row * columns + column;
+            None: the simulator's layout, or the transitions that it makes
+            (``plots.map_of``). Other tasks get a picture of the states where a policy
+            spends its time
 
         Returns
         -------
@@ -446,7 +473,8 @@ class Report:
         Raises
         ------
         ValueError
-            A path that cannot be written, a grid that has not as many cells as there are states.
+            A path that cannot be written, a grid that has not as many cells as there
+            are states.
 
         Examples
         --------
@@ -482,7 +510,9 @@ def interval_columns(interval: Interval) -> dict[str, Any]:
 
 
 def sampling_columns(interval: Interval | None) -> dict[str, float | None]:
-    """The interval from the recorded transitions alone, as columns of a table; None where there is none."""
+    """The interval from the recorded transitions alone, as columns of a table; None
+    where there is none.
+    """
     lower, upper = (
         (None, None)
         if interval is None or interval.sampling is None

@@ -1,4 +1,6 @@
-"""A report as text for a terminal, and as a table in a notebook: the answer, a table, what is assumed, notes."""
+"""A report as text for a terminal, and as a table in a notebook: the answer, a table,
+what is assumed, notes.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,9 @@ def render_html(report: Report) -> str:
 
 
 def estimator_columns(report: Report, *, verbose: bool) -> Columns:
-    """Six columns of a row each policy and estimator; ``verbose`` adds those of diagnostics."""
+    """Six columns of a row each policy and estimator; ``verbose`` adds those of
+    diagnostics.
+    """
     more = diagnostic_columns(report)
     shown = "error" if report.truth else "std. error"
     return {
@@ -165,7 +169,9 @@ def align(columns: Columns, rows: Sequence[Row], *, n_texts: int) -> list[str]:
 
 
 def number_notes(report: Report, rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
-    """The rows with their notes numbered from 1, and the notes; a warning about no row in particular has no number."""
+    """The rows with their notes numbered from 1, and the notes; a warning about no row
+    in particular has no number.
+    """
     cited = sorted({k for row in rows for k in row["notes"]})
     about_rows = {k for notes in report.notes.values() for k in notes}
     general = [

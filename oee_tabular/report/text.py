@@ -1,7 +1,9 @@
-"""The report's own sentences and templates: the answer, how certain it is, what the columns mean.
+"""The report's own sentences and templates: the answer, how certain it is, what the
+columns mean.
 
-The others are in ``report.uncertainty`` (what the user assumes, why intervals are left out), ``estimators.findings`` (what
-estimators warn of), ``.rewards`` and ``.names``, ``design.advice`` (what to record next) and ``continuous.correction``.
+The others are in ``report.uncertainty`` (what the user assumes, why intervals are left
+out), ``estimators.findings`` (what estimators warn of), ``.rewards`` and ``.names``,
+``design.advice`` (what to record next) and ``continuous.correction``.
 """
 
 from __future__ import annotations
@@ -100,9 +102,11 @@ class Answer:
     policy, estimator : whose value stands in front
     value : nan where there is none
     lower, upper, method : the interval and its kind; None without one
-    simulator, simulator_error : the simulator's value; its standard error where the simulator was sampled
+    simulator, simulator_error : the simulator's value; its standard error where the
+        simulator was sampled
     truth : the exact value in the target, where it is known
-    coverage : share of the policy's discounted time in state-action pairs that the log has; None where it was not measured
+    coverage : share of the policy's discounted time in state-action pairs that the log
+        has; None where it was not measured
     unrecorded : how many reachable state-action pairs were never recorded
     is_from_log : False of what the simulator alone says
     """
@@ -230,7 +234,9 @@ def best_policy(
     *,
     overlap: bool,
 ) -> str:
-    """Say which policy is worth most, and by how much: ``margin`` (difference, lower, upper)."""
+    """Say which policy is worth most, and by how much: ``margin`` (difference, lower,
+    upper).
+    """
     sentence = f"Of {n_policies} policies, “{best}” is worth most in the target."
     if math.isfinite(margin[0]):
         sentence += f" It is better than “{following}” by {format_value(*margin)}"

@@ -1,4 +1,6 @@
-"""The interval beside each value, how far the target is from the simulator, which policy is best, what to record next."""
+"""The interval beside each value, how far the target is from the simulator, which
+policy is best, what to record next.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +49,9 @@ OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
 class Premises:
     """What the user knows about the target.
 
-    ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities, which narrows likelihood and guaranteed
-    intervals. ``tie`` or ``features`` (as in ``transition_ratio``) add a row with the interval of their own model
+    ``lower_ratio`` and ``upper_ratio`` are a box around the simulator's probabilities,
+    which narrows likelihood and guaranteed intervals. ``tie`` or ``features`` (as in
+    ``transition_ratio``) add a row with the interval of their own model
     (``inference.likelihood``).
     """
 
@@ -101,7 +104,9 @@ class Premises:
     def intervals(
         self, problem: Problem, policy: Array, level: float, *, guaranteed: bool
     ) -> dict[str, Interval]:
-        """The intervals of a policy by method; a ValueError where the log contradicts the box, with the pairs."""
+        """The intervals of a policy by method; a ValueError where the log contradicts
+        the box, with the pairs.
+        """
         result = {LIKELIHOOD: interval(problem, policy, confidence=level, **self.box)}
         if str(self) and result[LIKELIHOOD].status != "ok":
             raise ValueError(
@@ -126,9 +131,11 @@ class Uncertainty:
     Attributes
     ----------
     intervals : of each policy, by method
-    distance : sentences on how far the target is from the simulator, and why there are no likelihood intervals
+    distance : sentences on how far the target is from the simulator, and why there are
+        no likelihood intervals
     policies : sentences on the interval of each policy, where there is something to say
-    comparison : of the policies; its intervals of all differences from the best hold at once
+    comparison : of the policies; its intervals of all differences from the best hold at
+        once
     decision : which policy is best, as far as the log can say
     ranking : the sentence about it; "" of a single policy
     next : the sentence on what to record next
@@ -177,7 +184,9 @@ def find_intervals(
     guaranteed: bool,
     quick: bool,
 ) -> Uncertainty:
-    """Test the simulator against the log and compute the intervals of every policy, or say why there are none."""
+    """Test the simulator against the log and compute the intervals of every policy, or
+    say why there are none.
+    """
     if problem.soft:
         if guaranteed:
             reason = "soft counts are no independent transitions"
@@ -222,10 +231,12 @@ def _reason_without_intervals(
 
 
 def _test_simulator(evidence: Evidence) -> str:
-    """In how many pairs the counts reject the simulator, and whether all transitions together do.
+    """In how many pairs the counts reject the simulator, and whether all transitions
+    together do.
 
-    The pairs' tests are KL balls that hold at any number of transitions, sharing 5%. The test of all together is the score test
-    of the tilt along log P: sum (n - n_sa P) log P over its standard deviation under P.
+    The pairs' tests are KL balls that hold at any number of transitions, sharing 5%.
+    The test of all together is the score test of the tilt along log P: sum (n - n_sa P)
+    log P over its standard deviation under P.
     """
     tested = (evidence.n > 0) & evidence.open_rows
     n_tested = int(tested.sum())
@@ -257,12 +268,16 @@ def descending_key(value: float) -> float:
 def choose_interval(
     estimate: Estimate, likelihood: Interval | None, level: float, scale: float = 1.0
 ) -> Estimate:
-    """The estimate with the interval to quote, a value inside it, and the findings to print.
+    """The estimate with the interval to quote, a value inside it, and the findings to
+    print.
 
-    A value that the log corrects has the likelihood interval, where there is one; outside of it stands no value: its nearer end
-    takes its place (``replaced_value``, ``replaced_by``). Others have the estimator's own interval, at ``level``, or value plus
-    or minus a normal quantile times the standard error, where that counts what matters: not below ``ENOUGH``, not where the
-    variance is not known. ``diagnostics["interval_method"]`` names what it is. ``scale`` multiplies values in the findings.
+    A value that the log corrects has the likelihood interval, where there is one;
+    outside of it stands no value: its nearer end takes its place (``replaced_value``,
+    ``replaced_by``). Others have the estimator's own interval, at ``level``, or value
+    plus or minus a normal quantile times the standard error, where that counts what
+    matters: not below ``ENOUGH``, not where the variance is not known.
+    ``diagnostics["interval_method"]`` names what it is. ``scale`` multiplies values in
+    the findings.
     """
     is_corrected = estimate.model_value is not None and not math.isnan(estimate.value)
     if is_corrected and likelihood is not None and likelihood.status == "ok":
@@ -342,9 +357,11 @@ def add_comparison(
     front: Mapping[str, Estimate],
     scale: float,
 ) -> Uncertainty:
-    """Compare the policies; say what the intervals assume, which policy is best, and what to record next.
+    """Compare the policies; say what the intervals assume, which policy is best, and
+    what to record next.
 
-    ``front`` are the estimates that stand in front; ``scale`` multiplies values in the sentences.
+    ``front`` are the estimates that stand in front; ``scale`` multiplies values in the
+    sentences.
     """
     _progress.report_step("comparison of the policies, and what to record next")
     about = {
@@ -400,7 +417,9 @@ def _rank(
 def _describe(
     intervals: Mapping[str, Interval], coverage: float | None, scale: float
 ) -> str:
-    """What the intervals of a policy assume; ``coverage`` is the share of the policy's time that the log covers."""
+    """What the intervals of a policy assume; ``coverage`` is the share of the policy's
+    time that the log covers.
+    """
     quoted = intervals[LIKELIHOOD]
     if quoted.status != "ok":
         return f"{quoted.status}."

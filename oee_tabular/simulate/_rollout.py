@@ -1,17 +1,22 @@
-"""Kernels of sampling: alias tables, random numbers by counters, and the episodes that are drawn from both.
+"""Kernels of sampling: alias tables, random numbers by counters, and the episodes that
+are drawn from both.
 
-Alias tables [1] in whole numbers: one random word gives one of a state's outcomes, in O(1). A state with n outcomes has
-2^k >= n slots. The low k bits of a word of 62 bits choose a slot; the others are compared with the slot's threshold: below it
-the outcome is the slot's own, else that of the slot's alias. Threshold and alias share one number, ``threshold * 2^k +
-alias``. Probabilities are whole numbers of units 2^-62, laid out over the slots without rounding.
+Alias tables [1] in whole numbers: one random word gives one of a state's outcomes, in
+O(1). A state with n outcomes has 2^k >= n slots. The low k bits of a word of 62 bits
+choose a slot; the others are compared with the slot's threshold: below it the outcome
+is the slot's own, else that of the slot's alias. Threshold and alias share one number,
+``threshold * 2^k + alias``. Probabilities are whole numbers of units 2^-62, laid out
+over the slots without rounding.
 
-Every trajectory has a stream of its own: Philox4x32-10 [2] keyed by the seed, its counter made of (block, stream,
-trajectory), so that the bits are the same for any number of threads and any order of work. A block has two words of 64 bits:
-word 0 draws the first state, word t + 1 the transition of step t.
+Every trajectory has a stream of its own: Philox4x32-10 [2] keyed by the seed, its
+counter made of (block, stream, trajectory), so that the bits are the same for any
+number of threads and any order of work. A block has two words of 64 bits: word 0 draws
+the first state, word t + 1 the transition of step t.
 
-References: [1] A. J. Walker, An efficient method for generating discrete random variables with general distributions, ACM
-TOMS 3, 1977; the order of the pairing is M. D. Vose's, IEEE Trans. Software Engineering 17, 1991. [2] Salmon, Moraes, Dror and
-Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011.
+References: [1] A. J. Walker, An efficient method for generating discrete random
+variables with general distributions, ACM TOMS 3, 1977; the order of the pairing is M.
+D. Vose's, IEEE Trans. Software Engineering 17, 1991. [2] Salmon, Moraes, Dror and Shaw,
+Parallel random numbers: as easy as 1, 2, 3, SC 2011.
 """
 
 import numpy as np
@@ -32,7 +37,9 @@ _PLACE, _SIZE, _TERMINAL = np.uint64(8), np.uint64(63), np.uint64(128)
 
 @njit(cache=True)
 def list_outcomes(state, indptr, prob, policy, chance, entry):
-    """p(x) = policy(a | s) P(x) / sum P(. | s, a) of the entries x of a state's rows: rows of P sum to 1 only to 1e-8."""
+    """p(x) = policy(a | s) P(x) / sum P(. | s, a) of the entries x of a state's rows:
+    rows of P sum to 1 only to 1e-8.
+    """
     n, n_actions = 0, policy.shape[1]
     for action in range(n_actions):
         if policy[state, action] > 0.0:
@@ -48,7 +55,9 @@ def list_outcomes(state, indptr, prob, policy, chance, entry):
 
 @njit(cache=True)
 def round_to_units(chance, n, mass):
-    """mass(x) = round(2^62 p(x) / sum p); the most probable outcome takes what the others leave: their sum is 2^62."""
+    """mass(x) = round(2^62 p(x) / sum p); the most probable outcome takes what the
+    others leave: their sum is 2^62.
+    """
     total, most, rest = 0.0, np.argmax(chance[:n]), _WHOLE
     for i in range(n):
         total += chance[i]
@@ -62,7 +71,9 @@ def round_to_units(chance, n, mass):
 
 @njit(cache=True)
 def pair_slots(mass, k, word, small, large):
-    """threshold_i = mass_i, alias_i = j, mass_j -= 2^(62 - k) - mass_i: while a slot lacks units, another one has too many."""
+    """threshold_i = mass_i, alias_i = j, mass_j -= 2^(62 - k) - mass_i: while a slot
+    lacks units, another one has too many.
+    """
     room = _WHOLE >> k
     n_small, n_large = 0, 0
     for i in range(1 << k):
@@ -87,7 +98,9 @@ def pair_slots(mass, k, word, small, large):
 
 @njit(cache=True)
 def fill_table(indptr, prob, policy, first, size, word, entry):
-    """Slots of all states, state s from ``first[s]`` on: threshold and alias, and the entry that the slot stands for."""
+    """Slots of all states, state s from ``first[s]`` on: threshold and alias, and the
+    entry that the slot stands for.
+    """
     widest = 1 << np.max(size)
     chance, mass = np.empty(widest), np.empty(widest, np.int64)
     small, large = np.empty(widest, np.int64), np.empty(widest, np.int64)
@@ -102,7 +115,9 @@ def fill_table(indptr, prob, policy, first, size, word, entry):
 
 @njit(cache=True, inline="always")
 def philox(c0, c1, c2, c3, k0, k1):
-    """Ten rounds of Philox4x32 on words of 32 bits held in uint64 (between rounds only their low 32 bits count)."""
+    """Ten rounds of Philox4x32 on words of 32 bits held in uint64 (between rounds only
+    their low 32 bits count).
+    """
     for _ in range(10):
         p0 = _M0 * (c0 & _LOW)
         p1 = _M1 * (c2 & _LOW)
@@ -114,7 +129,9 @@ def philox(c0, c1, c2, c3, k0, k1):
 
 @njit(cache=True)
 def fill_words(key, stream, trajectory, block, words):
-    """(2, blocks) words of 62 bits, which alias tables read, of the next blocks: side by side, so that they are vectorised."""
+    """(2, blocks) words of 62 bits, which alias tables read, of the next blocks: side
+    by side, so that they are vectorised.
+    """
     k0, k1, c2, c3 = key & _LOW, key >> _SHIFT, trajectory & _LOW, trajectory >> _SHIFT
     for b in range(words.shape[1]):
         x0, x1, x2, x3 = philox(block + np.uint64(b), stream, c2, c3, k0, k1)
@@ -126,7 +143,9 @@ def fill_words(key, stream, trajectory, block, words):
 
 @njit(cache=True, inline="always")
 def choose_slot(code, x, word):
-    """The slot whose outcome the word x gives in the state of that code: its own below the threshold, else the alias."""
+    """The slot whose outcome the word x gives in the state of that code: its own below
+    the threshold, else the alias.
+    """
     base, low = code >> _PLACE, (_ONE << (code & _SIZE)) - _ONE
     slot = base + (x & low)
     own = word[slot]
@@ -148,11 +167,14 @@ def draw_episodes(
     last,
     path,
 ):
-    """G += gamma^t r_t, X += gamma^t W r_t, W_{t+1} = W_t zeta_{t+1}, for the trajectories begin .. end - 1.
+    """G += gamma^t r_t, X += gamma^t W r_t, W_{t+1} = W_t zeta_{t+1}, for the
+    trajectories begin .. end - 1.
 
-    ``sums`` (4, n): G; X, where a reward has the weight W_t, or W_{t+1} ``by_transition``; the weight of the whole; the
-    largest that a reward has. ``lengths`` (n,) steps, ``last`` (n,) the last step's entry of P, ``path`` the entries of all
-    steps in a row, unless it is empty. Returns the first trajectory that ``path`` has no room for, and how much of it is used.
+    ``sums`` (4, n): G; X, where a reward has the weight W_t, or W_{t+1}
+    ``by_transition``; the weight of the whole; the largest that a reward has.
+    ``lengths`` (n,) steps, ``last`` (n,) the last step's entry of P, ``path`` the
+    entries of all steps in a row, unless it is empty. Returns the first trajectory that
+    ``path`` has no room for, and how much of it is used.
     """
     code, word, following, reward, factor, entry = table
     weighted, record, used = len(factor) > 0, len(path) > 0, 0
@@ -217,8 +239,9 @@ def write_columns(
     numbers,
     flags,
 ):
-    """The columns of a log, row by row of its path: ``integers`` (5, n) state, action, next state, timestep, episode;
-    ``numbers`` (2, n) reward, behaviour probability; ``flags`` (2, n) terminated, truncated, which begin as zeros.
+    """The columns of a log, row by row of its path: ``integers`` (5, n) state, action,
+    next state, timestep, episode; ``numbers`` (2, n) reward, behaviour probability;
+    ``flags`` (2, n) terminated, truncated, which begin as zeros.
     """
     n_actions, i = policy.shape[1], 0
     for episode in range(len(lengths)):

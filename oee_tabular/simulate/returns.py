@@ -76,7 +76,9 @@ class SampledReturns:
 
     @property
     def standard_error(self) -> float:
-        """Standard error of the mean, from the values' spread; nan for a single episode. Heavy weights make it too small."""
+        """Standard error of the mean, from the values' spread; nan for a single
+        episode. Heavy weights make it too small.
+        """
         n = len(self.values)
         return float(self.values.std(ddof=1) / np.sqrt(n)) if n > 1 else float("nan")
 
@@ -92,10 +94,12 @@ def sample_returns(
     kind: Literal["per_decision", "trajectory"] = "per_decision",
     record: bool = False,
 ) -> SampledReturns:
-    """Sample returns of episodes and, with ``zeta``, their products of ratios, without storing the episodes.
+    """Sample returns of episodes and, with ``zeta``, their products of ratios, without
+    storing the episodes.
 
-    W_t = zeta_1 ... zeta_t. per_decision: X = sum_t gamma^t W_t r_t; trajectory: X = W_{T-1} G; where rewards are
-    r(s, a, s'), W_{t+1} and W_T: the X of ``weighted_return_moments``. Episodes begin and end as in ``sample_episodes``.
+    W_t = zeta_1 ... zeta_t. per_decision: X = sum_t gamma^t W_t r_t; trajectory: X =
+    W_{T-1} G; where rewards are r(s, a, s'), W_{t+1} and W_T: the X of
+    ``weighted_return_moments``. Episodes begin and end as in ``sample_episodes``.
 
     Parameters
     ----------
@@ -103,7 +107,8 @@ def sample_returns(
     policy : (S, A)
     n_episodes, horizon : positive int
     seed : anything that ``numpy.random.default_rng`` takes; a Generator is advanced
-    zeta : csr (S*A, S) or an object with such ``values``, on the support of ``mdp``; None: no weights
+    zeta : csr (S*A, S) or an object with such ``values``, on the support of ``mdp``;
+        None: no weights
     kind : "per_decision" | "trajectory"
     record : whether the episodes are also given as a log
 
@@ -118,10 +123,11 @@ def sample_returns(
 
     Notes
     -----
-    A step is one alias draw over its state's (a, s'), from one word of 62 bits: its probabilities are those of the model to
-    2^-50, a few roundings of doubles. The tables cost O(nnz) before the first step. Runs of more than a million steps are
-    shared by threads. A seed draws other episodes than for ``sample_episodes``, but the same ones for every zeta, ``kind``,
-    ``record`` and number of threads.
+    A step is one alias draw over its state's (a, s'), from one word of 62 bits: its
+    probabilities are those of the model to 2^-50, a few roundings of doubles. The
+    tables cost O(nnz) before the first step. Runs of more than a million steps are
+    shared by threads. A seed draws other episodes than for ``sample_episodes``, but the
+    same ones for every zeta, ``kind``, ``record`` and number of threads.
 
     Examples
     --------

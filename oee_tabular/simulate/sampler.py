@@ -1,4 +1,6 @@
-"""The one engine of sampling (4.2) and its logs: episodes by alias tables, as sums along them and as their transitions."""
+"""The one engine of sampling (4.2) and its logs: episodes by alias tables, as sums
+along them and as their transitions.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +26,16 @@ CHUNK = 1 << 10  # episodes that a thread takes at a time
 
 
 class AliasTable(NamedTuple):
-    """One table for all states; the draw of the first state is one state more, whose outcomes are entries after those of P.
+    """One table for all states; the draw of the first state is one state more, whose
+    outcomes are entries after those of P.
 
     Attributes
     ----------
     code : (S + 1,) first slot * 2^8 + terminal * 2^7 + k of each state
     word : threshold and alias of each slot, as in ``_rollout``
     following : code of the state that a slot leads to
-    reward, factor : r and zeta of a slot's transition; ``factor`` is empty without weights
+    reward, factor : r and zeta of a slot's transition; ``factor`` is empty without
+        weights
     entry : the entry of P that a slot stands for
     """
 
@@ -50,12 +54,15 @@ class Drawn:
     Attributes
     ----------
     returns : G = sum_t gamma^t r_t
-    weighted : X = sum_t gamma^t W r_t, W the weight that r_t carries: W_t, or W_{t+1} for r(s, a, s')
-    weights : that of the last of ``horizon`` steps; constant after the end of an episode
+    weighted : X = sum_t gamma^t W r_t, W the weight that r_t carries: W_t, or W_{t+1}
+        for r(s, a, s')
+    weights : that of the last of ``horizon`` steps; constant after the end of an
+        episode
     largest : of the weights that the rewards carry
     lengths : steps
     final_state : the state after the last step
-    path : the entry of P that each step takes, one episode after the other; empty where it is not recorded
+    path : the entry of P that each step takes, one episode after the other; empty where
+        it is not recorded
     ratio : zeta of each entry of P; empty without weights
     """
 
@@ -98,10 +105,11 @@ def draw(
     stream: np.uint64 = RETURN_STREAM,
     name: str = "n_episodes",
 ) -> Drawn:
-    """n episodes of a checked policy: sums along each, weighted by ``zeta`` if given, and its path if it is to be recorded.
+    """n episodes of a checked policy: sums along each, weighted by ``zeta`` if given,
+    and its path if it is to be recorded.
 
-    ``pairs`` (S*A,): the distribution of the first pair, for episodes of one step whose states are pairs; ``policy`` is then
-    (S*A, 1). ``name``: what n is called.
+    ``pairs`` (S*A,): the distribution of the first pair, for episodes of one step whose
+    states are pairs; ``policy`` is then (S*A, 1). ``name``: what n is called.
     """
     import numba
 
@@ -162,7 +170,9 @@ def draw(
 def alias_table(
     mdp: FiniteMDP, policy: Array, initial: Array, terminal: BoolArray, ratio: Array
 ) -> AliasTable:
-    """Of every state's (a, s') under ``policy`` (S, A), and of the first state; or (S*A, 1): of every pair's s'."""
+    """Of every state's (a, s') under ``policy`` (S, A), and of the first state; or
+    (S*A, 1): of every pair's s'.
+    """
     from oee_tabular.simulate._rollout import fill_table
 
     matrix, begin = mdp.transitions, np.flatnonzero(initial)
@@ -211,7 +221,8 @@ def sample_episodes(
 ) -> Transitions:
     """Sample episodes from the initial distribution, each of at most ``horizon`` steps.
 
-    An episode terminates on entering an absorbing state with reward 0; one that reaches the horizon is
+    An episode terminates on entering an absorbing state with reward 0; one that reaches
+    the horizon is
     truncated. Rewards are r(s, a, s') if the MDP has them, else r(s, a).
 
     Parameters
@@ -224,8 +235,8 @@ def sample_episodes(
     Returns
     -------
     Transitions
-        With episodes, timesteps and the behaviour probabilities of ``policy``. An episode whose first state is
-        already absorbing has one step.
+        With episodes, timesteps and the behaviour probabilities of ``policy``. An
+        episode whose first state is already absorbing has one step.
 
     Notes
     -----
@@ -255,7 +266,8 @@ def episodes_holding(
 ) -> Transitions:
     """Whole episodes that together have at least n transitions.
 
-    As many as would do if none ended early, and more where they do. A Generator draws afresh at each try;
+    As many as would do if none ended early, and more where they do. A Generator draws
+    afresh at each try;
     of any other seed the episodes tried before stay.
     """
     count = max(1, -(-n // horizon))
@@ -267,14 +279,17 @@ def episodes_holding(
 def sample_transitions(
     mdp: FiniteMDP, distribution: object, n: int, *, seed: Seed
 ) -> Transitions:
-    """Sample n independent transitions: (s, a) from ``distribution`` (S, A), s' from P(. | s, a).
+    """Sample n independent transitions: (s, a) from ``distribution`` (S, A), s' from
+    P(. | s, a).
 
-    There are no episodes and no termination: absorbing states are sampled like any other.
+    There are no episodes and no termination: absorbing states are sampled like any
+    other.
 
     Parameters
     ----------
     mdp : FiniteMDP
-    distribution : (S, A), sums to 1; (S0, A) of the environment's own states does too, where the MDP has twins
+    distribution : (S, A), sums to 1; (S0, A) of the environment's own states does too,
+        where the MDP has twins
     n : positive int
     seed : as in ``sample_episodes``
 
@@ -324,7 +339,9 @@ def sample_transitions(
 
 
 def episode_log(mdp: FiniteMDP, drawn: Drawn, policy: Array) -> Transitions:
-    """Recorded episodes as a log, column by column: what was drawn here needs no checks, which take longer than drawing."""
+    """Recorded episodes as a log, column by column: what was drawn here needs no
+    checks, which take longer than drawing.
+    """
     from oee_tabular.simulate._rollout import write_columns
 
     n, indices = len(drawn.path), mdp.transitions.indices

@@ -1,9 +1,10 @@
 """The paper's gridworld (Section VI.A).
 
-N x N cells (row, column), numbered row * N + column; start (0, 0), goal (N-1, N-1), absorbing, with no reward from then
-on. Actions: 0 row + 1, 1 row - 1, 2 column + 1, 3 column - 1. The intended direction is taken with probability 1 - slip,
-each of the other three with slip / 3; a step into a wall stays in place. Reward: -0.2 times the Manhattan distance to
-the goal. The layout has row and column.
+N x N cells (row, column), numbered row * N + column; start (0, 0), goal (N-1, N-1),
+absorbing, with no reward from then on. Actions: 0 row + 1, 1 row - 1, 2 column + 1, 3
+column - 1. The intended direction is taken with probability 1 - slip, each of the other
+three with slip / 3; a step into a wall stays in place. Reward: -0.2 times the Manhattan
+distance to the goal. The layout has row and column.
 """
 
 from __future__ import annotations
@@ -38,10 +39,12 @@ def gridworld(
     ----------
     size : int of at least 2
     slip : float in [0, 1]
-        Probability of not moving in the intended direction (the paper's epsilon: 0.3 simulated, 0.1 real).
+        Probability of not moving in the intended direction (the paper's epsilon: 0.3
+        simulated, 0.1 real).
     pay : "next" | "current"
-        Whether the reward is that of the cell which a step enters, r(s, a, s') = -0.2 distance(s'), or leaves,
-        r(s) = -0.2 distance(s). The two differ by one step of discounting and the first reward.
+        Whether the reward is that of the cell which a step enters, r(s, a, s') = -0.2
+        distance(s'), or leaves, r(s) = -0.2 distance(s). The two differ by one step of
+        discounting and the first reward.
     discount : float in [0, 1]
 
     Examples
@@ -117,7 +120,8 @@ def gridworld_policy(size: int, delta: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """The default problem of ``oee evaluate``: the 10 x 10 grid at n = 3162 (the paper's Figure 1 b, c, d), and its target.
+    """The default problem of ``oee evaluate``: the 10 x 10 grid at n = 3162 (the
+    paper's Figure 1 b, c, d), and its target.
 
     Attributes
     ----------
@@ -125,7 +129,8 @@ class Embedded:
     log : 3162 transitions, drawn from ``episodes`` without replacement
     episodes : 50 whole episodes of ``behavior_policy``, for importance sampling
     behavior_policy : (S, A), uniform
-    policies : name -> (S, A), whose values are asked: the expert's with a probability, else uniform
+    policies : name -> (S, A), whose values are asked: the expert's with a probability,
+        else uniform
     horizon : number of rewards of a value
 
     Examples

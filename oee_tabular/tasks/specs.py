@@ -1,6 +1,8 @@
-"""Simulators by name, as on the command line: ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8``, ``file.npz``.
+"""Simulators by name, as on the command line: ``gridworld:10,slip=0.3``,
+``FrozenLake-v1:map_name=8x8``, ``file.npz``.
 
-Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.command``, which is imported where one may be named.
+Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.command``,
+which is imported where one may be named.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ class NamedTask:
     environment : () -> Gymnasium environment, None for tasks that are not Gymnasium's
     grid : size of a square gridworld of ours, else None
     continuous : the ContinuousSimulator, None for tasks whose states are numbered
-    discretization : of a continuous simulator by its default configuration; its ``mdp`` is this one
+    discretization : of a continuous simulator by its default configuration; its ``mdp``
+        is this one
 
     Examples
     --------
@@ -56,9 +59,10 @@ class NamedTask:
 def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     """The task that ``spec`` names.
 
-    ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task of ours ("gridworld"; "cartpole" on its
-    default grid), a Gymnasium id with a toy-text table, or of a continuous environment (``Pendulum-v1:g=9``, on its grid), or
-    the path of an npz that ``FiniteMDP.save`` wrote. Values are Python literals or words.
+    ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task of
+    ours ("gridworld"; "cartpole" on its default grid), a Gymnasium id with a toy-text
+    table, or of a continuous environment (``Pendulum-v1:g=9``, on its grid), or the
+    path of an npz that ``FiniteMDP.save`` wrote. Values are Python literals or words.
 
     Parameters
     ----------
@@ -68,7 +72,8 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     Raises
     ------
     ValueError
-        A name that is unknown (with the nearest ids), arguments that the task does not take, a file that is no MDP.
+        A name that is unknown (with the nearest ids), arguments that the task does not
+        take, a file that is no MDP.
 
     Examples
     --------

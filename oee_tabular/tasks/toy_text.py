@@ -1,4 +1,6 @@
-"""Gymnasium's toy-text environments, by id and keyword arguments; logs by stepping one through its own ``step``."""
+"""Gymnasium's toy-text environments, by id and keyword arguments; logs by stepping one
+through its own ``step``.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,8 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
     Raises
     ------
     ValueError
-        An unknown id (with the nearest ones), or arguments that the environment does not take.
+        An unknown id (with the nearest ones), or arguments that the environment does
+        not take.
 
     Examples
     --------
@@ -120,15 +123,18 @@ def record_episodes(
 ) -> Transitions:
     """Step ``env`` under ``policy`` and write down what it does.
 
-    Nothing of our own sampler is used: the log is evidence about the environment itself.
+    Nothing of our own sampler is used: the log is evidence about the environment
+    itself.
 
     Parameters
     ----------
     env : Gymnasium environment with discrete observations and actions
-    policy : (S, A), or an action for each observation, a mapping, or a function of the observation (``mdp.check_policy``)
-        Rows sum to 1; S at least the number of observations (twins of a FiniteMDP may follow).
+    policy : (S, A), or an action for each observation, a mapping, or a function of the
+        observation (``mdp.check_policy``) Rows sum to 1; S at least the number of
+        observations (twins of a FiniteMDP may follow).
     n_transitions, n_episodes : positive int
-        Exactly one of them. With n_transitions the last episode is truncated where the log ends.
+        Exactly one of them. With n_transitions the last episode is truncated where the
+        log ends.
     max_steps : positive int, optional
         Truncate episodes here, besides the environment's own limit (some have none).
     seed : anything that ``numpy.random.default_rng`` takes
@@ -137,7 +143,8 @@ def record_episodes(
     Returns
     -------
     Transitions
-        With rewards, termination, truncation, episodes and the probabilities of the actions taken.
+        With rewards, termination, truncation, episodes and the probabilities of the
+        actions taken.
 
     Examples
     --------
@@ -209,7 +216,9 @@ def _step(
     longest: int | None,
     generator: np.random.Generator,
 ) -> Iterator[tuple[int, int, int, float, bool, bool, int]]:
-    """Rows s, a, s', r, terminated, truncated, episode: those of so many ``episodes``, or without an end."""
+    """Rows s, a, s', r, terminated, truncated, episode: those of so many ``episodes``,
+    or without an end.
+    """
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
     first_seed: int | None = int(generator.integers(2**31))

@@ -1,11 +1,14 @@
-"""Tools for those who write estimators: laws that they must satisfy, exact comparisons, Hypothesis strategies.
+"""Tools for those who write estimators: laws that they must satisfy, exact comparisons,
+Hypothesis strategies.
 
 ``check_estimator`` runs an estimator through the ``laws`` on the pairs of ``cases``;
-``compare_with_oracle`` shows its bias, variance and error beside exact limits and bounds (``oracles``); ``mdps``, ``policies``,
-``mdp_pairs``, ``horizons`` and ``logs`` draw problems (``strategies``; they need hypothesis: ``pip install '.[testing]'``).
+``compare_with_oracle`` shows its bias, variance and error beside exact limits and
+bounds (``oracles``); ``mdps``, ``policies``, ``mdp_pairs``, ``horizons`` and ``logs``
+draw problems (``strategies``; they need hypothesis: ``pip install '.[testing]'``).
 
-Objects. v(D, pi) is the estimate from a log D, J the value of pi in the target, L the estimator's own limit, r the rewards, b
-and c numbers, sigma a permutation of states and actions; E is the mean over independent logs::
+Objects. v(D, pi) is the estimate from a log D, J the value of pi in the target, L the
+estimator's own limit, r the rewards, b and c numbers, sigma a permutation of states and
+actions; E is the mean over independent logs::
 
     well_formed         v finite, or a status, or a ValueError, on problems with one state, one action, one episode, ...
     input_unchanged     D, pi, simulator and horizon after a call are what they were, to the bit
@@ -18,7 +21,8 @@ and c numbers, sigma a permutation of states and actions; E is the mean over ind
     scale, shift        v of rewards b r is b v; v of rewards r + c is v + c sum_t gamma^t
     padding, after_end  rows in an absorbing state after an episode's end do not change v
 
-Equalities hold to 1e-8. Means are over logs of 4800 episodes: a t test, which a right estimator fails with a chance of 1e-5.
+Equalities hold to 1e-8. Means are over logs of 4800 episodes: a t test, which a right
+estimator fails with a chance of 1e-5.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The small pairs of environments that estimators are checked on, each known exactly.
 
-Target and simulator differ much (the simulator's value is off by many standard errors), with the same support and small
-integer probabilities; every behaviour policy takes every action, unless the case is about one that does not. The states lie on
-a line, in the order of their numbers (``layout``): renamed states keep their places.
+Target and simulator differ much (the simulator's value is off by many standard errors),
+with the same support and small integer probabilities; every behaviour policy takes
+every action, unless the case is about one that does not. The states lie on a line, in
+the order of their numbers (``layout``): renamed states keep their places.
 """
 
 from __future__ import annotations
@@ -72,7 +73,9 @@ class Case:
         return sample_episodes(self.target, self.behavior, n, self.steps, seed=seed)
 
     def logs(self, n: int, repetitions: int, *, seed: Seed) -> Iterator[Transitions]:
-        """``repetitions`` independent logs of ``n`` episodes (one after the other of a single draw)."""
+        """``repetitions`` independent logs of ``n`` episodes (one after the other of a
+        single draw).
+        """
         whole = self.log(n * repetitions, seed=seed)
         starts, columns = whole.episode_starts, whole.columns()
         assert starts is not None
@@ -108,7 +111,9 @@ class Case:
         return replace(self, simulator=pair[0], target=pair[1])
 
     def relabelled(self, states: ArrayLike, actions: ArrayLike) -> Case:
-        """The same with state s named ``states[s]`` and action a named ``actions[a]``, two permutations."""
+        """The same with state s named ``states[s]`` and action a named ``actions[a]``,
+        two permutations.
+        """
         new_states = _permutation(states, "states", self.simulator.n_states)
         new_actions = _permutation(actions, "actions", self.simulator.n_actions)
         old = np.ix_(np.argsort(new_states), np.argsort(new_actions))
@@ -125,7 +130,9 @@ class Case:
 
 
 def pair_shares(target: FiniteMDP, behavior: Array, steps: int) -> Array:
-    """(S, A): how the rows of episodes are distributed; an episode ends on arrival in an absorbing state."""
+    """(S, A): how the rows of episodes are distributed; an episode ends on arrival in
+    an absorbing state.
+    """
     time = occupancy(target.with_discount(1.0), behavior, horizon=steps)
     alive = np.where(target.absorbing()[:, None], 0.0, time)
     shares = alive if alive.any() else time
@@ -139,8 +146,10 @@ def relabelled_log(
 
     Parameters
     ----------
-    log : Transitions, with any columns; states or actions that have names keep them, as in a simulator that is relabelled
-    states, actions : (S,) and (A,) permutations: state s gets the number ``states[s]``, action a ``actions[a]``
+    log : Transitions, with any columns; states or actions that have names keep them, as
+        in a simulator that is relabelled
+    states, actions : (S,) and (A,) permutations: state s gets the number ``states[s]``,
+        action a ``actions[a]``
 
     Raises
     ------
@@ -169,7 +178,9 @@ def relabelled_log(
 
 
 def _permutation(value: ArrayLike, name: str, most: int) -> IntArray:
-    """``value`` as an array; ValueError where it is no permutation, or of fewer than ``most``."""
+    """``value`` as an array; ValueError where it is no permutation, or of fewer than
+    ``most``.
+    """
     array = _checks.as_array(value, name)
     if array.dtype.kind not in "iuf" or not np.array_equal(
         np.sort(array, axis=None), np.arange(len(array))
@@ -187,7 +198,8 @@ def _permutation(value: ArrayLike, name: str, most: int) -> IntArray:
 def padded_log(
     log: Transitions, actions: Sequence[int], probability: float
 ) -> Transitions:
-    """Further transitions in the absorbing state, with these actions, after every episode that ended there.
+    """Further transitions in the absorbing state, with these actions, after every
+    episode that ended there.
 
     Parameters
     ----------
@@ -367,7 +379,9 @@ def case(name: str) -> Case:
 
 
 def odd_cases() -> Iterator[Case]:
-    """One state, one action, discounts 0 and 1, one reward, nothing random, actions that are never recorded."""
+    """One state, one action, discounts 0 and 1, one reward, nothing random, actions
+    that are never recorded.
+    """
     single = FiniteMDP([[[1.0]]], [2.0], [1.0], 0.5)
     # half the starts are terminal
     fork = [[[0.5, 0.5], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]]

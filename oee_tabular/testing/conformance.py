@@ -1,7 +1,9 @@
-"""``check_estimator``: an estimator, ours or a user's, against the laws of estimators, with a verdict on each.
+"""``check_estimator``: an estimator, ours or a user's, against the laws of estimators,
+with a verdict on each.
 
-``check_module`` is ``oee check module:object``: the laws in a process of their own, which may hang, exit or be killed. What
-happens to the process is a verdict like any other.
+``check_module`` is ``oee check module:object``: the laws in a process of their own,
+which may hang, exit or be killed. What happens to the process is a verdict like any
+other.
 """
 
 from __future__ import annotations
@@ -82,24 +84,28 @@ def check_estimator(
     repetitions: int = 8,
     from_pair: bool = False,
 ) -> Verdicts:
-    """Run an estimator through the laws of estimators, on small pairs of environments that are known exactly.
+    """Run an estimator through the laws of estimators, on small pairs of environments
+    that are known exactly.
 
     Parameters
     ----------
-    estimator : callable (problem, policy) or (problem, policy, seed) -> float or ``Estimate``; a class or function that makes
-        one without arguments
+    estimator : callable (problem, policy) or (problem, policy, seed) -> float or
+        ``Estimate``; a class or function that makes one without arguments
     seed : int of at least 0; the logs of the statistical laws come from it
-    claims : words of ``CLAIMS``: which laws it should satisfy. None: ``estimator.claims``, a collection of words or a method
-        that returns one; without it ``DEFAULT`` (consistent, relabelling, scale)
+    claims : words of ``CLAIMS``: which laws it should satisfy. None:
+        ``estimator.claims``, a collection of words or a method that returns one;
+        without it ``DEFAULT`` (consistent, relabelling, scale)
     laws : names in ``LAWS``; None: all
     repetitions : logs of each statistical comparison, at least 3
-    from_pair : for oracles: ``estimator`` is a function (simulator, target) -> estimator
+    from_pair : for oracles: ``estimator`` is a function (simulator, target) ->
+        estimator
 
     Returns
     -------
     Verdicts
-        ``passed``, ``broken``, ``verdicts[law]``; prints as a table. "holds" and "fails" come with their numbers, "raises"
-        with the error, "not claimed" laws are not run.
+        ``passed``, ``broken``, ``verdicts[law]``; prints as a table. "holds" and
+        "fails" come with their numbers, "raises" with the error, "not claimed" laws are
+        not run.
 
     Raises
     ------
@@ -108,12 +114,14 @@ def check_estimator(
 
     Notes
     -----
-    Every estimator owes well_formed, input_unchanged, reproducible and support, limit where it has one, and seeds
-    unless it claims random. A right estimator fails a statistical law with a chance of about 1e-5 a comparison
-    (unbiased: 1e-4); so a bias of less than some 11 standard errors of the mean of 8 logs (3% of the value in these
-    pairs) may pass; with 30 logs (``repetitions``) a quarter of that. An estimator that is a dataclass with a field
-    ``n_rollouts`` is given more rollouts with more episodes where its limit is looked at. Cost: some 100 estimates (900
-    where it claims to be unbiased), of logs of up to 4800 episodes.
+    Every estimator owes well_formed, input_unchanged, reproducible and support, limit
+    where it has one, and seeds unless it claims random. A right estimator fails a
+    statistical law with a chance of about 1e-5 a comparison (unbiased: 1e-4); so a bias
+    of less than some 11 standard errors of the mean of 8 logs (3% of the value in these
+    pairs) may pass; with 30 logs (``repetitions``) a quarter of that. An estimator that
+    is a dataclass with a field ``n_rollouts`` is given more rollouts with more episodes
+    where its limit is looked at. Cost: some 100 estimates (900 where it claims to be
+    unbiased), of logs of up to 4800 episodes.
 
     Examples
     --------
@@ -204,23 +212,27 @@ MOST_HANGS = 3  # laws that may hang before the rest is left
 def check_module(
     spec: str, *, seed: int = 0, repetitions: int = 8, timeout: float = 60.0
 ) -> Verdicts:
-    """Import an estimator, from the current directory or what is installed, in a process of its own, and check it there.
+    """Import an estimator, from the current directory or what is installed, in a
+    process of its own, and check it there.
 
-    A law that ends the process, or takes longer than ``timeout`` seconds, is broken; another process goes on with the next law,
-    until three laws have hung: the others are then "not run".
+    A law that ends the process, or takes longer than ``timeout`` seconds, is broken;
+    another process goes on with the next law, until three laws have hung: the others
+    are then "not run".
 
     Parameters
     ----------
-    spec : "module:object"; the object is an estimator, a function (problem, policy[, seed]), or what makes one of these
-        without arguments
+    spec : "module:object"; the object is an estimator, a function (problem, policy[,
+        seed]), or what makes one of these without arguments
     seed, repetitions : as in ``check_estimator``
-    timeout : seconds that a law may take, and the import; an estimator that takes longer, or ends its process, breaks the law
+    timeout : seconds that a law may take, and the import; an estimator that takes
+        longer, or ends its process, breaks the law
 
     Raises
     ------
     ValueError
-        A spec of another form, no such module or object, a module that cannot be imported, or ends the process or takes longer
-        when it is, an object that is no estimator.
+        A spec of another form, no such module or object, a module that cannot be
+        imported, or ends the process or takes longer when it is, an object that is no
+        estimator.
     """
     check_numbers(seed, repetitions)
     seconds = _checks.number_in(timeout, "timeout", 0.0, LONGEST, open_ends=True)
@@ -269,7 +281,9 @@ class Ended(Exception):
 def _process(
     spec: str, seed: int, repetitions: int, laws: list[str]
 ) -> Iterator[Callable[[float], Any]]:
-    """A process that checks the laws, as a function: seconds -> its next answer, or ``Ended``. It is killed on leaving."""
+    """A process that checks the laws, as a function: seconds -> its next answer, or
+    ``Ended``. It is killed on leaving.
+    """
     context = multiprocessing.get_context("spawn")
     reader, writer = context.Pipe(duplex=False)
     process = context.Process(target=_run, args=(writer, spec, seed, repetitions, laws))
@@ -323,7 +337,9 @@ def _describe_end(code: int | None) -> str:
 def _run(
     answers: Connection, spec: str, seed: int, repetitions: int, laws: list[str]
 ) -> None:
-    """What the process does: it says that it is ready, what the estimator is or why there is none, and each verdict."""
+    """What the process does: it says that it is ready, what the estimator is or why
+    there is none, and each verdict.
+    """
     if hasattr(os, "setsid"):
         os.setsid()  # a group, with what the estimator starts
     end_with_parent(os.getppid(), with_group=True)
@@ -347,5 +363,7 @@ def _run(
 
 
 def own_estimator(spec: str) -> Any:
-    """The estimator of "module:object", or what a class or function there makes without arguments."""
+    """The estimator of "module:object", or what a class or function there makes without
+    arguments.
+    """
     return as_estimator(own_object(spec, "the estimator", EXAMPLE), repr(spec)).function

@@ -1,4 +1,6 @@
-"""Answers to the exercises of the notebooks: ``check("05_b", answer)`` is exercise b of notebook 05."""
+"""Answers to the exercises of the notebooks: ``check("05_b", answer)`` is exercise b of
+notebook 05.
+"""
 
 import tomllib
 from contextlib import suppress
@@ -18,7 +20,8 @@ def check(exercise: str, answer: Any) -> None:
     Parameters
     ----------
     exercise : the notebook's number and the exercise's letter, as in "05_b"
-    answer : a number, a list of numbers, or True or False; None if there is no answer yet
+    answer : a number, a list of numbers, or True or False; None if there is no answer
+        yet
 
     Raises
     ------

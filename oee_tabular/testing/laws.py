@@ -1,9 +1,10 @@
 """The laws: what every estimator owes, whatever it claims, and laws about its values.
 
-Every estimator owes well-formed answers, no side effects, and no number without support. Of the laws about values the first
-five compare the mean over independent logs with a number that is known exactly: the estimator's own limit, or J in the target.
-The other five compare two estimates of which one determines the other: renamed states, other units of reward, rows without
-information.
+Every estimator owes well-formed answers, no side effects, and no number without
+support. Of the laws about values the first five compare the mean over independent logs
+with a number that is known exactly: the estimator's own limit, or J in the target. The
+other five compare two estimates of which one determines the other: renamed states,
+other units of reward, rows without information.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ ODD_EPISODES, PROTOCOL_EPISODES = 20, 200
 
 
 def well_formed(subject: Subject) -> str:
-    """Odd small problems give a finite value, a status that is not "ok", or a ValueError that says why."""
+    """Odd small problems give a finite value, a status that is not "ok", or a
+    ValueError that says why.
+    """
     answers, n_refused = [], 0
     refusals: dict[str, str] = {}  # reason -> the first problem refused for it
     for pair, log in _odd_problems(subject):
@@ -85,7 +88,9 @@ def _odd_problems(subject: Subject) -> Iterator[tuple[Case, Transitions]]:
 
 @on_cases("ragged", "ragged infinite", "moves")
 def input_unchanged(subject: Subject, pair: Case) -> str:
-    """Problem, log, simulator and policy are after the call what they were, to the bit (their arrays made writable)."""
+    """Problem, log, simulator and policy are after the call what they were, to the bit
+    (their arrays made writable).
+    """
     problem, policy = (
         pair.problem(PROTOCOL_EPISODES, seed=subject.log_seed("input", pair.name)),
         pair.policy.copy(),
@@ -136,7 +141,9 @@ def _arrays(problem: Problem, policy: PolicyLike) -> Iterator[tuple[str, Any]]:
 
 @on_cases("ragged", "ragged infinite")
 def reproducible(subject: Subject, pair: Case) -> str:
-    """The same seed gives the same bits, whatever the global random state, which it leaves alone."""
+    """The same seed gives the same bits, whatever the global random state, which it
+    leaves alone.
+    """
     log = pair.log(PROTOCOL_EPISODES, seed=subject.log_seed("reproducible", pair.name))
     first, second = (_estimate_in_state(subject, pair, log, state) for state in (1, 2))
     for name in ("value", "standard_error"):
@@ -154,7 +161,9 @@ def reproducible(subject: Subject, pair: Case) -> str:
 def _estimate_in_state(
     subject: Subject, pair: Case, log: Transitions, state: int
 ) -> Estimate:
-    """An estimate of seed 7 under a global random state of ours, or ``Broken`` where it has changed that."""
+    """An estimate of seed 7 under a global random state of ours, or ``Broken`` where it
+    has changed that.
+    """
     estimator, states = as_estimator(subject.estimator(pair)), []
 
     def watched(problem: Problem, policy: PolicyLike, seed: int) -> Estimate:
@@ -173,7 +182,9 @@ def _estimate_in_state(
 
 @on_cases("ragged")
 def seeds(subject: Subject, pair: Case) -> str:
-    """Other seeds give the same bits (owed by every estimator that does not claim to be random)."""
+    """Other seeds give the same bits (owed by every estimator that does not claim to be
+    random).
+    """
     if "random" in subject.claims:
         raise NotClaimed("it claims to be random")
     log = pair.log(PROTOCOL_EPISODES, seed=subject.log_seed("seeds"))
@@ -186,10 +197,11 @@ def seeds(subject: Subject, pair: Case) -> str:
 
 @on_cases("violated")
 def support(subject: Subject, pair: Case) -> str:
-    """Where the target has transitions with simulator probability 0: a ValueError or a status, no silent number.
+    """Where the target has transitions with simulator probability 0: a ValueError or a
+    status, no silent number.
 
-    ``Problem`` refuses a log with such a transition. Looked at are the estimator's limit for such a target (J_target itself is
-    right), and an oracle of such a target.
+    ``Problem`` refuses a log with such a transition. Looked at are the estimator's
+    limit for such a target (J_target itself is right), and an oracle of such a target.
     """
     texts = ["Problem refuses the log"]
     try:
@@ -237,7 +249,9 @@ def _require_status(estimate: Estimate, pair: Case) -> None:
 
 @on_cases("ragged", "ragged infinite", "moves", "partial")
 def limit(subject: Subject, pair: Case) -> str:
-    """Its values tend to ``estimator.limit``, also where the log never shows some (s, a) that the policy takes."""
+    """Its values tend to ``estimator.limit``, also where the log never shows some (s,
+    a) that the policy takes.
+    """
     try:
         goal = subject.limit(pair, **_data(pair))
     except Refused as refused:
@@ -251,19 +265,25 @@ def limit(subject: Subject, pair: Case) -> str:
 
 @on_cases("ragged", "ragged infinite", "moves")
 def consistent(subject: Subject, pair: Case) -> str:
-    """Its values tend to J_target under full support; so does its own limit, where it has one."""
+    """Its values tend to J_target under full support; so does its own limit, where it
+    has one.
+    """
     return _tends_to_truth(subject, pair)
 
 
 @on_cases("same ragged")
 def identical(subject: Subject, pair: Case) -> str:
-    """Where the target is the simulator (zeta = 1) its values tend to J of both, and its limit is J."""
+    """Where the target is the simulator (zeta = 1) its values tend to J of both, and
+    its limit is J.
+    """
     return _tends_to_truth(subject, pair)
 
 
 @on_cases("survival")
 def ragged(subject: Subject, pair: Case) -> str:
-    """A chain with reward 1 until it ends: ended episodes count with reward 0, they are not left out."""
+    """A chain with reward 1 until it ends: ended episodes count with reward 0, they are
+    not left out.
+    """
     return _tends_to_truth(subject, pair)
 
 
@@ -296,7 +316,9 @@ def unbiased(subject: Subject, pair: Case) -> str:
 
 @on_cases("ragged", "ragged infinite", "moves")
 def relabelling(subject: Subject, pair: Case) -> str:
-    """Names of states and actions do not matter, places (``layout``) kept: exactly, or in the mean over seeds that matter."""
+    """Names of states and actions do not matter, places (``layout``) kept: exactly, or
+    in the mean over seeds that matter.
+    """
     states = np.roll(np.arange(pair.simulator.n_states), 1)
     actions = np.arange(pair.simulator.n_actions)[::-1].copy()
     log = pair.log(EPISODES, seed=subject.log_seed("relabelling", pair.name))
@@ -329,7 +351,8 @@ def scale(subject: Subject, pair: Case) -> str:
 
 @on_cases("moves", "moves infinite")
 def shift(subject: Subject, pair: Case) -> str:
-    """Rewards r + b give J + b sum_t gamma^t, also where some (s, a) were never recorded.
+    """Rewards r + b give J + b sum_t gamma^t, also where some (s, a) were never
+    recorded.
 
     Nothing ends in these cases, because an absorbing state would have reward b, too.
     """
@@ -342,13 +365,17 @@ def shift(subject: Subject, pair: Case) -> str:
 
 @on_cases("ragged", "ragged infinite")
 def padding(subject: Subject, pair: Case) -> str:
-    """Rows in the absorbing state after the end (the one action that policy and behaviour take there) change nothing."""
+    """Rows in the absorbing state after the end (the one action that policy and
+    behaviour take there) change nothing.
+    """
     return _compare_padding(subject, pair, (0, 0, 0), 1.0)
 
 
 @on_cases("ragged", "ragged infinite")
 def after_end(subject: Subject, pair: Case) -> str:
-    """Rows in the absorbing state change nothing, also where policy and behaviour take other actions there."""
+    """Rows in the absorbing state change nothing, also where policy and behaviour take
+    other actions there.
+    """
     policy, behavior = pair.policy.copy(), pair.behavior.copy()
     policy[-1], behavior[-1] = [0.9, 0.1], [0.5, 0.5]
     return _compare_padding(
@@ -382,8 +409,9 @@ def _data(pair: Case) -> dict[str, Any]:
 def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
     """A sentence with the numbers, or ``Broken``.
 
-    The mean over the large logs may be off by chance, and by a third of what 16 times as many episodes changed it: a bias of
-    order n^-1/2 changes by three times what is left of it, one of order 1/n by 15 times.
+    The mean over the large logs may be off by chance, and by a third of what 16 times
+    as many episodes changed it: a bias of order n^-1/2 changes by three times what is
+    left of it, one of order 1/n by 15 times.
     """
     if pair.name not in subject.values:
         small = _draw_values(subject, pair, SMALL, max(subject.repetitions // 2, 2), 0)
@@ -451,7 +479,9 @@ def _equals(
 
 
 def _have_same_mean(first: Array, second: Array, what: str, example: str) -> str:
-    """``Broken`` where the means of two samples of one size differ by more than chance allows."""
+    """``Broken`` where the means of two samples of one size differ by more than chance
+    allows.
+    """
     n = len(first)
     allowed = (
         _chance(float(np.sqrt((first.var(ddof=1) + second.var(ddof=1)) / n)), n) + 1e-9

@@ -1,4 +1,6 @@
-"""An estimator beside what is known exactly: its bias, variance and error over many logs, its limit, the efficiency bound."""
+"""An estimator beside what is known exactly: its bias, variance and error over many
+logs, its limit, the efficiency bound.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,8 @@ class OracleComparison:
     estimator : its name
     truth : J_target
     limit : the estimator's own exact limit, or None
-    bound : the efficiency bound: n times the least asymptotic variance (inf where the data leave something out)
+    bound : the efficiency bound: n times the least asymptotic variance (inf where the
+        data leave something out)
     n, unit : size of each log, in "episodes" or "transitions"
     values : (R,) of the repetitions whose status is "ok"
     failures, reasons : how many others there were, and the first one's status
@@ -78,7 +81,9 @@ class OracleComparison:
 
     @property
     def variance_error(self) -> float:
-        """Standard error of ``variance``: sqrt((m4 - (R - 3) / (R - 1) s^4) / R), m4 the fourth central moment."""
+        """Standard error of ``variance``: sqrt((m4 - (R - 3) / (R - 1) s^4) / R), m4
+        the fourth central moment.
+        """
         n = len(self.values)
         if n < 4:
             return math.nan
@@ -108,10 +113,12 @@ class OracleComparison:
 
     @property
     def inefficiency(self) -> float:
-        """n * variance / bound: 1 for an efficient estimator, as n grows; nan where the bound is 0 or infinite.
+        """n * variance / bound: 1 for an efficient estimator, as n grows; nan where the
+        bound is 0 or infinite.
 
-        With ``behavior_policy`` the bound is that of time-indexed dynamics and starts that are estimated, too: an estimator
-        that knows the dynamics to be stationary can be below it.
+        With ``behavior_policy`` the bound is that of time-indexed dynamics and starts
+        that are estimated, too: an estimator that knows the dynamics to be stationary
+        can be below it.
         """
         return (
             self.n * self.variance / self.bound
@@ -166,7 +173,8 @@ def compare_with_oracle(
     seed: int = 0,
     horizon: int | None = None,
 ) -> OracleComparison:
-    """Run an estimator on independent logs of the target, and put it beside what is known exactly.
+    """Run an estimator on independent logs of the target, and put it beside what is
+    known exactly.
 
     Parameters
     ----------
@@ -174,19 +182,24 @@ def compare_with_oracle(
     pair : (simulator, target)
     policy : (S, A)
     n : size of each log, in episodes or transitions
-    behavior_policy : (S, A): logs are ``n`` episodes of it, to the horizon (None: until discount^t < 1e-12)
-    data_distribution : (S, A): logs are ``n`` independent transitions from it; one of the two must be given
+    behavior_policy : (S, A): logs are ``n`` episodes of it, to the horizon (None: until
+        discount^t < 1e-12)
+    data_distribution : (S, A): logs are ``n`` independent transitions from it; one of
+        the two must be given
     repetitions : at least 2
-    seed : int; repetition k has the log of SeedSequence(seed, spawn_key=(k,)) and the estimator seed k
+    seed : int; repetition k has the log of SeedSequence(seed, spawn_key=(k,)) and the
+        estimator seed k
     horizon : of the value; None: the infinite sum
 
     Returns
     -------
     OracleComparison
-        Bias, variance and root-mean-square error with their Monte Carlo standard errors, J_target, the estimator's limit, and
-        the bound: for episodes ``trajectory_efficiency_bound``, which includes the chance of the first state and takes time
-        as part of the state, so that an estimator that knows the initial distribution or pools the steps may be below it; for
-        transitions ``efficiency_bound``.
+        Bias, variance and root-mean-square error with their Monte Carlo standard
+        errors, J_target, the estimator's limit, and the bound: for episodes
+        ``trajectory_efficiency_bound``, which includes the chance of the first state
+        and takes time as part of the state, so that an estimator that knows the initial
+        distribution or pools the steps may be below it; for transitions
+        ``efficiency_bound``.
 
     Raises
     ------

@@ -1,9 +1,11 @@
-"""Hypothesis strategies of finite MDPs, policies, pairs of environments, horizons and logs.
+"""Hypothesis strategies of finite MDPs, policies, pairs of environments, horizons and
+logs.
 
-Everything is made of small integers: probabilities are small weights over their sum, with exact zeros and many ties; rewards
-are integers from -5 to 5. Examples shrink towards one state, one action, discount 0 and even chances. Nothing is
-filtered. At discount 1 every state has a chance to end whatever is done (the last state is absorbing with reward 0), so that
-the infinite sum exists for every policy.
+Everything is made of small integers: probabilities are small weights over their sum,
+with exact zeros and many ties; rewards are integers from -5 to 5. Examples shrink
+towards one state, one action, discount 0 and even chances. Nothing is filtered. At
+discount 1 every state has a chance to end whatever is done (the last state is absorbing
+with reward 0), so that the infinite sum exists for every policy.
 
 Needs hypothesis: ``pip install '.[testing]'``.
 """
@@ -50,9 +52,10 @@ def mdps(
     ----------
     min_states, max_states, max_actions : sizes, from 1
     discounts : to draw from
-    rewards : forms to draw from: "s", "sa", "sas" for r(s), r(s, a), r(s, a, s') (defined for every s')
-    absorbing : whether the last state is absorbing with reward 0; None: either. At discount 1 it always is, and every
-        row reaches it with positive probability
+    rewards : forms to draw from: "s", "sa", "sas" for r(s), r(s, a), r(s, a, s')
+        (defined for every s')
+    absorbing : whether the last state is absorbing with reward 0; None: either. At
+        discount 1 it always is, and every row reaches it with positive probability
 
     Raises
     ------
@@ -140,9 +143,10 @@ def mdp_pairs(
 
     Parameters
     ----------
-    support : "equal": target and simulator have one support; "inside": the target's lies in the simulator's (a ratio
-        exists); "violated": from some state that an episode may begin in, some action takes the target to where the
-        simulator has probability 0
+    support : "equal": target and simulator have one support; "inside": the target's
+        lies in the simulator's (a ratio exists); "violated": from some state that an
+        episode may begin in, some action takes the target to where the simulator has
+        probability 0
     options : as in ``mdps``; for "violated" at least 2 states
 
     Raises
@@ -201,7 +205,8 @@ def mdp_pairs(
 
 
 def horizons(mdp: FiniteMDP, *, max_horizon: int = 6) -> st.SearchStrategy[int | None]:
-    """Horizons from 1, and None where the infinite sum exists for every policy (discount below 1, or all of ``mdps``).
+    """Horizons from 1, and None where the infinite sum exists for every policy
+    (discount below 1, or all of ``mdps``).
 
     Parameters
     ----------
@@ -240,9 +245,11 @@ def logs(
     Parameters
     ----------
     mdp : FiniteMDP
-    kind : "episodes": ragged, from the initial distribution's support, terminated on arrival in an absorbing state, truncated
-        otherwise; "transitions": a bag of transitions from anywhere; None: either
-    behavior_policy : (S, A) whose actions are taken and whose probabilities are recorded; None: uniform
+    kind : "episodes": ragged, from the initial distribution's support, terminated on
+        arrival in an absorbing state, truncated otherwise; "transitions": a bag of
+        transitions from anywhere; None: either
+    behavior_policy : (S, A) whose actions are taken and whose probabilities are
+        recorded; None: uniform
     max_episodes, max_steps : sizes, from 1 (a bag has at most their product of rows)
     rewards : whether rewards are recorded
 

@@ -1,4 +1,6 @@
-"""The estimator under check: what it claims, its verdicts; every call of it becomes a value or a ``Broken``, never a crash."""
+"""The estimator under check: what it claims, its verdicts; every call of it becomes a
+value or a ``Broken``, never a crash.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,8 @@ DEFAULT: frozenset[str] = frozenset({"consistent", "relabelling", "scale"})
 def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[str]:
     """What an estimator claims: the words that say which laws it owes.
 
-    ``claims``, else the estimator's own ``claims`` (a collection of words, or a method that returns one), else ``DEFAULT``.
+    ``claims``, else the estimator's own ``claims`` (a collection of words, or a method
+    that returns one), else ``DEFAULT``.
 
     Parameters
     ----------
@@ -110,8 +113,8 @@ class Verdict:
     Attributes
     ----------
     law : its name, a key of ``LAWS``
-    outcome : "holds", "fails", "raises" or "not claimed"; of ``oee check`` also "exits" (the process ended), "hangs" and
-        "not run" (after three laws that hang)
+    outcome : "holds", "fails", "raises" or "not claimed"; of ``oee check`` also "exits"
+        (the process ended), "hangs" and "not run" (after three laws that hang)
     text : the numbers found
     example : how to see it again
 
@@ -170,7 +173,9 @@ class Verdicts(Mapping[str, Verdict]):
 
     @property
     def conclusion(self) -> str:
-        """Which laws are broken; else that all hold, and what others claim by default and this one does not."""
+        """Which laws are broken; else that all hold, and what others claim by default
+        and this one does not.
+        """
         if self.broken:
             return f"broken laws: {', '.join(self.broken)}"
         if left := sorted(DEFAULT - self.claims):
@@ -249,7 +254,8 @@ class Subject:
     Attributes
     ----------
     name : what tables call it
-    make : (simulator, target) -> estimator; gives the same one for every pair unless it is an oracle's
+    make : (simulator, target) -> estimator; gives the same one for every pair unless it
+        is an oracle's
     claims : words of ``CLAIMS``
     seed, repetitions : of the logs that the statistical laws draw
     is_oracle : whether ``make`` looks at the pair
@@ -267,7 +273,9 @@ class Subject:
     values: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def cases(self, *names: str) -> list[Case]:
-        """The cases, each without its horizon (or with it) where the estimator claims to answer only those."""
+        """The cases, each without its horizon (or with it) where the estimator claims
+        to answer only those.
+        """
         # claiming neither is claiming both
         asked = self.claims & {"finite", "infinite"}
         if len(asked) == 1:
@@ -302,7 +310,9 @@ class Subject:
     def estimate(
         self, pair: Case, log: Transitions, seed: int, *, rollouts: int = 0
     ) -> Estimate:
-        """One well-formed estimate, or ``Broken``; ``rollouts``: at least so many, for an estimator that has such a field."""
+        """One well-formed estimate, or ``Broken``; ``rollouts``: at least so many, for
+        an estimator that has such a field.
+        """
         estimator = self.estimator(pair)
         own = getattr(estimator, "n_rollouts", None)
         if rollouts and isinstance(own, int) and dataclasses.is_dataclass(estimator):
@@ -403,7 +413,9 @@ def find_defect(estimate: Any) -> str:
 
 @contextmanager
 def capture_errors(what: str) -> Iterator[None]:
-    """Errors of the estimator's become ``Broken``; its warnings are not shown, its global random state is put back."""
+    """Errors of the estimator's become ``Broken``; its warnings are not shown, its
+    global random state is put back.
+    """
     state, numpy_state = (
         random.getstate(),
         np.random.get_state(),  # noqa: NPY002 (what is watched over is the global one)
@@ -434,7 +446,9 @@ def shorten(text: str, length: int = 160) -> str:
 
 
 def name_of(estimator: object) -> str:
-    """What to call an estimator in a table: a function's name, a representation that says something, or the class's name."""
+    """What to call an estimator in a table: a function's name, a representation that
+    says something, or the class's name.
+    """
     name, text = getattr(estimator, "__name__", ""), repr(estimator)
     return (
         str(name or type(estimator).__name__)

@@ -1,33 +1,41 @@
-"""The paper's theorems with both sides of each, and correct bounds (notebooks/statements.md has the proofs).
+"""The paper's theorems with both sides of each, and correct bounds
+(notebooks/statements.md has the proofs).
 
-Functions ``*_bound`` give a right-hand side from its constants, functions ``*_sides`` both sides on given tables or MDPs as
-``Sides(left, right)``, each computed without tolerance. Divergences and risks are in nats.
+Functions ``*_bound`` give a right-hand side from its constants, functions ``*_sides``
+both sides on given tables or MDPs as ``Sides(left, right)``, each computed without
+tolerance. Divergences and risks are in nats.
 
-**Ratios** (``theorem_1``). p, q (n,) distributions, g* = p/q, the paper's class nu <= g <= mu with nu < 1 < mu, and the risk
-L(g) = sum q g - sum p log g. Theorem V.1 (eq. 5.1) bounds, with probability 1 - delta,
+**Ratios** (``theorem_1``). p, q (n,) distributions, g* = p/q, the paper's class nu <= g
+<= mu with nu < 1 < mu, and the risk L(g) = sum q g - sum p log g. Theorem V.1 (eq. 5.1)
+bounds, with probability 1 - delta,
 
     |ghat - g*|_inf^2  <=  K e^{D_inf(P || Q)} (mu + max(log mu, -log nu) + sqrt(2 log(1 / delta))) / sqrt(n).
 
-No universal K exists (``universal_constant_counterexample``): it must contain 1 / min q and the size of the class. With P and
-Q fixed the bound is true for large n, but the rate is n^-1/2, not the n^-1/4 (of the unsquared error) that it states. For
-tables ``sup_error_bound`` is true. The excess risk L(g) - L(g*) = E_p phi(g/g*), phi(u) = u - 1 - log u, controls the L2(P)
-norm: E_p (g - g*)^2 <= 2 mu^2 times it.
+No universal K exists (``universal_constant_counterexample``): it must contain 1 / min q
+and the size of the class. With P and Q fixed the bound is true for large n, but the
+rate is n^-1/2, not the n^-1/4 (of the unsquared error) that it states. For tables
+``sup_error_bound`` is true. The excess risk L(g) - L(g*) = E_p phi(g/g*), phi(u) = u -
+1 - log u, controls the L2(P) norm: E_p (g - g*)^2 <= 2 mu^2 times it.
 
-**zeta** (``theorem_2``). Lemma V.1 (eq. 5.2) for zeta = beta_sas' / beta_sa is true: |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2
-times the sup error of both betahat; its tight constant is (mu + nu) / nu^2.
+**zeta** (``theorem_2``). Lemma V.1 (eq. 5.2) for zeta = beta_sas' / beta_sa is true:
+|zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 times the sup error of both betahat; its
+tight constant is (mu + nu) / nu^2.
 
-**Values** (``theorem_2``, ``bounds``). P' the target, K the model of it, zhat * P or any other kernel (S*A, S),
-with the target's rewards, start and discount g; R = max |r|; alpha_t the distribution of (s_t, a_t); eta = max over (s, a) of
-sum_s' |K - P'| = E_P |zhat - zeta|. Theorem V.2 (eq. 5.3) is false as stated (``value_bound_counterexample``). True bounds:
+**Values** (``theorem_2``, ``bounds``). P' the target, K the model of it, zhat * P or
+any other kernel (S*A, S), with the target's rewards, start and discount g; R = max |r|;
+alpha_t the distribution of (s_t, a_t); eta = max over (s, a) of sum_s' |K - P'| = E_P
+|zhat - zeta|. Theorem V.2 (eq. 5.3) is false as stated
+(``value_bound_counterexample``). True bounds:
 
     (A)  any rows:        |J(K) - J'| <= R sum_t g^t ((1 + eta)^t - 1), exponential in the horizon, and truly so
     (B)  rows sum to 1:   |J(K) - J'| <= R sum_t g^t min(2, t eta) <= R g eta / (1 - g)^2
     (C)  rows sum to 1:   |J(K) - J'| <= R sum_t g^t min(2, sqrt(2 KL_t)),  KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)]
          corrected V.2:   (J(K) - J')^2 <= 2 T R^2 error^2 sum_{t=1..T} t g^{2t},  error = max |zhat/zeta - 1|
 
-A horizon T means the rewards at t = 0..T-1, as everywhere in this package; Theorem V.2's own sum runs over t = 0..T. A reward
-r(s, a) at t rests on t transitions, a reward r(s, a, s') on t + 1: (A), (B), (C) count transitions, and are larger by one step
-in the second case. The simulation lemma (``theorem_2``) is an equality for any nonnegative K:
+A horizon T means the rewards at t = 0..T-1, as everywhere in this package; Theorem
+V.2's own sum runs over t = 0..T. A reward r(s, a) at t rests on t transitions, a reward
+r(s, a, s') on t + 1: (A), (B), (C) count transitions, and are larger by one step in the
+second case. The simulation lemma (``theorem_2``) is an equality for any nonnegative K:
 
     J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>.
 """

@@ -1,6 +1,8 @@
-"""True bounds on the error of J: (A), (B) and, by the divergence of paths, (C) of ``oee_tabular.theory``.
+"""True bounds on the error of J: (A), (B) and, by the divergence of paths, (C) of
+``oee_tabular.theory``.
 
-Reference: [1] Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4 (Pinsker; KL of a path).
+Reference: [1] Tsybakov, Introduction to Nonparametric Estimation, 2009, section 2.4
+(Pinsker; KL of a path).
 """
 
 from __future__ import annotations
@@ -40,12 +42,15 @@ def unnormalised_bound(
     eta : max over (s, a) of sum_s' |K - P'| = E_P |zhat - zeta|, in [0, inf)
     reward_bound : R = max |r|, in [0, inf)
     discount : g in [0, 1]
-    horizon : T (t < T), or None: the sum is R g eta / ((1 - g) (1 - g (1 + eta))), and inf where g (1 + eta) >= 1
-    rewards_on_moves : True for r(s, a, s'): (1 + eta)^{t+1} takes the place of (1 + eta)^t
+    horizon : T (t < T), or None: the sum is R g eta / ((1 - g) (1 - g (1 + eta))), and
+        inf where g (1 + eta) >= 1
+    rewards_on_moves : True for r(s, a, s'): (1 + eta)^{t+1} takes the place of (1 +
+        eta)^t
 
     Notes
     -----
-    It is exponential in the horizon, and K = (1 + eta) P' with r = R attains it. It is inf if its numbers overflow.
+    It is exponential in the horizon, and K = (1 + eta) P' with r = R attains it. It is
+    inf if its numbers overflow.
 
     Examples
     --------
@@ -84,14 +89,16 @@ def unnormalised_sides(
     horizon: int | None = None,
     ratio: object = None,
 ) -> Sides:
-    """(A) on a pair: |J(K) - J'| by dynamic programming, and ``unnormalised_bound`` at the pair's own eta and R.
+    """(A) on a pair: |J(K) - J'| by dynamic programming, and ``unnormalised_bound`` at
+    the pair's own eta and R.
 
-    left is inf where the infinite sum J(K) does not exist (right is then, too). eta counts the target's transitions to which
-    K gives nothing. Cost: two evaluations.
+    left is inf where the infinite sum J(K) does not exist (right is then, too). eta
+    counts the target's transitions to which K gives nothing. Cost: two evaluations.
 
     Parameters
     ----------
-    target, model, policy, horizon, ratio : as in ``simulation_lemma``, whose errors are these
+    target, model, policy, horizon, ratio : as in ``simulation_lemma``, whose errors are
+        these
 
     Examples
     --------
@@ -115,10 +122,11 @@ def normalised_bound(
     horizon: int | None = None,
     rewards_on_moves: bool = False,
 ) -> float:
-    """(B), where the rows of K sum to 1: |J(K) - J'| <= R sum_t g^t min(2, t eta) <= R g eta / (1 - g)^2.
+    """(B), where the rows of K sum to 1: |J(K) - J'| <= R sum_t g^t min(2, t eta) <= R
+    g eta / (1 - g)^2.
 
-    inf at discount 1 without a horizon, unless eta or R is 0. An infinite sum is added up to discount^t = 1e-12 (at
-    most 100 000 terms) and bounded from there.
+    inf at discount 1 without a horizon, unless eta or R is 0. An infinite sum is added
+    up to discount^t = 1e-12 (at most 100 000 terms) and bounded from there.
 
     Parameters
     ----------
@@ -161,11 +169,13 @@ def normalised_sides(
     horizon: int | None = None,
     ratio: object = None,
 ) -> Sides:
-    """(B) on a pair: |J(K) - J'| by dynamic programming, and ``normalised_bound`` at the pair's own eta and R.
+    """(B) on a pair: |J(K) - J'| by dynamic programming, and ``normalised_bound`` at
+    the pair's own eta and R.
 
     Parameters
     ----------
-    target, model, policy, horizon, ratio : as in ``simulation_lemma``; a K whose rows miss 1 is a ValueError, too
+    target, model, policy, horizon, ratio : as in ``simulation_lemma``; a K whose rows
+        miss 1 is a ValueError, too
 
     Examples
     --------
@@ -191,8 +201,9 @@ def path_kl(
 ) -> Array:
     """KL_t = sum_{k<t} E_K[KL(K || P')(s_k, a_k)] in nats for t = 0..T, shape (T + 1,).
 
-    By the chain rule [1] the divergence of the first t transitions under K from those under P'; inf from the first one
-    on that K makes and the target does not. Cost: O(T * nnz).
+    By the chain rule [1] the divergence of the first t transitions under K from those
+    under P'; inf from the first one on that K makes and the target does not. Cost: O(T
+    * nnz).
 
     Parameters
     ----------
@@ -240,12 +251,14 @@ def _row_kl(target: Model, kernel: Model) -> Array:
 def kl_path_bound(
     path_divergence: object, reward_bound: float, discount: float
 ) -> float:
-    """(C), where the rows of K sum to 1: |J(K) - J'| <= R sum_{t<T} g^t min(2, sqrt(2 KL_t)).
+    """(C), where the rows of K sum to 1: |J(K) - J'| <= R sum_{t<T} g^t min(2, sqrt(2
+    KL_t)).
 
     Parameters
     ----------
-    path_divergence : (T,) nonnegative, inf allowed: KL of the transitions that the reward at t depends on, t = 0..T-1; with
-        ``path_kl`` its entries 0..T-1 for r(s, a), 1..T for r(s, a, s')
+    path_divergence : (T,) nonnegative, inf allowed: KL of the transitions that the
+        reward at t depends on, t = 0..T-1; with ``path_kl`` its entries 0..T-1 for r(s,
+        a), 1..T for r(s, a, s')
     reward_bound : R = max |r|, in [0, inf)
     discount : g in [0, 1]
 
@@ -279,14 +292,17 @@ def kl_path_sides(
     horizon: int | None = None,
     ratio: object = None,
 ) -> Sides:
-    """(C) on a pair: |J(K) - J'| by dynamic programming, and ``kl_path_bound`` of the pair's own path divergence.
+    """(C) on a pair: |J(K) - J'| by dynamic programming, and ``kl_path_bound`` of the
+    pair's own path divergence.
 
-    Without a horizon the sum runs to discount^t = 1e-12 (at most 100 000 steps), and what follows is bounded by
-    Jensen's inequality, so right stays a bound. Cost: O(T * nnz).
+    Without a horizon the sum runs to discount^t = 1e-12 (at most 100 000 steps), and
+    what follows is bounded by Jensen's inequality, so right stays a bound. Cost: O(T *
+    nnz).
 
     Parameters
     ----------
-    target, model, policy, horizon, ratio : as in ``normalised_sides``, whose errors are these
+    target, model, policy, horizon, ratio : as in ``normalised_sides``, whose errors are
+        these
 
     Examples
     --------
@@ -321,7 +337,9 @@ def kl_path_sides(
 
 
 def _n_terms(gamma: float) -> int:
-    """How many terms of an infinite sum are added up (gamma < 1); the rest is bounded by Jensen's inequality."""
+    """How many terms of an infinite sum are added up (gamma < 1); the rest is bounded
+    by Jensen's inequality.
+    """
     return (
         1
         if gamma == 0.0
@@ -349,7 +367,9 @@ def _check_constants(
 
 
 def _constants(target: Model, kernel: Model) -> tuple[float, float, float]:
-    """eta = max over (s, a) of sum_s' |K - P'|, R = max |r| over the transitions of either, and the discount."""
+    """eta = max over (s, a) of sum_s' |K - P'|, R = max |r| over the transitions of
+    either, and the discount.
+    """
     change = row_sums(sparse.csr_array(abs(kernel.transitions - target.transitions)))
     tables = [
         m.rewards if m.reward_data is None else m.reward_data for m in (target, kernel)

@@ -1,4 +1,6 @@
-"""Both sides of a statement; Theorem V.1 of the paper, on the error of g = p/q, beside what is true; divergences and risks."""
+"""Both sides of a statement; Theorem V.1 of the paper, on the error of g = p/q, beside
+what is true; divergences and risks.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from oee_tabular.ratio.dual import check_distributions
 
 @dataclass(frozen=True)
 class Sides:
-    """Both sides of an inequality ``left <= right``, each as it was computed (no tolerance).
+    """Both sides of an inequality ``left <= right``, each as it was computed (no
+    tolerance).
 
     Attributes
     ----------
@@ -39,14 +42,17 @@ class Sides:
 
     @property
     def ratio(self) -> float:
-        """left / right: above 1 where the inequality fails, by that factor; 0 where left is 0."""
+        """left / right: above 1 where the inequality fails, by that factor; 0 where
+        left is 0.
+        """
         if self.left == 0.0:
             return 0.0
         return self.left / self.right if self.right > 0.0 else math.inf
 
 
 def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
-    """D_a(p || q) = log(sum p^a q^{1-a}) / (a - 1) in nats; a = 1: KL(p || q), a = inf: log max p/q.
+    """D_a(p || q) = log(sum p^a q^{1-a}) / (a - 1) in nats; a = 1: KL(p || q), a = inf:
+    log max p/q.
 
     Parameters
     ----------
@@ -55,8 +61,9 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
 
     Notes
     -----
-    It grows with a. inf where p > 0 = q somewhere and a >= 1, and for a < 1 where p and q have nothing in common. exp(D_2)
-    = E_q (p/q)^2 = 1 + chi^2. Source: van Erven and Harremoes, IEEE Trans. Information Theory 60(7), 2014.
+    It grows with a. inf where p > 0 = q somewhere and a >= 1, and for a < 1 where p and
+    q have nothing in common. exp(D_2) = E_q (p/q)^2 = 1 + chi^2. Source: van Erven and
+    Harremoes, IEEE Trans. Information Theory 60(7), 2014.
 
     Examples
     --------
@@ -85,7 +92,9 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
 
 
 def divergence_terms(p: Array, q: Array) -> Array:
-    """p log(p/q) - p + q >= 0, entry by entry, to full relative precision for q near p; q where p = 0, inf where q = 0 < p."""
+    """p log(p/q) - p + q >= 0, entry by entry, to full relative precision for q near p;
+    q where p = 0, inf where q = 0 < p.
+    """
     terms: Array = np.asarray(special.kl_div(p, q))
     near = (p > 0.0) & (np.abs(q - p) < 0.5 * p)
     change = (q[near] - p[near]) / p[near]
@@ -96,9 +105,11 @@ def divergence_terms(p: Array, q: Array) -> Array:
 def estimation_bound(
     n: int, mu: float, nu: float, confidence: float, renyi: float, constant: float
 ) -> float:
-    """Theorem V.1's right-hand side (eq. 5.1): of the SQUARE |ghat_n - g*|_inf^2, with probability ``confidence`` = 1 - delta.
+    """Theorem V.1's right-hand side (eq. 5.1): of the SQUARE |ghat_n - g*|_inf^2, with
+    probability ``confidence`` = 1 - delta.
 
-    K e^{D_inf(P || Q)} (sqrt(1/n) (mu + max(log mu, -log nu)) + sqrt(2 log(1/delta) / n)).
+    K e^{D_inf(P || Q)} (sqrt(1/n) (mu + max(log mu, -log nu)) + sqrt(2 log(1/delta) /
+    n)).
 
     Parameters
     ----------
@@ -110,8 +121,9 @@ def estimation_bound(
 
     Notes
     -----
-    No such K exists (``universal_constant_counterexample``); ``sup_error_bound`` is a version with its constants. The paper
-    calls both this bound and its root M(G, delta).
+    No such K exists (``universal_constant_counterexample``); ``sup_error_bound`` is a
+    version with its constants. The paper calls both this bound and its root M(G,
+    delta).
 
     Examples
     --------
@@ -143,12 +155,14 @@ def estimation_sides(
     confidence: float,
     constant: float,
 ) -> Sides:
-    """Theorem 1 on tables: left = max |g - p/q|^2 where p + q > 0, right = ``estimation_bound``; both inf where p > 0 = q.
+    """Theorem 1 on tables: left = max |g - p/q|^2 where p + q > 0, right =
+    ``estimation_bound``; both inf where p > 0 = q.
 
     Parameters
     ----------
     g : (n_cells,) in [nu, mu]
-    p, q : as in ``renyi_divergence``; for a pair of MDPs their occupancies of transitions
+    p, q : as in ``renyi_divergence``; for a pair of MDPs their occupancies of
+        transitions
     n, mu, nu, confidence, constant : as in ``estimation_bound``
 
     Examples
@@ -174,8 +188,10 @@ class EstimationCounterexample(Sides):
 
     Attributes
     ----------
-    probability_flat : that neither sample has the atom, so that every ghat there minimises the empirical risk
-    probability_forced : that only P's sample has it, so that ghat = mu is the one minimiser; both above 0.05
+    probability_flat : that neither sample has the atom, so that every ghat there
+        minimises the empirical risk
+    probability_forced : that only P's sample has it, so that ghat = mu is the one
+        minimiser; both above 0.05
 
     Examples
     --------
@@ -191,9 +207,11 @@ class EstimationCounterexample(Sides):
 def universal_constant_counterexample(
     n: int, *, mu: float = 10.0, nu: float = 0.1, confidence: float = 0.95
 ) -> EstimationCounterexample:
-    """P = Q = (1/n, 1 - 1/n), so g* = 1 and D_inf = 0: with constant probability |ghat - g*|_inf = mu - 1, whatever n is.
+    """P = Q = (1/n, 1 - 1/n), so g* = 1 and D_inf = 0: with constant probability |ghat
+    - g*|_inf = mu - 1, whatever n is.
 
-    left = (mu - 1)^2, right = the bound of Theorem 1 at K = 1, of order n^-1/2: the K needed grows as sqrt(n).
+    left = (mu - 1)^2, right = the bound of Theorem 1 at K = 1, of order n^-1/2: the K
+    needed grows as sqrt(n).
 
     Parameters
     ----------
@@ -220,7 +238,8 @@ def universal_constant_counterexample(
 def sup_error_bound(
     n: int, p_min: float, q_min: float, n_cells: int, mu: float, confidence: float
 ) -> float:
-    """A true bound in place of Theorem 1 for tables, ghat = phat/qhat, with probability ``confidence`` = 1 - delta.
+    """A true bound in place of Theorem 1 for tables, ghat = phat/qhat, with probability
+    ``confidence`` = 1 - delta.
 
     |ghat - g*|_inf <= mu (e_p + e_q) / (1 - e_q),   e_p = sqrt(3 log(4 n_cells / delta) / (n p_min)), e_q likewise.
 
@@ -234,9 +253,10 @@ def sup_error_bound(
 
     Notes
     -----
-    The error itself, not its square. Chernoff's exp(-n p e^2 / 3), for each cell and each side, holds for e <= 1; where e_p
-    would be larger it solves n p e^2 / (2 + e) = log(4 n_cells / delta) instead. inf where e_q >= 1: a cell that Q's sample
-    misses is then not excluded.
+    The error itself, not its square. Chernoff's exp(-n p e^2 / 3), for each cell and
+    each side, holds for e <= 1; where e_p would be larger it solves n p e^2 / (2 + e) =
+    log(4 n_cells / delta) instead. inf where e_q >= 1: a cell that Q's sample misses is
+    then not excluded.
 
     Examples
     --------
@@ -259,7 +279,9 @@ def sup_error_bound(
 
 
 def _chernoff(log_term: float, mean: float) -> float:
-    """The e with n p e^2 / 3 = log_term, mean = n p, or with 2 + e in place of 3 where that e is above 1."""
+    """The e with n p e^2 / 3 = log_term, mean = n p, or with 2 + e in place of 3 where
+    that e is above 1.
+    """
     if mean == 0.0:
         return math.inf
     small = math.sqrt(3.0 * log_term / mean)
@@ -271,10 +293,11 @@ def _chernoff(log_term: float, mean: float) -> float:
 
 
 def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
-    """L(g) - L(g*) = E_p[phi(g/g*)] (+ sum of q g where p = 0), L(g) = sum q g - sum p log g, phi(u) = u - 1 - log u.
+    """L(g) - L(g*) = E_p[phi(g/g*)] (+ sum of q g where p = 0), L(g) = sum q g - sum p
+    log g, phi(u) = u - 1 - log u.
 
-    left is the difference of the two risks, right the expectation, accurate for g near g* as well; equal up to rounding.
-    inf where g = 0 < p or q = 0 < p.
+    left is the difference of the two risks, right the expectation, accurate for g near
+    g* as well; equal up to rounding. inf where g = 0 < p or q = 0 < p.
 
     Parameters
     ----------
@@ -303,7 +326,8 @@ def excess_risk(g: ArrayLike, p: ArrayLike, q: ArrayLike) -> Sides:
 def squared_error_sides(
     g: ArrayLike, p: ArrayLike, q: ArrayLike, *, mu: float | None = None
 ) -> Sides:
-    """E_p (g - g*)^2 <= 2 mu^2 (L(g) - L(g*)) where g, g* <= mu: a risk bound controls L2(P), not the sup norm.
+    """E_p (g - g*)^2 <= 2 mu^2 (L(g) - L(g*)) where g, g* <= mu: a risk bound controls
+    L2(P), not the sup norm.
 
     Parameters
     ----------

@@ -1,6 +1,8 @@
-"""A target and a model of it: the simulation lemma, the paper's Lemma V.1 (zeta) and Theorem V.2 (the value), and what is true.
+"""A target and a model of it: the simulation lemma, the paper's Lemma V.1 (zeta) and
+Theorem V.2 (the value), and what is true.
 
-Reference: [1] Kearns and Singh, Near-optimal reinforcement learning in polynomial time, Machine Learning 49, 2002.
+Reference: [1] Kearns and Singh, Near-optimal reinforcement learning in polynomial time,
+Machine Learning 49, 2002.
 """
 
 from __future__ import annotations
@@ -31,12 +33,14 @@ from oee_tabular.theory.theorem_1 import Sides, check_box, check_ratio
 
 @dataclass(frozen=True)
 class SimulationLemma:
-    """J' - J(K) by two evaluations, and by each form of the lemma; the three are equal up to rounding.
+    """J' - J(K) by two evaluations, and by each form of the lemma; the three are equal
+    up to rounding.
 
     Attributes
     ----------
     difference : J' - J(K), units of J
-    by_target_occupancy, by_model_occupancy : the same, the change of the rows weighted by d' or by d_K
+    by_target_occupancy, by_model_occupancy : the same, the change of the rows weighted
+        by d' or by d_K
 
     Examples
     --------
@@ -59,27 +63,33 @@ def simulation_lemma(
     horizon: int | None = None,
     ratio: object = None,
 ) -> SimulationLemma:
-    """J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>, for any nonnegative kernel K [1].
+    """J' - J(K) = g/(1-g) <d', (P' - K) V_K> = g/(1-g) <d_K, (P' - K) V'>, for any
+    nonnegative kernel K [1].
 
-    With a horizon, sum_{t<T} g^{t+1} <alpha'_t, (P' - K) V^K_{t+1}>, and the same with the two exchanged (V_T = 0).
-    Where rewards are r(s, a, s'), r(s, a, s') + g V(s') takes the place of g V(s').
+    With a horizon, sum_{t<T} g^{t+1} <alpha'_t, (P' - K) V^K_{t+1}>, and the same with
+    the two exchanged (V_T = 0). Where rewards are r(s, a, s'), r(s, a, s') + g V(s')
+    takes the place of g V(s').
 
     Parameters
     ----------
     target : FiniteMDP, P'
-    model : FiniteMDP or ReweightedModel, K: the target's rewards, initial distribution and discount, rows of any sum
+    model : FiniteMDP or ReweightedModel, K: the target's rewards, initial distribution
+        and discount, rows of any sum
     policy : (S, A), or (T, S, A) with a horizon T
     horizon : positive int or None
-    ratio : None, or csr (S*A, S) or an object with such ``values``: ``model`` is then the simulator P, and K = ratio * P
+    ratio : None, or csr (S*A, S) or an object with such ``values``: ``model`` is then
+        the simulator P, and K = ratio * P
 
     Raises
     ------
     ValueError
-        What is not a pair; without a horizon, discount 1 or a K whose infinite sum does not exist.
+        What is not a pair; without a horizon, discount 1 or a K whose infinite sum does
+        not exist.
 
     Notes
     -----
-    Values are not normalised. Cost: O(T * nnz) time and O(T * S) memory, or four sparse solves.
+    Values are not normalised. Cost: O(T * nnz) time and O(T * S) memory, or four sparse
+    solves.
 
     Examples
     --------
@@ -112,7 +122,9 @@ def _error_by_occupancy(
     measured: Model,
     valued: Model,
 ) -> float:
-    """sum_t g^t <alpha_t, r' - r_K + g (P' - K) V_{t+1}>: alpha of ``measured``, V of ``valued``."""
+    """sum_t g^t <alpha_t, r' - r_K + g (P' - K) V_{t+1}>: alpha of ``measured``, V of
+    ``valued``.
+    """
     gamma, reward_error = target.discount, target.rewards - kernel.rewards
 
     def row_errors(value: Array) -> Array:
@@ -148,7 +160,9 @@ def forward_distributions(model: Model, pi: Array, steps: int) -> Iterator[Array
 def check_pair(
     target: object, model: object, ratio: object = None
 ) -> FiniteMDP | ReweightedModel:
-    """K: ``model``, or ratio * model; a ValueError where it is not the target's MDP under other dynamics."""
+    """K: ``model``, or ratio * model; a ValueError where it is not the target's MDP
+    under other dynamics.
+    """
     target = _checks.instance(target, FiniteMDP, "target")
     if ratio is not None:
         model = reweight(
@@ -184,7 +198,9 @@ def check_pair(
 
 
 def _check_rewards(target: FiniteMDP, model: Model) -> None:
-    """Check the form of rewards, and their values (r(s, a, s') on the transitions that both make)."""
+    """Check the form of rewards, and their values (r(s, a, s') on the transitions that
+    both make).
+    """
     if target.reward_data is None or model.reward_data is None:
         if target.reward_data is not model.reward_data:
             forms = [
@@ -224,15 +240,19 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
 def ratio_error_bound(
     error: float, mu: float, nu: float, *, tight: bool = False
 ) -> float:
-    """Lemma V.1 (eq. 5.2): |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 * error; ``tight``: (mu + nu) / nu^2 * error.
+    """Lemma V.1 (eq. 5.2): |zhat - zeta|_inf <= mu (1 + nu mu) / nu^2 * error;
+    ``tight``: (mu + nu) / nu^2 * error.
 
     The paper has M(G, delta) / n^{1/4} for ``error``; M already contains n.
 
     Parameters
     ----------
-    error : in [0, inf], of both |betahat - beta|_inf (Theorem 1 twice: probability 1 - 2 delta)
-    mu, nu : the box of all four ratios, as in ``estimation_bound``: zeta = beta_sas' / beta_sa is in [nu/mu, mu/nu]
-    tight : whether the smallest constant, attained as error -> 0, takes the place of the paper's
+    error : in [0, inf], of both |betahat - beta|_inf (Theorem 1 twice: probability 1 -
+        2 delta)
+    mu, nu : the box of all four ratios, as in ``estimation_bound``: zeta = beta_sas' /
+        beta_sa is in [nu/mu, mu/nu]
+    tight : whether the smallest constant, attained as error -> 0, takes the place of
+        the paper's
 
     Examples
     --------
@@ -262,11 +282,13 @@ def ratio_error_sides(
     nu: float,
     tight: bool = False,
 ) -> Sides:
-    """The Lemma on tables: left = max |zhat - zeta|, right = the bound at the larger of the two sup errors.
+    """The Lemma on tables: left = max |zhat - zeta|, right = the bound at the larger of
+    the two sup errors.
 
     Parameters
     ----------
-    moves, pairs : (n,) estimates of beta_sas' and beta_sa: entry k is a transition's, and the pair's value is repeated
+    moves, pairs : (n,) estimates of beta_sas' and beta_sa: entry k is a transition's,
+        and the pair's value is repeated
     true_moves, true_pairs : (n,) the true ratios; all in [nu, mu]
     mu, nu, tight : as in ``ratio_error_bound``
 
@@ -311,13 +333,16 @@ def ratio_error_sides(
 def value_error_bound(
     horizon: int, reward_bound: float, discount: float, *, error: float, nu: float
 ) -> float:
-    """Theorem V.2's right-hand side (eq. 5.3): of the SQUARE (J' - J(zhat P))^2, FALSE as stated (x = gamma / nu).
+    """Theorem V.2's right-hand side (eq. 5.3): of the SQUARE (J' - J(zhat P))^2, FALSE
+    as stated (x = gamma / nu).
 
-    T M^2 R^2 x / sqrt(n) * (1 - (T+1) x^T + T x^{T+1}) / (1 - x)^2  =  T R^2 error^2 sum_{t=1..T} t x^t.
+    T M^2 R^2 x / sqrt(n) * (1 - (T+1) x^T + T x^{T+1}) / (1 - x)^2  =  T R^2 error^2
+    sum_{t=1..T} t x^t.
 
     Parameters
     ----------
-    horizon : the paper's T. Its sum runs over t = 0..T, T + 1 rewards: ``policy_value(..., horizon=T + 1)``
+    horizon : the paper's T. Its sum runs over t = 0..T, T + 1 rewards:
+        ``policy_value(..., horizon=T + 1)``
     reward_bound : R >= max |r(s, a)|
     discount : gamma in [0, 1]
     error : M(G, delta) / n^{1/4}, the sup error of both betahat
@@ -325,9 +350,10 @@ def value_error_bound(
 
     Notes
     -----
-    ``value_bound_counterexample`` exceeds it, by any factor as T grows where (gamma (1 + error))^2 > gamma / nu. Causes: sum t
-    stands where rows that do not sum to 1 give sum t^2, the Lemma's constant is dropped, and 1/nu does not bound zeta. It is
-    inf where x^T overflows.
+    ``value_bound_counterexample`` exceeds it, by any factor as T grows where (gamma (1
+    + error))^2 > gamma / nu. Causes: sum t stands where rows that do not sum to 1 give
+    sum t^2, the Lemma's constant is dropped, and 1/nu does not bound zeta. It is inf
+    where x^T overflows.
 
     Examples
     --------
@@ -359,11 +385,13 @@ def value_error_sides(
     nu: float,
     ratio: object = None,
 ) -> Sides:
-    """Theorem 2 on a pair: left = (J' - J(K))^2 over t = 0..T, exactly; right = ``value_error_bound`` with R = max |r(s, a)|.
+    """Theorem 2 on a pair: left = (J' - J(K))^2 over t = 0..T, exactly; right =
+    ``value_error_bound`` with R = max |r(s, a)|.
 
     Parameters
     ----------
-    target, model, policy, ratio : as in ``simulation_lemma``; rewards r(s, a), as the theorem has them
+    target, model, policy, ratio : as in ``simulation_lemma``; rewards r(s, a), as the
+        theorem has them
     horizon, error, nu : as in ``value_error_bound``
 
     Examples
@@ -388,9 +416,11 @@ def value_error_sides(
 def value_bound_counterexample(
     horizon: int, discount: float, epsilon: float, nu: float
 ) -> Sides:
-    """Theorem 2 where P' = P, r = 1, betahat_sas' = 1 + epsilon and betahat_sa = 1: zhat = 1 + epsilon, sup error epsilon.
+    """Theorem 2 where P' = P, r = 1, betahat_sas' = 1 + epsilon and betahat_sa = 1:
+    zhat = 1 + epsilon, sup error epsilon.
 
-    left = (sum_{t<=T} gamma^t ((1 + epsilon)^t - 1))^2, by dynamic programming; right = the theorem's bound.
+    left = (sum_{t<=T} gamma^t ((1 + epsilon)^t - 1))^2, by dynamic programming; right =
+    the theorem's bound.
 
     Parameters
     ----------
@@ -413,9 +443,11 @@ def value_bound_counterexample(
 def corrected_value_error_bound(
     horizon: int, reward_bound: float, discount: float, *, error: float
 ) -> float:
-    """In place of Theorem 2, where rows of zhat * P sum to 1: (J' - J(zhat P))^2 <= 2 T R^2 error^2 sum_{t=1..T} t gamma^{2t}.
+    """In place of Theorem 2, where rows of zhat * P sum to 1: (J' - J(zhat P))^2 <= 2 T
+    R^2 error^2 sum_{t=1..T} t gamma^{2t}.
 
-    The paper's shape without 1/nu: from (C) with KL_t <= t error^2, and Cauchy's inequality. For T of order
+    The paper's shape without 1/nu: from (C) with KL_t <= t error^2, and Cauchy's
+    inequality. For T of order
     1 / (1 - gamma) the error is of order (1 - gamma)^{-3/2}: not exponential.
 
     Parameters

@@ -1,9 +1,12 @@
-"""The rule that sees one number x ~ N(b, 1) and has the least worst ratio: the table of ``oee_tabular.lab.bench.league``.
+"""The rule that sees one number x ~ N(b, 1) and has the least worst ratio: the table of
+``oee_tabular.lab.bench.league``.
 
     python tests/benchmarks/floor.py
 
-The convex program over odd rules delta, linear between nodes and delta(x) = x beyond the last one:
-minimise t subject to sqrt(E (delta(x) - b)^2) <= t max(min(b, 1), 1/2) for b = 0, 1/8, ..., 9.
+The convex program over odd rules delta, linear between nodes and delta(x) = x beyond
+the last one:
+minimise t subject to sqrt(E (delta(x) - b)^2) <= t max(min(b, 1), 1/2) for b = 0, 1/8,
+..., 9.
 """
 
 import cvxpy as cp

@@ -1,4 +1,6 @@
-"""The guide's example over 40 logs (seeds 0 to 39): errors of the default and of maximum likelihood beside the simulator's."""
+"""The guide's example over 40 logs (seeds 0 to 39): errors of the default and of
+maximum likelihood beside the simulator's.
+"""
 
 import numpy as np
 

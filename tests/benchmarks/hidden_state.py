@@ -1,4 +1,6 @@
-"""Targets with hidden state, and with dynamics that no parameter has: delays, lags, sensor noise, cogging."""
+"""Targets with hidden state, and with dynamics that no parameter has: delays, lags,
+sensor noise, cogging.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ class Hidden(DerivedTask):
 
 
 class Delay(Hidden):
-    """Does what was asked some steps ago, at first as asked; the hidden coordinates are the last commands."""
+    """Does what was asked some steps ago, at first as asked; the hidden coordinates are
+    the last commands.
+    """
 
     def moves(self, states, actions, disturbance):
         last = states[:, self.task.n_state :]

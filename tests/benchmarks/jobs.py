@@ -1,7 +1,9 @@
-"""What users run: intervals, estimates, reports, a million states, counts, starts, small calls; rollouts; the ratio programs.
+"""What users run: intervals, estimates, reports, a million states, counts, starts,
+small calls; rollouts; the ratio programs.
 
-Peers: DuckDB for the same sums, ``import numpy, scipy.sparse`` for a start, plain numpy with row sums and ``isfinite`` for
-small calls, a numba loop for rollouts, cvxpy with Clarabel for the ratio programs.
+Peers: DuckDB for the same sums, ``import numpy, scipy.sparse`` for a start, plain numpy
+with row sums and ``isfinite`` for small calls, a numba loop for rollouts, cvxpy with
+Clarabel for the ratio programs.
 """
 
 import resource
@@ -28,7 +30,9 @@ HORIZON = 200  # of rollouts
 
 
 def intervals(most):
-    """The likelihood interval from 100 000 transitions of the simulator itself, of a policy that is mostly its best."""
+    """The likelihood interval from 100 000 transitions of the simulator itself, of a
+    policy that is mostly its best.
+    """
     cases = {
         "grid 30": (gridworld(30, 0.1), None),
         "random graph 1000": (mdps.garnet(1000), None),
@@ -51,7 +55,9 @@ def intervals(most):
 
 
 def counts(most):
-    """Counts of a parquet file and of a tenth of it, ours and DuckDB's sums; 10^9 are projected from the slope."""
+    """Counts of a parquet file and of a tenth of it, ours and DuckDB's sums; 10^9 are
+    projected from the slope.
+    """
     n, simulator = min(10**7, 50 * most), mdps.garnet(1000)
     sums = (
         "state, action, next_state, terminated, count(*), sum(reward), min(reward),"
@@ -133,7 +139,9 @@ def small_calls(most):
 
 
 def start(code):
-    """Run ``code`` in a new interpreter, which imports what this one imports: -c looks into the folder where it is run."""
+    """Run ``code`` in a new interpreter, which imports what this one imports: -c looks
+    into the folder where it is run.
+    """
     folder = Path(oee.__file__).parents[1]
     subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, cwd=folder
@@ -189,7 +197,9 @@ def millions(most):
 
 
 def small_estimates(most):
-    """The default estimate of MDPs of 4 and 30 states from 200 transitions, beside maximum likelihood in numpy."""
+    """The default estimate of MDPs of 4 and 30 states from 200 transitions, beside
+    maximum likelihood in numpy.
+    """
     for n in (4, 30):
         simulator, target = mdps.garnet(n, entries=4), mdps.garnet(n, entries=4, seed=0)
         policy, log = oee.uniform_policy(simulator), mdps.draw_log(target, 200)
@@ -244,7 +254,9 @@ def reports(most):
 
 @njit
 def plain_loop(indptr, indices, sums, rewards, discount, terminal, n, horizon, rng):
-    """The loop that anybody writes: a linear scan of the running sums of a row, numpy's Generator."""
+    """The loop that anybody writes: a linear scan of the running sums of a row, numpy's
+    Generator.
+    """
     returns, steps = np.zeros(n), 0
     for i in range(n):
         state, scale = 0, 1.0
@@ -262,7 +274,9 @@ def plain_loop(indptr, indices, sums, rewards, discount, terminal, n, horizon, r
 
 
 def rollouts(most):
-    """Episodes of 200 steps under the uniform policy; the loop draws s' from the policy's chain in place of (a, s')."""
+    """Episodes of 200 steps under the uniform policy; the loop draws s' from the
+    policy's chain in place of (a, s').
+    """
     for size in (10, 30, 100):
         if size**2 <= most:
             yield from roll_out(
@@ -271,7 +285,9 @@ def rollouts(most):
 
 
 def roll_out(grid, name, n):
-    """``error``: the mean return's distance from the exact value in standard errors, where a program sums returns."""
+    """``error``: the mean return's distance from the exact value in standard errors,
+    where a program sums returns.
+    """
     policy = oee.uniform_policy(grid)
     chain, rewards = form(grid, policy)
     sums = np.cumsum(chain.data) - np.repeat(
@@ -330,7 +346,9 @@ def ratio(most):
 
 
 def compare_solvers(size, n=100_000):
-    """Counts of the target and exact probabilities of the simulator on the gridworld's triples."""
+    """Counts of the target and exact probabilities of the simulator on the gridworld's
+    triples.
+    """
     simulator, target = gridworld(size, 0.3), gridworld(size, 0.1)
     log = oee.sample_episodes(
         target, oee.uniform_policy(target), 20 + n // 400, 1000, seed=0

@@ -7,7 +7,9 @@ import oee_tabular as oee
 
 
 def garnet(n, actions=4, entries=5, discount=0.99, seed=0):
-    """Each action leads to ``entries`` states that are drawn, with Dirichlet probabilities."""
+    """Each action leads to ``entries`` states that are drawn, with Dirichlet
+    probabilities.
+    """
     rng = np.random.default_rng(seed)
     chances = rng.dirichlet(np.ones(entries), size=n * actions).reshape(-1)
     starts = np.arange(0, n * actions * entries + 1, entries)
@@ -44,7 +46,9 @@ def fixed_policy(mdp, seed=3):
 
 
 def ring(n, rng, reach=3, far=0.0):
-    """``reach`` neighbours on each side; a share of the links leads anywhere (a small world)."""
+    """``reach`` neighbours on each side; a share of the links leads anywhere (a small
+    world).
+    """
     steps = np.concatenate([np.arange(-reach, 0), np.arange(1, reach + 1)])
     rows = np.repeat(np.arange(n), len(steps))
     columns = (rows + np.tile(steps, n)) % n
@@ -68,7 +72,9 @@ def queue(n, rng, batch=10):
 
 
 def layers(n, rng, width=4, entries=4):
-    """Levels of a few states that lead to their own level or one of the next two; states in any order."""
+    """Levels of a few states that lead to their own level or one of the next two;
+    states in any order.
+    """
     rows = np.repeat(np.arange(n), entries)
     ahead = (rows // width + rng.integers(0, 3, len(rows))) * width + rng.integers(
         0, width, len(rows)
@@ -117,7 +123,9 @@ def graph(name, n, discount, actions=1):
 
 
 def draw_log(mdp, n, seed=0):
-    """Transitions from pairs that are drawn alike, the same in every state of the package."""
+    """Transitions from pairs that are drawn alike, the same in every state of the
+    package.
+    """
     rng, kernel = np.random.default_rng(seed), mdp.transitions
     pairs, sums = (
         rng.integers(0, kernel.shape[0], n),

@@ -1,13 +1,16 @@
-"""Speed against every peer and against an earlier state of the package: a table in Markdown.
+"""Speed against every peer and against an earlier state of the package: a table in
+Markdown.
 
     pip install quantecon pypardiso mdpsolver duckdb pyarrow
     git worktree add ../before c81a0ed
     PYTHONPATH=. python tests/benchmarks/speed.py [TASK ...] [--before ../before] [--quick]
 
-A task is a name in TASKS; all without one. It yields rows, most of them by ``compare``: programs that take turns.
-``--before`` runs our own programs of the same cases in another checkout, too, in a process of its own that takes its turns.
-Times are user and system seconds, those of child processes included, with one BLAS thread: medians, the first run apart.
-``error`` is what an answer misses. A peer that is not installed, or fails, is said.
+A task is a name in TASKS; all without one. It yields rows, most of them by ``compare``:
+programs that take turns. ``--before`` runs our own programs of the same cases in
+another checkout, too, in a process of its own that takes its turns. Times are user and
+system seconds, those of child processes included, with one BLAS thread: medians, the
+first run apart. ``error`` is what an answer misses. A peer that is not installed, or
+fails, is said.
 """
 
 import argparse
@@ -50,7 +53,9 @@ BEFORE = "before: "  # a program of ours in the other checkout
 
 
 class Other:
-    """The other checkout's process: a line asks for one timing of a program of the case where it stands."""
+    """The other checkout's process: a line asks for one timing of a program of the case
+    where it stands.
+    """
 
     process = None  # where it runs
     is_self = False  # this process is it
@@ -163,7 +168,9 @@ def compare(
 
 
 def markdown(rows):
-    """A line for each program; the last ratio is its time over that of our program (of the same name, or the first)."""
+    """A line for each program; the last ratio is its time over that of our program (of
+    the same name, or the first).
+    """
     yield "| task | case | program | seconds | error | time / ours | note |"
     yield "|" + "---|" * 7
     for r in rows:

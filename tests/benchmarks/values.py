@@ -1,14 +1,18 @@
-"""Values, occupancies, moments and plans of known MDPs against direct and iterative solvers.
+"""Values, occupancies, moments and plans of known MDPs against direct and iterative
+solvers.
 
-V = (I - gamma P_pi)^-1 r_pi (solve). Inside our clock: ``evaluate_policy`` as it is called, with the check of the policy, P_pi
-and r_pi, the solve and the bound on its error; the peers form P_pi and r_pi, too. ``error`` is the largest
+V = (I - gamma P_pi)^-1 r_pi (solve). Inside our clock: ``evaluate_policy`` as it is
+called, with the check of the policy, P_pi and r_pi, the solve and the bound on its
+error; the peers form P_pi and r_pi, too. ``error`` is the largest
 |r + gamma P_pi V - V| over the largest |V|.
 
-T = 200 rewards on grids (horizon): V, J of one corner, and mean and variance of products of ratios. ``error``: the largest
-difference to the same sums in long doubles over the largest value (moments: to ours).
+T = 200 rewards on grids (horizon): V, J of one corner, and mean and variance of
+products of ratios. ``error``: the largest difference to the same sums in long doubles
+over the largest value (moments: to ours).
 
-``optimal_policy`` (plan), each peer asked for 1e-6 in the form that it likes best. ``error``: by how much the policy falls
-short of the optimal values, relative to the largest of them.
+``optimal_policy`` (plan), each peer asked for 1e-6 in the form that it likes best.
+``error``: by how much the policy falls short of the optimal values, relative to the
+largest of them.
 """
 
 import multiprocessing
@@ -110,7 +114,9 @@ DIRECT = {
 
 
 def form(mdp, policy):
-    """P_pi and r_pi in the quickest way that scipy has: rows that are picked, or a sparse product."""
+    """P_pi and r_pi in the quickest way that scipy has: rows that are picked, or a
+    sparse product.
+    """
     n, m = policy.shape
     if policy.max(axis=1).min() == 1.0:
         pairs = np.arange(n) * m + policy.argmax(axis=1)
@@ -124,7 +130,9 @@ def form(mdp, policy):
 
 
 def evaluate(name, mdp, policy=None, *, fills=False, **options):
-    """Rows of one V: BiCGSTAB, direct solvers where elimination does not fill (``fills``), LAPACK up to 2000 states."""
+    """Rows of one V: BiCGSTAB, direct solvers where elimination does not fill
+    (``fills``), LAPACK up to 2000 states.
+    """
     policy = oee.uniform_policy(mdp) if policy is None else policy
     kernel, rewards = form(mdp, policy)
     solvers = {"scipy bicgstab": bicgstab} | ({} if fills else DIRECT)
@@ -185,7 +193,9 @@ def solve(most):
 
 
 def memory(most):
-    """Seconds, and what the resident set of a process of its own grew by, of one V on large grids."""
+    """Seconds, and what the resident set of a process of its own grew by, of one V on
+    large grids.
+    """
     for n, program in (
         *((1000, program) for program in ("ours", *DIRECT)),
         (3000, "ours"),
@@ -321,8 +331,9 @@ def evaluate_horizon(size):
 def moments(size):
     """Mean and variance of products of ratios, P' of slip .1.
 
-    scipy's recursion: m = E[w r] + gamma K1 m and q = E[w^2 r^2] + 2 gamma E[w^2 r m] + gamma^2 K2 q, three sparse products a
-    step, and q - m^2 at the end. On the smallest grid V of as many rewards stands beside the moments.
+    scipy's recursion: m = E[w r] + gamma K1 m and q = E[w^2 r^2] + 2 gamma E[w^2 r m] +
+    gamma^2 K2 q, three sparse products a step, and q - m^2 at the end. On the smallest
+    grid V of as many rewards stands beside the moments.
     """
     grid, policy = gridworld(size, 0.3), gridworld_policy(size, 0.0)
     zeta = oee.true_ratio(gridworld(size, 0.1), grid)
@@ -396,7 +407,9 @@ def moments(size):
 
 
 def plan_mdpsolver(mdp, update):
-    """Modified policy iteration; the model is made once, each call begins with values of 0."""
+    """Modified policy iteration; the model is made once, each call begins with values
+    of 0.
+    """
     import mdpsolver
 
     (n, m), starts, model = (
@@ -444,7 +457,9 @@ PLANNERS = SWEEPS | {"quantecon policy_iteration": (plan_quantecon, "policy_iter
 
 
 def plan(most):
-    """Graphs that mix, where sweeps in place take a hundred times as long; grids, a queue, a ring, layers."""
+    """Graphs that mix, where sweeps in place take a hundred times as long; grids, a
+    queue, a ring, layers.
+    """
     for n, options, discount in (
         (100, {}, 0.99),
         (1_000, {}, 0.99),

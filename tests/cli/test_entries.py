@@ -1,4 +1,6 @@
-"""``oee evaluate --features FILE --tie FILE``: what a user's own files do, and what is said of bad ones."""
+"""``oee evaluate --features FILE --tie FILE``: what a user's own files do, and what is
+said of bad ones.
+"""
 
 import json
 from functools import partial

@@ -1,4 +1,6 @@
-"""The command on continuous tasks: a small CartPole end to end, and what it says to bad calls."""
+"""The command on continuous tasks: a small CartPole end to end, and what it says to bad
+calls.
+"""
 
 import json
 import re
@@ -32,7 +34,9 @@ SIMULATOR = continuous_simulator("cartpole:gravity=10")
 
 
 def by_row(report):
-    """Row name -> record, of a Report or of what --json printed; of several policies the last."""
+    """Row name -> record, of a Report or of what --json printed; of several policies
+    the last.
+    """
     rows = (
         json.loads(report)["results"] if isinstance(report, str) else report.records()
     )
@@ -87,7 +91,9 @@ def test_from_a_simulator_s_name_to_a_calibrated_value(run):
 
 
 def test_the_files_of_a_task(run):
-    """export, info, policy: a file of the finite MDP that knows its cells; a policy's array on them is evaluated."""
+    """export, info, policy: a file of the finite MDP that knows its cells; a policy's
+    array on them is evaluated.
+    """
     assert "Discretization(CartPole(gravity=10" in run(
         "export cartpole:gravity=10 --output simulator.npz"
     )
@@ -452,7 +458,9 @@ def test_warnings_are_printed_once_and_stand_in_the_report(log, settings, text):
 
 
 def test_uncovered_mass_is_warned_about():
-    """A log whose moves the simulator does not make: every next state nearly a cell away."""
+    """A log whose moves the simulator does not make: every next state nearly a cell
+    away.
+    """
     _, report = evaluated(
         changed(next_state=lambda s: s + np.array([0, 0, 0, 0.2])), grid=(32, 32)
     )
@@ -464,7 +472,9 @@ def test_uncovered_mass_is_warned_about():
 
 
 def test_the_command_s_configuration_by_hand():
-    """The same numbers from the pieces: the log's places, floor .001, soft counts, strength .01, calibrated by the ratio."""
+    """The same numbers from the pieces: the log's places, floor .001, soft counts,
+    strength .01, calibrated by the ratio.
+    """
     report = evaluated(LOG)[1]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -505,7 +515,9 @@ def test_the_command_s_configuration_by_hand():
 
 
 def test_the_corrected_simulator_comes_first():
-    """Its value is that of the task by hand, its interval has the truth, and it is what is said first."""
+    """Its value is that of the task by hand, its interval has the truth, and it is what
+    is said first.
+    """
     policy = cartpole_policy(0.4)
     report = evaluated(LOG, policy, episodes=3000)[1]
     first = report.records()[0]
@@ -532,7 +544,9 @@ def test_the_corrected_simulator_comes_first():
 
 
 def test_transitions_without_support_are_reported_with_the_ways_out():
-    """A few are left out of the rows on the cells, many leave those rows out; a way out that is in force is not advised."""
+    """A few are left out of the rows on the cells, many leave those rows out; a way out
+    that is in force is not advised.
+    """
     texts, report = evaluated(LOG, grid=(60, 60), floor=0.0)
     pattern = (
         r"0.0032 of the log's transitions have no probability .* begin at state \d+"
@@ -566,7 +580,9 @@ def test_transitions_without_support_are_reported_with_the_ways_out():
 
 @COARSE
 def test_behaviour_probabilities_from_a_policy():
-    """A log without probabilities gets them from the behaviour policy in its own states; without one nothing is said."""
+    """A log without probabilities gets them from the behaviour policy in its own
+    states; without one nothing is said.
+    """
     bare = oee.ContinuousTransitions(
         **{k: v for k, v in LOG.columns().items() if k != "behavior_probability"}
     )

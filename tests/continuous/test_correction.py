@@ -1,4 +1,6 @@
-"""Corrections of a simulator: its parameters, earlier actions in the state; values that are refused, other units."""
+"""Corrections of a simulator: its parameters, earlier actions in the state; values that
+are refused, other units.
+"""
 
 import warnings
 from dataclasses import replace
@@ -158,7 +160,9 @@ def test_what_history_explains_is_no_effect_below_the_least():
 
 
 def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
-    """Half of the residual is the last action's, the rest noise, of which a row tells nothing to itself."""
+    """Half of the residual is the last action's, the rest noise, of which a row tells
+    nothing to itself.
+    """
     log = line_log(Line(noise=0.1), 4000)
     last = earlier_rows(log, 1)[:, 0]
     residual = np.where(
@@ -180,7 +184,9 @@ def test_history_explains_its_share_of_what_a_row_s_neighbours_leave():
 
 
 def test_sentences_speak_of_the_row_in_front():
-    """Too short a history is not in front; a fit that took the state alone is no physics where history matters."""
+    """Too short a history is not in front; a fit that took the state alone is no
+    physics where history matters.
+    """
     log = log_of(Delay(SIMULATOR, 2))
     assert choose_correction(SIMULATOR, log, history=1, seed=0).reason == ""
     given = choose_correction(SIMULATOR, log, history=3, seed=0).reason
@@ -193,7 +199,9 @@ def test_sentences_speak_of_the_row_in_front():
 
 
 def test_a_delay_of_a_command_that_rarely_changes():
-    """Large residuals in few rows are no contacts where an earlier action explains them."""
+    """Large residuals in few rows are no contacts where an earlier action explains
+    them.
+    """
     target = Delay(classic.Pendulum(), 2)
     recorded = record(
         target,
@@ -234,7 +242,9 @@ def test_what_is_rough_or_random_is_not_hidden(simulator, target, policy):
 
 @pytest.mark.parametrize(("count", "is_spike"), [(2, False), (40, False), (5, True)])
 def test_a_few_odd_rows_are_no_hidden_state(count, is_spike):
-    """Errors of the log: of the next state alone, or spikes of a sensor, which two rows show."""
+    """Errors of the log: of the next state alone, or spikes of a sensor, which two rows
+    show.
+    """
     log = log_of(CartPole(12.0, noise=0.0), 2000)
     columns = log.columns() | dict.fromkeys(("episode", "timestep", "truncated"))
     columns |= {name: np.array(columns[name]) for name in ("state", "next_state")}
@@ -641,7 +651,9 @@ def test_columns_in_another_unit(columns, factor, said, gusts):
 
 
 def test_another_unit_is_no_hidden_state():
-    """An angle in degrees: told of with the unit, in the first sentence and in the row's status."""
+    """An angle in degrees: told of with the unit, in the first sentence and in the
+    row's status.
+    """
     task = classic.Acrobot()
     log = in_units(
         record(task, classic.pumping(0.3), n_transitions=3000, max_steps=500, seed=0),
@@ -663,7 +675,9 @@ def test_another_unit_is_no_hidden_state():
 
 
 def test_a_policy_beyond_the_log_is_reported():
-    """The log's cart is pushed at random from the middle; a policy that always pushes right is soon where it never was."""
+    """The log's cart is pushed at random from the middle; a policy that always pushes
+    right is soon where it never was.
+    """
     log = record(
         CartPole(15.0), cartpole_policy(1.0), n_transitions=2000, max_steps=8, seed=0
     )

@@ -1,4 +1,6 @@
-"""A continuous task as a finite MDP: the laws of its rows, encoded logs, what discretising costs, bad calls."""
+"""A continuous task as a finite MDP: the laws of its rows, encoded logs, what
+discretising costs, bad calls.
+"""
 
 import warnings
 from dataclasses import replace
@@ -114,7 +116,9 @@ def test_a_circle_closes():
 
 
 def test_a_line_by_hand():
-    """Steps of .25 on vertices .5 apart: half and half; beyond 1 it is over, and nothing is paid there."""
+    """Steps of .25 on vertices .5 apart: half and half; beyond 1 it is over, and
+    nothing is paid there.
+    """
     model = discretize(Drift(), cells=(5,), **QUICK)
     assert model.over == 5
     table = dense(model)
@@ -147,7 +151,9 @@ def test_default_cells_follow_the_number_of_features():
 
 
 def assert_floor(model, log, floor):
-    """A share of pairs with impossible logged transitions lies on these, and nothing else is another."""
+    """A share of pairs with impossible logged transitions lies on these, and nothing
+    else is another.
+    """
     apart = (model.mdp.transitions - model.plain.transitions).toarray()
     changed = np.abs(apart).sum(axis=1) > 0
     assert changed.any()
@@ -182,7 +188,9 @@ def test_copies_of_a_state_on_two_sides_of_an_edge_are_one():
 
 
 def test_at_a_log_the_simulator_is_what_its_own_log_says():
-    """With no weight for the vertex, the visited rows are the simulator's soft frequencies in the log's places."""
+    """With no weight for the vertex, the visited rows are the simulator's soft
+    frequencies in the log's places.
+    """
     task = CartPole(noise=0.0)
     log = record(
         CartPole(15.0), cartpole_policy(0.3), n_transitions=3000, max_steps=100, seed=0
@@ -415,7 +423,9 @@ LENGTHS = discretize(
 
 
 def test_the_length_is_found_by_the_convex_risk():
-    """Lengths times .5 to 2: of a log of the half, nothing is uncovered and its length has all the weight."""
+    """Lengths times .5 to 2: of a log of the half, nothing is uncovered and its length
+    has all the weight.
+    """
     counts = LENGTHS.counts(RUNS, outside="nearest")
     assert LENGTHS.supported(counts)[1] == 0.0
     weights = LENGTHS.fit_weights(counts)
@@ -446,7 +456,9 @@ def test_the_length_is_found_by_the_convex_risk():
 
 
 def test_rewards_telescope_on_cells():
-    """A loop pays nothing but the motors' cost: the potential's mean over a cell is taken once, and cancels."""
+    """A loop pays nothing but the motors' cost: the potential's mean over a cell is
+    taken once, and cancels.
+    """
     rewards = LENGTHS.mdp.transition_rewards
     distance = LENGTHS.places.mean(ARM.distance(LENGTHS.points))
     matrix = LENGTHS.mdp.transitions.tocoo()

@@ -1,4 +1,6 @@
-"""The studies of CartPole and of Reacher on small cells, and of changes that nobody tuned for."""
+"""The studies of CartPole and of Reacher on small cells, and of changes that nobody
+tuned for.
+"""
 
 import subprocess
 import sys
@@ -56,7 +58,9 @@ IDS = ("fig2", "cartpole_resolution", "cartpole_data", "cartpole_choice")
 
 
 def assert_no_worse_than_saved(name, cell, made):
-    """Errors are those of the saved table; of what rests on the simulator with a floor, at most a tenth above them."""
+    """Errors are those of the saved table; of what rests on the simulator with a floor,
+    at most a tenth above them.
+    """
     rows = saved(name)
     for setting, value in cell.items():
         rows = rows[rows[setting] == value]
@@ -257,7 +261,9 @@ def test_every_curve_is_there(table):
 
 
 def test_the_paper_s_errors_of_reacher():
-    """1.84, 4.88 and 15.7 for the long links, from its published points; none for the short ones."""
+    """1.84, 4.88 and 15.7 for the long links, from its published points; none for the
+    short ones.
+    """
     names = [
         reacher.WEIGHTED,
         reacher.OWN_REWARD,
@@ -493,7 +499,9 @@ def test_every_case_is_a_change_but_one():
 
 
 def test_a_small_coverage(monkeypatch):
-    """Six logs of 1000 moves: of their intervals at least five hold the truth, by the log's part alone as well."""
+    """Six logs of 1000 moves: of their intervals at least five hold the truth, by the
+    log's part alone as well.
+    """
     for name, size in {
         "N": 1000,
         "EPISODES": 200,

@@ -1,4 +1,6 @@
-"""Any Gymnasium environment: physics by name, states that are found or refused, its log evaluated end to end."""
+"""Any Gymnasium environment: physics by name, states that are found or refused, its log
+evaluated end to end.
+"""
 
 import json
 
@@ -87,7 +89,9 @@ def test_a_family_keeps_the_physics_that_were_given():
 
 @pytest.mark.parametrize("spec", CLASSIC)
 def test_physics_by_key_and_value(spec):
-    """Constants are those that were asked for, and what is computed of them follows; a step is the environment's own."""
+    """Constants are those that were asked for, and what is computed of them follows; a
+    step is the environment's own.
+    """
     simulator = gymnasium_simulator(spec)
     d, constants = CLASSIC[spec]
     inner = simulator.task._env.unwrapped
@@ -210,7 +214,9 @@ class Place(gymnasium.Env):
 
 
 class Remembering(Place):
-    """A point whose push is that of the step before: its position does not decide the next one."""
+    """A point whose push is that of the step before: its position does not decide the
+    next one.
+    """
 
     def __init__(self, draws=None):
         self.draws = draws
@@ -274,7 +280,9 @@ def test_a_state_that_does_not_decide_the_next_one_is_refused():
 
 
 class Tank(Place):
-    """A level and an inflow that scatters by the environment's own random numbers, or jumps up now and then."""
+    """A level and an inflow that scatters by the environment's own random numbers, or
+    jumps up now and then.
+    """
 
     observation_space, action_space = (
         gymnasium.spaces.Box(-9.0, 9.0, (2,), np.float64),
@@ -310,7 +318,9 @@ def filling(states):
 
 @pytest.mark.parametrize("jumps", [False, True])
 def test_the_environment_s_own_chance_is_no_change(jumps):
-    """Random numbers of a step are its disturbance: the same environment does not differ, another is corrected."""
+    """Random numbers of a step are its disturbance: the same environment does not
+    differ, another is corrected.
+    """
     same, other = tank(jumps=jumps), tank(leak=0.14, jumps=jumps)
     assert same.n_disturbances == 1
     found = ResidualSimulator(
@@ -378,7 +388,9 @@ def test_commands_keep_their_mean(seed):
 
 @pytest.mark.parametrize("n_commands", [3, 9])
 def test_rounding_is_that_of_drawn_commands(n_commands):
-    """Root mean square of drawn minus wanted commands; a quarter of the wanted ones lie beyond the range."""
+    """Root mean square of drawn minus wanted commands; a quarter of the wanted ones lie
+    beyond the range.
+    """
     rng = np.random.default_rng(0)
     actions = np.linspace(-1.0, 1.0, n_commands)[:, None]
     wanted = np.r_[rng.uniform(-1, 1, (3000, 1)), np.full((1000, 1), 1.5)]
@@ -471,7 +483,9 @@ def test_a_policy_s_bad_answers_keep_their_own_sentence():
 
 
 def test_pendulum_from_the_command_line(run, mine):
-    """Sample a target, evaluate in another simulator: the first row is near the truth, rows are in order."""
+    """Sample a target, evaluate in another simulator: the first row is near the truth,
+    rows are in order.
+    """
     said = run(
         "sample Pendulum-v1:g=11,m=1.2 --policy swinging:explore"
         " --task-option=actions=5 --transitions 2000 --output log.csv"

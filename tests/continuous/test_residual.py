@@ -1,4 +1,6 @@
-"""A simulator corrected by a log: against own truths, its parts against plain numpy, and the stops that it finds."""
+"""A simulator corrected by a log: against own truths, its parts against plain numpy,
+and the stops that it finds.
+"""
 
 import numpy as np
 import pytest
@@ -46,7 +48,9 @@ def cartpole_log(target, n=6000, seed=0):
 
 
 def value(task, policy, episodes, horizon):
-    """By random numbers that belong to the episode and the step: tasks that are alike go alike."""
+    """By random numbers that belong to the episode and the step: tasks that are alike
+    go alike.
+    """
     return compare_returns(
         [task], policy, episodes, horizon, discount=0.99, seed=np.random.SeedSequence(1)
     ).mean()
@@ -66,7 +70,9 @@ def errors(target, corrected, simulator, episodes, deltas=(0.0, 0.5)):
 
 @pytest.mark.parametrize("change", CARTPOLES)
 def test_cartpole(change):
-    """Nothing is tuned: one setting for every change. Other noise has other paths: more of Monte Carlo's error is left."""
+    """Nothing is tuned: one setting for every change. Other noise has other paths: more
+    of Monte Carlo's error is left.
+    """
     target = CARTPOLES[change]
     corrected = ResidualSimulator(CartPole(10.0), cartpole_log(target, 3000), seed=0)
     before, after = errors(
@@ -138,7 +144,9 @@ class Unknowing(classic.MountainCar):
     ("simulator", "within"), [(classic.MountainCar(), 0.001), (Unknowing(), 0.1)]
 )
 def test_mountain_car(simulator, within):
-    """The wall is a stop; where the task cannot say which states are over, the nearest known one does."""
+    """The wall is a stop; where the task cannot say which states are over, the nearest
+    known one does.
+    """
     target = classic.MountainCar(0.0027, 0.0009)
     log = record(
         target, classic.rocking(0.3), n_transitions=4000, max_steps=200, seed=0
@@ -233,7 +241,9 @@ def test_the_simplest_class_that_does(drift, kind, per_action):
 
 
 def test_a_correction_stays_within_the_residuals_that_were_logged():
-    """They are -.3 and .3; the fit alone reaches .97; what it leaves, which is drawn, adds to what is cut off."""
+    """They are -.3 and .3; the fit alone reaches .97; what it leaves, which is drawn,
+    adds to what is cut off.
+    """
     target, simulator = (
         Line(lambda s, a: np.where(s > 0, 0.3, -0.3), knows_reward=False),
         Line(knows_reward=False),
@@ -523,7 +533,9 @@ def test_a_row_on_which_every_value_rests_is_named():
 
 
 class Cart(Plain):
-    """Pushed between two walls: who gets there stands still, and loses a share of what else turns."""
+    """Pushed between two walls: who gets there stands still, and loses a share of what
+    else turns.
+    """
 
     name = "Cart"
     state_names = feature_names = ("place", "speed", "spin")
@@ -552,7 +564,9 @@ def evenly(states):
 
 
 def one_step(target, simulator, n=6000):
-    """Errors of the simulator and of the corrected one on new moves of the target, and where the two are stopped."""
+    """Errors of the simulator and of the corrected one on new moves of the target, and
+    where the two are stopped.
+    """
     log = record(target, evenly, n_transitions=n, max_steps=25, seed=0)
     corrected = ResidualSimulator(simulator, log, seed=0)
     new = record(target, evenly, n_transitions=4000, max_steps=25, seed=1)

@@ -49,7 +49,9 @@ def test_one_step_is_gymnasium_s_to_the_last_bit(gravity):
 @given(st.floats(0, 30), st.integers(0, 2**32 - 1))
 @settings(max_examples=20)
 def test_laws_of_cartpole_s_step(gravity, seed):
-    """Mirror symmetry; the angle does not see the cart; gravity enters linearly; noise is added at the end."""
+    """Mirror symmetry; the angle does not see the cart; gravity enters linearly; noise
+    is added at the end.
+    """
     rng = np.random.default_rng(seed)
     states = rng.uniform(-0.2, 0.2, (20, 4))
     actions = rng.integers(0, 2, 20)
@@ -76,7 +78,9 @@ def test_laws_of_cartpole_s_step(gravity, seed):
 
 
 def test_the_failing_step_has_a_reward_too():
-    """A pole that never falls is worth 1 - 0.99^100 = 0.633967658726771 (the paper's ceiling)."""
+    """A pole that never falls is worth 1 - 0.99^100 = 0.633967658726771 (the paper's
+    ceiling).
+    """
     falling = np.array([[0.0, 0.0, ANGLE_LIMIT - 1e-3, 1.0], [0.0, 0.0, 0.0, 0.0]])
     moved = CartPole().moves(falling, np.array([1, 1]), np.zeros((2, 4)))
     assert_array_equal(moved.terminated, [True, False])
@@ -168,7 +172,9 @@ def states_of(rng, n, speed=4.0):
 
 
 def links(q2, length, kind="box"):
-    """Mass, moment, Jacobian of the centre (in the frame of the upper link) and turn of each link, without the step."""
+    """Mass, moment, Jacobian of the centre (in the frame of the upper link) and turn of
+    each link, without the step.
+    """
     for k, (mass, r, moment) in enumerate(link_bodies(length, kind)):
         along = np.array([-np.sin(q2), np.cos(q2)])
         upper = np.array([[0.0, 0.0], [r, 0.0]])
@@ -185,7 +191,9 @@ def inertia(q2, length, kind="box"):
 
 
 def test_small_steps_converge_to_the_equations_of_motion():
-    """Against Lagrange's equations with derivatives of M taken numerically, by an adaptive Runge-Kutta method."""
+    """Against Lagrange's equations with derivatives of M taken numerically, by an
+    adaptive Runge-Kutta method.
+    """
     length, torque = 0.1, np.array([0.02, -0.01])
 
     def motion(t, s):
@@ -210,7 +218,9 @@ def test_small_steps_converge_to_the_equations_of_motion():
 @given(seeds, st.sampled_from(LENGTHS), st.booleans())
 @settings(max_examples=20)
 def test_laws_of_reacher_s_step(seed, length, tamed):
-    """Mirror images, the shoulder's angle as a mere rotation, 2 pi, and the elbow's stop."""
+    """Mirror images, the shoulder's angle as a mere rotation, 2 pi, and the elbow's
+    stop.
+    """
     rng = np.random.default_rng(seed)
     arm = Reacher.tamed(length) if tamed else Reacher(length)
     states, commands = states_of(rng, 20), rng.uniform(-1, 1, (20, 2))
@@ -233,7 +243,9 @@ def test_laws_of_reacher_s_step(seed, length, tamed):
 
 @given(seeds, st.sampled_from(LENGTHS))
 def test_drag_is_a_force_at_each_centre_and_a_torque_on_each_link(seed, length):
-    """Bullet's law from the velocities of the centres of mass; the torques of that, without drag, make the same step."""
+    """Bullet's law from the velocities of the centres of mass; the torques of that,
+    without drag, make the same step.
+    """
     states, k = states_of(np.random.default_rng(seed), 20, speed=10.0), 0.04
     torques = np.zeros((20, 2))
     for row, (_, q2, w1, w2) in zip(torques, states, strict=True):
@@ -254,7 +266,9 @@ def test_drag_is_a_force_at_each_centre_and_a_torque_on_each_link(seed, length):
 
 
 def test_the_elbow_s_stop():
-    """The elbow stops, and its impulse leaves the shoulder's generalised momentum alone."""
+    """The elbow stops, and its impulse leaves the shoulder's generalised momentum
+    alone.
+    """
     arm = Reacher(0.1, drag=0.0, timestep=1e-4)
     state = np.array([[0.0, STOP - 1e-6, 0.5, 3.0]])
     after = arm.advance(state, np.zeros((1, 2)))[0]
@@ -289,7 +303,9 @@ def test_kinematics_by_hand():
 
 
 def test_reacher_s_reward_by_hand():
-    """100 (drop in distance) - .01 sum |a| (1 + |w'|) - .1 at the stop: action 8 has both levels at 2/3."""
+    """100 (drop in distance) - .01 sum |a| (1 + |w'|) - .1 at the stop: action 8 has
+    both levels at 2/3.
+    """
     task = Reacher(0.1, target=(0.31, 0.0))
     states = np.array([[0.0, 0.0, 0.0, 0.0]])
     following = np.array([[np.pi / 2, 2.99, 3.0, -6.0]])
@@ -305,7 +321,9 @@ def test_reacher_s_reward_by_hand():
 
 
 def test_the_masses_are_bullet_s():
-    """.0356, .0670, .0199 kg at .1, .2, .05 m; the tip .00419 kg; the capsule's inertia by integration."""
+    """.0356, .0670, .0199 kg at .1, .2, .05 m; the tip .00419 kg; the capsule's inertia
+    by integration.
+    """
     assert_allclose(
         [link_bodies(x)[0, 0] for x in (0.1, 0.2, 0.05)],
         [0.0356, 0.0670, 0.0199],
@@ -328,7 +346,9 @@ def test_the_masses_are_bullet_s():
     ids=["free", "stock"],
 )
 def test_the_arm_is_mujoco_s(length, armature, damping, gear):
-    """Gymnasium's Reacher with other links: armature 0, damping 1e-4, gear .05; and with its own 1, 1, 200."""
+    """Gymnasium's Reacher with other links: armature 0, damping 1e-4, gear .05; and
+    with its own 1, 1, 200.
+    """
     mujoco = pytest.importorskip(
         "mujoco", reason="MuJoCo is not installed: pip install oee-tabular[mujoco]"
     )

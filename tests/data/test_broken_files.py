@@ -1,4 +1,6 @@
-"""Files that are broken, too large, elsewhere or written by other programs: one sentence each, naming the file."""
+"""Files that are broken, too large, elsewhere or written by other programs: one
+sentence each, naming the file.
+"""
 
 import io
 import time
@@ -160,7 +162,9 @@ def test_parts_of_a_simulator(tmp_path, changes, text):
 
 
 def test_flags_that_no_longer_hold_are_not_believed():
-    """scipy keeps what it found out about the order of the indices; who edits them afterwards makes that wrong."""
+    """scipy keeps what it found out about the order of the indices; who edits them
+    afterwards makes that wrong.
+    """
     matrix = sparse.csr_array(np.array([[0.25, 0.75], [0.5, 0.5]]))
     assert matrix.has_sorted_indices
     matrix.indices[:2], matrix.data[:2] = [1, 0], [0.75, 0.25]

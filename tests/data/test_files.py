@@ -1,4 +1,6 @@
-"""Logs as files: every format gives back every bit, and what is no log is refused in a sentence."""
+"""Logs as files: every format gives back every bit, and what is no log is refused in a
+sentence.
+"""
 
 import gzip
 import itertools
@@ -161,7 +163,9 @@ def test_numbers_of_a_csv(tmp_path, text, rewards):
     ],
 )
 def test_lines_that_are_none_of_a_log(tmp_path, line, text):
-    """One reader: the same rule for logs that are loaded and for those that are counted."""
+    """One reader: the same rule for logs that are loaded and for those that are
+    counted.
+    """
     (tmp_path / "log.csv").write_text(HEAD + "0,1,2,0.5,False\n" + line + "\n")
     for read in (Transitions.load, Transitions.open):
         with pytest.raises(ValueError, match=rf"log\.csv': {text}"):
@@ -313,7 +317,9 @@ def test_several_files_a_pattern_and_a_folder_are_one_log(tmp_path):
 
 
 def test_missing_rewards_are_missing(tmp_path):
-    """A mean is over the transitions that have a reward, however the log was put together."""
+    """A mean is over the transitions that have a reward, however the log was put
+    together.
+    """
     (tmp_path / "a.csv").write_text(
         "state,action,next_state,reward\n0,0,1,4\n0,0,1,\n1,0,1,\n"
     )

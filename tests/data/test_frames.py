@@ -1,4 +1,6 @@
-"""Logs as people have them: names, data frames of several libraries, episodes as lists of steps, and files of all these."""
+"""Logs as people have them: names, data frames of several libraries, episodes as lists
+of steps, and files of all these.
+"""
 
 import pickle
 import tempfile

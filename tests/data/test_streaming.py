@@ -1,4 +1,6 @@
-"""Logs of any size as counts: the same bits whatever the file's form, the order of processes, and the rows left out."""
+"""Logs of any size as counts: the same bits whatever the file's form, the order of
+processes, and the rows left out.
+"""
 
 import itertools
 import os
@@ -101,7 +103,9 @@ def test_problems_take_it_in_place_of_the_log(tmp_path):
 
 @pytest.mark.parametrize("ending", [".parquet", ".csv", ".npz"])
 def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path, ending):
-    """Whole episodes in the order of the files, as many as fit: a larger sample holds each smaller one."""
+    """Whole episodes in the order of the files, as many as fit: a larger sample holds
+    each smaller one.
+    """
     folder = written(tmp_path / "a", ending, number=2, episodes=30)
     whole, before = Transitions.concatenate(logs(2, 30)), set()
     episodes = [whole.select(whole.episode == e) for e in range(60)]
@@ -153,7 +157,9 @@ def test_folders_name_columns_as_hive_does(tmp_path):
 
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
 def test_what_is_summed_and_what_is_left_out(tmp_path, ending):
-    """By columns that a log does not know, a warning; by rows that break a rule, the first and the number of the others."""
+    """By columns that a log does not know, a warning; by rows that break a rule, the
+    first and the number of the others.
+    """
     columns = {
         "state": [0, 0, 0, -1, 9, -2],
         "action": 0,
@@ -434,7 +440,9 @@ def test_rows_that_do_not_go_on_with_their_episode(tmp_path, name, row, value, t
 )
 @settings(max_examples=40)
 def test_episodes_stand_together(order, names):
-    """Else the first row is named in which one begins again, and of the others alone there may be samples."""
+    """Else the first row is named in which one begins again, and of the others alone
+    there may be samples.
+    """
     runs = [name for name, _ in itertools.groupby(order)]
     columns = {
         "state": [0] * 6,

@@ -53,7 +53,9 @@ def inefficiency(plan, q):
 
 
 def deterministic_chain():
-    """0 -> 1 -> 2 by action 0, action 1 stays; 2 is the end; state 0 pays -1, state 1 pays -2."""
+    """0 -> 1 -> 2 by action 0, action 1 stays; 2 is the end; state 0 pays -1, state 1
+    pays -2.
+    """
     transitions = np.zeros((3, 2, 3))
     transitions[0, 0, 1] = transitions[1, 0, 2] = transitions[0, 1, 0] = transitions[
         1, 1, 1
@@ -62,7 +64,9 @@ def deterministic_chain():
 
 
 def test_deterministic_rows_have_an_optimistic_cost():
-    """State 0, action 0: the other action would stay in 0. V = (-2.8, -2, 0): range 0.8, d = 0.1, gamma / (1 - gamma) = 9."""
+    """State 0, action 0: the other action would stay in 0. V = (-2.8, -2, 0): range
+    0.8, d = 0.1, gamma / (1 - gamma) = 9.
+    """
     chain = deterministic_chain()
     ahead = np.array([[1.0, 0.0]] * 3)
     plan = plan_data_collection(chain, ahead, n=100)
@@ -121,7 +125,9 @@ def test_optimism_fades_with_observations():
 
 
 def test_rewards_of_transitions_that_the_simulator_lacks():
-    """r(s, a, s') of another action's move is that action's; that of staying, the row's own mean."""
+    """r(s, a, s') of another action's move is that action's; that of staying, the row's
+    own mean.
+    """
     transitions = np.zeros((3, 2, 3))
     transitions[0, 0, 1] = transitions[0, 1, 2] = 1.0
     transitions[1:, :, :] = np.eye(3)[1:, None, :]
@@ -141,7 +147,9 @@ def test_rewards_of_transitions_that_the_simulator_lacks():
 
 @pytest.mark.parametrize("pay", [-1.0, 0.3, 1e9])
 def test_a_value_that_no_transition_changes_needs_none(pay):
-    """Every move of the first step pays the same: what is left of its variance is rounding."""
+    """Every move of the first step pays the same: what is left of its variance is
+    rounding.
+    """
     rows = np.full((3, 2, 3), 1 / 3)
     simulator = oee.FiniteMDP(rows, np.full((3, 2, 3), pay), [1, 0, 0], 1.0)
     log = oee.Transitions([0, 0, 0, 1, 2], [0, 0, 0, 1, 1], [1, 2, 2, 0, 1])
@@ -176,7 +184,9 @@ def test_a_report_and_a_plan_give_one_piece_of_advice(rng):
 @given(rngs)
 @few
 def test_every_plan_keeps_its_certificate(rng):
-    """Both solvers; no other behaviour, nor uniform and on-policy sampling, is better than the gap admits."""
+    """Both solvers; no other behaviour, nor uniform and on-policy sampling, is better
+    than the gap admits.
+    """
     mdp = random_mdp(rng)
     policies = {str(k): random_policy(rng, mdp) for k in range(int(rng.integers(1, 4)))}
     counts = rng.integers(0, 3, (mdp.n_states, mdp.n_actions))
@@ -216,7 +226,9 @@ def test_every_plan_keeps_its_certificate(rng):
 
 
 def test_sequential_use():
-    """Recording what a plan says leads to the error that it foretold, and a plan in two halves is the plan of the whole."""
+    """Recording what a plan says leads to the error that it foretold, and a plan in two
+    halves is the plan of the whole.
+    """
     first = plan_data_collection(SIMULATOR, POLICY, n=4000)
     problem = Problem(SIMULATOR, log_of(SIMULATOR, first.allocation))
     second = plan_data_collection(problem, POLICY, n=4000, model="simulator")
@@ -304,7 +316,9 @@ def costs_of(base, policy, horizon=None):
 
 
 def best_shares(costs, before, n, flow=None):
-    """argmin over q of max_k sum c_k / (before + n q) / least_k, q a distribution, with flow(q) = 0 where given."""
+    """argmin over q of max_k sum c_k / (before + n q) / least_k, q a distribution, with
+    flow(q) = 0 where given.
+    """
     size = before.size
     rules = (
         [{"type": "eq", "fun": lambda q: q.sum() - 1.0}]
@@ -345,7 +359,9 @@ def best_shares(costs, before, n, flow=None):
 
 
 def collected(base, restart):
-    """q(s') - (1 - b) mu - b sum q P: 0 for what a behaviour policy records that starts again with probability 1 - b."""
+    """q(s') - (1 - b) mu - b sum q P: 0 for what a behaviour policy records that starts
+    again with probability 1 - b.
+    """
 
     def flow(q):
         q = q.reshape(base.P.shape[:2])
@@ -495,7 +511,9 @@ def test_a_row_without_spread_costs_its_largest_plausible_variance(lower, upper)
 
 @pytest.mark.parametrize("costs_a_move", [False, True])
 def test_a_behaviour_plan_where_episodes_end(costs_a_move):
-    """Entering the absorbing state leads to a start, at once or by one recorded move more."""
+    """Entering the absorbing state leads to a start, at once or by one recorded move
+    more.
+    """
     rng = np.random.default_rng(4)
     P = rng.dirichlet(np.ones(3), size=(3, 2))
     P[2] = [0.0, 0.0, 1.0]

@@ -1,4 +1,6 @@
-"""Three states that go on and one where it is over: a problem small enough to be recomputed by hand."""
+"""Three states that go on and one where it is over: a problem small enough to be
+recomputed by hand.
+"""
 
 import numpy as np
 
@@ -11,7 +13,9 @@ BEHAVIOR = np.array([[0.5, 0.5], [0.5, 0.5], [0.4, 0.6], [0.5, 0.5]])
 
 
 def environments(form=3, discount=0.9):
-    """Three states that go on, one where it is over; rewards of ``form`` 2 = r(s, a) or 3 = r(s, a, s')."""
+    """Three states that go on, one where it is over; rewards of ``form`` 2 = r(s, a) or
+    3 = r(s, a, s').
+    """
     rng = np.random.default_rng(form)
     rows = np.zeros((4, 2, 4))
     rows[:3] = rng.dirichlet(np.full(4, 3.0), (3, 2))

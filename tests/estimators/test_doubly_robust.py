@@ -1,4 +1,6 @@
-"""Doubly robust estimators and MAGIC, recomputed row by row, move by move and step by step."""
+"""Doubly robust estimators and MAGIC, recomputed row by row, move by move and step by
+step.
+"""
 
 import numpy as np
 import pytest
@@ -29,7 +31,9 @@ from oee_tabular.estimators import (
 @pytest.mark.parametrize("horizon", [None, 4])
 @pytest.mark.parametrize("weights", ["occupancy", "beta"])
 def test_doubly_robust_on_transitions_row_by_row(form, horizon, weights):
-    """J_sim + sum_x visits(x) (frequencies - P) (r + gamma V), its error, and the log's coverage."""
+    """J_sim + sum_x visits(x) (frequencies - P) (r + gamma V), its error, and the log's
+    coverage.
+    """
     problem, target = recorded_problem(form, horizon=horizon, n=8)
     simulator = problem.simulator
     zeta = reweighted_zeta(simulator, target, 1.0)
@@ -119,7 +123,9 @@ def test_doubly_robust_on_rollouts_step_by_step(form, horizon):
 
 
 def test_where_zeta_is_fitted_the_error_counts_the_visits_too():
-    """zeta * P are the log's frequencies: the value is maximum likelihood's, and so is its error."""
+    """zeta * P are the log's frequencies: the value is maximum likelihood's, and so is
+    its error.
+    """
     for discount in (0.9, 1.0):
         simulator, target = environments(3, discount)
         log = oee.sample_episodes(target, BEHAVIOR, 200, 30, seed=2)
@@ -141,7 +147,9 @@ def test_where_zeta_is_fitted_the_error_counts_the_visits_too():
 
 
 def episode_parts(problem, model, *, used, self_normalized=True):
-    """(n,) what each episode adds where the log is used for ``used`` steps, and the model's value after them."""
+    """(n,) what each episode adds where the log is used for ``used`` steps, and the
+    model's value after them.
+    """
     episodes, horizon = plain_episodes(problem.log), problem.horizon
     n, steps = (
         len(episodes),
@@ -179,7 +187,9 @@ def episode_parts(problem, model, *, used, self_normalized=True):
 @pytest.mark.parametrize("horizon", [None, 4])
 @pytest.mark.parametrize("self_normalized", [False, True])
 def test_doubly_robust_on_episodes_step_by_step(horizon, self_normalized):
-    """V(s_0) + sum_t gamma^t [share_t+1 (r_t - Q) + share_t V ...] with the model's rest, and its error."""
+    """V(s_0) + sum_t gamma^t [share_t+1 (r_t - Q) + share_t V ...] with the model's
+    rest, and its error.
+    """
     problem, target = recorded_problem(3, horizon=horizon, n=15, length=5)
     zeta = reweighted_zeta(problem.simulator, target, 1.0)
     parts = episode_parts(problem, target, used=99, self_normalized=self_normalized)
@@ -200,7 +210,9 @@ def test_doubly_robust_on_episodes_step_by_step(horizon, self_normalized):
 
 
 def resample(problem, draws, zeta):
-    """Weighted doubly robust of logs in which the drawn episodes stand, each as often as it was drawn."""
+    """Weighted doubly robust of logs in which the drawn episodes stand, each as often
+    as it was drawn.
+    """
     log, found = problem.log, []
     starts, columns = log.episode_starts, log.columns()
     for draw in draws:
@@ -227,7 +239,8 @@ def resample(problem, draws, zeta):
     "is_wrong", [False, True], ids=["the target", "far from the log"]
 )
 def test_magic_between_the_model_and_the_log(is_wrong):
-    """Thomas and Brunskill, two lengths: variance plus squared distance from the central half of the bootstrap of g_T.
+    """Thomas and Brunskill, two lengths: variance plus squared distance from the
+    central half of the bootstrap of g_T.
 
     The weights are normalised on each resample, and the least is looked for on a grid.
     """
@@ -281,7 +294,9 @@ def test_magic_of_one_length_or_one_episode():
 @pytest.mark.parametrize("form", [2, 3])
 @pytest.mark.parametrize("horizon", [None, 4])
 def test_marginalised_values_row_by_row(form, horizon):
-    """sum_x d_target(x) rbar(x) over the rows of the log, rbar its mean pay: beta cancels where there is no box."""
+    """sum_x d_target(x) rbar(x) over the rows of the log, rbar its mean pay: beta
+    cancels where there is no box.
+    """
     problem, target = recorded_problem(form, horizon=horizon, n=8)
     simulator = problem.simulator
     zeta = reweighted_zeta(simulator, target, 1.0)
@@ -342,7 +357,9 @@ ONE_HOT = np.eye(8).reshape(4, 2, 8)
 
 @pytest.mark.parametrize("form", [2, 3])
 def test_one_hot_features_are_maximum_likelihood(form):
-    """A^T theta = -(1 - gamma) E phi_0 is then the flow of the log's frequencies: every pair that goes on is recorded."""
+    """A^T theta = -(1 - gamma) E phi_0 is then the flow of the log's frequencies: every
+    pair that goes on is recorded.
+    """
     problem, target = recorded_problem(form, n=80)
     likelihood = ModelBased()(problem, POLICY).value
     found = Marginalized(features=ONE_HOT)(problem, POLICY)
@@ -363,7 +380,9 @@ def test_one_hot_features_are_maximum_likelihood(form):
 
 
 def test_the_saddle_point_pair_by_pair():
-    """Two features, and pairs that the log lacks: sums over the log's rows, as the equations are printed."""
+    """Two features, and pairs that the log lacks: sums over the log's rows, as the
+    equations are printed.
+    """
     problem, _ = recorded_problem(3, n=3, length=4)
     simulator, log = problem.simulator, problem.log
     counts = problem.counts.sum(axis=1)

@@ -1,4 +1,6 @@
-"""Rewards, probabilities and counts at the edge of what floats hold: scaled, refused by name, or said."""
+"""Rewards, probabilities and counts at the edge of what floats hold: scaled, refused by
+name, or said.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""What an estimate says: its words, its line, its shares of the policy's time, and its seed."""
+"""What an estimate says: its words, its line, its shares of the policy's time, and its
+seed.
+"""
 
 import functools
 
@@ -51,7 +53,9 @@ def test_nothing_to_learn_is_full_coverage():
 
 
 def test_without_a_horizon_at_discount_one():
-    """Values where the policy is absorbed, as with a horizon that it seldom outlasts; a status where it is not."""
+    """Values where the policy is absorbed, as with a horizon that it seldom outlasts; a
+    status where it is not.
+    """
     simulator, target = environments(2, discount=1.0)
     problem = Problem(simulator, oee.sample_episodes(target, BEHAVIOR, 30, 50, seed=0))
     for estimator in (OffEnvironment(), ModelBased("simulator"), DoublyRobust()):
@@ -118,7 +122,9 @@ def test_what_a_standard_error_is_of_and_whose_interval_it_makes(name):
 # ---- discount 1 without a horizon: policies that come to an end have visits,
 # gradients, standard errors and a value that moves
 def test_where_maximum_likelihood_never_ends_the_value_stays():
-    """State 1 was seen to stay where it pays: its frequencies have no value, the default's has one."""
+    """State 1 was seen to stay where it pays: its frequencies have no value, the
+    default's has one.
+    """
     rows = [[[0.0, 0.5, 0.5]], [[0.0, 0.5, 0.5]], [[0.0, 0.0, 1.0]]]
     simulator = oee.FiniteMDP(rows, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
     problem = oee.Problem(simulator, oee.Transitions([0, 1, 1], [0, 0, 0], [1, 1, 1]))
@@ -242,7 +248,9 @@ def test_where_nothing_can_vary_the_error_is_0():
 
 
 def sampled_simulator(n):
-    """State 0 led to state 1, which pays 1, in 3 of n samples, else to state 2; both stay."""
+    """State 0 led to state 1, which pays 1, in 3 of n samples, else to state 2; both
+    stay.
+    """
     to = [1] * 3 + [2] * (n - 3)
     log = oee.Transitions(
         [0] * n + [1] * 20 + [2] * 20, [0] * (n + 40), [*to, *[1] * 20, *[2] * 20]
@@ -252,7 +260,9 @@ def sampled_simulator(n):
 
 @pytest.mark.parametrize("n", [5, 12])
 def test_the_error_of_a_frequency_from_n_samples(n):
-    """J = p / 2 over two steps: its variance is p (1 - p) / (n - 1) / 4; fewer than ten samples are few."""
+    """J = p / 2 over two steps: its variance is p (1 - p) / (n - 1) / 4; fewer than ten
+    samples are few.
+    """
     problem = oee.Problem(
         sampled_simulator(n), oee.Transitions([0], [0], [1]), horizon=2
     )
@@ -298,7 +308,9 @@ def estimated(seed, size, per_row):
 
 
 def test_a_value_that_rests_on_the_prior_against_the_log_says_so():
-    """More than two standard errors of their difference from maximum likelihood's value, in words with that value."""
+    """More than two standard errors of their difference from maximum likelihood's
+    value, in words with that value.
+    """
     told = []
     for seed in range(30):
         facts = (estimate := estimated(seed, 1.5, 1 + seed % 4)).diagnostics

@@ -136,7 +136,9 @@ def test_a_given_ratio_has_its_own_warnings():
 
 
 def test_ratios_by_name_get_what_the_problem_knows():
-    """The behaviour policy, the simulator's data and the seed reach ``transition_ratio``."""
+    """The behaviour policy, the simulator's data and the seed reach
+    ``transition_ratio``.
+    """
     simulator, target = environments(3)
     log = oee.sample_episodes(target, BEHAVIOR, 200, 6, seed=1)
     for method in ("ratio_of_ratios", "joint"):
@@ -264,7 +266,9 @@ def test_the_default_estimators_and_what_is_left_out():
 
 # ---- the log's frequencies as a model: fallbacks, rewards, standard error
 def test_models_of_the_log_use_the_simulator_s_rewards():
-    """r(s, a, s') on the moves seen and on staying, which "stay" makes up; the row's mean where staying has no reward."""
+    """r(s, a, s') on the moves seen and on staying, which "stay" makes up; the row's
+    mean where staying has no reward.
+    """
     simulator, _ = environments(3)
     problem = Problem(simulator, Transitions([0, 0, 1], [0, 0, 1], [1, 2, 1]))
     own = dense(simulator)[1]
@@ -309,7 +313,9 @@ def test_models_keep_states_that_nothing_enters_and_where_termination_leads():
 
 
 def test_one_record_is_enough_where_there_is_one_next_state():
-    """State 0 leads to 1 for sure, and was left once; state 1 may stay or end, and was left once: its variance is unknown."""
+    """State 0 leads to 1 for sure, and was left once; state 1 may stay or end, and was
+    left once: its variance is unknown.
+    """
     rows = np.array([[[0.0, 1.0, 0.0]], [[0.0, 0.5, 0.5]], [[0.0, 0.0, 1.0]]])
     simulator = FiniteMDP(rows, [1.0, 1.0, 0.0], [1, 0, 0], 0.5)
     found = ModelBased("simulator")(

@@ -166,7 +166,9 @@ def test_each_estimator_says_what_it_knows():
 
 
 def test_what_a_report_acts_on():
-    """Typed, beside the diagnostics: what is corrected by the log, what the log has not told, whose rewards are paid."""
+    """Typed, beside the diagnostics: what is corrected by the log, what the log has not
+    told, whose rewards are paid.
+    """
     problem, _ = recorded_problem(n=8)
     found = OffEnvironment()(problem, POLICY)
     facts = found.diagnostics

@@ -20,7 +20,9 @@ from oee_tabular.testing import case, padded_log
 
 
 def sampled_value(episodes, ratios, multiplicity, gamma, horizon, *, pad, kind, normal):
-    """The value of episodes that count as often as ``multiplicity`` says, in the plainest way."""
+    """The value of episodes that count as often as ``multiplicity`` says, in the
+    plainest way.
+    """
     longest = max(min(len(steps), horizon) for steps, _ in episodes)
     products = [np.cumprod(r[:horizon]) for r in ratios]
     if kind == "trajectory":
@@ -61,7 +63,9 @@ def sampled_value(episodes, ratios, multiplicity, gamma, horizon, *, pad, kind, 
 def test_the_error_of_a_value_is_the_derivative_in_each_episode(
     kind, ragged, normal, horizon
 ):
-    """Values and infinitesimal jackknife, by central differences in how often each episode counts."""
+    """Values and infinitesimal jackknife, by central differences in how often each
+    episode counts.
+    """
     problem, _ = recorded_problem(2, horizon=horizon, n=12)
     episodes = plain_episodes(problem.log)
     ratios = [
@@ -152,7 +156,9 @@ def test_the_truncation_bound_with_a_horizon_or_without_a_discount():
 
 
 def test_one_deciding_episode_has_no_error():
-    """Two episodes, one of weight 0: the self-normalised value is the other's return, without a standard error."""
+    """Two episodes, one of weight 0: the self-normalised value is the other's return,
+    without a standard error.
+    """
     mdp = FiniteMDP(np.full((1, 2, 1), 1.0), np.array([[2.0, 5.0]]), [1.0], 0.9)
     log = Transitions(
         [0, 0],
@@ -224,7 +230,9 @@ def test_frequencies_stand_in_for_the_behaviour_policy():
 @pytest.mark.parametrize("kind", ["trajectory", "per_decision"])
 @pytest.mark.parametrize("self_normalized", [False, True])
 def test_rows_after_an_episode_s_end_weigh_nothing(kind, self_normalized):
-    """Whatever policy and behaviour do in the absorbing state, the weight stays what it was at the end."""
+    """Whatever policy and behaviour do in the absorbing state, the weight stays what it
+    was at the end.
+    """
     pair = case("ragged")
     policy, log = pair.policy.copy(), pair.log(60, seed=0)
     policy[-1] = [0.9, 0.1]

@@ -27,7 +27,9 @@ LIKELIHOOD = functools.partial(oee.transition_ratio, prior="none")
 
 
 def pair(rng, discount=0.9, n_states=4):
-    """A simulator, and a target on its support whose probabilities are multiples of 1/12."""
+    """A simulator, and a target on its support whose probabilities are multiples of
+    1/12.
+    """
     simulator = random_mdp(rng, n_states=n_states, n_actions=2, discount=discount)
     rows = []
     for row in dense(simulator)[0].reshape(-1, n_states):
@@ -40,7 +42,9 @@ def pair(rng, discount=0.9, n_states=4):
 
 
 def exact_log(target, share):
-    """A log with 12 * k moves in each row, k = 1, 2, ... where ``share`` is positive, in the target's exact proportions."""
+    """A log with 12 * k moves in each row, k = 1, 2, ... where ``share`` is positive,
+    in the target's exact proportions.
+    """
     state, action, following = [], [], []
     for s, a, j in np.argwhere(dense(target)[0] > 0):
         number = round(12 * dense(target)[0][s, a, j]) * round(share[s, a])
@@ -167,7 +171,9 @@ def test_28_with_beta_alone_halving_the_mismatch_quarters_the_error():
 
 
 def test_32_finished_episodes_dropped_from_the_normaliser_estimate_something_else():
-    """The survival chain: truth 1 / (1 - .63) = 2.70; dropping the dead gives sum gamma^t = 10."""
+    """The survival chain: truth 1 / (1 - .63) = 2.70; dropping the dead gives sum
+    gamma^t = 10.
+    """
     chain = survival_chain()
     ones = np.ones((2, 1))
     options = {"behavior_policy": ones}
@@ -251,7 +257,9 @@ def world(seed=0, form="sat", lack=False):
 
 
 def weighted(target, policy, behavior):
-    """(probability under the behaviour, weights rho_0..t, rewards) of every path of the horizon."""
+    """(probability under the behaviour, weights rho_0..t, rewards) of every path of the
+    horizon.
+    """
     for chance, path in paths(target, behavior, HORIZON):
         rho = np.cumprod([policy[s, a] / behavior[s, a] for s, a, _, _ in path])
         yield chance, rho, np.array([paid for *_, paid in path])
@@ -281,7 +289,9 @@ def test_importance_sampling_s_limit_by_every_path(lack, kind, normal):
 
 @pytest.mark.parametrize("form", ["sa", "sat"])
 def test_doubly_robust_on_episodes_without_support_by_every_path(form):
-    """E[V(s_0) + sum g^t rho_t (r_t + g V(s_t+1) - Q(s_t, a_t))], V and Q of the model: here the simulator itself."""
+    """E[V(s_0) + sum g^t rho_t (r_t + g V(s_t+1) - Q(s_t, a_t))], V and Q of the model:
+    here the simulator itself.
+    """
     simulator, target, policy, behavior = world(form=form, lack=True)
     same = oee.true_ratio(simulator, simulator)
     found = DoublyRobust(data="episodes", ratio=same).limit(
@@ -337,7 +347,9 @@ def clipped(p, q, low, high):
 
 @pytest.mark.parametrize("box", [(0.01, 10.0), (0.7, 1.3)])
 def test_the_limit_of_the_quotient_of_two_clipped_ratios(box):
-    """Rows of zeta * P need not sum to 1; doubly robust on rollouts has the same limit, by any V."""
+    """Rows of zeta * P need not sum to 1; doubly robust on rollouts has the same limit,
+    by any V.
+    """
     simulator, target, policy, behavior = world(2)
     share = np.array([[0.2, 0.4], [0.25, 0.15]])
     here, there = Dense(simulator), Dense(target)
@@ -377,7 +389,9 @@ def test_the_limit_of_the_quotient_of_two_clipped_ratios(box):
 
 @pytest.mark.parametrize("ragged", ["pad", "zero"])
 def test_the_limit_of_weighted_importance_sampling_where_episodes_end(ragged):
-    """Weights stand still once it is over; "zero" takes such paths out of the step's normaliser."""
+    """Weights stand still once it is over; "zero" takes such paths out of the step's
+    normaliser.
+    """
     simulator, policy, behavior = ragged_world()
     top, mass = np.zeros(4), np.zeros(4)
     for chance, path in paths(simulator, behavior, 4):
@@ -398,7 +412,9 @@ def test_the_limit_of_weighted_importance_sampling_where_episodes_end(ragged):
 def test_the_limit_of_products_of_ratios_by_every_path_of_the_simulator(
     form, weighting, normal
 ):
-    """A reward r(s, a) at t rests on t ratios, a reward r(s, a, s') on t + 1; rows of zeta * P that do not sum to 1."""
+    """A reward r(s, a) at t rests on t ratios, a reward r(s, a, s') on t + 1; rows of
+    zeta * P that do not sum to 1.
+    """
     simulator, target, policy, behavior = world(2, form)
     ask = functools.partial(
         oee.transition_ratio,

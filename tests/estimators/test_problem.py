@@ -1,4 +1,6 @@
-"""Problems: logs that contradict the simulator, their rewards, their checks, and where termination leads."""
+"""Problems: logs that contradict the simulator, their rewards, their checks, and where
+termination leads.
+"""
 
 import functools
 
@@ -21,7 +23,9 @@ from oee_tabular.estimators import (
 
 
 def test_contradictions_of_the_log():
-    """Rewards: rows, moves and the worst example; behaviour: rows whose probability is not the policy's."""
+    """Rewards: rows, moves and the worst example; behaviour: rows whose probability is
+    not the policy's.
+    """
     simulator = FiniteMDP(
         np.full((2, 2, 2), 0.5), np.array([[1.0, 2.0], [3.0, 4.0]]), [1, 0], 0.9
     )
@@ -74,7 +78,9 @@ def test_log_rewards_for_rewards_of_state_and_action():
 
 
 def test_each_log_of_a_problem_is_led_to_where_termination_leads():
-    """A terminated move into state 0 ends in state 1; a log without one is kept as it is."""
+    """A terminated move into state 0 ends in state 1; a log without one is kept as it
+    is.
+    """
     rows = np.array([[[0.5, 0.5]], [[0.0, 1.0]]])
     simulator = FiniteMDP(rows, [1.0, 0.0], [1, 0], 0.9, terminal_state=[1, 1])
     ended, going = (

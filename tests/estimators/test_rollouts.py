@@ -1,4 +1,6 @@
-"""Estimators that roll out: the engine is ``sample_returns``, the truth its exact moments, step by step its recorded paths."""
+"""Estimators that roll out: the engine is ``sample_returns``, the truth its exact
+moments, step by step its recorded paths.
+"""
 
 import numpy as np
 import pytest
@@ -80,7 +82,9 @@ def test_products_are_the_mean_of_sample_returns(kind, form, horizon):
 @pytest.mark.parametrize("form", [1, 2, 3])
 @pytest.mark.parametrize("horizon", [1, 4, 7])
 def test_self_normalised_products_step_by_step(form, horizon):
-    """sum_t gamma^t sum_i w_it r_it / sum_i w_it from the recorded paths; an episode that is over has its last weight."""
+    """sum_t gamma^t sum_i w_it r_it / sum_i w_it from the recorded paths; an episode
+    that is over has its last weight.
+    """
     rewards = np.array([2.0, 0.0]) if form < 3 else np.array([2.0, 3.0, 0.0, 0.0])
     simulator = oee.FiniteMDP(
         [[[0.7, 0.3]], [[0.0, 1.0]]], rewards.reshape((2, 1, 2)[:form]), [1.0, 0.0], 0.9
@@ -143,7 +147,9 @@ def test_self_normalised_products_step_by_step(form, horizon):
 @pytest.mark.parametrize("horizon", [3, 4, 5, 8, 9])
 @pytest.mark.parametrize("n", [1, 200])
 def test_the_largest_weight_is_one_that_a_reward_carries(horizon, n):
-    """Not that of an episode that is over, whatever is drawn beside it; W = 2^t, and 32 where the chain ends."""
+    """Not that of an episode that is over, whatever is drawn beside it; W = 2^t, and 32
+    where the chain ends.
+    """
     chain = survival_chain(0.9)
     zeta = ratio_with(chain, [2.0, 32.0, 1.0])
     drawn = oee.sample_returns(chain, np.ones((2, 1)), n, horizon, seed=0, zeta=zeta)

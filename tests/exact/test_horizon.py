@@ -1,4 +1,6 @@
-"""Finite horizons: light cone, forward sums and plain sweeps give one answer, that of the definition."""
+"""Finite horizons: light cone, forward sums and plain sweeps give one answer, that of
+the definition.
+"""
 
 import numpy as np
 import pytest
@@ -48,7 +50,9 @@ def forward(model, policy, steps):
 
 
 def some_model(rng, **options):
-    """An MDP, in half of the cases with its kernel multiplied by anything, zeros among it."""
+    """An MDP, in half of the cases with its kernel multiplied by anything, zeros among
+    it.
+    """
     mdp = random_mdp(rng, n_states=int(rng.integers(1, 30)), **options)
     if rng.random() < 0.5:
         return mdp
@@ -100,7 +104,9 @@ def test_all_ways_give_the_sum_of_the_definition(rng, steps, stationary):
 
 @given(rngs, horizons, st.booleans())
 def test_the_values_by_horizon_are_those_of_each(rng, steps, stationary):
-    """J_0 = 0; J_t - J_{t-1} = gamma^(t-1) E[r_{t-1}]; J_t is that of policy_value and evaluate_policy."""
+    """J_0 = 0; J_t - J_{t-1} = gamma^(t-1) E[r_{t-1}]; J_t is that of policy_value and
+    evaluate_policy.
+    """
     model = some_model(rng)
     policy = some_policy(rng, model, steps, stationary)
     found = exact.policy_values_by_horizon(model, policy, horizon=steps)
@@ -125,7 +131,9 @@ def test_the_values_by_horizon_are_those_of_each(rng, steps, stationary):
 
 @given(rngs, st.one_of(st.none(), st.integers(1, 5)))
 def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
-    """sum_t gamma^t alpha_t (r + gamma V'_t+1) on the other model's entries, alpha of the first, V' of the other."""
+    """sum_t gamma^t alpha_t (r + gamma V'_t+1) on the other model's entries, alpha of
+    the first, V' of the other.
+    """
     model, valued = (
         random_mdp(rng, n_states=5, n_actions=2, discount=0.9) for _ in range(2)
     )
@@ -151,7 +159,9 @@ def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
 # ---- merged sweeps are those of a policy in time; each step and state has its own
 # share of the variance
 def check_in_time(mdp, zeta, policy, behavior, horizon):
-    """A policy for each step that is always the same: entry by entry what the merged sweeps give."""
+    """A policy for each step that is always the same: entry by entry what the merged
+    sweeps give.
+    """
     calls = [
         lambda pi, **options: oee.return_moments(mdp, pi, **options),
         lambda pi, **options: oee.weighted_return_moments(mdp, zeta, pi, **options),
@@ -196,7 +206,9 @@ def test_merged_sweeps_are_those_of_a_policy_in_time(rng):
 @settings(max_examples=15)
 @given(rngs)
 def test_rings_and_rows_of_very_different_lengths(rng):
-    """A ring's entries lead to consecutive states; in the other, one state leads everywhere, the rest to three."""
+    """A ring's entries lead to consecutive states; in the other, one state leads
+    everywhere, the rest to three.
+    """
     n, n_actions = int(rng.integers(70, 200)), 2
     for is_ring in (True, False):
         transitions = np.zeros((n, n_actions, n))

@@ -1,4 +1,6 @@
-"""Every solver of a policy's linear system against the same laws, on kernels of every structure; the choice among them."""
+"""Every solver of a policy's linear system against the same laws, on kernels of every
+structure; the choice among them.
+"""
 
 import warnings
 from dataclasses import dataclass
@@ -153,7 +155,9 @@ def test_answers_are_refined_to_rounding_and_zero_is_left_alone():
 
 @pytest.mark.large
 def test_where_iteration_fails_the_direct_solver_answers(monkeypatch):
-    """On expanders of up to 3000 states a dense one; above, the bound says how far the iteration got."""
+    """On expanders of up to 3000 states a dense one; above, the bound says how far the
+    iteration got.
+    """
     for stub in (
         lambda b, relative: 0.9 * b,
         lambda b, relative: None,
@@ -253,7 +257,9 @@ def test_which_solver_answers(name):
 @pytest.mark.large
 @pytest.mark.parametrize("discount", [0.99, 0.99999])
 def test_an_even_start_does_not_end_the_plain_iteration(discount):
-    """Ones are an eigenvector of what the transposed residuals are held against: a Krylov space of one dimension."""
+    """Ones are an eigenvector of what the transposed residuals are held against: a
+    Krylov space of one dimension.
+    """
     n, rng = 2000, np.random.default_rng(3)
     weights, ahead = (
         rng.dirichlet(np.ones(2), n).reshape(-1),
@@ -271,7 +277,9 @@ def test_an_even_start_does_not_end_the_plain_iteration(discount):
 
 @given(rngs)
 def test_the_norm_of_the_inverse_is_bounded_by_its_certificate(rng):
-    """Kernels whose rows exceed 1: |(I - gamma K)^-1|_inf is at most what the M-matrix certificate says, and near it."""
+    """Kernels whose rows exceed 1: |(I - gamma K)^-1|_inf is at most what the M-matrix
+    certificate says, and near it.
+    """
     n = int(rng.integers(2, 7))
     kernel = rng.random((n, n)) * (rng.random((n, n)) < 0.6)
     kernel[0] *= 3.0
@@ -289,7 +297,9 @@ def test_the_norm_of_the_inverse_is_bounded_by_its_certificate(rng):
 @pytest.mark.large
 @pytest.mark.parametrize("entries", [5, 200])
 def test_near_discount_one_occupancies_sum_to_one(entries):
-    """Up to the rounding of the rows' own sums, eps / (1 - discount); with that of the bound on them 1e-8 and 3e-7."""
+    """Up to the rounding of the rows' own sums, eps / (1 - discount); with that of the
+    bound on them 1e-8 and 3e-7.
+    """
     rng = np.random.default_rng(0)
     weights, columns = (
         rng.dirichlet(np.ones(entries), size=200),
@@ -308,7 +318,9 @@ def test_near_discount_one_occupancies_sum_to_one(entries):
 @pytest.mark.parametrize("transpose", [False, True])
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_an_answer_from_near_by_leaves_its_share(name, transpose, monkeypatch):
-    """Of what a vector near by misses; where a solver gives up, or leaves too much, the next goes on."""
+    """Of what a vector near by misses; where a solver gives up, or leaves too much, the
+    next goes on.
+    """
     system = system_of(STRUCTURES[name], 0.95, transpose)
     b = np.random.default_rng(1).normal(size=system.n_states)
     whole = solvers.answer(system, b)
@@ -378,7 +390,9 @@ def rational(matrix, b, gamma):
 
 
 def refined_exactly(matrix, b, gamma):
-    """The same for more states: a dense solve, and five corrections from exact residuals, each good to 6 digits or more."""
+    """The same for more states: a dense solve, and five corrections from exact
+    residuals, each good to 6 digits or more.
+    """
     factors, g = linalg.lu_factor(np.eye(len(b)) - gamma * matrix), Fraction(gamma)
     entries = [
         [(int(j), g * Fraction(row[j])) for j in np.flatnonzero(row)] for row in matrix
@@ -394,7 +408,9 @@ def refined_exactly(matrix, b, gamma):
 
 
 def ill_conditioned(name, n):
-    """Kernels whose I - gamma K is nearly singular, or whose solution spans many magnitudes."""
+    """Kernels whose I - gamma K is nearly singular, or whose solution spans many
+    magnitudes.
+    """
     rng, at = np.random.default_rng(n), np.arange(n)
     rows = np.zeros((n, n))
     if name == "ring":

@@ -194,7 +194,9 @@ def test_the_radius_of_a_periodic_kernel():
 # where kernels are not compiled
 @pytest.mark.filterwarnings("ignore:overflow encountered")
 def test_values_beyond_floats_are_infinite_and_their_bound_is():
-    """In a state that is never reached they do not matter to J, by any of the ways to it."""
+    """In a state that is never reached they do not matter to J, by any of the ways to
+    it.
+    """
     never = FiniteMDP(
         [[[0.5, 0.5, 0]], [[0.5, 0.5, 0]], [[0, 0, 1.0]]],
         [0, 1, 1e308],
@@ -244,7 +246,9 @@ def test_warnings_about_a_value():
 
 
 def test_discount_one_names_the_states_that_pay_for_ever():
-    """Two closed classes, one of which pays; a transient state that pays is no obstacle."""
+    """Two closed classes, one of which pays; a transient state that pays is no
+    obstacle.
+    """
     rows = np.zeros((5, 1, 5))
     rows[0, 0, [1, 3]] = 0.5
     rows[[1, 2], 0, [2, 1]] = 1.0
@@ -281,7 +285,9 @@ def test_reweighting_takes_a_ratio_or_its_matrix():
 
 @pytest.mark.parametrize("which", ["kernel", "rewards"])
 def test_the_error_bound_counts_the_rounding_of_the_policys_rows(which):
-    """Thousands of actions: sums over them are rounded before the system is solved. 40 states that stay where they are."""
+    """Thousands of actions: sums over them are rounded before the system is solved. 40
+    states that stay where they are.
+    """
     n, n_actions, rng = 40, 2000, np.random.default_rng(0)
     policy = rng.dirichlet(np.ones(n_actions), n)
     rewards = (

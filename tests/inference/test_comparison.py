@@ -67,7 +67,9 @@ def test_policies_that_do_the_same_share_the_probability(twins):
 
 
 def half_recorded(seed):
-    """A near-tie in the target of two policies whose log leaves half of the states out: problem, policies, difference."""
+    """A near-tie in the target of two policies whose log leaves half of the states out:
+    problem, policies, difference.
+    """
     generator = np.random.default_rng(seed)
     base = np.zeros((12, 2, 12))
     for row in base.reshape(24, 12):
@@ -124,7 +126,9 @@ def test_a_row_recorded_once_is_not_certain():
 
 
 def test_where_the_log_cannot_say_there_is_no_probability():
-    """One rule: unrecorded time hides P(best), as does an open question that P(best) would answer."""
+    """One rule: unrecorded time hides P(best), as does an open question that P(best)
+    would answer.
+    """
     case, policies, _ = half_recorded(0)
     found = compare_policies(case, policies)
     assert set(found.decide().probability_best.values()) == {None}

@@ -1,4 +1,6 @@
-"""Intervals: row problems against linear and conic programs, laws 33 to 44 of the theory notes, what is refused."""
+"""Intervals: row problems against linear and conic programs, laws 33 to 44 of the
+theory notes, what is refused.
+"""
 
 import itertools
 
@@ -49,7 +51,9 @@ def test_43_the_radii_hold_by_enumeration(n, k):
 
 
 def test_43_the_rows_share_the_probability_of_failure():
-    """The sum of the rows' tail bounds is 1 - confidence, over the rows that are open and reached."""
+    """The sum of the rows' tail bounds is 1 - confidence, over the rows that are open
+    and reached.
+    """
     simulator = oee.tasks.gridworld(4, 0.3, discount=0.9)
     log = oee.sample_transitions(simulator, np.full((16, 4), 1 / 64), 5000, seed=0)
     evidence = evidences.gather(
@@ -183,7 +187,9 @@ def test_39_two_states_by_brute_force():
 
 @given(rngs)
 def test_36_boxes(rng):
-    """nu = mu = 1 gives the simulator's value alone; a wider box a wider interval; the true box contains the truth."""
+    """nu = mu = 1 gives the simulator's value alone; a wider box a wider interval; the
+    true box contains the truth.
+    """
     simulator, target, problem, policy = case(rng, n=5)
     truth = oee.policy_value(target, policy)
     point = oee.interval(
@@ -229,7 +235,9 @@ def test_36_boxes(rng):
 def test_rows_never_recorded_are_counted_where_they_bear_on_the_value(
     horizon, discount, by_move, bearing
 ):
-    """A chain of four states that stay or go on, and an end; the log has the end alone. The first T rows pay by move."""
+    """A chain of four states that stay or go on, and an end; the log has the end alone.
+    The first T rows pay by move.
+    """
     rows = np.zeros((5, 1, 5))
     for s in range(4):
         rows[s, 0, [s, s + 1]] = 0.5
@@ -250,7 +258,9 @@ def test_rows_never_recorded_are_counted_where_they_bear_on_the_value(
 
 
 def test_38_unrecorded_rows_are_not_trusted():
-    """The log has no move of the only row that matters: the interval holds all that the box allows, delta none."""
+    """The log has no move of the only row that matters: the interval holds all that the
+    box allows, delta none.
+    """
     rows = np.array([[[0.5, 0.5], [0.5, 0.5]], [[0.0, 1.0], [0.0, 1.0]]])
     simulator = oee.FiniteMDP(rows, np.array([1.0, 0.0]), [1, 0], 0.9)
     log = oee.Transitions([0, 0, 0], [1, 1, 1], [0, 1, 0])
@@ -275,7 +285,9 @@ def test_38_unrecorded_rows_are_not_trusted():
 def test_rows_that_only_an_unrecorded_transition_reaches_are_set_to_their_extreme(
     horizon,
 ):
-    """20 moves from 0, all to 1; mass q = 1 - exp(-c / 20) may go to 2, whose unseen row leads to +10 or to -10."""
+    """20 moves from 0, all to 1; mass q = 1 - exp(-c / 20) may go to 2, whose unseen
+    row leads to +10 or to -10.
+    """
     rows = np.zeros((6, 1, 6))
     for s, to in ((0, (1, 2)), (1, (5,)), (2, (3, 4)), (3, (5,)), (4, (5,)), (5, (5,))):
         rows[s, 0, list(to)] = 1 / len(to)
@@ -310,7 +322,9 @@ def test_with_much_data_the_methods_agree():
 
 
 def test_bootstrap_by_episodes():
-    """A resample is the model of the drawn episodes, each as often as it was drawn; its law is that of episodes."""
+    """A resample is the model of the drawn episodes, each as often as it was drawn; its
+    law is that of episodes.
+    """
     simulator, target = (
         oee.tasks.gridworld(3, 0.3, discount=0.9),
         oee.tasks.gridworld(3, 0.1, discount=0.9),
@@ -380,7 +394,9 @@ def test_a_box_that_the_counts_contradict_is_refused_by_name():
 
 
 def test_two_steps_that_never_succeeded_are_both_raised():
-    """J = discount p q is flat at p = q = 0: the gradient sees nothing, the interval must. n (-log(1 - p)) = c / 2 each."""
+    """J = discount p q is flat at p = q = 0: the gradient sees nothing, the interval
+    must. n (-log(1 - p)) = c / 2 each.
+    """
     kernel = np.zeros((4, 1, 4))
     kernel[0, 0, [1, 3]] = kernel[1, 0, [2, 3]] = 0.5
     kernel[2, 0, 2] = kernel[3, 0, 3] = 1.0

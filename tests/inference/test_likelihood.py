@@ -1,4 +1,6 @@
-"""The ends of the likelihood interval against SLSQP, one another and what defines an end."""
+"""The ends of the likelihood interval against SLSQP, one another and what defines an
+end.
+"""
 
 import numpy as np
 import pytest
@@ -116,7 +118,9 @@ def best_of_slsqp(evidence, sign, n_starts, rng):
 @pytest.mark.filterwarnings("ignore:Values in x were outside bounds:RuntimeWarning")
 @pytest.mark.parametrize("seed", range(8))
 def test_no_end_is_short_of_slsqp(seed):
-    """Of 119 such problems with ten starts each 1 of 238 ends was, by 1.3% of the width; none of these."""
+    """Of 119 such problems with ten starts each 1 of 238 ends was, by 1.3% of the
+    width; none of these.
+    """
     rng = np.random.default_rng(seed)
     problem, policy = problem_of(
         rng, horizon=None if seed % 4 else 5, n=int(rng.choice([8, 20, 60]))
@@ -161,7 +165,9 @@ def sparse_problem(seed):
 
 @pytest.mark.parametrize("seed", [106, 152, 188, 219, 255])
 def test_drawn_directions_find_farther_ends(seed, monkeypatch):
-    """Of these problems the two that are not drawn miss an end by 1.5% of the width or more."""
+    """Of these problems the two that are not drawn miss an end by 1.5% of the width or
+    more.
+    """
     problem, policy = sparse_problem(seed)
     evidence = gather(problem, policy)
     low, high = (end.value for end in likelihood_ends(evidence, 0.95))
@@ -172,7 +178,9 @@ def test_drawn_directions_find_farther_ends(seed, monkeypatch):
 
 @pytest.mark.parametrize("seed", [8, 50, 73])
 def test_steps_that_overshoot_are_halved(seed):
-    """Of these problems an end without that is short by 9 to 19% of the width, and no stationary point."""
+    """Of these problems an end without that is short by 9 to 19% of the width, and no
+    stationary point.
+    """
     evidence = gather(*sparse_problem(seed))
     low, high = likelihood_ends(evidence, 0.95)
     assert max(low.promised, high.promised) <= 1e-5 * (high.value - low.value)
@@ -181,7 +189,9 @@ def test_steps_that_overshoot_are_halved(seed):
 
 @pytest.mark.parametrize("horizon", [None, 40])
 def test_large_problems_have_the_ends_of_small_ones(horizon, monkeypatch):
-    """One ascent at a time, V and d corrected from those near by, scouts and one that is continued."""
+    """One ascent at a time, V and d corrected from those near by, scouts and one that
+    is continued.
+    """
     simulator, target = (
         oee.tasks.gridworld(6, 0.2, discount=0.95),
         oee.tasks.gridworld(6, 0.1, discount=0.95),
@@ -212,7 +222,9 @@ def test_ends_are_in_the_rewards_unit(unit):
 
 
 def test_an_end_where_no_recorded_row_changes_the_value():
-    """At the worst, unrecorded rows keep the walk from its goal: V of recorded ones is constant but for rounding."""
+    """At the worst, unrecorded rows keep the walk from its goal: V of recorded ones is
+    constant but for rounding.
+    """
     places = np.arange(21)
     for seed in range(15):
         rng = np.random.default_rng(seed)

@@ -1,4 +1,6 @@
-"""The value range of Assumption V.1 against linear programs, closed forms and what is refused."""
+"""The value range of Assumption V.1 against linear programs, closed forms and what is
+refused.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +25,9 @@ def best_row(v, p, nu, mu):
 
 
 def brute_force(mdp, policy, nu, mu, sign, horizon=None):
-    """Value iteration with a linear program a row, ended by the value of its rows (without a horizon)."""
+    """Value iteration with a linear program a row, ended by the value of its rows
+    (without a horizon).
+    """
     P, r = dense(mdp)
     values = np.zeros(len(P))
     for _ in range(60 if horizon is None else horizon):
@@ -99,7 +103,9 @@ def test_value_range_is_monotone_and_ends_at_the_value(horizon):
 
 
 def test_value_range_is_cvar_in_closed_form():
-    """One step: nu E u + (1 - nu) CVaR_tau(u), tau = (1 - nu) / (mu - nu), of four equally likely rewards."""
+    """One step: nu E u + (1 - nu) CVaR_tau(u), tau = (1 - nu) / (mu - nu), of four
+    equally likely rewards.
+    """
     rewards = np.array([[[0.0, 1.0, 2.0, 10.0]]])
     P = np.full((1, 1, 4), 0.25)
     P = np.concatenate([P, np.eye(4)[None, 1:].transpose(1, 0, 2)]).reshape(4, 1, 4)
@@ -152,7 +158,9 @@ def test_value_range_at_discount_1_where_the_policy_ends():
 # ---- the likelihood interval of a model whose rows share parameters, under a tie or
 # features
 def log_zeta(simulator, phi, theta):
-    """(entries,) logarithms of rows proportional to P exp(phi theta), less those of P; in range for any theta."""
+    """(entries,) logarithms of rows proportional to P exp(phi theta), less those of P;
+    in range for any theta.
+    """
     starts, lengths = (
         simulator.transitions.indptr[:-1],
         np.diff(simulator.transitions.indptr),
@@ -199,7 +207,9 @@ def log_of(target, n, seed):
 @example(np.random.default_rng(20409))  # seventy linearisations
 @given(rngs)
 def test_the_ends_are_the_extremes_over_the_set(rng):
-    """By SLSQP from several starts, on the risk written out: -log-likelihood + |theta s|^2 / 2."""
+    """By SLSQP from several starts, on the risk written out: -log-likelihood + |theta
+    s|^2 / 2.
+    """
     simulator, target, policy, phi = pair(int(rng.integers(1 << 30)))
     log = log_of(target, int(rng.integers(30, 300)), int(rng.integers(1 << 30)))
     found = oee.interval(oee.Problem(simulator, log), policy, features=phi)

@@ -1,4 +1,6 @@
-"""What a simulator's own sampling adds to an interval: coverage, and each part by another way of computing it."""
+"""What a simulator's own sampling adds to an interval: coverage, and each part by
+another way of computing it.
+"""
 
 import numpy as np
 import pytest
@@ -117,7 +119,9 @@ def test_the_variance_is_that_of_starts_and_mean_rewards(horizon):
 
 
 def test_transitions_met_once_may_lead_anywhere():
-    """Row (0, 0): one of its 5 samples is of a move that no other made: a fifth of its moves was never met."""
+    """Row (0, 0): one of its 5 samples is of a move that no other made: a fifth of its
+    moves was never met.
+    """
     log = oee.Transitions([0, 0, 0, 0, 0, 1], [0] * 6, [0, 0, 0, 0, 1, 0], [0.0] * 6)
     simulator = oee.FiniteMDP.from_log(log, [0.0, 10.0], discount=0.5, initial=0)
     problem = oee.Problem(simulator, oee.Transitions([1], [0], [0]))
@@ -147,7 +151,9 @@ def test_transitions_met_once_may_lead_anywhere():
 
 
 def swayed(simulator, problem, horizon, sign, share):
-    """J where a share of each row's unmet moves goes, step by step, to where it is worth most (sign -1: least)."""
+    """J where a share of each row's unmet moves goes, step by step, to where it is
+    worth most (sign -1: least).
+    """
     evidence = gather(problem, PI)
     p, pays = (
         evidence.fitted.transitions.toarray(),

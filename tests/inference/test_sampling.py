@@ -1,4 +1,6 @@
-"""The interval from the recorded transitions alone: what it is, what it covers, and where people read it."""
+"""The interval from the recorded transitions alone: what it is, what it covers, and
+where people read it.
+"""
 
 import csv
 import json
@@ -24,7 +26,9 @@ def chain(recorded):
 
 
 def test_pairs_never_recorded_are_as_the_default_estimates_them():
-    """V(0) = .9 p + .81 (1 - p) q: the log bounds p, nothing bounds q but the simulator."""
+    """V(0) = .9 p + .81 (1 - p) q: the log bounds p, nothing bounds q but the
+    simulator.
+    """
     problem, policy = chain(0)
     found, estimate = (
         oee.interval(problem, policy, confidence=0.9),

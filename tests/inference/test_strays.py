@@ -1,4 +1,6 @@
-"""Dropped transitions: the band that they owe against the value's derivative, and what the other methods refuse."""
+"""Dropped transitions: the band that they owe against the value's derivative, and what
+the other methods refuse.
+"""
 
 import itertools
 
@@ -17,7 +19,9 @@ S, A, STRAYS, EACH = 4, 2, (0, 3), 3.0
 
 
 def world(seed, form, each=EACH):
-    """Two next states an action, counts of 15 transitions each, and in two pairs three to a state that is none of these."""
+    """Two next states an action, counts of 15 transitions each, and in two pairs three
+    to a state that is none of these.
+    """
     rng = np.random.default_rng(seed)
     P = np.zeros((S, A, S))
     for s, a in itertools.product(range(S), range(A)):
@@ -57,7 +61,9 @@ def value_of(P, r, policy, horizon):
 @pytest.mark.parametrize("form", ["r(s, a)", "r(s, a, s')"])
 @pytest.mark.parametrize("horizon", [None, 1])
 def test_the_band_is_first_order_over_all_places(form, horizon):
-    """d / de of the value whose pairs send a share e q to the place of most or least r + gamma V."""
+    """d / de of the value whose pairs send a share e q to the place of most or least r
+    + gamma V.
+    """
     for seed in range(6):
         P, r, counts, policy = world(seed, form)
         problem = problem_of(P, r, counts, horizon)
@@ -100,7 +106,9 @@ def test_the_band_is_first_order_over_all_places(form, horizon):
 
 @pytest.mark.parametrize("form", ["r(s, a)", "r(s, a, s')"])
 def test_the_band_of_a_horizon_has_the_extreme_of_every_step(form):
-    """d / de of values to go of which every step sends a share e q where its own r + gamma V is least or most."""
+    """d / de of values to go of which every step sends a share e q where its own r +
+    gamma V is least or most.
+    """
     P, r, counts, policy = world(3, form)
     problem = problem_of(P, r, counts, 4)
     evidence = gather(problem, policy)
@@ -214,7 +222,9 @@ def test_a_problem_drops_what_it_says():
     ],
 )
 def test_what_is_unseen_is_a_share(state, action, following, share):
-    """State 0 is never left, so that its time counts once a dropped transition shows that it can be."""
+    """State 0 is never left, so that its time counts once a dropped transition shows
+    that it can be.
+    """
     rows = [[[1.0, 0, 0]], [[0, 0.5, 0.5]], [[0, 0, 1.0]]]
     simulator = oee.FiniteMDP(rows, [0, 1.0, 2.0], [1.0, 0, 0], 0.9)
     problem = oee.Problem(

@@ -1,4 +1,6 @@
-"""Files as the package writes them, for tests of files that a person, or a disk, has changed."""
+"""Files as the package writes them, for tests of files that a person, or a disk, has
+changed.
+"""
 
 from oee_tabular._files import (
     DIGEST,

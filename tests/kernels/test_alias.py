@@ -1,4 +1,6 @@
-"""Alias tables, counted in whole numbers: what each outcome has in the table is its probability; and Philox's answers."""
+"""Alias tables, counted in whole numbers: what each outcome has in the table is its
+probability; and Philox's answers.
+"""
 
 from fractions import Fraction
 
@@ -36,7 +38,9 @@ def test_philox_gives_its_published_answers(counter, key, answer):
 
 
 def table_shares(mdp, policy):
-    """Of each state, and of the first state's draw: {entry: share of the words of 62 bits}, by going through its slots."""
+    """Of each state, and of the first state's draw: {entry: share of the words of 62
+    bits}, by going through its slots.
+    """
     table = alias_table(mdp, policy, mdp.initial, mdp.absorbing(), np.zeros(0))
     shares = []
     for code in table.code:
@@ -60,7 +64,9 @@ def table_shares(mdp, policy):
 
 
 def check_table(mdp, policy):
-    """Each (a, s') has the chance policy(a | s) P(s' | s, a) to some roundings, 0 where that is 0; the first state likewise."""
+    """Each (a, s') has the chance policy(a | s) P(s' | s, a) to some roundings, 0 where
+    that is 0; the first state likewise.
+    """
     indptr, data = mdp.transitions.indptr, mdp.transitions.data
     *states, start = table_shares(mdp, policy)
     for state, shares in enumerate(states):

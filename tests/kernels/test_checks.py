@@ -82,7 +82,9 @@ def test_no_more_jobs_than_cells_but_one_cell_has_a_process_of_its_own(
 
 
 def test_workers_are_not_interrupted_themselves():
-    """Ctrl-C reaches every process of a terminal; those that still import would each print a traceback."""
+    """Ctrl-C reaches every process of a terminal; those that still import would each
+    print a traceback.
+    """
     script = (
         "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK,"
         " []))"

@@ -1,4 +1,6 @@
-"""The worst row in a ball of Kullback and Leibler, in a box or not, against its own statement and a conic program."""
+"""The worst row in a ball of Kullback and Leibler, in a box or not, against its own
+statement and a conic program.
+"""
 
 import warnings
 

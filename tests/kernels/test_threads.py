@@ -16,7 +16,9 @@ from oee_tabular._parallel import dot, one_thread
 
 
 def test_one_thread_inside_and_as_many_as_before_afterwards():
-    """Also after an error, when calls are within calls, and when Python threads leave in the order in which they came."""
+    """Also after an error, when calls are within calls, and when Python threads leave
+    in the order in which they came.
+    """
     assert oee.transition_ratio.__name__ == "transition_ratio"
     with threadpool_limits(2, user_api="blas"):
         before = blas_threads()
@@ -81,7 +83,9 @@ with threadpool_limits(2, user_api="blas"):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_a_forked_process_is_not_held_by_threads_that_it_has_not():
-    """Forked while another thread is inside: the child gets its threads back, and can go inside itself."""
+    """Forked while another thread is inside: the child gets its threads back, and can
+    go inside itself.
+    """
     subprocess.run(
         [sys.executable, "-W", "ignore::DeprecationWarning", "-c", FORKS],
         check=True,

@@ -1,6 +1,8 @@
-"""Estimators of others: the padding by hand, names that have one solution in a table, other libraries' numbers.
+"""Estimators of others: the padding by hand, names that have one solution in a table,
+other libraries' numbers.
 
-The libraries pull in torch: without them stubs stand in, which compute what they are given.
+The libraries pull in torch: without them stubs stand in, which compute what they are
+given.
 """
 
 import sys
@@ -140,7 +142,9 @@ def test_without_the_libraries_the_extra_is_named(monkeypatch):
 
 @pytest.mark.parametrize("name", ["machine", "queue25"])
 def test_names_from_the_literature_solve_the_published_equations(name):
-    """On a log of all pairs: E[(r + gamma q(s', pi) - q(s, a)) f] = 0 and E[w (f(s, a) - gamma f(s', pi))] = f(s_0, pi)."""
+    """On a log of all pairs: E[(r + gamma q(s', pi) - q(s, a)) f] = 0 and E[w (f(s, a)
+    - gamma f(s', pi))] = f(s_0, pi).
+    """
     family = oee.bench.families()[name]
     simulator, policy = family.simulator, family.policy
     log = oee.sample_transitions(

@@ -1,4 +1,6 @@
-"""Runs: the same bits every time and in every mode, resuming, failures as rows, a user's own estimators and families."""
+"""Runs: the same bits every time and in every mode, resuming, failures as rows, a
+user's own estimators and families.
+"""
 
 import json
 import re

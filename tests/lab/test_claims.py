@@ -1,4 +1,6 @@
-"""The pages' numbers: as the saved results have them, to the digit, which hold today's smoke cells (test_experiments)."""
+"""The pages' numbers: as the saved results have them, to the digit, which hold today's
+smoke cells (test_experiments).
+"""
 
 from pathlib import Path
 
@@ -27,7 +29,9 @@ def span(values, form):
 
 
 def of_the_networks(table):
-    """(grid, n) -> the default's mean error over the paper's, and the standard error of that."""
+    """(grid, n) -> the default's mean error over the paper's, and the standard error of
+    that.
+    """
     default = table[
         (table.data == "uniform") & table.estimator.str.startswith("default")
     ]
@@ -76,7 +80,9 @@ def test_our_networks_reach_the_published_curve():
 
 
 def test_the_parts_of_the_networks_error():
-    """Each part is nonnegative within its standard error, and that of sampling falls with n."""
+    """Each part is nonnegative within its standard error, and that of sampling falls
+    with n.
+    """
     parts = saved("networks").dropna(subset="sampling").groupby(["simulator", "n"])
     for name in ("approximation", "sampling", "optimisation"):
         assert (parts[name].mean() >= -parts[name].sem() - 1e-15).all()
@@ -116,7 +122,9 @@ def test_figure_1bcd_exact_evaluation_removes_nearly_all_of_the_simulator_s_erro
 
 
 def fitted_slopes(table, value="squared_error", start=30_000):
-    """Least-squares slope of log10 RMSE on log10 n, for each data policy, policy and ratio, from ``start`` on."""
+    """Least-squares slope of log10 RMSE on log10 n, for each data policy, policy and
+    ratio, from ``start`` on.
+    """
     keys = ["data", "delta", "ratio"]
     points = (
         table[table.n >= start]

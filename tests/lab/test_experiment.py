@@ -1,4 +1,6 @@
-"""Experiments as data: cells, streams, the paper's numbers; tables and pages of results; what a panel takes from a table."""
+"""Experiments as data: cells, streams, the paper's numbers; tables and pages of
+results; what a panel takes from a table.
+"""
 
 from dataclasses import replace
 
@@ -186,7 +188,9 @@ def test_one_legend_for_all_panels(names, is_shared):
 
 @pytest.fixture
 def table():
-    """Two cases, two curves, three n, two seeds; ``error`` = 8 / n times 1 and 3, ``spread`` the same for both curves."""
+    """Two cases, two curves, three n, two seeds; ``error`` = 8 / n times 1 and 3,
+    ``spread`` the same for both curves.
+    """
     return pd.DataFrame(
         [
             {

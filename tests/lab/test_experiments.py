@@ -1,4 +1,6 @@
-"""Every experiment: its smoke cells, saved table, page, figure and finding; ``oee reproduce`` as a person calls it."""
+"""Every experiment: its smoke cells, saved table, page, figure and finding; ``oee
+reproduce`` as a person calls it.
+"""
 
 import html
 import json
@@ -36,7 +38,9 @@ EACH = pytest.mark.parametrize(
 
 @pytest.mark.parametrize("name", IDS)
 def test_a_smoke_cell(name):
-    """The saved table has it, it is summarised and drawn; its random numbers are those of the cell and the seed."""
+    """The saved table has it, it is summarised and drawn; its random numbers are those
+    of the cell and the seed.
+    """
     experiment = EXPERIMENTS[name]
     for module in experiment.requires:
         pytest.importorskip(module)
@@ -109,7 +113,9 @@ def test_the_saved_results_are_of_the_full_sweep_and_say_what_the_table_shows(
 
 @EACH
 def test_a_finding_changes_with_the_numbers(experiment):
-    """No number of it is written in the code: a table whose every measure is another gives another sentence."""
+    """No number of it is written in the code: a table whose every measure is another
+    gives another sentence.
+    """
     table = saved(experiment.id)
     numbers = set(table.select_dtypes("number")) - {
         *experiment.keys,

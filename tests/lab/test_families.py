@@ -1,4 +1,6 @@
-"""The families: valid, made when looked up, redrawn by the seed, with a truth and a data distribution that are exact."""
+"""The families: valid, made when looked up, redrawn by the seed, with a truth and a
+data distribution that are exact.
+"""
 
 import re
 from importlib import import_module

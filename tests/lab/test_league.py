@@ -1,4 +1,6 @@
-"""The league's numbers, by hand on small tables, and by another route; its page, files and pictures."""
+"""The league's numbers, by hand on small tables, and by another route; its page, files
+and pictures.
+"""
 
 import math
 
@@ -23,7 +25,9 @@ FACTS = {
 
 
 def rows(family, size, errors, *, half=None, **facts):
-    """Rows of one cell: estimator -> errors of its seeds; ``half``: estimator -> half an interval's width."""
+    """Rows of one cell: estimator -> errors of its seeds; ``half``: estimator -> half
+    an interval's width.
+    """
     made = []
     for name, values in errors.items():
         for seed, error in enumerate(values):
@@ -248,7 +252,9 @@ def test_the_pictures_show_every_cell():
 
 
 def test_the_floor_against_the_least_favourable_prior():
-    """Mirror ascent on the prior; its Bayes rule bounds the least worst ratio from below, its worst ratio from above."""
+    """Mirror ascent on the prior; its Bayes rule bounds the least worst ratio from
+    below, its worst ratio from above.
+    """
     errors = np.union1d(np.arange(0.0, 10.01, 0.1), ERRORS)
     scale = np.maximum(np.minimum(errors, 1.0), 0.5)
     x = np.linspace(-18.0, 18.0, 1501)

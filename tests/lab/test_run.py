@@ -153,7 +153,9 @@ def start_command(output, *more):
 
 
 def test_a_killed_process_is_resumed(tmp_path):
-    """``kill -9`` on a real command half way; the second run computes only what is missing."""
+    """``kill -9`` on a real command half way; the second run computes only what is
+    missing.
+    """
     process, command = start_command(tmp_path, "--jobs", "1")
     cells = tmp_path / "smoke" / "lambda_n" / "cells.jsonl"
     deadline = time.time() + 60

@@ -1,4 +1,6 @@
-"""A results folder: other settings, other code, damaged and malicious ones, links, two commands at a time."""
+"""A results folder: other settings, other code, damaged and malicious ones, links, two
+commands at a time.
+"""
 
 import hashlib
 import json

@@ -128,7 +128,9 @@ def test_what_is_made_of_the_same_states_keeps_names_and_layout(form, tmp_path):
 
 
 def make_unentered(form=2):
-    """State 2 comes last and leads to the others; an entry of 0 is stored; twins: of states 0 and 1."""
+    """State 2 comes last and leads to the others; an entry of 0 is stored; twins: of
+    states 0 and 1.
+    """
     matrix = sparse.csr_array(
         (
             np.array([0.5, 0.5, 1.0, 0.0, 0.25, 0.75]),
@@ -250,7 +252,9 @@ def test_a_dense_reward_is_defined_off_the_support_and_a_nan_is_not():
 
 @given(rngs)
 def test_action_noise_is_the_policy_mixed_with_uniform(rng):
-    """V under (P_eps, pi) is V under (P, (1 - eps) pi + eps uniform): dynamics and rewards both."""
+    """V under (P_eps, pi) is V under (P, (1 - eps) pi + eps uniform): dynamics and
+    rewards both.
+    """
     mdp = random_mdp(rng)
     policy = random_policy(rng, mdp)
     epsilon = float(rng.choice([0.0, 0.25, 1.0]))

@@ -1,4 +1,6 @@
-"""MDPs of Gymnasium's tables: the table's own values, where termination leads, names and maps, and what is refused."""
+"""MDPs of Gymnasium's tables: the table's own values, where termination leads, names
+and maps, and what is refused.
+"""
 
 from types import SimpleNamespace
 
@@ -24,7 +26,9 @@ ENVIRONMENTS = [
 
 @pytest.mark.parametrize(("name", "kwargs"), ENVIRONMENTS)
 def test_values_and_terminations_are_those_of_the_table_itself(name, kwargs):
-    """By value iteration on the table (nothing after termination), without any of our conversion."""
+    """By value iteration on the table (nothing after termination), without any of our
+    conversion.
+    """
     env = gymnasium.make(name, **kwargs)
     table, mdp = env.unwrapped.P, FiniteMDP.from_gymnasium(env, discount=0.9)
     policy = np.random.default_rng(0).dirichlet(np.ones(mdp.n_actions), size=len(table))
@@ -89,7 +93,9 @@ def test_goal_and_holes_of_frozen_lake_stay_apart():
 
 
 def test_a_state_entered_alive_as_well_gets_a_twin(tmp_path):
-    """Taxi: from its unreachable states the destination is entered without termination, so dropping off needs twins."""
+    """Taxi: from its unreachable states the destination is entered without termination,
+    so dropping off needs twins.
+    """
     mdp = oee.tasks.toy_text("Taxi-v4")
     # its map is not its states
     assert (mdp.layout, mdp.state_names, mdp.action_names) == (None, None, None)
@@ -112,7 +118,9 @@ def test_a_state_entered_alive_as_well_gets_a_twin(tmp_path):
 
 
 class Ledge(gymnasium.Env):
-    """Four states; 3 is entered alive from 1 and by termination from 2, and so has a twin; 0 ends with probability 0."""
+    """Four states; 3 is entered alive from 1 and by termination from 2, and so has a
+    twin; 0 ends with probability 0.
+    """
 
     observation_space, action_space = (
         gymnasium.spaces.Discrete(4),
@@ -213,7 +221,9 @@ def test_refusals(make, text):
 
 
 def test_a_toy_text_table_with_duplicates_and_ends_by_path():
-    """Outcomes of one (s, a, s') are added up, their rewards averaged by probability; what was ended pays no more."""
+    """Outcomes of one (s, a, s') are added up, their rewards averaged by probability;
+    what was ended pays no more.
+    """
     table = {
         0: {
             0: [(0.3, 1, 1.0, False), (0.2, 1, 5.0, False), (0.5, 2, -1.0, True)],

@@ -1,4 +1,6 @@
-"""Names of states and actions: checked, kept by whatever makes an MDP of the same states, found again, and spoken."""
+"""Names of states and actions: checked, kept by whatever makes an MDP of the same
+states, found again, and spoken.
+"""
 
 import pickle
 from dataclasses import replace
@@ -94,7 +96,9 @@ def test_a_number_or_a_name():
 
 
 def test_a_name_is_found_without_looking_through_all():
-    """A lookup is made once for an MDP's names, not once a state: a policy by name of 20 000 states takes no minutes."""
+    """A lookup is made once for an MDP's names, not once a state: a policy by name of
+    20 000 states takes no minutes.
+    """
     names = tuple(f"s{k}" for k in range(20_000))
     assert [
         numbers_of(((0, 1), "(0,1)", (1, 0)))[text]
@@ -250,7 +254,9 @@ def test_displacements_against_entry_by_entry(rng):
 
 
 def test_masses_that_differ_by_rounding_alone_are_equal():
-    """One step ahead has .1 + .2, more than .3 in its last digit; one step back has .3 and comes first, as the smaller."""
+    """One step ahead has .1 + .2, more than .3 in its last digit; one step back has .3
+    and comes first, as the smaller.
+    """
     mdp = FiniteMDP(
         [[[0.9, 0.1, 0]], [[0, 0.8, 0.2]], [[0, 0.3, 0.7]]], np.zeros(3), [1, 0, 0], 0.9
     )

@@ -1,4 +1,6 @@
-"""The forms of a policy: an action a state, by number or name; a mapping; a function; several of them."""
+"""The forms of a policy: an action a state, by number or name; a mapping; a function;
+several of them.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""MDPs from samples: a log's frequencies, an environment that is stepped, and support for a log's transitions."""
+"""MDPs from samples: a log's frequencies, an environment that is stepped, and support
+for a log's transitions.
+"""
 
 import gymnasium
 import numpy as np
@@ -148,7 +150,9 @@ def test_sizes_names_and_starts():
 
 
 class Corridor(gymnasium.Env):
-    """Places 0 to 3; forwards succeeds in 3 of 4, and 3 is over; observed as texts, pairs or numbers."""
+    """Places 0 to 3; forwards succeeds in 3 of 4, and 3 is over; observed as texts,
+    pairs or numbers.
+    """
 
     action_space = spaces.Discrete(2)
 
@@ -202,7 +206,9 @@ WORLDS = {
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_world_is_sampled_within_five_steps_a_sample(name):
-    """2.5 to 2.9 steps for each of 30 samples of some 200 pairs; in as many steps a random walk leaves 60 pairs short."""
+    """2.5 to 2.9 steps for each of 30 samples of some 200 pairs; in as many steps a
+    random walk leaves 60 pairs short.
+    """
     pairs = FiniteMDP.from_env(
         gymnasium.make(name, **WORLDS[name]), samples_per_pair=30, seed=0
     ).sampling.pairs
@@ -239,7 +245,9 @@ class Table(gymnasium.Env):
 
 
 def test_a_trap_is_left_by_a_reset():
-    """State 1 has no way out but the limit of a million steps, and the way to 2 begins in 0."""
+    """State 1 has no way out but the limit of a million steps, and the way to 2 begins
+    in 0.
+    """
     env = Table([[1, 2], [1, 1], [0, -3]], limit=10**6)
     mdp = FiniteMDP.from_env(env, samples_per_pair=20, seed=0, max_steps=500)
     assert mdp.sampling.pairs[:6].min() == 20
@@ -254,7 +262,9 @@ def test_environments_that_end_at_once():
 
 
 def test_states_beyond_every_episode_do_not_hold_it():
-    """A line of nine states whose episodes are cut after four steps: in the fifth state nothing can be done."""
+    """A line of nine states whose episodes are cut after four steps: in the fifth state
+    nothing can be done.
+    """
     env = Table([[max(s - 1, 0), min(s + 1, 8)] for s in range(9)], limit=4)
     with pytest.warns(
         UserWarning,

@@ -1,4 +1,5 @@
-"""The exercises of the notebooks: right answers are accepted, wrong ones rejected with their hint, none is no error.
+"""The exercises of the notebooks: right answers are accepted, wrong ones rejected with
+their hint, none is no error.
 
 The right answers are computed here by the package, not copied from the checks.
 """

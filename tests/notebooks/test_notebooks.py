@@ -1,4 +1,6 @@
-"""Notebooks are stored with their outputs: what they say when they run alone in an empty folder; nothing of the machine."""
+"""Notebooks are stored with their outputs: what they say when they run alone in an
+empty folder; nothing of the machine.
+"""
 
 import base64
 import importlib
@@ -50,7 +52,9 @@ def run():
 
 
 def test_the_stored_outputs_are_those_of_running_it_alone(path, stored, tmp_path, run):
-    """To be stored again where it is meant to say something else: ``python tests/saved_notebook.py``."""
+    """To be stored again where it is meant to say something else: ``python
+    tests/saved_notebook.py``.
+    """
     found = run(path, tmp_path)
     assert list(tmp_path.iterdir()) == []
     for ours, kept in zip(texts(found), texts(stored), strict=True):
@@ -100,7 +104,9 @@ def test_it_opens_with_what_one_will_be_able_to_do_and_how_long_it_takes(stored)
 
 
 def test_it_uses_public_names(stored):
-    """Modules that have ``__all__``, and names in it: what is written down in test_public_names.py."""
+    """Modules that have ``__all__``, and names in it: what is written down in
+    test_public_names.py.
+    """
     code = "\n".join(cell.source for cell in cells(stored, "code"))
     for module, names in re.findall(
         r"^from (oee_tabular[\w.]*) import (\([^)]*\)|.+)$", code, re.MULTILINE

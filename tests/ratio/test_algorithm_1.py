@@ -1,6 +1,8 @@
-"""Algorithm 1 from end to end: both tables, their quotient, and how far from the optimum of eq. 3.7 its trace says it is.
+"""Algorithm 1 from end to end: both tables, their quotient, and how far from the
+optimum of eq. 3.7 its trace says it is.
 
-The risk is p / mu^2 strongly convex in each cell, so sum p (g - g*)^2 <= 2 mu^2 (risk(g) - risk(g*)).
+The risk is p / mu^2 strongly convex in each cell, so sum p (g - g*)^2 <= 2 mu^2
+(risk(g) - risk(g*)).
 """
 
 import numpy as np
@@ -17,7 +19,9 @@ START_EXCESS = 0.05  # nats: what g = 1 lacks at least
 
 
 def draw_logs():
-    """3 states, 2 actions, every move possible; 3000 moves of the target and of the simulator, uniform (s, a)."""
+    """3 states, 2 actions, every move possible; 3000 moves of the target and of the
+    simulator, uniform (s, a).
+    """
     rng = np.random.default_rng(0)
     simulator, target = (
         oee.FiniteMDP(

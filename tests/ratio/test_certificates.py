@@ -1,6 +1,8 @@
-"""Every certificate is that of the program as stated: it holds, it is tight, and it rejects its own solver's errors.
+"""Every certificate is that of the program as stated: it holds, it is tight, and it
+rejects its own solver's errors.
 
-The independent minimisation here knows the statement alone: bisections on the slope of each entry, and on the multiplier.
+The independent minimisation here knows the statement alone: bisections on the slope of
+each entry, and on the multiplier.
 """
 
 import importlib
@@ -20,7 +22,9 @@ LOG = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 800, seed=0)
 
 
 def statement(rng):
-    """p, q with zeros on either side and on both, and options for ``density_ratio``; bounded from below."""
+    """p, q with zeros on either side and on both, and options for ``density_ratio``;
+    bounded from below.
+    """
     n = int(rng.integers(2, 7))
     p, q = (rng.integers(0, 4, n) * (rng.random(n) < 0.7) + 0.0 for _ in range(2))
     p[rng.integers(n)] += 1
@@ -39,7 +43,9 @@ def statement(rng):
 
 
 def optimum(p, q, options):
-    """The program's least value by strong duality, max_eta min_g: nested bisections, nothing of the package's."""
+    """The program's least value by strong duality, max_eta min_g: nested bisections,
+    nothing of the package's.
+    """
     known = (p > 0) | (q > 0)
     p, q = (p / p.sum())[known], (q / q.sum())[known]
     ridge, toward, squares = (

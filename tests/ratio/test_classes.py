@@ -12,7 +12,9 @@ from oee_tabular.ratio.features import kernel_features
 
 
 def small(seed=4, moves=150):
-    """Five states, two actions, rows of three next states; counts on the stored entries."""
+    """Five states, two actions, rows of three next states; counts on the stored
+    entries.
+    """
     rng = np.random.default_rng(seed)
     P = np.zeros((5, 2, 5))
     for s in range(5):
@@ -81,7 +83,9 @@ def test_the_linear_class_by_its_own_risk(box, ridge):
 
 
 def test_the_kernel_class_is_a_gaussian_process_around_the_simulator():
-    """With the whole Gram matrix K of the moves, less row means: zeta = 1 + K alpha, penalty alpha' K alpha."""
+    """With the whole Gram matrix K of the moves, less row means: zeta = 1 + K alpha,
+    penalty alpha' K alpha.
+    """
     simulator, P, n, log = small(moves=3000)
     places = np.random.default_rng(1).normal(size=(5, 2))
     fit = oee.transition_ratio(
@@ -129,7 +133,9 @@ def test_the_kernel_class_is_a_gaussian_process_around_the_simulator():
 
 
 def test_tied_entries_by_their_own_sums():
-    """Two groups of keys: those of action 0 and those of action 1; g = N / M up to the group's constant, then the rows."""
+    """Two groups of keys: those of action 0 and those of action 1; g = N / M up to the
+    group's constant, then the rows.
+    """
     simulator, P, n, log = small()
     key = (
         np.arange(5)[None, None, :] % 3
@@ -153,7 +159,9 @@ def test_tied_entries_by_their_own_sums():
 
 
 def test_displacements_of_a_walk():
-    """Steps of -1, 0 and 1 on a line: of each action the commonest is the reference, the others have columns."""
+    """Steps of -1, 0 and 1 on a line: of each action the commonest is the reference,
+    the others have columns.
+    """
     rows = np.zeros((3, 2, 3))
     rows[0], rows[1, 0], rows[2] = (
         [[0.2, 0.8, 0], [0.9, 0.1, 0]],
@@ -199,7 +207,9 @@ def fit_tied(log_or_counts, simulator, tie, **options):
 
 
 def ring(p, n=12, n_actions=2):
-    """Steps of 0, 1 or 2 around a ring with probabilities p[a]: the displacement does not depend on the state."""
+    """Steps of 0, 1 or 2 around a ring with probabilities p[a]: the displacement does
+    not depend on the state.
+    """
     dense = np.zeros((n, n_actions, n))
     for s in range(n):
         for a in range(n_actions):

@@ -1,4 +1,6 @@
-"""The conditional ratio: its prior row, its strength and what it means, its ridge; fits block by block."""
+"""The conditional ratio: its prior row, its strength and what it means, its ridge; fits
+block by block.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ from oee_tabular.ratio.prior.strength import StrengthChoice, meaning
 
 
 def test_the_tilt_s_prior_row_and_strength():
-    """(n + kappa m) / (n_sa + kappa) over P, m the tilt's row; the tilt's row alone where the log has none."""
+    """(n + kappa m) / (n_sa + kappa) over P, m the tilt's row; the tilt's row alone
+    where the log has none.
+    """
     found = fit(prior="tilt", strength=5.0)
     P = SIMULATOR.transitions.toarray()
     base = P ** (1 + found.details["theta"][0])
@@ -39,7 +43,9 @@ def test_the_tilt_s_prior_row_and_strength():
 
 @pytest.mark.parametrize("criterion", ["evidence", "loo"])
 def test_a_chosen_ridge_is_kappa_over_the_count_of_each_row(criterion):
-    """Also in a row of one move; and the criterion that was asked for is the one that is used."""
+    """Also in a row of one move; and the criterion that was asked for is the one that
+    is used.
+    """
     counts = COUNTS.copy()
     counts[4] = [1.0, 0.0, 0.0]
     chosen = fit(counts, prior="none", ridge=criterion)
@@ -72,7 +78,9 @@ def of_rows(rows, counts, **options):
 
 @pytest.mark.parametrize("criterion", ["evidence", "loo"])
 def test_the_chosen_strength_is_the_best_of_a_fine_grid(criterion):
-    """The rows' probability under Dirichlet(kappa m), or each transition's under those of the others."""
+    """The rows' probability under Dirichlet(kappa m), or each transition's under those
+    of the others.
+    """
     rng, prior, rows = np.random.default_rng(0), np.array([0.5, 0.3, 0.2]), 40
     observed = np.array(
         [rng.multinomial(60, rng.dirichlet(20.0 * prior)) for _ in range(rows)]
@@ -102,7 +110,9 @@ def test_the_chosen_strength_is_the_best_of_a_fine_grid(criterion):
 
 
 def test_kinds_of_rows_share_a_strength():
-    """The same probabilities in any order are one kind; kinds with few rows or few transitions are pooled."""
+    """The same probabilities in any order are one kind; kinds with few rows or few
+    transitions are pooled.
+    """
     rows = (
         [[0.5, 0.3, 0.2]] * 3
         + [[0.2, 0.5, 0.3]] * 3
@@ -125,7 +135,9 @@ def test_kinds_of_rows_share_a_strength():
 
 
 def test_what_the_strength_means():
-    """From 50 transitions a row on the prior fits roughly, from 300 on it fits; that of kinds, and too few to decide."""
+    """From 50 transitions a row on the prior fits roughly, from 300 on it fits; that of
+    kinds, and too few to decide.
+    """
     n_row, flat, curve = (
         np.array([0.0, 10.0, 20.0, 30.0]),
         np.zeros(3),
@@ -249,7 +261,9 @@ def grids(size=5):
 
 
 def standardised(phi, simulator, observed):
-    """phi centred in each row, its root mean square over the rows with counts 1; the scale."""
+    """phi centred in each row, its root mean square over the rows with counts 1; the
+    scale.
+    """
     indptr, weights = simulator.transitions.indptr, simulator.transitions.data
     centred = phi - spread(sums(weights[:, None] * phi, indptr), indptr)
     seen = sums(observed, indptr) > 0
@@ -261,7 +275,9 @@ def standardised(phi, simulator, observed):
 
 @given(rngs, st.integers(1, 3))
 def test_the_tilt_minimises_its_risk(rng, d):
-    """Against scipy's BFGS on the risk written out anew, with standardised features and unit penalty."""
+    """Against scipy's BFGS on the risk written out anew, with standardised features and
+    unit penalty.
+    """
     simulator = random_mdp(rng, n_states=5, n_actions=2, zeros=0.0)
     observed = observed_from(rng, simulator, int(rng.integers(1, 80)))
     phi = rng.normal(size=(simulator.transitions.nnz, d))

@@ -1,4 +1,6 @@
-"""The default fit by own formulas: the tilt, its strengths, kappa, the rows, the moved value and its error."""
+"""The default fit by own formulas: the tilt, its strengths, kappa, the rows, the moved
+value and its error.
+"""
 
 import numpy as np
 import pytest
@@ -63,7 +65,9 @@ CASES = [grid_case(70), grid_case(900), random_case(120), moved_case()]
 
 
 def dirichlet(counts, model, kappa):
-    """ln of the Dirichlet-multinomial probability of one row's sequence of moves, Dirichlet(kappa model)."""
+    """ln of the Dirichlet-multinomial probability of one row's sequence of moves,
+    Dirichlet(kappa model).
+    """
     on = model > 0
     n, b = counts[on], kappa * model[on]
     return (
@@ -72,7 +76,9 @@ def dirichlet(counts, model, kappa):
 
 
 def kinds_of(simulator_rows, counts):
-    """A label a row: rows with the same probabilities in any order; 0 where fewer than 5 were visited, or 100 moves made."""
+    """A label a row: rows with the same probabilities in any order; 0 where fewer than
+    5 were visited, or 100 moves made.
+    """
     label = [tuple(np.sort(np.round(row[row > 0], 6))) for row in simulator_rows]
     found = np.zeros(len(label), dtype=int)
     for number, key in enumerate(sorted(set(label)), start=1):
@@ -83,7 +89,9 @@ def kinds_of(simulator_rows, counts):
 
 
 def strengths(counts, model, kind):
-    """kappa of each row, the best in [1, 1e8] for its kind, and the sum of the kinds' evidence."""
+    """kappa of each row, the best in [1, 1e8] for its kind, and the sum of the kinds'
+    evidence.
+    """
     kappa, score = np.empty(len(counts)), 0.0
     for k in np.unique(kind):
         mine = np.flatnonzero((kind == k) & (counts.sum(axis=1) > 0))
@@ -106,7 +114,9 @@ def strengths(counts, model, kind):
 
 
 class Own:
-    """The default's prior by dense formulas: every direction as a column of its own, scipy's minimiser, MacKay's rule."""
+    """The default's prior by dense formulas: every direction as a column of its own,
+    scipy's minimiser, MacKay's rule.
+    """
 
     def __init__(self, simulator, policy, log):
         self.mdp, self.policy = Dense(simulator), policy
@@ -148,7 +158,9 @@ class Own:
         return found + [("steps", indicators[k] * 1.0) for k in most]
 
     def features(self):
-        """(k, rows, S) centred, of root mean square 1 over the visited rows, and the group of each."""
+        """(k, rows, S) centred, of root mean square 1 over the visited rows, and the
+        group of each.
+        """
         found, groups = [], []
         for part in range(1 + self.shape[1] if self.shape[1] > 1 else 1):
             for group, column in self.columns():
@@ -235,7 +247,9 @@ class Own:
         return model, dict(zip(names, level, strict=True))
 
     def coarse_kappa(self, model):
-        """The best of two values a decade for each kind, the largest of several that are as good."""
+        """The best of two values a decade for each kind, the largest of several that
+        are as good.
+        """
         kappa = np.empty(len(model))
         for kind in np.unique(self.kind):
             mine = np.flatnonzero(self.kind == kind)
@@ -251,7 +265,9 @@ class Own:
 
 @pytest.mark.parametrize("case", range(4))
 def test_the_prior_by_dense_formulas(case):
-    """Strengths to the tolerance of the rounds, rows of the tilt, kappa around them, and the posterior mean."""
+    """Strengths to the tolerance of the rounds, rows of the tilt, kappa around them,
+    and the posterior mean.
+    """
     simulator, policy, log = CASES[case]
     zeta = oee.transition_ratio(log, simulator, values_of=policy)
     own = Own(simulator, policy, log)

@@ -9,7 +9,9 @@ from oee_tabular.ratio import statements
 
 
 def test_with_a_box_the_two_ratios_agree_to_1e_6():
-    """The paper's grid, 1572 triples, counts of 10 000 moves against exact occupancies, box [0.1, 4], ridges."""
+    """The paper's grid, 1572 triples, counts of 10 000 moves against exact occupancies,
+    box [0.1, 4], ridges.
+    """
     simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
     uniform = oee.uniform_policy(simulator)
     shares = oee.occupancy(
@@ -69,7 +71,9 @@ def test_closed_forms(rng):
 
 
 def test_zeros():
-    """p = q = 0 is undetermined and gets 1; q = 0 < p sits at the upper bound; p = 0 < q at the lower."""
+    """p = q = 0 is undetermined and gets 1; q = 0 < p sits at the upper bound; p = 0 <
+    q at the lower.
+    """
     fit = oee.density_ratio([0, 2, 0, 2], [0, 0, 1, 1], lower=0.1, upper=4.0)
     assert fit.n_undetermined == 1
     assert_allclose(fit.ratio, [1.0, 4.0, 0.1, 1.9], rtol=1e-12)
@@ -78,7 +82,9 @@ def test_zeros():
 
 
 def test_a_jump_is_filled_in():
-    """Both observed cells hit the upper bound with sum q g = 0.4 < 1: the unobserved cell makes up the rest."""
+    """Both observed cells hit the upper bound with sum q g = 0.4 < 1: the unobserved
+    cell makes up the rest.
+    """
     fit = oee.density_ratio([1, 1, 0], [0.1, 0.1, 0.8], upper=2.0)
     assert_allclose(fit.ratio, [2.0, 2.0, 0.75], rtol=1e-12)
     assert_allclose(fit.normalizer, -1.0)
@@ -108,7 +114,9 @@ def test_a_box_that_leaves_one_point(bounds):
 # 20 000: the largest gap is 3e-16 of 19 792 problems
 @pytest.mark.parametrize("n", [1500])
 def test_hard_scales_are_solved(n):
-    """Scales 1e-6 to 1e6, zeros, boxes 1e-4 to 1e4, ridges 1e-8 to 1e4: certified whenever both sides have counts."""
+    """Scales 1e-6 to 1e6, zeros, boxes 1e-4 to 1e4, ridges 1e-8 to 1e4: certified
+    whenever both sides have counts.
+    """
     rng = np.random.default_rng(0)
     for _ in range(n):
         size = int(rng.integers(1, 60))

@@ -1,4 +1,6 @@
-"""Linear and kernel classes: solutions, certificates, refusals, and zeta in a class, all by public calls."""
+"""Linear and kernel classes: solutions, certificates, refusals, and zeta in a class,
+all by public calls.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""Networks as the class of functions of eq. 3.7: what they find, their bits, when they stop, what is refused."""
+"""Networks as the class of functions of eq. 3.7: what they find, their bits, when they
+stop, what is refused.
+"""
 
 import re
 import subprocess
@@ -20,7 +22,9 @@ BOX = {"lower": 0.2, "upper": 5.0, "normalized": False}
 
 @pytest.fixture(scope="module")
 def logs():
-    """3 states, 2 actions, every move possible: simulator, 4000 moves of the target and of the simulator."""
+    """3 states, 2 actions, every move possible: simulator, 4000 moves of the target and
+    of the simulator.
+    """
     rng = np.random.default_rng(0)
     simulator, target = (
         oee.FiniteMDP(
@@ -112,7 +116,9 @@ def test_a_full_batch_finds_the_rows_optimum(logs, options):
 
 @pytest.fixture(scope="module")
 def ragged():
-    """A grid, whose rows have one to four moves, and 2000 moves of another; one state's rows are left out."""
+    """A grid, whose rows have one to four moves, and 2000 moves of another; one state's
+    rows are left out.
+    """
     simulator, target = (oee.tasks.gridworld(4, slip) for slip in (0.4, 0.1))
     seen = np.ones((16, 4))
     seen[5] = 0.0

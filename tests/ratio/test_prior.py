@@ -1,4 +1,6 @@
-"""The default's prior: its limits, what does not matter to it, what it finds, and its errors."""
+"""The default's prior: its limits, what does not matter to it, what it finds, and its
+errors.
+"""
 
 import pickle
 from dataclasses import replace
@@ -17,7 +19,9 @@ from oee_tabular.mdp.rows import Rows
 
 
 def garnet(seed, n_states=20, n_actions=2, successors=5, discount=0.9, layout=None):
-    """Rows of Dirichlet probabilities on a few random successors, rewards of states and actions."""
+    """Rows of Dirichlet probabilities on a few random successors, rewards of states and
+    actions.
+    """
     rng = np.random.default_rng(seed)
     rows = np.zeros((n_states, n_actions, n_states))
     for s in range(n_states):
@@ -58,7 +62,9 @@ def drawn(target, per_row, seed):
 
 
 def line(n=60):
-    """One more, one less, or the same, with probabilities of each state's own; waiting costs."""
+    """One more, one less, or the same, with probabilities of each state's own; waiting
+    costs.
+    """
     rng = np.random.default_rng(0)
     rows = np.zeros((n, 2, n))
     for s in range(n):
@@ -209,7 +215,9 @@ def test_places_are_the_states_numbers_where_there_are_none():
 
 
 def test_the_user_s_features_are_directions_beside_the_others():
-    """Every third state leads on more often: no direction of ours, but one of the user's."""
+    """Every third state leads on more often: no direction of ours, but one of the
+    user's.
+    """
     simulator, policy = line(), np.full((60, 2), 0.5)
     target = more_often(simulator, 0.8 * (np.arange(60) % 3 == 0))
     log = drawn(target, 30.0, 0)
@@ -282,7 +290,9 @@ def test_a_cvxpy_solver_gives_the_same_tilt(options):
 
 
 def test_the_error_if_the_prior_fits_is_the_posterior_s():
-    """Rows' own noise, and theta ~ N(theta, f''^-1) through what the rows have of the tilt; derivatives by differences."""
+    """Rows' own noise, and theta ~ N(theta, f''^-1) through what the rows have of the
+    tilt; derivatives by differences.
+    """
     simulator = garnet(5, n_states=8)
     policy = oee.optimal_policy(simulator)
     zeta = oee.transition_ratio(

@@ -16,7 +16,9 @@ from oee_tabular import FiniteMDP, Transitions
 
 @pytest.mark.parametrize("method", ["ratio_of_ratios", "joint"])
 def test_the_ridge_reaches_both_betas(method):
-    """A strong ridge towards 1 (the quotient) or 0 with the sums kept (joint) makes zeta nearly 1."""
+    """A strong ridge towards 1 (the quotient) or 0 with the sums kept (joint) makes
+    zeta nearly 1.
+    """
     options = {"method": method, "simulator_data": "exact", "behavior_policy": POLICY}
     free, bent = (
         fit(COUNTS + 1.0, ridge=ridge, **options).values.data for ridge in (None, 1e4)
@@ -32,7 +34,9 @@ def test_the_ridge_reaches_both_betas(method):
 
 
 def test_the_quotient_without_a_box_is_that_of_frequencies():
-    """(n_x / q_x) / (n_sa / q_sa), normalised on each side; 1 where neither side has the move."""
+    """(n_x / q_x) / (n_sa / q_sa), normalised on each side; 1 where neither side has
+    the move.
+    """
     other = np.array(
         [[2, 2, 4], [1, 0, 3], [5, 5, 2], [1, 1, 1], [0, 0, 0], [4, 0, 4]], dtype=float
     )
@@ -78,7 +82,9 @@ def test_the_quotient_without_a_box_is_that_of_frequencies():
 
 
 def test_data_of_the_simulator():
-    """Exact occupancies over the log's longest episode under its estimated policy; samples of the log's size, by the seed."""
+    """Exact occupancies over the log's longest episode under its estimated policy;
+    samples of the log's size, by the seed.
+    """
     options = {"lower": 0.0, "upper": np.inf, "method": "ratio_of_ratios"}
     # without one, the weights of q cancel
     box = {"lower": 0.5, "upper": 1.5, "toward": 1.0}
@@ -148,7 +154,9 @@ KNOWN = {
 
 
 def random_program(rng):
-    """Counts, a simulator with rows of one to six next states, and options for ``transition_ratio``."""
+    """Counts, a simulator with rows of one to six next states, and options for
+    ``transition_ratio``.
+    """
     n = int(rng.integers(2, 6))
     rows = (
         rng.integers(1, 9, (n, 2, n)) * (rng.random((n, 2, n)) < 0.7)
@@ -170,7 +178,9 @@ def random_program(rng):
 
 
 def value(counts, simulator, options, found):
-    """The objective as it is written, at the two betas of a fit, and what they miss of the constraints."""
+    """The objective as it is written, at the two betas of a fit, and what they miss of
+    the constraints.
+    """
     share = oee.occupancy(
         simulator.with_discount(1.0),
         options["behavior_policy"],
@@ -264,7 +274,9 @@ def test_a_corrupted_joint_solver_is_found_out_in_every_row(monkeypatch, bounds,
 
 
 def test_pairs_that_the_simulator_s_data_lack():
-    """Counted where the log has them; zeta is 1 there; without an upper bound there is no program."""
+    """Counted where the log has them; zeta is 1 there; without an upper bound there is
+    no program.
+    """
     some = Transitions([0, 0, 1, 2], [0, 1, 0, 1], [0, 1, 2, 0])
     counts = COUNTS.copy()
     # neither side has the row (1, 1); only the log has none of (2, 0); rows 0, 1, 2, 5

@@ -1,4 +1,6 @@
-"""What a fit of zeta says: its details, its models, its standard error and its one-step correction."""
+"""What a fit of zeta says: its details, its models, its standard error and its one-step
+correction.
+"""
 
 import numpy as np
 import pytest
@@ -116,7 +118,9 @@ REFITTED = {
 
 @pytest.mark.parametrize("name", REFITTED)
 def test_the_standard_error_by_refits(name):
-    """sqrt(sum over rows of n Var(d value / d one more move)), the derivatives by central differences of refits."""
+    """sqrt(sum over rows of n Var(d value / d one more move)), the derivatives by
+    central differences of refits.
+    """
     # no zeros in rows that have moves
     counts = COUNTS + np.where(COUNTS.sum(axis=1, keepdims=True) > 0, 0.5, 0.0)
     options, step = REFITTED[name], 1e-4
@@ -222,7 +226,9 @@ def test_a_limit_knows_no_training():
 
 # ---- rows, quotients and matrices in any order
 def by_clarabel(counts, simulator, **options):
-    """Clarabel's answer; None where it ends "optimal_inaccurate" at every tolerance that is asked for (1 program in 500)."""
+    """Clarabel's answer; None where it ends "optimal_inaccurate" at every tolerance
+    that is asked for (1 program in 500).
+    """
     try:
         return oee.transition_ratio(counts, simulator, solver="CLARABEL", **options)
     except SolverStatusError:
@@ -245,7 +251,9 @@ def counts_of(rng, mdp, n):
 
 @given(rngs)
 def test_the_group_law(rng):
-    """Statements 10, 13: zeta is 1 for equal MDPs; zeta_AC = zeta_AB zeta_BC where supports are equal."""
+    """Statements 10, 13: zeta is 1 for equal MDPs; zeta_AC = zeta_AB zeta_BC where
+    supports are equal.
+    """
     a = random_mdp(rng, zeros=0.0)
     b, c = (
         a.with_transitions(
@@ -316,7 +324,9 @@ def test_rows_agree_with_clarabel(rng, options):
 
 @given(rngs)
 def test_ratio_of_ratios_does_not_depend_on_who_sampled(rng):
-    """Statement 14: from exact occupancies the quotient is the true zeta, whatever the two data policies."""
+    """Statement 14: from exact occupancies the quotient is the true zeta, whatever the
+    two data policies.
+    """
     simulator, target = pair(rng, discount=0.9)
     # else the simulator has no move to record
     assume(not simulator.closed()[simulator.initial > 0].all())

@@ -1,4 +1,6 @@
-"""The page in a real Chromium: no errors, no requests, every width, both schemes, the keyboard, and axe's findings."""
+"""The page in a real Chromium: no errors, no requests, every width, both schemes, the
+keyboard, and axe's findings.
+"""
 
 import pytest
 from browsing import axe, browser, opened, violations  # noqa: F401
@@ -11,7 +13,9 @@ WIDTHS, SCHEMES = (400, 1400), ("light", "dark")
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
-    """The reports on FrozenLake and on the embedded default (a few of its estimators), as files."""
+    """The reports on FrozenLake and on the embedded default (a few of its estimators),
+    as files.
+    """
     folder = tmp_path_factory.mktemp("pages")
     simulator, target = (
         oee.tasks.toy_text("FrozenLake-v1", map_name="8x8", success_rate=rate)

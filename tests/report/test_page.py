@@ -1,4 +1,6 @@
-"""The page of a report, without a browser: what it says, what it was made from, that it needs nothing from outside."""
+"""The page of a report, without a browser: what it says, what it was made from, that it
+needs nothing from outside.
+"""
 
 import math
 import os

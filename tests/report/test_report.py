@@ -1,4 +1,6 @@
-"""What a report holds: rows, notes, JSON and files; the estimators and policies that it takes."""
+"""What a report holds: rows, notes, JSON and files; the estimators and policies that it
+takes.
+"""
 
 import json
 import math
@@ -253,7 +255,9 @@ def test_the_corrected_value_stands_first_and_the_simulator_s_last(problem):
 
 
 def test_one_divergent_value_does_not_end_the_report():
-    """At discount 1 the fallback of the model stays for ever where it pays; the others have values."""
+    """At discount 1 the fallback of the model stays for ever where it pays; the others
+    have values.
+    """
     transitions = np.array([[[0.0, 0.5, 0.5]], [[0.5, 0.0, 0.5]], [[0.0, 0.0, 1.0]]])
     simulator = oee.FiniteMDP(transitions, [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], 1.0)
     log = oee.Transitions([0, 0], [0, 0], [1, 2], [1.0, 1.0])

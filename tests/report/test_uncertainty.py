@@ -1,4 +1,6 @@
-"""One interval beside each value, no value outside of it, no ranking that the log cannot carry, and the sentences on it."""
+"""One interval beside each value, no value outside of it, no ranking that the log
+cannot carry, and the sentences on it.
+"""
 
 import csv
 import io
@@ -28,7 +30,9 @@ GOOD, MINE, BAD = (oee.tasks.gridworld_policy(4, delta) for delta in (0.9, 0.5, 
 
 
 def even(n, seed=0, rows=16, recorded=TARGET):
-    """A problem whose log has transitions of the first ``rows`` states, all actions alike."""
+    """A problem whose log has transitions of the first ``rows`` states, all actions
+    alike.
+    """
     share = np.repeat(np.arange(16) < rows, 4).reshape(16, 4) / (4.0 * rows)
     return Problem(SIMULATOR, oee.sample_transitions(recorded, share, n, seed=seed))
 
@@ -182,7 +186,9 @@ def test_a_value_outside_gives_way_to_the_interval_s_nearer_end(end):
 
 
 def test_ratios_of_every_kind_have_the_interval_to_quote():
-    """A tie, the joint ratio and a ratio that is given have no standard error; their rows sum to 1 all the same."""
+    """A tie, the joint ratio and a ratio that is given have no standard error; their
+    rows sum to 1 all the same.
+    """
     problem = even(2000)
     sure = oee.interval(problem, MINE)
     kinds = {
@@ -392,7 +398,9 @@ def test_a_certain_simulator_has_nothing_to_learn():
 
 
 def test_missing_likelihood_intervals_are_reported():
-    """At discount 1 without a horizon, and where ``quick`` leaves them out; guaranteed ones are refused there."""
+    """At discount 1 without a horizon, and where ``quick`` leaves them out; guaranteed
+    ones are refused there.
+    """
     endless, problem = Problem(SIMULATOR.with_discount(1.0), even(900).log), even(300)
     reason = "at discount 1 they need a horizon"
     assert sentences(endless)[1] == f"There are no likelihood intervals: {reason}."
@@ -416,7 +424,9 @@ def test_a_box_that_the_log_contradicts():
 
 @pytest.mark.parametrize("names", [["oee"], ["simulator", "oee", "model-based"]])
 def test_a_policy_made_from_the_log_has_a_warning(names):
-    """It is optimal under the log's frequencies, the simulator's rows where there are none."""
+    """It is optimal under the log's frequencies, the simulator's rows where there are
+    none.
+    """
     problem = even(300)
     counts = problem.log.counts(16, 4).toarray()
     n = counts.sum(axis=1, keepdims=True)

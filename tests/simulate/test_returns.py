@@ -1,4 +1,6 @@
-"""Sampled returns: the bits, the sums along recorded paths, and exact moments within standard errors."""
+"""Sampled returns: the bits, the sums along recorded paths, and exact moments within
+standard errors.
+"""
 
 import numpy as np
 import pytest
@@ -59,7 +61,9 @@ def test_an_episode_does_not_depend_on_how_many_there_are_nor_on_what_is_compute
 
 
 def test_one_seed_gives_independent_samples_of_each_kind():
-    """A log and the returns that are to be compared with it must not be drawn from the same random numbers."""
+    """A log and the returns that are to be compared with it must not be drawn from the
+    same random numbers.
+    """
     log = oee.sample_episodes(GRID, UNIFORM, 2000, 1, seed=3)
     other = oee.sample_returns(GRID, UNIFORM, 2000, 1, seed=3, record=True).log
     expected = (
@@ -72,7 +76,9 @@ def test_one_seed_gives_independent_samples_of_each_kind():
 @settings(max_examples=40)
 @given(rngs)
 def test_sums_along_the_recorded_paths(rng):
-    """Every form of rewards, every kind, horizons within and beyond a block of random words: step by step from the log."""
+    """Every form of rewards, every kind, horizons within and beyond a block of random
+    words: step by step from the log.
+    """
     mdp = random_mdp(rng)
     policy, horizon = random_policy(rng, mdp), int(rng.integers(1, 70))
     zeta, key = (
@@ -225,7 +231,9 @@ def test_a_log_is_one_that_passes_every_check(rng):
 
 
 def test_transitions_follow_the_distribution_and_the_model():
-    """Chi-square of 100 000 transitions against P(s' | s, a) d(s, a); impossible ones never happen."""
+    """Chi-square of 100 000 transitions against P(s' | s, a) d(s, a); impossible ones
+    never happen.
+    """
     rng = np.random.default_rng(4)
     mdp, n = random_mdp(rng, n_states=5, n_actions=3), 100_000
     weights = rng.dirichlet(np.ones(15)).reshape(5, 3)
@@ -289,7 +297,9 @@ def test_a_long_horizon_is_followed_where_episodes_end():
 
 
 def test_twins_of_terminal_states_are_not_drawn_from():
-    """A distribution over the environment's own states is one over all, with nothing on the twins."""
+    """A distribution over the environment's own states is one over all, with nothing on
+    the twins.
+    """
     rows = np.array(
         [
             [[0.5, 0.5, 0.0, 0.0]],

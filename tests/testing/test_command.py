@@ -176,7 +176,9 @@ def test_an_import_that_exits_or_hangs_is_one_line_and_exit_code_2(
 )
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_nothing_goes_on_when_the_command_ends(here, how):
-    """Neither the process of the laws nor what the estimator has started: either would keep the pipe open."""
+    """Neither the process of the laws nor what the estimator has started: either would
+    keep the pipe open.
+    """
     command = [sys.executable, "-m", "oee_tabular", "check", f"{here}:starts_another"]
     # children of a background job would ignore it
     heeded = signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -113,7 +113,9 @@ def test_a_wrong_estimator_breaks_the_laws_that_it_breaks_and_no_other(name):
 
 
 def test_functions_are_estimators():
-    """With a seed or without; a class or function that makes an estimator; what is said of floats."""
+    """With a seed or without; a class or function that makes an estimator; what is said
+    of floats.
+    """
     right = wrong.sampling()
     with_seed = lambda problem, policy, *, seed: right(problem, policy)  # noqa: E731
     for function in (
@@ -286,7 +288,9 @@ def test_an_estimator_for_horizons_alone_is_not_asked_for_more():
 
 
 def test_relabelled_and_padded_logs():
-    """Permutations in any form; names of states and actions stay theirs; every column that a log may have or lack."""
+    """Permutations in any form; names of states and actions stay theirs; every column
+    that a log may have or lack.
+    """
     log = case("ragged").log(3, seed=0)
     states, actions = [1, 2, 3, 0], [1, 0]
     new = relabelled_log(log, pd.Series(states, index=[3, 2, 1, 0]), actions)

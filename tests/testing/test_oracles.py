@@ -56,7 +56,9 @@ def test_importance_sampling_s_variance_is_the_exact_one():
 
 
 def test_standard_errors_of_the_figures_are_right():
-    """The spread of each figure over independent comparisons is the standard error that it comes with."""
+    """The spread of each figure over independent comparisons is the standard error that
+    it comes with.
+    """
     first = np.zeros((4, 2))
     first[0, 0] = 1.0
 

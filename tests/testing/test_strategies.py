@@ -30,7 +30,9 @@ def smallest(strategy, condition=lambda drawn: True, **options):
 @QUICK
 @given(st.data())
 def test_everything_drawn_can_be_evaluated(data):
-    """Validity is the constructors' business: what is drawn passes them, and every horizon that is offered exists."""
+    """Validity is the constructors' business: what is drawn passes them, and every
+    horizon that is offered exists.
+    """
     mdp = data.draw(mdps())
     policy = data.draw(policies(mdp))
     assert np.isfinite(oee.policy_value(mdp, policy, horizon=data.draw(horizons(mdp))))

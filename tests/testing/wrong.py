@@ -21,7 +21,9 @@ def sampling(
     keep=lambda timestep, horizon: timestep < (np.inf if horizon is None else horizon),
     then=lambda value, problem, policy, seed: value,
 ):
-    """Importance sampling per decision, right unless one of its parts is changed; ``then``: what becomes of its value."""
+    """Importance sampling per decision, right unless one of its parts is changed;
+    ``then``: what becomes of its value.
+    """
 
     def estimate(problem, policy, seed=None):
         log, pi = problem.log, evaluated(policy)
@@ -74,7 +76,9 @@ def seed_global_state(value, problem, policy, seed):
 
 
 def trust_state_zero(problem, policy):
-    """The log's model everywhere but in state 0, as if numbers of states meant something."""
+    """The log's model everywhere but in state 0, as if numbers of states meant
+    something.
+    """
     model = ModelBased("simulator").model(problem)
     rows = model.transitions.toarray().reshape(model.n_states, model.n_actions, -1)
     rows[0] = problem.simulator.transitions.toarray().reshape(rows.shape)[0]
@@ -107,7 +111,9 @@ class LimitOfAnother:
 
 
 class LimitWithoutSupport:
-    """J of the target without the transitions that the simulator lacks, and without a word."""
+    """J of the target without the transitions that the simulator lacks, and without a
+    word.
+    """
 
     def __call__(self, problem, policy):
         return ModelBased("simulator")(problem, policy)
@@ -122,7 +128,9 @@ class LimitWithoutSupport:
 
 
 def self_normalized(kind, **options):
-    """A plain function of an estimator of the package: without its limit and its claims."""
+    """A plain function of an estimator of the package: without its limit and its
+    claims.
+    """
     return lambda problem, policy: ImportanceSampling(
         kind, self_normalized=True, **options
     )(problem, policy)
@@ -211,7 +219,9 @@ TABLE = {
 
 
 class Shrunk:
-    """The log's frequencies, shrunk to the simulator's by ``strength`` transitions a row; right."""
+    """The log's frequencies, shrunk to the simulator's by ``strength`` transitions a
+    row; right.
+    """
 
     claims = frozenset({"consistent", "relabelling", "scale", "shift"})
 

@@ -146,7 +146,9 @@ def test_a_holds_for_kernels_of_any_row_sum(rng, horizon):
 
 @pytest.mark.parametrize("on_moves", [False, True])
 def test_a_is_attained(on_moves):
-    """K = (1 + eta) P', r = R: every step counts, and the reward's own move where rewards are r(s, a, s')."""
+    """K = (1 + eta) P', r = R: every step counts, and the reward's own move where
+    rewards are r(s, a, s').
+    """
     rewards = np.full((1, 1, 1) if on_moves else (1, 1), -3.0)
     for discount, eta, horizon in [
         (0.9, 0.1, None),
@@ -216,7 +218,9 @@ def test_b_at_its_ends():
 
 
 def fork(lean, discount, reward=1.0):
-    """At the start a coin with probability 1/2 + lean of the good end decides: reward or -reward in each later step."""
+    """At the start a coin with probability 1/2 + lean of the good end decides: reward
+    or -reward in each later step.
+    """
     transitions = np.zeros((3, 1, 3))
     transitions[0, 0] = [0, 0.5 + lean, 0.5 - lean]
     transitions[1, 0, 1] = transitions[2, 0, 2] = 1.0
@@ -224,7 +228,9 @@ def fork(lean, discount, reward=1.0):
 
 
 def test_c_is_tight_on_the_fork():
-    """Error .11830281, bound .11830380 (both cut off after eight digits); lean .005, g .95, T 20."""
+    """Error .11830281, bound .11830380 (both cut off after eight digits); lean .005, g
+    .95, T 20.
+    """
     sides = theory.kl_path_sides(
         fork(0.0, 0.95), fork(0.005, 0.95), np.ones((3, 1)), horizon=20
     )
@@ -367,7 +373,9 @@ def test_no_universal_constant():
 )
 @pytest.mark.parametrize("confidence", [0.5, 0.9])
 def test_the_sup_error_bound_covers(n, p, q, confidence):
-    """Two cells, every outcome of both samples: the bound is exceeded with probability delta at most."""
+    """Two cells, every outcome of both samples: the bound is exceeded with probability
+    delta at most.
+    """
     mu = max(p / q, (1 - p) / (1 - q))
     bound = theory.sup_error_bound(n, min(p, 1 - p), min(q, 1 - q), 2, mu, confidence)
     counts = np.arange(n + 1)
@@ -436,7 +444,9 @@ def test_the_lemma_holds_with_either_constant(rng, nu, mu):
 
 
 def test_the_tight_constant_is_attained():
-    """mu = 2, nu = 1/2: 10. The worst case mu -> mu - e, nu -> nu + e gives 10 / (1 + e/nu): 9.999."""
+    """mu = 2, nu = 1/2: 10. The worst case mu -> mu - e, nu -> nu + e gives 10 / (1 +
+    e/nu): 9.999.
+    """
     for error in (1e-2, 1e-5):
         worst = theory.ratio_error_sides(
             [2.0], [0.5], [2.0 - error], [0.5 + error], mu=2.0, nu=0.5, tight=True
@@ -491,7 +501,9 @@ def test_theorem_2_is_false():
 
 @given(rngs, st.sampled_from([1, 2, 10, 60]))
 def test_the_corrected_theorem_2(rng, horizon):
-    """With rows that sum to 1, |zhat/zeta - 1| <= error gives KL_t <= t error^2, and the bound without 1/nu."""
+    """With rows that sum to 1, |zhat/zeta - 1| <= error gives KL_t <= t error^2, and
+    the bound without 1/nu.
+    """
     simulator = random_mdp(rng, form=2)
     target = random_mdp(rng, like=simulator)
     matrix = target.transitions.copy()

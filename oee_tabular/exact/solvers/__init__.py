@@ -1,26 +1,33 @@
-"""Solvers of M x = b, M = I - gamma K, tried in this order until the residual is within rounding.
+"""Solvers of M x = b, M = I - gamma K, tried in this order until the residual is within
+rounding.
 
-===================  ===================================================================================================
+===================
+===================================================================================================
 ``LAPACK(100)``      up to 100 states: dense
-``ValueIteration``   rows of one sum that mix, while four sweeps leave at most .45 of the change's spread
-``EnvelopeLU(..)``   narrow graphs, whatever the order of their states: rings, chains, queues, layers
-``SuperLU(8)``       other graphs in which elimination fills little: trees
+``ValueIteration``   rows of one sum that mix, while four sweeps leave at most .45 of
+the change's spread ``EnvelopeLU(..)``   narrow graphs, whatever the order of their
+states: rings, chains, queues, layers ``SuperLU(8)``       other graphs in which
+elimination fills little: trees
 ``PlainBiCGStab``    graphs that expand: constants taken out, no preconditioner
-``BiCGStab``         all others: an independent set eliminated, a modified DILU in breadth-first order
-``EnvelopeLU``       where that takes more than 72 steps and the graph is not too wide
+``BiCGStab``         all others: an independent set eliminated, a modified DILU in
+breadth-first order ``EnvelopeLU``       where that takes more than 72 steps and the
+graph is not too wide
 ``LAPACK(400)``      up to 400 states, where those before fall short: dense
 ``SuperLU()``        the same for any number of states, unless the graph expands: sparse
 ``LAPACK(3000)``     the last resort, up to 3000 states: dense
-===================  ===================================================================================================
+===================
+===================================================================================================
 
-A new solver is such a class (``Solver``) with a place in ``SOLVERS``; tests/exact/test_solvers.py holds every one to the same
-laws. Answers are refined on the residual of the system as it was given, until that is as small as its own rounding.
+A new solver is such a class (``Solver``) with a place in ``SOLVERS``;
+tests/exact/test_solvers.py holds every one to the same laws. Answers are refined on the
+residual of the system as it was given, until that is as small as its own rounding.
 
-For a nonnegative K any h > 0 with M h >= c > 0 certifies that the spectral radius of gamma K is below 1 and that |M^-1|_inf <=
-max(h) / c [1]. Rows that sum to 1 give h = 1, c = 1 - gamma; other kernels (unnormalised ratios, discount 1) need one more
-solution.
+For a nonnegative K any h > 0 with M h >= c > 0 certifies that the spectral radius of
+gamma K is below 1 and that |M^-1|_inf <= max(h) / c [1]. Rows that sum to 1 give h = 1,
+c = 1 - gamma; other kernels (unnormalised ratios, discount 1) need one more solution.
 
-Reference: [1] Berman and Plemmons, Nonnegative Matrices in the Mathematical Sciences, 1994, chapter 6 (M-matrices).
+Reference: [1] Berman and Plemmons, Nonnegative Matrices in the Mathematical Sciences,
+1994, chapter 6 (M-matrices).
 """
 
 from __future__ import annotations
@@ -79,7 +86,9 @@ STEADY = tuple(solver for solver in SOLVERS if not isinstance(solver, ValueItera
 
 
 class Iterate(NamedTuple):
-    """x; b - M x, its largest magnitude, a bound on the exact one (transposed: on its sum), the largest rounding in it."""
+    """x; b - M x, its largest magnitude, a bound on the exact one (transposed: on its
+    sum), the largest rounding in it.
+    """
 
     x: Array
     missed: Array
@@ -92,10 +101,12 @@ class Iterate(NamedTuple):
 def answer(
     system: System, b: Array, near: Array | None = None, share: float = 0.0
 ) -> Iterate:
-    """x, by one solver after the other that suits, each from where those before it got to, until rounding is what is left.
+    """x, by one solver after the other that suits, each from where those before it got
+    to, until rounding is what is left.
 
     ``near`` : what to begin with, where it is better than 0.
-    ``share`` : of what ``near`` misses about this much may be left, and never more than a tenth. For systems that change a
+    ``share`` : of what ``near`` misses about this much may be left, and never more than
+    a tenth. For systems that change a
         little from one to the next: on grids of 100 x 100 a share of .001 takes .3 of an exact solution's time.
     """
     best, allowed = Iterate(np.zeros(len(b)), b, np.inf, np.inf, 0.0, "none"), 0.0
@@ -138,7 +149,9 @@ def refine(
     share: float = 0.0,
     allowed: float = 0.0,
 ) -> Iterate:
-    """Solve for what is missed until that is within rounding, or what is allowed, or stops falling."""
+    """Solve for what is missed until that is within rounding, or what is allowed, or
+    stops falling.
+    """
     solve = solver.prepare(system)
     for _ in range(9):
         step = solve(best.missed, max(share, 0.1 * best.rounding / best.largest))
@@ -155,7 +168,9 @@ def refine(
 
 
 def inverse_norm(system: System) -> float:
-    """An upper bound on |(I - discount K)^-1|_inf, from a certificate; an error where there is none."""
+    """An upper bound on |(I - discount K)^-1|_inf, from a certificate; an error where
+    there is none.
+    """
     carried = system.kernel.discount * system.row_sums[1]
     if carried <= 1.0 - 1e-9:
         return (1.0 + 1e-14) / (1.0 - carried)

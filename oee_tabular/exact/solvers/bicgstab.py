@@ -1,19 +1,23 @@
-"""BiCGSTAB for (I - gamma K) x = b, on what an independent set of states leaves, with a modified diagonal incomplete LU.
+"""BiCGSTAB for (I - gamma K) x = b, on what an independent set of states leaves, with a
+modified diagonal incomplete LU.
 
-With E a set of states without an entry between them, x_e = (b_e + gamma sum_c K_ec x_c) / (1 - gamma K_ee), and what is
-left is a system I - K' of the same kind (a Schur complement of an M-matrix) [1]. On a grid E is every other cell, K' has
-as many entries as K, and the iteration takes a third of the steps.
+With E a set of states without an entry between them, x_e = (b_e + gamma sum_c K_ec x_c)
+/ (1 - gamma K_ee), and what is left is a system I - K' of the same kind (a Schur
+complement of an M-matrix) [1]. On a grid E is every other cell, K' has as many entries
+as K, and the iteration takes a third of the steps.
 
-States are taken in breadth-first order, so that the sweeps of a wave front do not wait for each other, and the trees of a
-search that starts anew stand before those it had found: a layered kernel is then upper triangular and solved in one step.
+States are taken in breadth-first order, so that the sweeps of a wave front do not wait
+for each other, and the trees of a search that starts anew stand before those it had
+found: a layered kernel is then upper triangular and solved in one step.
 
-With D~ the modified diagonal, L and U the rest divided by it, the operator (I + L)^-1 (L + D + U) (I + U)^-1 costs one
-backward and one forward sweep, as one product does [2]; all vector updates and dot products ride on the sweeps. L fills
-one buffer from its front and U from its back.
+With D~ the modified diagonal, L and U the rest divided by it, the operator (I + L)^-1
+(L + D + U) (I + U)^-1 costs one backward and one forward sweep, as one product does
+[2]; all vector updates and dot products ride on the sweeps. L fills one buffer from its
+front and U from its back.
 
-References: [1] Saad, Iterative Methods for Sparse Linear Systems, 2003, section 12.5 (independent set orderings; ILUM). [2]
-Eisenstat, Efficient implementation of a class of preconditioned conjugate gradient methods, SIAM J. Sci. Stat. Comput. 2,
-1981.
+References: [1] Saad, Iterative Methods for Sparse Linear Systems, 2003, section 12.5
+(independent set orderings; ILUM). [2] Eisenstat, Efficient implementation of a class of
+preconditioned conjugate gradient methods, SIAM J. Sci. Stat. Comput. 2, 1981.
 """
 
 from __future__ import annotations
@@ -45,9 +49,10 @@ Factors = namedtuple("Factors", "lower upper columns values diagonal modified")
 class BiCGStab:
     """For every sparse system: a few dozen sweeps, in memory of a few vectors.
 
-    None of E is eliminated where what is left would have more than 2.5 times as many entries. On grids of 300 x 300 its
-    elimination makes this 1.9 to 4.5 times as fast for policies that get somewhere (a random walk: 1 to 1.7), at 100 x 100 1.2
-    to 1.9 times.
+    None of E is eliminated where what is left would have more than 2.5 times as many
+    entries. On grids of 300 x 300 its elimination makes this 1.9 to 4.5 times as fast
+    for policies that get somewhere (a random walk: 1 to 1.7), at 100 x 100 1.2 to 1.9
+    times.
     """
 
     name: str = "BiCGSTAB"
@@ -87,7 +92,9 @@ class BiCGStab:
 
 @njit(cache=True)
 def find_independent(kernel, order):
-    """1 / (1 - gamma K_ee) of the states of E, found greedily in the given order, else 0; room that K' may need."""
+    """1 / (1 - gamma K_ee) of the states of E, found greedily in the given order, else
+    0; room that K' may need.
+    """
     indptr, indices, data, discount = kernel
     n = len(order)
     is_free, inverse, room = np.ones(n, dtype=np.bool_), np.zeros(n), np.int64(0)
@@ -116,7 +123,9 @@ def find_independent(kernel, order):
 
 @njit(cache=True)
 def eliminate(kernel, order, inverse, room):
-    """K' in the given order of the states that are left, with discount 1; and these states."""
+    """K' in the given order of the states that are left, with discount 1; and these
+    states.
+    """
     indptr, indices, data, discount = kernel
     states = order[inverse[order] == 0.0]
     number, place = (
@@ -155,9 +164,11 @@ def eliminate(kernel, order, inverse, room):
 
 @njit(cache=True)
 def modified_diagonal(kernel, weight):
-    """D~_i = M_ii - weight sum_{j<i} M_ij s_j with s_j = sum_{k>j} M_jk / D~_j; the plain diagonal where that is too small.
+    """D~_i = M_ii - weight sum_{j<i} M_ij s_j with s_j = sum_{k>j} M_jk / D~_j; the
+    plain diagonal where that is too small.
 
-    With weight 1, (D~ + L) D~^-1 (D~ + U) has the row sums of M. The same D~ serves the transposed system.
+    With weight 1, (D~ + L) D~^-1 (D~ + U) has the row sums of M. The same D~ serves the
+    transposed system.
     """
     indptr, indices, data, _ = kernel
     n = len(indptr) - 1
@@ -216,10 +227,12 @@ def factorise(kernel, transpose, weight):
 
 @njit(cache=True)
 def iterate(factors, b, relative, steps):
-    """x = (I + U)^-1 y; None where fewer than ``STEPS`` steps are allowed and do not do.
+    """x = (I + U)^-1 y; None where fewer than ``STEPS`` steps are allowed and do not
+    do.
 
-    It stops where the largest entry of the preconditioned residual is below relative * (its first) or below ``FLOOR`` times
-    the largest entry of y. Values hold the negated L and U (they are nonnegative).
+    It stops where the largest entry of the preconditioned residual is below relative *
+    (its first) or below ``FLOOR`` times the largest entry of y. Values hold the negated
+    L and U (they are nonnegative).
     """
     lower, upper, columns, values, diagonal, modified = factors
     n = len(b)

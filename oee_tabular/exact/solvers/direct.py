@@ -1,10 +1,12 @@
-"""LU of M = I - gamma K, three ways: dense by LAPACK, within an envelope, sparse by SuperLU.
+"""LU of M = I - gamma K, three ways: dense by LAPACK, within an envelope, sparse by
+SuperLU.
 
 Within the envelope states are eliminated in a given order and without pivoting:
 
     L_ij = (M_ij - sum_k L_ik U_kj) / U_jj,    U_ji = M_ji - sum_k L_jk U_ki   (j < i),    U_ii = M_ii - sum_k L_ik U_ki
 
-All U_ii > 0 if and only if M is an M-matrix that is not singular, which needs no pivoting.
+All U_ii > 0 if and only if M is an M-matrix that is not singular, which needs no
+pivoting.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ Envelope = namedtuple("Envelope", "order first starts lower upper diagonal")
 class LAPACK:
     """Dense, O(S^3), for up to ``most`` states.
 
-    Of 100 states it takes as long as the best of the others, of fewer less, and it needs next to nothing compiled.
+    Of 100 states it takes as long as the best of the others, of fewer less, and it
+    needs next to nothing compiled.
     """
 
     most: int
@@ -74,11 +77,13 @@ def dense_matrix(kernel):
 
 @dataclass(frozen=True)
 class EnvelopeLU:
-    """O(S w^2) for an envelope of w entries a state: rings, chains, queues, layers, whatever the order of their states.
+    """O(S w^2) for an envelope of w entries a state: rings, chains, queues, layers,
+    whatever the order of their states.
 
-    Up to ``WIDEST`` this is .8 to 6 times as fast as SuperLU (tests/benchmarks/values.py). ``is_narrow``: only up to 10
-    entries a state, or twice those of K, where it is 2 to 6 times as fast; between that and ``WIDEST`` lie grids of up
-    to 60 x 60, which BiCGSTAB solves in few steps, and random bands.
+    Up to ``WIDEST`` this is .8 to 6 times as fast as SuperLU
+    (tests/benchmarks/values.py). ``is_narrow``: only up to 10 entries a state, or twice
+    those of K, where it is 2 to 6 times as fast; between that and ``WIDEST`` lie grids
+    of up to 60 x 60, which BiCGSTAB solves in few steps, and random bands.
     """
 
     is_narrow: bool = False
@@ -166,8 +171,9 @@ def substitute(factors, transpose, b):
 class SuperLU:
     """Sparse, eliminated in the order of minimum degree.
 
-    ``most`` : entries a state that an elimination in the reverse of a breadth-first order may fill, which is counted first:
-    with 8 trees; None for the last resort, which any graph that does not expand suits.
+    ``most`` : entries a state that an elimination in the reverse of a breadth-first
+    order may fill, which is counted first: with 8 trees; None for the last resort,
+    which any graph that does not expand suits.
     """
 
     most: float | None = None
@@ -175,7 +181,9 @@ class SuperLU:
     is_direct: bool = True
 
     def suits(self, system: System) -> bool:
-        """By the count, first along the rows alone, which spares a transpose; graphs that expand fill up in any order."""
+        """By the count, first along the rows alone, which spares a transpose; graphs
+        that expand fill up in any order.
+        """
         if self.most is None:
             return not system.expands
         rows = Csr(*system.kernel[:3])

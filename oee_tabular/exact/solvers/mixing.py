@@ -1,21 +1,26 @@
-"""Value iteration and BiCGSTAB without a preconditioner, for rows K of one sum s, on graphs where a few steps lead far.
+"""Value iteration and BiCGSTAB without a preconditioner, for rows K of one sum s, on
+graphs where a few steps lead far.
 
-Value iteration goes on until the change is the same in all states, which is then summed:
+Value iteration goes on until the change is the same in all states, which is then
+summed:
 
     x_{n+1} = b + gamma K x_n;    x* = x_{n+1} + c / (1 - c) (x_{n+1} - x_n),    c = gamma s [1, 6.6.3].
 
-The transposed sweeps keep the sum of what x misses, so that they begin with an x of the right sum: sum(x*) = sum(b) / (1 - c).
+The transposed sweeps keep the sum of what x misses, so that they begin with an x of the
+right sum: sum(x*) = sum(b) / (1 - c).
 
 BiCGSTAB [2] is given the system from which the eigenvalue 1 - c is taken:
 
     M' = M + c 11^T / n:    M' y = b  ->  x = y + c mean(y) / (1 - c);    M'^T x = b + c sum(b) / (1 - c) / n:
 
-M 1 = (1 - c) 1, so that constants are solved for at once, and the discount does not matter. 1^T M'^T = 1^T: transposed
-systems begin with y = b, whose residual has the sum 0. (Residuals begin as the vector that later ones are held against; an
-eigenvector there, as an even b is, would end the iteration.) The vector updates and dot products of a step ride on four
-passes; the sum of a vector is taken where it is made.
+M 1 = (1 - c) 1, so that constants are solved for at once, and the discount does not
+matter. 1^T M'^T = 1^T: transposed systems begin with y = b, whose residual has the sum
+0. (Residuals begin as the vector that later ones are held against; an eigenvector
+there, as an even b is, would end the iteration.) The vector updates and dot products of
+a step ride on four passes; the sum of a vector is taken where it is made.
 
-References: [1] Puterman, Markov Decision Processes, 1994. [2] van der Vorst, Bi-CGSTAB, SIAM J. Sci. Stat. Comput. 13 (1992).
+References: [1] Puterman, Markov Decision Processes, 1994. [2] van der Vorst, Bi-CGSTAB,
+SIAM J. Sci. Stat. Comput. 13 (1992).
 """
 
 from __future__ import annotations
@@ -37,10 +42,12 @@ WINDOW = 150
 
 @dataclass(frozen=True)
 class ValueIteration:
-    """Some dozen sweeps over a graph that mixes: of random MDPs with 5 next states .6 of the time of plain BiCGSTAB.
+    """Some dozen sweeps over a graph that mixes: of random MDPs with 5 next states .6
+    of the time of plain BiCGSTAB.
 
-    Measured on 10 000 states with the policies of tests/benchmarks/values.py. It gives up as soon as four sweeps leave
-    more than .45 of what the states' changes differ by; from there on plain BiCGSTAB is as fast.
+    Measured on 10 000 states with the policies of tests/benchmarks/values.py. It gives
+    up as soon as four sweeps leave more than .45 of what the states' changes differ by;
+    from there on plain BiCGSTAB is as fast.
     """
 
     name: str = "value iteration"
@@ -57,7 +64,9 @@ class ValueIteration:
 
 @njit(cache=True)
 def sweep(kernel, mass, transpose, b, relative):
-    """x, for rows with the sum ``mass``; None where four sweeps leave more than .45 of the spread of the change."""
+    """x, for rows with the sum ``mass``; None where four sweeps leave more than .45 of
+    the spread of the change.
+    """
     n = len(b)
     carried = kernel.discount * mass
     over = carried / (1.0 - carried)
@@ -96,10 +105,12 @@ def sweep(kernel, mass, transpose, b, relative):
 
 @dataclass(frozen=True)
 class PlainBiCGStab:
-    """For graphs where a few steps lead everywhere, of whose inverse an incomplete LU has next to nothing.
+    """For graphs where a few steps lead everywhere, of whose inverse an incomplete LU
+    has next to nothing.
 
-    Random graphs of 10 000 states that value iteration leaves (2 next states; blocks that seldom meet) take a third of the time
-    of ``BiCGStab``, near discount 1 down to a hundredth. It gives up where the residual does not fall to a tenth in 150 steps.
+    Random graphs of 10 000 states that value iteration leaves (2 next states; blocks
+    that seldom meet) take a third of the time of ``BiCGStab``, near discount 1 down to
+    a hundredth. It gives up where the residual does not fall to a tenth in 150 steps.
     """
 
     name: str = "BiCGSTAB"
@@ -135,7 +146,9 @@ def product(kernel, transpose, constant, p, first, out):
 
 @njit(cache=True)
 def bicgstab(kernel, transpose, shared, b, relative):
-    """y, its residual below ``relative`` times b's or the floor; None where it does not fall to a tenth in 150 steps."""
+    """y, its residual below ``relative`` times b's or the floor; None where it does not
+    fall to a tenth in 150 steps.
+    """
     n, part = len(b), shared / len(b)
     x, first, v, w = np.zeros(n), b.copy(), np.empty(n), np.empty(n)
     if transpose:

@@ -1,8 +1,10 @@
-"""A benchmark of estimators of a policy's value in a target environment, on families of shift where the truth is exact.
+"""A benchmark of estimators of a policy's value in a target environment, on families of
+shift where the truth is exact.
 
-``run`` (and ``oee bench``) takes the cells family x size, a seed each repetition, through the lab's runner. Estimators and
-families are given by name, as MODULE:OBJECT or as objects. A ``Family`` is a pair of environments; ``families`` has the
-package's by name; ``league_of`` makes the ``League`` of a run's rows.
+``run`` (and ``oee bench``) takes the cells family x size, a seed each repetition,
+through the lab's runner. Estimators and families are given by name, as MODULE:OBJECT or
+as objects. A ``Family`` is a pair of environments; ``families`` has the package's by
+name; ``league_of`` makes the ``League`` of a run's rows.
 """
 
 from __future__ import annotations
@@ -78,39 +80,48 @@ def run(
 ) -> League:
     """Measure estimators on families of environment shift where the truth is exact.
 
-    Each cell is a family and a size of its logs; each seed of a cell another log (and, where a family has random parts,
-    another pair). Two references are always measured on the same logs: maximum likelihood with the simulator in unobserved
-    pairs, and the simulator's value.
+    Each cell is a family and a size of its logs; each seed of a cell another log (and,
+    where a family has random parts, another pair). Two references are always measured
+    on the same logs: maximum likelihood with the simulator in unobserved pairs, and the
+    simulator's value.
 
     Parameters
     ----------
-    estimators : names as in ``oee evaluate --estimators``, "evaluate" (the value and interval that ``oee.evaluate`` prints),
-        "scope-rl:NAME", "offline-rl-ope:NAME", "module:object", estimators; one or several, or a mapping name -> one of these
-    families : None (``families()``), names of its, "module:function", a function of the seed (or without parameters) that
-        makes a mapping name -> Family, or such a mapping
-    sizes : transitions per stochastic state-action pair (one with more than one next state in the simulator)
+    estimators : names as in ``oee evaluate --estimators``, "evaluate" (the value and
+        interval that ``oee.evaluate`` prints), "scope-rl:NAME", "offline-rl-ope:NAME",
+        "module:object", estimators; one or several, or a mapping name -> one of these
+    families : None (``families()``), names of its, "module:function", a function of the
+        seed (or without parameters) that makes a mapping name -> Family, or such a
+        mapping
+    sizes : transitions per stochastic state-action pair (one with more than one next
+        state in the simulator)
     seeds : logs of each cell
     seed : the first one, from 0; a seed's rows are the same in any run
-    timeout : seconds that an estimate may take; one that takes longer is a row with that reason (not on Windows, nor on dask)
+    timeout : seconds that an estimate may take; one that takes longer is a row with
+        that reason (not on Windows, nor on dask)
     jobs : processes on this machine; -1: one a core
     dask : address of a dask scheduler; the cells go there instead
-    output : folder that keeps finished cells: an interrupted run goes on; None: nothing is kept
+    output : folder that keeps finished cells: an interrupted run goes on; None: nothing
+        is kept
     fresh : empty the folder first
     progress : whether a bar is shown
 
     Returns
     -------
     League
-        ``table`` (a row for each seed), ``cells`` (over the seeds), ``league`` (over the cells).
+        ``table`` (a row for each seed), ``cells`` (over the seeds), ``league`` (over
+        the cells).
 
     Raises
     ------
     ValueError
-        Bad arguments; a family that cannot be made. What an estimator raises is a row with its reason.
+        Bad arguments; a family that cannot be made. What an estimator raises is a row
+        with its reason.
 
     Notes
     -----
-    Cost: families x sizes x seeds x the estimators' time. The same bits in every mode, but for ``seconds`` (process time).
+    Cost: families x sizes x seeds x the estimators' time. The same bits in every mode,
+    but for ``seconds`` (process time).
 
     Examples
     --------
@@ -150,7 +161,9 @@ def plan(
     seed: int = 0,
     timeout: float = TIMEOUT,
 ) -> RunSettings:
-    """Check the arguments of ``run`` and make every family once: settings of an experiment of the lab's kind."""
+    """Check the arguments of ``run`` and make every family once: settings of an
+    experiment of the lab's kind.
+    """
     count, first = _checks.positive_integer(seeds, "seeds"), check_seed(seed)
     limit = _checks.number_in(timeout, "timeout", 0.0, 1e6, open_ends=True)
     chosen = choose_estimators(estimators)
@@ -208,7 +221,9 @@ def measure_cell(
     source: Any,
     timeout: float,
 ) -> list[Row]:
-    """One seed of family x size, every estimator on its log; the seed of the family is the run's first plus the repetition."""
+    """One seed of family x size, every estimator on its log; the seed of the family is
+    the run's first plus the repetition.
+    """
     seed, name, size = (
         stream.seed + int(cell["repetition"]),
         str(cell["family"]),
@@ -231,7 +246,9 @@ def measure_cell(
 
 
 def facts_of(family: Family, problem: Problem) -> Row:
-    """What is known exactly about a log: truth, the share of the policy's time that it covers, efficiency bound / n."""
+    """What is known exactly about a log: truth, the share of the policy's time that it
+    covers, efficiency bound / n.
+    """
     n, horizon = len(problem.log), family.horizon
     is_endless = horizon is None and family.target.discount == 1.0
     time = occupancy(
@@ -262,7 +279,8 @@ def measure(
     seed: int,
     timeout: float,
 ) -> Row:
-    """What one estimator gives on one log: value, error, interval, seconds, status; what it raises is its status.
+    """What one estimator gives on one log: value, error, interval, seconds, status;
+    what it raises is its status.
 
     The interval is the reported one, else value +- 1.96 standard errors, else none.
     """
@@ -323,7 +341,9 @@ def split(text: str) -> list[str]:
 
 
 def choose_estimators(given: Any) -> dict[str, Any]:
-    """Name -> spec or estimator, each looked up once, of what ``run`` takes; ValueError for one that is none."""
+    """Name -> spec or estimator, each looked up once, of what ``run`` takes; ValueError
+    for one that is none.
+    """
     if isinstance(given, str):
         given = split(given)
     elif not isinstance(given, Mapping | Sequence):
@@ -410,12 +430,14 @@ def evaluate_as_printed(
 
 
 def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
-    """The source of what a user gave, and the names; every family of the first seed is made: a bad one is told at once.
+    """The source of what a user gave, and the names; every family of the first seed is
+    made: a bad one is told at once.
 
     Raises
     ------
     ValueError
-        An unknown name; what is no mapping of families; a family that cannot be made (its name and why).
+        An unknown name; what is no mapping of families; a family that cannot be made
+        (its name and why).
     """
     if isinstance(given, str) and ":" not in given:
         given = split(given)
@@ -478,7 +500,9 @@ def _named_families(spec: str | None, seed: int) -> Mapping[str, Family]:
 
 
 def modules_of(objects: Sequence[object]) -> tuple[str, ...]:
-    """The modules that hold a user's own objects: their files are part of what the results depend on."""
+    """The modules that hold a user's own objects: their files are part of what the
+    results depend on.
+    """
     modules = set()
     for item in objects:
         name = str(getattr(item, "__module__", "") or type(item).__module__)
@@ -505,7 +529,9 @@ def bench(
     say: Callable[[str], None],
     **options: Any,
 ) -> None:
-    """One run; bad arguments, families that cannot be made and folders with other settings are refused before it begins."""
+    """One run; bad arguments, families that cannot be made and folders with other
+    settings are refused before it begins.
+    """
     _files.local(output)
     try:
         numbers = SIZES if sizes is None else [float(word) for word in split(sizes)]

@@ -1,10 +1,13 @@
-"""Estimators that others publish, on tables: SCOPE-RL's [1] and offline-rl-ope's [2]; ``notebooks/peers.md`` is their page.
+"""Estimators that others publish, on tables: SCOPE-RL's [1] and offline-rl-ope's [2];
+``notebooks/peers.md`` is their page.
 
-Both install beside numpy 2.4 and work (SCOPE-RL 0.2.1, offline-rl-ope 7.0.0), but they pull in torch (4 GB with its CUDA
-libraries), d3rlpy (2.8.0, as 2.8.1 pins gymnasium 1.0.0) and gym, which prints a notice. offline-rl-ope imports jaxtyping and
-typeguard below 3, which it does not ask for; the extra does.
+Both install beside numpy 2.4 and work (SCOPE-RL 0.2.1, offline-rl-ope 7.0.0), but they
+pull in torch (4 GB with its CUDA libraries), d3rlpy (2.8.0, as 2.8.1 pins gymnasium
+1.0.0) and gym, which prints a notice. offline-rl-ope imports jaxtyping and typeguard
+below 3, which it does not ask for; the extra does.
 
-References: [1] H. Kiyohara et al., SCOPE-RL: a Python library for offline reinforcement learning and off-policy evaluation,
+References: [1] H. Kiyohara et al., SCOPE-RL: a Python library for offline reinforcement
+learning and off-policy evaluation,
 2023. [2] J. Spear, offline-rl-ope, https://pypi.org/project/offline-rl-ope.
 """
 
@@ -38,10 +41,12 @@ PEERS: Mapping[str, tuple[str, ...]] = {
 
 
 def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
-    """Episodes of one length, at most ``problem.horizon`` steps: state, action, reward, behavior and alive (episodes, T).
+    """Episodes of one length, at most ``problem.horizon`` steps: state, action, reward,
+    behavior and alive (episodes, T).
 
-    After its end an episode repeats its last state, takes action 0 with probability 1 under both policies and gets reward 0.
-    ``policy`` (episodes, T, A) is that of the policy at each step.
+    After its end an episode repeats its last state, takes action 0 with probability 1
+    under both policies and gets reward 0. ``policy`` (episodes, T, A) is that of the
+    policy at each step.
     """
     log = problem.recorded
     starts, probability = log.episode_starts, log.behavior_probability
@@ -76,12 +81,14 @@ def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Peer:
-    """An estimator of another library on the log's episodes; it gives no standard error.
+    """An estimator of another library on the log's episodes; it gives no standard
+    error.
 
     Parameters
     ----------
     library : "scope-rl" | "offline-rl-ope"
-    estimator : the name of its class in ``scope_rl.ope.discrete`` or ``offline_rl_ope.api.StandardEstimators``
+    estimator : the name of its class in ``scope_rl.ope.discrete`` or
+        ``offline_rl_ope.api.StandardEstimators``
 
     Examples
     --------
@@ -101,7 +108,9 @@ class Peer:
         )
 
     def load(self) -> Any:
-        """The estimator as the library makes it; ImportError, which names the extra, without the library."""
+        """The estimator as the library makes it; ImportError, which names the extra,
+        without the library.
+        """
         try:
             if self.library == "scope-rl":
                 return getattr(

@@ -1,7 +1,9 @@
-"""The families by name, made when they are looked up; and those on grids and of random MDPs.
+"""The families by name, made when they are looked up; and those on grids and of random
+MDPs.
 
-Grids: the paper's, floors of 8 x 8 whose slip differs by place or by motor, Gymnasium's toy text; patients with sepsis.
-Garnets: random MDPs, of which the simulator gets the probabilities wrong in several ways.
+Grids: the paper's, floors of 8 x 8 whose slip differs by place or by motor, Gymnasium's
+toy text; patients with sepsis. Garnets: random MDPs, of which the simulator gets the
+probabilities wrong in several ways.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ MISSING_ICU = (
 
 
 def floor(slip: Any = SIMULATED) -> FiniteMDP:
-    """8 x 8 cells, started anywhere; ``slip`` is a number, or one for each cell, or each (cell, action)."""
+    """8 x 8 cells, started anywhere; ``slip`` is a number, or one for each cell, or
+    each (cell, action).
+    """
     share = np.broadcast_to(np.asarray(slip, dtype=np.float64), (64, 4)).copy()
     share[-1] = 0.0
     always, never = gridworld(8, 1.0).transitions, gridworld(8, 0.0).transitions
@@ -66,7 +70,9 @@ def floor(slip: Any = SIMULATED) -> FiniteMDP:
 
 
 def one_way_grid() -> Family:
-    """The paper's grid from its corner with a log of its expert alone: much of what the policy does is never recorded."""
+    """The paper's grid from its corner with a log of its expert alone: much of what the
+    policy does is never recorded.
+    """
     simulator, target = (gridworld(6, slip, discount=0.97) for slip in (0.3, 0.15))
     family = pair(
         "Moves slip less than simulated, and the log shows one way only.",
@@ -79,7 +85,9 @@ def one_way_grid() -> Family:
 
 
 def icu_file() -> Path | None:
-    """The table that the package icu-sepsis ships, or None without it (the package need not be imported)."""
+    """The table that the package icu-sepsis ships, or None without it (the package need
+    not be imported).
+    """
     package = importlib.util.find_spec("icu_sepsis")
     if package is None or not package.submodule_search_locations:
         return None
@@ -89,11 +97,14 @@ def icu_file() -> Path | None:
 
 
 def icu_sepsis() -> Family:
-    """Patients with sepsis [1], five levels of the first drug, the second's as the clinicians chose them; discount .99.
+    """Patients with sepsis [1], five levels of the first drug, the second's as the
+    clinicians chose them; discount .99.
 
-    In the target death is twice as likely and survival .7 times, the rows scaled. Policy: the clinicians' levels.
+    In the target death is twice as likely and survival .7 times, the rows scaled.
+    Policy: the clinicians' levels.
 
-    Reference: [1] K. Choudhary, D. Gupta, P. S. Thomas, ICU-Sepsis: a benchmark MDP built from real medical data, RLC 2024.
+    Reference: [1] K. Choudhary, D. Gupta, P. S. Thomas, ICU-Sepsis: a benchmark MDP
+    built from real medical data, RLC 2024.
     """
     path = icu_file()
     if path is None:
@@ -135,12 +146,14 @@ def garnet(
     n_states: int = 40,
     recorded: float = 0.5,
 ) -> Maker:
-    """Each (s, a) leads to five random states with uniform Dirichlet probabilities; r(s, a) is normal.
+    """Each (s, a) leads to five random states with uniform Dirichlet probabilities;
+    r(s, a) is normal.
 
     Parameters
     ----------
-    change : (p, row, z, rng) -> the target's weights of the simulator's transitions, which have the probabilities p; row is
-        that of (s, a), z the next state's standardised value under the family's policy; None: no change
+    change : (p, row, z, rng) -> the target's weights of the simulator's transitions,
+        which have the probabilities p; row is that of (s, a), z the next state's
+        standardised value under the family's policy; None: no change
     """
 
     def make(rng: np.random.Generator) -> Family:
@@ -176,7 +189,8 @@ def make_worse(n_states: int = 40) -> Maker:
 
 
 def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
-    """A Garnet that is a little worse everywhere along V: P exp(-.25 z(V)), as ``garnet_worse``, of any size.
+    """A Garnet that is a little worse everywhere along V: P exp(-.25 z(V)), as
+    ``garnet_worse``, of any size.
 
     Parameters
     ----------
@@ -329,11 +343,13 @@ HELD = (  # whose results nobody saw while the default was chosen
 
 
 class Families(Mapping[str, Family]):
-    """Families by name, each made when it is first looked up, from random numbers of its own.
+    """Families by name, each made when it is first looked up, from random numbers of
+    its own.
 
     Parameters
     ----------
-    makers : name -> function of a generator, or without parameters, that makes the family
+    makers : name -> function of a generator, or without parameters, that makes the
+        family
     seed : int from 0
     left_out : name -> a sentence that says why it is not there
 
@@ -409,13 +425,14 @@ def families(seed: int = 0, *, large: bool = False) -> Families:
     Parameters
     ----------
     seed : int from 0; the random parts of a family (the Garnets) differ between seeds
-    large : whether those are there that a run must name: ``tandem45``, which takes seconds a log, and ``garnet_worse`` with
-        10, 20, 80 and 160 states
+    large : whether those are there that a run must name: ``tandem45``, which takes
+        seconds a log, and ``garnet_worse`` with 10, 20, 80 and 160 states
 
     Returns
     -------
     Families
-        name -> Family, made when it is looked up. ``icu_sepsis`` needs the extra ``bench``; without it ``left_out`` says so.
+        name -> Family, made when it is looked up. ``icu_sepsis`` needs the extra
+        ``bench``; without it ``left_out`` says so.
 
     Examples
     --------

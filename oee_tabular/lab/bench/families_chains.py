@@ -1,4 +1,6 @@
-"""Stocks, queues, machines, chains and further trades, in each of which a number or two differ."""
+"""Stocks, queues, machines, chains and further trades, in each of which a number or two
+differ.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def inventory(
     step: int = 3,
     **options: Any,
 ) -> Maker:
-    """Poisson demand; order 0 to 4 times ``step``; price 3, cost 1, holding .1 a unit, sales beyond the stock are lost."""
+    """Poisson demand; order 0 to 4 times ``step``; price 3, cost 1, holding .1 a unit,
+    sales beyond the stock are lost.
+    """
 
     def fill(stock: IntArray, order: IntArray) -> Any:
         return np.minimum(stock + step * order, n_states - 1)
@@ -68,7 +72,9 @@ def inventory(
 
 
 def queue(real: tuple[float, ...], about: str, **options: Any) -> Maker:
-    """25 jobs at most; (arrival, slow service, fast service) probabilities of a step; a job costs .1, fast service .4."""
+    """25 jobs at most; (arrival, slow service, fast service) probabilities of a step; a
+    job costs .1, fast service .4.
+    """
 
     def moves(jobs: IntArray, fast: IntArray, arrival: float, *service: float) -> Moves:
         done = np.where(jobs > 0, np.choose(fast, service), 0.0)
@@ -81,9 +87,11 @@ def queue(real: tuple[float, ...], about: str, **options: Any) -> Maker:
 
 
 def tandem(size: int = 45) -> Family:
-    """Two stations in line, less than ``size`` jobs each; slow or fast at each; the target has more arrivals, slower service.
+    """Two stations in line, less than ``size`` jobs each; slow or fast at each; the
+    target has more arrivals, slower service.
 
-    Policy: fast at a station with more than 3 jobs. Data: uniform actions, episodes of 8000 steps from the empty stations.
+    Policy: fast at a station with more than 3 jobs. Data: uniform actions, episodes of
+    8000 steps from the empty stations.
 
     Parameters
     ----------
@@ -130,13 +138,17 @@ def tandem(size: int = 45) -> Family:
 
 
 def machine(wear: IntArray, action: IntArray, one: float, two: float) -> Moves:
-    """Wear 0 to 11; keep, repair (half of the wear, 2) or replace (6); a worn machine earns less and wears by 0, 1 or 2."""
+    """Wear 0 to 11; keep, repair (half of the wear, 2) or replace (6); a worn machine
+    earns less and wears by 0, 1 or 2.
+    """
     after = np.choose(action, [wear, wear // 2, 0])
     return (1 - one - two, after), (one, after + 1), (two, after + 2)
 
 
 def mountain(place: IntArray, action: IntArray, pull: float) -> Moves:
-    """A valley of 25 places; push left, rest, push right; the slope pulls back; the right top ends it with 10."""
+    """A valley of 25 places; push left, rest, push right; the slope pulls back; the
+    right top ends it with 10.
+    """
     slope = pull * (place - 10) / 14
     right, left = 0.3 + 0.2 * (action - 1) - slope, 0.3 - 0.2 * (action - 1) + slope
     return (right, place + 1), (left, place - 1), (1 - left - right, place)
@@ -227,7 +239,9 @@ FIRST: dict[str, Maker] = {
 
 
 def ageing_asset(state: IntArray, action: IntArray, shock: float) -> Moves:
-    """Age 0 to 9, or failed by wear (10), or by a shock (11); run gently, run hard, renew. Hard running ages and earns more."""
+    """Age 0 to 9, or failed by wear (10), or by a shock (11); run gently, run hard,
+    renew. Hard running ages and earns more.
+    """
     runs = (state < 10) & (action < 2)
     repaired = np.where(
         action < 2, 0.05, np.select([state == 10, state == 11], [0.5, 0.7], 0.95)
@@ -251,7 +265,9 @@ def number_of_sick(susceptible: Any, infected: Any) -> Any:
 
 
 def epidemic(state: IntArray, action: IntArray, infection: float) -> Moves:
-    """Twelve people, susceptible and infected; nothing, distance (.5) or lockdown (1.2); an infected one costs 1 a step."""
+    """Twelve people, susceptible and infected; nothing, distance (.5) or lockdown
+    (1.2); an infected one costs 1 a step.
+    """
     s, i = SUSCEPTIBLE[state], INFECTED[state]
     rate = infection * np.array([1.0, 0.55, 0.25])[action]
     new, cured = np.divmod(np.arange((PEOPLE + 1) ** 2), PEOPLE + 1)
@@ -265,7 +281,9 @@ def epidemic(state: IntArray, action: IntArray, infection: float) -> Moves:
 
 
 def clinical_trial(state: IntArray, arm: IntArray, *arms: float) -> Moves:
-    """Six patients, two arms; the simulator predicts by the counts so far, Beta(1, 1); the arms cure .6 and .25 in truth."""
+    """Six patients, two arms; the simulator predicts by the counts so far, Beta(1, 1);
+    the arms cure .6 and .25 in truth.
+    """
     a, b, c, d = TRIALS[state[:, :, 0]].transpose(2, 0, 1)[..., None]
     cured, failed = np.where(arm, c, a), np.where(arm, d, b)
     cure = np.choose(arm, arms) if arms else (cured + 1) / (cured + failed + 2)
@@ -274,7 +292,9 @@ def clinical_trial(state: IntArray, arm: IntArray, *arms: float) -> Moves:
 
 
 def parking(state: IntArray, action: IntArray, free: float) -> Moves:
-    """Fifteen places on the way to a shop; drive on, or park where it is free; walking costs more than driving; rounds."""
+    """Fifteen places on the way to a shop; drive on, or park where it is free; walking
+    costs more than driving; rounds.
+    """
     distance, empty = np.divmod(state, 2)
     drives = 1 - action * empty
     ahead = np.where(distance > 0, distance - 1, 14)
@@ -292,26 +312,34 @@ def wins(s: IntArray, a: IntArray, to: IntArray) -> BoolArray:
 
 
 def gambler(capital: IntArray, action: IntArray, win: float) -> Moves:
-    """Capital 0 to 20, stakes of 1, 2 or 4; at 20 the game is won with reward 1, at 0 it is lost."""
+    """Capital 0 to 20, stakes of 1, 2 or 4; at 20 the game is won with reward 1, at 0
+    it is lost.
+    """
     put = np.minimum(2**action, np.minimum(capital, 20 - capital))
     return (win, capital + put), (1 - win, capital - put)
 
 
 def fishery(stock: IntArray, action: IntArray, growth: float) -> Moves:
-    """Stock 0 to 20, harvests of 0, 1, 2, 4 or 6; logistic growth with Poisson noise; a restocked sea starts at 0 or more."""
+    """Stock 0 to 20, harvests of 0, 1, 2, 4 or 6; logistic growth with Poisson noise; a
+    restocked sea starts at 0 or more.
+    """
     left = np.maximum(stock - HARVESTS[action], 0)
     return [(poisson(0.3 + left + growth * left * (1 - left / 20), 20), np.arange(21))]
 
 
 def traffic(state: IntArray, change: IntArray, *lanes: float) -> Moves:
-    """Twenty stretches of a road, two lanes; stay or change (.3); each lane moves with its own probability; a step costs 1."""
+    """Twenty stretches of a road, two lanes; stay or change (.3); each lane moves with
+    its own probability; a step costs 1.
+    """
     there = state ^ change  # the same stretch, in the lane that is chosen
     go = np.array(lanes)[there % 2] * np.where(change, 0.8, 1.0)
     return (go, there + 2), (1 - go, there)
 
 
 def elevator(state: IntArray, action: IntArray, low: float) -> Moves:
-    """Nine floors, a lift up, down or waiting; calls come from floors below the middle more often than simulated."""
+    """Nine floors, a lift up, down or waiting; calls come from floors below the middle
+    more often than simulated.
+    """
     # call 9: none
     at, call, floors = np.clip(state // 10 + action - 1, 0, 8), state % 10, np.arange(9)
     goes = (call < 9) & (at != call)

@@ -1,7 +1,9 @@
-"""Families whose targets differ in more than one number: several parameters, the shape of a distribution, one place.
+"""Families whose targets differ in more than one number: several parameters, the shape
+of a distribution, one place.
 
-Other kinds: effects that depend on the state, seasons, heavy tails, mixtures with another MDP, low rank, hundreds of
-successors, simulators that are right by luck. Each draws its parameters from a generator.
+Other kinds: effects that depend on the state, seasons, heavy tails, mixtures with
+another MDP, low rank, hundreds of successors, simulators that are right by luck. Each
+draws its parameters from a generator.
 """
 
 from __future__ import annotations
@@ -62,7 +64,9 @@ def miss(family: Family) -> float:
 def match_value(
     family_at: Callable[[float], Family], low: float, high: float
 ) -> Family:
-    """The family at the parameter in [low, high] where the simulator's value is right by luck."""
+    """The family at the parameter in [low, high] where the simulator's value is right
+    by luck.
+    """
     return family_at(
         optimize.brentq(
             lambda parameter: miss(family_at(parameter)), low, high, xtol=1e-3
@@ -76,7 +80,9 @@ def draw_garnet(
     n_actions: int = 3,
     n_successors: int = 5,
 ) -> Array:
-    """(S, A, S) of random rows: ``n_successors`` random states with uniform Dirichlet probabilities."""
+    """(S, A, S) of random rows: ``n_successors`` random states with uniform Dirichlet
+    probabilities.
+    """
     table = np.zeros((n_states, n_actions, n_states))
     for s, a in np.ndindex(n_states, n_actions):
         table[s, a, rng.permutation(n_states)[:n_successors]] = rng.dirichlet(
@@ -86,7 +92,9 @@ def draw_garnet(
 
 
 def blackjack(s: IntArray, stand: IntArray, cards: Array) -> Moves:
-    """Own total 2 to 21, dealer's card 1 to 10, aces count 1; then lost, even, won; draw or stand."""
+    """Own total 2 to 21, dealer's card 1 to 10, aces count 1; then lost, even, won;
+    draw or stand.
+    """
     total, drawn, final = s // 10 + 2, np.arange(1, 11), np.arange(17, 27)
     dealer = np.eye(32)[1:11]
     for t in range(1, 17):
@@ -155,7 +163,9 @@ def find_law_of_mean_5(
 def insurance_claims(
     capital: IntArray, action: IntArray, claims: Array, frequency: float
 ) -> Moves:
-    """Capital 0 (ruin) to 49; claims of 1 to 60, of which all, half or a quarter is kept."""
+    """Capital 0 (ruin) to 49; claims of 1 to 60, of which all, half or a quarter is
+    kept.
+    """
     income = np.minimum(capital + 3 - action, 49)
     return (1 - frequency, income), (
         frequency * claims,
@@ -224,7 +234,9 @@ def lucky_queue(rng: np.random.Generator) -> Family:
 
 
 def portfolio_tails(wealth: IntArray, action: IntArray, law: Array) -> Moves:
-    """Wealth 0 (broke) to 40 on a logarithmic scale; nothing, half or all of it at risk."""
+    """Wealth 0 (broke) to 40 on a logarithmic scale; nothing, half or all of it at
+    risk.
+    """
     after = wealth + np.round(0.5 * action * RETURNS).astype(int)
     return (0.8 * law, after), (0.2 * law, after - 1)
 
@@ -276,7 +288,9 @@ def reservoir(rng: np.random.Generator) -> Family:
 
 
 def router_fault(rng: np.random.Generator) -> Family:
-    """40 nodes with three links each; node 0 gives a reward and sends the packet anywhere."""
+    """40 nodes with three links each; node 0 gives a reward and sends the packet
+    anywhere.
+    """
     links = np.array([rng.permutation(40)[:3] for _ in range(40)])
     busiest = 1 + int(np.bincount(links.ravel(), minlength=40)[1:].argmax())
     about, real = (

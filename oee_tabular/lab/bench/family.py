@@ -1,6 +1,8 @@
-"""A family of environment shift: a simulator, a target that differs from it, a policy, and how the target is recorded.
+"""A family of environment shift: a simulator, a target that differs from it, a policy,
+and how the target is recorded.
 
-Below it what families are made of: pairs of models that differ in the parameters of their transitions, distributions.
+Below it what families are made of: pairs of models that differ in the parameters of
+their transitions, distributions.
 """
 
 from __future__ import annotations
@@ -29,12 +31,14 @@ from oee_tabular.simulate import sample_episodes
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """A pair of environments whose truth is exact. Those of the package have at least nine stochastic pairs, ``open_rows``.
+    """A pair of environments whose truth is exact. Those of the package have at least
+    nine stochastic pairs, ``open_rows``.
 
     Parameters
     ----------
     simulator, target : FiniteMDP
-        Of the same states, actions, rewards, initial distribution and discount; the target stays in the simulator's support.
+        Of the same states, actions, rewards, initial distribution and discount; the
+        target stays in the simulator's support.
     policy : (S, A), whose value in the target is asked
     data_policy : (S, A), which records the target
     about : one sentence: what the simulator has wrong
@@ -44,8 +48,8 @@ class Family:
     Raises
     ------
     ValueError
-        Another shape; another discount, initial distribution or reward; a target that leaves the simulator's support (the
-        transitions are named).
+        Another shape; another discount, initial distribution or reward; a target that
+        leaves the simulator's support (the transitions are named).
 
     Examples
     --------
@@ -106,7 +110,9 @@ class Family:
 
     @cached_property
     def open_rows(self) -> int:
-        """How many (s, a) have more than one next state in the simulator: the unit of a log's size."""
+        """How many (s, a) have more than one next state in the simulator: the unit of a
+        log's size.
+        """
         return int((np.diff(self.simulator.transitions.indptr) > 1).sum())
 
     @cached_property
@@ -119,7 +125,9 @@ class Family:
 
     @cached_property
     def moves_per_state_action(self) -> Array:
-        """(S, A): how many transitions from (s, a) an episode records on average, exactly."""
+        """(S, A): how many transitions from (s, a) an episode records on average,
+        exactly.
+        """
         running = self.target.with_discount(1.0)
         visits = self.length * occupancy(running, self.data_policy, horizon=self.length)
         # an episode ends on arrival; one that starts there has one step
@@ -129,20 +137,25 @@ class Family:
 
     @cached_property
     def data_distribution(self) -> Array:
-        """(S, A): the share of each (s, a) among the transitions that the episodes record, exactly."""
+        """(S, A): the share of each (s, a) among the transitions that the episodes
+        record, exactly.
+        """
         return np.asarray(
             self.moves_per_state_action / self.moves_per_state_action.sum()
         )
 
     def size(self, per_row: float) -> int:
-        """The number of transitions of a log with ``per_row`` per stochastic pair, at least 1."""
+        """The number of transitions of a log with ``per_row`` per stochastic pair, at
+        least 1.
+        """
         return max(
             1,
             round(_checks.number_in(per_row, "per_row", 0.0, np.inf) * self.open_rows),
         )
 
     def log(self, n: int, seed: Seed) -> Transitions:
-        """Exactly ``n`` transitions of the data policy in the target: episodes, each cut at ``length``, the last at n.
+        """Exactly ``n`` transitions of the data policy in the target: episodes, each
+        cut at ``length``, the last at n.
 
         Parameters
         ----------
@@ -219,7 +232,8 @@ def pair(
     policy: Array | None = None,
     horizon: int | None = None,
 ) -> Family:
-    """A family whose policy is the simulator's optimum, ``optimal`` of it, the rest uniform.
+    """A family whose policy is the simulator's optimum, ``optimal`` of it, the rest
+    uniform.
 
     Parameters
     ----------
@@ -255,15 +269,19 @@ def shift(
     ends: Collection[int] = (),
     **options: Any,
 ) -> Maker:
-    """What makes a family of two models that differ in the parameters of their transitions.
+    """What makes a family of two models that differ in the parameters of their
+    transitions.
 
     Parameters
     ----------
     shape : (S, A)
-    rewards : as of ``FiniteMDP``, or a function of s, a and the next state: r(s, a, s') on the support
-    believed, real : the simulator's and the target's parameters; ``real`` may be a function that draws them from a generator
-    moves : function of the states s (S, 1, 1), the actions a (1, A, 1) and the parameters that gives pairs (probability,
-        next state), each broadcast to (S, A, K), K possible next states at once; equal ones are added up, and what lies
+    rewards : as of ``FiniteMDP``, or a function of s, a and the next state: r(s, a, s')
+        on the support
+    believed, real : the simulator's and the target's parameters; ``real`` may be a
+        function that draws them from a generator
+    moves : function of the states s (S, 1, 1), the actions a (1, A, 1) and the
+        parameters that gives pairs (probability, next state), each broadcast to (S, A,
+        K), K possible next states at once; equal ones are added up, and what lies
         beyond the first or last state is that state
     start : states in which episodes begin, evenly
     ends : states in which an episode is over
@@ -340,7 +358,9 @@ def binomial(n: Any, probability: Any) -> Array:
 
 
 def cross(one: Array, other: Array) -> Array:
-    """The joint distribution of two independent parts, the second varying faster, along the last axis."""
+    """The joint distribution of two independent parts, the second varying faster, along
+    the last axis.
+    """
     joint = one[..., :, None] * other[..., None, :]
     return joint.reshape(*joint.shape[:-2], -1)
 

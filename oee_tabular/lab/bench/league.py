@@ -1,13 +1,17 @@
-"""From the rows of a run to numbers of each cell (family x size x estimator), and to the league of the estimators.
+"""From the rows of a run to numbers of each cell (family x size x estimator), and to
+the league of the estimators.
 
-A cell's reference is max(min(RMSE of maximum likelihood, RMSE of the simulator), eff / 2) on the same logs, with
-eff = sqrt(efficiency bound / n). A ratio is *surely* above 1.1 where the 5% quantile of its paired bootstrap over the seeds is.
+A cell's reference is max(min(RMSE of maximum likelihood, RMSE of the simulator), eff /
+2) on the same logs, with eff = sqrt(efficiency bound / n). A ratio is *surely* above
+1.1 where the 5% quantile of its paired bootstrap over the seeds is.
 
-No estimator can know the reference, and none can reach it everywhere; ``floor`` says how near a rule can come that sees the
-value alone. Let x be the maximum-likelihood value less the simulator's and b the simulator's error, over eff, so that
-x ~ N(b, 1) for large n. A rule delta(x) has the ratio sqrt(E (delta(x) - b)^2) / max(min(|b|, 1), 1/2) at b. No rule has a
-ratio below 1.22 at every b (T. Armstrong, P. Kline and L. Sun, Adapting to Misspecification, 2023, arXiv 2305.14265).
-``floor(b)`` is the ratio at b of the rule whose worst ratio is least. An estimator that sees more than the value, such as
+No estimator can know the reference, and none can reach it everywhere; ``floor`` says
+how near a rule can come that sees the value alone. Let x be the maximum-likelihood
+value less the simulator's and b the simulator's error, over eff, so that x ~ N(b, 1)
+for large n. A rule delta(x) has the ratio sqrt(E (delta(x) - b)^2) / max(min(|b|, 1),
+1/2) at b. No rule has a ratio below 1.22 at every b (T. Armstrong, P. Kline and L. Sun,
+Adapting to Misspecification, 2023, arXiv 2305.14265). ``floor(b)`` is the ratio at b of
+the rule whose worst ratio is least. An estimator that sees more than the value, such as
 where the log differs from the simulator, can be below it.
 """
 
@@ -126,7 +130,9 @@ def _cell_rows(key: Any, part: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _ratios(squares: Array, eff: Array) -> dict[str, float]:
-    """RMSE of all three, their ratios, the 5% bootstrap quantile of the first, the floor at the simulator's error."""
+    """RMSE of all three, their ratios, the 5% bootstrap quantile of the first, the
+    floor at the simulator's error.
+    """
     n = squares.shape[1]
     mean_eff = math.sqrt(float(np.mean(eff**2)))
     least = LEAST * mean_eff if math.isfinite(mean_eff) else 0.0
@@ -155,7 +161,9 @@ def _divide(own: Array, reference: Array) -> Array:
 
 @functools.lru_cache(maxsize=8)
 def resamples(seeds: int) -> Array:
-    """(resamples, seeds): shares of the seeds in each bootstrap sample, the same for every cell of as many seeds."""
+    """(resamples, seeds): shares of the seeds in each bootstrap sample, the same for
+    every cell of as many seeds.
+    """
     drawn = np.random.default_rng(seeds).multinomial(
         seeds, np.full(seeds, 1 / seeds), size=N_RESAMPLES
     )
@@ -165,7 +173,9 @@ def resamples(seeds: int) -> Array:
 def _intervals(
     mine: pd.DataFrame, eff: Array, is_counted: BoolArray
 ) -> dict[str, float]:
-    """Of the reported interval and of value +- 1.96 standard errors: logs that count, those covered, width / (2 * 1.96 eff)."""
+    """Of the reported interval and of value +- 1.96 standard errors: logs that count,
+    those covered, width / (2 * 1.96 eff).
+    """
     half, numbers = NORMAL * mine["standard_error"], dict[str, float]()
     ends = {
         "": (mine["lower"], mine["upper"]),
@@ -217,7 +227,8 @@ def _league_row(cells: pd.DataFrame) -> dict[str, Any]:
 
 
 def floor(error: Array) -> Array:
-    """The ratio of the best rule where the simulator's error is ``error`` times eff; from 5 on that of 5.
+    """The ratio of the best rule where the simulator's error is ``error`` times eff;
+    from 5 on that of 5.
 
     Examples
     --------
@@ -265,7 +276,8 @@ class League:
     ----------
     table : DataFrame, a row for each family, size, seed and estimator
     cells : DataFrame, a row for each family, size and estimator, over the seeds
-    league : DataFrame, a row for each estimator and kind of families ("tuned", "held"), over the cells
+    league : DataFrame, a row for each estimator and kind of families ("tuned", "held"),
+        over the cells
 
     Examples
     --------
@@ -361,7 +373,9 @@ class League:
         disable_math(ax.legend(fontsize="small", loc="best").get_texts())
 
     def sizes(self, figure: Any) -> None:
-        """Draw each estimator's RMSE over eff by size, its geometric mean over families with a standard error over them."""
+        """Draw each estimator's RMSE over eff by size, its geometric mean over families
+        with a standard error over them.
+        """
         ax = _axes(
             figure, xlabel="transitions per stochastic pair", ylabel="RMSE over eff"
         )
@@ -394,7 +408,9 @@ class League:
         disable_math(ax.legend(fontsize="small", loc="best").get_texts())
 
     def heat(self, figure: Any) -> None:
-        """Draw the ratio of each family and size, a panel for each estimator that is no reference, a number in each cell."""
+        """Draw the ratio of each family and size, a panel for each estimator that is no
+        reference, a number in each cell.
+        """
         references = [LIKELIHOOD, SIMULATOR]
         names = [
             name for name in self.cells["estimator"].unique() if name not in references
@@ -442,7 +458,9 @@ class League:
         bar.set_label("RMSE over the reference's", fontsize="small")
 
     def page(self, about: Mapping[str, str], command: str) -> str:
-        """The league as a page of markdown; ``about``: what the simulator of each family has wrong."""
+        """The league as a page of markdown; ``about``: what the simulator of each
+        family has wrong.
+        """
         parts = {
             "# Estimators on families of environment shift": (
                 f"`{command}`" if command else ""
@@ -500,7 +518,9 @@ class League:
     def save(
         self, folder: Any, *, about: Mapping[str, str] | None = None, command: str = ""
     ) -> list[Path]:
-        """Write table.csv, cells.csv, league.csv, league.md, league.tex and three pictures, all or none."""
+        """Write table.csv, cells.csv, league.csv, league.md, league.tex and three
+        pictures, all or none.
+        """
         contents = {
             "table.csv": _files.csv_bytes(self.table),
             "cells.csv": _files.csv_bytes(self.cells, float_format="%.6g"),
@@ -529,8 +549,9 @@ def league_of(table: pd.DataFrame) -> League:
 
     Parameters
     ----------
-    table : columns family, families, size, seed, estimator, value, standard_error, error, lower, upper, seconds, covered,
-        bound, identical, status; among the estimators the references "maximum-likelihood" and "simulator"
+    table : columns family, families, size, seed, estimator, value, standard_error,
+        error, lower, upper, seconds, covered, bound, identical, status; among the
+        estimators the references "maximum-likelihood" and "simulator"
 
     Examples
     --------

@@ -1,8 +1,10 @@
-"""The experiments of ``oee reproduce``: the paper's figures and more, on numbered states and on its robots.
+"""The experiments of ``oee reproduce``: the paper's figures and more, on numbered
+states and on its robots.
 
-``values`` and ``zeta`` hold those of the paper's grid and of toy text, ``sureness`` those of intervals and plans;
-``cartpole``, ``reacher`` and ``kinova`` (a simulated stand-in) those of the robots, ``changes`` what nobody tuned for;
-``catalogue`` has all by id. Here is what notebooks call.
+``values`` and ``zeta`` hold those of the paper's grid and of toy text, ``sureness``
+those of intervals and plans; ``cartpole``, ``reacher`` and ``kinova`` (a simulated
+stand-in) those of the robots, ``changes`` what nobody tuned for; ``catalogue`` has all
+by id. Here is what notebooks call.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
     ----------
     name : the experiment's id; in a clone, any in ``notebooks/results``
     table : "table", every seed, or "summary", their means
-        Without a clone there are "table" of fig2, fig3 and networks, and "summary" of fig3 and table1.
+        Without a clone there are "table" of fig2, fig3 and networks, and "summary" of
+        fig3 and table1.
 
     Raises
     ------
@@ -54,7 +57,8 @@ def load_saved_table(name: str, table: str = "table") -> pd.DataFrame:
 def table(
     name: str, *, repetitions: int = 1, seed: int = 0, **axes: object
 ) -> pd.DataFrame:
-    """Some cells of an experiment, computed here and now: the rows that ``oee reproduce`` gives for them.
+    """Some cells of an experiment, computed here and now: the rows that ``oee
+    reproduce`` gives for them.
 
     Parameters
     ----------

@@ -1,15 +1,19 @@
-"""CartPole under four gravities (fig2); what estimates cost in grid, data and data quality; how they were configured.
+"""CartPole under four gravities (fig2); what estimates cost in grid, data and data
+quality; how they were configured.
 
-Every estimate is made from one log in one documented configuration, the same for every gravity and n:
+Every estimate is made from one log in one documented configuration, the same for every
+gravity and n:
 
     32 x 32 grid over (theta, theta'), the simulator (gravity 10) looked at in the log's own places, floor 0.001,
     zeta from soft counts with prior "simulator" and strength 0.01, exact evaluation, calibrated by the ratio.
 
-``cartpole_choice`` compares others on logs that no other experiment reports. Moves from or to states outside the grid, one in a
-million, are left out; ends of the track, which (theta, theta') does not show, are taken as truncations. Values are
-(1 - discount) sum_{t<100} discount^t r_t, discount 0.99: at most 0.634, a pole that never falls. The truth, means
-of 400 000 episodes with standard errors of at most 3e-4, is in ``cartpole_truth.csv``. The simulator's own value, which
-calibration needs, has other random numbers than the truth that estimates are held to.
+``cartpole_choice`` compares others on logs that no other experiment reports. Moves from
+or to states outside the grid, one in a million, are left out; ends of the track, which
+(theta, theta') does not show, are taken as truncations. Values are (1 - discount)
+sum_{t<100} discount^t r_t, discount 0.99: at most 0.634, a pole that never falls. The
+truth, means of 400 000 episodes with standard errors of at most 3e-4, is in
+``cartpole_truth.csv``. The simulator's own value, which calibration needs, has other
+random numbers than the truth that estimates are held to.
 
     python -m oee_tabular.lab.experiments.cartpole     makes the table again, the same to the last bit (five minutes)
 """
@@ -145,7 +149,9 @@ def policies_of(model: Discretization) -> list[Array]:
 def calibrate(
     name: str, mdp: FiniteMDP, simulator: FiniteMDP, policies: list[Array]
 ) -> dict[str, Array]:
-    """The values of a model; calibrated: times the simulator's own value, by Monte Carlo / its value on the same cells."""
+    """The values of a model; calibrated: times the simulator's own value, by Monte
+    Carlo / its value on the same cells.
+    """
     raw, inside = (exact_values(model, policies) for model in (mdp, simulator))
     return {
         name: raw,
@@ -160,7 +166,9 @@ def target_log(
     generator: np.random.Generator,
     behavior: float = BEHAVIOR,
 ) -> Any:
-    """n moves by delta = ``behavior``; kind "compiled" (our dynamics, the paper's noise) or "gymnasium" (stepped, no noise)."""
+    """n moves by delta = ``behavior``; kind "compiled" (our dynamics, the paper's
+    noise) or "gymnasium" (stepped, no noise).
+    """
     policy = cartpole_policy(behavior)
     if kind == "gymnasium":
         task: Any = continuous_simulator(f"CartPole-v1:gravity={gravity}").task
@@ -177,7 +185,9 @@ def fine_values(task: ContinuousTask) -> Array:
 
 
 def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) -> Array:
-    """Per decision, on the log's whole episodes, with the probabilities that policy and behaviour have in each state."""
+    """Per decision, on the log's whole episodes, with the probabilities that policy and
+    behaviour have in each state.
+    """
     episode, is_cut = (
         log.columns()["episode"],
         log.truncated & (log.columns()["timestep"] < HORIZON - 1),
@@ -195,9 +205,11 @@ def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) ->
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Off-environment evaluation on cells at a log's places: the simulator there, its zeta, and values raw and calibrated.
+    """Off-environment evaluation on cells at a log's places: the simulator there, its
+    zeta, and values raw and calibrated.
 
-    ``uncovered`` : share of the log's transitions without probability, which are left out.
+    ``uncovered`` : share of the log's transitions without probability, which are left
+    out.
     """
 
     simulator: Discretization
@@ -214,7 +226,9 @@ def off_environment(
     strength: float = STRENGTH,
     form: str = "angle",
 ) -> Corrected:
-    """The documented configuration; or other cells and strength, or cells of the whole state (``form`` "full")."""
+    """The documented configuration; or other cells and strength, or cells of the whole
+    state (``form`` "full").
+    """
     task = CartPole(SIMULATED, form=form)
     with warnings.catch_warnings():
         warnings.filterwarnings(
@@ -233,11 +247,14 @@ def off_environment(
 def estimates(
     log: ContinuousTransitions, gravity: float, *, noise: float
 ) -> tuple[dict[str, Array], Corrected]:
-    """Name -> (6,) values at each of ``DELTAS``; ``gravity`` and ``noise`` are for the oracle alone.
+    """Name -> (6,) values at each of ``DELTAS``; ``gravity`` and ``noise`` are for the
+    oracle alone.
 
-    model-based: the log's soft frequencies on the same cells; its calibration takes the simulator through the same, seen in the
-    log's places, and staying where the log was never. oracle: the target itself there, what no log improves on. linear
-    model: (theta, theta') linear in theta, theta', the force and 1; it knows where the pole has fallen.
+    model-based: the log's soft frequencies on the same cells; its calibration takes the
+    simulator through the same, seen in the log's places, and staying where the log was
+    never. oracle: the target itself there, what no log improves on. linear model:
+    (theta, theta') linear in theta, theta', the force and 1; it knows where the pole
+    has fallen.
     """
     found = off_environment(log)
     model, policies, n_actions = (
@@ -300,7 +317,9 @@ PAPERS_NAMES = {"OEE": "oee", "model-based": "mle", "IS": "is"}
 def rows_of(
     values: dict[str, Array], case: str, gravity: float, found: Corrected | None = None
 ) -> list[Row]:
-    """A row for each estimator: its mean |error| over the policies, and value and truth of each."""
+    """A row for each estimator: its mean |error| over the policies, and value and truth
+    of each.
+    """
     truth = true_values(case, gravity)
     facts: Row = {
         f"truth_{delta:g}": value for delta, value in zip(DELTAS, truth, strict=True)
@@ -322,7 +341,9 @@ def rows_of(
 
 
 def published_error(gravity: float, estimator: str) -> float:
-    """Mean |error| of the paper's own curve from its own true curve; of the simulator, between its two true curves."""
+    """Mean |error| of the paper's own curve from its own true curve; of the simulator,
+    between its two true curves.
+    """
     setting, name = f"gravity={gravity}", PAPERS_NAMES.get(estimator.partition(",")[0])
     right = published("cartpole", setting, "true_value")
     if estimator == "simulator" and gravity != SIMULATED:
@@ -337,7 +358,9 @@ def published_error(gravity: float, estimator: str) -> float:
 
 
 def draw_figure_2(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Values and errors at each delta, under each gravity, of the largest logs of the compiled target."""
+    """Values and errors at each delta, under each gravity, of the largest logs of the
+    compiled target.
+    """
     own = table[(table.target == "compiled") & (table.n == table.n.max())]
     shared: dict[str, Any] = {
         "curves": "estimator",
@@ -397,7 +420,9 @@ def finding_2(table: pd.DataFrame) -> str:
 
 
 def smallest(table: pd.DataFrame, column: str) -> pd.Series[float]:
-    """The mean errors by the values of a column, the least first; the simulator's own left out."""
+    """The mean errors by the values of a column, the least first; the simulator's own
+    left out.
+    """
     return (
         table[table.estimator != "simulator"]
         .groupby(column)
@@ -426,11 +451,13 @@ def smallest(table: pd.DataFrame, column: str) -> pd.Series[float]:
     ),
 )
 def fig2(settings: Cell, stream: Stream) -> list[Row]:
-    """Values are (1 - discount) times the discounted sum of 100 rewards, at most 0.634, of delta uniform + (1 - delta)
-    expert; logs of delta = 0.3. The truth is a mean of 400 000 episodes (standard error at most 0.0003). 32 x 32 vertices over
-    angle and angular velocity, the simulator looked at in the log's places, strength 0.01. Calibrated: times the simulator's
-    Monte Carlo value / its value on the grid. The oracle is the target itself on the same grid. Residual: the simulator
-    corrected by what the log's steps leave over its own. Hollow grey marks: the paper's.
+    """Values are (1 - discount) times the discounted sum of 100 rewards, at most 0.634,
+    of delta uniform + (1 - delta) expert; logs of delta = 0.3. The truth is a mean of
+    400 000 episodes (standard error at most 0.0003). 32 x 32 vertices over angle and
+    angular velocity, the simulator looked at in the log's places, strength 0.01.
+    Calibrated: times the simulator's Monte Carlo value / its value on the grid. The
+    oracle is the target itself on the same grid. Residual: the simulator corrected by
+    what the log's steps leave over its own. Hollow grey marks: the paper's.
     """
     kind, gravity = str(settings["target"]), float(settings["gravity"])
     log = target_log(kind, gravity, int(settings["n"]), stream.generator())
@@ -491,9 +518,11 @@ def draw_resolution(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> 
     ),
 )
 def cartpole_resolution(settings: Cell, stream: Stream) -> list[Row]:
-    """Mean |error| over six policies and three gravities. n = 0: the target itself on these states, no data; else estimates
-    from n transitions, raw and calibrated. Two dimensions (angle, angular velocity) are exact for policies of the angle; no
-    log covers a grid of the whole state. uncovered: share of the log's transitions without probability, which are left out.
+    """Mean |error| over six policies and three gravities. n = 0: the target itself on
+    these states, no data; else estimates from n transitions, raw and calibrated. Two
+    dimensions (angle, angular velocity) are exact for policies of the angle; no log
+    covers a grid of the whole state. uncovered: share of the log's transitions without
+    probability, which are left out.
     """
     (form, cells), n, gravity = (
         STATES[str(settings["states"])],
@@ -568,8 +597,9 @@ def cartpole_resolution(settings: Cell, stream: Stream) -> list[Row]:
     ),
 )
 def cartpole_data(settings: Cell, stream: Stream) -> list[Row]:
-    """Mean |error| over six policies from logs that delta = 0 (the expert), 0.3, 0.6 or 1 (uniform) recorded. visited: share
-    of states and actions of the grid that the log has seen.
+    """Mean |error| over six policies from logs that delta = 0 (the expert), 0.3, 0.6 or
+    1 (uniform) recorded. visited: share of states and actions of the grid that the log
+    has seen.
     """
     gravity = float(settings["gravity"])
     log = target_log(
@@ -617,8 +647,9 @@ def cartpole_data(settings: Cell, stream: Stream) -> list[Row]:
     ),
 )
 def cartpole_choice(settings: Cell, stream: Stream) -> list[Row]:
-    """Mean |error| over six policies and three gravities of the calibrated estimate, by the vertices along each side and the
-    strength of the prior, on logs of its own. fig2 uses 32 and 0.01 everywhere.
+    """Mean |error| over six policies and three gravities of the calibrated estimate, by
+    the vertices along each side and the strength of the prior, on logs of its own. fig2
+    uses 32 and 0.01 everywhere.
     """
     gravity = float(settings["gravity"])
     log = target_log(

@@ -105,8 +105,9 @@ def reproduce(
 ) -> None:
     """Run the experiments one after the other; the folder's index is written last.
 
-    An experiment whose extra is not installed is left out with a sentence, and an error where nothing else was asked for.
-    Folders with other settings are refused before anything runs. ``options``: jobs, dask, fresh, as in ``run_experiment``.
+    An experiment whose extra is not installed is left out with a sentence, and an error
+    where nothing else was asked for. Folders with other settings are refused before
+    anything runs. ``options``: jobs, dask, fresh, as in ``run_experiment``.
     """
     if seeds is not None and seeds < 1:
         raise ValueError(f"--seeds must be at least 1; got {seeds}")

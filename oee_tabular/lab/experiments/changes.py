@@ -1,4 +1,6 @@
-"""changes: what estimates are worth on changes and tasks that nobody tuned for; and how often their intervals hold."""
+"""changes: what estimates are worth on changes and tasks that nobody tuned for; and how
+often their intervals hold.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,8 @@ class Change:
 
     Attributes
     ----------
-    simulator, target : the target's states may have more coordinates after the simulator's; the log has the simulator's
+    simulator, target : the target's states may have more coordinates after the
+        simulator's; the log has the simulator's
     policy : share of random actions -> policy
     sizes : moves of a log
     deltas : shares of random actions of the policies valued
@@ -108,7 +111,9 @@ class Change:
 
 @dataclass(frozen=True)
 class Arm(Change):
-    """The Kinova stand-in: values are means over the five goals, logs are of 10 runs to each."""
+    """The Kinova stand-in: values are means over the five goals, logs are of 10 runs to
+    each.
+    """
 
     def log(self, n: int, seed: Seed) -> ContinuousTransitions:
         """n moves, 25 a run."""
@@ -311,7 +316,9 @@ def _row(case: Change, estimator: str, name: str, found: list[Array]) -> Row:
 def _grid_returns(
     case: Change, name: str, log: ContinuousTransitions
 ) -> dict[str, list[Array]]:
-    """The log's zeta on a grid of the task's features, raw and calibrated by the simulator's ratio."""
+    """The log's zeta on a grid of the task's features, raw and calibrated by the
+    simulator's ratio.
+    """
     # states outside, transitions without support: left out here
     with warnings.catch_warnings(action="ignore"):
         model = discretize(
@@ -362,7 +369,9 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
 
 
 def finding(table: pd.DataFrame) -> str:
-    """What each leaves of the simulator's error in the median of the cases that all have, the least first."""
+    """What each leaves of the simulator's error in the median of the cases that all
+    have, the least first.
+    """
     own = table[table.estimator.isin((RESIDUAL, LINEAR, CALIBRATED, GRID))]
     left = (
         own.pivot_table("share", "case", "estimator")
@@ -396,10 +405,12 @@ def finding(table: pd.DataFrame) -> str:
     requires=("mujoco",),
 )
 def changes(settings: Cell, stream: Stream) -> list[Row]:
-    """A log of n transitions by 30% random actions (Reacher: half); errors are means over policies of |value - truth|, values
-    and truths by rollouts that share their random numbers; noise: the standard error of what is left. Two policies, 200 steps
-    (CartPole: six, 100; Acrobot: 500; Reacher: five). grid: zeta on 32 x 32 to 41 x 41 vertices, for the first log; calibrated:
-    times the simulator's rollouts / its value on the grid. hidden: share of the logs whose state is said not to be Markov.
+    """A log of n transitions by 30% random actions (Reacher: half); errors are means
+    over policies of |value - truth|, values and truths by rollouts that share their
+    random numbers; noise: the standard error of what is left. Two policies, 200 steps
+    (CartPole: six, 100; Acrobot: 500; Reacher: five). grid: zeta on 32 x 32 to 41 x 41
+    vertices, for the first log; calibrated: times the simulator's rollouts / its value
+    on the grid. hidden: share of the logs whose state is said not to be Markov.
     """
     name, n = LOGS[str(settings["case"])]
     case = CASES[name]
@@ -455,7 +466,9 @@ def truth(name: str) -> MonteCarlo:
 
 @functools.lru_cache(maxsize=8)
 def returns_of_target(name: str) -> tuple[Change, np.ndarray]:
-    """The case, and returns in its target whose random numbers the corrected simulator shares."""
+    """The case, and returns in its target whose random numbers the corrected simulator
+    shares.
+    """
     case = replace(CASES[name], episodes=EPISODES, scale=1.0)
     return case, case.returns(case.target, POLICIES[name])
 
@@ -475,7 +488,9 @@ def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> No
 
 
 def find_coverage(table: pd.DataFrame) -> str:
-    """In what share of the logs of each case the interval holds the truth, and how often without the rollouts' noise."""
+    """In what share of the logs of each case the interval holds the truth, and how
+    often without the rollouts' noise.
+    """
     held = table.groupby("case")[["covered", "covered_paired"]].mean()
     whole, paired = (reach(held[name], percent) for name in held)
     return (
@@ -496,9 +511,11 @@ def find_coverage(table: pd.DataFrame) -> str:
     finding=find_coverage,
 )
 def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
-    """Logs of 20 000 transitions, a policy each; sums of rewards. covered: share of the logs whose 95% interval (10 refits by
-    200 episodes, the value by 1000) covers the truth of 400 000 rollouts. covered_paired: the same without the rollouts' noise,
-    by rollouts that share their random numbers with the target's: |error| within Student's t times the standard error.
+    """Logs of 20 000 transitions, a policy each; sums of rewards. covered: share of the
+    logs whose 95% interval (10 refits by 200 episodes, the value by 1000) covers the
+    truth of 400 000 rollouts. covered_paired: the same without the rollouts' noise, by
+    rollouts that share their random numbers with the target's: |error| within Student's
+    t times the standard error.
     """
     name = str(settings["case"])
     case, there = returns_of_target(name)

@@ -1,6 +1,8 @@
-"""Tasks of the experiments: classic control with every parameter free, masses on springs, linear-Gaussian models of a log.
+"""Tasks of the experiments: classic control with every parameter free, masses on
+springs, linear-Gaussian models of a log.
 
-By default a step of the classic tasks is Gymnasium's (tests/continuous/test_experiments.py); CartPole has the paper's noise.
+By default a step of the classic tasks is Gymnasium's
+(tests/continuous/test_experiments.py); CartPole has the paper's noise.
 """
 
 from __future__ import annotations
@@ -65,7 +67,9 @@ class Plain(ContinuousTask):
 
 @dataclass(frozen=True)
 class Pendulum(Plain):
-    """Gymnasium's Pendulum-v1, torques -2, 0 and 2 N m; the state is (angle, speed), not the observation."""
+    """Gymnasium's Pendulum-v1, torques -2, 0 and 2 N m; the state is (angle, speed),
+    not the observation.
+    """
 
     mass: float = 1.0
     length: float = 1.0
@@ -146,7 +150,9 @@ class MountainCar(Plain):
 
 @dataclass(frozen=True)
 class Acrobot(Plain):
-    """Gymnasium's Acrobot-v1: one step of Runge and Kutta of 0.2 s; centres of mass in the middle of the links."""
+    """Gymnasium's Acrobot-v1: one step of Runge and Kutta of 0.2 s; centres of mass in
+    the middle of the links.
+    """
 
     mass_1: float = 1.0
     mass_2: float = 1.0
@@ -208,9 +214,11 @@ class Acrobot(Plain):
 
 @dataclass(frozen=True)
 class Chain(Plain):
-    """Four masses between two walls, on springs that harden; the first is pushed: eight coordinates.
+    """Four masses between two walls, on springs that harden; the first is pushed: eight
+    coordinates.
 
-    k (u + hardness u^3) is a spring's force at the extension u; a step is 0.1 s, twice 0.05 s by semi-implicit Euler.
+    k (u + hardness u^3) is a spring's force at the extension u; a step is 0.1 s, twice
+    0.05 s by semi-implicit Euler.
     """
 
     mass: float = 1.0
@@ -259,9 +267,11 @@ class Chain(Plain):
 
 
 class LinearGaussian(DerivedTask):
-    """s' = s + A s + B u + c + N(0, Sigma) in some coordinates, by least squares; rewards, ends and beginnings are the task's.
+    """s' = s + A s + B u + c + N(0, Sigma) in some coordinates, by least squares;
+    rewards, ends and beginnings are the task's.
 
-    One model of all actions u, where ``LinearModel`` has one of each. The coordinates that are left out stay as they are.
+    One model of all actions u, where ``LinearModel`` has one of each. The coordinates
+    that are left out stay as they are.
     """
 
     def __init__(

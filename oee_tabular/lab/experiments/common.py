@@ -1,4 +1,6 @@
-"""What experiments share: the paper's published figures, pairs of gridworlds, logs by the paper's recipe, errors."""
+"""What experiments share: the paper's published figures, pairs of gridworlds, logs by
+the paper's recipe, errors.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ MEAN_ERROR = "mean |error| of (1 - discount) J"
 
 @functools.cache
 def published_table() -> pd.DataFrame:
-    """The paper's published figures as numbers: figure, setting, series, x, mean, lo, hi; some curves were never published."""
+    """The paper's published figures as numbers: figure, setting, series, x, mean, lo,
+    hi; some curves were never published.
+    """
     return pd.read_csv(Path(__file__).with_name("paper.csv"))
 
 
@@ -70,7 +74,9 @@ def small_grids() -> tuple[oee.FiniteMDP, oee.FiniteMDP]:
 def sample_pool(
     target: oee.FiniteMDP, behavior: Array, n: int, generator: np.random.Generator
 ) -> oee.Transitions:
-    """Whole episodes of at most 1000 steps that hold at least n transitions: a pilot of 20 says how many are needed."""
+    """Whole episodes of at most 1000 steps that hold at least n transitions: a pilot of
+    20 says how many are needed.
+    """
     pilot = oee.sample_episodes(target, behavior, 20, LONGEST, seed=generator)
     needed = 20 + round(1.2 * n / (len(pilot) / 20))
     while (
@@ -88,7 +94,9 @@ def sample_pool(
 def sample_log(
     target: oee.FiniteMDP, delta: float, n: int, generator: np.random.Generator
 ) -> oee.Transitions:
-    """n transitions drawn without replacement from such episodes of pi_delta: the paper's recipe."""
+    """n transitions drawn without replacement from such episodes of pi_delta: the
+    paper's recipe.
+    """
     behavior = gridworld_policy(round(target.n_states**0.5), delta)
     return sample_pool(target, behavior, n, generator).draw(n, seed=generator)
 
@@ -96,7 +104,9 @@ def sample_log(
 def zeta_error(
     zeta: oee.TransitionRatio, target: oee.FiniteMDP, simulator: oee.FiniteMDP
 ) -> float:
-    """Mean |zeta_hat - zeta| over all (s, a, s') in the simulator's support; terminal states are left out."""
+    """Mean |zeta_hat - zeta| over all (s, a, s') in the simulator's support; terminal
+    states are left out.
+    """
     truth = oee.true_ratio(target, simulator).values.data
     live = np.repeat(
         np.repeat(~simulator.absorbing(), simulator.n_actions),
@@ -127,7 +137,9 @@ RmsePanels = functools.partial(
 
 
 def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
-    """The log's own rows n(s, a, s') / n(s, a); a pair that was never recorded stays where it is."""
+    """The log's own rows n(s, a, s') / n(s, a); a pair that was never recorded stays
+    where it is.
+    """
     total = row_sums(counts)
     unrecorded = np.flatnonzero(total == 0)
     staying = sparse.csr_array(
@@ -140,7 +152,9 @@ def frequencies(counts: sparse.csr_array, n_actions: int) -> sparse.csr_array:
 
 
 def distance_between(first: pd.DataFrame, second: pd.DataFrame) -> float:
-    """The mean |difference| of two of the paper's curves; nan where they have no points in common."""
+    """The mean |difference| of two of the paper's curves; nan where they have no points
+    in common.
+    """
     both = first.merge(second, on="x")
     return (
         float((both["mean_x"] - both["mean_y"]).abs().mean())
@@ -152,7 +166,9 @@ def distance_between(first: pd.DataFrame, second: pd.DataFrame) -> float:
 def mark_paper(
     ax: Any, figure: str, setting: str, markers: Mapping[str, tuple[str, str]]
 ) -> None:
-    """What the paper published, series -> (name, marker); its expert is lost, so its points need not lie on our lines."""
+    """What the paper published, series -> (name, marker); its expert is lost, so its
+    points need not lie on our lines.
+    """
     for series, (name, marker) in markers.items():
         points = published(figure, setting, series)
         if len(points):
@@ -169,7 +185,9 @@ def mark_paper(
 
 
 def select_deltas(table: pd.DataFrame, deltas: Iterable[float]) -> pd.DataFrame:
-    """A row for each policy, with delta, value, truth and error, of columns value_0.1, truth_0.1, ...; for figures."""
+    """A row for each policy, with delta, value, truth and error, of columns value_0.1,
+    truth_0.1, ...; for figures.
+    """
     parts = [
         table.assign(
             delta=delta,

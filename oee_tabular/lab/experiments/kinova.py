@@ -1,7 +1,9 @@
-"""table1: the robot arm of the paper's Table I, as a simulated stand-in, since no data of the robot was ever published.
+"""table1: the robot arm of the paper's Table I, as a simulated stand-in, since no data
+of the robot was ever published.
 
-A cell records runs to the five goals in the perturbed arm, 10 to each, fits zeta tied over displacements to them, and values
-the controller by every estimator. Values are mean discounted costs over the goals, in m.
+A cell records runs to the five goals in the perturbed arm, 10 to each, fits zeta tied
+over displacements to them, and values the controller by every estimator. Values are
+mean discounted costs over the goals, in m.
 """
 
 from __future__ import annotations
@@ -84,7 +86,9 @@ def controller(goal: int) -> tuple[Array, Array]:
 
 @functools.cache
 def grid_values(target: str) -> dict[str, dict[float, Array]]:
-    """name -> delta -> values of the goals on the grid: of the simulators, and of the target itself (the oracle)."""
+    """name -> delta -> values of the goals on the grid: of the simulators, and of the
+    target itself (the oracle).
+    """
     plain, defensive = simulators()
     own = discretize(kinova.fit_hand(arm_of(target)), cells=plain, closure_episodes=0)
     models = {
@@ -96,7 +100,9 @@ def grid_values(target: str) -> dict[str, dict[float, Array]]:
 
 
 def simulate_values(task: Any, delta: float) -> Array:
-    """(5,) Monte Carlo values of the goals, 50 runs each: in an arm or in a corrected one."""
+    """(5,) Monte Carlo values of the goals, 50 runs each: in an arm or in a corrected
+    one.
+    """
     goals, horizon = range(len(kinova.GOALS)), kinova.HORIZON
     policies = [kinova.kinova_policy(g, delta) for g in goals]
     found = [
@@ -145,7 +151,9 @@ def run_values(log: ContinuousTransitions) -> Array:
 
 
 def importance_sampling(log: ContinuousTransitions, delta: float) -> Array:
-    """(5,) per-decision importance sampling from the runs themselves; r_t is paid by the state alone."""
+    """(5,) per-decision importance sampling from the runs themselves; r_t is paid by
+    the state alone.
+    """
     goal = np.repeat(np.arange(len(kinova.GOALS)), len(log) // len(kinova.GOALS))
     chosen = np.empty(len(log))
     for g in range(len(kinova.GOALS)):
@@ -167,7 +175,9 @@ def weights_before(ratios: Array) -> Array:
 def product_values(
     model: Discretization, zeta: TransitionRatio, delta: float, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """The paper's product of ratios over 10 simulated runs to each goal: (5,) plain and (5,) self-normalised."""
+    """The paper's product of ratios over 10 simulated runs to each goal: (5,) plain and
+    (5,) self-normalised.
+    """
     plain, normalized = [], []
     for g in range(len(kinova.GOALS)):
         policy, costs = controller(g)
@@ -204,7 +214,9 @@ ORDER = (
 
 
 def published_value(row: Row) -> float:
-    """Table I, beside the controller's rows of the reference mismatch; the robot's numbers, not the stand-in's."""
+    """Table I, beside the controller's rows of the reference mismatch; the robot's
+    numbers, not the stand-in's.
+    """
     is_published = (
         row["estimator"] in PUBLISHED
         and row["policy"] == 0.0
@@ -214,7 +226,9 @@ def published_value(row: Row) -> float:
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Mean and standard deviation over the seeds of every estimator of the controller; Table I of the paper."""
+    """Mean and standard deviation over the seeds of every estimator of the controller;
+    Table I of the paper.
+    """
     from oee_tabular.plots import plot_intervals
 
     part = summary[summary.policy == 0.0]
@@ -254,7 +268,9 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
 
 
 def finding(table: pd.DataFrame) -> str:
-    """What OEE removes of the simulator's error, for the controller, over the logs of each target."""
+    """What OEE removes of the simulator's error, for the controller, over the logs of
+    each target.
+    """
     own = table[(table.policy == 0.0) & (table.estimator == OEE)]
     means = own.groupby(["target", "data"], sort=False).removed.mean()
     parts = [
@@ -286,13 +302,16 @@ def paper_value(name: str) -> float:
     paper=published_value,
 )
 def table1(settings: Cell, stream: Stream) -> list[Row]:
-    """SIMULATED STAND-IN: no data of the paper's robot was published; the target is the same MuJoCo arm perturbed. Means of
-    sum_t 0.99^t (-|x_t - goal|) in m over 5 goals, T = 25, 10 runs to each goal, recorded with a share delta of random
-    commands. removed: share of the simulator's error (of 250 runs) that is gone. zeta is tied over displacements, against a
-    defensive simulator (10% of it displacements times 0.5 and 1.5, a change of the paper's fixed simulator; the plain one
-    beside it); calibrated: plus the simulator's difference between 250 runs and the grid. uncovered: share of the log's
-    transitions without support, left_out: of states outside the grid. residual: the simulated arm corrected by what the log's
-    steps leave over its own, 250 runs. The paper's column has the real arm's numbers.
+    """SIMULATED STAND-IN: no data of the paper's robot was published; the target is the
+    same MuJoCo arm perturbed. Means of sum_t 0.99^t (-|x_t - goal|) in m over 5 goals,
+    T = 25, 10 runs to each goal, recorded with a share delta of random commands.
+    removed: share of the simulator's error (of 250 runs) that is gone. zeta is tied
+    over displacements, against a defensive simulator (10% of it displacements times 0.5
+    and 1.5, a change of the paper's fixed simulator; the plain one beside it);
+    calibrated: plus the simulator's difference between 250 runs and the grid.
+    uncovered: share of the log's transitions without support, left_out: of states
+    outside the grid. residual: the simulated arm corrected by what the log's steps
+    leave over its own, 250 runs. The paper's column has the real arm's numbers.
     """
     target, data = str(settings["target"]), float(settings["data"])
     rng, (plain, defensive) = stream.generator(), simulators()

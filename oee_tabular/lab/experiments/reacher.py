@@ -1,4 +1,6 @@
-"""fig3: the value of Reacher's policies on arms with links twice and half as long as the simulator's."""
+"""fig3: the value of Reacher's policies on arms with links twice and half as long as
+the simulator's.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,9 @@ PUBLISHED = {WEIGHTED: "oee", OWN_REWARD: "simulated", MODEL: "mle"}
 
 
 class Even(Reacher):
-    """The arm, its episodes begun evenly over all angles (a shifted R2 sequence): the same mean with less noise."""
+    """The arm, its episodes begun evenly over all angles (a shifted R2 sequence): the
+    same mean with less noise.
+    """
 
     def initial_states(self, n: int, rng: np.random.Generator) -> Array:
         """See the class."""
@@ -85,7 +89,9 @@ class Even(Reacher):
 
 @functools.cache
 def truth(length: float, reward_length: float) -> Array:
-    """(deltas,) values by Monte Carlo, of the arm with links of ``length`` paid by the distance that another would see."""
+    """(deltas,) values by Monte Carlo, of the arm with links of ``length`` paid by the
+    distance that another would see.
+    """
     return monte_carlo_values(Even(length, reward_length), TRUTH_EPISODES, 3)
 
 
@@ -109,7 +115,9 @@ def values_of(mdp: FiniteMDP, policies: list[Array]) -> Array:
 def estimates(
     model: Discretization, counts: sparse.csr_array, length: float
 ) -> tuple[dict[str, Array], dict[str, Row]]:
-    """{series: (deltas,) values} and {series: facts}, of all that is evaluated on the cells."""
+    """{series: (deltas,) values} and {series: facts}, of all that is evaluated on the
+    cells.
+    """
     policies = [model.policy(reacher_policy(delta)) for delta in DELTAS]
     below, above = values_of(model.plain, policies), truth(SIMULATED, length)
     found: dict[str, Array] = {}
@@ -182,7 +190,9 @@ def setting_of(length: Any) -> str:
 
 
 def published_error(row: Row) -> float:
-    """The mean over delta of |curve - true value| of the same curve in the paper's figure; nan where it was not published."""
+    """The mean over delta of |curve - true value| of the same curve in the paper's
+    figure; nan where it was not published.
+    """
     if row["series"] not in PUBLISHED or row["n"] != N_PAPER:
         return np.nan
     curves = (
@@ -193,7 +203,9 @@ def published_error(row: Row) -> float:
 
 
 def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
-    """Value against delta for each length (at the largest n), and the paper's points, of its own expert and targets."""
+    """Value against delta for each length (at the largest n), and the paper's points,
+    of its own expert and targets.
+    """
     markers = {
         name: (name, marker)
         for name, marker in zip(
@@ -243,13 +255,16 @@ def finding(table: pd.DataFrame) -> str:
     paper=published_error,
 )
 def fig3(settings: Cell, stream: Stream) -> list[Row]:
-    """Discounted sums of 100 rewards of delta uniform + (1 - delta) expert; the simulator's links are 0.1 m, the target at a
-    fixed place (errors compare with the paper's, values do not). Errors: means over delta against 4096 Monte Carlo episodes.
-    Every curve but "simulator, its own reward" is paid by the target's fingertip. OEE's simulator is not the paper's: 3000
-    cells at the log's states; lengths .05 to .2 m, the target's among them, averaged or weighted by the convex risk; "left
-    out": without the target's length; "plain": nine tenths of the 0.1 m arm. Chosen among 25 variants on another seed of the
-    same targets. Residual: the 0.1 m arm corrected by what the log's steps leave over its own, 2048 episodes; no other length
-    is known to it.
+    """Discounted sums of 100 rewards of delta uniform + (1 - delta) expert; the
+    simulator's links are 0.1 m, the target at a fixed place (errors compare with the
+    paper's, values do not). Errors: means over delta against 4096 Monte Carlo episodes.
+    Every curve but "simulator, its own reward" is paid by the target's fingertip. OEE's
+    simulator is not the paper's: 3000 cells at the log's states; lengths .05 to .2 m,
+    the target's among them, averaged or weighted by the convex risk; "left out":
+    without the target's length; "plain": nine tenths of the 0.1 m arm. Chosen among 25
+    variants on another seed of the same targets. Residual: the 0.1 m arm corrected by
+    what the log's steps leave over its own, 2048 episodes; no other length is known to
+    it.
     """
     length, n = float(settings["length"]), int(settings["n"])
     target = Reacher(length)

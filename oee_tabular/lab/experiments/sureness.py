@@ -1,4 +1,6 @@
-"""How sure: asymptotic variances, what planned collection saves, coverage and width of the intervals, which policy is best."""
+"""How sure: asymptotic variances, what planned collection saves, coverage and width of
+the intervals, which policy is best.
+"""
 
 from __future__ import annotations
 
@@ -96,8 +98,9 @@ def draw_variances(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> N
     draw=draw_variances,
 )
 def efficiency(settings: Cell, stream: Stream) -> list[Row]:
-    """5 x 5 grid, discount 0.95; n = 10^5 rows drawn uniformly over (s, a) from each side, 500 logs a seed. Exact:
-    efficiency_bound for the plug-in (the maximum-likelihood model), ratio_of_ratios_variance for the quotient.
+    """5 x 5 grid, discount 0.95; n = 10^5 rows drawn uniformly over (s, a) from each
+    side, 500 logs a seed. Exact: efficiency_bound for the plug-in (the
+    maximum-likelihood model), ratio_of_ratios_variance for the quotient.
     """
     n, logs = settings["n"], 500
     simulator, target = grids(5, discount=0.95)
@@ -152,7 +155,9 @@ TWO_STAGE = "two-stage"
 def record(
     target: oee.FiniteMDP, behavior: Array, n: int, generator: np.random.Generator
 ) -> oee.Transitions:
-    """n transitions: episodes that stop after each with probability RESTART, and at the goal."""
+    """n transitions: episodes that stop after each with probability RESTART, and at the
+    goal.
+    """
     episodes = n // 3 + 100  # more than are needed
     log = oee.sample_episodes(target, behavior, episodes, 300, seed=generator)
     assert log.timestep is not None
@@ -172,7 +177,9 @@ def plan(known: Any, n: int) -> Array:
 
 @functools.cache
 def first_policies() -> dict[str, Array]:
-    """The policies that the designs begin with; the plan from the simulator alone is the same for every n."""
+    """The policies that the designs begin with; the plan from the simulator alone is
+    the same for every n.
+    """
     simulator, _ = small_grids()
     planned = plan(simulator, 1)
     return {
@@ -185,7 +192,9 @@ def first_policies() -> dict[str, Array]:
 
 @functools.cache
 def predict_error(design: str, n: int) -> float:
-    """sqrt(asymptotic variance / n) of maximum likelihood under the design; two stages: under the oracle's plan."""
+    """sqrt(asymptotic variance / n) of maximum likelihood under the design; two stages:
+    under the oracle's plan.
+    """
     _, target = small_grids()
     behavior = plan(target, n) if design == TWO_STAGE else first_policies()[design]
     share = oee.occupancy(collection_mdp(target, RESTART), behavior)
@@ -205,9 +214,11 @@ def predict_error(design: str, n: int) -> float:
     draw=RmsePanels("design", by=("estimator",)),
 )
 def collection(settings: Cell, stream: Stream) -> list[Row]:
-    """5 x 5 grid, discount 0.95; n transitions of episodes that start again after each with probability 0.05. planned:
-    before any data; two-stage: a fifth as planned, then the plan from that log. Root mean square over the seeds. A plan
-    minimises the variance of maximum likelihood; the default borrows from all rows, and no plan is made for it.
+    """5 x 5 grid, discount 0.95; n transitions of episodes that start again after each
+    with probability 0.05. planned: before any data; two-stage: a fifth as planned, then
+    the plan from that log. Root mean square over the seeds. A plan minimises the
+    variance of maximum likelihood; the default borrows from all rows, and no plan is
+    made for it.
     """
     n, design, generator = settings["n"], settings["design"], stream.generator()
     simulator, target = small_grids()
@@ -294,8 +305,9 @@ def draw_coverage(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> No
     draw=draw_coverage,
 )
 def coverage(settings: Cell, stream: Stream) -> list[Row]:
-    """5 x 5 grid, discount 0.95, delta = 0.5; n rows drawn from the uniform policy's discounted occupancy, the goal left
-    out; prior box 0.25 <= zeta <= 1.6. rare: two columns, which the policy needs, never recorded.
+    """5 x 5 grid, discount 0.95, delta = 0.5; n rows drawn from the uniform policy's
+    discounted occupancy, the goal left out; prior box 0.25 <= zeta <= 1.6. rare: two
+    columns, which the policy needs, never recorded.
     """
     kind, n = settings["case"].split()
     simulator, target = small_grids()
@@ -346,8 +358,9 @@ def draw_lake(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
     ),
 )
 def coverage_lake(settings: Cell, stream: Stream) -> list[Row]:
-    """FrozenLake 8 x 8, 1/3 simulated, 0.6 real; 20 000 transitions of a policy that is optimal with probability 0.49,
-    the policy evaluated 0.7. The default 95% interval (profile likelihood) without a box.
+    """FrozenLake 8 x 8, 1/3 simulated, 0.6 real; 20 000 transitions of a policy that is
+    optimal with probability 0.49, the policy evaluated 0.7. The default 95% interval
+    (profile likelihood) without a box.
     """
     lake = families()["frozen_lake"]
     simulator, target = lake.simulator, lake.target
@@ -423,8 +436,9 @@ def compare_rules(table: pd.DataFrame) -> str:
     ),
 )
 def ranking(settings: Cell, stream: Stream) -> list[Row]:
-    """Three policies: the family's, four fifths of it, and the one that recorded the log (the rest of each is uniform).
-    "contest" names the best policy or says that the log cannot tell; the others always name the one with the largest value.
+    """Three policies: the family's, four fifths of it, and the one that recorded the
+    log (the rest of each is uniform). "contest" names the best policy or says that the
+    log cannot tell; the others always name the one with the largest value.
     """
     family = families(int(settings["repetition"]))[str(settings["family"])]
     uniform = uniform_policy(family.simulator)

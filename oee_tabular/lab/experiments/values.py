@@ -1,8 +1,9 @@
-"""The value of policies by every estimator, and what products, horizons and data policies do to it; toy text.
+"""The value of policies by every estimator, and what products, horizons and data
+policies do to it; toy text.
 
-On the paper's grid (fig1bcd, estimands, horizon, data_policy): slip 0.3 simulated, 0.1 real, T = 200, one reward r(s, a, s')
-everywhere. On Gymnasium's toy text: FrozenLake, Taxi in the rain and with faults, CliffWalking; five policies, valued and
-ranked.
+On the paper's grid (fig1bcd, estimands, horizon, data_policy): slip 0.3 simulated, 0.1
+real, T = 200, one reward r(s, a, s') everywhere. On Gymnasium's toy text: FrozenLake,
+Taxi in the rain and with faults, CliffWalking; five policies, valued and ranked.
 """
 
 from __future__ import annotations
@@ -59,7 +60,9 @@ BY_MODEL, BY_POLICY = [*ESTIMATORS][:6], [*ESTIMATORS][6:11]
 
 
 def plot_group(names: list[str], title: str, **options: Any) -> Panels:
-    """The errors of these estimators over n, and their values over delta at the paper's n."""
+    """The errors of these estimators over n, and their values over delta at the paper's
+    n.
+    """
 
     def choose(table: pd.DataFrame) -> pd.DataFrame:
         return table[table.estimator.isin(names)]
@@ -113,9 +116,10 @@ BELOW = plot_group(["OEE, exact", *BY_POLICY], "Ratios of policies")
     ),
 )
 def fig1bcd(settings: Cell, stream: Stream) -> list[Row]:
-    """10 x 10 grid; a log of n transitions of the uniform policy. Means over the seeds, values with their range. Above: ratios
-    of dynamics; below: ratios of policies, with the whole episodes behind the log and the true behaviour policy. Products are
-    means of 100 rollouts; exact_sd in table.csv is their exact standard deviation.
+    """10 x 10 grid; a log of n transitions of the uniform policy. Means over the seeds,
+    values with their range. Above: ratios of dynamics; below: ratios of policies, with
+    the whole episodes behind the log and the true behaviour policy. Products are means
+    of 100 rollouts; exact_sd in table.csv is their exact standard deviation.
     """
     n, generator, rollouts = (
         settings["n"],
@@ -167,7 +171,9 @@ TRUE = "true, r(s_t+1)"
 
 
 def with_next_rewards_averaged(simulator: oee.FiniteMDP) -> oee.FiniteMDP:
-    """The same MDP with rewards r(s, a) = sum_s' P r(s, a, s'): a product then weighs r_t without the last ratio."""
+    """The same MDP with rewards r(s, a) = sum_s' P r(s, a, s'): a product then weighs
+    r_t without the last ratio.
+    """
     transitions = csr_on_pattern(simulator.transitions, simulator.transitions.data)
     names = {
         name: getattr(simulator, name)
@@ -203,8 +209,9 @@ def drop_truth(table: pd.DataFrame) -> pd.DataFrame:
     ),
 )
 def estimands(settings: Cell, stream: Stream) -> list[Row]:
-    """What is estimated, with the exact zeta and no estimation error at all. The published code's true curve has rewards
-    r(s_t+1), its OEE r(s_t), and its oracle r(s_t+1) with a weight that lacks the last step, self-normalised over 100 rollouts.
+    """What is estimated, with the exact zeta and no estimation error at all. The
+    published code's true curve has rewards r(s_t+1), its OEE r(s_t), and its oracle
+    r(s_t+1) with a weight that lacks the last step, self-normalised over 100 rollouts.
     That OEE beats the oracle there is no merit of an estimate.
     """
     simulator, target = grids()
@@ -319,8 +326,9 @@ def horizon(settings: Cell, stream: Stream) -> list[Row]:
     ),
 )
 def data_policy(settings: Cell, stream: Stream) -> list[Row]:
-    """10 x 10 grid; 3162 transitions of pi_b (whole episodes for importance sampling, with the true behaviour policy). distance
-    in the table: the total variation between the two policies, averaged over the evaluated policy's time. Dotted: the same.
+    """10 x 10 grid; 3162 transitions of pi_b (whole episodes for importance sampling,
+    with the true behaviour policy). distance in the table: the total variation between
+    the two policies, averaged over the evaluated policy's time. Dotted: the same.
     """
     simulator, target = grids()
     behavior, policy = (
@@ -374,7 +382,9 @@ CASES: dict[str, tuple[str, str, float, float, float]] = {
 
 @functools.lru_cache(maxsize=4)
 def make_case(case: str) -> tuple[oee.FiniteMDP, oee.FiniteMDP, dict[str, Array]]:
-    """Simulator, target, and five policies of which the simulator may mistake the order: each mixed with the uniform one."""
+    """Simulator, target, and five policies of which the simulator may mistake the
+    order: each mixed with the uniform one.
+    """
     *names, discount, noise, faults = CASES[case]
     simulator, target = (named_task(name, discount=discount).mdp for name in names)
     simulator = simulator.with_action_noise(noise) if noise else simulator
@@ -403,7 +413,9 @@ def make_case(case: str) -> tuple[oee.FiniteMDP, oee.FiniteMDP, dict[str, Array]
 def record(
     case: str, behavior: Array, n: int, generator: np.random.Generator
 ) -> oee.Transitions:
-    """n transitions by stepping Gymnasium's environment; faults replace the action by a random one before it is executed."""
+    """n transitions by stepping Gymnasium's environment; faults replace the action by a
+    random one before it is executed.
+    """
     from gymnasium.wrappers import TransformAction
 
     _, name, discount, _, faults = CASES[case]
@@ -425,10 +437,12 @@ def record(
 
 
 def compute_values(settings: Cell, stream: Stream) -> list[Row]:
-    """FrozenLake: success rate 1/3 simulated, 0.6 real. Rain: the taxi goes where it is sent with probability 0.8 simulated,
-    0.6 real. Faults: a random action is executed with probability 0.2. The simulators of faults (5%) and of the cliff (10%)
-    have random actions for the support that a ratio needs. The log is recorded with 50% of the simulator's optimum. Means over
-    five policies and the seeds; tau is that of their order, regret what choosing the best estimate loses.
+    """FrozenLake: success rate 1/3 simulated, 0.6 real. Rain: the taxi goes where it is
+    sent with probability 0.8 simulated, 0.6 real. Faults: a random action is executed
+    with probability 0.2. The simulators of faults (5%) and of the cliff (10%) have
+    random actions for the support that a ratio needs. The log is recorded with 50% of
+    the simulator's optimum. Means over five policies and the seeds; tau is that of
+    their order, regret what choosing the best estimate loses.
     """
     case = settings["case"]
     simulator, target, policies = make_case(case)

@@ -1,4 +1,6 @@
-"""How well zeta and what rests on it are estimated: fig1a and networks, rates, priors, distance, normalisation, the ridge."""
+"""How well zeta and what rests on it are estimated: fig1a and networks, rates, priors,
+distance, normalisation, the ridge.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ FITS: dict[str, dict[str, Any]] = {  # options of ``transition_ratio``
 
 
 def error_of_paper(row: Any) -> float:
-    """The error of the paper's networks where a row of a table or summary is; their data are the uniform policy's."""
+    """The error of the paper's networks where a row of a table or summary is; their
+    data are the uniform policy's.
+    """
     is_published, grid = (
         row.get("data", "uniform") == "uniform",
         f"grid={row.get('grid', 10)}",
@@ -92,8 +96,10 @@ ZetaPanels = functools.partial(
     draw=ZetaPanels("estimator", by=("data", "grid"), columns=3),
 )
 def fig1a(settings: Cell, stream: Stream) -> list[Row]:
-    """Mean |zeta_hat - zeta| over the simulator's support, the goal left out (zeta = 1 scores 0.570).
-    Bands: smallest and largest. The linear class has indicators of (action, displacement).
+    """Mean |zeta_hat - zeta| over the simulator's support, the goal left out (zeta = 1
+    scores 0.570).
+    Bands: smallest and largest. The linear class has indicators of (action,
+    displacement).
     """
     size, generator = settings["grid"], stream.generator()
     simulator, target = grids(size)
@@ -152,7 +158,9 @@ def log_shares(log: oee.Transitions) -> Pair:
 
 @functools.cache
 def population() -> tuple[Pair, Pair]:
-    """p and q of both ratios: what the transitions of the uniform policy's episodes are drawn from."""
+    """p and q of both ratios: what the transitions of the uniform policy's episodes are
+    drawn from.
+    """
     pairs = []
     for mdp in reversed(grids()):
         share = oee.occupancy(
@@ -215,10 +223,13 @@ EXCESS = common.ErrorPanels(  # approximation is 0 but for rounding
     extra="neural",
 )
 def networks(settings: Cell, stream: Stream) -> list[Row]:
-    """10 x 10 grid, n transitions of the uniform policy; the simulator's sampled afresh at each iteration (Algorithm 1), or a
-    log of n. One hidden layer of 32 tanh units, Adam on batches of 512. With L the population's risk and L_n the log's (nats):
-    approximation = L(best of the class, fitted to the population) - L(p / q), sampling = L(fitted to the log, full batch)
-    - L(best), optimisation = L_n(trained) - L_n(fitted to the log), excess = L - L(p / q).
+    """10 x 10 grid, n transitions of the uniform policy; the simulator's sampled afresh
+    at each iteration (Algorithm 1), or a log of n. One hidden layer of 32 tanh units,
+    Adam on batches of 512. With L the population's risk and L_n the log's (nats):
+    approximation = L(best of the class, fitted to the population) - L(p / q), sampling
+    = L(fitted to the log, full batch)
+    - L(best), optimisation = L_n(trained) - L_n(fitted to the log), excess = L - L(p /
+      q).
     """
     n, is_recorded = settings["n"], settings["simulator"] == RECORDED
     simulator, target = grids()
@@ -293,8 +304,9 @@ def add_quarter_slope(ax: Any, rows: pd.DataFrame) -> None:
     ),
 )
 def rate(settings: Cell, stream: Stream) -> list[Row]:
-    """10 x 10 grid; the first n transitions of episodes of the uniform policy, or of pi_0.5. Root mean square over the
-    seeds of the error of the exact value. With data of pi_0.5 and delta = 0.1, n = 10^6 is not yet large.
+    """10 x 10 grid; the first n transitions of episodes of the uniform policy, or of
+    pi_0.5. Root mean square over the seeds of the error of the exact value. With data
+    of pi_0.5 and delta = 0.1, n = 10^6 is not yet large.
     """
     n, behavior = settings["n"], gridworld_policy(10, DATA[settings["data"]])
     simulator, target = grids()
@@ -343,8 +355,9 @@ def halves(size: int) -> tuple[oee.FiniteMDP, oee.FiniteMDP]:
     draw=common.RmsePanels("estimator", by=("delta",)),
 )
 def misspecified(settings: Cell, stream: Stream) -> list[Row]:
-    """20 x 20 grid; the real slip is 0.1 on the left half and 0.5 on the right. Root mean square over the seeds.
-    One theta for all is wrong, and the value is moved towards maximum likelihood's by the share in the table.
+    """20 x 20 grid; the real slip is 0.1 on the left half and 0.5 on the right. Root
+    mean square over the seeds. One theta for all is wrong, and the value is moved
+    towards maximum likelihood's by the share in the table.
     """
     simulator, target = halves(20)
     problem = oee.Problem(
@@ -404,8 +417,9 @@ DistancePanels = functools.partial(
     ),
 )
 def renyi(settings: Cell, stream: Stream) -> list[Row]:
-    """10 x 10 grid, slip 0.3 simulated, delta = 0.5, 3162 transitions of the uniform policy. D_inf = log max zeta; d_2 in
-    the table is the largest log sum P zeta^2 of a row, the growth of a product's second moment in a step.
+    """10 x 10 grid, slip 0.3 simulated, delta = 0.5, 3162 transitions of the uniform
+    policy. D_inf = log max zeta; d_2 in the table is the largest log sum P zeta^2 of a
+    row, the growth of a product's second moment in a step.
     """
     simulator, target = grids(10, settings["slip"])
     policy = gridworld_policy(10, 0.5)
@@ -458,8 +472,9 @@ MedianPanels = functools.partial(
     ),
 )
 def normalisation(settings: Cell, stream: Stream) -> list[Row]:
-    """10 x 10 grid, delta = 0.5; box [0.01, 10], ridge 1 / sqrt(n). none, global: two programs and their quotient; rows:
-    zeta itself, sum_s' zeta P = 1 in every row. Medians over the seeds: without normalised rows the value can be astronomical.
+    """10 x 10 grid, delta = 0.5; box [0.01, 10], ridge 1 / sqrt(n). none, global: two
+    programs and their quotient; rows: zeta itself, sum_s' zeta P = 1 in every row.
+    Medians over the seeds: without normalised rows the value can be astronomical.
     """
     n, policy = settings["n"], gridworld_policy(10, 0.5)
     simulator, target = grids()
@@ -546,8 +561,9 @@ def find_best_penalty(table: pd.DataFrame) -> str:
     ),
 )
 def lambda_n(settings: Cell, stream: Stream) -> list[Row]:
-    """10 x 10 grid. The strength is the number of transitions that the penalty is worth: lambda_n = strength / n_sa in a row,
-    / n for the quotient's two programs (box [0.01, 10]). sum g^2: the paper's; sum P log g^-2: the Dirichlet prior.
+    """10 x 10 grid. The strength is the number of transitions that the penalty is
+    worth: lambda_n = strength / n_sa in a row, / n for the quotient's two programs (box
+    [0.01, 10]). sum g^2: the paper's; sum P log g^-2: the Dirichlet prior.
     """
     simulator, target = grids()
     policy = gridworld_policy(10, 0.5)

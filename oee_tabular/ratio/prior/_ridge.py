@@ -1,10 +1,13 @@
-"""Loops of the tilt: rows along all directions, Newton's method for its risk f, MacKay's rule for its strengths.
+"""Loops of the tilt: rows along all directions, Newton's method for its risk f,
+MacKay's rule for its strengths.
 
-A transition x has numbers phi_x (d,): the columns ``base`` (d_1,), and a one in column d_1 + ``code`` (no one where the code
-is -1). The parameters are theta (1 + A, d): those of all actions, then those of each action alone. f'' is an arrow (see
-``ridge``): its blocks are diag(L_0) + sum_a G_a, beside it G_a, and G_a + diag(L_a), L (blocks, d) the penalty, with one row
-where no action has parameters of its own.
-Written in loops, since numba takes 32 s to compile this in array expressions, and 12 s in loops.
+A transition x has numbers phi_x (d,): the columns ``base`` (d_1,), and a one in column
+d_1 + ``code`` (no one where the code is -1). The parameters are theta (1 + A, d): those
+of all actions, then those of each action alone. f'' is an arrow (see ``ridge``): its
+blocks are diag(L_0) + sum_a G_a, beside it G_a, and G_a + diag(L_a), L (blocks, d) the
+penalty, with one row where no action has parameters of its own.
+Written in loops, since numba takes 32 s to compile this in array expressions, and 12 s
+in loops.
 """
 
 from typing import Any, NamedTuple
@@ -21,7 +24,8 @@ HYPERPRIOR = 0.25  # parameters that the prior of a strength is worth, all of th
 class Columns(NamedTuple):
     """Numbers of some rows.
 
-    base (entries, d_1), code (entries,), n_codes, indptr (rows + 1,), action (rows,), weights (entries,) the simulator's.
+    base (entries, d_1), code (entries,), n_codes, indptr (rows + 1,), action (rows,),
+    weights (entries,) the simulator's.
     """
 
     base: Any
@@ -53,7 +57,9 @@ def find_codes(places, state, arrival, indptr, kinds, tolerance):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def tilt_rows(columns, theta):
-    """(entries,) rows proportional to P exp((theta_0 + theta_a) . phi), and ln Z of each row."""
+    """(entries,) rows proportional to P exp((theta_0 + theta_a) . phi), and ln Z of
+    each row.
+    """
     width = columns.base.shape[1]
     model, log_normalizer = (
         np.empty(len(columns.weights)),
@@ -97,7 +103,9 @@ def sum_columns(columns, values, n_actions):
 
 @njit(cache=True, nogil=True)
 def sum_covariances(columns, model, mass, n_actions):
-    """(A, d) sums of mass E[phi] and (A, d, d) of mass Cov[phi] under ``model``, over each action's rows; mass (rows,)."""
+    """(A, d) sums of mass E[phi] and (A, d, d) of mass Cov[phi] under ``model``, over
+    each action's rows; mass (rows,).
+    """
     width = columns.base.shape[1]
     d = width + columns.n_codes
     means, covariances = np.zeros((n_actions, d)), np.zeros((n_actions, d, d))
@@ -140,9 +148,11 @@ def sum_covariances(columns, model, mass, n_actions):
 
 @njit(cache=True, nogil=True)
 def invert_arrow(covariances, penalty):
-    """(A, d, d) (G_a + L_a)^-1 and (G_a + L_a)^-1 G_a, and (d, d) the inverse of their Schur complement.
+    """(A, d, d) (G_a + L_a)^-1 and (G_a + L_a)^-1 G_a, and (d, d) the inverse of their
+    Schur complement.
 
-    The complement is L_0 + sum_a G_a - G_a (G_a + L_a)^-1 G_a = L_0 + sum_a G_a (G_a + L_a)^-1 L_a, which does not cancel.
+    The complement is L_0 + sum_a G_a - G_a (G_a + L_a)^-1 G_a = L_0 + sum_a G_a (G_a +
+    L_a)^-1 L_a, which does not cancel.
     """
     n_own, d = len(penalty) - 1, penalty.shape[1]
     inverse, gain, left = (
@@ -241,7 +251,8 @@ def penalized_risk(columns, risk, theta, penalty):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def minimise(columns, risk, theta, penalty, tolerance):
-    """Newton's method with backtracking, until a step gains less than ``tolerance`` of f or only rounding is left.
+    """Newton's method with backtracking, until a step gains less than ``tolerance`` of
+    f or only rounding is left.
 
     theta, G, and the bound sum f'^2 / (2 L) on f less its minimum.
     """
@@ -279,7 +290,9 @@ def minimise(columns, risk, theta, penalty, tolerance):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def update_strengths(theta, inverses, penalty, scale, group, n_groups):
-    """(2, groups) MacKay's lambda of each group of columns, for all actions and for each action alone."""
+    """(2, groups) MacKay's lambda of each group of columns, for all actions and for
+    each action alone.
+    """
     diagonal = invert_diagonal(inverses)
     told, size = np.full((2, n_groups), HYPERPRIOR), np.zeros((2, n_groups))
     for block in range(len(penalty)):
@@ -310,7 +323,9 @@ def spread_strengths(strengths, scale, group):
 
 @njit(cache=True, nogil=True)
 def fit_tilt(columns, risk, theta, strengths, scale, group, n_rounds):
-    """theta and the strengths by ``n_rounds`` of MacKay's rule; G and the bound on f less its minimum."""
+    """theta and the strengths by ``n_rounds`` of MacKay's rule; G and the bound on f
+    less its minimum.
+    """
     for left in range(n_rounds, -1, -1):
         penalty = spread_strengths(strengths, scale, group)
         theta, covariances, gap = minimise(

@@ -1,16 +1,20 @@
-"""Directions in which a target may differ from the simulator, made from the simulator, the policies and the user's features.
+"""Directions in which a target may differ from the simulator, made from the simulator,
+the policies and the user's features.
 
-A direction is a function phi(s, a, s'). They come in groups, each with the changes of environment that it stands for:
+A direction is a function phi(s, a, s'). They come in groups, each with the changes of
+environment that it stands for:
 
 log P        log P and (log P)^2: all noise a little less or more than simulated
-V            r(s, a, s') + gamma V_pi(s') in the simulator: everything a little worse. Small misfits of many rows add up to an
+V            r(s, a, s') + gamma V_pi(s') in the simulator: everything a little worse.
+Small misfits of many rows add up to an
              error of J along this direction alone, since J's derivative in P(s' | s, a) is d(s, a) times it
-steps        indicators of the most frequent displacements, in ``layout`` or in the states' numbers: an event (an arrival, a
+steps        indicators of the most frequent displacements, in ``layout`` or in the
+states' numbers: an event (an arrival, a
              slip to the left) that is more frequent than simulated
 log P at s   log P times the coordinates of s: a floor that is more slippery on one side
 drift        the displacement itself, one direction a coordinate: a wind, a weaker motor
-drift at s   the displacement times the coordinates of s: a wind that blows in one half, a motor that fades
-features     the user's own
+drift at s   the displacement times the coordinates of s: a wind that blows in one half,
+a motor that fades features     the user's own
 
 Each is there for all actions together, and for each action alone.
 """
@@ -49,12 +53,14 @@ class Directions:
     names : (d,) of the columns; ``group`` : (d,) their places in ``GROUPS``
     simulator : FiniteMDP
     powers : how many powers of log P
-    places : (S, c) the coordinates of the states, standardised; ``steps`` : (k, c) the displacements with a column of their own
+    places : (S, c) the coordinates of the states, standardised; ``steps`` : (k, c) the
+        displacements with a column of their own
     features : (entries, f) the user's
     ahead : (S, p) V of each policy, scaled to at most 1 together with the rewards
     rewards : (entries,) r(s, a, s') in the same scale, or None
     without : the directions that no policy changes; None of themselves
-    keys : (entries,) in place of ``steps``: transitions of one key have a column of their own
+    keys : (entries,) in place of ``steps``: transitions of one key have a column of
+        their own
     """
 
     names: tuple[str, ...]
@@ -74,7 +80,8 @@ class Directions:
         return vars(self) | {"_kept": {}}
 
     def columns(self, rows: Rows) -> Columns:
-        """The columns at the entries of ``rows``, each but the indicators less its mean in its row under the simulator.
+        """The columns at the entries of ``rows``, each but the indicators less its mean
+        in its row under the simulator.
 
         Those of a small simulator are kept.
         """
@@ -124,7 +131,9 @@ class Directions:
 
 
 def _products(drift: Array, start: Array) -> Array:
-    """Displacements times coordinates of s, (entries, c c); (entries, c) where there are more than ``ALL_PAIRS``."""
+    """Displacements times coordinates of s, (entries, c c); (entries, c) where there
+    are more than ``ALL_PAIRS``.
+    """
     own = drift.shape[1] > ALL_PAIRS
     return np.asarray(
         drift * start
@@ -173,7 +182,9 @@ def make_directions(simulator: FiniteMDP, visited: Rows, features: Array) -> Dir
 def own_directions(
     simulator: FiniteMDP, features: Array | None = None, keys: IntArray | None = None
 ) -> Directions:
-    """The user's features alone, (entries, f), or a direction for each key, (entries,) from 0; log P without either."""
+    """The user's features alone, (entries, f), or a direction for each key, (entries,)
+    from 0; log P without either.
+    """
     given = np.zeros((len(simulator.csr.data), 0)) if features is None else features
     n_keys, none = 0 if keys is None else int(keys.max()) + 1, list[str]()
     powers = ["log P"] if features is None and keys is None else none
@@ -204,7 +215,9 @@ def _directions(
 
 
 def add_values(directions: Directions, values: Sequence[Array]) -> Directions:
-    """The directions, and V of each policy whose value matters, ``values`` (S,) in the simulator."""
+    """The directions, and V of each policy whose value matters, ``values`` (S,) in the
+    simulator.
+    """
     simulator = directions.simulator
     ahead, pay = np.stack(values, axis=1), simulator.reward_data
     unit = max(
@@ -231,7 +244,9 @@ def add_values(directions: Directions, values: Sequence[Array]) -> Directions:
 
 
 def _standard_places(simulator: FiniteMDP) -> tuple[Array, Array]:
-    """The states' coordinates, or their numbers, with mean 0 and standard deviation 1 over the states; their units."""
+    """The states' coordinates, or their numbers, with mean 0 and standard deviation 1
+    over the states; their units.
+    """
     layout = simulator.layout
     places = (
         np.arange(simulator.n_states, dtype=np.float64)[:, None]

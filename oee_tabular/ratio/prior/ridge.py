@@ -1,31 +1,39 @@
-"""The rows of the prior: the simulator's rows tilted along all directions at once, shrunk by evidence.
+"""The rows of the prior: the simulator's rows tilted along all directions at once,
+shrunk by evidence.
 
     zeta(s, a, s') proportional to exp((theta_0 + theta_a) . phi(s, a, s')) in each row,   theta_gj s_gj ~ N(0, 1 / lambda_g),
 
-phi the ``directions``, theta_0 for all actions and theta_a for action a alone, s_gj the root mean square of a column over the
-recorded rows, and lambda_g >= 1 one strength a group of columns. The tilt is Efron and Tibshirani's [1].
+phi the ``directions``, theta_0 for all actions and theta_a for action a alone, s_gj the
+root mean square of a column over the recorded rows, and lambda_g >= 1 one strength a
+group of columns. The tilt is Efron and Tibshirani's [1].
 
-The counts of a row are not those of the tilt alone: rows have misfits of their own, Dirichlet(kappa). n transitions of one row
-then tell about the tilt what n (1 + kappa) / (n + kappa) would tell of rows without: each row's log-likelihood has the weight
-w = (1 + kappa) / (n + kappa). theta minimises the KL risk of the weighted counts and the penalty,
+The counts of a row are not those of the tilt alone: rows have misfits of their own,
+Dirichlet(kappa). n transitions of one row then tell about the tilt what n (1 + kappa) /
+(n + kappa) would tell of rows without: each row's log-likelihood has the weight w = (1
++ kappa) / (n + kappa). theta minimises the KL risk of the weighted counts and the
+penalty,
 
     f(theta) = sum_rows w [n ln Z(theta) - sum_x n_x theta . phi_x] + 1/2 sum_gj lambda_g (s_gj theta_gj)^2,
 
-smooth and strongly convex, by Newton's method. f - min f <= sum (df / dtheta_j)^2 / (2 lambda_j s_j^2) certifies it. The
-strengths maximise the evidence by MacKay's rule [2],
+smooth and strongly convex, by Newton's method. f - min f <= sum (df / dtheta_j)^2 / (2
+lambda_j s_j^2) certifies it. The strengths maximise the evidence by MacKay's rule [2],
 
     lambda_g <- [c + sum_{j in g} (1 - lambda_g s_j^2 (f''^-1)_jj)] / sum_{j in g} (s_j theta_j)^2,
 
-within [1, 1e6], where c = 1/4 is the hyperprior lambda^(c/2 - 1). With c = 0, which is MacKay's rule, 1/4 and 1 the error
-where the simulator is right is about .5, .4 and .2 of maximum likelihood's; where it is not, harm grows with c.
+within [1, 1e6], where c = 1/4 is the hyperprior lambda^(c/2 - 1). With c = 0, which is
+MacKay's rule, 1/4 and 1 the error where the simulator is right is about .5, .4 and .2
+of maximum likelihood's; where it is not, harm grows with c.
 
-The directions that no policy changes are fitted first, once for a log; with V of a policy the fit goes on from there.
+The directions that no policy changes are fitted first, once for a log; with V of a
+policy the fit goes on from there.
 
-f'' has the shape of an arrow: with G_a the weighted covariances of phi over the rows of action a and L_a the penalty's
-diagonal, its blocks are L_0 + sum_a G_a, beside it G_a, and G_a + L_a.
+f'' has the shape of an arrow: with G_a the weighted covariances of phi over the rows of
+action a and L_a the penalty's diagonal, its blocks are L_0 + sum_a G_a, beside it G_a,
+and G_a + L_a.
 
-References: [1] B. Efron and R. Tibshirani, Using specially designed exponential families for density estimation, Annals of
-Statistics 24(6), 1996. [2] D. J. C. MacKay, Bayesian interpolation, Neural Computation 4(3), 1992.
+References: [1] B. Efron and R. Tibshirani, Using specially designed exponential
+families for density estimation, Annals of Statistics 24(6), 1996. [2] D. J. C. MacKay,
+Bayesian interpolation, Neural Computation 4(3), 1992.
 """
 
 from __future__ import annotations
@@ -64,9 +72,12 @@ class Tilt:
     Attributes
     ----------
     directions : Directions
-    theta : (1 + A, d), in the directions' units; the rows of actions are 0 where there are none
-    covariances : (A, d, d) G; penalty : (blocks, d) L, blocks = 1 where no action has parameters of its own
-    strengths : (2, groups) lambda of each group, for all actions and for each action alone
+    theta : (1 + A, d), in the directions' units; the rows of actions are 0 where there
+        are none
+    covariances : (A, d, d) G; penalty : (blocks, d) L, blocks = 1 where no action has
+        parameters of its own
+    strengths : (2, groups) lambda of each group, for all actions and for each action
+        alone
     gap : bound on f less its minimum, divided by the number of transitions (nats)
     """
 
@@ -89,7 +100,9 @@ class Tilt:
         return np.asarray(sum_columns(columns, rest, len(self.theta) - 1))
 
     def named_theta(self) -> dict[str, float]:
-        """theta of each direction, in its units: for all actions, then for each action alone."""
+        """theta of each direction, in its units: for all actions, then for each action
+        alone.
+        """
         names = self.directions.names
         named = dict(zip(names, self.theta[0].tolist(), strict=True))
         for action in range(len(self.penalty) - 1):
@@ -110,7 +123,9 @@ class Tilt:
         }
 
     def variance(self, pull: Array) -> float:
-        """Posterior variance of a value whose derivative in the log rows ``pull`` sums: p' f''^-1 p."""
+        """Posterior variance of a value whose derivative in the log rows ``pull`` sums:
+        p' f''^-1 p.
+        """
         both = np.concatenate([pull.sum(axis=0)[None], pull[: len(self.penalty) - 1]])
         return float(
             np.sum(
@@ -135,14 +150,17 @@ def fit_ridge(
     ----------
     directions : Directions
     rows : those that the log has recorded; counts : (entries,) theirs
-    choose_kappa : (rows,) kappa around given rows (entries,); None: every transition counts once, rows have no misfits
-    by_evidence : whether each group has its strength by evidence, and directions for each action alone; else all are 1
+    choose_kappa : (rows,) kappa around given rows (entries,); None: every transition
+        counts once, rows have no misfits
+    by_evidence : whether each group has its strength by evidence, and directions for
+        each action alone; else all are 1
     start : a fit to the same counts along these directions without V, to go on from
     solver : "dual", or a cvxpy solver for theta at the strengths that were found
 
     Notes
     -----
-    Cost: O(entries d_1^2 + A d^3) a step of Newton's method, d_1 columns that are not indicators; some twenty steps.
+    Cost: O(entries d_1^2 + A d^3) a step of Newton's method, d_1 columns that are not
+    indicators; some twenty steps.
     """
     n_actions, columns = rows.n_actions, directions.columns(rows)
     n_blocks = 1 + n_actions if by_evidence and n_actions > 1 else 1
@@ -183,7 +201,9 @@ def fit_ridge(
 
 
 def _root_mean_squares(columns: Columns, rows: Rows) -> Array:
-    """(1 + A, d) s: of all rows, and of each action's, over the number of all; 1 where a column tells nothing."""
+    """(1 + A, d) s: of all rows, and of each action's, over the number of all; 1 where
+    a column tells nothing.
+    """
     _, squares = sum_covariances(
         columns, rows.weights, np.ones(len(rows)), rows.n_actions
     )
@@ -202,7 +222,9 @@ def _root_mean_squares(columns: Columns, rows: Rows) -> Array:
 def _solve_by_cvxpy(
     columns: Columns, counts: Array, penalty: Array, solver: str, rows: Rows
 ) -> Array:
-    """theta by a cvxpy solver, which is handed columns of one scale: theta sqrt(penalty) is as large for each."""
+    """theta by a cvxpy solver, which is handed columns of one scale: theta
+    sqrt(penalty) is as large for each.
+    """
     width = columns.base.shape[1]
     dense = np.zeros((len(counts), width + columns.n_codes))
     dense[:, :width] = columns.base

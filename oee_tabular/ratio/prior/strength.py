@@ -1,15 +1,17 @@
 """How strongly to believe the prior: the Dirichlet strength kappa, chosen on the data.
 
-Each row of the target is a priori Dirichlet(kappa m), m the prior's row (the simulator, or its tilt). Two criteria, both
-closed in form and one-dimensional in kappa:
+Each row of the target is a priori Dirichlet(kappa m), m the prior's row (the simulator,
+or its tilt). Two criteria, both closed in form and one-dimensional in kappa:
 
-evidence       sum_k [lnG(kappa) - lnG(kappa + n_k)] + sum_x [lnG(kappa m_x + n_x) - lnG(kappa m_x)]   (Polya [1])
-leave-one-out  sum_x n_x log[(n_x - 1 + kappa m_x) / (n_k - 1 + kappa)]
+evidence       sum_k [lnG(kappa) - lnG(kappa + n_k)] + sum_x [lnG(kappa m_x + n_x) -
+lnG(kappa m_x)]   (Polya [1]) leave-one-out  sum_x n_x log[(n_x - 1 + kappa m_x) / (n_k
+- 1 + kappa)]
 
-Rows in which the simulator has the same probabilities (in any order) are alike to it, and share one kappa: where a
-prior fits most rows and misses a few (a grid's corners), one kappa for all would trust it in those few as well. Kinds with
-fewer than five recorded rows or a hundred transitions are pooled. kappa is its own diagnosis: the number of transitions that
-the prior's row is worth.
+Rows in which the simulator has the same probabilities (in any order) are alike to it,
+and share one kappa: where a prior fits most rows and misses a few (a grid's corners),
+one kappa for all would trust it in those few as well. Kinds with fewer than five
+recorded rows or a hundred transitions are pooled. kappa is its own diagnosis: the
+number of transitions that the prior's row is worth.
 
 Reference: [1] T. P. Minka, Estimating a Dirichlet distribution, 2000.
 """
@@ -30,7 +32,9 @@ FAR = 12.0  # from here Stirling's series with four terms errs by less than 1e-1
 
 
 class Counts(NamedTuple):
-    """The recorded rows: their kinds, the ends, counts and prior of their entries with counts, and n of each row."""
+    """The recorded rows: their kinds, the ends, counts and prior of their entries with
+    counts, and n of each row.
+    """
 
     kind: Any
     ends: Any
@@ -41,10 +45,12 @@ class Counts(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def log_rising(base, n):
-    """ln Gamma(base + n) - ln Gamma(base), for base, n > 0, without the cancellation of two large logarithms.
+    """ln Gamma(base + n) - ln Gamma(base), for base, n > 0, without the cancellation of
+    two large logarithms.
 
-    Both arguments are carried to at least ``FAR`` by Gamma(x + 1) = x Gamma(x); there the difference of Stirling's series,
-    (x - 1/2) ln(1 + d/x) + d ln(x + d) - d + s(x + d) - s(x).
+    Both arguments are carried to at least ``FAR`` by Gamma(x + 1) = x Gamma(x); there
+    the difference of Stirling's series, (x - 1/2) ln(1 + d/x) + d ln(x + d) - d + s(x +
+    d) - s(x).
     """
     x, y, gap = base, base + n, n
     if n <= 8.0 and n == int(n):
@@ -96,10 +102,12 @@ def score_by_kind(kappa, rows, leave_one_out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def maximise_by_kind(grid, rows, n_kinds, leave_one_out, n_halvings):
-    """(kinds,) ln kappa and the criterion there, and (grid, kinds) the criterion on the grid of ln kappa.
+    """(kinds,) ln kappa and the criterion there, and (grid, kinds) the criterion on the
+    grid of ln kappa.
 
-    The best point of the grid; then the better of both sides at half the distance, ``n_halvings`` times. Where the criterion
-    is level the largest kappa is taken: counts that do not tell leave the prior believed.
+    The best point of the grid; then the better of both sides at half the distance,
+    ``n_halvings`` times. Where the criterion is level the largest kappa is taken:
+    counts that do not tell leave the prior believed.
     """
     scores = np.empty((len(grid), n_kinds))
     best, value = np.full(n_kinds, grid[0]), np.full(n_kinds, -np.inf)
@@ -139,7 +147,8 @@ class StrengthChoice:
     score : the criterion at ``by_row`` (nats, all transitions together)
     criterion : "evidence" or "loo"
     grid, curve : the criterion if all rows shared one kappa
-    kinds : for each kind of rows its number of recorded rows, of transitions, and its kappa
+    kinds : for each kind of rows its number of recorded rows, of transitions, and its
+        kappa
     """
 
     by_row: Array
@@ -166,9 +175,11 @@ def score(
 
 
 def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
-    """The kind of each row: rows with the same probabilities in any order, kinds with few recorded rows pooled.
+    """The kind of each row: rows with the same probabilities in any order, kinds with
+    few recorded rows pooled.
 
-    Told apart by the number of entries, the largest, and the sums of squares and of cubes.
+    Told apart by the number of entries, the largest, and the sums of squares and of
+    cubes.
     """
     shape = [
         rows.largest(rows.weights),
@@ -195,7 +206,8 @@ def choose_strength(
 ) -> StrengthChoice:
     """For each kind of rows the kappa in [1, 1e8] that maximises the criterion.
 
-    A grid of two a decade, then halvings of its spacing around the best point; five find kappa to 2%.
+    A grid of two a decade, then halvings of its spacing around the best point; five
+    find kappa to 2%.
     ``kind``: the rows' kinds where they are known.
     """
     kind = kinds_of_rows(observed, rows) if kind is None else kind
