@@ -55,7 +55,8 @@ def dependencies(root="oee-tabular"):
     """{package: the packages that need it}, root and packages that are not installed
     left out.
     """
-    found, waiting = {}, [(root, ())]
+    found = {}
+    waiting = [(root, ())]
     while waiting:
         parent, extras = waiting.pop()
         for name, further in needed(parent, extras):

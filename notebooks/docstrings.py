@@ -30,7 +30,8 @@ def plain(lines):
     """The lines for napoleon: names of attributes and parameters apart from what is
     said of them, the rest escaped.
     """
-    out, section = [], ""
+    out = []
+    section = ""
     for k, line in enumerate(lines):
         stripped = line.strip()
         if (

@@ -83,7 +83,10 @@ def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
 
 def _split(text: str) -> list[str]:
     """At commas that stand outside brackets and quotes."""
-    parts, depth, quote, current = [], 0, "", ""
+    parts = []
+    depth = 0
+    quote = ""
+    current = ""
     for letter in text:
         if quote:
             quote = "" if letter == quote else quote

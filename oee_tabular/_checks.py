@@ -54,7 +54,10 @@ class _Shown(reprlib.Repr):
 
     def __init__(self) -> None:
         super().__init__()
-        self.maxlevel, self.maxstring, self.maxother, self.maxlong = 3, 200, 200, 60
+        self.maxlevel = 3
+        self.maxstring = 200
+        self.maxother = 200
+        self.maxlong = 60
 
     def repr_instance(self, x: Any, level: int) -> str:
         if hasattr(x, "shape") and (
@@ -304,9 +307,11 @@ def warn(text: str) -> None:
     """A UserWarning at the line of the caller, however deep in the package it is
     noticed.
     """
-    frame, level = sys._getframe(1), 2
+    frame = sys._getframe(1)
+    level = 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
-        frame, level = frame.f_back, level + 1
+        frame = frame.f_back
+        level = level + 1
     warnings.warn(text, stacklevel=level)
 
 
@@ -331,7 +336,8 @@ def require_memory(
     A ValueError where the ``value`` of an argument asks for them, else (a file that is
     read) a MemoryError.
     """
-    needed, free = count * size, free_memory()
+    needed = count * size
+    free = free_memory()
     if needed <= free:
         return
     if value is None:

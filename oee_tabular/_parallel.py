@@ -35,7 +35,8 @@ class _OneThread:
     """
 
     def __init__(self) -> None:
-        self.lock, self.n_inside = threading.Lock(), 0
+        self.lock = threading.Lock()
+        self.n_inside = 0
         self.libraries: list[Any] | None = None
         self.before: list[int] = []
         if hasattr(os, "register_at_fork"):

@@ -22,7 +22,8 @@ def spec(lower: float, upper: float) -> str:
     >>> [format(x, spec(-11020.31, -11019.8)) for x in (-11020.31, -11020.0, -11019.8)]
     ['-11020.31', '-11020.00', '-11019.80']
     """
-    largest, width = max(abs(lower), abs(upper)), upper - lower
+    largest = max(abs(lower), abs(upper))
+    width = upper - lower
     if not math.isfinite(largest) or largest == 0.0:
         return ".4g"
     # the places of the first and the last digit

@@ -66,7 +66,8 @@ def show_steps(*, only_terminal: bool = False) -> Iterator[None]:
 
 
 def _tell_steps(is_done: threading.Event) -> None:
-    start, last = time.monotonic(), ""
+    start = time.monotonic()
+    last = ""
     while not is_done.wait(SECONDS):
         if _step and _step != last:
             from tqdm import tqdm  # whose bars stay below the line

@@ -44,7 +44,8 @@ def check_csr(matrix: Any, name: str) -> sparse.csr_array:
         )
     if matrix.dtype.kind not in "biuf":
         raise ValueError(f"{name} must be real numbers; they are {matrix.dtype}")
-    shape, kind = matrix.shape, matrix.format
+    shape = matrix.shape
+    kind = matrix.format
     if kind in ("csr", "csc"):
         csr = csr_from_parts(
             matrix.data,
@@ -87,11 +88,9 @@ def csr_from_parts(
     """The CSR of these parts; a ValueError, with the part and the place, where they are
     not those of a matrix.
     """
-    values, columns, pointers = (
-        np.asarray(data),
-        np.asarray(indices),
-        np.asarray(indptr),
-    )
+    values = np.asarray(data)
+    columns = np.asarray(indices)
+    pointers = np.asarray(indptr)
     for part, array, kinds, rule in (
         ("data", values, "biuf", "real numbers"),
         ("indices", columns, "iu", "integers"),

@@ -43,7 +43,8 @@ def J(P, r, S_0, pi, gamma):
     Eq. 4.1 is the same by the tower property: r(s_0, a_0) + gamma E[r(s_1, a_1) + gamma
     E[...]].   -> state_values
     """
-    P_pi, r_pi = np.einsum("sa,sat->st", pi, P), (pi * r).sum(axis=1)
+    P_pi = np.einsum("sa,sat->st", pi, P)
+    r_pi = (pi * r).sum(axis=1)
     return S_0 @ np.linalg.solve(np.eye(len(P)) - gamma * P_pi, r_pi)
 
 
@@ -120,9 +121,12 @@ def J_of_products(zeta, P_tr, r, S_0, pi, gamma, T):
     move before s_0), the expectation is over one path, and the sum over t is there (the
     paper's second line loses it).
     """
-    K, alpha, total = np.einsum("sa,sat->st", pi, zeta * P_tr), S_0, 0.0
+    K = np.einsum("sa,sat->st", pi, zeta * P_tr)
+    alpha = S_0
+    total = 0.0
     for t in range(T):
-        total, alpha = total + gamma**t * alpha @ (pi * r).sum(axis=1), alpha @ K
+        total = total + gamma**t * alpha @ (pi * r).sum(axis=1)
+        alpha = alpha @ K
     return total
 
 
@@ -135,12 +139,15 @@ def algorithm_1(
     D_te, D_tr: (n, 3) integers s, a, s'; shape: (S, A).   ->
     ratio.Quotient(normalized=False, solver=ratio.Sgd(...))
     """
-    (S, A), draw = shape, np.random.default_rng(seed)
-    g_sas, g_sa = np.ones((S, A, S)), np.ones((S, A))
+    (S, A) = shape
+    draw = np.random.default_rng(seed)
+    g_sas = np.ones((S, A, S))
+    g_sa = np.ones((S, A))
     for _ in range(iterations):
         # lines 1 and 2, then 3 and 4: fresh batches for each
         for g, width in ((g_sa, 2), (g_sas, 3)):
-            p, q = (np.zeros(g.shape), np.zeros(g.shape))
+            p = np.zeros(g.shape)
+            q = np.zeros(g.shape)
             for share, D in ((p, D_te), (q, D_tr)):
                 np.add.at(
                     share, tuple(D[draw.integers(len(D), size=N), :width].T), 1 / N

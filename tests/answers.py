@@ -49,7 +49,8 @@ def boxed_pair():
 
 
 def gap_of_ones():
-    p, q = [0.10, 0.20, 0.20, 0.10, 0.25, 0.15], [0.30, 0.25, 0.20, 0.10, 0.10, 0.05]
+    p = [0.10, 0.20, 0.20, 0.10, 0.25, 0.15]
+    q = [0.30, 0.25, 0.20, 0.10, 0.10, 0.05]
     return 1.0 - oee.density_ratio(p, q, lower=0.5, upper=2.0).objective
 
 
@@ -60,10 +61,8 @@ def samples_for_a_tenth():
 
 
 def grids(simulated=0.3, real=0.1):
-    simulator, target = (
-        oee.tasks.gridworld(10, simulated),
-        oee.tasks.gridworld(10, real),
-    )
+    simulator = oee.tasks.gridworld(10, simulated)
+    target = oee.tasks.gridworld(10, real)
     return simulator, oee.true_ratio(target, simulator)
 
 
@@ -130,7 +129,8 @@ def tilt_to(slip):
 
 
 def evidence_gained():
-    observed, prior = np.array([2.0, 0.0]), np.array([0.5, 0.5])
+    observed = np.array([2.0, 0.0])
+    prior = np.array([0.5, 0.5])
     rows = rows_of(prior, [0, 2])
     certain = 2 * math.log(0.5)
     np.testing.assert_allclose(score(1e9, observed, prior, rows), certain, atol=1e-8)
@@ -138,7 +138,8 @@ def evidence_gained():
 
 
 def distance_of_one():
-    simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
+    simulator = oee.tasks.gridworld(10, 0.3)
+    target = oee.tasks.gridworld(10, 0.1)
     return np.abs(oee.true_ratio(target, simulator).values[[44 * 4]].data - 1).mean()
 
 
@@ -159,8 +160,10 @@ def choice(probabilities, worth=1.0):
     ``worth`` of that state, else to 0.
     """
     k = len(probabilities)
-    P, r = np.zeros((k + 2, 1, k + 2)), np.zeros((k + 2, 1, k + 2))
-    P[:k, 0, k], P[:k, 0, k + 1] = probabilities, 1 - np.asarray(probabilities)
+    P = np.zeros((k + 2, 1, k + 2))
+    r = np.zeros((k + 2, 1, k + 2))
+    P[:k, 0, k] = probabilities
+    P[:k, 0, k + 1] = 1 - np.asarray(probabilities)
     P[k, 0, k] = P[k + 1, 0, k + 1] = 1.0
     r[:k, 0, k] = worth
     return oee.FiniteMDP(P, r, np.r_[np.full(k, 1 / k), 0.0, 0.0], 0.5)
@@ -198,7 +201,8 @@ def moves_for_a_twentieth():
 
 def corners():
     grid = discretize(CartPole(), cells=(3, 3), closure_episodes=0).cells
-    low, step = grid.vertices()[0], grid.spacing
+    low = grid.vertices()[0]
+    step = grid.spacing
     return np.sort(grid.weights(np.array([low + step * [0.25, 0.5]])).data)[::-1]
 
 
@@ -274,7 +278,8 @@ def logs_that_show_it():
 
 
 def leaving():
-    stays, leaves = ([[[1.0, 0.0]], [[0.0, 1.0]]], [[[0.99, 0.01]], [[0.0, 1.0]]])
+    stays = [[[1.0, 0.0]], [[0.0, 1.0]]]
+    leaves = [[[0.99, 0.01]], [[0.0, 1.0]]]
     target, simulator = (
         oee.FiniteMDP(P, [1.0, 0.0], [1.0, 0.0], 0.9) for P in (stays, leaves)
     )

@@ -49,7 +49,8 @@ def opened(browser, address, width, scheme, **options):
         **options,
     )
     page = context.new_page()
-    heard, asked = [], []
+    heard = []
+    asked = []
     page.on("console", lambda message: heard.append(message.text))
     page.on("pageerror", lambda error: heard.append(str(error)))
     page.on("request", lambda request: asked.append(request.url))

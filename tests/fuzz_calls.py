@@ -267,7 +267,8 @@ def make_call(seed, k, every, calls):
     """The k-th call, which depends on the seed and k alone: its function, its
     arguments, and which of them are hostile.
     """
-    rng, names = np.random.default_rng((seed, k)), sorted(every)
+    rng = np.random.default_rng((seed, k))
+    names = sorted(every)
     name = names[k % len(names)]
     values = dict(calls[name])
     replaced = (
@@ -326,13 +327,11 @@ def fuzz(seed, seconds, calls=None, rooms=None, first=0):
     """Counts by kind, and what was wrong: (kind, call, text). The time of the first
     call, which compiles, is not counted.
     """
-    child, counts, wrong, k, end = (
-        Child(90.0, attack, seed, rooms),
-        Counter(),
-        [],
-        first,
-        float("inf"),
-    )
+    child = Child(90.0, attack, seed, rooms)
+    counts = Counter()
+    wrong = []
+    k = first
+    end = float("inf")
     while time.monotonic() < end and (calls is None or k < first + calls):
         answer = child.ask(k)
         said, kind, text = (f"[{k}]", answer, "") if isinstance(answer, str) else answer

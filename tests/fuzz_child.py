@@ -15,7 +15,9 @@ class Child:
     """
 
     def __init__(self, limit, target, *arguments):
-        self.limit, self.target, self.arguments = limit, target, arguments
+        self.limit = limit
+        self.target = target
+        self.arguments = arguments
         self.start()
 
     def start(self):
@@ -34,7 +36,8 @@ class Child:
         try:
             self.pipe.send(question)
             if self.pipe.poll(self.wait):
-                answer, self.wait = self.pipe.recv(), self.limit
+                answer = self.pipe.recv()
+                self.wait = self.limit
                 return answer
             lost = "hang"
         except (EOFError, ConnectionError):

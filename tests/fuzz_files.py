@@ -240,17 +240,16 @@ def forged(array, rng):
             ],
         )
     ]
-    header, version = (
-        pick(rng, words).encode(),
-        bytes([pick(rng, [1, 1, 1, 2, 3, 0, 9]), 0]),
-    )
+    header = pick(rng, words).encode()
+    version = bytes([pick(rng, [1, 1, 1, 2, 3, 0, 9]), 0])
     size = struct.pack("<H" if version[0] == 1 else "<I", len(header) + 1)
     return b"\x93NUMPY" + version + size + header + b"\n" + array.tobytes()
 
 
 def edited_array(array, rng):
     """The same array with one thing changed."""
-    kind, flat = rng.integers(6), array.reshape(-1)
+    kind = rng.integers(6)
+    flat = array.reshape(-1)
     with (
         np.errstate(all="ignore"),
         contextlib.suppress(OverflowError, RuntimeError, TypeError, ValueError),
@@ -286,7 +285,8 @@ def edited_npz(data, rng):
         arrays = dict(stored)
     for _ in range(rng.integers(1, 3)):
         name, other = (str(name) for name in rng.choice(list(arrays), 2))
-        kind, is_array = rng.integers(8), isinstance(arrays[name], np.ndarray)
+        kind = rng.integers(8)
+        is_array = isinstance(arrays[name], np.ndarray)
         if kind == 0 and len(arrays) > 1:
             del arrays[name]
         elif kind == 1:
@@ -372,10 +372,8 @@ def edited_csv(data, rng):
             ]
         else:
             lines = [line + [f"x{k}" for k in range(2000)] for line in lines]
-    comma, end = (
-        pick(rng, [",", ",", ",", ",", ";", "\t", "|", " "]),
-        pick(rng, ["\n", "\n", "\r\n", "\r"]),
-    )
+    comma = pick(rng, [",", ",", ",", ",", ";", "\t", "|", " "])
+    end = pick(rng, ["\n", "\n", "\r\n", "\r"])
     text = end.join(comma.join(line) for line in lines)
     return text.encode(
         pick(rng, ["utf-8", "utf-8", "utf-8", "utf-8-sig", "utf-16"]), errors="replace"
@@ -389,12 +387,14 @@ def edited_parquet(data, rng):
     saved = parquet.read_table(io.BytesIO(data))
     table = saved.to_pydict()
     name, other = (str(name) for name in rng.choice(list(table), 2))
-    date, number = np.datetime64("2020-01-01", "s"), pick(rng, HOSTILE)
+    date = np.datetime64("2020-01-01", "s")
+    number = pick(rng, HOSTILE)
     value = pick(
         rng,
         [number, None, "0.25", b"x", [1, 2], {"a": 1}, True, date, 10**30, "a" * 1000],
     )
-    kind, column = rng.integers(5), table[name]
+    kind = rng.integers(5)
+    column = table[name]
     if kind == 4:
         table[name], table[other] = table[other], table[name]
     elif kind < 2:
@@ -550,12 +550,13 @@ def fuzz(seed, seconds, folder, most=10**9):
     counted.
     """
     folder = Path(folder)
-    sound, rng, child = (
-        originals(folder),
-        np.random.default_rng(seed),
-        Child(10.0, read_all),
-    )
-    outcomes, failures, intact, number = collections.Counter(), [], {}, 0
+    sound = originals(folder)
+    rng = np.random.default_rng(seed)
+    child = Child(10.0, read_all)
+    outcomes = collections.Counter()
+    failures = []
+    intact = {}
+    number = 0
 
     def read(path, kind):
         answer = child.ask((str(path), kind))

@@ -18,13 +18,16 @@ from scipy import sparse
 import oee_tabular as oee
 from oee_tabular.ratio.method import Population
 
-SIZE, T = 3, 3
+SIZE = 3
+T = 3
 
 
 class Raises:
     """Everything that is asked of it fails, but with no error of ours."""
 
-    n_states, n_actions, terminal_state = 9, 4, ()
+    n_states = 9
+    n_actions = 4
+    terminal_state = ()
 
     def __call__(self, *_, **__):
         return "no"
@@ -34,15 +37,14 @@ class Raises:
 def valid_values():
     """A value for every argument that has one name in all functions."""
     simulator, target = (oee.tasks.gridworld(SIZE, slip=slip) for slip in (0.3, 0.1))
-    uniform, expert = oee.uniform_policy(target), oee.tasks.gridworld_expert(SIZE)
+    uniform = oee.uniform_policy(target)
+    expert = oee.tasks.gridworld_expert(SIZE)
     log = oee.sample_episodes(target, uniform, 20, 20, seed=0)
     zeta = oee.true_ratio(target, simulator)
     even = np.full((9, 4), 1 / 36)
-    g, p, q = (
-        np.array([1.0, 0.8, 1.3]),
-        np.array([0.3, 0.4, 0.3]),
-        np.array([0.4, 0.3, 0.3]),
-    )
+    g = np.array([1.0, 0.8, 1.3])
+    p = np.array([0.3, 0.4, 0.3])
+    q = np.array([0.4, 0.3, 0.3])
     problem = oee.Problem(simulator, log, horizon=20)
     cartpole = oee.tasks.CartPole()
     moves = oee.tasks.record(
@@ -217,14 +219,10 @@ def holders(target, simulator, policies, log, zeta, problem, moves):
 def results(values, problem, policies, target, simulator):
     """Objects that calls return, methods of ratios, and estimators."""
     compared = oee.inference.compare_policies(problem, policies, n_draws=20)
-    verdict, sgd = (
-        oee.testing.Verdict("limit", "held", "x"),
-        {"normalized": False, "lower": 0.1, "upper": 9.0},
-    )
-    cartpole, league = (
-        oee.tasks.CartPole(),
-        oee.bench.run("model-based", families=["machine"], sizes=[3], seeds=1),
-    )
+    verdict = oee.testing.Verdict("limit", "held", "x")
+    sgd = {"normalized": False, "lower": 0.1, "upper": 9.0}
+    cartpole = oee.tasks.CartPole()
+    league = oee.bench.run("model-based", families=["machine"], sizes=[3], seeds=1)
     estimators = [getattr(oee.estimators, name)() for name in ESTIMATORS]
     return [
         oee.density_ratio([1, 2], [2, 1], solver="sgd", n_iterations=5, **sgd).trace,
@@ -285,12 +283,10 @@ def own_values(known):
     """Arguments whose meaning differs from that of the same name elsewhere: function
     name -> values.
     """
-    moves, log, simulator, driver = (
-        known["continuous_log"],
-        known["log"],
-        known["simulator"],
-        oee.tasks.cartpole_policy(0.5),
-    )
+    moves = known["continuous_log"]
+    log = known["log"]
+    simulator = known["simulator"]
+    driver = oee.tasks.cartpole_policy(0.5)
     # rewards r(s, a)
     paid = [oee.tasks.gridworld(SIZE, slip, pay="current") for slip in (0.1, 0.3)]
     files = {
@@ -437,7 +433,8 @@ def own_values(known):
 
 def task_values(known):
     """Arguments of what makes and records continuous tasks."""
-    cartpole, driver = known["task"], oee.tasks.cartpole_policy(0.5)
+    cartpole = known["task"]
+    driver = oee.tasks.cartpole_policy(0.5)
     ends = [2.4, 3.0, 0.21, 3.2]
     return {
         "train_expert": {
@@ -514,7 +511,8 @@ def get_state(env):
 
 
 def set_state(env, state):
-    env.unwrapped.state, env.unwrapped.steps_beyond_terminated = np.array(state), None
+    env.unwrapped.state = np.array(state)
+    env.unwrapped.steps_beyond_terminated = None
 
 
 def plots_values(known):
@@ -527,11 +525,9 @@ def plots_values(known):
         "upper": 1.5,
         "true_value": 1.1,
     }
-    cells, curve, size = (
-        {"shape": (1, 2), "over": [0, 1]},
-        {"a": [1.0, 2.0]},
-        {"size": (2.0, 2.0)},
-    )
+    cells = {"shape": (1, 2), "over": [0, 1]}
+    curve = {"a": [1.0, 2.0]}
+    size = {"size": (2.0, 2.0)}
     own = {
         "plot_values": {"records": [row]},
         "plot_states": {"time": [0.2, 0.8], "recorded": [3, 4]},
@@ -624,7 +620,8 @@ def nested(depth):
 @functools.cache
 def general():
     """Hostile values for any argument."""
-    deep, table = nested(3000), pd.DataFrame({"state": [0, 1], "action": [1, 0]})
+    deep = nested(3000)
+    table = pd.DataFrame({"state": [0, 1], "action": [1, 0]})
     return (
         None,
         "",

@@ -94,7 +94,8 @@ class Dense:
 
     def __init__(self, mdp):
         self.P, self.r = dense(mdp)
-        self.mu, self.g = np.array(mdp.initial), float(mdp.discount)
+        self.mu = np.array(mdp.initial)
+        self.g = float(mdp.discount)
 
     def like(self, transitions):
         """The same but for P."""
@@ -136,7 +137,8 @@ class Dense:
                 )[:, None]
                 * pi
             )
-        found, at = [], self.mu
+        found = []
+        at = self.mu
         for t in range(horizon):
             found.append(self.g**t * at[:, None] * pi)
             at = at @ self.chain(pi)
@@ -182,7 +184,8 @@ def paths(mdp, policy, horizon):
     return [(p, steps) for p, _, steps in found]
 
 
-STATES, ACTIONS = ("hall", ("room", 1), "dock"), ("go", "stay")
+STATES = ("hall", ("room", 1), "dock")
+ACTIONS = ("go", "stay")
 ROWS = np.array(
     [
         [[0.25, 0.75, 0.0], [1, 0, 0]],
@@ -289,7 +292,9 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.tags, self.open, self.words = [], [], []
+        self.tags = []
+        self.open = []
+        self.words = []
         self.feed(text)
         self.close()
 

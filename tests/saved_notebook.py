@@ -100,7 +100,8 @@ def execute(book):
             shown.append(nbformat.v4.new_output("display_data", data=data))
 
     class Shell(InteractiveShell):
-        displayhook_class, display_pub_class = Hook, Publisher
+        displayhook_class = Hook
+        display_pub_class = Publisher
 
     shell = Shell.instance(config=Config(HistoryManager={"enabled": False}))
     matplotlib.interactive(True)
@@ -118,7 +119,8 @@ def execute(book):
                 if captured.stdout
                 else []
             )
-            cell.execution_count, cell.outputs = None, [*printed, *shown]
+            cell.execution_count = None
+            cell.outputs = [*printed, *shown]
             for output in shown:
                 compress(output.data)
             shown.clear()

@@ -69,7 +69,8 @@ STRUCTURES = {
 
 def binary_tree(n):
     """A walk up and down a tree; half of the states are its leaves."""
-    rng, at = np.random.default_rng(0), np.arange(n)
+    rng = np.random.default_rng(0)
+    at = np.arange(n)
     rows = np.concatenate([at[1:], (at[1:] - 1) // 2, [0]])
     columns = np.concatenate([(at[1:] - 1) // 2, at[1:], [0]])
     kernel = sparse.csr_array(

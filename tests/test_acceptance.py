@@ -98,10 +98,8 @@ def test_three_files_to_a_value_that_removes_most_of_the_simulator_s_error(
 
 def test_a_deterministic_simulator_is_refused_and_action_noise_is_the_way_out():
     """CliffWalking, dry against slippery: discount 0.95, 20 000 transitions, noise 0.1."""
-    dry, slippery = (
-        named_task("CliffWalking-v1", discount=0.95),
-        named_task("CliffWalking-v1:is_slippery=true", discount=0.95),
-    )
+    dry = named_task("CliffWalking-v1", discount=0.95)
+    slippery = named_task("CliffWalking-v1:is_slippery=true", discount=0.95)
     policy, behavior = policies(slippery.mdp)
     truth = oee.policy_value(slippery.mdp, policy)
     errors = {"simulator": [], "oee": []}
@@ -133,10 +131,12 @@ def test_the_quotient_explodes_where_the_default_does_not():
     """Exact dynamic programming on the 10 x 10 grid, n = 1000, T = 200, values times (1
     - discount).
     """
-    simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
+    simulator = oee.tasks.gridworld(10, 0.3)
+    target = oee.tasks.gridworld(10, 0.1)
     policy = oee.tasks.gridworld_policy(10, 0.1)
     truth = oee.policy_value(target, policy, horizon=200, normalized=True)
-    quotient, default = [], []
+    quotient = []
+    default = []
     for seed in range(5):
         pool = oee.sample_episodes(
             target, oee.uniform_policy(target), 30, 1000, seed=seed

@@ -25,11 +25,14 @@ from oee_tabular import ContinuousTransitions, FiniteMDP, Transitions
 
 GOOD = np.array([[[0.5, 0.5], [0.0, 1.0]], [[1.0, 0.0], [0.3, 0.7]]])
 PAIR = oee.bench.families()["corridor30"]
-GRID, STIFF = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.0)
+GRID = oee.tasks.gridworld(3, 0.3)
+STIFF = oee.tasks.gridworld(3, 0.0)
 UNIFORM = oee.uniform_policy(GRID)
 LOG = oee.sample_episodes(GRID, UNIFORM, 4, 20, seed=0)
-PHI, KEYS = np.arange(120.0) % 7, np.arange(120) % 3
-HALVES, COIN = [[0.5, 0.5]] * 2, np.full((2, 1, 2), 0.5)
+PHI = np.arange(120.0) % 7
+KEYS = np.arange(120) % 3
+HALVES = [[0.5, 0.5]] * 2
+COIN = np.full((2, 1, 2), 0.5)
 SGD = {"solver": "sgd", "normalized": False, "lower": 0.1, "upper": 9.0}
 
 

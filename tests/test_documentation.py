@@ -101,7 +101,8 @@ def unexplained(value, found):
 
 def lacks(value):
     """What a docstring lacks: kind -> words."""
-    found, lack = sections(value), {}
+    found = sections(value)
+    lack = {}
     first = found[""].split("\n\n")[0]
     if not first.endswith("."):
         lack["sentence"] = f"its first line must be a sentence; it is {first!r}"

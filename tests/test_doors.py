@@ -63,12 +63,11 @@ def test_a_simulator_with_another_member_is_refused(tmp_path):
 
 @pytest.mark.parametrize("ending", ["npz", "parquet"])
 def test_no_flipped_byte_loads_other_data(tmp_path, ending):
-    path, rng = tmp_path / f"log.{ending}", np.random.default_rng(0)
+    path = tmp_path / f"log.{ending}"
+    rng = np.random.default_rng(0)
     LOG.save(path)
-    data, columns = (
-        path.read_bytes(),
-        digest({k: np.asarray(v) for k, v in LOG.columns().items()}),
-    )
+    data = path.read_bytes()
+    columns = digest({k: np.asarray(v) for k, v in LOG.columns().items()})
     counts = oee.Transitions.open(path).count.tolist()
     for k in rng.integers(len(data), size=150):
         path.write_bytes(

@@ -13,18 +13,23 @@ def dock(slip=0.1):
     """Three places in a row and a dock; forwards or stay; -1 a step, 10 at the dock,
     where it is over.
     """
-    P, r = np.zeros((4, 2, 4)), np.full((4, 2, 4), -1.0)
+    P = np.zeros((4, 2, 4))
+    r = np.full((4, 2, 4), -1.0)
     for s in range(3):
-        P[s, 0, s + 1], P[s, 0, s], P[s, 1, s] = 1.0 - slip, slip, 1.0
+        P[s, 0, s + 1] = 1.0 - slip
+        P[s, 0, s] = slip
+        P[s, 1, s] = 1.0
     P[3, :, 3] = 1.0
-    r[:3, :, 3], r[3] = 10.0, 0.0
+    r[:3, :, 3] = 10.0
+    r[3] = 0.0
     return oee.FiniteMDP(P, r, [1.0, 0, 0, 0], 0.9)
 
 
 SWAP = oee.FiniteMDP(
     [[[0, 1, 0]], [[1, 0, 0]], [[0, 0, 1]]], [0.0, 1.0, 2.0], [1, 0, 0], 0.9
 )
-DOCK, ENDED = dock(), {"terminated": [False, True]}
+DOCK = dock()
+ENDED = {"terminated": [False, True]}
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,8 @@ SEEDS = range(2)
 def fingerprint(seed):
     """A digest of all that is sampled by compiled loops, and of an estimate."""
     simulator, target = (oee.tasks.gridworld(5, slip) for slip in (0.3, 0.1))
-    policy, zeta = oee.uniform_policy(target), oee.true_ratio(target, simulator)
+    policy = oee.uniform_policy(target)
+    zeta = oee.true_ratio(target, simulator)
     episodes = oee.sample_episodes(target, policy, 20, 20, seed=seed)
     transitions = oee.sample_transitions(target, np.full((25, 4), 0.01), 50, seed=seed)
     returns = oee.sample_returns(

@@ -82,7 +82,8 @@ def test_every_yes_or_no_is_true_or_false(known):
                     call(function, values | {argument: wrong})
             checked += 1
     assert checked >= 25
-    mdp, policy = known["mdp"], known["policy"]
+    mdp = known["mdp"]
+    policy = known["policy"]
     assert oee.policy_value(mdp, policy, normalized=np.True_) == oee.policy_value(
         mdp, policy, normalized=True
     )

@@ -39,7 +39,8 @@ def test_04_shaping(rng):
     averaged over P it does not.
     """
     simulator, target = pair(rng)
-    policy, phi = random_policy(rng, simulator), rng.normal(size=simulator.n_states)
+    policy = random_policy(rng, simulator)
+    phi = rng.normal(size=simulator.n_states)
     _, pay = dense(simulator)
     shaped = oee.FiniteMDP(
         dense(simulator)[0],
@@ -72,7 +73,8 @@ def test_05_relabelling(rng):
     """
     simulator, target = pair(rng, n_states=4, n_actions=2, form=2)
     policy = random_policy(rng, simulator)
-    states, actions = rng.permutation(4), rng.permutation(2)
+    states = rng.permutation(4)
+    actions = rng.permutation(2)
 
     def other(mdp):
         rows = dense(mdp)[0][np.ix_(states, actions, states)]
@@ -93,7 +95,8 @@ def test_05_relabelling(rng):
         oee.efficiency_bound(other(target), turned, share), bound, rtol=1e-7, atol=1e-9
     )
     log = oee.sample_transitions(target, share, 200, seed=int(rng.integers(1 << 30)))
-    names, moves = np.argsort(states), np.argsort(actions)
+    names = np.argsort(states)
+    moves = np.argsort(actions)
     again = oee.Transitions(names[log.state], moves[log.action], names[log.next_state])
     tilt = partial(oee.transition_ratio, prior="tilt")
     estimates = (
@@ -183,7 +186,8 @@ def test_11_what_the_simulator_cannot_do_is_lost(rng):
     )
     target = simulator.with_transitions(target.transitions)
     policy = random_policy(rng, simulator)
-    p, q = dense(target)[0], dense(simulator)[0]
+    p = dense(target)[0]
+    q = dense(simulator)[0]
     zeta = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
     model = oee.exact.reweight(simulator, sparse.csr_array(zeta.reshape(-1, 4)))
     assert_allclose(
@@ -237,7 +241,8 @@ def test_15_the_chain_rule_of_divergences(rng):
 @given(rngs)
 def test_16_lumping_and_the_chi_square(rng):
     """Cells taken together are closer; E_q zeta^2 = 1 + chi^2."""
-    p, q = rng.dirichlet(np.ones(6)), rng.dirichlet(np.ones(6))
+    p = rng.dirichlet(np.ones(6))
+    q = rng.dirichlet(np.ones(6))
     together = np.kron(np.eye(3), np.ones(2))
     assert kl(together @ p, together @ q) <= kl(p, q) + 1e-14
     zeta = oee.density_ratio(p, q).ratio
@@ -249,11 +254,9 @@ def test_17_three_estimates_of_the_divergence(rng):
     """KL - E_P phi(g/g*) = E_P log g - E_Q g + 1 <= E_P log g - log E_Q g <= KL; equal
     once g is normalised.
     """
-    p, q, g = (
-        rng.dirichlet(np.ones(5)),
-        rng.dirichlet(np.ones(5)),
-        rng.uniform(0.2, 3.0, 5),
-    )
+    p = rng.dirichlet(np.ones(5))
+    q = rng.dirichlet(np.ones(5))
+    g = rng.uniform(0.2, 3.0, 5)
     u = g / (p / q)
     dual = p @ np.log(g) - q @ g + 1
     varadhan = p @ np.log(g) - np.log(q @ g)

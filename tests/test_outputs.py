@@ -26,7 +26,8 @@ SAMPLE = f"sample {GRID} --episodes 2 --output"
 
 def command(capsys, line):
     """(exit code, what was printed, what was said on stderr)."""
-    code, captured = run_command(*line.split()), capsys.readouterr()
+    code = run_command(*line.split())
+    captured = capsys.readouterr()
     return code, captured.out, captured.err
 
 

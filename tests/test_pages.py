@@ -90,7 +90,8 @@ def test_pages_print_what_they_show(page, capsys):
 
 
 def test_the_benchmark_s_page_has_the_saved_runs_numbers():
-    page, results = " ".join(PAGES["benchmark"].split()), NOTEBOOKS / "results"
+    page = " ".join(PAGES["benchmark"].split())
+    results = NOTEBOOKS / "results"
     cells = pd.read_csv(results / "bench" / "cells.csv").query("estimator == 'oee'")
     for kind, own in cells.groupby("families"):
         means = np.exp(

@@ -51,10 +51,8 @@ def parts(mdp):
 
 def tables(rng, size):
     """p and q on ``size`` cells, none of q's below 0.02; p may have zeros."""
-    p, q = (
-        rng.integers(0, 6, size=size) + np.eye(size)[0],
-        rng.integers(1, 8, size=size),
-    )
+    p = rng.integers(0, 6, size=size) + np.eye(size)[0]
+    q = rng.integers(1, 8, size=size)
     return p / p.sum(), q / q.sum()
 
 
@@ -115,7 +113,8 @@ def test_the_true_ratio_and_the_value_of_its_products(rng, horizon):
 @given(rngs, st.booleans(), st.sampled_from([0.0, 0.2]))
 def test_the_convex_program_as_printed(rng, normalized, lam):
     p, q = tables(rng, int(rng.integers(2, 7)))
-    nu, mu = 0.1, float(rng.uniform(1.5, 10.0))
+    nu = 0.1
+    mu = float(rng.uniform(1.5, 10.0))
     with warnings.catch_warnings():
         # Clarabel at its limit: "may be inaccurate"
         warnings.simplefilter("ignore", UserWarning)
@@ -153,7 +152,8 @@ def test_the_quotient_of_two_ratios(rng):
     P, _, S_0 = parts(simulator)
     P_te = parts(target)[0]
     reached = paper.d(P, S_0, pi, 0.9) > 0
-    d_te, d_tr = paper.d_moves(P_te, S_0, pi, 0.9), paper.d_moves(P, S_0, pi, 0.9)
+    d_te = paper.d_moves(P_te, S_0, pi, 0.9)
+    d_tr = paper.d_moves(P, S_0, pi, 0.9)
     with np.errstate(divide="ignore", invalid="ignore"):
         found = paper.zeta_of(d_te / d_tr, d_te.sum(axis=2) / d_tr.sum(axis=2))
     both = reached & (d_te.sum(axis=2) > 0)
@@ -247,7 +247,8 @@ def test_the_page_needs_numpy_alone():
 def test_algorithm_1_comes_near_the_program(lam):
     """Against the exact optimum of 3.7 on the same counts."""
     rng = np.random.default_rng(3)
-    shape, S = (3, 2), 3
+    shape = (3, 2)
+    S = 3
     D_te, D_tr = (
         np.column_stack(
             [
@@ -262,7 +263,8 @@ def test_algorithm_1_comes_near_the_program(lam):
         D_te, D_tr, shape, 0.1, 10.0, lam, eta=0.02, N=200, iterations=6000, seed=1
     )
     for g, width in ((moves, 3), (pairs, 2)):
-        p, q = (np.zeros(g.shape), np.zeros(g.shape))
+        p = np.zeros(g.shape)
+        q = np.zeros(g.shape)
         for share, D in ((p, D_te), (q, D_tr)):
             np.add.at(share, tuple(D[:, :width].T), 1 / len(D))
         best = oee.density_ratio(

@@ -295,10 +295,8 @@ def test_every_plot_makes_axes_where_it_is_given_none(call, ax):
 
 def test_results_draw_themselves(ax):
     pair = oee.testing.case("ragged")
-    problem, policies = (
-        pair.problem(1000, seed=0),
-        {"new": pair.policy, "recorded": pair.behavior},
-    )
+    problem = pair.problem(1000, seed=0)
+    policies = {"new": pair.policy, "recorded": pair.behavior}
     interval = oee.interval(problem, pair.policy)
     assert interval.plot(ax) is ax
     assert ax.get_title() == str(interval).replace("sum ", "sum\n")
@@ -480,7 +478,8 @@ def test_rooms_are_at_their_places_and_walls_are_blank(ax):
 
 
 def test_every_map_takes_it():
-    found, over = plots.map_of(corridor()), [0, 0, 0, 0, 1]
+    found = plots.map_of(corridor())
+    over = [0, 0, 0, 0, 1]
     seen = plots.plot_coverage(
         [[1, 1], [3, 0], [0, 0], [7, 0], [0, 0]], found, Figure().subplots(), over=over
     )

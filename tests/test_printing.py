@@ -11,7 +11,8 @@ from oee_tabular.estimators import Estimate
 from oee_tabular.inference import compare_policies
 from oee_tabular.testing import check_estimator, compare_with_oracle
 
-SIMULATOR, TARGET = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1)
+SIMULATOR = oee.tasks.gridworld(3, 0.3)
+TARGET = oee.tasks.gridworld(3, 0.1)
 LOG = oee.sample_episodes(TARGET, oee.uniform_policy(TARGET), 30, 20, seed=0)
 PROBLEM = oee.Problem(SIMULATOR, LOG, horizon=20)
 POLICIES = {

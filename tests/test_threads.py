@@ -34,11 +34,9 @@ def fingerprints():
         oee.FiniteMDP(grid.transitions, grid.transition_rewards, initial, grid.discount)
         for grid in (oee.tasks.gridworld(SIZE, slip) for slip in (0.3, 0.1))
     )
-    policy, zeta, uniform = (
-        oee.uniform_policy(simulator),
-        oee.true_ratio(target, simulator),
-        np.full((n, 4), 0.25 / n),
-    )
+    policy = oee.uniform_policy(simulator)
+    zeta = oee.true_ratio(target, simulator)
+    uniform = np.full((n, 4), 0.25 / n)
     log = oee.sample_transitions(target, uniform, 30_000, seed=1)
     problem = oee.Problem(simulator, log)
     found = {}
@@ -112,7 +110,8 @@ def blas_threads():
 
 def test_warnings_name_the_callers_line():
     """Through the wrapper, whose file would be in all of them."""
-    simulator, target = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+    simulator = oee.tasks.gridworld(4, 0.3)
+    target = oee.tasks.gridworld(4, 0.1)
     log = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 300, seed=0)
     twice = np.arange(simulator.transitions.nnz)[:, None] * [1.0, 2.0]
     for call in (

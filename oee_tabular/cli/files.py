@@ -84,11 +84,9 @@ def _record(options: Options, settings: object, limits: dict[str, Any]) -> Any:
         raise ValueError(
             "--task-option needs a continuous task (--simulator cartpole:gravity=10)"
         )
-    policy, mdp, steps = (
-        policy_of(options.policy, task, "policy"),
-        task.mdp,
-        options.horizon or 1000,
-    )
+    policy = policy_of(options.policy, task, "policy")
+    mdp = task.mdp
+    steps = options.horizon or 1000
     # which reset() does not take
     if task.environment is not None and options.initial is None:
         environment = task.environment()
@@ -153,7 +151,9 @@ def export(options: Options) -> None:
     Of a continuous task it is the finite MDP, with the cells and what they were made
     from.
     """
-    noise, initial, output = options.action_noise, options.initial, options.output
+    noise = options.action_noise
+    initial = options.initial
+    output = options.output
     task = task_of(
         options.simulator, options.discount, initial, options.samples_per_pair
     )
@@ -237,7 +237,8 @@ def describe_files(files: list[str]) -> tuple[str, str]:
     """
     from oee_tabular.continuous.log import holds_states
 
-    file, path = files[0], Path(_files.local(files[0]))
+    file = files[0]
+    path = Path(_files.local(files[0]))
     if (path / "report.json").is_file():
         path = path / "report.json"
     if path.suffix.lower() == ".json":

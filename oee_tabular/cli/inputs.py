@@ -163,7 +163,8 @@ def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
     from oee_tabular.mdp.policies import read_policy_array
 
     _progress.report_step(f"reading the policy {spec}")
-    mdp, suffix = task.mdp, Path(spec).suffix.lower()
+    mdp = task.mdp
+    suffix = Path(spec).suffix.lower()
     if spec in ("uniform", "optimal"):
         return oee.uniform_policy(mdp) if spec == "uniform" else oee.optimal_policy(mdp)
     if spec == "expert":
@@ -204,10 +205,8 @@ def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any
     """
     from oee_tabular.mdp.naming import numbers_of
 
-    labels, known = (
-        list(frame.columns),
-        {*numbers_of(mdp.action_names or ()), *range(mdp.n_actions)},
-    )
+    labels = list(frame.columns)
+    known = {*numbers_of(mdp.action_names or ()), *range(mdp.n_actions)}
     actions = {
         label: int(label) if label.isdigit() else label
         for label in labels
@@ -270,7 +269,9 @@ def describe_new(path: Path) -> str:
 
 def read_problem(options: Options) -> tuple[oee.tasks.NamedTask, oee.Problem]:
     """Read the simulator, and the problem with the log's files."""
-    log, noise, impossible = options.log, options.action_noise, options.impossible
+    log = options.log
+    noise = options.action_noise
+    impossible = options.impossible
     task = task_of(options.simulator, options.discount, options.initial)
     if noise:
         task = replace(task, mdp=task.mdp.with_action_noise(noise))
@@ -342,7 +343,8 @@ def read_entries(path: Path, name: str, simulator: oee.FiniteMDP) -> tuple[Any, 
     from oee_tabular.ratio.features import feature_array
     from oee_tabular.ratio.ties import tie_keys
 
-    is_table, file = path.suffix.lower() == ".csv", repr(str(path))
+    is_table = path.suffix.lower() == ".csv"
+    file = repr(str(path))
     if not is_table and path.suffix.lower() != ".npy":
         raise ValueError(f"--{name} must be a .npy or .csv file; got {file}")
     arrays: Any = {"array": csv_frame(str(path))} if is_table else _files.read_npz(path)

@@ -101,7 +101,8 @@ def read_table(text: str) -> list[dict[str, str]]:
     """
     for placeholder, words in TEXTS.items():
         text = text.replace(placeholder, words)
-    options, group = [], ""
+    options = []
+    group = ""
     for line in re.sub(r"\n +", " ", text).strip().splitlines():
         if line.rstrip(":") in GROUPS:
             group = line.rstrip(":")
@@ -118,7 +119,8 @@ def read_table(text: str) -> list[dict[str, str]]:
 
 def make_parameter(fields: Mapping[str, str]) -> inspect.Parameter:
     """The argument of a function from which typer makes an option."""
-    option, value = fields["option"], fields.get("value", "")
+    option = fields["option"]
+    value = fields.get("value", "")
     kind: Any = (
         list[str] if "many" in fields else TYPES.get(value, str) if value else bool
     )

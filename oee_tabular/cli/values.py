@@ -113,8 +113,11 @@ def _evaluate(options: Options) -> Any:
     """Make the report of the problem that the options describe: of files, of a
     continuous task, or the paper's.
     """
-    simulator, log, discount = options.simulator, options.log, options.discount
-    settings, grid = task_options(options.task_option), read_grid(options.grid)
+    simulator = options.simulator
+    log = options.log
+    discount = options.discount
+    settings = task_options(options.task_option)
+    grid = read_grid(options.grid)
     wants = {
         "--task-option": settings,
         "--grid": grid is not None,
@@ -212,7 +215,8 @@ def _read_known(options: Options, task: Any) -> tuple[dict[str, Any], dict[str, 
     """
     from oee_tabular.report.page import date_of
 
-    specs, noise = named_specs(options.policy or ["optimal"]), options.action_noise
+    specs = named_specs(options.policy or ["optimal"])
+    noise = options.action_noise
     facts = {
         "simulator_name": options.simulator,
         "log_name": ", ".join(options.log),
@@ -321,7 +325,8 @@ def plan(options: Options) -> None:
     It prints a behaviour policy, and the width of each value's interval before and
     after.
     """
-    output, free = options.output, options.free
+    output = options.output
+    free = options.free
     if output is not None:
         _files.new_file(output, "--output", overwrite=options.overwrite)
     settings = named_specs(options.plan_option or [], "--plan-option", PLAN_OPTIONS)
@@ -339,10 +344,8 @@ def plan(options: Options) -> None:
         confidence=options.confidence,
         **asked,
     )
-    text, record = (
-        str(made),
-        made.to_dict() | {"file": None if output is None else str(output)},
-    )
+    text = str(made)
+    record = made.to_dict() | {"file": None if output is None else str(output)}
     if output is not None:
         write_array(output, made.distribution if free else made.behavior_policy)
         text += (

@@ -42,13 +42,19 @@ from oee_tabular.continuous.task import ContinuousTask, Moves
 ANGLE_LIMIT = 12 * 2 * np.pi / 360
 X_LIMIT = 2.4
 START = 0.05
-FORCE, TAU = 10.0, 0.02  # N, s
-POLE_MASS, HALF_LENGTH, TOTAL_MASS = 0.1, 0.5, 0.1 + 1.0  # kg, m, kg
+# N, s
+FORCE = 10.0
+TAU = 0.02
+# kg, m, kg
+POLE_MASS = 0.1
+HALF_LENGTH = 0.5
+TOTAL_MASS = 0.1 + 1.0
 PAPER_NOISE = 1e-4
 # theta in units of its limit, theta' in rad/s, the constant
 SCALE = np.array([ANGLE_LIMIT, 1.0, 1.0])
 # deviation of the first Gaussian, and its floor later, in units of ``SCALE``
-SPREAD, SMALLEST_SPREAD = 2.0, 0.05
+SPREAD = 2.0
+SMALLEST_SPREAD = 0.05
 EXPERT_SEED = 2346
 # what train_expert() returns
 EXPERT = (15.45452587148293, 1.4249703129710485, -0.14295940315497063)
@@ -110,7 +116,8 @@ class CartPole(ContinuousTask):
         """
         force = self.actions[np.asarray(actions, dtype=np.int64)]
         x, x_dot, theta, theta_dot = np.asarray(states, dtype=np.float64).T
-        cosine, sine = np.cos(theta), np.sin(theta)
+        cosine = np.cos(theta)
+        sine = np.sin(theta)
         temp = (
             force + POLE_MASS * HALF_LENGTH * np.square(theta_dot) * sine
         ) / TOTAL_MASS
@@ -134,7 +141,8 @@ class CartPole(ContinuousTask):
         """The uniform distribution as a regular lattice: 64 midpoints in each of theta
         and theta' (12 each in 4-D).
         """
-        k, n = len(self.feature_names), 64 if self.form == "angle" else 12
+        k = len(self.feature_names)
+        n = 64 if self.form == "angle" else 12
         line = START * ((2.0 * np.arange(n) + 1.0) / n - 1.0)
         points = self.embed(
             np.stack(np.meshgrid(*[line] * k, indexing="ij"), axis=-1).reshape(-1, k)
@@ -260,12 +268,10 @@ def train_expert(
         raise ValueError(
             f"elite must be at most the population, {population}; it is {elite}"
         )
-    simulator, rng, mean, deviation = (
-        task or CartPole(),
-        _checks.generator(seed),
-        np.zeros(3),
-        np.full(3, SPREAD),
-    )
+    simulator = task or CartPole()
+    rng = _checks.generator(seed)
+    mean = np.zeros(3)
+    deviation = np.full(3, SPREAD)
     for _ in range(iterations):
         candidates = mean + deviation * rng.standard_normal((population, 3))
         steps = _lengths(
@@ -273,10 +279,8 @@ def train_expert(
         )
         scores = steps.reshape(-1, episodes).mean(axis=1)
         best = candidates[np.argsort(-scores, kind="stable")[:elite]]
-        mean, deviation = (
-            best.mean(axis=0),
-            np.maximum(best.std(axis=0), SMALLEST_SPREAD),
-        )
+        mean = best.mean(axis=0)
+        deviation = np.maximum(best.std(axis=0), SMALLEST_SPREAD)
     first, second, third = (mean / SCALE).tolist()
     return first, second, third
 
@@ -285,7 +289,8 @@ def _lengths(
     task: CartPole, weights: Array, horizon: int, rng: np.random.Generator
 ) -> Array:
     """(n,) lengths of episodes, each under weights of its own (n, 3)."""
-    alive, lengths = np.arange(len(weights)), np.zeros(len(weights))
+    alive = np.arange(len(weights))
+    lengths = np.zeros(len(weights))
     states = task.initial_states(len(weights), rng)
     for _ in range(horizon):
         w = weights[alive]
@@ -295,5 +300,6 @@ def _lengths(
         )
         moved = task.step(states, right.astype(np.int64), rng)
         lengths[alive] += 1.0
-        alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
+        alive = alive[~moved.terminated]
+        states = moved.next_state[~moved.terminated]
     return lengths

@@ -72,14 +72,16 @@ class Grid:
         """(n, n_cells) multilinear weights on the 2^k vertices around each point;
         points outside go to the nearest inside.
         """
-        n, shape = len(features), np.array(self.shape)
+        n = len(features)
+        shape = np.array(self.shape)
         place = (features - self.low) / self.spacing
         place = np.where(self.periodic, place % shape, np.clip(place, 0.0, shape - 1.0))
         corner = np.minimum(
             place.astype(np.int64), shape - np.where(self.periodic, 1, 2)
         )
         fraction = place - corner
-        numbers, weights = np.zeros((n, 1), dtype=np.int64), np.ones((n, 1))
+        numbers = np.zeros((n, 1), dtype=np.int64)
+        weights = np.ones((n, 1))
         for axis, size in enumerate(self.shape):
             both = (corner[:, axis, None] + [0, 1]) % size
             share = np.stack([1.0 - fraction[:, axis], fraction[:, axis]], axis=1)
@@ -201,10 +203,8 @@ class Places:
         )
         paid = np.concatenate([rewards for _, rewards in blocks])
         if self.averages is not None:
-            matrix, paid = (
-                sparse.csr_array(self.averages @ matrix),
-                np.asarray(self.averages @ paid),
-            )
+            matrix = sparse.csr_array(self.averages @ matrix)
+            paid = np.asarray(self.averages @ paid)
         paid = paid.reshape(-1, task.n_actions)
         if task.terminates:
             stay = indicator(
@@ -229,11 +229,13 @@ class Places:
         transition, their mean error would add up.
         """
         matrix = canonical(matrix, drop_zeros=True)
-        rows, rewards = row_of_entry(matrix), paid
+        rows = row_of_entry(matrix)
+        rewards = paid
         matrix = csr_on_pattern(matrix, matrix.data / row_sums(matrix)[rows], own=True)
         terms = task.reward_terms(self.points)
         if terms is not None:
-            mean, (state, action) = self.mean(terms), np.divmod(rows, task.n_actions)
+            mean = self.mean(terms)
+            (state, action) = np.divmod(rows, task.n_actions)
             between = task.reward_of(mean[state], action, mean[matrix.indices])
             first = between[matrix.indptr[:-1]]
             is_of_pair = np.array_equal(between, first[rows])
@@ -250,7 +252,8 @@ class Places:
         """Where some of the pairs lead, and what they pay, on average over the
         disturbances.
         """
-        states, actions = self.states[part], self.actions[part]
+        states = self.states[part]
+        actions = self.actions[part]
         if rng is None:
             points = (
                 task.noise_points if self.noise_points is None else self.noise_points
@@ -258,12 +261,11 @@ class Places:
             nodes, chances = gauss_hermite(points, task.n_disturbances)
             draws = [np.broadcast_to(node, (len(states), len(node))) for node in nodes]
         else:
-            draws, chances = (
-                [rng.standard_normal((len(states), task.n_disturbances))],
-                np.ones(1),
-            )
+            draws = [rng.standard_normal((len(states), task.n_disturbances))]
+            chances = np.ones(1)
         gone = task.terminated(states)
-        total, paid = 0.0, np.zeros(len(states))
+        total = 0.0
+        paid = np.zeros(len(states))
         for disturbance, chance in zip(draws, chances, strict=True):
             moved = task.moves(states, actions, disturbance)
             bad = np.flatnonzero(~np.isfinite(moved.next_state).all(axis=1))

@@ -251,7 +251,8 @@ def evaluate_files(
     from oee_tabular.mdp.policies import read_policy_array
 
     recorded = ContinuousTransitions.load(log)
-    state, actions = options.get("state"), options.get("actions")
+    state = options.get("state")
+    actions = options.get("actions")
     is_gymnasium = spec.partition(":")[0] not in CONTINUOUS
     if is_gymnasium and actions is None and recorded.action.ndim == 2:
         commands = np.unique(recorded.action, axis=0)

@@ -48,7 +48,8 @@ from oee_tabular.continuous.task import (
 )
 
 # by which parameters are fitted; slow: of tasks that step one by one
-MAX_ROWS, MAX_SLOW_ROWS = 20_000, 2000
+MAX_ROWS = 20_000
+MAX_SLOW_ROWS = 2000
 ROUNDING = 1e-9  # relative: no standard error is less
 DIFFERENCE = 1e-5  # relative step of the derivatives in p
 # eigenvalues of the curvature, relative to the largest: the log does not determine such
@@ -165,7 +166,8 @@ def fit_parameters(
             for name in names
         ]
     )
-    low, high = np.where(x0 > 0, 0.0, -np.inf), np.where(x0 < 0, 0.0, np.inf)
+    low = np.where(x0 > 0, 0.0, -np.inf)
+    high = np.where(x0 < 0, 0.0, np.inf)
     for name, ends in ({} if bounds is None else bounds).items():
         if name not in names:
             raise ValueError(
@@ -185,10 +187,8 @@ def fit_parameters(
 
     first = _checks.instance(task_of(**by_name(x0)), ContinuousTask, "task_of(**start)")
     require_log_of(first, log)
-    actions, periods = (
-        log.action_numbers(first.actions),
-        find_periods(first, log.next_state),
-    )
+    actions = log.action_numbers(first.actions)
+    periods = find_periods(first, log.next_state)
     step = -(-len(log) // (MAX_ROWS if first.steps_at_once else MAX_SLOW_ROWS))
     moved = shortest(log.next_state - log.state, periods).std(axis=0)
 
@@ -201,7 +201,8 @@ def fit_parameters(
             errors(task_of(**by_name(x)), step) / np.where(moved > 0, moved, 1.0)
         ).ravel()
 
-    x, size = x0, np.where(x0 != 0, np.abs(x0), 1.0)
+    x = x0
+    size = np.where(x0 != 0, np.abs(x0), 1.0)
     options: dict[str, Any] = {
         "loss": "soft_l1",
         "x_scale": size,
@@ -242,7 +243,8 @@ def _sandwich(jacobian: Array, residual: Array, c: float, n_rows: int) -> Array:
     """
     size = np.sqrt((jacobian**2).sum(axis=0))
     scale = np.where(size > 0, size, 1.0)
-    unit, weight = jacobian / scale, (1.0 + (residual / c) ** 2) ** -0.5
+    unit = jacobian / scale
+    weight = (1.0 + (residual / c) ** 2) ** -0.5
     # weight^3 is rho''
     values, vectors = np.linalg.eigh(unit.T @ (unit * (weight**3)[:, None]))
     is_flat = values <= FLAT * values[-1]
@@ -348,7 +350,8 @@ def odd_row(corrected: ResidualSimulator) -> str:
     """
     for k, c in enumerate(corrected.coordinates):
         squares = corrected.left_over[:, k] ** 2
-        row, total = int(squares.argmax()), float(squares.sum())
+        row = int(squares.argmax())
+        total = float(squares.sum())
         if squares[row] > 0.5 * total and c.left_over**2 > 0.01 * c.residual_scatter**2:
             return (
                 f" Row {row} of the log alone makes {squares[row] / total:.0%} of the"

@@ -163,7 +163,8 @@ class GridInterpolation:
                 f" {high[axis]}"
             )
         grid = Grid(low, high, self.shape, task.periodic)
-        points, cell = task.embed(grid.vertices()), np.arange(grid.n_cells)
+        points = task.embed(grid.vertices())
+        cell = np.arange(grid.n_cells)
         states, actions = each_action(task, points)
         averages = None
         if task.is_translation_invariant:
@@ -176,12 +177,11 @@ class GridInterpolation:
             )
             cell = np.repeat(cell, len(box))
         elif log is not None:
-            own, chosen = (
-                check_states(task, log.state, "log.state"),
-                log.action_numbers(task.actions),
-            )
+            own = check_states(task, log.state, "log.state")
+            chosen = log.action_numbers(task.actions)
             inside = ~grid.outside(task.features(own))
-            own, chosen = own[inside], chosen[inside]
+            own = own[inside]
+            chosen = chosen[inside]
             logged = spread_over_pairs(
                 grid.weights(task.features(own)), chosen, task.n_actions
             )
@@ -189,10 +189,8 @@ class GridInterpolation:
             averages = average_of_pairs(
                 sparse.vstack([sparse.diags_array(vertex), logged], format="csr")
             )
-            states, actions = (
-                np.concatenate([states, own]),
-                np.concatenate([actions, chosen]),
-            )
+            states = np.concatenate([states, own])
+            actions = np.concatenate([actions, chosen])
         return Places(grid, states, actions, averages, points, cell, self.noise_points)
 
 
@@ -265,10 +263,8 @@ class VisitedCells:
         states, actions = each_action(task, points[chosen])
         start = np.repeat(cell[chosen], task.n_actions)
         if log is not None:
-            states, actions = (
-                np.concatenate([states, own]),
-                np.append(actions, log.action_numbers(task.actions)),
-            )
+            states = np.concatenate([states, own])
+            actions = np.append(actions, log.action_numbers(task.actions))
             start = np.append(start, cells.nearest(task.features(own))[0])
         pairs = indicator(
             start * task.n_actions + actions, cells.n_cells * task.n_actions
@@ -425,10 +421,8 @@ def discretize(
                 f"floor must be 0 without a log, for {task.name} has no others; it is"
                 f" {floor}"
             )
-    chosen, k = (
-        process.default_cells if cells is None else cells,
-        len(process.feature_names),
-    )
+    chosen = process.default_cells if cells is None else cells
+    k = len(process.feature_names)
     if chosen is None:
         chosen = (DEFAULT_VERTICES[k],) * k if k in DEFAULT_VERTICES else DEFAULT_CELLS
     if not isinstance(chosen, Discretization | GridInterpolation | VisitedCells):
@@ -484,12 +478,11 @@ def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
             f" (+-{noise:.1%}) against Monte Carlo"
         )
         if isinstance(model.cells, Grid):
-            task, grid, some = (
-                model.task,
-                model.cells,
-                slice(None, None, max(1, len(model.places.states) // 2000)),
-            )
-            states, actions = model.places.states[some], model.places.actions[some]
+            task = model.task
+            grid = model.cells
+            some = slice(None, None, max(1, len(model.places.states) // 2000))
+            states = model.places.states[some]
+            actions = model.places.actions[some]
             moved = task.noiseless_step(states, actions).next_state
             length = np.abs(task.features(moved) - task.features(states))
             period = np.where(grid.periodic, grid.high - grid.low, np.inf)

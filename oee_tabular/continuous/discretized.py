@@ -190,7 +190,8 @@ class Discretization:
         """Other transitions on the same states with the task's rewards (or these),
         wherever they lead.
         """
-        paid, plain = self.plain.rewards if rewards is None else rewards, self.plain
+        paid = self.plain.rewards if rewards is None else rewards
+        plain = self.plain
         return self.places.finite_mdp(
             self.task, transitions, paid, plain.initial, plain.discount
         )
@@ -305,14 +306,14 @@ class Discretization:
         as the simulator's rows are: w_j(vertex_i + phi(s') - phi(s)).
         """
         kept, actions, ended = self._select_rows(log, outside)
-        task, cells = self.task, self.cells
+        task = self.task
+        cells = self.cells
         if task.is_translation_invariant and isinstance(cells, Grid):
-            before, after = task.features(kept.state), task.features(kept.next_state)
+            before = task.features(kept.state)
+            after = task.features(kept.next_state)
             number = _pick(cells.weights(before), None)
-            start, arrival = (
-                indicator(number, cells.n_cells),
-                cells.weights(cells.vertices()[number] + after - before),
-            )
+            start = indicator(number, cells.n_cells)
+            arrival = cells.weights(cells.vertices()[number] + after - before)
         else:
             start = self.places.weights(task, kept.state, np.zeros_like(ended))
             arrival = self.places.weights(task, kept.next_state, ended)
@@ -337,7 +338,8 @@ class Discretization:
         For ``transition_ratio(tie=...)`` of tasks whose commands move the features
         alike everywhere; on grids alone.
         """
-        grid, matrix = self.cells, self.mdp.transitions
+        grid = self.cells
+        matrix = self.mdp.transitions
         if not isinstance(grid, Grid) or self.over is not None:
             raise ValueError(
                 "cells must be a grid without an absorbing state to tie displacements;"
@@ -367,7 +369,8 @@ class Discretization:
         """
         require_log_of(self.task, log)
         _checks.one_of(outside, "outside", OUTSIDE)
-        task, actions = self.task, log.action_numbers(self.task.actions)
+        task = self.task
+        actions = log.action_numbers(self.task.actions)
         ended = log.terminated | task.terminated(log.next_state)
         for row in () if task.terminates else np.flatnonzero(log.terminated):
             raise ValueError(
@@ -441,7 +444,8 @@ def _pick(weights: sparse.csr_array, draws: Array | None) -> IntArray:
     """One state number a row: the heaviest, or the one that a uniform number (n,)
     picks.
     """
-    low, width = weights.indptr[:-1], np.diff(weights.indptr)
+    low = weights.indptr[:-1]
+    width = np.diff(weights.indptr)
     table = np.zeros((len(width), int(width.max())))
     table[np.arange(table.shape[1]) < width[:, None]] = weights.data
     if draws is None:

@@ -29,7 +29,8 @@ CHUNK = 4096  # episodes of one random stream
 def _choose(probabilities: Array, uniform: Array) -> IntArray:
     # columns: sums along short rows take thrice the time
     running = list(itertools.accumulate(probabilities.T))
-    chosen, level = np.zeros(len(uniform), dtype=np.int64), uniform * running[-1]
+    chosen = np.zeros(len(uniform), dtype=np.int64)
+    level = uniform * running[-1]
     for bound in running[:-1]:
         chosen += bound <= level
     return chosen
@@ -95,10 +96,8 @@ def monte_carlo_value(
     True
     """
     _checks.instance(task, ContinuousTask, "task")
-    n, gamma = (
-        _checks.positive_integer(n_episodes, "n_episodes"),
-        _checks.number_in(discount, "discount", 0.0, 1.0),
-    )
+    n = _checks.positive_integer(n_episodes, "n_episodes")
+    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     _checks.boolean(normalized, "normalized")
     steps = limit_horizon(
         _checks.positive_integer(horizon, "horizon"), gamma, work=1000.0 * n
@@ -139,26 +138,29 @@ def compare_returns(
     # which has spawned nothing
     fresh = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
     start, steps = map(np.random.default_rng, fresh.spawn(2))
-    n_all, n_disturbances = n * len(tasks), max(task.n_disturbances for task in tasks)
+    n_all = n * len(tasks)
+    n_disturbances = max(task.n_disturbances for task in tasks)
     states = np.tile(tasks[0].initial_states(n, start), (len(tasks), 1))
-    total, alive = np.zeros(n_all), np.arange(n_all)
+    total = np.zeros(n_all)
+    alive = np.arange(n_all)
     for t, stream in enumerate(steps.spawn(horizon)):
-        uniform, disturbance = (
-            stream.random(n),
-            stream.standard_normal((n_disturbances, n)).T,
-        )
+        uniform = stream.random(n)
+        disturbance = stream.standard_normal((n_disturbances, n)).T
         actions = _choose(
             check_probabilities(policy, states, tasks[0].n_actions), uniform[alive % n]
         )
-        following, ended = np.empty_like(states), np.zeros(len(states), dtype=np.bool_)
+        following = np.empty_like(states)
+        ended = np.zeros(len(states), dtype=np.bool_)
         ends = np.searchsorted(alive, n * np.arange(len(tasks) + 1))
         for task, here in zip(tasks, map(slice, ends[:-1], ends[1:]), strict=True):
             if here.start < here.stop:
                 xi = disturbance[alive[here] % n, : task.n_disturbances]
                 moved = task.moves(states[here], actions[here], xi)
-                following[here], ended[here] = moved.next_state, moved.terminated
+                following[here] = moved.next_state
+                ended[here] = moved.terminated
                 total[alive[here]] += discount**t * moved.reward
-        alive, states = alive[~ended], following[~ended]
+        alive = alive[~ended]
+        states = following[~ended]
         if alive.size == 0:
             break
     return total.reshape(len(tasks), n)
@@ -234,13 +236,15 @@ def _walk(
     """Step by step of n episodes: which go on, their states, actions, the actions'
     probabilities (n, A), and the step.
     """
-    alive, states = np.arange(n), task.initial_states(n, rng)
+    alive = np.arange(n)
+    states = task.initial_states(n, rng)
     for _ in range(steps):
         probabilities = check_probabilities(policy, states, task.n_actions)
         actions = _choose(probabilities, rng.random(len(states)))
         moved = task.step(states, actions, rng)
         yield alive, states, actions, probabilities, moved
-        alive, states = alive[~moved.terminated], moved.next_state[~moved.terminated]
+        alive = alive[~moved.terminated]
+        states = moved.next_state[~moved.terminated]
         if alive.size == 0:
             return
 

@@ -157,10 +157,8 @@ def evaluate_continuous(
         policies, Mapping, "policies", "mapping from names to policies"
     ):
         raise ValueError("policies must hold at least one; it is empty")
-    facts, seed = (
-        dict(_checks.instance(options.pop("facts", None) or {}, Mapping, "facts")),
-        options.get("seed"),
-    )
+    facts = dict(_checks.instance(options.pop("facts", None) or {}, Mapping, "facts"))
+    seed = options.get("seed")
     _checks.instance(
         simulator.task if target is None else target, ContinuousTask, "target"
     )
@@ -251,10 +249,8 @@ def evaluate_continuous(
         )
 
     wanted, left_out = _choose_estimators(names, numbered, has_cells=cells is not None)
-    wants_oee, plain_status = (
-        OffEnvironment() in wanted.values(),
-        describe_flaw(correction.plain),
-    )
+    wants_oee = OffEnvironment() in wanted.values()
+    plain_status = describe_flaw(correction.plain)
     rows: dict[str, Row] = {} if correction.is_trusted else {SIMULATOR: simulated_row}
     if wants_oee:
         rows[correction.name] = lambda policy: learned_row(
@@ -398,10 +394,8 @@ def _describe_simulated(mc: MonteCarlo, *, is_headline: bool = False) -> Estimat
     ``is_headline`` where no correction can be trusted; the rollouts' noise is no
     interval to speak of then.
     """
-    error, facts = (
-        None if is_headline else mc.standard_error,
-        {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes},
-    )
+    error = None if is_headline else mc.standard_error
+    facts = {"standard_error_of": "rollouts", "n_rollouts": mc.n_episodes}
     return Estimate(
         mc.value,
         error,
@@ -472,7 +466,8 @@ def _choose_estimators(
             *["simulator", "model-based"] * has_cells,
             *["pdis", "wpdis"] * is_weighted,
         ]
-    estimators, kinds = named_estimators(names), (ImportanceSampling, Simulator)
+    estimators = named_estimators(names)
+    kinds = (ImportanceSampling, Simulator)
     gone = [
         name
         for name, e in estimators.items()

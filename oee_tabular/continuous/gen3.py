@@ -70,14 +70,19 @@ def _frames(joints: Array) -> tuple[Array, Array, Array]:
     n = len(joints)
     place = np.zeros((n, 3))
     x, y, z = (np.broadcast_to(row, (n, 3)) for row in np.eye(3))
-    origins, axes = np.empty((n, N_JOINTS, 3)), np.empty((n, N_JOINTS, 3))
+    origins = np.empty((n, N_JOINTS, 3))
+    axes = np.empty((n, N_JOINTS, 3))
     for k in range(N_JOINTS + 1):
-        p, c, s = offsets[k], np.cos(turns[k]), np.sin(turns[k])
+        p = offsets[k]
+        c = np.cos(turns[k])
+        s = np.sin(turns[k])
         place = place + p[0] * x + p[1] * y + p[2] * z
         y, z = c * y + s * z, c * z - s * y
         if k < N_JOINTS:
-            origins[:, k], axes[:, k] = place, z
-            c, s = np.cos(joints[:, k, None]), np.sin(joints[:, k, None])
+            origins[:, k] = place
+            axes[:, k] = z
+            c = np.cos(joints[:, k, None])
+            s = np.sin(joints[:, k, None])
             x, y = c * x + s * y, c * y - s * x
     return origins, axes, place
 

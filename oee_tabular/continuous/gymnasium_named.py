@@ -180,10 +180,8 @@ def _register(spec: str) -> str:
 
 
 def _parse_state(state: str) -> dict[str, Any]:
-    names, module = (
-        [name.strip() for name in state.split(",", 1)],
-        state.partition(":")[0],
-    )
+    names = [name.strip() for name in state.split(",", 1)]
+    module = state.partition(":")[0]
     if len(names) < 2:
         raise ValueError(
             "--task-option state must be like my_module:get,set, two functions; got"
@@ -305,7 +303,8 @@ def action_set(space: Any, given: Any = None) -> Array:
         levels = list(np.linspace(space.low, space.high, n).T)
     else:
         levels = [_checks.float_array(count, "actions", ndim=(1, 2))] * k
-    n_levels, table = len(levels[0]), np.asarray(levels[0])
+    n_levels = len(levels[0])
+    table = np.asarray(levels[0])
     if table.ndim == 1:
         if float(n_levels) ** k > MAX_COMMANDS:
             raise ValueError(
@@ -332,11 +331,9 @@ class Physics:
         import gymnasium
 
         environment_exists(identifier)
-        self.identifier, self.given, self.spec = (
-            identifier,
-            dict(given),
-            gymnasium.spec(identifier),
-        )
+        self.identifier = identifier
+        self.given = dict(given)
+        self.spec = gymnasium.spec(identifier)
         self._takes = inspect.signature(_load(self.spec.entry_point)).parameters
         self._arguments = {
             key: x
@@ -354,11 +351,9 @@ class Physics:
         if not rest:
             return
         env = self.make()
-        inner, elements, known = (
-            env.unwrapped,
-            _elements(env.unwrapped),
-            _numbers_of(env.unwrapped),
-        )
+        inner = env.unwrapped
+        elements = _elements(env.unwrapped)
+        known = _numbers_of(env.unwrapped)
         for key, value in rest.items():
             holders = (inner.model, inner.model.opt) if elements else ()
             if not hasattr(inner, key) and (
@@ -383,10 +378,8 @@ class Physics:
         """The environment, without Gymnasium's wrappers."""
         import gymnasium
 
-        owner, arguments = (
-            _load(getattr(self.spec, point)),
-            self.spec.kwargs | self._arguments | arguments,
-        )
+        owner = _load(getattr(self.spec, point))
+        arguments = self.spec.kwargs | self._arguments | arguments
         if self._constants:
             if not isinstance(owner, type):
                 raise ValueError(
@@ -500,15 +493,14 @@ def _set_field(inner: Any, key: str, value: Any) -> None:
     """A field of a MuJoCo model, an array whole, or one element by its name."""
     import mujoco
 
-    model, elements = inner.model, _elements(inner)
+    model = inner.model
+    elements = _elements(inner)
     if key in elements:
         elements[key][0] = _checks.number_in(value, key, -np.inf, np.inf)
     else:
         holder = model if hasattr(model, key) else model.opt
-        own, found = (
-            np.asarray(getattr(holder, key)),
-            _checks.float_array(value, key, ndim=(0, 1, 2)),
-        )
+        own = np.asarray(getattr(holder, key))
+        found = _checks.float_array(value, key, ndim=(0, 1, 2))
         if found.shape != own.shape:
             raise ValueError(
                 f"{key} must have shape {own.shape}, as in the model: {own.tolist()};"

@@ -137,12 +137,13 @@ class GymnasiumTask(ContinuousTask):
             ("set_state", set_state),
         ):
             _checks.function(function, name)
-        self._make, self._get, self._set, self._over = make, get_state, set_state, over
-        self._reward_between, self._parameters, self._env = (
-            reward_between,
-            dict(parameters or {}),
-            make(),
-        )
+        self._make = make
+        self._get = get_state
+        self._set = set_state
+        self._over = over
+        self._reward_between = reward_between
+        self._parameters = dict(parameters or {})
+        self._env = make()
         self._env.reset(seed=0)
         state = self.read(self._env)
         if state_names is None:
@@ -209,7 +210,8 @@ class GymnasiumTask(ContinuousTask):
         warning.
         """
         env.reset(seed=0)
-        rng, generators = np.random.default_rng(0), []
+        rng = np.random.default_rng(0)
+        generators = []
         numbers = rng.integers(self.n_actions, size=steps)
 
         def choose(state: Array) -> int:
@@ -218,10 +220,8 @@ class GymnasiumTask(ContinuousTask):
 
         states, _, following, reward, _, _ = self.play(env, choose, steps)
         # rewards last
-        before, after = (
-            np.pad(states, ((0, 0), (0, 1))),
-            np.column_stack([following, reward]),
-        )
+        before = np.pad(states, ((0, 0), (0, 1)))
+        after = np.column_stack([following, reward])
         again = np.empty_like(after)
         # in the record's own order what the state lacks would come along
         for i in rng.permutation(steps):
@@ -302,12 +302,10 @@ class GymnasiumTask(ContinuousTask):
     ) -> GymnasiumTask:
         """The same task of another environment of the kind, not checked again."""
         again = copy.copy(self)
-        again._make, again._env, again._make_vector, again._parameters = (
-            make,
-            make(),
-            make_vector,
-            parameters,
-        )
+        again._make = make
+        again._env = make()
+        again._make_vector = make_vector
+        again._parameters = parameters
         again._env.reset(seed=0)
         return again
 
@@ -342,7 +340,8 @@ class GymnasiumTask(ContinuousTask):
         """By the environment's own step, whose formulas take arrays in place of
         numbers.
         """
-        inner, n = self._env.unwrapped, len(states)
+        inner = self._env.unwrapped
+        n = len(states)
         inner.np_random = NO_CHANCE
         self._set(self._env, states.T.copy())
         _, reward, over, _, _ = inner.step(
@@ -360,7 +359,8 @@ class GymnasiumTask(ContinuousTask):
         assert self._make_vector is not None
         envs = self._make_vector(len(states)).unwrapped
         envs.reset(seed=0)
-        envs.np_random, envs.state = NO_CHANCE, states.T.copy()
+        envs.np_random = NO_CHANCE
+        envs.state = states.T.copy()
         _, reward, over, _, _ = envs.step(
             self.commands[actions].astype(envs.action_space.dtype)
         )
@@ -380,11 +380,9 @@ class GymnasiumTask(ContinuousTask):
         generator's, or each its own.
         """
         env = self._env
-        following, reward, over = (
-            np.empty_like(states),
-            np.empty(len(states)),
-            np.zeros(len(states), dtype=np.bool_),
-        )
+        following = np.empty_like(states)
+        reward = np.empty(len(states))
+        over = np.zeros(len(states), dtype=np.bool_)
         for i, (state, action) in enumerate(zip(states, actions, strict=True)):
             env.unwrapped.np_random = (
                 rng if isinstance(rng, np.random.Generator) else rng[i]
@@ -425,7 +423,9 @@ class GymnasiumTask(ContinuousTask):
         Columns: state, action number, next state, reward, whether it is over, and
         whether the environment cut the episode, which also ends after ``limit`` steps.
         """
-        rows, inner, t = [], env.unwrapped, 0
+        rows = []
+        inner = env.unwrapped
+        t = 0
         for _ in range(n):
             state = self.read(env)
             number = choose(state)
@@ -441,14 +441,13 @@ class GymnasiumTask(ContinuousTask):
 
     def _find_ranges(self, env: Any) -> tuple[Array, Array]:
         env.reset(seed=0)
-        rng, limit = (
-            np.random.default_rng(0),
-            getattr(getattr(env, "spec", None), "max_episode_steps", None),
-        )
+        rng = np.random.default_rng(0)
+        limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
         states = self.play(
             env, lambda state: int(rng.integers(self.n_actions)), LOOKED, limit
         )[0]
-        low, high = states.min(axis=0), states.max(axis=0)
+        low = states.min(axis=0)
+        high = states.max(axis=0)
         room = np.maximum(0.1 * (high - low), 1e-6)
         return np.where(self.periodic, -np.pi, low - room), np.where(
             self.periodic, np.pi, high + room
@@ -467,11 +466,11 @@ class GymnasiumTask(ContinuousTask):
         ``policy`` is a function of states (n, d) giving probabilities (n, A). Episodes
         are truncated after ``max_steps``, the last one where the log ends.
         """
-        rows, steps = (
-            _checks.positive_integer(n_transitions, "n_transitions"),
-            _checks.positive_integer(max_steps, "max_steps"),
-        )
-        rng, env, known = _checks.generator(seed), self._make(), []
+        rows = _checks.positive_integer(n_transitions, "n_transitions")
+        steps = _checks.positive_integer(max_steps, "max_steps")
+        rng = _checks.generator(seed)
+        env = self._make()
+        known = []
         env.reset(seed=int(rng.integers(2**31)))
         env.unwrapped.reset()
 

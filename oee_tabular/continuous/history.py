@@ -31,7 +31,9 @@ from oee_tabular.continuous.task import (
 FOLDS = 4
 MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state
 # by which the test is made; slow: of tasks that step one by one
-MIN_ROWS, MAX_ROWS, MAX_SLOW_ROWS = 200, 20_000, 3000
+MIN_ROWS = 200
+MAX_ROWS = 20_000
+MAX_SLOW_ROWS = 3000
 N_NEIGHBORS = 4  # whose mean residual is what (s, a) itself explains
 NUMBERS = ("", "one step", "two steps", "three steps", "four steps", "five steps")
 CLIP = 8.0  # root mean squares: what rows at contacts count at most
@@ -85,10 +87,8 @@ class HistoryTask(DerivedTask):
             *(f"action_{{}}_{k}_steps_ago" for k in range(2, steps + 1)),
         ][:steps]
         last = tuple(name.format(a) for name in names for a in range(task.n_actions))
-        self.state_names, self.feature_names = (
-            task.state_names + last,
-            task.feature_names + last,
-        )
+        self.state_names = task.state_names + last
+        self.feature_names = task.feature_names + last
         self.feature_low = freeze(
             np.concatenate([task.feature_low, np.zeros(len(last))])
         )
@@ -162,10 +162,8 @@ class HistoryTask(DerivedTask):
         """The task's, and f(s, b) - s under each of the last actions b; under the
         present one where there was none.
         """
-        own, past = (
-            self.own(states),
-            self._last(states).reshape(len(states), self.steps, self.n_actions),
-        )
+        own = self.own(states)
+        past = self._last(states).reshape(len(states), self.steps, self.n_actions)
         numbers = np.where(
             past.any(axis=2), past.argmax(axis=2), np.asarray(actions)[:, None]
         )
@@ -217,7 +215,8 @@ def consecutive(log: ContinuousTransitions) -> tuple[IntArray, IntArray]:
         if log.episode is None
         else np.argsort(log.episode, kind="stable")
     )
-    before, after = order[:-1], order[1:]
+    before = order[:-1]
+    after = order[1:]
     gap = np.abs(log.state[after] - log.next_state[before])
     follows = (gap <= 1e-6 * (1.0 + np.abs(log.state[after]))).all(axis=1) & ~(
         log.terminated | log.truncated
@@ -291,7 +290,8 @@ def history_effects(
         return best
     # the last: no action
     codes = np.vstack([np.eye(task.n_actions)[actions], np.zeros(task.n_actions)])
-    own, acted = task.noiseless_step(log.state[rows], actions[rows]).next_state, []
+    own = task.noiseless_step(log.state[rows], actions[rows]).next_state
+    acted = []
     # which action was taken then, and where the simulator would go under it now
     for back in earlier[rows].T:
         then = np.where(back >= 0, actions[back], actions[rows])
@@ -320,11 +320,9 @@ def history_effects(
                 for k, back in enumerate(earlier[used].T, start=1)
             }
         near = _mean_near(task, log.state, actions, y, is_usable, group)[used]
-        x, target, fold = (
-            np.column_stack([codes[used], near]),
-            y[used],
-            group[used] % FOLDS,
-        )
+        x = np.column_stack([codes[used], near])
+        target = y[used]
+        fold = group[used] % FOLDS
         plain = _errors_held_out([x], target, fold)
         total = np.where(plain.any(axis=0), plain.sum(axis=0), np.inf)
         gained = plain - _errors_held_out([x, *blocks.values()], target, fold)
@@ -334,10 +332,8 @@ def history_effects(
             )
             for key, block in blocks.items()
         }
-        whole, size = (
-            gained.sum(axis=0) / total,
-            unit * np.sqrt((target**2).mean(axis=0)),
-        )
+        whole = gained.sum(axis=0) / total
+        size = unit * np.sqrt((target**2).mean(axis=0))
         is_sure = gained.sum(axis=0) > SURE * len(used) ** 0.5 * gained.std(axis=0)
         is_large = np.sqrt(np.maximum(whole, 0.0)) * size > least
         for k in np.flatnonzero(
@@ -392,7 +388,9 @@ def _mean_near(
     """(n, k) mean of the nearest rows of the same action in other folds: what (s, a)
     explains, however rough.
     """
-    neighbors, mean, fold = Neighbors(task, states), np.zeros_like(y), group % FOLDS
+    neighbors = Neighbors(task, states)
+    mean = np.zeros_like(y)
+    fold = group % FOLDS
     for a, f in itertools.product(np.unique(actions), range(FOLDS)):
         here = np.flatnonzero((actions == a) & (fold == f))
         there = np.flatnonzero((actions == a) & (fold != f) & is_usable)
@@ -407,9 +405,11 @@ def _errors_held_out(inputs: list[Array], y: Array, fold: IntArray) -> Array:
     """(n, k) squared errors of a linear regression, each row's by the fit to the other
     folds.
     """
-    x, errors = np.column_stack(inputs), np.empty_like(y)
+    x = np.column_stack(inputs)
+    errors = np.empty_like(y)
     for f in range(FOLDS):
-        inside, outside = fold == f, fold != f
+        inside = fold == f
+        outside = fold != f
         gram = x[outside].T @ x[outside]
         gram[np.diag_indices_from(gram)] += 1e-6 * max(int(outside.sum()), 1)
         errors[inside] = (

@@ -379,13 +379,8 @@ class KinovaArm(gen3.HandTask):
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         # time, angles, speeds, then what this model leaves empty
         start = np.zeros((len(joints), size))
-        (
-            start[:, 1 : 1 + gen3.N_JOINTS],
-            start[:, 1 + gen3.N_JOINTS : 1 + 2 * gen3.N_JOINTS],
-        ) = (
-            joints,
-            speeds,
-        )
+        start[:, 1 : 1 + gen3.N_JOINTS] = joints
+        start[:, 1 + gen3.N_JOINTS : 1 + 2 * gen3.N_JOINTS] = speeds
         found = np.empty((len(joints), 2 * gen3.N_JOINTS))
         for low in range(0, len(joints), AT_A_TIME):
             part = slice(low, low + AT_A_TIME)

@@ -193,7 +193,8 @@ class ContinuousTransitions(LogColumns):
     def _moves(
         state: object, action: object, next_state: object
     ) -> dict[str, NDArray[Any] | None]:
-        states, following = _vectors(state, "state"), _vectors(next_state, "next_state")
+        states = _vectors(state, "state")
+        following = _vectors(next_state, "next_state")
         if following.shape[1] != states.shape[1]:
             raise ValueError(
                 f"next_state must have the {states.shape[1]} coordinates of state; it"
@@ -256,11 +257,10 @@ class ContinuousTransitions(LogColumns):
                 f" actions; it has {self.action.shape[1]}"
             )
         distances = np.linalg.norm(self.action[:, None, :] - table[None], axis=2)
-        nearest, distance = distances.argmin(axis=1), distances.min(axis=1)
-        n_off, worst = (
-            int((distance > 1e-6 * (1.0 + np.abs(table).max())).sum()),
-            int(distance.argmax()),
-        )
+        nearest = distances.argmin(axis=1)
+        distance = distances.min(axis=1)
+        n_off = int((distance > 1e-6 * (1.0 + np.abs(table).max())).sum())
+        worst = int(distance.argmax())
         if n_off == 0:
             return np.asarray(nearest, dtype=np.int64)
         about = f"the task's {len(table)} actions"

@@ -35,7 +35,9 @@ from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves
 
 # m, kg/m^3, Bullet's collision margin in m
-RADIUS, DENSITY, MARGIN = 0.01, 1000.0, 0.04
+RADIUS = 0.01
+DENSITY = 1000.0
+MARGIN = 0.04
 STOP = 3.0  # rad, of the elbow
 LENGTH = 0.1  # m, the simulator's links
 TARGET = (0.1, 0.1)
@@ -57,13 +59,12 @@ def link_bodies(length: float, inertia: str = "box") -> Array:
     if long == 0.0:
         raise ValueError(f"length must be positive; it is {length}")
     _checks.one_of(inertia, "inertia", INERTIAS)
-    rod, ball = (
-        DENSITY * np.pi * RADIUS**2 * long,
-        DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3,
-    )
+    rod = DENSITY * np.pi * RADIUS**2 * long
+    ball = DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3
     mass = rod + ball
     if inertia == "box":
-        across, along = 2 * (RADIUS + MARGIN), long + 2 * (RADIUS + MARGIN)
+        across = 2 * (RADIUS + MARGIN)
+        along = long + 2 * (RADIUS + MARGIN)
         moment = mass / 12.0 * (across**2 + along**2)
     else:
         moment = rod * (long**2 / 12.0 + RADIUS**2 / 4.0)
@@ -78,7 +79,8 @@ def fingertip(states: Array, length: float) -> Array:
     """(n, 2) where the fingertip is: l (cos q1, sin q1) + (l + 0.01) (cos(q1 + q2),
     sin(q1 + q2)), in m.
     """
-    q1, q12 = states[:, 0], states[:, 0] + states[:, 1]
+    q1 = states[:, 0]
+    q12 = states[:, 0] + states[:, 1]
     reach = length + RADIUS
     return np.stack(
         [
@@ -190,21 +192,20 @@ class Reacher(ContinuousTask):
         nine; torques are gear * command.
         """
         mass, centre, moment = self._bodies.T  # type: ignore[attr-defined]
-        inertia, h, length = moment + mass * centre**2, self.timestep, self.length
-        upper, lower = (
-            inertia[0] + (mass[1] + mass[2]) * length**2,
-            inertia[1] + inertia[2],
-        )
+        inertia = moment + mass * centre**2
+        h = self.timestep
+        length = self.length
+        upper = inertia[0] + (mass[1] + mass[2]) * length**2
+        lower = inertia[1] + inertia[2]
         cross = length * (mass[1] * centre[1] + mass[2] * centre[2])
         q1, q2, w1, w2 = np.asarray(states, dtype=np.float64).T
         torques = self.gear * commands
         for _ in range(self.substeps):
-            cosine, sine = np.cos(q2), np.sin(q2)
+            cosine = np.cos(q2)
+            sine = np.sin(q2)
             m12 = lower + cross * cosine
-            m11, m22 = (
-                upper + lower + 2.0 * cross * cosine + self.armature,
-                lower + self.armature,
-            )
+            m11 = upper + lower + 2.0 * cross * cosine + self.armature
+            m22 = lower + self.armature
             f1 = (
                 torques[:, 0]
                 + cross * sine * (2.0 * w1 * w2 + w2 * w2)
@@ -213,19 +214,18 @@ class Reacher(ContinuousTask):
             f2 = torques[:, 1] - cross * sine * w1 * w1 - self.damping * w2
             if self.drag > 0.0:
                 first, second = self._drag(cosine, w1, w1 + w2)
-                f1, f2 = f1 - self.drag * first, f2 - self.drag * second
-            a11, a22 = m11 + h * self.damping, m22 + h * self.damping
+                f1 = f1 - self.drag * first
+                f2 = f2 - self.drag * second
+            a11 = m11 + h * self.damping
+            a22 = m22 + h * self.damping
             det = a11 * a22 - m12 * m12
-            w1, w2 = (
-                w1 + h * (a22 * f1 - m12 * f2) / det,
-                w2 + h * (a11 * f2 - m12 * f1) / det,
-            )
-            q1, q2 = q1 + h * w1, q2 + h * w2
+            w1 = w1 + h * (a22 * f1 - m12 * f2) / det
+            w2 = w2 + h * (a11 * f2 - m12 * f1) / det
+            q1 = q1 + h * w1
+            q2 = q2 + h * w2
             stopped = (np.abs(q2) > STOP) & (w2 * q2 > 0.0)
-            w1, w2 = (
-                np.where(stopped, w1 + m12 / m11 * w2, w1),
-                np.where(stopped, 0.0, w2),
-            )
+            w1 = np.where(stopped, w1 + m12 / m11 * w2, w1)
+            w2 = np.where(stopped, 0.0, w2)
             q2 = np.clip(q2, -STOP, STOP)
         return np.stack([q1, q2, w1, w2], axis=1)
 
@@ -233,7 +233,8 @@ class Reacher(ContinuousTask):
         """What Bullet's drag takes from the two joints' torques, for a drag of 1; the
         links turn at w1 and w12.
         """
-        bodies, length = self._bodies, self.length  # type: ignore[attr-defined]
+        bodies = self._bodies  # type: ignore[attr-defined]
+        length = self.length
         mass, centre, moment = bodies[0]
         first = w1 * (
             mass * centre**2 * (1.0 + np.abs(centre * w1)) + moment * (1.0 + np.abs(w1))
@@ -241,15 +242,14 @@ class Reacher(ContinuousTask):
         second = np.zeros_like(w1)
         for mass, centre, moment in bodies[1:]:
             # the centre's velocity along the normals of the two links
-            u, v = length * w1, centre * w12
+            u = length * w1
+            v = centre * w12
             k = mass * (
                 1.0 + np.sqrt(np.maximum(u * u + v * v + 2.0 * u * v * cosine, 0.0))
             )
             around = k * centre * (v + u * cosine) + moment * w12 * (1.0 + np.abs(w12))
-            first, second = (
-                first + k * length * (u + v * cosine) + around,
-                second + around,
-            )
+            first = first + k * length * (u + v * cosine) + around
+            second = second + around
         return first, second
 
     def distance(self, states: Array) -> Array:
@@ -316,7 +316,8 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
     cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)); a ValueError for a
     target out of the arm's reach.
     """
-    (x, y), far = _checks.float_array(target, "target"), length + RADIUS
+    (x, y) = _checks.float_array(target, "target")
+    far = length + RADIUS
     bend = (x * x + y * y - length**2 - far**2) / (2.0 * length * far)
     if not -1.0 <= bend <= 1.0:
         raise ValueError(

@@ -76,10 +76,16 @@ def _predict(
     sorts rows by action, ``kept`` numbers the inputs that are used, ``limits`` (4, m)
     are the least and the most of each, its centre and 1 over its scale.
     """
-    n, m, q = len(x), len(kept), len(first)
-    n_x, n_c, k = x.shape[1], commands.shape[1], w.shape[2]
+    n = len(x)
+    m = len(kept)
+    q = len(first)
+    n_x = x.shape[1]
+    n_c = commands.shape[1]
+    k = w.shape[2]
     found = np.zeros((n, k))
-    z, phi, total = np.ones((m + 1, ROWS)), np.empty(ROWS), np.empty((k, ROWS))
+    z = np.ones((m + 1, ROWS))
+    phi = np.empty(ROWS)
+    total = np.empty((k, ROWS))
     begin = 0
     while begin < n:
         a = actions[order[begin]]
@@ -105,19 +111,22 @@ def _predict(
             if not w[a, j].any():
                 continue
             if j < q:
-                left, right = z[first[j]], z[second[j]]
+                left = z[first[j]]
+                right = z[second[j]]
                 for r in range(size):
                     phi[r] = left[r] * right[r]
             else:
                 phi[:size] = phases[j - q]
                 for i in range(m):
-                    c, left = frequencies[i, j - q], z[i + 1]
+                    c = frequencies[i, j - q]
+                    left = z[i + 1]
                     for r in range(size):
                         phi[r] += c * left[r]
                 for r in range(size):
                     phi[r] = math.cos(phi[r])
             for t in range(k):
-                c, part = w[a, j, t], total[t]
+                c = w[a, j, t]
+                part = total[t]
                 if c != 0.0:
                     for r in range(size):
                         part[r] += c * phi[r]
@@ -151,13 +160,16 @@ class Functions:
         displacement: Array,
         rng: np.random.Generator,
     ) -> None:
-        self._task, self.n_actions = task, task.n_actions
+        self._task = task
+        self.n_actions = task.n_actions
         self._commands = np.array(task.actions, dtype=np.float64).reshape(
             task.n_actions, -1
         )
-        smooth, n_commands = task.smooth(states), self._commands.shape[1]
+        smooth = task.smooth(states)
+        n_commands = self._commands.shape[1]
         raw = np.column_stack([smooth, self._commands[actions], displacement])
-        centre, scale = raw.mean(axis=0), raw.std(axis=0)
+        centre = raw.mean(axis=0)
+        scale = raw.std(axis=0)
         moving = np.flatnonzero(scale > 1e-12 * (1.0 + np.abs(centre)))
         z = (raw[:, moving] - centre[moving]) / scale[moving]
         alike = np.abs(z.T @ z) / len(z) > 1.0 - 1e-9
@@ -172,13 +184,15 @@ class Functions:
                 1.0 / scale[kept],
             ]
         )
-        m, n_x = len(kept), int((kept < smooth.shape[1] + n_commands).sum())
+        m = len(kept)
+        n_x = int((kept < smooth.shape[1] + n_commands).sum())
         n_waves = FOURIER if m > 0 else 0
         reach = rng.choice([0.25, 0.5, 1.0], size=n_waves) * np.sqrt(2.0 / max(m, 1))
         self._frequencies = rng.standard_normal((m, n_waves)) * reach
         self._phases = rng.uniform(0.0, 2.0 * np.pi, n_waves)
         first, second = np.triu_indices(m if m <= PAIRS else 0)
-        linear, q = np.arange(1 + m), 1 + m + len(first)
+        linear = np.arange(1 + m)
+        q = 1 + m + len(first)
         # 0 is the constant 1
         self._first = np.concatenate([np.zeros(1 + m, dtype=np.int64), first + 1])
         self._second = np.concatenate([linear, second + 1])
@@ -231,20 +245,14 @@ class Functions:
         """(n, k) sums over columns weighted by w (A, columns, k), kept within ``ends``
         (2, k): compiled, O(n p k).
         """
-        q, inputs = (
-            min(w.shape[1], len(self._first)),
-            (self._task.smooth(states), displacement),
-        )
+        q = min(w.shape[1], len(self._first))
+        inputs = (self._task.smooth(states), displacement)
         # so that one kernel takes all
         x, d = (np.require(each, requirements=["C", "W"]) for each in inputs)
-        a, order = (
-            np.require(actions, np.int64, ["C", "W"]),
-            np.argsort(actions.astype(np.int16), kind="stable"),
-        )
-        rows, functions = (
-            (x, self._commands, d, a, order),
-            (self._first[:q], self._second[:q]),
-        )
+        a = np.require(actions, np.int64, ["C", "W"])
+        order = np.argsort(actions.astype(np.int16), kind="stable")
+        rows = (x, self._commands, d, a, order)
+        functions = (self._first[:q], self._second[:q])
         waves = self._frequencies, self._phases
         return np.asarray(
             _predict(*rows, self._kept, self._limits, *functions, *waves, w, ends)
@@ -289,12 +297,11 @@ class Grams:
         is_used: BoolArray,
     ) -> None:
         states, actions, displacement = arguments
-        n_actions, n_groups = functions.n_actions, int(group.max()) + 1
-        self.nested, self.p, self.k = (
-            functions.nested,
-            functions.width,
-            targets.shape[1],
-        )
+        n_actions = functions.n_actions
+        n_groups = int(group.max()) + 1
+        self.nested = functions.nested
+        self.p = functions.width
+        self.k = targets.shape[1]
         self.g = np.zeros((n_groups, n_actions, self.p + self.k, self.p + self.k))
         for number in np.unique((group * n_actions + actions)[is_used]):
             rows = np.flatnonzero(is_used & (group * n_actions + actions == number))
@@ -372,7 +379,8 @@ class Grams:
         every = np.array([errors for _, _, _, errors in tried])
         fits = []
         for k in range(self.k):
-            errors, whole = every[:, :, k], self.g[:, :, self.p + k, self.p + k].sum()
+            errors = every[:, :, k]
+            whole = self.g[:, :, self.p + k, self.p + k].sum()
             excess = errors - errors[errors.sum(axis=1).argmin()]
             tolerance = np.sqrt(n_groups) * excess.std(axis=1) + EQUAL * whole
             best = int(np.argmax(excess.sum(axis=1) <= tolerance))
@@ -412,10 +420,8 @@ class Grams:
             inside = np.flatnonzero(fold == f)
             g = self.g[inside]
             total = g[:, :, self.p :, self.p :].diagonal(axis1=2, axis2=3).sum(axis=1)
-            cross, inner = (
-                g[:, :, columns, self.p :],
-                g[:, :, columns][:, :, :, columns],
-            )
+            cross = g[:, :, columns, self.p :]
+            inner = g[:, :, columns][:, :, :, columns]
             for i, (per_action, ridge) in enumerate(options):
                 w = self.solve(grams[f], columns, slice(None), ridge, per_action)
                 error = total - 2.0 * np.einsum("gapk,apk->gk", cross, w, optimize=True)
@@ -513,15 +519,12 @@ class LinearModel(DerivedTask):
         )
         require_log_of(task, log)
         self.n_disturbances = 1
-        self._actions, periods = (
-            log.action_numbers(task.actions),
-            find_periods(task, log.next_state),
-        )
-        self._x, self._y = (
-            self._inputs(log.state),
-            shortest(log.next_state - log.state, periods),
-        )
-        low, high = log.next_state.min(axis=0), log.next_state.max(axis=0)
+        self._actions = log.action_numbers(task.actions)
+        periods = find_periods(task, log.next_state)
+        self._x = self._inputs(log.state)
+        self._y = shortest(log.next_state - log.state, periods)
+        low = log.next_state.min(axis=0)
+        high = log.next_state.max(axis=0)
         # an angle may go round
         self._limits = np.where(periods > 0, [[-np.inf], [np.inf]], [low, high])
         # none of them empty
@@ -563,11 +566,9 @@ class LinearModel(DerivedTask):
     @one_thread
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step; the disturbance chooses the residual."""
-        actions, x, uniform = (
-            np.asarray(actions, dtype=np.int64),
-            self._inputs(states),
-            ndtr(disturbance[:, 0]),
-        )
+        actions = np.asarray(actions, dtype=np.int64)
+        x = self._inputs(states)
+        uniform = ndtr(disturbance[:, 0])
         following = np.array(states, dtype=np.float64)
         for a in np.unique(actions):
             at = np.flatnonzero(actions == a)

@@ -69,7 +69,8 @@ N_UNIT_ROWS = 500  # of the log by which units are judged
 MAX_UNIT_COORDINATES = 8  # beyond, units are not judged
 # shares of a displacement, by which a step is missed and by which it is met in another
 # unit
-MISSED, MET = 0.5, 0.1
+MISSED = 0.5
+MET = 0.1
 
 
 @dataclass(frozen=True)
@@ -205,10 +206,8 @@ class ResidualSimulator(DerivedTask):
             find_periods(task, own.next_state),
             np.resize(task.feature_low, self.n_state),
         )
-        low, high = (
-            self._start - ROUNDING,
-            np.resize(task.feature_high, self.n_state) + ROUNDING,
-        )
+        low = self._start - ROUNDING
+        high = np.resize(task.feature_high, self.n_state) + ROUNDING
         self._wraps = (self._periods > 0) & (
             (own.next_state >= low) & (own.next_state <= high)
         ).all(axis=0)
@@ -248,10 +247,8 @@ class ResidualSimulator(DerivedTask):
         """Fit g to smooth rows, which it finds by what g leaves over; then what is lost
         at stops.
         """
-        d, free = (
-            self.n_state,
-            self._stops.free(self.task, log.state, actions, own.next_state),
-        )
+        d = self.n_state
+        free = self._stops.free(self.task, log.state, actions, own.next_state)
         self.residuals = shortest(
             log.next_state - np.where(is_free[:, None], free, own.next_state),
             self._periods,
@@ -279,10 +276,8 @@ class ResidualSimulator(DerivedTask):
             )
             self._set_fits(self._grams.choose())
             added = self._correction(log.state, actions, free)
-            last, is_smooth = (
-                is_smooth,
-                is_free & ~self._is_outlying(self.residuals - added),
-            )
+            last = is_smooth
+            is_smooth = is_free & ~self._is_outlying(self.residuals - added)
             if np.array_equal(is_smooth, last):
                 break
         self.left_over = self.residuals - added
@@ -321,7 +316,8 @@ class ResidualSimulator(DerivedTask):
         )
 
     def _set_fits(self, fits: list[Fit]) -> None:
-        self.fits, self._is_zero = fits, not any(len(fit.columns) for fit in fits)
+        self.fits = fits
+        self._is_zero = not any(len(fit.columns) for fit in fits)
         self._coefficients = self._functions.stack(fits)
 
     def _correction(self, states: Array, actions: IntArray, free: Array) -> Array:
@@ -343,15 +339,11 @@ class ResidualSimulator(DerivedTask):
         """One ``Coordinate`` each; rows that g was not fitted to count by what it
         leaves of them.
         """
-        scatter, left, residual = (
-            self._scatter,
-            root_mean_square(self.left_over),
-            root_mean_square(self.residuals),
-        )
-        squares, rough = (
-            (self.residuals**2).sum(axis=0),
-            (self.left_over[~is_smooth] ** 2).sum(axis=0),
-        )
+        scatter = self._scatter
+        left = root_mean_square(self.left_over)
+        residual = root_mean_square(self.residuals)
+        squares = (self.residuals**2).sum(axis=0)
+        rough = (self.left_over[~is_smooth] ** 2).sum(axis=0)
         moved = shortest(log.next_state - log.state, self._periods).std(axis=0)
         displaced = np.append(moved, 0.0 if log.reward is None else log.reward.std())[
             : len(left)
@@ -401,7 +393,8 @@ class ResidualSimulator(DerivedTask):
         """The same corrected by a bootstrap's log: groups of whole episodes drawn with
         replacement, g of the same classes.
         """
-        weights, again = draw_groups(len(self._grams.g), seed), copy.copy(self)
+        weights = draw_groups(len(self._grams.g), seed)
+        again = copy.copy(self)
         again._set_fits(self._grams.refit(self.fits, weights))
         again._scatter = self._scatter.reweighted(weights[self._group[self._is_free]])
         return again
@@ -434,7 +427,8 @@ class ResidualSimulator(DerivedTask):
         """(n,) states with a feature outside the range of the log's, where no data
         support g.
         """
-        features, (low, high) = self.task.features(states), self._range
+        features = self.task.features(states)
+        (low, high) = self._range
         return np.asarray(((features < low) | (features > high)).any(axis=1))
 
     @one_thread
@@ -442,7 +436,8 @@ class ResidualSimulator(DerivedTask):
         """One corrected step; the last disturbance chooses e, where it is drawn from
         the log.
         """
-        actions, scatter = np.asarray(actions, dtype=np.int64), self._scatter
+        actions = np.asarray(actions, dtype=np.int64)
+        scatter = self._scatter
         own = self.task.noiseless_step(states, actions)
         free = (
             own.next_state
@@ -542,15 +537,14 @@ def other_units(
     those that bring a coordinate from more than half to less than a tenth. One call of
     f with 500 rows, some 200 where a coordinate is missed.
     """
-    d, rows = (
-        task.n_state,
-        np.linspace(0, len(log) - 1, min(N_UNIT_ROWS, len(log))).astype(np.int64),
-    )
+    d = task.n_state
+    rows = np.linspace(0, len(log) - 1, min(N_UNIT_ROWS, len(log))).astype(np.int64)
     if d > MAX_UNIT_COORDINATES:
         return ""
 
     def miss(factors: Array) -> Array:
-        before, after = factors * log.state[rows], factors * log.next_state[rows]
+        before = factors * log.state[rows]
+        after = factors * log.next_state[rows]
         with np.errstate(all="ignore"):  # states that no simulator was made for
             own = task.noiseless_step(before, actions[rows]).next_state
             left, moved = (
@@ -564,7 +558,9 @@ def other_units(
         )
 
     plain = miss(np.ones(d))
-    is_missed, least, text = plain > MISSED, plain.sum(), ""
+    is_missed = plain > MISSED
+    least = plain.sum()
+    text = ""
     pairs = [(k,) for k in range(d)] + list(itertools.combinations(range(d), 2))
     for columns, (unit, factor) in itertools.product(
         pairs if is_missed.any() else (), UNITS.items()
@@ -572,5 +568,6 @@ def other_units(
         missed = miss(np.where(np.isin(np.arange(d), columns), factor, 1.0))
         if (is_missed & (missed < MET)).any() and missed.sum() < least:
             names = " and ".join(task.state_names[k] for k in columns)
-            least, text = missed.sum(), f"{names} ({unit})"
+            least = missed.sum()
+            text = f"{names} ({unit})"
     return text

@@ -105,7 +105,8 @@ class Rollouts:
     def _returns(
         self, tasks: Sequence[ContinuousTask], policy: StatePolicy, n: int
     ) -> Array:
-        n, seed = min(n, self.paths, self.episodes), self._stream(1)
+        n = min(n, self.paths, self.episodes)
+        seed = self._stream(1)
         return compare_returns(
             tasks, policy, n, self.horizon, discount=self.discount, seed=seed
         )
@@ -124,11 +125,9 @@ class Rollouts:
         policy : of the task's states
         status : why the value is not to be relied on, and then has no error; "ok"
         """
-        mc, is_ok, is_corrected = (
-            self.value(learned, policy),
-            status == "ok",
-            isinstance(learned, ResidualSimulator),
-        )
+        mc = self.value(learned, policy)
+        is_ok = status == "ok"
+        is_corrected = isinstance(learned, ResidualSimulator)
         facts: dict[str, Any] = {
             "standard_error_of": "rollouts",
             "n_rollouts": mc.n_episodes,
@@ -335,10 +334,8 @@ class OnCells:
         self.model = model = simulator.discretize(
             log, cells=cells, floor=floor, discount=discount
         )
-        counts, where = (
-            model.counts(log, outside=settings.outside),
-            model.cells.extent(),
-        )
+        counts = model.counts(log, outside=settings.outside)
+        where = model.cells.extent()
         encoded = model.encode(
             log,
             seed=_checks.seed_sequence(seed, (10**6 + 1,)),
@@ -421,7 +418,8 @@ class OnCells:
 
     def _describe(self, name: str) -> str:
         """The simulator on cells, in one line of a report."""
-        model, support = self.model, self._support
+        model = self.model
+        support = self._support
         places = (
             ""
             if model.task.is_translation_invariant
@@ -429,7 +427,8 @@ class OnCells:
         )
         text = f"{name} on {model.cells.extent()}{places}: {model.mdp!r}"
         if floor := model.metadata["floor"]:
-            own, others = model.metadata["parameters"], model.metadata["others"]
+            own = model.metadata["parameters"]
+            others = model.metadata["others"]
             differing = [
                 ", ".join(f"{k}={v:.3g}" for k, v in other.items() if own.get(k) != v)
                 for other in others
@@ -564,7 +563,8 @@ def calibrated_row(
     }
     facts = {name: x for name, x in found.diagnostics.items() if name not in raw_only}
     told = list(found.findings)
-    apart, own = abs(raw.value - value), abs(outside.value - below)
+    apart = abs(raw.value - value)
+    own = abs(outside.value - below)
     # calibration takes out more than was put in
     if apart > 1.01 * own + 2.0 * outside.standard_error:
         figure = (

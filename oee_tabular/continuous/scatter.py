@@ -61,11 +61,10 @@ class Stops:
         self, states: Array, following: Array, own: Array, is_angle: BoolArray
     ) -> None:
         self.bounds = _extremes(following)
-        self.target, self.own = (
-            _find(following, self.bounds, is_angle),
-            _find(own, _extremes(own), is_angle),
-        )
-        least, most = following.min(axis=0), following.max(axis=0)
+        self.target = _find(following, self.bounds, is_angle)
+        self.own = _find(own, _extremes(own), is_angle)
+        least = following.min(axis=0)
+        most = following.max(axis=0)
         is_own = (
             np.isinf(self.bounds)
             & np.isfinite(self.own)
@@ -92,7 +91,8 @@ class Stops:
         """
         if np.isinf(self.own).all():
             return own
-        at, free = _side(self.own, own), own.copy()
+        at = _side(self.own, own)
+        free = own.copy()
         rows = np.flatnonzero(at.any(axis=1))
         for share in SHARES_BACK:
             if len(rows) == 0:
@@ -200,7 +200,8 @@ class Neighbors:
 
     def __init__(self, task: ContinuousTask, states: Array) -> None:
         places = task.smooth(states)
-        self._task, self._unit = task, np.maximum(places.std(axis=0), 1e-300)
+        self._task = task
+        self._unit = np.maximum(places.std(axis=0), 1e-300)
         self._places = places / self._unit
         self._trees: dict[Hashable, cKDTree] = {}
 
@@ -247,13 +248,16 @@ class Scatter:
         periods: Array,
         rng: np.random.Generator,
     ) -> None:
-        d, k = log.n_state, left_over.shape[1]
+        d = log.n_state
+        k = left_over.shape[1]
         some = np.sort(rng.permutation(len(log))[:N_SIMULATED])
         noisy = task.step(log.state[some], actions[some], rng)
         noise = np.zeros((len(some), k))
         noise[:, :d] = shortest(noisy.next_state - own.next_state[some], periods)
-        self.spread, e = root_mean_square(noise), left_over[is_free]
-        size, rounding = root_mean_square(e), np.full(k, ROUNDING)
+        self.spread = root_mean_square(noise)
+        e = left_over[is_free]
+        size = root_mean_square(e)
+        rounding = np.full(k, ROUNDING)
         rounding[:d] *= shortest(log.next_state - log.state, periods).std(axis=0)
         rounding[:d] += np.finfo(float).eps * np.abs(log.next_state).max(axis=0)
         is_alike = np.abs(size / np.maximum(self.spread, 1e-300) - 1.0) <= max(
@@ -270,13 +274,15 @@ class Scatter:
                 np.where(is_paid_alike, noisy.reward - own.reward[some], 0.0)
             )
         self._task = task
-        self._e, self._actions = np.where(self.drawn, e, 0.0), actions[is_free]
+        self._e = np.where(self.drawn, e, 0.0)
+        self._actions = actions[is_free]
         scaled = self._e / np.maximum(size, 1e-300)
         widest = np.linalg.eigh(scaled.T @ scaled)[1][:, -1] / np.maximum(size, 1e-300)
         # rows are drawn in order along the direction in which e varies most
         self._order = self._e @ widest
         self._rows = [np.flatnonzero(self._actions == a) for a in range(task.n_actions)]
-        self._neighbors, self._near = Neighbors(task, log.state[is_free]), None
+        self._neighbors = Neighbors(task, log.state[is_free])
+        self._near = None
         if self.drawn.any():
             # of the same action, itself among them
             near = np.empty((len(e), N_NEIGHBORS + 1), dtype=np.int64)
@@ -313,12 +319,14 @@ class Scatter:
             np.argsort(is_self, axis=1, kind="stable")[:, :N_NEIGHBORS],
             axis=1,
         )
-        one, eight = self._e[some][:, self.drawn], self._e[others][:, :, self.drawn]
+        one = self._e[some][:, self.drawn]
+        eight = self._e[others][:, :, self.drawn]
         for x, y in (
             (one, eight.mean(axis=1)),
             (np.abs(one), np.abs(eight).mean(axis=1)),
         ):
-            x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+            x = x - x.mean(axis=0)
+            y = y - y.mean(axis=0)
             both = (x * x).sum(axis=0) * (y * y).sum(axis=0)
             if (
                 (x * y).sum(axis=0) ** 2 > max(MIN_EXPLAINED, 9.0 / len(some)) * both
@@ -330,7 +338,8 @@ class Scatter:
         """Of each action its rows in order with these weights; of an action without
         rows, all.
         """
-        self._weights, self._pools = weights, []
+        self._weights = weights
+        self._pools = []
         for rows in self._rows:
             pool = rows if weights[rows].any() else np.arange(len(self._e))
             pool = pool[np.argsort(self._order[pool], kind="stable")]

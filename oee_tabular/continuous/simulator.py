@@ -86,11 +86,9 @@ class CommandPolicy:
         """Probabilities, and the commands (n, k) that they are of, where the policy
         gave such.
         """
-        found, n, actions = (
-            np.asarray(ask_policy(self.policy, states)),
-            len(states),
-            self.actions,
-        )
+        found = np.asarray(ask_policy(self.policy, states))
+        n = len(states)
+        actions = self.actions
         if found.shape == (n, len(actions)):
             return found, None
         if actions.ndim == 1 and found.shape == (n,) and found.dtype.kind in "iu":
@@ -259,10 +257,8 @@ def as_simulator(
             f"horizon must be given for {task.name}, which has no time limit of its"
             " own; it is None"
         )
-    ratio, speed = (
-        {"prior": "simulator", "strength": 0.01},
-        {} if task.steps_at_once else SLOW,
-    )
+    ratio = {"prior": "simulator", "strength": 0.01}
+    speed = {} if task.steps_at_once else SLOW
     own: dict[str, Any] = {
         "name": task.name,
         "floor": 1e-3,

@@ -151,10 +151,8 @@ class ContinuousTask(ABC):
         )
         if not any(self.periodic):
             return states if whole else np.column_stack([states, features])
-        turns, width = (
-            np.array(self.periodic),
-            np.subtract(self.feature_high, self.feature_low),
-        )
+        turns = np.array(self.periodic)
+        width = np.subtract(self.feature_high, self.feature_low)
         angle = 2.0 * np.pi * features[:, turns] / width[turns]
         return np.column_stack(
             [features[:, ~turns] if whole else states, np.cos(angle), np.sin(angle)]
@@ -170,7 +168,8 @@ class ContinuousTask(ABC):
         self, states: Array, actions: IntArray, next_states: Array
     ) -> Array | None:
         """(n,) r(s, a, s') of given transitions; None where it is not known."""
-        before, after = self.reward_terms(states), self.reward_terms(next_states)
+        before = self.reward_terms(states)
+        after = self.reward_terms(next_states)
         return (
             None
             if before is None or after is None
@@ -252,7 +251,8 @@ class DerivedTask(ContinuousTask):
     def __init__(self, task: ContinuousTask, name: str) -> None:
         for attribute in ContinuousTask.__annotations__:
             setattr(self, attribute, getattr(task, attribute))
-        self.task, self.name = task, name
+        self.task = task
+        self.name = name
 
     def own(self, states: Array) -> Array:
         """The other task's states (n, d) in these; default: these."""
@@ -269,21 +269,17 @@ class DerivedTask(ContinuousTask):
 
         return call
 
-    initial_states, initial_points = (
-        _delegate("initial_states"),
-        _delegate("initial_points"),
-    )
-    embed, reward_of = _delegate("embed"), _delegate("reward_of")
-    terminated, end_shows = _delegate("terminated", 0), _delegate("end_shows", 0)
-    features, smooth, reward_terms = (
-        _delegate("features", 0),
-        _delegate("smooth", 0),
-        _delegate("reward_terms", 0),
-    )
-    reward_between, displacements = (
-        _delegate("reward_between", 0, 2),
-        _delegate("displacements", 0, 2),
-    )
+    initial_states = _delegate("initial_states")
+    initial_points = _delegate("initial_points")
+    embed = _delegate("embed")
+    reward_of = _delegate("reward_of")
+    terminated = _delegate("terminated", 0)
+    end_shows = _delegate("end_shows", 0)
+    features = _delegate("features", 0)
+    smooth = _delegate("smooth", 0)
+    reward_terms = _delegate("reward_terms", 0)
+    reward_between = _delegate("reward_between", 0, 2)
+    displacements = _delegate("displacements", 0, 2)
 
 
 def check_states(task: ContinuousTask, states: object, name: str = "states") -> Array:
@@ -332,20 +328,23 @@ class Chance:
     """
 
     def __init__(self, xi: Array) -> None:
-        self._xi, self.used = xi, 0
+        self._xi = xi
+        self.used = 0
 
     def _draw(self, size: Any, *bounds: Any) -> Any:
         """N(0, 1) of this size, or of the bounds' own shape; a number where that is
         none.
         """
         shape = np.broadcast_shapes(*map(np.shape, bounds)) if size is None else size
-        end, most = self.used + int(np.prod(shape)), len(self._xi)
+        end = self.used + int(np.prod(shape))
+        most = len(self._xi)
         if end > most:
             raise IndexError(
                 f"a step must draw at most {most} random numbers, as when it was"
                 " recorded; it draws more"
             )
-        found, self.used = self._xi[self.used : end].reshape(shape), end
+        found = self._xi[self.used : end].reshape(shape)
+        self.used = end
         return found.copy() if found.ndim else float(found)
 
     def standard_normal(self, size: Any = None) -> Any:
@@ -413,10 +412,8 @@ def ask_policy(policy: Callable[[Array], Any], states: Array) -> Any:
 def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> Array:
     """What a policy function says for ``states``: (n, A), rows that sum to 1."""
     _checks.function(policy, "policy")
-    table, n = (
-        _checks.float_array(ask_policy(policy, states), "policy(states)"),
-        len(states),
-    )
+    table = _checks.float_array(ask_policy(policy, states), "policy(states)")
+    n = len(states)
     if table.shape != (n, n_actions):
         raise ValueError(
             f"policy(states) must have shape {(n, n_actions)} for {n} states; it has"

@@ -100,7 +100,8 @@ class LogColumns:
         if repeat is not None:
             raise ValueError(repeat[1])
         is_first, is_last = np.zeros((2, len(episode)), dtype=np.bool_)
-        is_first[starts[:-1]], is_last[starts[1:] - 1] = True, True
+        is_first[starts[:-1]] = True
+        is_last[starts[1:] - 1] = True
         if columns["timestep"] is None:
             columns["timestep"] = np.arange(len(episode)) - np.repeat(
                 starts[:-1], np.diff(starts)

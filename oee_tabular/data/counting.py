@@ -61,10 +61,8 @@ class Sample(NamedTuple):
         """The episodes first in the draw of both; a reward that only one has is nan in
         the other.
         """
-        limit, parts = (
-            min(self.limit, other.limit),
-            [sample.rows for sample in (self, other) if sample.rows],
-        )
+        limit = min(self.limit, other.limit)
+        parts = [sample.rows for sample in (self, other) if sample.rows]
         if not parts:
             return Sample(limit=limit)
         labels = dict.fromkeys(label for part in parts for label in part)
@@ -140,7 +138,9 @@ class _FileCount:
     """The sums of the pieces so far, what is wrong with them, and their episodes."""
 
     def __init__(self, path: str, limits: Limits, name: str) -> None:
-        self.path, self.limits, self.name = path, limits, name
+        self.path = path
+        self.limits = limits
+        self.name = name
         self.sums: list[dict[str, Column]] = []
         # by kind: the first row, the words for it, how many rows
         self.faults: dict[str, tuple[int, str, int]] = {}
@@ -200,7 +200,8 @@ class _FileCount:
         """One more piece."""
         for row, words in piece.lost.items():
             self._note("fields", row, words)
-        columns, is_bad = {}, np.zeros(len(piece.rows), dtype=np.bool_)
+        columns = {}
+        is_bad = np.zeros(len(piece.rows), dtype=np.bool_)
         has_episode = ~is_bad
         for label, raw in piece.columns.items():
             columns[label], fault = self._check(raw, label)
@@ -250,7 +251,8 @@ class _FileCount:
             label: np.concatenate([last[label], column[:-1]])
             for label, column in columns.items()
         }
-        rows, is_bad = columns["row"], columns["is_bad"]
+        rows = columns["row"]
+        is_bad = columns["is_bad"]
         is_first = np.asarray(columns["episode"] != before["episode"], dtype=np.bool_)
         is_first[0] |= not self.last
         run = self.n_runs - 1 + np.cumsum(is_first)
@@ -290,7 +292,8 @@ class _FileCount:
         }
         rows = choose(rows, ~np.isin(rows["run"], np.concatenate(self.broken)))
         sample = cut_sample(rows, self.limits.kept, self.limit)
-        self.kept, self.limit = [sample.rows], sample.limit
+        self.kept = [sample.rows]
+        self.limit = sample.limit
         return sample
 
     def draw_episodes(self) -> Sample:

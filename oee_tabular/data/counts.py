@@ -223,7 +223,8 @@ class TransitionCounts:
 
     def summary(self) -> dict[str, Any]:
         """The counts' summary, as plain numbers and words."""
-        told, paid = self.recording, self.reward_sum is not None
+        told = self.recording
+        paid = self.reward_sum is not None
         return {
             "transitions": len(self),
             "different": len(self.count),

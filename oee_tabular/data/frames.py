@@ -106,10 +106,8 @@ def _join_columns(table: Any, labels: list[str]) -> Column:
     """A column's values, nan where it has none; tuples of several columns' values."""
     columns = []
     for label in labels:
-        values, absent = (
-            np.asarray(table[label].to_numpy()),
-            table[label].is_null().to_numpy(),
-        )
+        values = np.asarray(table[label].to_numpy())
+        absent = table[label].is_null().to_numpy()
         columns.append(np.where(absent, np.nan, values) if absent.any() else values)
     if len(columns) == 1:
         return columns[0]
@@ -443,7 +441,8 @@ def minari_episodes(name: str) -> list[Any]:
     require_minari()
     from minari.dataset.minari_dataset import MinariDataset
 
-    folder, reason = Path(_files.local(name)), ""
+    folder = Path(_files.local(name))
+    reason = ""
     if not folder.is_dir():
         try:
             folder = find_folder(name.removeprefix("minari:"))
@@ -478,10 +477,8 @@ def minari_columns(
     """
     parts: list[dict[str, Column]] = []
     for number, episode in enumerate(minari_episodes(name)):
-        observations, actions = (
-            np.asarray(episode.observations),
-            np.asarray(episode.actions),
-        )
+        observations = np.asarray(episode.observations)
+        actions = np.asarray(episode.actions)
         check(observations, actions, name)
         columns = {
             "state": observations[:-1],

@@ -99,7 +99,8 @@ def open_log(
     results = _parallel.each(count_file, calls, len(files), jobs=jobs, dask=dask)
     shown = tqdm(results, "counting", len(files), unit="file", disable=not progress)
     sums: list[dict[str, Column]] = []
-    recording, sample = Recording(by_episodes=False), Sample()
+    recording = Recording(by_episodes=False)
+    sample = Sample()
     columns: dict[str, frozenset[str]] = {}
     for file, counts in zip(files, shown, strict=True):
         if not columns:
@@ -141,10 +142,8 @@ def _to_counts(
     """Counts in the order of s, a, s', ended, with their sample; without rewards where
     there are none.
     """
-    order, has_rewards = (
-        np.lexsort([sums[label] for label in reversed(KEY)]),
-        sums["reward_count"].any(),
-    )
+    order = np.lexsort([sums[label] for label in reversed(KEY)])
+    has_rewards = sums["reward_count"].any()
     columns: dict[str, Any] = {
         label: column[order]
         for label, column in sums.items()
@@ -201,9 +200,11 @@ def read_log(
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from error
     elif is_list:
-        log, name = Transitions.from_episodes(source), "episodes"
+        log = Transitions.from_episodes(source)
+        name = "episodes"
     elif not isinstance(source, Transitions | TransitionCounts) and is_frame(source):
-        log, name = Transitions.from_frame(source, simulator=simulator), "frame"
+        log = Transitions.from_frame(source, simulator=simulator)
+        name = "frame"
     if isinstance(log, TransitionCounts):
         return log
     if not isinstance(log, Transitions):

@@ -235,7 +235,8 @@ def _check_integers(
     odd = np.zeros(len(numbers), dtype=np.bool_)
     if numbers.dtype.kind == "f":
         odd = ~((np.abs(numbers) <= 2.0**53) & (numbers == np.floor(numbers)))
-    is_low, is_high = numbers < low, numbers >= high
+    is_low = numbers < low
+    is_high = numbers >= high
     limit = (
         f"must be below 2**{high.bit_length() - 1}"
         if high >= 2**53
@@ -271,13 +272,12 @@ def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
     if raw.dtype.kind == "b":
         return raw, None
     if raw.dtype.kind in "iuf":
-        flags, bad = raw == 1, (raw != 0) & (raw != 1)
+        flags = raw == 1
+        bad = (raw != 0) & (raw != 1)
     else:
         known = [FLAG_TEXTS.get(str(item).strip().lower()) for item in raw.tolist()]
-        flags, bad = (
-            np.array([flag is True for flag in known]),
-            np.array([flag is None for flag in known]),
-        )
+        flags = np.array([flag is True for flag in known])
+        bad = np.array([flag is None for flag in known])
     return flags, find_fault(label, raw, {"must be a boolean (or 0 or 1)": bad})
 
 

@@ -85,7 +85,8 @@ def _encode(key: list[IntArray]) -> IntArray:
     """One number for each row of a key, in whose order it is; parts are numbered anew
     where 64 bits do not hold them.
     """
-    code, size = np.zeros(len(key[0]), dtype=np.int64), 1
+    code = np.zeros(len(key[0]), dtype=np.int64)
+    size = 1
     for part in key:
         if size * (int(part.max()) + 1) >= 2**63:
             code, part = (
@@ -93,7 +94,8 @@ def _encode(key: list[IntArray]) -> IntArray:
             )
             size = int(code.max()) + 1
         n_values = int(part.max()) + 1
-        code, size = code * n_values + part, size * n_values
+        code = code * n_values + part
+        size = size * n_values
     return code
 
 
@@ -128,7 +130,8 @@ def counts_of(
         float(n_states) * n_actions, "n_states * n_actions", n_states * n_actions
     )
     for name, given in zip(MOVE, ("n_states", "n_actions", "n_states"), strict=True):
-        column, limit = getattr(log, name), n_actions if name == "action" else n_states
+        column = getattr(log, name)
+        limit = n_actions if name == "action" else n_states
         bad = np.flatnonzero(column >= limit)
         if bad.size:
             raise ValueError(

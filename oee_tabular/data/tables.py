@@ -32,17 +32,17 @@ from oee_tabular._checks import Column, IntArray
 from oee_tabular.data.rules import KEY, MOVE
 from oee_tabular.mdp.naming import is_number_text
 
-N_PARQUET, N_CSV = 2**18, 2**17  # rows of a piece
+# rows of a piece
+N_PARQUET = 2**18
+N_CSV = 2**17
 # bytes of a CSV file, which Python reads in the time in which pandas is imported
 SMALL = 2**21
 MOST_COLUMNS = 10_000  # of a CSV table, which take 1 s to read
 # bytes that tell nothing of the number of fields
 OTHERS = bytes(set(range(256)) - set(b',\n"\0'))
-DIGEST_KEY, DIGEST_MARK, EMPTY = (
-    b"oee_tabular_digest",
-    b"oee_tabular_sha256:",
-    b"0" * 64,
-)
+DIGEST_KEY = b"oee_tabular_digest"
+DIGEST_MARK = b"oee_tabular_sha256:"
+EMPTY = b"0" * 64
 TAIL = 2**20  # bytes at the end of a file, in which parquet keeps its metadata
 
 
@@ -184,7 +184,8 @@ def _parquet_labels(path: str) -> list[str]:
     """
     with open_duckdb(path) as run:
         schema = run("SELECT name, num_children FROM parquet_schema($path)").fetchall()
-    labels, n_inside = [], 0
+    labels = []
+    n_inside = 0
     for name, children in schema[1:]:
         if n_inside == 0:
             labels.append(name)
@@ -383,7 +384,8 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
 def _csv_lines(path: str, encoding: str) -> Iterator[tuple[int, list[str]]]:
     """The fields of each line that is not empty, and the number of the line."""
     with _csv_errors(path), _open_csv(path, encoding) as handle:
-        reader, line = csv.reader(handle), 1
+        reader = csv.reader(handle)
+        line = 1
         for fields in reader:
             if fields:
                 yield line, fields
@@ -442,7 +444,8 @@ def _read_lines(
     path: str, labels: list[str], chosen: list[str], encoding: str
 ) -> Iterator[Piece]:
     """The fields of the lines as texts."""
-    n, places = len(labels), {label: labels.index(label) for label in chosen}
+    n = len(labels)
+    places = {label: labels.index(label) for label in chosen}
     lines = enumerate(itertools.islice(_csv_lines(path, encoding), 1, None))
     while some := list(itertools.islice(lines, N_CSV)):
         good = [(row, fields) for row, (_, fields) in some if len(fields) == n]

@@ -248,9 +248,11 @@ class Transitions(LogColumns):
         _checks.instance(simulator, FiniteMDP, "simulator")
         columns = super().columns()
         for column, own in self._names().items():
-            names, size = simulator.state_names, simulator.n_states
+            names = simulator.state_names
+            size = simulator.n_states
             if column == "action":
-                names, size = simulator.action_names, simulator.n_actions
+                names = simulator.action_names
+                size = simulator.n_actions
             columns[column] = renumber(
                 columns[column], own, names, size, f"{name}.{column}"
             )

@@ -32,11 +32,9 @@ def next_pairs(
     row never recorded 2 z sqrt(c), all that one transition of it leaves. None that
     costs 0.
     """
-    z, n, chosen = (
-        NormalDist().inv_cdf(0.5 + confidence / 2.0),
-        np.array(counts, dtype=np.float64),
-        [],
-    )
+    z = NormalDist().inv_cdf(0.5 + confidence / 2.0)
+    n = np.array(counts, dtype=np.float64)
+    chosen = []
     gain_if_never_recorded = np.sum(2.0 * z * np.sqrt(table), axis=0)
     for _ in range(number if np.any(table > 0.0) else 0):
         variance = table / np.maximum(n, 1.0) * (n > 0)
@@ -63,7 +61,8 @@ def advice_sentence(
     if not pairs:
         return NOTHING
     state, action = pairs[0]
-    n, why = counts[state, action], "never recorded"
+    n = counts[state, action]
+    why = "never recorded"
     so_far = f"{n:.4g} {'transition' if n == 1 else 'transitions'} so far"
     if optimistic[state, action]:
         why = f"{so_far}; the model has one outcome"

@@ -166,20 +166,23 @@ def plan_data_collection(
         collection = collection_mdp(
             truth, chance, ends=mdp.closed(), restart_costs_a_move=restart_costs_a_move
         )
-    base, costs = counts / number, table / number
+    base = counts / number
+    costs = table / number
     matters = costs.max(axis=1) > 0.0
-    least, free = np.zeros(len(pis)), np.zeros(len(pis))
-    gap, status, solved_by = (
-        0.0,
-        "nothing to learn: these policies' values depend on no transition probability",
-        "none",
+    least = np.zeros(len(pis))
+    free = np.zeros(len(pis))
+    gap = 0.0
+    status = (
+        "nothing to learn: these policies' values depend on no transition probability"
     )
+    solved_by = "none"
     if matters.any():
         uncertain = [pi for pi, does in zip(pis, matters, strict=True) if does]
         (q, value, bound), least[matters], free[matters] = solve_for_all(
             costs[matters], base, collection, uncertain, solver
         )
-        gap, status = max(0.0, 1.0 - bound / value), "ok"
+        gap = max(0.0, 1.0 - bound / value)
+        status = "ok"
         if gap > LARGEST_GAP:
             status = (
                 f"not finished: another plan may be better by up to {gap:.1%} of the"

@@ -52,7 +52,8 @@ def row_costs(
     if certain.any():
         model, reference = _add_reference_entries(simulator, model, certain)
         low, high = _bounds(model.transitions, reference, box, counts, confidence)
-    matrix, table = model.transitions, np.zeros((len(policies), len(certain)))
+    matrix = model.transitions
+    table = np.zeros((len(policies), len(certain)))
     for row, policy in zip(table, policies, strict=True):
         gradient = transition_gradient(model, policy, horizon=horizon)
         row[:] = row_variances(matrix, matrix.data, gradient)
@@ -77,7 +78,8 @@ def _bounds(
     """Bound each entry; the outcome that the model is sure of keeps what its
     observations assure.
     """
-    lengths, sure = np.diff(matrix.indptr), matrix.data >= CERTAIN
+    lengths = np.diff(matrix.indptr)
+    sure = matrix.data >= CERTAIN
     low = box.lower * reference
     high = (
         np.minimum(box.upper * reference, 1.0)
@@ -104,10 +106,8 @@ def _add_reference_entries(
     mean.
     """
     n_states, n_actions = simulator.rewards.shape
-    matrix, chosen = (
-        simulator.transitions,
-        sparse.diags_array(certain.astype(np.float64)),
-    )
+    matrix = simulator.transitions
+    chosen = sparse.diags_array(certain.astype(np.float64))
     any_action = sparse.kron(
         sparse.eye_array(n_states), np.full((n_actions, n_actions), 1.0 / n_actions)
     )
@@ -166,11 +166,16 @@ def largest_variances(indptr, rows, values, low, high):
     """
     result = np.empty(len(rows))
     for k, row in enumerate(rows):
-        begin, end = indptr[row], indptr[row + 1]
+        begin = indptr[row]
+        end = indptr[row + 1]
         order = np.argsort(values[begin:end])
-        v, p = values[begin:end][order], low[begin:end][order]
-        room, moved = high[begin:end][order] - p, np.zeros(len(order))
-        free, upper, lower = 1.0 - p.sum(), len(order), 0
+        v = values[begin:end][order]
+        p = low[begin:end][order]
+        room = high[begin:end][order] - p
+        moved = np.zeros(len(order))
+        free = 1.0 - p.sum()
+        upper = len(order)
+        lower = 0
         while free > 0.0 and upper > 0:
             upper -= 1
             moved[upper] = min(free, room[upper])
@@ -187,11 +192,15 @@ def largest_variances(indptr, rows, values, low, high):
             mass = min(room[lower], moved[upper])
             # the best split is inside, or has been passed
             if 2.0 * mass * distance >= gain:
-                mass, gain = max(gain, 0.0) / max(2.0 * distance, 1e-300), 0.0
-            p[lower], room[lower] = p[lower] + mass, room[lower] - mass
-            p[upper], room[upper] = p[upper] - mass, room[upper] + mass
+                mass = max(gain, 0.0) / max(2.0 * distance, 1e-300)
+                gain = 0.0
+            p[lower] = p[lower] + mass
+            room[lower] = room[lower] - mass
+            p[upper] = p[upper] - mass
+            room[upper] = room[upper] + mass
             moved[upper] -= mass
             mean -= mass * distance
-            lower, upper = lower + (room[lower] <= 0.0), upper + (moved[upper] <= 0.0)
+            lower = lower + (room[lower] <= 0.0)
+            upper = upper + (moved[upper] <= 0.0)
         result[k] = np.sum(p * (v - mean) ** 2)
     return result

@@ -28,7 +28,9 @@ Solution = tuple[Array, float, float]
 TOLERANCE = 1e-4  # the relative gap at which the interior point method ends
 LARGEST_GAP = 0.01  # a plan that is certified no closer than this says so
 # the residual that CG leaves is removed by the next step
-N_NEWTON_STEPS, N_CG_STEPS, CG_TOLERANCE = 200, 2000, 1e-3
+N_NEWTON_STEPS = 200
+N_CG_STEPS = 2000
+CG_TOLERANCE = 1e-3
 # a Newton step aims at this much of the mean of q z: with 0.1 a log's rows take twice
 # as long
 BARRIER_FALL = 0.3
@@ -187,7 +189,8 @@ class Program:
         makes every price nonnegative.
         """
         shift = max(0.0, -float(prices.min()))
-        cost, kappa = weights @ self.costs, prices + shift
+        cost = weights @ self.costs
+        kappa = prices + shift
         # where nothing is gained q is 0, the price inf or not
         with np.errstate(divide="ignore", invalid="ignore"):
             q = np.where(
@@ -257,36 +260,40 @@ def solve_by_interior_point(program: Program, start: Array) -> Solution:
     Cost: 10 to 40 steps of 20 to 300 products with M, and an occupancy each.
     """
     used = start > NEGLIGIBLE
-    costs, base, q = program.costs[:, used], program.base[used], start[used]
+    costs = program.costs[:, used]
+    base = program.base[used]
+    q = start[used]
     matrix, right = program.equations()
     matrix = matrix[:, np.flatnonzero(used)]
-    transposed, squared = sparse.csr_array(matrix.T), matrix.power(2)
+    transposed = sparse.csr_array(matrix.T)
+    squared = matrix.power(2)
     best = program.project(start)
-    value, bound = (
-        float(sum_variances(program.costs, program.base, best).max()),
-        -np.inf,
-    )
-    weights, v, z = (
-        np.full(len(costs), 1.0 / len(costs)),
-        np.zeros(len(right)),
-        value * BARRIER_FALL / (len(q) * q),
-    )
+    value = float(sum_variances(program.costs, program.base, best).max())
+    bound = -np.inf
+    weights = np.full(len(costs), 1.0 / len(costs))
+    v = np.zeros(len(right))
+    z = value * BARRIER_FALL / (len(q) * q)
     smallest_barrier = 0.1 * TOLERANCE * value / len(q)
-    point, prices = np.zeros(len(start)), np.full(len(start), np.inf)
-    theta, step = 2.0 * costs.mean(axis=0) / (base + q) ** 3 + z / q, 1.0
+    point = np.zeros(len(start))
+    prices = np.full(len(start), np.inf)
+    theta = 2.0 * costs.mean(axis=0) / (base + q) ** 3 + z / q
+    step = 1.0
     for _ in range(N_NEWTON_STEPS):
         weights += step * (update_weights(weights, costs, base + q, theta) - weights)
-        prices[used], point[used] = transposed @ v, q
+        prices[used] = transposed @ v
+        point[used] = q
         bound = max(bound, program.lower_bound(weights, prices, float(right @ v)))
         candidate = program.project(point)
         at_candidate = float(
             sum_variances(program.costs, program.base, candidate).max()
         )
         if at_candidate < value:
-            best, value = candidate, at_candidate
+            best = candidate
+            value = at_candidate
         if value - bound <= TOLERANCE * value:
             break
-        cost, total = weights @ costs, base + q
+        cost = weights @ costs
+        total = base + q
         barrier = max(BARRIER_FALL * float(np.mean(q * z)), smallest_barrier)
         theta = 2.0 * cost / total**3 + z / q
         residual = prices[used] - cost / total**2 - barrier / q
@@ -304,7 +311,9 @@ def solve_by_interior_point(program: Program, start: Array) -> Solution:
         step = min(
             1.0, 0.95 / max(1e-300, float(np.max(-dq / q)), float(np.max(-dz / z)))
         )
-        q, z, v = q + step * dq, z + step * dz, v + step * dv
+        q = q + step * dq
+        z = z + step * dz
+        v = v + step * dv
     return best, value, bound
 
 
@@ -316,7 +325,8 @@ def update_weights(weights: Array, costs: Array, total: Array, theta: Array) -> 
     change of the weights moves where q needs no flow, so never too far. A policy below
     t has slack, which takes its weight to 0.
     """
-    values, slopes = np.sum(costs / total, axis=1), costs / total**2
+    values = np.sum(costs / total, axis=1)
+    slopes = costs / total**2
     slack = values.max() - values
     curvature = (slopes / theta) @ slopes.T
     curvature += np.diag(1e-9 * np.trace(curvature) + slack / weights)
@@ -337,15 +347,18 @@ def solve_by_clarabel(program: Program) -> Solution:
     """
     import cvxpy as cp
 
-    costs, base = program.costs, program.base
+    costs = program.costs
+    base = program.base
     used = np.flatnonzero(costs.max(axis=0) > 0.0)
     free_best = np.sqrt(costs.mean(axis=0))
     unit = np.where(
         costs.max(axis=0) > 0.0, np.maximum(free_best / free_best.sum(), 1e-9), 1.0
     )
-    y, top = cp.Variable(base.size, nonneg=True), cp.Variable()
+    y = cp.Variable(base.size, nonneg=True)
+    top = cp.Variable()
     # b + q in units of the free allocation
-    q, total = cp.multiply(unit, y), base[used] / unit[used] + y[used]
+    q = cp.multiply(unit, y)
+    total = base[used] / unit[used] + y[used]
     inefficiency = (costs[:, used] / unit[used]) @ cp.inv_pos(total) <= top
     matrix, right = program.equations()
     feasible = matrix @ q == right
@@ -356,10 +369,8 @@ def solve_by_clarabel(program: Program) -> Solution:
             f"CLARABEL ended with status {status!r}, not 'optimal'; its numbers are not"
             " used (use solver='auto')"
         )
-    weights, v = (
-        np.maximum(np.ravel(inefficiency.dual_value), 0.0),
-        np.ravel(feasible.dual_value),
-    )
+    weights = np.maximum(np.ravel(inefficiency.dual_value), 0.0)
+    v = np.ravel(feasible.dual_value)
     point = program.project(unit * y.value)
     bound = program.lower_bound(weights / weights.sum(), matrix.T @ v, float(right @ v))
     return point, float(sum_variances(costs, base, point).max()), bound

@@ -203,7 +203,8 @@ def mean_and_error(values: Array, size: float = 0.0) -> tuple[float, float | Non
     ``size``: of the numbers that the values are differences of, where they are.
     """
     # squares of very large or small numbers leave the range of floats
-    n, shift = len(values), exponent(values)
+    n = len(values)
+    shift = exponent(values)
     scaled = np.ldexp(values, -shift)
     with np.errstate(over="ignore", invalid="ignore"):  # infinite values
         most = max(float(np.abs(scaled).max()), float(np.ldexp(size, -shift)))
@@ -258,7 +259,9 @@ def coverage(problem: Problem, shares: Array, counts: Array) -> dict[str, Any]:
     occupancy have the same variance.
     """
     visited = counts > 0
-    d, n, missed = shares[visited], counts[visited], np.where(visited, 0.0, shares)
+    d = shares[visited]
+    n = counts[visited]
+    missed = np.where(visited, 0.0, shares)
     share = float(missed.sum())
     spread = float(np.sum(d * d / n))
     longest = np.argsort(-missed, axis=None, kind="stable")[:3]

@@ -77,14 +77,14 @@ def calibrate(
             f" sign; they are {below:g} and {truth:g}"
         )
     if kind == "ratio":
-        value, factor, slope = (
-            estimate.value * truth / below,
-            truth / below,
-            estimate.value / below,
-        )
+        value = estimate.value * truth / below
+        factor = truth / below
+        slope = estimate.value / below
         words = f"times {truth:g} / {below:g} (simulator: continuous / discretised)"
     else:
-        value, factor, slope = estimate.value + truth - below, 1.0, 1.0
+        value = estimate.value + truth - below
+        factor = 1.0
+        slope = 1.0
         words = f"plus {truth:g} - {below:g} (simulator: continuous - discretised)"
     own = estimate.standard_error
     calibrated = {

@@ -144,7 +144,8 @@ class DoublyRobust(RatioEstimator):
         """J_sim + sum over recorded pairs of visits(s, a) sum_s' (frequency - P) (r +
         gamma V_sim).
         """
-        simulator, horizon = problem.model, problem.horizon
+        simulator = problem.model
+        horizon = problem.horizon
         model: Model = simulator if zeta is None else reweight(simulator, zeta)
         base = policy_value(simulator, policy, horizon=horizon)
         gradient = transition_gradient(
@@ -219,11 +220,9 @@ class DoublyRobust(RatioEstimator):
         J_target where the behaviour policy takes every action of the policy (None: it
         does), else what the model makes of the rest (self-normalised: an error).
         """
-        simulator, target, policy = (
-            population.simulator,
-            population.target,
-            population.policy,
-        )
+        simulator = population.simulator
+        target = population.target
+        policy = population.policy
         horizon = population.horizon
         if self.data == "rollouts":
             return population.value(self.limit_model(population))
@@ -350,18 +349,22 @@ class EpisodeTerms:
         self_normalized: bool,
     ) -> EpisodeTerms:
         """The terms, nan where the weights to divide by are all 0."""
-        episodes, model = Episodes.from_problem(problem), reweight(problem.model, zeta)
-        log, lengths, gamma = episodes.log, episodes.lengths, model.discount
-        n, steps = len(lengths), int(lengths.max())
+        episodes = Episodes.from_problem(problem)
+        model = reweight(problem.model, zeta)
+        log = episodes.log
+        lengths = episodes.lengths
+        gamma = model.discount
+        n = len(lengths)
+        steps = int(lengths.max())
         v, q = _model_values(model, policy, problem.horizon, steps)
-        t, used = (
-            np.arange(steps)[:, None],
-            np.minimum(np.arange(steps + 1)[:, None], lengths),
-        )
+        t = np.arange(steps)[:, None]
+        used = np.minimum(np.arange(steps + 1)[:, None], lengths)
         place = episodes.starts[:-1] + np.minimum(t, lengths - 1)
-        rows, first = episodes.rows[place], episodes.rows[episodes.starts[:-1]]
+        rows = episodes.rows[place]
+        first = episodes.rows[episodes.starts[:-1]]
         weights = np.vstack([np.ones((1, n)), episodes.weights(problem, policy)[place]])
-        state, action = log.state[rows], log.action[rows]
+        state = log.state[rows]
+        action = log.action[rows]
         factor = np.where(t < lengths, gamma ** t.astype(np.float64), 0.0)
         # carries W_{t+1}
         residual = factor * (problem.rewards_of(log)[rows] - q[t, state, action])
@@ -396,7 +399,8 @@ class EpisodeTerms:
 
         nan where at some step all weights of a resample are 0.
         """
-        n, products = len(self.partial), self.weights * self.gains
+        n = len(self.partial)
+        products = self.weights * self.gains
         totals = np.empty(len(draws))
         for b, episodes in enumerate(draws):
             number = np.bincount(episodes, minlength=n)
@@ -408,7 +412,8 @@ class EpisodeTerms:
         self, zeta: TransitionRatio, value: float, error: float | None, **more: float
     ) -> Estimate:
         """An estimate from the log's episodes; ``more`` joins the diagnostics."""
-        last, n = self.weights[-1], len(self.partial)
+        last = self.weights[-1]
+        n = len(self.partial)
         effective = effective_sample_size(last)
         return Estimate(
             value,
@@ -466,11 +471,14 @@ def _rollout_values(model: FiniteMDP, drawn: Drawn, values: Array) -> Array:
 
     ``values`` (T + 1, S) are V; those after the last step change no mean.
     """
-    matrix, rows = model.transitions, row_of_entry(model.transitions)
-    kernel, pay = drawn.ratio * matrix.data, model.rewards.reshape(-1)
+    matrix = model.transitions
+    rows = row_of_entry(model.transitions)
+    kernel = drawn.ratio * matrix.data
+    pay = model.rewards.reshape(-1)
     if model.reward_data is not None:
         pay = row_sums(matrix, kernel * model.reward_data)
-    last, is_constant = int(drawn.lengths.max()) - 1, values.strides[0] == 0
+    last = int(drawn.lengths.max()) - 1
+    is_constant = values.strides[0] == 0
     ahead = np.zeros(len(drawn.lengths))
     for t in range(last, -1, -1):
         if t == last or not is_constant:

@@ -15,7 +15,8 @@ from oee_tabular._checks import Array
 MIN_SHARE = 0.02  # of the policy's discounted time
 MAX_ROW_SUM_ERROR = 1e-3
 # effective sample size, and its share of the episodes
-MIN_WEIGHTED, MIN_WEIGHTED_SHARE = 10.0, 0.05
+MIN_WEIGHTED = 10.0
+MIN_WEIGHTED_SHARE = 0.05
 MAX_GAP = 1e-6  # nats
 MAX_ERROR_BOUND = 1e-6  # of the value
 # the kind of a value that rests on a few episodes; a short report leaves its row out
@@ -93,10 +94,8 @@ def from_diagnostics(
     """What the diagnostics of any estimate have to say, ``error`` its standard error."""
     findings: list[Finding] = []
     has_source = facts.get("standard_error_of") is not None
-    unrecorded, single = (
-        facts.get("unrecorded_share", 0.0),
-        facts.get("single_share", 0.0),
-    )
+    unrecorded = facts.get("unrecorded_share", 0.0)
+    single = facts.get("single_share", 0.0)
     if unrecorded > MIN_SHARE:
         is_tied = "n_keys" in facts
         is_bare = error is not None and "unrecorded_standard_error" not in facts
@@ -132,10 +131,8 @@ def from_diagnostics(
         )
         findings.append(Finding("row sums", miss, text, f"{miss:.2g}"))
     for noun in ("episodes", "rollouts"):
-        n, effective = (
-            facts.get(f"n_{noun}", 0),
-            facts.get("effective_sample_size", math.inf),
-        )
+        n = facts.get(f"n_{noun}", 0)
+        effective = facts.get("effective_sample_size", math.inf)
         if effective < max(MIN_WEIGHTED, MIN_WEIGHTED_SHARE * n) and n:
             text = (
                 f"the effective sample size is {{}} of {n} {noun}. The value is mostly"
@@ -265,7 +262,8 @@ def moves_dropped(dropped: Array, kept: float) -> Findings:
     """Transitions that the simulator calls impossible: ``dropped`` of each pair, beside
     ``kept`` in all.
     """
-    number, pairs = float(dropped.sum()), int((dropped > 0).sum())
+    number = float(dropped.sum())
+    pairs = int((dropped > 0).sum())
     text = (
         f"{number:g} of the log's {number + kept:g} transitions, in {pairs}"
         f" state-action pair{'s' * (pairs > 1)}, {'is' if number == 1 else 'are'}"

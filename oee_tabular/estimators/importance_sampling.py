@@ -110,12 +110,11 @@ def _behavior_ratios(problem: Problem, policy: Array, *, is_estimated: bool) -> 
 def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
     """The recorded probability of each action, or that of ``behavior_policy``."""
     if log.behavior_probability is not None:
-        probability, name = log.behavior_probability, "log.behavior_probability"
+        probability = log.behavior_probability
+        name = "log.behavior_probability"
     elif problem.behavior_policy is not None:
-        probability, name = (
-            problem.behavior_policy[log.state, log.action],
-            "behavior_policy",
-        )
+        probability = problem.behavior_policy[log.state, log.action]
+        name = "behavior_policy"
     else:
         raise ValueError(
             "importance sampling needs behaviour probabilities: the log has none; give"
@@ -186,7 +185,8 @@ class ImportanceSampling(TabularEstimator):
         """Exact given the log."""
         episodes = Episodes.from_problem(problem)
         log, rows, starts, _ = episodes
-        n, step = len(episodes.lengths), step_numbers(starts)
+        n = len(episodes.lengths)
+        step = step_numbers(starts)
         weight = episodes.weights(
             problem, policy, is_estimated=self.behavior == "estimated"
         )
@@ -272,7 +272,8 @@ class ImportanceSampling(TabularEstimator):
         ended episodes are dropped: sum_t gamma^t E[rho r_t] / E[rho 1{not yet over at
         t}].
         """
-        target, behavior = population.target, population.behavior
+        target = population.target
+        behavior = population.behavior
         if not self._drops_ended and behavior is None:
             return population.value(target)
         steps = rollout_horizon(target.discount, population.horizon)
@@ -307,7 +308,8 @@ def _truncation_bound(
     expectation the
     episode's last weight.
     """
-    lengths, gamma = episodes.lengths.astype(np.float64), problem.simulator.discount
+    lengths = episodes.lengths.astype(np.float64)
+    gamma = problem.simulator.discount
     end = np.inf if problem.horizon is None else float(problem.horizon)
     missing = ~episodes.is_over & (lengths < end)
     if not missing.any():

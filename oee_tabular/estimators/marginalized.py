@@ -106,14 +106,16 @@ class Marginalized(RatioEstimator):
         """Exact given the log and zeta; ``generator`` is for ratios that sample the
         simulator.
         """
-        simulator, horizon = problem.simulator, problem.horizon
+        simulator = problem.simulator
+        horizon = problem.horizon
         total = problem.counts.sum()
         share = row_sums(problem.counts) / total
         beta, gap = self._fit_beta(simulator, policy, horizon, share)
         model: Model = problem.model
         if self.features is None:
             zeta = self.fit(problem, policy, generator)
-            model, gap = reweight(problem.model, zeta), max(gap, zeta.gap)
+            model = reweight(problem.model, zeta)
+            gap = max(gap, zeta.gap)
             shift = _occupancy_ratio(model, simulator, policy, horizon)
         else:
             shift = self._solve_class(simulator, policy, problem.counts / total, beta)
@@ -146,15 +148,11 @@ class Marginalized(RatioEstimator):
         """sum over the data's support of clipped beta * w * d_log * r, w as zeta * P or
         the class have it.
         """
-        simulator, policy, horizon = (
-            population.simulator,
-            population.policy,
-            population.horizon,
-        )
-        share, target = (
-            population.distribution.reshape(-1),
-            population.target.transitions,
-        )
+        simulator = population.simulator
+        policy = population.policy
+        horizon = population.horizon
+        share = population.distribution.reshape(-1)
+        target = population.target.transitions
         beta, _ = self._fit_beta(simulator, policy, horizon, share)
         if self.features is None:
             shift = _occupancy_ratio(
@@ -187,7 +185,8 @@ class Marginalized(RatioEstimator):
             raise ValueError("discount must be below 1 with features; it is 1")
         time = occupancy(simulator, policy, horizon=horizon).reshape(-1)
         recorded = share > 0
-        beta, gap = np.zeros_like(share), 0.0
+        beta = np.zeros_like(share)
+        gap = 0.0
         inside = float(time[recorded].sum())
         # the fit scales both to distributions: its ratio is beta / inside, and so is
         # its box
@@ -200,7 +199,8 @@ class Marginalized(RatioEstimator):
                 upper=box.upper / inside,
                 normalized=False,
             )
-            beta[recorded], gap = fit.ratio * inside, fit.gap
+            beta[recorded] = fit.ratio * inside
+            gap = fit.gap
         return beta, gap
 
     def _solve_class(
@@ -213,7 +213,8 @@ class Marginalized(RatioEstimator):
         """w = phi theta on (S*A,); ``transitions`` (S*A, S) are the log's shares, which
         sum to 1.
         """
-        gamma, shape = simulator.discount, (simulator.n_states, simulator.n_actions)
+        gamma = simulator.discount
+        shape = (simulator.n_states, simulator.n_actions)
         phi, names = _pair_features(self.features, simulator)
         share = row_sums(transitions)
         shared = share * beta > 0
@@ -228,10 +229,8 @@ class Marginalized(RatioEstimator):
         ahead = gamma * (transitions @ by_state) - share[:, None] * phi
         matrix = phi.T @ (beta[:, None] * ahead)
         scale = np.sqrt(np.einsum("xd,x,xd->d", phi, share * beta, phi))
-        matrix, start = (
-            matrix / np.outer(scale, scale),
-            simulator.initial @ by_state / scale,
-        )
+        matrix = matrix / np.outer(scale, scale)
+        start = simulator.initial @ by_state / scale
         if np.linalg.cond(matrix) > MAX_CONDITION:
             raise ValueError(
                 "features must make the saddle point's matrix A regular; its condition"
@@ -274,7 +273,8 @@ def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntAr
             f" state-action pair; they have shape {array.shape}"
         )
     _checks.require_finite(array, "features")
-    given, going = array.reshape(size, -1), np.repeat(~simulator.absorbing(), shape[1])
+    given = array.reshape(size, -1)
+    going = np.repeat(~simulator.absorbing(), shape[1])
     empty = np.flatnonzero((given == 0.0).all(axis=0))
     if empty.size:
         raise ValueError(
@@ -356,7 +356,8 @@ class DualDice(TabularEstimator):
                 f" infinite sum; it is {problem.horizon}"
             )
         model = ModelBased(fallback="simulator").model(problem)
-        gamma, kernel = model.discount, policy_kernel(model, policy)
+        gamma = model.discount
+        kernel = policy_kernel(model, policy)
         if gamma == 1.0:
             raise ValueError("discount must be below 1 for DualDICE; it is 1")
         base = occupancy(problem.simulator, policy)

@@ -68,7 +68,8 @@ class ModelBased(TabularEstimator):
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
         """Exact given the log."""
-        model, totals = self.model(problem), row_sums(problem.counts)
+        model = self.model(problem)
+        totals = row_sums(problem.counts)
         result = evaluate_policy(model, policy, horizon=problem.horizon)
         time = time_in_pairs(model, policy, problem.horizon)
         shares = learnable_shares(problem, time)
@@ -111,7 +112,8 @@ class ModelBased(TabularEstimator):
 
     def _fill_rows(self, base: FiniteMDP, rows: sparse.csr_array) -> FiniteMDP:
         """``base`` with these rows, and the fallback's where they are 0."""
-        size, empty = rows.shape[0], np.flatnonzero(row_sums(rows) == 0)
+        size = rows.shape[0]
+        empty = np.flatnonzero(row_sums(rows) == 0)
         if self.fallback == "simulator":
             rest = (
                 sparse.csr_array(

@@ -197,7 +197,8 @@ def default_names(problem: Problem) -> tuple[list[str], list[str]]:
     """The estimators that this problem's data allow, and a sentence for each that they
     do not.
     """
-    chosen, left_out = ["simulator", "oee", "model-based"], []
+    chosen = ["simulator", "oee", "model-based"]
+    left_out = []
     log = problem.recorded
     if log.episode is None:
         left_out.append("Importance sampling is left out: the log has no episodes.")

@@ -170,7 +170,8 @@ class OffEnvironment(RatioEstimator):
         """J by rollouts of the simulator weighted by products of zeta: the episodes of
         ``sample_returns``.
         """
-        model, per_decision = problem.model, self.weighting == "per_decision"
+        model = problem.model
+        per_decision = self.weighting == "per_decision"
         n_steps = horizon_length(
             rollout_horizon(model.discount, problem.horizon), model
         )
@@ -222,12 +223,14 @@ class OffEnvironment(RatioEstimator):
         exact occupancy under the behaviour policy (that of the data where none is
         given).
         """
-        model, simulator = self.limit_model(population), population.simulator
+        model = self.limit_model(population)
+        simulator = population.simulator
         if self.evaluation == "exact" or (
             self.weighting == "per_decision" and not self.self_normalized
         ):
             return population.value(model)
-        own, rows = simulator.transitions, model.transitions.data
+        own = simulator.transitions
+        rows = model.transitions.data
         zeta = csr_on_pattern(
             own, np.divide(rows, own.data, out=np.zeros_like(rows), where=own.data > 0)
         )
@@ -285,7 +288,8 @@ def _move(
     """Move J(zeta P) towards the log, by the soft threshold; ``ml_value`` is J of the
     maximum-likelihood model.
     """
-    se_fit, step = zeta.log_standard_error(gradient), zeta.one_step(gradient)
+    se_fit = zeta.log_standard_error(gradient)
+    step = zeta.one_step(gradient)
     if se_fit is None or step is None:
         return exact
     known = (
@@ -307,10 +311,8 @@ def _move(
     )
     rest = min(abs(change), threshold(s, se_fit) * s)
     share_moved = 1.0 - rest / abs(change) if change else 0.0
-    value, error = (
-        exact.value + share_moved * change,
-        float(np.hypot(step.standard_error, step.unrecorded)),
-    )
+    value = exact.value + share_moved * change
+    error = float(np.hypot(step.standard_error, step.unrecorded))
     diagnostics = {
         "standard_error_of": "log",
         "standard_error_if_centre_fits": se_fit,

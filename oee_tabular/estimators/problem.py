@@ -114,7 +114,8 @@ class Problem:
     ) -> None:
         _checks.instance(simulator, FiniteMDP, "simulator")
         _checks.one_of(impossible, "impossible", ("refuse", "drop"), _ALLOW)
-        may_drop, counts = impossible == "drop", _counts if counts is None else counts
+        may_drop = impossible == "drop"
+        counts = _counts if counts is None else counts
         if sparse.issparse(log):
             log = TransitionCounts.of(
                 _check_counts(log, simulator, may_drop=may_drop), simulator.n_actions
@@ -274,7 +275,8 @@ class Problem:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Warnings about the data, for any policy."""
-        log, result = self.log, list[Finding]()
+        log = self.log
+        result = list[Finding]()
         if self.reward_conflict is not None:
             result.append(
                 findings.rewards_contradict(

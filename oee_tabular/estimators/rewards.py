@@ -52,7 +52,8 @@ def with_log_rewards(
     simulator: FiniteMDP, log: Transitions | TransitionCounts
 ) -> FiniteMDP:
     """The simulator with the log's mean reward for the transitions that the log has."""
-    moves, matrix = log.moves(), simulator.transitions
+    moves = log.moves()
+    matrix = simulator.transitions
     assert moves.reward_sum is not None
     assert moves.reward_count is not None
     rows = log.state * simulator.n_actions + log.action
@@ -80,7 +81,8 @@ def mean_rewards(problem: Problem) -> Array:
     )
     matrix = model.transitions
     observed, _ = align(problem.counts, matrix)
-    number, own = row_sums(matrix, observed), model.rewards.reshape(-1)
+    number = row_sums(matrix, observed)
+    own = model.rewards.reshape(-1)
     total = (
         number * own
         if model.reward_data is None

@@ -90,17 +90,21 @@ def normalize_by_step(
     weight, or with 0 unless ``keep_last``. nan where the weights of a step are all 0,
     or infinite.
     """
-    step, lengths = step_numbers(starts), np.diff(starts)
-    n, horizon = len(lengths), int(lengths.max())
+    step = step_numbers(starts)
+    lengths = np.diff(starts)
+    n = len(lengths)
+    horizon = int(lengths.max())
     with np.errstate(over="ignore", invalid="ignore"):
-        mass, rewards = np.bincount(step, weight), np.bincount(step, weight * reward)
+        mass = np.bincount(step, weight)
+        rewards = np.bincount(step, weight * reward)
     if keep_last:
         mass += np.cumsum(
             np.bincount(lengths, weights=last, minlength=horizon + 1)[:horizon]
         )
     if not np.all((mass > 0.0) & (mass < np.inf)):
         return float("nan"), None
-    value, scale = rewards / mass, n / mass
+    value = rewards / mass
+    scale = n / mass
     # each episode's sum_t (w_it r_it - value_t w_it) n / mass_t
     influence = np.add.reduceat(
         (reward - value[step]) * weight * scale[step], starts[:-1]
@@ -113,7 +117,8 @@ def normalize_by_step(
 
 def carried_rewards(mdp: FiniteMDP, drawn: Drawn) -> tuple[Array, Array]:
     """gamma^t r_t of each recorded step, and the weight that it carries."""
-    path, starts = drawn.path, drawn.starts
+    path = drawn.path
+    starts = drawn.starts
     reward = (
         mdp.discount ** step_numbers(starts).astype(np.float64)
         * entry_rewards(mdp)[path]

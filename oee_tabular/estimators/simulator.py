@@ -69,7 +69,8 @@ class Simulator(TabularEstimator):
         self, problem: Problem, policy: Array, generator: np.random.Generator
     ) -> Estimate:
         """Exact."""
-        simulator, sampling = problem.simulator, problem.simulator.sampling
+        simulator = problem.simulator
+        sampling = problem.simulator.sampling
         result = evaluate_policy(simulator, policy, horizon=problem.horizon)
         exact = Estimate(
             result.value,
@@ -120,7 +121,8 @@ def _sampling_error(
     """The standard error of J by the equation above; ``share`` (S*A,) of the policy's
     time.
     """
-    sampling, matrix = simulator.sampling, simulator.transitions
+    sampling = simulator.sampling
+    matrix = simulator.transitions
     assert sampling is not None
     gradient = transition_gradient(simulator, policy, horizon=horizon)
     variance = (

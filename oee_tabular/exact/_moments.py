@@ -60,27 +60,41 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
     with rewards r(s, a) leaves the last w out: T rewards, T - 1 transitions.
     """
     indptr, indices, prob, w, act, u, by_transition, rewards, initial, _ = walk
-    horizon, n_states = len(discounts), len(initial)
+    horizon = len(discounts)
+    n_states = len(initial)
     n_actions = act.shape[1] // n_states
-    here, ahead = np.zeros((5, n_states)), np.zeros((5, n_states))
-    here[0], ahead[0] = 1.0, 1.0
+    here = np.zeros((5, n_states))
+    ahead = np.zeros((5, n_states))
+    here[0] = 1.0
+    ahead[0] = 1.0
     local = np.empty((horizon if keep else 0, 3 if is_trajectory else 1, n_states))
     for t in range(horizon - 1, -1, -1):
-        t_act, t_reward = (t if len(act) > 1 else 0), (t if len(rewards) > 1 else 0)
-        gamma, offset = discounts[t], offsets[t if len(offsets) > 1 else 0]
+        t_act = t if len(act) > 1 else 0
+        t_reward = t if len(rewards) > 1 else 0
+        gamma = discounts[t]
+        offset = offsets[t if len(offsets) > 1 else 0]
         omit_w = is_trajectory and not by_transition and t == horizon - 1
         for s in range(n_states):
-            mean_l, mean_x, var_l, cov, var_x = 0.0, 0.0, 0.0, 0.0, 0.0
-            own_l, own_cov, own_x, length = 0.0, 0.0, 0.0, 0.0
+            mean_l = 0.0
+            mean_x = 0.0
+            var_l = 0.0
+            cov = 0.0
+            var_x = 0.0
+            own_l = 0.0
+            own_cov = 0.0
+            own_x = 0.0
+            length = 0.0
             # means and what is carried, then the spread around these means
             for is_spread in range(2):
                 for row in range(s * n_actions, (s + 1) * n_actions):
-                    share, factor = act[t_act, row], u[t_act, row]
+                    share = act[t_act, row]
+                    factor = u[t_act, row]
                     if share == 0.0:
                         continue
                     reward = 0.0 if by_transition else rewards[t_reward, row]
                     for k in range(indptr[row], indptr[row + 1]):
-                        j, chance = indices[k], share * prob[k]
+                        j = indices[k]
+                        chance = share * prob[k]
                         f = factor if omit_w else factor * w[k]
                         if by_transition:
                             reward = rewards[t_reward, k]
@@ -109,17 +123,17 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
                                 * reward
                                 * (reward * ahead[2, j] + 2.0 * gamma * ahead[3, j])
                             )
-            here[1, s], here[4, s] = mean_x, var_x + own_x
+            here[1, s] = mean_x
+            here[4, s] = var_x + own_x
             if is_trajectory:
-                here[0, s], here[2, s], here[3, s] = (
-                    mean_l,
-                    var_l + own_l,
-                    cov + own_cov,
-                )
+                here[0, s] = mean_l
+                here[2, s] = var_l + own_l
+                here[3, s] = cov + own_cov
             if keep:
                 local[t, -1, s] = own_x
                 if is_trajectory:
-                    local[t, 0, s], local[t, 1, s] = own_l, own_cov
+                    local[t, 0, s] = own_l
+                    local[t, 1, s] = own_cov
         here, ahead = ahead, here
     return ahead, local
 
@@ -148,14 +162,16 @@ def forward(walk, horizon, power, with_returns):
                 if share == 0.0:
                     continue
                 for k in range(indptr[row], indptr[row + 1]):
-                    j, f = indices[k], u[t_act, row] * w[k]
+                    j = indices[k]
+                    f = u[t_act, row] * w[k]
                     chance = share * prob[k] * (f if power == 1 else f * f)
                     out[t + 1, 0, j] += chance * out[t, 0, s]
                     if with_returns:
                         r = discount * (
                             rewards[0, k] if by_transition else rewards[0, row]
                         )
-                        before, before_2 = out[t, 0, s], out[t, 1, s]
+                        before = out[t, 0, s]
+                        before_2 = out[t, 1, s]
                         out[t + 1, 1, j] += chance * (before_2 + r * before)
                         out[t + 1, 2, j] += chance * (
                             out[t, 2, s] + 2.0 * r * before_2 + r * r * before
@@ -170,34 +186,34 @@ def merge(walk):
     numbers an entry; residuals.
     """
     indptr, indices, prob, w, acts, us, by_transition, rewards, initial, _ = walk
-    n_states, act, u = len(initial), acts[0], us[0]
-    n_actions, filled = len(act) // n_states, np.uint32(0)
-    starts, place = np.zeros(n_states + 1, np.uint32), np.zeros(n_states, np.uint32)
-    columns, numbers, residual = (
-        np.empty(len(indices), np.uint32),
-        np.zeros((len(indices), PARTS)),
-        np.zeros(n_states),
-    )
+    n_states = len(initial)
+    act = acts[0]
+    u = us[0]
+    n_actions = len(act) // n_states
+    filled = np.uint32(0)
+    starts = np.zeros(n_states + 1, np.uint32)
+    place = np.zeros(n_states, np.uint32)
+    columns = np.empty(len(indices), np.uint32)
+    numbers = np.zeros((len(indices), PARTS))
+    residual = np.zeros(n_states)
     for s in range(n_states):
         begin = filled
         # means, then variances and covariances, then what they leave
         for turn in range(3):
             for row in range(s * n_actions, (s + 1) * n_actions):
                 for k in range(indptr[row], indptr[row + 1]):
-                    q, b, j = act[row] * prob[k], u[row] * w[k], indices[k]
+                    q = act[row] * prob[k]
+                    b = u[row] * w[k]
+                    j = indices[k]
                     if q == 0.0:
                         continue
-                    e, at = (
-                        (
-                            b * rewards[0, k]
-                            if by_transition
-                            else u[row] * rewards[0, row]
-                        ),
-                        place[j],
-                    )
+                    e = b * rewards[0, k] if by_transition else u[row] * rewards[0, row]
+                    at = place[j]
                     if turn == 0:
                         if not (begin <= at and at < filled and columns[at] == j):
-                            at, place[j], columns[filled] = filled, filled, j
+                            at = filled
+                            place[j] = filled
+                            columns[filled] = j
                             filled += np.uint32(1)
                         numbers[at, 0] += q
                         numbers[at, 1] += q * b
@@ -238,25 +254,29 @@ def lay_strips(starts, columns, numbers, residual):
     """The ``Strips`` of merged transitions, the first of each state one of large
     probability.
     """
-    n_states, n_filled = len(residual), len(columns)
-    lengths, states = np.diff(starts.astype(np.int64)), np.arange(n_states)
+    n_states = len(residual)
+    n_filled = len(columns)
+    lengths = np.diff(starts.astype(np.int64))
+    states = np.arange(n_states)
     offsets = strip_offsets(lengths, states)
     # too much padding: states of one length go together
     if offsets[-1] * LANES > 1.25 * n_filled:
         states = np.argsort(lengths, kind="mergesort")
         offsets = strip_offsets(lengths, states)
-    size, lane_of = (len(offsets) - 1) * LANES, np.zeros(n_states, np.uint32)
+    size = (len(offsets) - 1) * LANES
+    lane_of = np.zeros(n_states, np.uint32)
     order = np.full(size, n_states, np.int64)
     order[:n_states] = states
     lane_of[states] = np.arange(n_states)
-    to, laid = (
-        np.full(offsets[-1] * LANES, size, np.uint32),
-        np.zeros(offsets[-1] * LANES * PARTS),
-    )
+    to = np.full(offsets[-1] * LANES, size, np.uint32)
+    laid = np.zeros(offsets[-1] * LANES * PARTS)
     fixed = np.zeros(2 * size)
     for i in range(n_states):
-        s, first, lane = states[i], offsets[i // LANES], i % LANES
-        begin, end = np.int64(starts[s]), np.int64(starts[s + 1])
+        s = states[i]
+        first = offsets[i // LANES]
+        lane = i % LANES
+        begin = np.int64(starts[s])
+        end = np.int64(starts[s + 1])
         both = (i - lane) * 2 + lane
         fixed[both + LANES] = residual[s]
         largest = begin
@@ -291,9 +311,13 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
     would be unrolled before it is made of vector instructions, and not be.
     """
     offsets, columns, aligned, numbers, fixed, _ = strips
-    (y, v), (new_y, new_v) = here, there
-    one, tail = np.uint64(LANES), np.uint64(np.uint32(len(y) - LANES))
-    two, three, four = one * np.uint64(2), one * np.uint64(3), one * np.uint64(4)
+    (y, v) = here
+    (new_y, new_v) = there
+    one = np.uint64(LANES)
+    tail = np.uint64(np.uint32(len(y) - LANES))
+    two = one * np.uint64(2)
+    three = one * np.uint64(3)
+    four = one * np.uint64(4)
     for strip in range(len(offsets) - 1):
         for entry in range(offsets[strip], offsets[strip + 1]):
             at = np.uint64(entry) * one
@@ -308,7 +332,8 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
             at *= np.uint64(PARTS)
             if entry == offsets[strip]:
                 for i in range(one):
-                    b, off = numbers[at + one + i], y[j + i] + numbers[at + four + i]
+                    b = numbers[at + one + i]
+                    off = y[j + i] + numbers[at + four + i]
                     c = numbers[at + three + i]
                     room[i] = b * y[j + i] + numbers[at + two + i]
                     room[one + i] = 0.0
@@ -316,11 +341,9 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
                     room[three + i] = (numbers[at + i] * b * b + c) * v[j + i]
                 continue
             for i in range(one):
-                q, b, c = (
-                    numbers[at + i],
-                    numbers[at + one + i],
-                    numbers[at + three + i],
-                )
+                q = numbers[at + i]
+                b = numbers[at + one + i]
+                c = numbers[at + three + i]
                 off = y[j + i] + numbers[at + four + i]
                 d = b * y[j + i] + numbers[at + two + i] - room[i]
                 room[one + i] += q * d
@@ -329,7 +352,8 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
         at = np.uint64(strip) * one
         both = at * np.uint64(2)
         for i in range(lanes):
-            mass, d = fixed[both + i], room[one + i]
+            mass = fixed[both + i]
+            d = room[one + i]
             own = max(room[two + i] - (2.0 - mass) * d * d + fixed[both + one + i], 0.0)
             room[two + i] = own
             new_y[at + i] = factor * (mass * room[i] + d)
@@ -349,16 +373,17 @@ def backward_merged(strips, discounts, offsets, keep):
 
     ``discounts`` (T,) are gamma_t, ``offsets`` (T, N) k_t, or (0, N) where they are 0.
     """
-    horizon, size = len(discounts), len(strips.order)
+    horizon = len(discounts)
+    size = len(strips.order)
     # z of the first entry; sums of q d, of squares, of what v carries
     room = np.zeros(4 * LANES)
     # behind the states 0, which padding reads, and room
-    lanes, length = np.uint64(len(room) // 4), size + 1 + LANES
-    here, there = (
-        (np.zeros(length), np.zeros(length)),
-        (np.zeros(length), np.zeros(length)),
-    )
-    local, nothing = np.empty((horizon if keep else 0, size)), np.zeros(0)
+    lanes = np.uint64(len(room) // 4)
+    length = size + 1 + LANES
+    here = (np.zeros(length), np.zeros(length))
+    there = (np.zeros(length), np.zeros(length))
+    local = np.empty((horizon if keep else 0, size))
+    nothing = np.zeros(0)
     if len(offsets):
         here[0][:size] = -offsets[horizon - 1]
     for t in range(horizon - 1, -1, -1):

@@ -18,7 +18,9 @@ def add_entry(columns, values, place, begin, filled, column, value):
     if begin <= at and at < filled and columns[at] == column:
         values[at] += value
         return filled
-    place[column], columns[filled], values[filled] = filled, column, value
+    place[column] = filled
+    columns[filled] = column
+    values[filled] = value
     return filled + np.uint64(1)
 
 
@@ -32,17 +34,19 @@ def average_rows(rows, policy, states, number, columns, values):
     room for all entries; in numpy's memory, whose large pages save time.
     """
     indptr, indices, data = rows
-    n_rows, n_columns, n_actions = len(policy), len(policy), policy.shape[1]
+    n_rows = len(policy)
+    n_columns = len(policy)
+    n_actions = policy.shape[1]
     is_part = len(number) > 0
     if is_part:
-        n_rows, n_columns = len(states), min(len(number), len(states) + len(columns))
-    starts, place = (
-        np.zeros(n_rows + 1, dtype=np.uint32),
-        np.zeros(n_columns, dtype=np.uint32),
-    )
+        n_rows = len(states)
+        n_columns = min(len(number), len(states) + len(columns))
+    starts = np.zeros(n_rows + 1, dtype=np.uint32)
+    place = np.zeros(n_columns, dtype=np.uint32)
     filled = np.uint64(0)
     for i in range(n_rows):
-        begin, state = filled, np.int64(states[i]) if is_part else i
+        begin = filled
+        state = np.int64(states[i]) if is_part else i
         for action in range(n_actions):
             weight = policy[state, action]
             if weight == 0.0:
@@ -65,7 +69,8 @@ def average_rewards(policy, rewards):
     """sum_a policy[s, a] r(s, a), and the largest sum of the magnitudes: what its
     rounding is measured by.
     """
-    total, largest = np.zeros(len(policy)), 0.0
+    total = np.zeros(len(policy))
+    largest = 0.0
     for state in range(len(policy)):
         size = 0.0
         for action in range(policy.shape[1]):
@@ -93,8 +98,11 @@ def range_of_sums(kernel, n_roundings):
     """The smallest sum of a row, the largest with its rounding and ``n_roundings`` an
     entry, the middle of the two.
     """
-    indptr, data = kernel.indptr, kernel.data
-    smallest, largest, entries = np.inf, 0.0, np.uint32(0)
+    indptr = kernel.indptr
+    data = kernel.data
+    smallest = np.inf
+    largest = 0.0
+    entries = np.uint32(0)
     for i in range(len(indptr) - 1):
         total = 0.0
         for k in range(indptr[i], indptr[i + 1]):
@@ -115,7 +123,8 @@ def multiply(kernel, transpose, x, out):
     if transpose:
         out[:] = 0.0
     for i in range(len(indptr) - 1):
-        total, own = 0.0, x[i] if transpose else 0.0
+        total = 0.0
+        own = x[i] if transpose else 0.0
         for k in range(indptr[i], indptr[i + np.uint32(1)]):
             if transpose:
                 out[indices[k]] += data[k] * own
@@ -136,9 +145,13 @@ def residual(kernel, transpose, b, x, n_roundings):
     """
     indptr, indices, data, discount = kernel
     n = len(b)
-    missed, size, count = np.zeros(n), np.zeros(n), np.zeros(n)
+    missed = np.zeros(n)
+    size = np.zeros(n)
+    count = np.zeros(n)
     for i in range(n):
-        total, magnitude, own = 0.0, 0.0, x[i]
+        total = 0.0
+        magnitude = 0.0
+        own = x[i]
         for k in range(indptr[i], indptr[i + 1]):
             j = indices[k]
             if transpose:
@@ -151,12 +164,12 @@ def residual(kernel, transpose, b, x, n_roundings):
                 total += term
                 magnitude += abs(term)
         if not transpose:
-            missed[i], size[i], count[i] = (
-                total,
-                magnitude,
-                np.float64(indptr[i + 1] - indptr[i]),
-            )
-    largest, bound, rounding = 0.0, 0.0, 0.0
+            missed[i] = total
+            size[i] = magnitude
+            count[i] = np.float64(indptr[i + 1] - indptr[i])
+    largest = 0.0
+    bound = 0.0
+    rounding = 0.0
     for i in range(n):
         missed[i] = b[i] + (discount * missed[i] - x[i])
         scale = discount * size[i] + abs(x[i]) + abs(b[i])
@@ -188,15 +201,14 @@ def transpose_rows(indptr, indices, data, n_columns):
         starts[indices[k] + np.uint32(1)] += np.uint32(1)
     for i in range(n_columns):
         starts[i + 1] += starts[i]
-    columns, values, free = (
-        np.empty(len(indices), dtype=np.uint32),
-        np.empty(len(indices)),
-        starts[:-1].copy(),
-    )
+    columns = np.empty(len(indices), dtype=np.uint32)
+    values = np.empty(len(indices))
+    free = starts[:-1].copy()
     for i in range(len(indptr) - 1):
         for k in range(indptr[i], indptr[i + 1]):
             at = free[indices[k]]
-            columns[at], values[at] = i, data[k]
+            columns[at] = i
+            values[at] = data[k]
             free[indices[k]] = at + np.uint32(1)
     return starts, columns, values
 
@@ -214,14 +226,20 @@ def breadth_first(kernel, back, widest):
     average.
     """
     n = len(kernel.indptr) - 1
-    place, queue = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint32)
+    place = np.empty(n, dtype=np.uint32)
+    queue = np.empty(n, dtype=np.uint32)
     is_seen = np.zeros(n, dtype=np.bool_)
-    free, root, distance, n_done = n, 0, 0.0, 0
+    free = n
+    root = 0
+    distance = 0.0
+    n_done = 0
     while free > 0:
         while is_seen[root]:
             root += 1
-        queue[0], is_seen[root] = root, True
-        head, tail = 0, 1
+        queue[0] = root
+        is_seen[root] = True
+        head = 0
+        tail = 1
         while head < tail:
             state = queue[head]
             for k in range(kernel.indptr[state], kernel.indptr[state + np.uint32(1)]):
@@ -261,13 +279,17 @@ def expands(kernel):
     in the numbering.
     """
     indptr, indices, _, _ = kernel
-    n, n_expanding = len(indptr) - 1, 0
-    queue, seen_by = np.empty(n, dtype=np.uint32), np.zeros(n, dtype=np.uint8)
+    n = len(indptr) - 1
+    n_expanding = 0
+    queue = np.empty(n, dtype=np.uint32)
+    seen_by = np.zeros(n, dtype=np.uint8)
     sizes = np.ones(33)
     for search in range(1, 6):
         root = (search - 1) * n // 5
-        queue[0], seen_by[root] = root, search
-        head, tail = 0, 1
+        queue[0] = root
+        seen_by[root] = search
+        head = 0
+        tail = 1
         for step in range(1, 33):
             level = tail
             while head < level:
@@ -302,11 +324,9 @@ def find_envelope(kernel, place):
     Systems, 1981, chapter 4.
     """
     n = len(place)
-    order, first, starts = (
-        np.empty(n, dtype=np.int64),
-        np.arange(n),
-        np.zeros(n + 1, dtype=np.int64),
-    )
+    order = np.empty(n, dtype=np.int64)
+    first = np.arange(n)
+    starts = np.zeros(n + 1, dtype=np.int64)
     for state in range(n):
         i = n - 1 - np.int64(place[state])
         order[i] = state
@@ -331,7 +351,8 @@ def fills_little(kernel, back, order, place, most):
     Matrix Anal. Appl. 11 (1990).
     """
     n = len(order)
-    parent, mark = np.full(n, n, dtype=np.int64), np.full(n, n, dtype=np.int64)
+    parent = np.full(n, n, dtype=np.int64)
+    mark = np.full(n, n, dtype=np.int64)
     count = 0
     for i in range(n):
         state = order[n - 1 - i]

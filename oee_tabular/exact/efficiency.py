@@ -100,7 +100,8 @@ def leading_bias(
     """
     share = _check_share(target, data_distribution, None)
     pi = check_policy(policy, target)
-    gamma, matrix = target.discount, target.transitions
+    gamma = target.discount
+    matrix = target.transitions
     kernel = policy_kernel(target, pi).toarray()
     visits = np.linalg.inv(np.eye(target.n_states) - gamma * kernel)  # (s', s)
     values = state_values(target, pi)

@@ -56,11 +56,9 @@ def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
     """
     # numpy's zeros cost nothing until they are touched, the kernel's own would be
     # written
-    rows, place, ends = (
-        rows_of(model.csr),
-        np.zeros(model.n_states, np.uint32),
-        np.zeros(horizon, np.int64),
-    )
+    rows = rows_of(model.csr)
+    place = np.zeros(model.n_states, np.uint32)
+    ends = np.zeros(horizon, np.int64)
     states, n_entries = reach_forward(
         rows, as_readonly(policy), as_readonly(model.initial), place, ends
     )
@@ -127,7 +125,8 @@ def gradient_to_horizon(
     rewards = as_readonly(
         np.zeros(0) if valued.reward_data is None else valued.reward_data
     )
-    to_go, out = values_to_go(valued, policy, horizon), np.zeros(valued.transitions.nnz)
+    to_go = values_to_go(valued, policy, horizon)
+    out = np.zeros(valued.transitions.nnz)
     add_flows(
         to_go,
         valued.discount,
@@ -185,7 +184,8 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
 def backup(kernel, rewards, ahead, out, first, last):
     """out = rewards + gamma K ahead on the rows first .. last - 1 (uint64)."""
     indptr, indices, data, gamma = kernel
-    one, four = np.uint64(1), np.uint64(4)
+    one = np.uint64(1)
+    four = np.uint64(4)
     x = np.uint64(indptr[first])
     for s in range(first, last):
         end = np.uint64(indptr[s + one])
@@ -205,13 +205,17 @@ def backup(kernel, rewards, ahead, out, first, last):
 @njit(cache=True)
 def dot(x, y, size):
     """x . y over the first ``size`` entries; where x is 0, y may be infinite."""
-    total, part, terms = 0.0, 0.0, 0
+    total = 0.0
+    part = 0.0
+    terms = 0
     for i in range(size):
         if x[i] != 0.0:
             part += x[i] * y[i]
             terms += 1
             if terms == CHUNK:
-                total, part, terms = total + part, 0.0, 0
+                total = total + part
+                part = 0.0
+                terms = 0
     return total + part
 
 
@@ -243,7 +247,10 @@ def reach_forward(rows, policy, initial, place, ends):
     indptr, indices, data = rows
     n_actions = policy.shape[1]
     # only what is filled becomes memory
-    states, count, n_done, n_entries = np.empty(len(place), np.uint32), 0, 0, 0
+    states = np.empty(len(place), np.uint32)
+    count = 0
+    n_done = 0
+    n_entries = 0
     n_initial = np.count_nonzero(initial)
     for s in range(len(initial)):
         if count == n_initial:
@@ -279,7 +286,8 @@ def sweep_cone(cone, is_each):
     ends = cone.ends
     horizon = len(ends)
     out = np.zeros(horizon + 1)
-    value, other = cone.rewards.copy(), np.zeros(len(cone.rewards))
+    value = cone.rewards.copy()
+    other = np.zeros(len(cone.rewards))
     for k in range(1, horizon + 1):
         if k > 1:
             backup(
@@ -306,7 +314,9 @@ def visit_cone(cone):
     size = ends[-1]
     back = Kernel(*transpose_rows(indptr, indices, data, size), 1.0)
     nothing = np.zeros(size)
-    here, there, total = np.zeros(size), np.zeros(size), np.zeros(size)
+    here = np.zeros(size)
+    there = np.zeros(size)
+    total = np.zeros(size)
     here[: ends[0]] = cone.initial
     weight = 1.0
     for t in range(len(ends)):
@@ -330,12 +340,16 @@ def step_forward(rows, rewards, policy, initial, gamma, pairs):
     """
     indptr, indices, data = rows
     horizon, n_states, n_actions = policy.shape
-    out, keep = np.zeros(horizon + 1), len(pairs) > 0
-    here, there, mean = initial.copy(), np.zeros(n_states), np.zeros(n_states)
+    out = np.zeros(horizon + 1)
+    keep = len(pairs) > 0
+    here = initial.copy()
+    there = np.zeros(n_states)
+    mean = np.zeros(n_states)
     weight = 1.0
     for t in range(horizon):
         for s in range(n_states):
-            mass, mean[s] = here[s], 0.0
+            mass = here[s]
+            mean[s] = 0.0
             if mass == 0.0:
                 continue
             for a in range(n_actions):
@@ -366,7 +380,9 @@ def add_flows(to_go, gamma, back, initial, rows, policy, rewards, out):
     """
     indptr, columns, _ = rows
     n_states, n_actions = policy.shape
-    nothing, here, there = np.zeros(n_states), initial.copy(), np.zeros(n_states)
+    nothing = np.zeros(n_states)
+    here = initial.copy()
+    there = np.zeros(n_states)
     weight = 1.0
     for t in range(len(to_go) - 1):
         for s in range(n_states):

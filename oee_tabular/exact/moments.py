@@ -189,7 +189,8 @@ def policy_is_moments(
     pi = check_policy(policy, mdp, horizon=length)
     if behavior.ndim != pi.ndim:
         shape = (behavior if behavior.ndim == 3 else pi).shape
-        behavior, pi = np.broadcast_to(behavior, shape), np.broadcast_to(pi, shape)
+        behavior = np.broadcast_to(behavior, shape)
+        pi = np.broadcast_to(pi, shape)
     return compute_moments(walk_of(mdp, behavior, policy=pi), length, **options)
 
 
@@ -252,10 +253,8 @@ def doubly_robust_moments(
         )
     _checks.require_finite(u, "baseline")
     shift = exponent(np.concatenate([walk.rewards.ravel(), u.ravel()]))
-    ahead, rewards = (
-        walk.discount * np.ldexp(u[1:], -shift),
-        np.ldexp(walk.rewards[0], -shift),
-    )
+    ahead = walk.discount * np.ldexp(u[1:], -shift)
+    rewards = np.ldexp(walk.rewards[0], -shift)
     ahead[-1] = 0.0
     weighted = walk.row_matrix(walk.prob * walk.w)
     if walk.by_transition:

@@ -106,10 +106,8 @@ def infinite_visits(model: Model, policy: Array) -> Array:
     DivergentKernelError at discount 1 where the policy is not absorbed in states with
     reward 0. Cost: one sparse solve.
     """
-    system, over = (
-        policy_system(model, policy),
-        np.zeros(model.n_states, dtype=np.bool_),
-    )
+    system = policy_system(model, policy)
+    over = np.zeros(model.n_states, dtype=np.bool_)
     if model.discount == 1.0:
         over = recurrent_states(system, policy_rewards(model, policy), model.names)
         system = drop_states(system, over)

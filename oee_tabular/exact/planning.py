@@ -69,7 +69,8 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         return np.asarray(np.eye(mdp.n_actions)[induce_backward(model, length)])
     # a greedy start may never be absorbed; the uniform policy is, if any is
     if mdp.discount == 1.0:
-        actions, values = action_values(mdp, uniform_policy(mdp)).argmax(axis=1), None
+        actions = action_values(mdp, uniform_policy(mdp)).argmax(axis=1)
+        values = None
     else:
         n_turns = N_TURNS_NARROW if is_narrow(mdp) else N_TURNS
         actions, values = iterate_modified(model, 1e-9, n_turns)
@@ -109,7 +110,8 @@ def is_narrow(mdp: FiniteMDP) -> bool:
 def action_value(model, values, state, action):
     """Q(s, a) = r(s, a) + gamma sum_s' P(s' | s, a) V(s')."""
     (indptr, indices, data), rewards, discount = model
-    row, total = np.uint64(state * rewards.shape[1] + action), 0.0
+    row = np.uint64(state * rewards.shape[1] + action)
+    total = 0.0
     for k in range(indptr[row], indptr[row + np.uint64(1)]):
         total += data[k] * values[indices[k]]
     return rewards[state, action] + discount * total
@@ -120,14 +122,19 @@ def improve(model, values, new, actions):
     """The best actions, the first of equals, for these values; new = max_a Q; the
     spread of new - values, the largest value.
     """
-    low, high, largest = np.inf, -np.inf, 0.0
+    low = np.inf
+    high = -np.inf
+    largest = 0.0
     for state in range(len(values)):
-        best, chosen = -np.inf, 0
+        best = -np.inf
+        chosen = 0
         for action in range(model[1].shape[1]):
             value = action_value(model, values, state, action)
             if value > best:
-                best, chosen = value, action
-        new[state], actions[state] = best, chosen
+                best = value
+                chosen = action
+        new[state] = best
+        actions[state] = chosen
         change = best - values[state]
         low = min(low, change)
         high = max(high, change)
@@ -138,7 +145,8 @@ def improve(model, values, new, actions):
 @njit(cache=True)
 def sweep_actions(model, actions, values, new):
     """new = r + gamma P values for these actions; the least and the largest change."""
-    low, high = np.inf, -np.inf
+    low = np.inf
+    high = -np.inf
     for state in range(len(actions)):
         new[state] = action_value(model, values, state, actions[state])
         change = new[state] - values[state]
@@ -151,11 +159,9 @@ def sweep_actions(model, actions, values, new):
 def induce_backward(model, horizon):
     """(T, S): the best actions with T - t rewards to go."""
     n = len(model[1])
-    value, ahead, actions = (
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros((horizon, n), dtype=np.int64),
-    )
+    value = np.zeros(n)
+    ahead = np.zeros(n)
+    actions = np.zeros((horizon, n), dtype=np.int64)
     for t in range(horizon - 1, -1, -1):
         improve(model, ahead, value, actions[t])
         value, ahead = ahead, value
@@ -170,8 +176,11 @@ def iterate_modified(model, relative, n_turns):
     The values are swept to rounding while four sweeps halve what is missing, as they do
     where a graph mixes.
     """
-    n, discount = len(model[1]), model[2]
-    values, new, actions = np.zeros(n), np.empty(n), np.zeros(n, dtype=np.int64)
+    n = len(model[1])
+    discount = model[2]
+    values = np.zeros(n)
+    new = np.empty(n)
+    actions = np.zeros(n, dtype=np.int64)
     for _ in range(n_turns):
         spread, largest = improve(model, values, new, actions)
         values, new = new, values
@@ -182,7 +191,8 @@ def iterate_modified(model, relative, n_turns):
             values, new = new, values
             if high - low <= 0.1 * spread:
                 break
-    factor, allowed = discount / (1.0 - discount), np.inf
+    factor = discount / (1.0 - discount)
+    allowed = np.inf
     for turn in range(200):
         low, high = sweep_actions(model, actions, values, new)
         values, new = new, values
@@ -202,12 +212,14 @@ def find_better_actions(model, values, actions, relative):
     or that where it is better by more.
     """
     n_states, n_actions = model[1].shape
-    q, largest = np.empty((n_states, n_actions)), 0.0
+    q = np.empty((n_states, n_actions))
+    largest = 0.0
     for state in range(n_states):
         for action in range(n_actions):
             q[state, action] = action_value(model, values, state, action)
             largest = max(largest, abs(q[state, action]))
-    first, better = np.zeros(n_states, dtype=np.int64), actions.copy()
+    first = np.zeros(n_states, dtype=np.int64)
+    better = actions.copy()
     for state in range(n_states):
         best = q[state].max()
         while q[state, first[state]] < best - relative * largest:

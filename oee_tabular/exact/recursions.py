@@ -172,13 +172,12 @@ def _merged_backward(
     if offsets is not None:
         shifts[:, :n] = offsets[:, order] if offsets.shape[1] > 1 else offsets
     mean, variance, own = _moments.backward_merged(strips, discounts, shifts, keep)
-    out, local = np.zeros((5, n)), np.empty((len(own), 1, n))
-    out[0], out[1, order], out[4, order], local[:, 0, order] = (
-        1.0,
-        mean[:n],
-        variance[:n],
-        own[:, :n],
-    )
+    out = np.zeros((5, n))
+    local = np.empty((len(own), 1, n))
+    out[0] = 1.0
+    out[1, order] = mean[:n]
+    out[4, order] = variance[:n]
+    local[:, 0, order] = own[:, :n]
     return out, local
 
 
@@ -212,10 +211,8 @@ def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Mome
     )
     if np.any(mass == 0.0):
         return Moments(float("nan"), float("nan"), float("nan"))
-    level, factor = (
-        rewards / mass,
-        walk.discount ** np.arange(horizon, dtype=np.float64),
-    )
+    level = rewards / mass
+    factor = walk.discount ** np.arange(horizon, dtype=np.float64)
     bias = -dot(factor, (square_rewards - level * square) / mass**2)
     # of X_t E W_t, so that a step multiplies by gamma E W_t / E W_{t+1}
     discounts = discounts * np.append(mass[:-1] / mass[1:], 1.0)
@@ -235,14 +232,13 @@ def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Mome
 def _step_weights(walk: Walk, horizon: int, power: int) -> tuple[Array, Array]:
     """E[W^power] and E[W^power r_t] of the weight that each step's reward carries."""
     before = walk.weights_by_state(horizon, power=power)[:horizon, 0]
-    chance, mass, rewards = (
-        walk.act * walk.u**power,
-        np.ones(walk.act.shape[1]),
-        walk.rewards[0],
-    )
+    chance = walk.act * walk.u**power
+    mass = np.ones(walk.act.shape[1])
+    rewards = walk.rewards[0]
     if walk.by_transition:
         weighted = walk.row_matrix(walk.prob * walk.w**power)
-        mass, rewards = row_sums(weighted), row_sums(weighted, weighted.data * rewards)
+        mass = row_sums(weighted)
+        rewards = row_sums(weighted, weighted.data * rewards)
     weight, total = (
         np.asarray((before * walk.sum_actions(chance * x)).sum(axis=1))
         for x in (mass, rewards)
@@ -258,9 +254,12 @@ def _combine(
     """
     # what other states have must not count, even infinite
     begin = np.flatnonzero(walk.initial)
-    initial, (mean_l, mean_r, var_l, cov, var_r) = walk.initial[begin], out[:, begin]
-    length, total = dot(initial, mean_l), dot(initial, mean_r)
-    off, variance = q * (mean_r - total), q * q * var_r
+    initial = walk.initial[begin]
+    (mean_l, mean_r, var_l, cov, var_r) = out[:, begin]
+    length = dot(initial, mean_l)
+    total = dot(initial, mean_r)
+    off = q * (mean_r - total)
+    variance = q * q * var_r
     bias = 0.0
     if p != 0.0:
         off += p * (mean_l - length)
@@ -280,7 +279,9 @@ def _combine(
     factor = (q * np.cumprod(np.append(1.0, discounts[:-1])))[:, None]
     shares = factor**2 * before[:, 0] * local[:, -1]
     if is_trajectory:
-        b0, b1, b2 = before[:, 0], before[:, 1], before[:, 2]
+        b0 = before[:, 0]
+        b1 = before[:, 1]
+        b2 = before[:, 2]
         shares += (p * p * b0 + 2.0 * p * q * b1 + q * q * b2) * local[:, 0]
         shares += 2.0 * factor * (p * b0 + q * b1) * local[:, 1]
     by_step = np.concatenate([[start], shares.sum(axis=1)])
@@ -290,13 +291,16 @@ def _combine(
 def infinite_moments(walk: Walk, sources: bool) -> Moments:
     """Two linear systems; DivergentKernelError where a moment does not exist."""
     first, second = (walk.weighted_kernel(power) for power in (1, 2))
-    gamma, n, rows = walk.discount, walk.n_states, walk.rows
+    gamma = walk.discount
+    n = walk.n_states
+    rows = walk.rows
     if gamma == 1.0:
         raise ValueError(
             "horizon must be given: at discount 1 the infinite sum's variance is not"
             " worked out"
         )
-    chance, f = walk.act[0][rows] * walk.prob, walk.u[0][rows]
+    chance = walk.act[0][rows] * walk.prob
+    f = walk.u[0][rows]
     state = rows // (walk.act.shape[1] // n)
     rewards = walk.w * walk.rewards[0] if walk.by_transition else walk.rewards[0][rows]
     mean = solve_policy_system(
@@ -314,7 +318,8 @@ def infinite_moments(walk: Walk, sources: bool) -> Moments:
             f" moment of its weights grows too fast ({error})"
         ) from None
     out = np.zeros((5, n))
-    out[1], out[4] = mean, np.maximum(variance, 0.0)
+    out[1] = mean
+    out[4] = np.maximum(variance, 0.0)
     result = _combine(walk, np.zeros(0), out, np.zeros((0, 1, n)), 0.0, 1.0)
     if not sources:
         return result

@@ -56,14 +56,17 @@ def rows_of(matrix: sparse.csr_array) -> Csr:
     """The arrays of the matrix itself where they have 32 bits, so that each kernel is
     compiled for one kind of array.
     """
-    indptr, indices, data = matrix.indptr, matrix.indices, matrix.data
+    indptr = matrix.indptr
+    indices = matrix.indices
+    data = matrix.data
     if indptr.dtype != np.int32 or indices.dtype != np.int32:
         if indptr[-1] >= 2**32:
             raise ValueError(
                 "transitions must have fewer than 2**32 entries; they have"
                 f" {int(indptr[-1])}"
             )
-        indptr, indices = indptr.astype(np.uint32), indices.astype(np.uint32)
+        indptr = indptr.astype(np.uint32)
+        indices = indices.astype(np.uint32)
     return Csr(
         as_readonly(indptr).view(np.uint32),
         as_readonly(indices).view(np.uint32),

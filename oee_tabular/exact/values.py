@@ -95,10 +95,8 @@ def solve_policy_system(
     [0.6667, 0.3333]
     """
     _checks.boolean(transpose, "transpose")
-    rows, gamma = (
-        _check_kernel(kernel),
-        _checks.number_in(discount, "discount", 0.0, 1.0),
-    )
+    rows = _check_kernel(kernel)
+    gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     right = _checks.float_array(b, "b", ndim=1)
     if len(right) != rows.shape[0]:
         raise ValueError(
@@ -116,7 +114,8 @@ def solve(
 
     ``near`` : about x, to begin with.
     """
-    norm, shift = solvers.inverse_norm(system), exponent(b)
+    norm = solvers.inverse_norm(system)
+    shift = exponent(b)
     if shift == 0:
         solution = solvers.answer(system, b, near)
         return LinearSolution(
@@ -125,10 +124,8 @@ def solve(
     # dot products would leave the range of floats
     solution = solvers.answer(system, np.ldexp(b, -shift))
     with np.errstate(over="ignore", under="ignore"):
-        x, bound = (
-            np.ldexp(solution.x, shift),
-            float(np.ldexp(norm * solution.bound, shift)),
-        )
+        x = np.ldexp(solution.x, shift)
+        bound = float(np.ldexp(norm * solution.bound, shift))
     bound += norm * rounding + len(x) * 5e-324  # what is subnormal is rounded once more
     return LinearSolution(x, bound if np.isfinite(x).all() else np.inf, solution.method)
 

@@ -118,7 +118,8 @@ def walk_of(
     The weights are constant in absorbing states. Behaviour policies without support are
     the callers' concern.
     """
-    matrix, absorbing = mdp.csr, mdp.absorbing()
+    matrix = mdp.csr
+    absorbing = mdp.absorbing()
     w = (
         np.ones(matrix.nnz)
         if ratio is None

@@ -72,7 +72,8 @@ def accept(ascent, value):
     """
     s = ascent.numbers[0]
     gain = s.sign * (value - s.value)
-    is_first, is_last = s.iterations == 0, s.iterations >= N_ITERATIONS - 1
+    is_first = s.iterations == 0
+    is_last = s.iterations >= N_ITERATIONS - 1
     is_worse = (
         gain < -max(2.0 * s.slack, 1e-12 * max(1.0, abs(s.value)))
         and s.step >= LEAST_STEP
@@ -114,7 +115,8 @@ def fill_values(rows, p, values, visits, gradient):
         fill_values_of_steps(rows, p, values, visits, gradient)
     else:
         n = len(values)
-        matrix, paid = np.eye(n), np.zeros(n)
+        matrix = np.eye(n)
+        paid = np.zeros(n)
         for i in range(len(p)):
             matrix[rows.state[i], rows.column[i]] -= (
                 rows.discount * rows.weight[i] * p[i]
@@ -134,7 +136,9 @@ def fill_gradient(rows, values, visits, gradient):
     reached.
     """
     for r in range(len(rows.n)):
-        mean, weight, size = 0.0, 1.0, 0.0
+        mean = 0.0
+        weight = 1.0
+        size = 0.0
         for i in range(rows.indptr[r], rows.indptr[r + 1]):
             gradient[i] = rows.pay[i] + rows.discount * values[rows.column[i]]
             mean += rows.phat[i] * gradient[i]
@@ -153,12 +157,11 @@ def fill_values_of_steps(rows, p, values, visits, gradient):
     V_t = r_pi + gamma P_pi V_{t+1},   d = sum_t gamma^t alpha_t,   dJ / dP_i = pi sum_t
     gamma^t alpha_t (pay_i + gamma V_{t+1})
     """
-    n, gamma = len(rows.initial), rows.discount
-    to_go, worth, share = (
-        np.zeros((rows.n_steps + 1, n)),
-        np.zeros(len(rows.columns)),
-        np.zeros(len(rows.columns)),
-    )
+    n = len(rows.initial)
+    gamma = rows.discount
+    to_go = np.zeros((rows.n_steps + 1, n))
+    worth = np.zeros(len(rows.columns))
+    share = np.zeros(len(rows.columns))
     paid = np.zeros(n)
     for i in range(len(p)):
         share[rows.edge[i]] += rows.weight[i] * p[i]
@@ -169,8 +172,10 @@ def fill_values_of_steps(rows, p, values, visits, gradient):
             for j in range(rows.edges[s], rows.edges[s + 1]):
                 total += share[j] * to_go[t + 1, rows.columns[j]]
             to_go[t, s] = paid[s] + gamma * total
-    values[:], visits[:] = to_go[0], 0.0
-    now, ahead = rows.initial.copy(), np.zeros(n)
+    values[:] = to_go[0]
+    visits[:] = 0.0
+    now = rows.initial.copy()
+    ahead = np.zeros(n)
     for t in range(rows.n_steps):
         for s in range(n):
             if now[s] != 0.0:
@@ -181,12 +186,14 @@ def fill_values_of_steps(rows, p, values, visits, gradient):
                 now[s] = 0.0
         now, ahead = ahead, now
     for r in range(len(rows.n)):
-        smallest, largest = np.inf, -np.inf
+        smallest = np.inf
+        largest = -np.inf
         for i in range(rows.indptr[r], rows.indptr[r + 1]):
             gradient[i] = rows.weight[i] * (
                 visits[rows.state[i]] * rows.pay[i] + worth[rows.edge[i]]
             )
-            smallest, largest = min(smallest, gradient[i]), max(largest, gradient[i])
+            smallest = min(smallest, gradient[i])
+            largest = max(largest, gradient[i])
         if rows.n[r] == 0.0 and smallest == largest:
             for i in range(rows.indptr[r], rows.indptr[r + 1]):
                 gradient[i] = rows.pay[i] + gamma * values[rows.column[i]]
@@ -202,14 +209,17 @@ def best_rows(rows, x, share, limit, room, tau, p):
     reached) only ``share`` moves.
     """
     n_rows = len(rows.n)
-    spread, curvature, best = (
-        np.zeros(n_rows),
-        np.zeros(n_rows),
-        np.zeros(n_rows, np.int64),
-    )
-    v, new, total, reached = x.copy(), rows.phat.copy(), 0.0, 0.0
+    spread = np.zeros(n_rows)
+    curvature = np.zeros(n_rows)
+    best = np.zeros(n_rows, np.int64)
+    v = x.copy()
+    new = rows.phat.copy()
+    total = 0.0
+    reached = 0.0
     for r in range(n_rows):
-        start, stop, n = rows.indptr[r], rows.indptr[r + 1], rows.n[r]
+        start = rows.indptr[r]
+        stop = rows.indptr[r + 1]
+        n = rows.n[r]
         if n == 0.0:
             greedy_row(v, rows.low, rows.high, start, stop, new)
             continue
@@ -220,7 +230,8 @@ def best_rows(rows, x, share, limit, room, tau, p):
                 mean += rows.phat[i] * v[i]
             for i in range(start, stop):
                 v[i] -= mean
-        best[r], least = start, np.inf
+        best[r] = start
+        least = np.inf
         for i in range(start, stop):
             best[r] = i if v[i] > v[best[r]] else best[r]
             least = min(least, v[i])
@@ -252,7 +263,9 @@ def meet_limit(tau, moving, rows, v, best, curvature, limit, room, p):
     Steps that leave the bracket, or find nothing to go by, become bisections (doublings
     while there is no bracket).
     """
-    near, far, reached = 0.0, np.inf, 0.0
+    near = 0.0
+    far = np.inf
+    reached = 0.0
     for _ in range(200):
         reached, growth = tilt(tau, moving, rows, v, best, curvature, p)
         if reached <= limit:
@@ -289,14 +302,14 @@ def tilt(tau, moving, rows, v, best, curvature, p):
     small tau the variance of v / n. Mass goes to a next state that was never observed
     where its u is at least 1 + e: then 1 + e = u there, and it gets what is left.
     """
-    total, growth, phat = 0.0, 0.0, rows.phat
+    total = 0.0
+    growth = 0.0
+    phat = rows.phat
     for r in moving:
-        start, stop, slope, top = (
-            rows.indptr[r],
-            rows.indptr[r + 1],
-            tau / rows.n[r],
-            best[r],
-        )
+        start = rows.indptr[r]
+        stop = rows.indptr[r + 1]
+        slope = tau / rows.n[r]
+        top = best[r]
         excess = slope * v[top] - 1.0
         # v is 0 at all that was observed, as where that is one next state
         if curvature[r] == 0.0 and excess <= 0.0:
@@ -308,7 +321,11 @@ def tilt(tau, moving, rows, v, best, curvature, p):
         is_new = phat[top] == 0.0 and excess > e
         if is_new:
             e = excess
-        kl, mass, along, square, across = 0.0, 0.0, 0.0, 0.0, 0.0
+        kl = 0.0
+        mass = 0.0
+        along = 0.0
+        square = 0.0
+        across = 0.0
         for i in range(start, stop):
             if phat[i] > 0.0:
                 u = slope * v[i]
@@ -337,7 +354,9 @@ def find_root(start, stop, phat, v, slope, e):
             low = max(low, slope * v[i] + phat[i] - 1.0)
     e = max(e, low)
     for _ in range(100):
-        excess, square, least = 0.0, 0.0, 1.0
+        excess = 0.0
+        square = 0.0
+        least = 1.0
         for i in range(start, stop):
             if phat[i] > 0.0:
                 # no p is above 1, which 1 + e - u loses where u is huge
@@ -360,7 +379,8 @@ def blend(rows, share, new, p):
     rest where it was.
     """
     for r in range(len(rows.n)):
-        mass, had = 0.0, 0.0
+        mass = 0.0
+        had = 0.0
         for i in range(rows.indptr[r], rows.indptr[r + 1]):
             if rows.n[r] == 0.0 or rows.phat[i] == 0.0:
                 mass += new[i]

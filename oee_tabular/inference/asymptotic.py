@@ -55,7 +55,8 @@ def value_covariances(evidences: list[Evidence], prior: float) -> tuple[Array, A
     maximum-likelihood model.
     """
     first = evidences[0]
-    rows, n = first.rows, first.rows.spread(first.n)
+    rows = first.rows
+    n = first.rows.spread(first.n)
     law = (n * first.phat + prior * rows.weights) / np.maximum(n + prior, 1e-300)
     gradients = [
         transition_gradient(e.fitted, e.policy, horizon=e.horizon) for e in evidences
@@ -75,7 +76,9 @@ def bootstrap_values(
     """J of the models of ``n_bootstrap`` resamples of transitions or of whole episodes;
     rows without data the simulator's.
     """
-    generator, log, rows = _checks.generator(seed), problem.log, evidence.rows
+    generator = _checks.generator(seed)
+    log = problem.log
+    rows = evidence.rows
     entry, _ = find(
         evidence.model.transitions,
         log.state * rows.n_actions + log.action,
@@ -84,7 +87,9 @@ def bootstrap_values(
     weight = log.moves().number
     if (weight != np.floor(weight)).any():
         raise ValueError("counts must be whole numbers to be resampled; some are not")
-    n, size, starts = len(log), len(evidence.phat), log.episode_starts
+    n = len(log)
+    size = len(evidence.phat)
+    starts = log.episode_starts
     n_episodes = 0 if starts is None else len(starts) - 1
     if by == "episodes":
         if starts is None:
@@ -98,7 +103,8 @@ def bootstrap_values(
             )
         episode = np.repeat(np.arange(n_episodes), np.diff(starts))
     share = np.bincount(entry, weights=weight, minlength=size) / n
-    taken, values = PolicyRows.from_evidence(evidence), np.empty(n_bootstrap)
+    taken = PolicyRows.from_evidence(evidence)
+    values = np.empty(n_bootstrap)
     is_quick = not taken.is_sparse and (taken.n_steps > 0 or taken.discount < 1.0)
     for b in range(n_bootstrap):
         if by == "episodes":
@@ -156,19 +162,16 @@ def outside_margin(problem: Problem, evidence: Evidence) -> Margin | None:
     sampling = problem.simulator.sampling
     if sampling is None and not problem.dropped.any():
         return None
-    policy, horizon, fitted, rows = (
-        evidence.policy,
-        evidence.horizon,
-        evidence.fitted,
-        evidence.rows,
-    )
+    policy = evidence.policy
+    horizon = evidence.horizon
+    fitted = evidence.fitted
+    rows = evidence.rows
     share = occupancy(fitted, policy, horizon=horizon).reshape(-1)
-    unmet, variance = np.zeros(len(share)), 0.0
+    unmet = np.zeros(len(share))
+    variance = 0.0
     if sampling is not None:
-        initial, values = (
-            evidence.model.initial,
-            state_values(fitted, policy, horizon=horizon),
-        )
+        initial = evidence.model.initial
+        values = state_values(fitted, policy, horizon=horizon)
         unmet = _unmet_share(evidence, sampling.pairs)
         variance = (
             max(float(initial @ values**2) - float(initial @ values) ** 2, 0.0)
@@ -200,29 +203,28 @@ def _unmet_share(evidence: Evidence, pairs: Array) -> Array:
     """(S*A,) Good and Turing's estimate in each row; ``pairs`` are the simulator's
     samples, inf where it is known.
     """
-    rows, known, samples = (
-        evidence.rows,
-        ~np.isfinite(pairs),
-        np.where(np.isfinite(pairs), pairs, 0.0),
-    )
+    rows = evidence.rows
+    known = ~np.isfinite(pairs)
+    samples = np.where(np.isfinite(pairs), pairs, 0.0)
     simulated = rows.spread(samples) * evidence.model.transitions.data
     number = np.rint(simulated) + rows.spread(evidence.n) * evidence.phat
-    once, total = (
-        rows.sums((np.abs(number - 1.0) < 0.5).astype(float)),
-        samples + evidence.n,
-    )
+    once = rows.sums((np.abs(number - 1.0) < 0.5).astype(float))
+    total = samples + evidence.n
     share = np.where(total > 0, np.minimum(once / np.maximum(total, 1.0), 1.0), 1.0)
     return np.where(known, 0.0, share)
 
 
 def _band(evidence: Evidence, q: Array) -> tuple[float, float]:
     """What a share q (S*A,) of transitions to any state takes and adds, to first order."""
-    policy, fitted, gamma = evidence.policy, evidence.fitted, evidence.fitted.discount
+    policy = evidence.policy
+    fitted = evidence.fitted
+    gamma = evidence.fitted.discount
     if evidence.horizon is None:
         time = occupancy(fitted, policy).reshape(-1) / (1.0 - gamma)
         down, up = time @ (q[:, None] * _reach(evidence, state_values(fitted, policy)))
         return float(down), float(up)
-    values, beyond = np.zeros(len(policy)), np.zeros((len(policy), 2))
+    values = np.zeros(len(policy))
+    beyond = np.zeros((len(policy), 2))
     for _ in range(horizon_length(evidence.horizon, fitted)):
         ahead = q[:, None] * _reach(evidence, values) + gamma * (
             fitted.transitions @ beyond
@@ -243,14 +245,13 @@ def _reach(evidence: Evidence, values: Array) -> Array:
     """(S*A, 2) by how much the worst and the best r + gamma V of any transition differ
     from the row's own mean.
     """
-    rewards, gamma = evidence.model.reward_data, evidence.model.discount
+    rewards = evidence.model.reward_data
+    gamma = evidence.model.discount
     # r(s, a) is the row's own wherever the transition leads
     rewards_or_0 = np.zeros(1) if rewards is None else rewards
     mean = evidence.rows.mean(
         evidence.phat, gamma * values[evidence.rows.arrival] + rewards_or_0
     )
-    worst, best = (
-        gamma * values.min() + rewards_or_0.min(),
-        gamma * values.max() + rewards_or_0.max(),
-    )
+    worst = gamma * values.min() + rewards_or_0.min()
+    best = gamma * values.max() + rewards_or_0.max()
     return np.asarray(np.maximum(np.column_stack([mean - worst, best - mean]), 0.0))

@@ -70,7 +70,8 @@ class RowChanges:
         among equals); none that are 0.
         """
         number = _checks.positive_integer(k, "k")
-        flat, guess = self.certain.reshape(-1), self.evidence.reshape(-1)
+        flat = self.certain.reshape(-1)
+        guess = self.evidence.reshape(-1)
         order = np.lexsort((-guess, -flat))[:number]
         return [divmod(int(i), self.certain.shape[1]) for i in order if flat[i] > 0]
 
@@ -103,17 +104,18 @@ def row_changes(problem: Problem, *, confidence: float = 0.95) -> RowChanges:
     _checks.instance(problem, Problem, "problem")
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     evidence = gather(problem, uniform_policy(problem.simulator))
-    n, phat, rows, simulated = (
-        evidence.n,
-        evidence.phat,
-        evidence.rows,
-        evidence.rows.weights,
-    )
-    tested, have, shape = (n > 0) & evidence.open_rows, n > 0, evidence.policy.shape
+    n = evidence.n
+    phat = evidence.phat
+    rows = evidence.rows
+    simulated = evidence.rows.weights
+    tested = (n > 0) & evidence.open_rows
+    have = n > 0
+    shape = evidence.policy.shape
     number = int(tested.sum())
     radius = anytime_radius if problem.log.by_episodes else independent_radius
     epsilon = radius(n, np.diff(rows.indptr), (1.0 - level) / max(number, 1))
-    more, change = phat > simulated, np.abs(phat - simulated)
+    more = phat > simulated
+    change = np.abs(phat - simulated)
     seen_mass = np.minimum(rows.sums(np.where(more, phat, 0.0)), 1.0)
     least = lower_mass(seen_mass, epsilon) - rows.sums(np.where(more, simulated, 0.0))
     is_largest = change == rows.spread(rows.largest(change))
@@ -137,12 +139,14 @@ def lower_mass(frequency: Array, epsilon: Array) -> Array:
     """The smallest p with kl(frequency, p) <= epsilon, binary; rounded down. Bisection,
     O(60) passes.
     """
-    low, high = np.zeros(len(frequency)), np.array(frequency)
+    low = np.zeros(len(frequency))
+    high = np.array(frequency)
     for _ in range(60):
         middle = 0.5 * (low + high)
         outside = (
             rel_entr(frequency, middle) + rel_entr(1.0 - frequency, 1.0 - middle)
             > epsilon
         )
-        low, high = np.where(outside, middle, low), np.where(outside, high, middle)
+        low = np.where(outside, middle, low)
+        high = np.where(outside, high, middle)
     return low

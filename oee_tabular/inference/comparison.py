@@ -138,7 +138,8 @@ class Comparison:
             if values is None
             else values
         )
-        known, place = intervals or {}, self.names.index
+        known = intervals or {}
+        place = self.names.index
         order = sorted(
             shown,
             key=lambda name: -shown[name] if math.isfinite(shown[name]) else math.inf,
@@ -196,7 +197,8 @@ class Comparison:
         one, other : names of two policies
         intervals : policy -> likelihood interval, where there is one
         """
-        i, j = self.names.index(one), self.names.index(other)
+        i = self.names.index(one)
+        j = self.names.index(other)
         ours, theirs = ((intervals or {}).get(name) for name in (one, other))
         separate = (
             (np.nan, np.nan)
@@ -238,11 +240,9 @@ class Comparison:
         ]
         best = self.decide().probability_best
         for i, name in enumerate(self.names):
-            difference, share, ends = (
-                "",
-                best[name],
-                (self.lower[i, 0], self.upper[i, 0]),
-            )
+            difference = ""
+            share = best[name]
+            ends = (self.lower[i, 0], self.upper[i, 0])
             if i:
                 difference = (
                     f"{self.differences[i, 0]:{_printing.spec(*ends)}}"
@@ -383,7 +383,8 @@ def compare_policies(
     )  # equals but for rounding share a draw
     best = np.sum(is_top / is_top.sum(axis=1, keepdims=True), axis=0) / len(draws)
     order = np.argsort(-values, kind="stable")
-    values, covariance = values[order], covariance[np.ix_(order, order)]
+    values = values[order]
+    covariance = covariance[np.ix_(order, order)]
     variance = np.maximum(np.diag(covariance), 0.0)
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
     half = z * np.sqrt(
@@ -419,7 +420,8 @@ def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
 
 def _unrecorded_share(problem: Problem, evidence: Evidence) -> float:
     time = time_in_pairs(evidence.fitted, evidence.policy, evidence.horizon)
-    dropped, never = problem.dropped, (evidence.n == 0) & evidence.open_rows
+    dropped = problem.dropped
+    never = (evidence.n == 0) & evidence.open_rows
     unknown = np.where(never, 1.0, dropped / np.maximum(dropped + evidence.n, 1.0))
     left = ~evidence.model.closed() | dropped.reshape(time.shape).any(axis=1)
     return float(time.reshape(-1) @ unknown) / max(float(time[left].sum()), 1e-300)

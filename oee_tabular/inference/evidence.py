@@ -81,7 +81,8 @@ def gather(
     upper_ratio: float | None = None,
 ) -> Evidence:
     """Counts and box, checked: 0 <= lower_ratio <= 1 <= upper_ratio."""
-    pi, counts = check_policy(policy, problem.model), problem.counts
+    pi = check_policy(policy, problem.model)
+    counts = problem.counts
     return evidence_of(
         problem.model, pi, problem.horizon, counts, lower_ratio, upper_ratio
     )
@@ -148,14 +149,13 @@ def unrecorded_share(evidence: Evidence) -> float:
 
 def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
     """``reachable``; with ``steps``, as one of the policy's first."""
-    taken, size = evidence.policy > 0, evidence.model.n_states
+    taken = evidence.policy > 0
+    size = evidence.model.n_states
     state, _, following = evidence.rows.select(taken.reshape(-1)).transitions
     # a node of its own leads to every start
     starts = np.flatnonzero(evidence.model.initial > 0)
-    tail, head = (
-        np.append(state, np.full(len(starts), size)),
-        np.append(following, starts),
-    )
+    tail = np.append(state, np.full(len(starts), size))
+    head = np.append(following, starts)
     graph = sparse.csr_array(
         (np.ones(len(tail)), (tail, head)), shape=(size + 1, size + 1)
     )
@@ -171,7 +171,8 @@ def reachable_rows(evidence: Evidence, steps: int | None = None) -> BoolArray:
 
 def describe_rows(evidence: Evidence, rows: Any) -> str:
     """The first rows, as (s, a) with their counts."""
-    n_actions, names = evidence.model.n_actions, evidence.model.names
+    n_actions = evidence.model.n_actions
+    names = evidence.model.names
     named = ", ".join(
         f"({names.pair(*divmod(int(r), n_actions))}, n={evidence.n[r]:g})"
         for r in rows[:5]

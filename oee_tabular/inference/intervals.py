@@ -247,10 +247,8 @@ def interval(
         if radius == "auto"
         else radius
     )
-    z, margin = (
-        NormalDist().inv_cdf(0.5 + level / 2.0),
-        outside_margin(problem, evidence),
-    )
+    z = NormalDist().inv_cdf(0.5 + level / 2.0)
+    margin = outside_margin(problem, evidence)
     unrecorded = _count_unrecorded(evidence)
     facts: dict[str, Any] = {
         "unrecorded_share": unrecorded_share(evidence),
@@ -273,7 +271,8 @@ def interval(
     sampling: tuple[float, float] | None = None
     if method == "likelihood":
         low, high = likelihood_ends(evidence, level)
-        lower, upper = low.value, high.value
+        lower = low.value
+        upper = high.value
         names = {
             "divergence": "divergence",
             "iterations": "iterations",
@@ -305,7 +304,8 @@ def interval(
                 evidence.fitted, evidence.policy, horizon=evidence.horizon
             )
             error = float(np.sqrt(value_covariances([evidence], prior=0.0)[0][0, 0]))
-            lower, upper = value - z * error, value + z * error
+            lower = value - z * error
+            upper = value + z * error
         else:
             number = _checks.positive_integer(n_bootstrap, "n_bootstrap")
             values = bootstrap_values(

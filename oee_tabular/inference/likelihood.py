@@ -136,11 +136,14 @@ class PolicyRows(NamedTuple):
     @classmethod
     def from_evidence(cls, evidence: Evidence) -> PolicyRows:
         """Cut and number them."""
-        model, rows = evidence.model, evidence.rows.select(evidence.reachable)
+        model = evidence.model
+        rows = evidence.rows.select(evidence.reachable)
         states, place = np.unique(rows.state, return_inverse=True)
-        n, number = len(states), np.zeros(model.n_states, dtype=np.int64)
+        n = len(states)
+        number = np.zeros(model.n_states, dtype=np.int64)
         number[states] = np.arange(n)
-        state, column = rows.spread(place), number[rows.arrival]
+        state = rows.spread(place)
+        column = number[rows.arrival]
         unit = float(np.abs(evidence.pay).max()) or 1.0
         edges, edge = np.unique(state * n + column, return_inverse=True)
         return cls(
@@ -199,16 +202,12 @@ def likelihood_ends(evidence: Evidence, confidence: float) -> tuple[End, End]:
     simulator, and along drawn directions.
     """
     rows = PolicyRows.from_evidence(evidence)
-    base, own = (
-        _begin(rows, rows.phat),
-        _begin(rows, evidence.rows.weights[rows.entries]),
-    )
+    base = _begin(rows, rows.phat)
+    own = _begin(rows, evidence.rows.weights[rows.entries])
     # half of chi-square's quantile
     base.numbers["limit"] = float(gammaincinv(0.5, confidence))
-    drawn, ahead = (
-        _draw_directions(rows),
-        rows.pay + rows.discount * own.values[rows.column],
-    )
+    drawn = _draw_directions(rows)
+    ahead = rows.pay + rows.discount * own.values[rows.column]
     low, high = (
         _find_end(rows, evidence, base, [sign * base.slope, sign * ahead, *drawn], sign)
         for sign in (-1.0, 1.0)
@@ -226,10 +225,12 @@ def _find_end(
     """The farthest end of ascents from several directions: its value to rounding, its
     rows, and what is promised.
     """
-    is_large, end = len(rows.initial) > N_DENSE, base
+    is_large = len(rows.initial) > N_DENSE
+    end = base
     for x in directions:
         ascent = Ascent(*(part.copy() for part in base))
-        ascent.x[:], ascent.numbers["sign"] = x, sign
+        ascent.x[:] = x
+        ascent.numbers["sign"] = sign
         _ascend(rows, ascent, SCOUTED if is_large else SETTLED)
         if end is base or sign * (ascent.numbers["value"] - end.numbers["value"]) > 0.0:
             end = ascent
@@ -249,7 +250,8 @@ def _find_end(
     value = policy_value(
         evidence.with_rows(whole), evidence.policy, horizon=evidence.horizon
     )
-    promised, change = rows.unit * float(promised), rows.unit * float(numbers["change"])
+    promised = rows.unit * float(promised)
+    change = rows.unit * float(numbers["change"])
     return End(
         value,
         whole,
@@ -262,7 +264,8 @@ def _find_end(
 
 def _draw_directions(rows: PolicyRows) -> Array:
     """Drawn V, every other time each row's best state alone: a line each."""
-    lengths, is_observed = np.diff(rows.indptr), (rows.phat > 0.0) & rows.has_data
+    lengths = np.diff(rows.indptr)
+    is_observed = (rows.phat > 0.0) & rows.has_data
     affordable = max(AFFORDED // (len(rows.phat) * (rows.n_steps or N_SWEEPS)), 1)
     number = min(DRAWS_EACH * int((~is_observed).sum()), affordable, N_DRAWS)
     drawn = np.random.default_rng(5).random((number, len(rows.initial)))[:, rows.column]
@@ -275,7 +278,8 @@ def _draw_directions(rows: PolicyRows) -> Array:
 
 def _begin(rows: PolicyRows, p: Array) -> Ascent:
     """At rows p, whose J is the base."""
-    n, k = len(rows.initial), len(p)
+    n = len(rows.initial)
+    k = len(p)
     start = np.full(n, 1.0 / ((1.0 - rows.discount) * n) if rows.is_sparse else 0.0)
     last_x, gradient, x, trial, slope = np.zeros((5, k))
     ascent = Ascent(
@@ -292,7 +296,8 @@ def _begin(rows: PolicyRows, p: Array) -> Ascent:
     ascent.numbers["value"] = ascent.numbers["reference"] = _fill_values(
         rows, p, ascent, FINE
     )
-    ascent.numbers["step"], ascent.numbers["change"] = 1.0, np.inf
+    ascent.numbers["step"] = 1.0
+    ascent.numbers["change"] = np.inf
     return ascent
 
 
@@ -300,11 +305,9 @@ def _ascend(rows: PolicyRows, ascent: Ascent, settled: float) -> None:
     """Run the loop above, or continue it, until iterations move the end by a share
     ``settled``.
     """
-    ascent.numbers["settled"], ascent.numbers["quiet"], is_over = (
-        settled,
-        0.0,
-        not rows.is_sparse,
-    )
+    ascent.numbers["settled"] = settled
+    ascent.numbers["quiet"] = 0.0
+    is_over = not rows.is_sparse
     if is_over:
         kernels.ascend(rows, ascent)
     while not is_over:
@@ -325,14 +328,13 @@ def _fill_values(rows: PolicyRows, p: Array, ascent: Ascent, left: float) -> flo
     In large problems V and d are corrected from those of the rows before, to a share
     ``left`` of what these miss, and J = mu V + d (what V misses) is then far closer.
     """
-    values, visits = ascent.values, ascent.visits
+    values = ascent.values
+    visits = ascent.visits
     if not rows.is_sparse:
         return float(kernels.fill_values(rows, p, values, visits, ascent.slope))
     weights = rows.weight * p
-    share, rewards = (
-        np.bincount(rows.edge, weights),
-        np.bincount(rows.state, weights * rows.pay).astype(np.float64),
-    )
+    share = np.bincount(rows.edge, weights)
+    rewards = np.bincount(rows.state, weights * rows.pay).astype(np.float64)
     system = Kernel(rows.edges, rows.columns, as_readonly(share), rows.discount)
     solution = solvers.answer(System(system), rewards, values, left)
     value = rows.initial @ solution.x + visits @ solution.missed
@@ -376,7 +378,8 @@ def shared_ends(
     problem: Problem, policy: Array, directions: Directions, level: float
 ) -> tuple[float, float, float]:
     """Lower end, upper end, and J at theta_hat."""
-    rows, horizon = Rows.of(problem.simulator), problem.horizon
+    rows = Rows.of(problem.simulator)
+    horizon = problem.horizon
     counts = aligned_counts(problem.counts, problem.simulator)
     visited = rows.select((rows.sums(counts) > 0) & (np.diff(rows.indptr) > 1))
     if not len(visited):
@@ -384,12 +387,11 @@ def shared_ends(
             "log must have a transition of a state-action pair with more than one next"
             " state; it has none"
         )
-    observed, columns = counts[visited.entries], directions.columns(visited)
+    observed = counts[visited.entries]
+    columns = directions.columns(visited)
     fit = fit_ridge(directions, visited, observed, None, by_evidence=False)
-    mass, pulled = (
-        visited.sums(observed),
-        sum_columns(columns, observed, visited.n_actions),
-    )
+    mass = visited.sums(observed)
+    pulled = sum_columns(columns, observed, visited.n_actions)
     action = np.zeros((len(fit.theta), 1))
     action[0] = 1.0  # no parameters of an action alone
     least = penalized_risk(columns, (mass, pulled), fit.theta, fit.penalty)[0]
@@ -432,7 +434,8 @@ def shared_ends(
 
         low = high = 0.0
         while excess(high) < 0 and high < LARGEST_LOG_FORCE:
-            low, high = high, high + 2.0
+            low = high
+            high = high + 2.0
         while excess(low) > 0 and low > -LARGEST_LOG_FORCE:
             low, high = low - 2.0, low
         if excess(low) < 0.0 < excess(high):
@@ -443,13 +446,15 @@ def shared_ends(
 
     def find_end(sign: float) -> float:
         """The farthest J in the direction ``sign``."""
-        theta, end = fit.theta, middle
+        theta = fit.theta
+        end = middle
         for _ in range(N_LINEARISATIONS):
             force = sign * gradient(theta)
             if not np.abs(force).max() > 0:
                 break
             step = maximise_on_boundary(force) - theta
-            length, last = 1.0, end
+            length = 1.0
+            last = end
             while (
                 length > 1e-3
                 and sign * (end := value(theta + length * step)) <= sign * last

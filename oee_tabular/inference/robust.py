@@ -103,8 +103,10 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
     """The extreme of J over the rectangular set, largest for sign 1, certified (at
     discount 1 to rounding).
     """
-    model, policy = evidence.model, evidence.policy
-    p, guesses = evidence.phat.copy(), np.zeros(len(radius))
+    model = evidence.model
+    policy = evidence.policy
+    p = evidence.phat.copy()
+    guesses = np.zeros(len(radius))
 
     def back_up(values: Array, pi: Array) -> Array:
         """(S,) sum_a pi max P (r + gamma V), bounds from outside."""
@@ -120,12 +122,16 @@ def extreme_value(evidence: Evidence, radius: Array, sign: float) -> Extreme:
         value = dot(model.initial, values)
         return Extreme(value, value, 0.0, steps)
     values = state_values(evidence.fitted, policy)
-    residual, rise, sweeps, stalled = np.inf, 0.0, 0, 0
+    residual = np.inf
+    rise = 0.0
+    sweeps = 0
+    stalled = 0
     while sweeps < N_SWEEPS:
         sweeps += 1
         backed = back_up(values, policy)
         rise = max(float((sign * (backed - values)).max()), 0.0)
-        last, residual = residual, float(np.abs(backed - values).max())
+        last = residual
+        residual = float(np.abs(backed - values).max())
         stalled = stalled + 1 if residual >= 0.5 * last else 0
         if (
             residual <= 1e-12 * max(1.0, float(np.abs(values).max()))
@@ -142,7 +148,8 @@ def find_contradictions(evidence: Evidence, confidence: float, kind: str) -> Int
     """Rows in which the KL ball of the counts misses the box: the box is wrong there,
     with the confidence given.
     """
-    radius, p = radii(evidence, confidence, kind), evidence.phat.copy()
+    radius = radii(evidence, confidence, kind)
+    p = evidence.phat.copy()
     _, kl = _solve_rows(evidence, radius, np.zeros(len(p)), np.zeros(len(radius)), p)
     return np.flatnonzero(np.isfinite(radius) & (kl > radius * (1.0 + 1e-9) + 1e-15))
 
@@ -177,11 +184,10 @@ def require_end(evidence: Evidence) -> None:
     The largest set X of such states: of each of its rows nothing has to leave X (nu = 0
     or no successor outside), and X can take all mass (mu P(X) >= 1).
     """
-    model, rows = evidence.model, evidence.rows
-    system, rewards = (
-        policy_system(model, evidence.policy),
-        (evidence.policy * model.rewards).sum(axis=1),
-    )
+    model = evidence.model
+    rows = evidence.rows
+    system = policy_system(model, evidence.policy)
+    rewards = (evidence.policy * model.rewards).sum(axis=1)
     # which refuses a simulator whose own sum diverges
     inside = ~recurrent_states(system, rewards, model.names)
     taken = evidence.policy.reshape(-1) > 0
@@ -205,7 +211,8 @@ def require_end(evidence: Evidence) -> None:
 @njit(cache=True, error_model="numpy")
 def fill_at(eta, lam, phat, v, low, high, start, stop, out):
     """P(eta, lambda) into ``out``; its sum and minus the sum's derivative."""
-    total, slope = 0.0, 0.0
+    total = 0.0
+    slope = 0.0
     for i in range(start, stop):
         gap = eta - v[i]
         if gap <= 0.0:
@@ -223,7 +230,8 @@ def greedy_row(v, low, high, start, stop, out):
     """Without a ball: what ``low`` leaves goes to the largest v, then to the next;
     returns the last v that got some.
     """
-    rest, eta = 1.0, np.inf
+    rest = 1.0
+    eta = np.inf
     for i in range(start, stop):
         out[i] = low[i]
         rest -= low[i]
@@ -243,11 +251,15 @@ def row_at(lam, phat, v, low, high, start, stop, out, spare):
     """P for a lambda above 0, summing to 1, into ``out``; returns eta. Needs sum low <=
     1 <= sum high.
     """
-    least, smallest, largest = 0.0, np.inf, -np.inf
+    least = 0.0
+    smallest = np.inf
+    largest = -np.inf
     for i in range(start, stop):
         least += low[i]
-        smallest, largest = min(smallest, v[i]), max(largest, v[i])
-    left, room = smallest, max(1.0 - least, 1e-300)
+        smallest = min(smallest, v[i])
+        largest = max(largest, v[i])
+    left = smallest
+    room = max(1.0 - least, 1e-300)
     right = largest + max(
         lam / room,
         1e-12 * max(abs(largest), abs(smallest), largest - smallest) + 1e-300,
@@ -337,15 +349,20 @@ def worst_row(epsilon, phat, v, low, high, start, stop, guess, out, spare):
         row_at(1e30, phat, v, low, high, start, stop, out, spare)
         return 0.0, v[start], divergence(phat, out, start, stop)
     # lambdas outside and inside the ball, log(KL / epsilon) there
-    near, far, above, below = 0.0, np.inf, 1.0, -1.0
+    near = 0.0
+    far = np.inf
+    above = 1.0
+    below = -1.0
     lam = guess if guess > 0.0 else spread / np.sqrt(2.0 * epsilon + 1e-300)
     for step in range(200):
         row_at(lam, phat, v, low, high, start, stop, out, spare)
         excess = np.log(max(divergence(phat, out, start, stop), 1e-300) / epsilon)
         if excess > 0.0:
-            near, above = lam, excess
+            near = lam
+            above = excess
         else:
-            far, below = lam, excess
+            far = lam
+            below = excess
         if (
             -1e-12 < excess <= 0.0
             or far <= near * (1.0 + 1e-13)
@@ -376,7 +393,8 @@ def worst_rows(epsilon, phat, v, low, high, indptr, lam, out, above, kl):
     """
     spare = np.empty(len(phat))
     for k in range(len(indptr) - 1):
-        start, stop = indptr[k], indptr[k + 1]
+        start = indptr[k]
+        stop = indptr[k + 1]
         lam[k], above[k], kl[k] = worst_row(
             epsilon[k], phat, v, low, high, start, stop, lam[k], out, spare
         )

@@ -375,7 +375,8 @@ def files_of(settings: RunSettings, table: pd.DataFrame) -> dict[str, bytes]:
     for the same table.
     """
     experiment = settings.experiment
-    summary, finding = summary_of(experiment, table), experiment.finding(table)
+    summary = summary_of(experiment, table)
+    finding = experiment.finding(table)
 
     def draw(figure: Any) -> None:
         experiment.draw(table, summary, figure)

@@ -49,7 +49,9 @@ from oee_tabular.lab.experiment import (
 )
 
 PACKAGE = Path(__file__).parents[1]
-LOCK, SETTINGS, CELLS = ".lock", "settings.json", "cells.jsonl"
+LOCK = ".lock"
+SETTINGS = "settings.json"
+CELLS = "cells.jsonl"
 FILES = (
     SETTINGS,
     CELLS,
@@ -187,7 +189,8 @@ class Store:
         fresh: bool = False,
         code: str | None = None,
     ):
-        self.folder, self.settings = folder, settings
+        self.folder = folder
+        self.settings = settings
         self.code = code_version(*settings.modules) if code is None else code
         refuse_links(folder)
         if fresh and folder.exists():
@@ -239,10 +242,8 @@ class Store:
 
     def _compare(self) -> None:
         """ValueError where the folder has other settings, with the difference."""
-        there, asked = (
-            _read_settings(self.folder / SETTINGS),
-            _flatten(self.settings.as_dict()),
-        )
+        there = _read_settings(self.folder / SETTINGS)
+        asked = _flatten(self.settings.as_dict())
         names = [
             name for name in {**there, **asked} if there.get(name) != asked.get(name)
         ]
@@ -265,7 +266,9 @@ class Store:
         """One line of cells.jsonl: a finished cell, one of other code, or damaged."""
         try:
             content = json.loads(line)["content"]
-            cell, rows, code = content["of"]["cell"], content["rows"], content["code"]
+            cell = content["of"]["cell"]
+            rows = content["rows"]
+            code = content["code"]
             is_whole = line + b"\n" == self._line(
                 cell, rows, code
             ).encode() and self._fits(cell, rows)
@@ -282,7 +285,8 @@ class Store:
         """Whether it is a cell of the axes, and its rows hold plain values, every key,
         and numbers as measures.
         """
-        experiment, axes = self.settings.experiment, self.settings.axes
+        experiment = self.settings.experiment
+        axes = self.settings.axes
         is_cell = {*cell} == {*axes, "repetition"} and all(
             cell[name] in values for name, values in axes.items()
         )
@@ -344,7 +348,8 @@ class Store:
 
     def add(self, cell: Cell, rows: list[Row]) -> None:
         """Keep a finished cell, written before this returns."""
-        line, path = self._line(cell, rows, self.code), self.folder / CELLS
+        line = self._line(cell, rows, self.code)
+        path = self.folder / CELLS
         try:
             with open(
                 path,
@@ -365,7 +370,8 @@ class Store:
 
     def table(self) -> pd.DataFrame:
         """All rows, in the order of the cells, each with its cell's settings first."""
-        missing, cells = len(self.missing()), self.settings.cells()
+        missing = len(self.missing())
+        cells = self.settings.cells()
         if missing:
             raise ValueError(
                 f"{self.folder} lacks {missing} of {len(cells)} cells; run the"
@@ -462,7 +468,8 @@ def run_experiment(
             joblib.externals.loky.get_reusable_executor().shutdown(wait=True)
         store = Store(folder, settings, fresh=fresh)
         store.open()
-        todo, total = store.missing(), len(settings.cells())
+        todo = store.missing()
+        total = len(settings.cells())
         with progress_bar(
             settings.experiment.id,
             total=total,
@@ -473,7 +480,8 @@ def run_experiment(
             leave=True,
         ) as bar:
             _compute(store, dict(enumerate(todo)), jobs, dask, bar)
-    store.computed, store.cached = len(todo), total - len(todo)
+    store.computed = len(todo)
+    store.cached = total - len(todo)
     return store
 
 
@@ -493,7 +501,9 @@ def _compute(
     store: Store, left: dict[int, Cell], jobs: int, dask: str | None, bar: Any
 ) -> None:
     """Compute and keep the cells; those of a worker that was killed are tried again."""
-    settings, own, attempt = store.settings, store.settings.experiment, 0
+    settings = store.settings
+    own = store.settings.experiment
+    attempt = 0
     run = joblib.delayed(_run_cell)
     while left:
         before = len(left)

@@ -65,11 +65,9 @@ class CsrArrays(NamedTuple):
         """scipy's matrix of these arrays."""
         matrix = csr_on_pattern(self, self.data, own=True)
         # scipy took views of them
-        matrix.indptr, matrix.indices, matrix.data = (
-            self.indptr,
-            self.indices,
-            self.data,
-        )
+        matrix.indptr = self.indptr
+        matrix.indices = self.indices
+        matrix.data = self.data
         return matrix
 
 
@@ -177,7 +175,8 @@ def check_rewards(
                 f"{_checks.place('rewards', first)} must be finite; it is"
                 f" {array[first]}"
             )
-        row, table = row_of_entry(csr), array
+        row = row_of_entry(csr)
+        table = array
         data = freeze(array.reshape(csr.shape)[row, csr.indices])
         if (bad := np.flatnonzero(np.isnan(data))).size:
             where = _checks.place(

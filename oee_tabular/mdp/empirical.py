@@ -113,10 +113,8 @@ def _resolve(
     """Return the number of states or actions, their names, and the log's columns of
     them in these numbers.
     """
-    own, codes = (
-        getattr(log, f"{label}_names"),
-        [getattr(log, column) for column in columns],
-    )
+    own = getattr(log, f"{label}_names")
+    codes = [getattr(log, column) for column in columns]
     called = (
         own
         if names is None
@@ -156,10 +154,8 @@ def env_arguments(
         raise ValueError(
             f"env must be a Gymnasium environment; got {type(env).__name__}{hint}"
         )
-    space, actions = (
-        getattr(env, "observation_space", None),
-        getattr(env, "action_space", None),
-    )
+    space = getattr(env, "observation_space", None)
+    actions = getattr(env, "action_space", None)
     if not hasattr(actions, "n") or int(getattr(actions, "start", 0)) != 0:
         raise ValueError(f"env.action_space must be Discrete, from 0; it is {actions}")
     if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
@@ -171,7 +167,8 @@ def env_arguments(
         env, int(getattr(actions, "n", 0)), n_wanted, _checks.generator(seed)
     )
     explorer.explore(limit)
-    met, state_names = list(explorer.states), None
+    met = list(explorer.states)
+    state_names = None
     if all(isinstance(state, int) and state >= 0 for state in met):
         number = np.array(met)
         n_states = max(int(getattr(space, "n", 0)), 1 + max(met))
@@ -180,7 +177,8 @@ def env_arguments(
             _sort_states(met), "the environment's observations", len(met)
         )
         places = {name: k for k, name in enumerate(state_names)}
-        number, n_states = np.array([places[state] for state in met]), len(met)
+        number = np.array([places[state] for state in met])
+        n_states = len(met)
     names = Names(state_names)
     if explorer.lacking:
         rule = (
@@ -248,7 +246,8 @@ def _empirical_arguments(
         if initial is None
         else initial
     )
-    outcomes, by_pair = _fill_pairs(samples, law, n_actions, names), None
+    outcomes = _fill_pairs(samples, law, n_actions, names)
+    by_pair = None
     if rewards is not None:
         table = _check_rewards(rewards, n_states, n_actions)
         if table.ndim < 3:
@@ -266,7 +265,8 @@ def _empirical_arguments(
         state_names=names.states,
         action_names=names.actions,
     )
-    counts, terminal = arguments["transitions"], arguments["terminal_state"]
+    counts = arguments["transitions"]
+    terminal = arguments["terminal_state"]
     frequencies = csr_on_pattern(
         counts, counts.data / row_sums(counts)[row_of_entry(counts)], own=True
     )
@@ -322,7 +322,8 @@ def _fill_pairs(
             f" reward 0): {_list_pairs(filled, names)}"
         )
     stays = np.flatnonzero(~is_left & (is_alive | ~is_ended))
-    one, parts = np.ones(len(stays)), [samples]
+    one = np.ones(len(stays))
+    parts = [samples]
     for a in range(n_actions):
         others = np.flatnonzero((is_left & (counts[:, a] == 0))[state])
         parts.append(
@@ -374,7 +375,9 @@ def _count_samples(
 
 
 GAMMA = 0.99  # of the exploration alone: a pair 1000 steps away still counts 4e-5
-TOLERANCE, MAX_SWEEPS = 1e-6, 2000  # of value iteration
+# of value iteration
+TOLERANCE = 1e-6
+MAX_SWEEPS = 2000
 MIN_PLAN_AGE = 64  # steps, or half the number of states: a younger plan is not renewed
 # of the steps that a plan decides: an environment that is not Markov cannot lead it in
 # circles
@@ -395,12 +398,10 @@ class Explorer:
     def __init__(
         self, env: Any, n_actions: int, n_wanted: int, generator: np.random.Generator
     ) -> None:
-        self.env, self.n_actions, self.n_wanted, self.generator = (
-            env,
-            n_actions,
-            n_wanted,
-            generator,
-        )
+        self.env = env
+        self.n_actions = n_actions
+        self.n_wanted = n_wanted
+        self.generator = generator
         self.states: dict[Any, int] = {}
         self.transitions: list[tuple[int, int, int, float, bool]] = []
         self.starts: list[int] = []
@@ -418,13 +419,15 @@ class Explorer:
     def explore(self, max_steps: int) -> None:
         """Step until no pair lacks samples, or ``max_steps`` times."""
         seed: int | None = int(self.generator.integers(2**31))
-        is_over, state = True, 0
+        is_over = True
+        state = 0
         while len(self.transitions) < max_steps and (
             self.lacking or not self.transitions
         ):
             is_first = is_over
             if is_over:
-                state, seed = self._number(self.env.reset(seed=seed)[0]), None
+                state = self._number(self.env.reset(seed=seed)[0])
+                seed = None
                 self.starts.append(state)
                 self._set_open(state, True)
             action = self._choose(state, is_first)

@@ -436,7 +436,8 @@ class FiniteMDP:
         >>> oee.FiniteMDP.from_log(log, discount=0.9).transitions.toarray().tolist()  # 2: where 1 -> 1 ended it
         [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
-        sizes, names = (n_states, n_actions), (state_names, action_names)
+        sizes = (n_states, n_actions)
+        names = (state_names, action_names)
         return cls(
             **log_arguments(log, rewards, initial, sizes, names, layout),
             discount=discount,

@@ -67,7 +67,8 @@ def read_table(env: Any) -> dict[str, Any]:
             f" (fickle_probability={base.fickle_probability:g}): use"
             " fickle_passenger=False"
         )
-    n_states, n_actions = len(table), len(table[0])
+    n_states = len(table)
+    n_actions = len(table[0])
     rows = [
         (s, a, next_state, probability, reward, terminated)
         for s in range(n_states)
@@ -106,14 +107,16 @@ def build_arguments(
     for it. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is
     their mean. ``rewards``: (S, A) of the own states, in place of theirs.
     """
-    n_own, (state, action, to, weight, reward, terminated) = len(initial), outcomes
+    n_own = len(initial)
+    (state, action, to, weight, reward, terminated) = outcomes
     is_ended = np.bincount(to[terminated], minlength=n_own) > 0
     is_entered = (initial > 0) | (np.bincount(to[~terminated], minlength=n_own) > 0)
     twins = np.flatnonzero(is_ended & is_entered)
     terminal_state = np.arange(n_own, dtype=np.int64)
     terminal_state[twins] = n_own + np.arange(len(twins))
     terminal = terminal_state[is_ended]
-    kept, stay = ~np.isin(state, terminal), np.zeros(len(terminal) * n_actions)
+    kept = ~np.isin(state, terminal)
+    stay = np.zeros(len(terminal) * n_actions)
     rows = (
         (state * n_actions + action)[kept],
         (terminal[:, None] * n_actions + np.arange(n_actions)).reshape(-1),
@@ -122,10 +125,8 @@ def build_arguments(
         np.where(terminated, terminal_state[to], to)[kept],
         np.repeat(terminal, n_actions),
     )
-    places, n_states = (
-        (np.concatenate(rows), np.concatenate(columns)),
-        n_own + len(twins),
-    )
+    places = (np.concatenate(rows), np.concatenate(columns))
+    n_states = n_own + len(twins)
     shape = n_states * n_actions, n_states
     transitions = csr_from_entries(
         *places, np.concatenate([weight[kept], stay + 1.0]), shape

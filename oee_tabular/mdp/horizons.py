@@ -15,7 +15,9 @@ from oee_tabular.mdp.policies import count_dimensions
 SHORT_HORIZON = 10_000  # rewards; such a horizon is carried out as it stands
 # of a reward; far below rounding, so that late and unlikely rewards are not lost either
 LEAST_WEIGHT = 2.0**-200
-SLOW, ABSURD = 2e9, 2e10  # multiply-adds: some seconds, and a minute or more
+# multiply-adds: some seconds, and a minute or more
+SLOW = 2e9
+ABSURD = 2e10
 
 
 def limit_horizon(

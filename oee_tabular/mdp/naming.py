@@ -290,10 +290,8 @@ def initial_distribution(
     """Return a first state, or a mapping state -> probability, as a distribution (S,);
     anything else as it is.
     """
-    is_scalar, is_tuple = (
-        getattr(initial, "ndim", 1) == 0,
-        isinstance(initial, tuple) and names is not None,
-    )
+    is_scalar = getattr(initial, "ndim", 1) == 0
+    is_tuple = isinstance(initial, tuple) and names is not None
     given = to_plain(initial) if is_scalar or is_tuple else initial
     if is_tuple:  # as many numbers as states are a distribution, unless they are a name
         is_numbers = all(isinstance(part, int | float) for part in given)

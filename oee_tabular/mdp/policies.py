@@ -64,7 +64,9 @@ def check_policy(
     require_sized(mdp)
     _checks.instance(name, str, "name")
     horizon = _checks.optional_horizon(horizon)
-    n_states, n_actions, n_own = mdp.n_states, mdp.n_actions, len(mdp.terminal_state)
+    n_states = mdp.n_states
+    n_actions = mdp.n_actions
+    n_own = len(mdp.terminal_state)
     shapes = (n_states, n_actions), (horizon, n_states, n_actions)
     if (
         isinstance(policy, np.ndarray)
@@ -155,10 +157,8 @@ def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
         )
     if not isinstance(policies, list | tuple):
         return None
-    sizes, first = (
-        (mdp.n_states, len(mdp.terminal_state)),
-        policies[0] if policies else (),
-    )
+    sizes = (mdp.n_states, len(mdp.terminal_state))
+    first = policies[0] if policies else ()
     is_row = (
         count_dimensions(first) == 1
         and len(policies) in sizes
@@ -297,7 +297,8 @@ def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
     """Return (S, A) of a mapping or a function of the environment's own states;
     terminal ones may be left out.
     """
-    names, n_own = names_of(mdp), len(mdp.terminal_state)
+    names = names_of(mdp)
+    n_own = len(mdp.terminal_state)
     is_free = (
         mdp.absorbing()
         if hasattr(mdp, "absorbing")
@@ -354,7 +355,8 @@ def _choice_row(
     choice: Any, names: tuple[Name, ...] | None, n_actions: int, name: str
 ) -> Array:
     """Return an action, a mapping action -> probability, or A probabilities, as (A,)."""
-    row, given = np.zeros(n_actions), to_plain(choice)
+    row = np.zeros(n_actions)
+    given = to_plain(choice)
     if isinstance(choice, Mapping):
         for action, probability in choice.items():
             a = number_of(action, names, n_actions, f"{name}'s action")
@@ -377,7 +379,8 @@ def _action_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
     """Return the (S, A) of an action for each state, by number or name; anything else
     as it is.
     """
-    names, n_actions = names_of(mdp).actions, mdp.n_actions
+    names = names_of(mdp).actions
+    n_actions = mdp.n_actions
     try:
         array = np.asarray(policy)
     except (TypeError, ValueError):  # names of several lengths

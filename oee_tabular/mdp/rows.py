@@ -194,7 +194,8 @@ def distinct_rows(table: Array) -> tuple[Array, IntArray]:
     its time (400 000 rows).
     """
     order = np.lexsort(table.T[::-1])
-    ordered, new = table[order], np.ones(len(table), dtype=np.bool_)
+    ordered = table[order]
+    new = np.ones(len(table), dtype=np.bool_)
     new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
     kind = np.empty(len(table), dtype=np.int64)
     kind[order] = np.cumsum(new) - 1

@@ -59,7 +59,8 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
     is_impossible = align(matrix, observed)[0] < SMALLEST_PROBABILITY
     if not is_impossible.any():
         return {}
-    row, column = row_of_entry(observed)[is_impossible], observed.indices[is_impossible]
+    row = row_of_entry(observed)[is_impossible]
+    column = observed.indices[is_impossible]
     number = np.bincount(row, minlength=matrix.shape[0])
     added = csr_from_entries(row, column, eps / number[row], matrix.shape)
     kept = sparse.csr_array(

@@ -136,7 +136,8 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
     """The map of places on a grid with even steps, from the least coordinate to the
     largest; None where there is none.
     """
-    coordinates, numbers = [], []
+    coordinates = []
+    numbers = []
     for place in layout.T:
         distinct = np.unique(place)
         gaps = np.diff(distinct)
@@ -152,7 +153,8 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
             tuple((distinct[0] + step * np.arange(int(number.max()) + 1)).tolist())
         )
         numbers.append(number.astype(np.int64))
-    (rows, columns), (row, column) = coordinates, numbers
+    (rows, columns) = coordinates
+    (row, column) = numbers
     if len(layout) < SPARSEST * len(rows) * len(columns):
         return None
     cell = row * len(columns) + column

@@ -42,7 +42,8 @@ LINES: tuple[Any, ...] = (
     (0, (3, 1)),
     (0, (1, 3)),
 )
-SEQUENTIAL, DIVERGING = "cividis", "PuOr_r"
+SEQUENTIAL = "cividis"
+DIVERGING = "PuOr_r"
 # those that reports show by themselves: each has one of the eight series to itself
 ESTIMATORS = (
     "simulator",
@@ -57,7 +58,9 @@ ESTIMATORS = (
 
 # what an SVG's ink becomes: CSS variables of the page that it stands in, these colours
 # where there are none
-INK, QUIET, PAPER = "#1b1f23", "#8b9198", "#fdfdfe"
+INK = "#1b1f23"
+QUIET = "#8b9198"
+PAPER = "#fdfdfe"
 _ON_PAGE = {INK: "ink", QUIET: "quiet", PAPER: "paper"} | {
     color: f"series-{k}" for k, color in enumerate(COLORS)
 }

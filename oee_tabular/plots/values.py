@@ -191,7 +191,8 @@ def plot_intervals(
             ax, y[k], value[k], np.clip([low[k], high[k]], *span), span, marks
         )
     for start, end in zip(starts, [*starts[1:], len(names)], strict=False):
-        x, top = exact.get(group[start], math.nan), y[start] - 1
+        x = exact.get(group[start], math.nan)
+        top = y[start] - 1
         if left <= x <= right:
             ax.plot(
                 [x, x],
@@ -278,7 +279,8 @@ def _span(
     """
     with np.errstate(over="ignore", invalid="ignore"):
         width = high - low
-    core, widths = [float(x) for x in truth if math.isfinite(x)], []
+    core = [float(x) for x in truth if math.isfinite(x)]
+    widths = []
     for name in dict.fromkeys(group):
         rows = np.flatnonzero((group == name) & np.isfinite(width))
         rows = rows[np.argsort(width[rows], kind="stable")[: (len(rows) + 1) // 2]]
@@ -292,7 +294,9 @@ def _span(
             ].tolist()
     if not core:  # an interval with one end
         core = [x for x in (*low.tolist(), *high.tolist()) if math.isfinite(x)]
-    first, last, scale = min(core), max(core), 1e-3 * max(map(abs, core))
+    first = min(core)
+    last = max(core)
+    scale = 1e-3 * max(map(abs, core))
     far = max(
         0.5 * (last - first), REACH * max(float(np.median(widths or [0.0])), scale)
     )
@@ -357,7 +361,9 @@ def plot_states(
     check_texts(xlabel=xlabel)
     order = np.argsort(-share, kind="stable")[: _checks.positive_integer(top, "top")]
     order = order[share[order] > 0]
-    y, good, every = np.arange(len(order)), 100.0 * known[order], 100.0 * share[order]
+    y = np.arange(len(order))
+    good = 100.0 * known[order]
+    every = 100.0 * share[order]
     _checks.require_finite(every, "time")
     ax = style.check_axes(ax, (6.4, 1.1 + 0.25 * len(order)))
     ax.barh(y, good, color=COLORS[0], height=0.72, label="action recorded")

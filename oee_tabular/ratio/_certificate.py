@@ -102,7 +102,10 @@ def joint_gaps(f, point):
     moves, pairs, theta, eta, xi = point
     gaps = np.zeros(len(f.s))
     for k in range(len(gaps)):
-        b, mass, miss, slope = pairs[k], 0.0, 0.0, f.r[k]
+        b = pairs[k]
+        mass = 0.0
+        miss = 0.0
+        slope = f.r[k]
         for x in range(f.indptr[k], f.indptr[k + 1]):
             mass += f.q[x]
             miss += f.q[x] * (moves[x] - b)

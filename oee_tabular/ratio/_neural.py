@@ -152,13 +152,13 @@ class NetworkProgram(eqx.Module):  # type: ignore[misc]
 
     @classmethod
     def of(cls, training: Training) -> NetworkProgram:
-        p, q, rows = jnp.asarray(training.p), jnp.asarray(training.q), training.rows
+        p = jnp.asarray(training.p)
+        q = jnp.asarray(training.q)
+        rows = training.rows
         if rows is None:
             return cls(p, q, span=(math.log(training.lower), math.log(training.upper)))
-        row, indptr = (
-            jnp.asarray(rows.spread(np.arange(len(rows)))),
-            jnp.asarray(rows.indptr),
-        )
+        row = jnp.asarray(rows.spread(np.arange(len(rows))))
+        indptr = jnp.asarray(rows.indptr)
         return cls(
             p,
             q,
@@ -194,7 +194,8 @@ class NetworkProgram(eqx.Module):  # type: ignore[misc]
             size = len(drawn) // 2
             of_p = jnp.asarray(np.repeat([1.0 / size, 0.0], size))
             return Batch(drawn, of_p, of_p[::-1])
-        begin, end = self.indptr[self.row[drawn]], self.indptr[self.row[drawn] + 1]
+        begin = self.indptr[self.row[drawn]]
+        end = self.indptr[self.row[drawn] + 1]
         index = begin[:, None] + jnp.arange(self.widest)
         inside = index < end[:, None]
         p = jnp.where(index == drawn[:, None], 1.0 / len(drawn), 0.0)
@@ -294,12 +295,11 @@ def _train(
     state = optimizer.init(eqx.filter(model, eqx.is_array))
     places = None if training.places is None else jnp.asarray(training.places)
     cells = tuple(jnp.asarray(column) for column in training.cells)
-    program, ridge = NetworkProgram.of(training), jnp.asarray(training.ridge)
+    program = NetworkProgram.of(training)
+    ridge = jnp.asarray(training.ridge)
     start = training.risk(np.ones(len(training.p)), training.p, training.q)
-    iterations, ratios = (
-        [0],
-        [_ratio_everywhere(model, places, cells, program, training)],
-    )
+    iterations = [0]
+    ratios = [_ratio_everywhere(model, places, cells, program, training)]
     held: list[float] = []
     bar = progress_bar("training", total=network.n_iterations)
     while True:

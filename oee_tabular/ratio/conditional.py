@@ -114,7 +114,8 @@ class Conditional(Method):
 
     def __post_init__(self) -> None:
         _checks.instance(self.solver, str, "solver")
-        box, prior = check_box(self.lower, self.upper, normalized=True), self.prior
+        box = check_box(self.lower, self.upper, normalized=True)
+        prior = self.prior
         if self.functions is not None:
             check_network(self)
             if prior not in (None, "none"):
@@ -169,11 +170,10 @@ class Conditional(Method):
         )
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
-        observed, rows = given.observed, given.rows
-        box, n_row = (
-            check_box(self.lower, self.upper, normalized=True),
-            rows.sums(observed),
-        )
+        observed = given.observed
+        rows = given.rows
+        box = check_box(self.lower, self.upper, normalized=True)
+        n_row = rows.sums(observed)
         tilt, details = PRIORS[str(self.prior)](given, self)
         kappa = self._choose_kappa(given, tilt, details)
         lam = self._choose_ridge(given, n_row, details)
@@ -196,7 +196,9 @@ class Conditional(Method):
             or len(observed) <= BLOCK
         )
         for some in (rows,) if whole else rows.blocks():
-            number, at, spread = some.number, some.entries, some.spread
+            number = some.number
+            at = some.entries
+            spread = some.spread
             m = some.weights if tilt is None else tilt.at(some)
             weight = np.maximum(n_row[number] + kappa[number], SMALLEST)
             p = np.where(
@@ -213,12 +215,10 @@ class Conditional(Method):
                 return given.ratio(fit, "conditional", excess, details | more)
             if self.solver == "dual":
                 solution = dual.solve_rows(program, *box, some.indptr)
-                zeta[at], gap, ends[0][at], ends[1][at] = (
-                    solution.ratio,
-                    solution.gap,
-                    solution.below,
-                    solution.above,
-                )
+                zeta[at] = solution.ratio
+                gap = solution.gap
+                ends[0][at] = solution.below
+                ends[1][at] = solution.above
             else:
                 zeta[at], eta = statements.solve_rows(
                     program, *box, some.indptr, solver=self.solver
@@ -253,11 +253,10 @@ class Conditional(Method):
             details["strength"] = kappa
             return np.full(len(given.rows), kappa)
         _checks.one_of(self.strength, "strength", CRITERIA)
-        rows, kind = given.visited, given.get_or_compute(_kinds)
-        counts, prior = (
-            given.observed[rows.entries],
-            rows.weights if tilt is None else tilt.at(rows),
-        )
+        rows = given.visited
+        kind = given.get_or_compute(_kinds)
+        counts = given.observed[rows.entries]
+        prior = rows.weights if tilt is None else tilt.at(rows)
         choice = choose_strength(
             counts, prior, rows, self.strength, kind=kind[rows.number]
         )
@@ -387,10 +386,8 @@ def _informative(given: RatioInput) -> Rows:
 def _choice_of_kappa(given: RatioInput) -> Callable[[Array], Array]:
     """kappa of the informative rows around given ones, as far as weights notice."""
     rows: Rows = given.get_or_compute(_informative)
-    counts, kind = (
-        given.observed[rows.entries],
-        given.get_or_compute(_kinds)[rows.number],
-    )
+    counts = given.observed[rows.entries]
+    kind = given.get_or_compute(_kinds)[rows.number]
     return lambda model: (
         choose_strength(counts, model, rows, kind=kind, n_halvings=0).by_row
     )

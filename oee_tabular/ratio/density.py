@@ -191,7 +191,8 @@ def density_ratio(
     )
     _checks.boolean(normalized, "normalized")
     weights = check_weights(p, q)
-    n, totals = len(weights[0]), (float(weights[0].sum()), float(weights[1].sum()))
+    n = len(weights[0])
+    totals = (float(weights[0].sum()), float(weights[1].sum()))
     _checks.one_of(loss, "loss", ("kl", "chi2"))
     box = check_box(lower, upper, normalized=normalized)
     strength = check_ridge(ridge, totals[0])
@@ -211,7 +212,8 @@ def density_ratio(
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     known: Any = (weights[0] > 0) | (weights[1] > 0)
     known = slice(None) if in_class or known.all() else known
-    ps, qs = weights[0][known] / totals[0], weights[1][known] / totals[1]
+    ps = weights[0][known] / totals[0]
+    qs = weights[1][known] / totals[1]
     curvature = (
         np.full(len(ps), strength * (not in_class)) if toward is None else strength * qs
     )
@@ -229,7 +231,9 @@ def density_ratio(
         w, g, eta, gap = fit_cells(
             ps, qs, matrix, box, strength, normalized, str(solver)
         )
-        m, rest["weights"], penalty = 1.0 + eta, w, 0.5 * strength * float(w @ w)
+        m = 1.0 + eta
+        rest["weights"] = w
+        penalty = 0.5 * strength * float(w @ w)
     else:
         _refuse_unbounded(np.arange(n)[known], program, box)
         whole = np.array([0, len(ps)])
@@ -243,7 +247,8 @@ def density_ratio(
             m += float(multiplier.sum())
         elif normalized:
             g, multipliers, _, *enclosure = dual.solve_rows(program, *box, whole)
-            m, ends = float(multipliers[0]), (enclosure[0], enclosure[1])
+            m = float(multipliers[0])
+            ends = (enclosure[0], enclosure[1])
         else:
             g = dual.solve_free(program, *box)
             ends = g, g
@@ -263,7 +268,9 @@ def density_ratio(
     ratio = np.full(
         n, min(max(1.0 if toward is None else center, box.lower), box.upper)
     )
-    below, above, risk = ratio.copy(), ratio.copy(), program.risk(g)
+    below = ratio.copy()
+    above = ratio.copy()
+    risk = program.risk(g)
     ratio[known], below[known], above[known] = g, *ends
     return RatioFit(
         ratio=_checks.freeze(ratio),

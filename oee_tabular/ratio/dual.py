@@ -135,7 +135,8 @@ class Coordinates(NamedTuple):
         """q g - p log g - pull g + a/2 g^2, equal to the program up to a constant."""
         pull = self.curvature * self.center
         if self.squares:
-            pull, a = self.p + pull + self.q, self.q + self.curvature
+            pull = self.p + pull + self.q
+            a = self.q + self.curvature
             return Form(
                 np.zeros_like(self.p), self.q, a, pull, float(lower), float(upper)
             )
@@ -167,7 +168,8 @@ def solve_rows(
     p, q sum to 1 in each row that has entries; curvature >= 0; lower <= 1 <= upper.
     Cost: O(entries) times a few steps; it cannot fail.
     """
-    rows, m = indptr.astype(np.int64), np.empty(len(indptr) - 1)
+    rows = indptr.astype(np.int64)
+    m = np.empty(len(indptr) - 1)
     ratio, below, above = np.empty((3, len(program.p)))
     fill_rows(program.kernel_form(lower, upper), rows, ratio, below, above, m)
     return RowSolution(
@@ -194,10 +196,8 @@ def row_gaps(
     From the program as stated, by code that no solver uses; what constraints are missed
     by counts as it is. Cost: O(entries).
     """
-    multiplier, box = (
-        np.ones(len(indptr) - 1) if m is None else m,
-        Box(float(lower), float(upper)),
-    )
+    multiplier = np.ones(len(indptr) - 1) if m is None else m
+    box = Box(float(lower), float(upper))
     return np.asarray(
         _certificate.row_gaps(program, box, indptr, g, multiplier, m is not None)
     )
@@ -260,9 +260,11 @@ def fill_row(m, form, low, high, g):
     """g_x(m) for the entries low..high; returns sum q (g - 1) and minus its derivative
     in m.
     """
-    miss, slope = 0.0, 0.0
+    miss = 0.0
+    slope = 0.0
     for x in range(low, high):
-        q, value = form.q[x], minimiser(m, form, x)
+        q = form.q[x]
+        value = minimiser(m, form, x)
         g[x] = value
         if q > 0.0:
             miss += q * (value - 1.0)
@@ -286,7 +288,8 @@ def solve_row(form, low, high, g, below, above):
     halving. g is the convex combination of the two ends' minimisers that meets the
     equality, right at jumps too (p = 0 = a).
     """
-    mass, curved = 0.0, False
+    mass = 0.0
+    curved = False
     for x in range(low, high):
         if form.q[x] > 0.0:
             mass += form.p[x]
@@ -295,17 +298,22 @@ def solve_row(form, low, high, g, below, above):
     if mass == 0.0 and not curved and low < high and not form.pull[low:high].any():
         for x in range(low, high):
             g[x] = 1.0 if form.q[x] > 0.0 else minimiser(0.0, form, x)
-        below[low:high], above[low:high] = g[low:high], g[low:high]
+        below[low:high] = g[low:high]
+        above[low:high] = g[low:high]
         return 0.0
-    left, right = -np.inf, np.inf
+    left = -np.inf
+    right = np.inf
     # without a bound sum q g >= mass / m; with one all entries are at it once m < 0
     if not curved:
         left = mass if form.upper == np.inf else -TINY
-    m, width, reach = 1.0, 1.0, ROUNDING
+    m = 1.0
+    width = 1.0
+    reach = ROUNDING
     for step in range(1, N_STEPS):
         miss, slope = fill_row(m, form, low, high, g)
         if miss == 0.0:
-            below[low:high], above[low:high] = g[low:high], g[low:high]
+            below[low:high] = g[low:high]
+            above[low:high] = g[low:high]
             return m
         # numbers that double precision does not hold
         if np.isnan(miss) or (curved and not np.isfinite(miss + slope)):
@@ -332,10 +340,8 @@ def solve_row(form, low, high, g, below, above):
             if not left < trial < right:
                 break
         m = trial
-    at_left, at_right = (
-        fill_row(left, form, low, high, above)[0],
-        fill_row(right, form, low, high, below)[0],
-    )
+    at_left = fill_row(left, form, low, high, above)[0]
+    at_right = fill_row(right, form, low, high, below)[0]
     share = (
         min(max(-at_right / (at_left - at_right), 0.0), 1.0)
         if at_left > at_right

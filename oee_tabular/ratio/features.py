@@ -90,7 +90,8 @@ def kernel_features(
     scale = float(left.max(initial=0.0))
     if scale == 0.0:
         raise ValueError("kernel must not be 0 at every point")
-    factor, pivots = np.zeros((len(points), min(len(points), n_centers))), []
+    factor = np.zeros((len(points), min(len(points), n_centers)))
+    pivots = []
     for j in range(factor.shape[1]):
         pivot = int(np.argmax(left))
         if left[pivot] <= 1e-12 * scale:
@@ -128,7 +129,8 @@ def _gram(kernel: KernelFunction, x: Array, centers: Array) -> Array:
 
 def standard_gaussian(points: Array, bandwidth: float = 1.0) -> KernelFunction:
     """Gaussian in units of each coordinate's standard deviation over the points."""
-    size, base = points.std(axis=0), gaussian(bandwidth)
+    size = points.std(axis=0)
+    base = gaussian(bandwidth)
     size = np.where(size > 0, size, 1.0)
     return lambda x, c: base(x / size, c / size)
 
@@ -182,7 +184,8 @@ def count_rank(features: Array, *, where: str = "") -> int:
     """The number of independent columns, each scaled to length 1, up to 1e-10; warns
     where some are collinear.
     """
-    lengths, d = np.sqrt((features**2).sum(axis=0)), features.shape[1]
+    lengths = np.sqrt((features**2).sum(axis=0))
+    d = features.shape[1]
     used = features[:, lengths > 0] / lengths[lengths > 0]
     values = np.linalg.eigvalsh(used.T @ used)
     rank = int(np.sum(values > 1e-10 * values.max(initial=0.0)))
@@ -203,16 +206,15 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
     data frame with columns state, action, next_state (numbers or the simulator's names)
     and one for each feature, 0 for transitions that are not in it.
     """
-    matrix, rows = simulator.transitions, Rows.of(simulator)
+    matrix = simulator.transitions
+    rows = Rows.of(simulator)
     if not callable(features) and is_frame(features):
         return features_in(features, simulator, "features")[0]
     moves = rows.transitions
     given = features(*moves) if callable(features) else features
     array = _checks.float_array(given, "features")
-    shape, written = (
-        (simulator.n_states, simulator.n_actions, simulator.n_states),
-        array.shape,
-    )
+    shape = (simulator.n_states, simulator.n_actions, simulator.n_states)
+    written = array.shape
     if array.ndim >= 3 and array.shape[:3] == shape:
         array = array[moves]
     if array.ndim not in (1, 2) or array.shape[0] != matrix.nnz or array.size == 0:
@@ -244,10 +246,8 @@ def move_points(simulator: FiniteMDP, coordinates: object) -> Array:
     """(entries, 1 + 2c): the action, the coordinates of s, and the displacement, of
     each simulator transition.
     """
-    places, rows = (
-        _check_points(coordinates, simulator.n_states, "one a state"),
-        Rows.of(simulator),
-    )
+    places = _check_points(coordinates, simulator.n_states, "one a state")
+    rows = Rows.of(simulator)
     start = rows.spread(places[rows.state])
     return np.column_stack(
         [rows.spread(rows.action), start, places[rows.arrival] - start]
@@ -403,10 +403,8 @@ class _Column(NamedTuple):
 
     def finite(self) -> Array:
         """Finite numbers."""
-        rule, values = (
-            "have a finite number in every row",
-            np.asarray(self.series.to_numpy()),
-        )
+        rule = "have a finite number in every row"
+        values = np.asarray(self.series.to_numpy())
         self.refuse(self.series.is_null().to_numpy(), rule, None)
         numbers: Any = values
         if values.dtype.kind not in "biuf":
@@ -444,7 +442,8 @@ class _Column(NamedTuple):
             )
             return numbers.astype(np.int64)
         self.refuse(self.series.is_null().to_numpy(), "have a name in every row", None)
-        source, code = f"column {self.label!r} of {self.source}", {}
+        source = f"column {self.label!r} of {self.source}"
+        code = {}
         items = [
             tuple(item) if isinstance(item, list | np.ndarray) else item
             for item in values

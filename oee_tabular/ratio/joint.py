@@ -101,14 +101,14 @@ class Joint(Method):
         return replace(self, data=None)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
-        counts, rows = given.observed, given.rows
-        box, ratio_box = (
-            check_box(self.lower, self.upper, normalized=True),
-            self._ratio_box(),
-        )
+        counts = given.observed
+        rows = given.rows
+        box = check_box(self.lower, self.upper, normalized=True)
+        ratio_box = self._ratio_box()
         share = rows.sums(simulator_weights(given, self.data, self.behavior_policy))
         lam = check_ridge(self.ridge, float(counts.sum()))
-        p, q = counts / counts.sum(), rows.spread(share / share.sum()) * rows.weights
+        p = counts / counts.sum()
+        q = rows.spread(share / share.sum()) * rows.weights
         # r is d(s, a) to the last bit as the constraint has it: neither ratio can run
         # away alone
         program = JointProgram(
@@ -162,7 +162,8 @@ def fill_moves(b, theta, f, k, moves):
     """B_x(theta, b) of row k into ``moves``; returns the derivative of the Lagrangian's
     least value in b.
     """
-    lower, upper = max(f.nu, f.ratio_lower * b), min(f.mu, f.ratio_upper * b)
+    lower = max(f.nu, f.ratio_lower * b)
+    upper = min(f.mu, f.ratio_upper * b)
     slope = f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0)
     for x in range(f.indptr[k], f.indptr[k + 1]):
         g = coordinate((1.0 + theta) * f.q[x], f.lam, f.p[x], lower, upper)
@@ -179,14 +180,20 @@ def minimise(theta, f, k, moves):
     """B(theta) of row k into ``moves``; returns b(theta) and phi(theta)."""
     b = coordinate(f.r[k] - theta * f.r[k], f.lam, f.s[k], f.nu, f.mu)
     if f.ratio_lower > 0.0 or f.ratio_upper < np.inf:
-        left, right, at_left, at_right, step = f.nu, f.mu, np.nan, np.nan, 0
+        left = f.nu
+        right = f.mu
+        at_left = np.nan
+        at_right = np.nan
+        step = 0
         b = min(max(1.0, f.nu), f.mu)
         while 1e-300 < b < 1e300:
             slope = fill_moves(b, theta, f, k, moves)
             if slope > 0.0:
-                right, at_right = b, slope
+                right = b
+                at_right = slope
             else:
-                left, at_left = b, slope
+                left = b
+                at_left = slope
             b = (left * at_right - right * at_left) / (at_right - at_left)
             step += 1
             if left == 0.0 or right == np.inf:
@@ -210,7 +217,10 @@ def solve(f, k, moves, at_left, at_right):
     # equal up to the rounding of the sums themselves
     if b < np.inf and abs(phi) <= ROUNDING * (n + 2) * f.r[k] * b:
         return b, 0.0
-    side, left, right, width = np.sign(phi), 0.0, 0.0, 0.5
+    side = np.sign(phi)
+    left = 0.0
+    right = 0.0
+    width = 0.5
     while phi * side > 0.0 and width < 1e300:  # phi(left) >= 0 >= phi(right)
         left, right = (right, right + width) if side > 0.0 else (left - width, left)
         width *= 2.0
@@ -249,26 +259,26 @@ def fill_multipliers(b, theta, f, k, moves, eta, xi):
     Where a moving bound coincides with a fixed one its share of the multiplier is what
     b's own condition asks for.
     """
-    rest, loose = (
-        f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0),
-        0.0,
-    )
-    moving_lower, moving_upper = (
-        f.ratio_lower * b > f.nu * (1.0 + NEAR),
-        f.ratio_upper * b < f.mu * (1.0 - NEAR),
-    )
+    rest = f.r[k] - theta * f.r[k] + f.lam * b - (f.s[k] / b if f.s[k] > 0.0 else 0.0)
+    loose = 0.0
+    moving_lower = f.ratio_lower * b > f.nu * (1.0 + NEAR)
+    moving_upper = f.ratio_upper * b < f.mu * (1.0 - NEAR)
     for x in range(f.indptr[k], f.indptr[k + 1]):
-        eta[x], xi[x], slope = 0.0, 0.0, slope_at(x, theta, f, moves[x])
+        eta[x] = 0.0
+        xi[x] = 0.0
+        slope = slope_at(x, theta, f, moves[x])
         if (
             slope > 0.0
             and f.ratio_lower > 0.0
             and moves[x] <= f.ratio_lower * b * (1.0 + NEAR)
         ):
             eta[x] = slope
-            pull, moving = f.ratio_lower * slope, moving_lower
+            pull = f.ratio_lower * slope
+            moving = moving_lower
         elif slope < 0.0 and moves[x] >= f.ratio_upper * b * (1.0 - NEAR):
             xi[x] = -slope
-            pull, moving = f.ratio_upper * slope, moving_upper
+            pull = f.ratio_upper * slope
+            moving = moving_upper
         else:
             continue
         if moving:
@@ -286,15 +296,15 @@ def fill_multipliers(b, theta, f, k, moves, eta, xi):
 @njit(cache=True, error_model="numpy")
 def solve_all(f):
     """Every (s, a) of the program ``f`` by itself: B, b, theta, eta and xi."""
-    n, n_rows = len(f.p), len(f.s)
-    moves, eta, xi, at_left, at_right = (
-        np.empty(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.empty(n),
-        np.empty(n),
-    )
-    b, theta = np.empty(n_rows), np.empty(n_rows)
+    n = len(f.p)
+    n_rows = len(f.s)
+    moves = np.empty(n)
+    eta = np.zeros(n)
+    xi = np.zeros(n)
+    at_left = np.empty(n)
+    at_right = np.empty(n)
+    b = np.empty(n_rows)
+    theta = np.empty(n_rows)
     for k in range(n_rows):
         b[k], theta[k] = solve(f, k, moves, at_left, at_right)
         fill_multipliers(b[k], theta[k], f, k, moves, eta, xi)

@@ -76,19 +76,15 @@ def solve_class(program: LinearProgram, solver: str) -> ClassFit:
     span, and the smallest w is given. ValueError where no function of the class meets
     the constraints, RuntimeError where the solver reaches none that does.
     """
-    solver, back, best = (
-        "CLARABEL" if solver == "dual" else solver,
-        np.eye(program.features.shape[1]),
-        None,
-    )
+    solver = "CLARABEL" if solver == "dual" else solver
+    back = np.eye(program.features.shape[1])
+    best = None
     # Phi = Q S R: w = R^T S^-1 c is the smallest with Phi w = Q c
     if program.penalty == 0.0:
         basis, values, right = np.linalg.svd(program.features, full_matrices=False)
         kept = values > 1e-10 * values.max(initial=0.0)
-        program, back = (
-            program._replace(features=basis[:, kept]),
-            right[kept].T / values[kept],
-        )
+        program = program._replace(features=basis[:, kept])
+        back = right[kept].T / values[kept]
     for fraction in STEP_FRACTIONS if solver == "CLARABEL" else (1.0,):
         solution = statements.solve_linear(
             program, solver=solver, step_fraction=fraction
@@ -124,7 +120,10 @@ def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> C
     spoilt by the rounding of a solver. Entries with p > 0 take the change: there it
     costs its square.
     """
-    p, q, phi, ridge = program.p, program.q, program.features, program.penalty
+    p = program.p
+    q = program.q
+    phi = program.features
+    ridge = program.penalty
     g = program.offset + phi @ weights
     ratio = np.clip(
         g,
@@ -143,10 +142,8 @@ def certify(program: LinearProgram, weights: Array, tie: Array, eta: float) -> C
         tie = tie + weight * (
             phi @ np.linalg.lstsq(curvature, ridge * weights - phi.T @ tie)[0]
         )
-    rest, top = (
-        ridge * weights - phi.T @ tie,
-        np.maximum(np.where(free, LARGEST_RATIO, program.upper), ratio),
-    )
+    rest = ridge * weights - phi.T @ tie
+    top = np.maximum(np.where(free, LARGEST_RATIO, program.upper), ratio)
     gap = (
         _certificate.excesses((1.0 + eta) * q + tie, p, ratio, program.lower, top)
         + abs(eta * off)
@@ -293,8 +290,11 @@ class InClass(Method):
         return lambda x, c: (x[:, :1] == c[:, 0]) * smooth(x[:, 1:], c[:, 1:])
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
-        observed, simulator, rows = given.observed, given.simulator, given.rows
-        box, q = check_box(self.lower, self.upper, normalized=True), rows.weights
+        observed = given.observed
+        simulator = given.simulator
+        rows = given.rows
+        box = check_box(self.lower, self.upper, normalized=True)
+        q = rows.weights
         details: dict[str, object] = {}
         if self.kernel is None:
             phi = rows.center(feature_array(self.features, simulator))
@@ -326,7 +326,8 @@ class InClass(Method):
         information = (phi * (observed / safe**2)[:, None]).T @ phi + n * lam * np.eye(
             phi.shape[1]
         )
-        scores, share = phi / safe[:, None], np.zeros(len(rows))
+        scores = phi / safe[:, None]
+        share = np.zeros(len(rows))
         influence = Influence(
             rows,
             observed,

@@ -72,7 +72,8 @@ class RatioInput:
         influence: Influence | None = None,
     ) -> TransitionRatio:
         """What a fit returns, from zeta on the simulator's entries."""
-        matrix, rows = self.simulator.transitions, self.rows
+        matrix = self.simulator.transitions
+        rows = self.rows
         counts = rows.sums(self.observed).reshape(
             self.simulator.n_states, self.simulator.n_actions
         )
@@ -202,7 +203,8 @@ class Method:
         method has no use for is not looked at.
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
-        log, cache = None, {} if cache is None else cache
+        log = None
+        cache = {} if cache is None else cache
         if isinstance(log_or_counts, Transitions):
             log = log_or_counts.numbered(simulator)
             counts = log.counts(

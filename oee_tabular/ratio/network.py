@@ -175,16 +175,15 @@ def fit_network(
     ``trace`` has excess and error against the optimum over all functions in the box;
     ``details`` the iteration kept and the held-out risk at each check.
     """
-    neural, generator = _require_neural(), _checks.generator(seed)
+    neural = _require_neural()
+    generator = _checks.generator(seed)
     best = density_ratio(
         p, q, lower=lower, upper=upper, ridge=ridge, toward=toward, normalized=False
     )
     p_train, p_held = _split(p, "p", network.held_out, generator)
     q_train, q_held = _split(q, "q", network.held_out, generator)
-    lam, places = (
-        np.full(len(p), check_ridge(ridge, float(p.sum()))),
-        _places(network, sizes[0]),
-    )
+    lam = np.full(len(p), check_ridge(ridge, float(p.sum())))
+    places = _places(network, sizes[0])
     training = neural.Training(
         cells,
         sizes,
@@ -199,8 +198,10 @@ def fit_network(
         toward or 0.0,
     )
     trained = neural.train(network, training, generator)
-    pk, qk = p / p.sum(), q / q.sum()
-    g, value = trained.ratio, training.risk(trained.ratio, pk, qk)
+    pk = p / p.sum()
+    qk = q / q.sum()
+    g = trained.ratio
+    value = training.risk(trained.ratio, pk, qk)
     risks = [training.risk(each, pk, qk) for each in trained.checked]
     return replace(
         best,
@@ -226,12 +227,15 @@ def fit_rows(
     optimum over all rows (nats per transition), and details: the ``trace`` against that
     optimum, ``iterations``, the one kept, the held-out risk at each check.
     """
-    neural, generator = _require_neural(), _checks.generator(seed)
+    neural = _require_neural()
+    generator = _checks.generator(seed)
     p_train, p_held = _split(counts, "p", network.held_out, generator)
-    p, share = counts / counts.sum(), rows.spread(rows.sums(counts / counts.sum()))
+    p = counts / counts.sum()
+    share = rows.spread(rows.sums(counts / counts.sum()))
     q_train = rows.spread(rows.sums(p_train)) * rows.weights
     q_held = None if p_held is None else rows.spread(rows.sums(p_held)) * rows.weights
-    sizes, places = (rows.n_states, rows.n_actions), _places(network, rows.n_states)
+    sizes = (rows.n_states, rows.n_actions)
+    places = _places(network, rows.n_states)
     training = neural.Training(
         rows.transitions,
         sizes,

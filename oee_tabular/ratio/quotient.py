@@ -107,7 +107,8 @@ class Quotient(Method):
     def _fit(self, given: RatioInput) -> TransitionRatio:
         # one stream: the simulator's data, then the training
         given = replace(given, seed=_checks.generator(given.seed))
-        observed, rows = given.observed, given.rows
+        observed = given.observed
+        rows = given.rows
         expected = simulator_weights(given, self.data, self.behavior_policy)
         moves = self._beta(
             observed, expected, (rows.spread(rows.number), rows.arrival), given
@@ -122,10 +123,8 @@ class Quotient(Method):
         zeta = np.where(
             undetermined, 1.0, moves.ratio / np.where(below > 0, below, 1.0)
         )
-        lowest, highest = (
-            self.lower or 0.0,
-            np.inf if self.upper is None else self.upper,
-        )
+        lowest = self.lower or 0.0
+        highest = np.inf if self.upper is None else self.upper
         details = {
             "lower": self.lower,
             "upper": self.upper,
@@ -190,7 +189,9 @@ def simulator_weights(
     ``data`` and ``behavior_policy`` are a method's own; without them those that are
     given, without these the estimates.
     """
-    observed, simulator, discount = given.observed, given.simulator, given.discount
+    observed = given.observed
+    simulator = given.simulator
+    discount = given.discount
     simulator_data = given.simulator_data if data is None else data
     check_simulator_data(simulator_data)
     if isinstance(simulator_data, Transitions):

@@ -165,7 +165,8 @@ class TransitionRatio:
         """
         known = [self.values.data, self.gap]
         if self._influence is not None:
-            tilt, information = self._influence.tilt, self._influence.information
+            tilt = self._influence.tilt
+            information = self._influence.information
             known += [] if information is None else [information]
             known += [] if tilt is None else [tilt.theta, tilt.covariances]
         return all(np.isfinite(x).all() for x in known)
@@ -284,7 +285,8 @@ class Influence:
         p and H the derivative in the tilt's parameters, through what the rows have of
         it, and their information. Variances are those under the frequencies.
         """
-        total, step = 0.0, None
+        total = 0.0
+        step = None
         if self.scores is not None:
             assert self.information is not None
             free = self._by_probability(gradient, self.rows) * self.rows.spread(
@@ -326,12 +328,11 @@ class Influence:
         """See ``TransitionRatio.one_step``; the variances of a row are those under zeta
         P, the prior taken as given.
         """
-        variance, change = np.empty(len(self.rows)), 0.0
+        variance = np.empty(len(self.rows))
+        change = 0.0
         for rows in self.rows.blocks():
-            kernel, slope = (
-                self.ratio[rows.entries] * rows.weights,
-                gradient[rows.entries],
-            )
+            kernel = self.ratio[rows.entries] * rows.weights
+            slope = gradient[rows.entries]
             variance[rows.number] = rows.variance(kernel, slope)
             seen = rows.spread(self.n[rows.number] > 0)
             change += float(
@@ -351,17 +352,13 @@ class Influence:
         """d value / d p, p the smoothed frequencies: from H dg = dp/g - q dm and sum q
         dg = 0 in each of the rows.
         """
-        q, zeta, curvature = (
-            rows.weights,
-            self.ratio[rows.entries],
-            self.curvature[rows.entries],
-        )
+        q = rows.weights
+        zeta = self.ratio[rows.entries]
+        curvature = self.curvature[rows.entries]
         soft = np.divide(1.0, curvature, out=np.zeros_like(q), where=curvature > 0)
         pull = gradient[rows.entries] * q
-        slope, scale = (
-            rows.spread(rows.sums(pull * q * soft)),
-            rows.spread(rows.sums(q * q * soft)),
-        )
+        slope = rows.spread(rows.sums(pull * q * soft))
+        scale = rows.spread(rows.sums(q * q * soft))
         mean = np.divide(slope, scale, out=np.zeros_like(slope), where=scale > 0)
         moved: Array = np.divide(
             (pull - q * mean) * soft, zeta, out=np.zeros_like(q), where=zeta > 0

@@ -79,7 +79,8 @@ def descend(
     ``program`` is that of the KL risk; 0 < lower, upper finite.
     """
     best = dual.solve_free(program, lower, upper)
-    optimum, generator = dual.objective(best, program), _checks.generator(seed)
+    optimum = dual.objective(best, program)
+    generator = _checks.generator(seed)
     sums = np.cumsum(program.p), np.cumsum(program.q)
     checks = np.unique(
         np.round(np.geomspace(1, options.n_iterations, 50)).astype(np.int64)

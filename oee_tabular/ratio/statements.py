@@ -110,7 +110,9 @@ def solve_rows(
     """
     import cvxpy as cp
 
-    p, q, curvature = program.p, program.q, program.curvature
+    p = program.p
+    q = program.q
+    curvature = program.curvature
     g = cp.Variable(len(p))
     seen = np.flatnonzero((p > 0) & (not program.squares))
     constraints = [g >= lower] if lower > 0 or len(seen) < len(p) else []
@@ -150,7 +152,8 @@ def solve_joint(program: JointProgram, *, solver: str = "CLARABEL") -> JointPoin
     """The statement of ``ratio.joint``, solved by ``solver``."""
     import cvxpy as cp
 
-    moves, pairs = cp.Variable(len(program.p)), cp.Variable(len(program.s))
+    moves = cp.Variable(len(program.p))
+    pairs = cp.Variable(len(program.s))
     cost = program.q @ moves + program.r @ pairs
     rows = _sums_over_rows(program.q, program.indptr)
     consistency = rows @ moves == cp.multiply(rows.sum(axis=1), pairs)
@@ -199,9 +202,12 @@ def solve_linear(
     """
     import cvxpy as cp
 
-    p, q = program.p, program.q
-    g, weights = cp.Variable(len(p)), cp.Variable(program.features.shape[1])
-    tie, one = g == program.offset + program.features @ weights, q @ g == 1
+    p = program.p
+    q = program.q
+    g = cp.Variable(len(p))
+    weights = cp.Variable(program.features.shape[1])
+    tie = g == program.offset + program.features @ weights
+    one = q @ g == 1
     bounds = (
         [g >= program.lower]
         + [g <= program.upper] * (program.upper < np.inf)
@@ -238,7 +244,8 @@ def nearest_miss(program: LinearProgram) -> float:
     """
     import cvxpy as cp
 
-    weights, miss = cp.Variable(program.features.shape[1]), cp.Variable()
+    weights = cp.Variable(program.features.shape[1])
+    miss = cp.Variable()
     g = program.offset + program.features @ weights
     bounds = [miss >= -1, g >= program.lower - miss] + [
         program.q @ g == 1
@@ -258,7 +265,8 @@ def solve_tilt(program: TiltProgram, *, solver: str = "CLARABEL") -> Array:
     """
     import cvxpy as cp
 
-    theta, height = cp.Variable(program.features.shape[1]), cp.Variable()
+    theta = cp.Variable(program.features.shape[1])
+    height = cp.Variable()
     lengths = np.diff(program.indptr)
     totals = np.add.reduceat(program.counts, program.indptr[:-1])
     cost = 0.5 * height - (program.counts @ program.features) @ theta

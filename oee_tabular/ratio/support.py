@@ -78,11 +78,9 @@ def refuse_unsupported(
 
 def _suggest_remedies(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -> str:
     """Say what would give these transitions probability."""
-    n_actions, rows, to = (
-        simulator.n_actions,
-        row_of_entry(moves),
-        moves.indices.astype(np.int64),
-    )
+    n_actions = simulator.n_actions
+    rows = row_of_entry(moves)
+    to = moves.indices.astype(np.int64)
     start, action = np.divmod(rows, n_actions)
     if (
         min(start.min(), to.min()) >= 1
@@ -118,9 +116,12 @@ def _suggest_remedies(moves: sparse.csr_array, bad: Any, simulator: FiniteMDP) -
             ]
         )
     k = int(bad[~someone[bad]][np.argmax(moves.data[bad[~someone[bad]]])])
-    s, a, j = int(start[k]), int(action[k]), int(to[k])
+    s = int(start[k])
+    a = int(action[k])
+    j = int(to[k])
     could = int(someone[bad].sum())
-    here, there = simulator.names.state(s), simulator.names.state(j)
+    here = simulator.names.state(s)
+    there = simulator.names.state(j)
     return (
         f"No action leads from {here} to {there} in the simulator, so action noise does"
         " not help"

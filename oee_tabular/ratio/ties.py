@@ -100,26 +100,24 @@ class Tied(Method):
         _checks.number_in(self.strength, "strength", 0.0, np.inf)
 
     def _fit(self, given: RatioInput) -> TransitionRatio:
-        observed, simulator, kappa = (
-            given.observed,
-            given.simulator,
-            float(self.strength),
-        )
-        matrix, rows = simulator.transitions, given.rows
+        observed = given.observed
+        simulator = given.simulator
+        kappa = float(self.strength)
+        matrix = simulator.transitions
+        rows = given.rows
         keys = tie_keys(self.tie, rows, simulator)
         visits = rows.sums(observed)
         expected = rows.spread(visits) * matrix.data
         n_keys = int(keys.max()) + 1
-        seen, foreseen = (
-            np.bincount(keys, observed, n_keys),
-            np.bincount(keys, expected, n_keys),
-        )
+        seen = np.bincount(keys, observed, n_keys)
+        foreseen = np.bincount(keys, expected, n_keys)
         n_groups, group = _groups(rows, keys, n_keys)
         known = np.flatnonzero(foreseen > 0)
         known = known[np.argsort(group[known], kind="stable")]
         size = np.bincount(group, foreseen, n_groups)[group[known]]
         share = foreseen[known] / size
-        p, zero = (seen[known] + kappa * share) / (size + kappa), np.zeros(len(known))
+        p = (seen[known] + kappa * share) / (size + kappa)
+        zero = np.zeros(len(known))
         ends = np.append(np.flatnonzero(np.diff(group[known], prepend=-1)), len(known))
         fit = dual.solve_rows(Coordinates(p, share, zero, zero), 0.0, np.inf, ends)
         ratio = np.ones(n_keys)

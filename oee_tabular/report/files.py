@@ -117,7 +117,8 @@ def summary(path: Path) -> str:
             for key in ("simulator", "log")
         ]
         for row in report["results"]:
-            lower, upper = row["lower"], row["upper"]
+            lower = row["lower"]
+            upper = row["upper"]
             ends = (
                 ""
                 if None in (lower, upper)

@@ -53,7 +53,9 @@ LIBRARIES = (
     "jinja2",
 )
 WIDTH = 4.6  # inches: text that is readable on a phone as well
-N_POLICIES, N_PAIRS = 6, 10  # at most
+# at most
+N_POLICIES = 6
+N_PAIRS = 10
 # share of a policy's time from which a state with unrecorded actions is crossed out
 NOTABLE = 5e-4
 
@@ -363,7 +365,8 @@ def portray(
     grid: tuple[int, int] | None,
 ) -> Portrait:
     """The portrait of a problem; ``grid`` None: ``plots.map_of`` finds the map."""
-    simulator, over = problem.simulator, problem.simulator.closed()
+    simulator = problem.simulator
+    over = problem.simulator.closed()
     shown = dict(list(policies.items())[:N_POLICIES])
     zeta = transition_ratio(
         problem.observed,
@@ -371,7 +374,8 @@ def portray(
         values_of=list(shown.values()) or None,
         horizon=problem.horizon,
     )
-    model, times = zeta.target_model(simulator), {}
+    model = zeta.target_model(simulator)
+    times = {}
     for name, policy in shown.items():
         try:
             time = np.where(
@@ -411,10 +415,8 @@ def _read_grid(grid: Any, n_states: int) -> plots.Map:
 def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
     """The rows of a policy, and below them its intervals that stand beside no value."""
     rows = [row for row in report.records() if row["policy"] == policy]
-    beside, intervals = (
-        {row["interval_method"] for row in rows},
-        report.uncertainty.intervals.get(policy, {}),
-    )
+    beside = {row["interval_method"] for row in rows}
+    intervals = report.uncertainty.intervals.get(policy, {})
     alone = {
         each.method: (each.lower, each.upper)
         for each in intervals.values()
@@ -448,7 +450,8 @@ def list_lines(report: Report, policy: str) -> list[dict[str, Any]]:
 
 def draw_forest(report: Report, rows: Sequence[Mapping[str, Any]], name: str) -> str:
     """Values and intervals of one policy, by estimator."""
-    policy, truth = rows[0]["policy"], rows[0]["true_value"]
+    policy = rows[0]["policy"]
+    truth = rows[0]["true_value"]
     values, lower, upper = np.array(
         [[row[key] for row in rows] for key in ("value", "lower", "upper")], dtype=float
     )

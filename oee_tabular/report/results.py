@@ -244,7 +244,8 @@ class Report:
         return [self._record(result) for result in self.results]
 
     def _record(self, result: Result) -> dict[str, Any]:
-        estimate, truth = result.estimate, self.truth.get(result.policy)
+        estimate = result.estimate
+        truth = self.truth.get(result.policy)
         method = estimate.diagnostics.get("interval_method", OWN)
         lower, upper = estimate.interval or (None, None)
         row = {
@@ -290,14 +291,17 @@ class Report:
         likelihood intervals' ends covers where both of these do.
         [] of a single policy.
         """
-        compared, decision = self.uncertainty.comparison, self.uncertainty.decision
+        compared = self.uncertainty.comparison
+        decision = self.uncertainty.decision
         if compared is None or decision is None:
             return []
-        table, known = [], self.uncertainty.likelihood
+        table = []
+        known = self.uncertainty.likelihood
         rows = [self._record(result) for result in first_results(self.results).values()]
         best, *_ = rows = sorted(rows, key=lambda row: descending_key(row["value"]))
         for row in rows:
-            policy, less = row["policy"], best["value"] - row["value"]
+            policy = row["policy"]
+            less = best["value"] - row["value"]
             lower, upper = (
                 self.scale * end
                 for end in compared.bounds(best["policy"], policy, known)

@@ -139,7 +139,8 @@ def write_interval(lower: float | None, upper: float | None) -> str:
 
 def write_difference(row: Row) -> str:
     """Write by how much a policy is worth less than the best; "" of the best."""
-    less, ends = row["less_by"], (row["less_by_lower"], row["less_by_upper"])
+    less = row["less_by"]
+    ends = (row["less_by_lower"], row["less_by_upper"])
     return (
         ""
         if less is None

@@ -175,7 +175,8 @@ def count(number: int, noun: str) -> str:
 
 def policy_worth(answer: Answer, confidence: float) -> str:
     """Say what one policy is worth, beside what the simulator says."""
-    ends, level = (answer.lower, answer.upper), format_level(confidence)
+    ends = (answer.lower, answer.upper)
+    level = format_level(confidence)
     if answer.is_nearly_silent and answer.coverage is not None:
         sentence = (
             f"The log covers {_printing.share(answer.coverage)} of what the policy"

@@ -39,9 +39,11 @@ MIN_Z = 3.0  # of the test of all transitions together
 # explains both
 MUCH_WIDER = 1.5
 # keys of intervals; shared: under a tie or features
-LIKELIHOOD, SHARED = "likelihood", "shared"
+LIKELIHOOD = "likelihood"
+SHARED = "shared"
 GUARANTEED: Final = "robust"
-NOISE, OWN = "standard error", "the estimator's own"
+NOISE = "standard error"
+OWN = "the estimator's own"
 OWN_LEVEL = 0.95  # of the intervals that estimators set themselves
 
 
@@ -76,10 +78,8 @@ class Premises:
         """The box in words; "" without one."""
         if self.lower_ratio is None and self.upper_ratio is None:
             return ""
-        lower, upper = (
-            self.lower_ratio or 0.0,
-            "any number of" if self.upper_ratio is None else f"{self.upper_ratio:g}",
-        )
+        lower = self.lower_ratio or 0.0
+        upper = "any number of" if self.upper_ratio is None else f"{self.upper_ratio:g}"
         return (
             f"assumed between {lower:g} and {upper} times the simulator's probabilities"
         )
@@ -195,10 +195,8 @@ def find_intervals(
             )
         return Uncertainty(distance=(text.SOFT,))
     evidence = gather(problem, next(iter(policies.values())))
-    lacking, distance = (
-        _reason_without_intervals(problem, evidence, quick=quick),
-        (_test_simulator(evidence),),
-    )
+    lacking = _reason_without_intervals(problem, evidence, quick=quick)
+    distance = (_test_simulator(evidence),)
     del evidence  # as much memory as the simulator
     if lacking:
         if guaranteed:
@@ -243,7 +241,8 @@ def _test_simulator(evidence: Evidence) -> str:
     if n_tested == 0:
         return text.NOT_TESTED
     rows = evidence.rows.select(tested)
-    n, phat = evidence.n[tested], evidence.phat[rows.entries]
+    n = evidence.n[tested]
+    phat = evidence.phat[rows.entries]
     kl = rows.sums(special.rel_entr(phat, rows.weights))
     rejected = int(
         (kl > independent_radius(n, np.diff(rows.indptr), 0.05 / n_tested)).sum()
@@ -300,7 +299,9 @@ def choose_interval(
 
 def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
     quantile = NormalDist().inv_cdf(0.5 + level / 2.0)
-    value, error, facts = estimate.value, estimate.standard_error, estimate.diagnostics
+    value = estimate.value
+    error = estimate.standard_error
+    facts = estimate.diagnostics
     if estimate.interval is not None:
         if not estimate.is_normal or level == OWN_LEVEL:
             return estimate
@@ -323,7 +324,9 @@ def _with_own_interval(estimate: Estimate, level: float) -> Estimate:
 
 
 def _put_inside(estimate: Estimate, likelihood: Interval, scale: float) -> Estimate:
-    lower, upper, value = likelihood.lower, likelihood.upper, estimate.value
+    lower = likelihood.lower
+    upper = likelihood.upper
+    value = estimate.value
     facts = estimate.diagnostics | {"interval_method": likelihood.method}
     room = 1e-9 * max(1.0, abs(lower), abs(upper))  # the ends are found by iteration
     if lower - room <= value <= upper + room:
@@ -374,7 +377,9 @@ def add_comparison(
         return replace(
             found, policies=about, ranking=text.NEEDS_HORIZON if has_ranking else ""
         )
-    comparison, decision, ranking = None, None, ""
+    comparison = None
+    decision = None
+    ranking = ""
     if len(values) > 1:
         # all differences from the best hold at once
         each = 1.0 - (1.0 - level) / (len(values) - 1)
@@ -406,7 +411,8 @@ def _rank(
             decision.candidates, len(values), are_equal=decision.are_equal
         )
     best, following = sorted(values, key=lambda name: descending_key(values[name]))[:2]
-    ours, theirs = likelihood.get(best), likelihood.get(following)
+    ours = likelihood.get(best)
+    theirs = likelihood.get(following)
     overlap = ours is None or theirs is None or ours.lower <= theirs.upper
     difference, lower, upper = (scale * x for x in decision.margin)
     return text.best_policy(

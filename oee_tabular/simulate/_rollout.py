@@ -23,16 +23,22 @@ import numpy as np
 from numba import njit
 
 _WHOLE = 1 << 62
-_LOW, _SHIFT = np.uint64(0xFFFFFFFF), np.uint64(32)
-_M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-_W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
-_ONE, _TWO = np.uint64(1), np.uint64(2)
+_LOW = np.uint64(0xFFFFFFFF)
+_SHIFT = np.uint64(32)
+_M0 = np.uint64(0xD2511F53)
+_M1 = np.uint64(0xCD9E8D57)
+_W0 = np.uint64(0x9E3779B9)
+_W1 = np.uint64(0xBB67AE85)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
 N_BLOCKS = 16  # drawn at once: 7.6 ns a step, of 8 blocks 12.6, of one 14.5
 # episodes in step, whose waits for memory overlap: 8.1 ns a step on a 30 x 30 grid, of
 # one lane 11.3
 N_LANES = 4
 # a state's code: first slot * 2^8 + terminal * 2^7 + k
-_PLACE, _SIZE, _TERMINAL = np.uint64(8), np.uint64(63), np.uint64(128)
+_PLACE = np.uint64(8)
+_SIZE = np.uint64(63)
+_TERMINAL = np.uint64(128)
 
 
 @njit(cache=True)
@@ -40,7 +46,8 @@ def list_outcomes(state, indptr, prob, policy, chance, entry):
     """p(x) = policy(a | s) P(x) / sum P(. | s, a) of the entries x of a state's rows:
     rows of P sum to 1 only to 1e-8.
     """
-    n, n_actions = 0, policy.shape[1]
+    n = 0
+    n_actions = policy.shape[1]
     for action in range(n_actions):
         if policy[state, action] > 0.0:
             row = state * n_actions + action
@@ -48,7 +55,8 @@ def list_outcomes(state, indptr, prob, policy, chance, entry):
             for x in range(indptr[row], indptr[row + 1]):
                 total += prob[x]
             for x in range(indptr[row], indptr[row + 1]):
-                chance[n], entry[n] = policy[state, action] / total * prob[x], x
+                chance[n] = policy[state, action] / total * prob[x]
+                entry[n] = x
                 n += 1
     return n
 
@@ -58,7 +66,9 @@ def round_to_units(chance, n, mass):
     """mass(x) = round(2^62 p(x) / sum p); the most probable outcome takes what the
     others leave: their sum is 2^62.
     """
-    total, most, rest = 0.0, np.argmax(chance[:n]), _WHOLE
+    total = 0.0
+    most = np.argmax(chance[:n])
+    rest = _WHOLE
     for i in range(n):
         total += chance[i]
     for i in range(n):
@@ -75,7 +85,8 @@ def pair_slots(mass, k, word, small, large):
     lacks units, another one has too many.
     """
     room = _WHOLE >> k
-    n_small, n_large = 0, 0
+    n_small = 0
+    n_large = 0
     for i in range(1 << k):
         if mass[i] < room:
             small[n_small] = i
@@ -85,7 +96,8 @@ def pair_slots(mass, k, word, small, large):
             n_large += 1
     while n_small > 0:
         n_small -= 1
-        i, j = small[n_small], large[n_large - 1]
+        i = small[n_small]
+        j = large[n_large - 1]
         word[i] = mass[i] << k | j
         mass[j] -= room - mass[i]
         if mass[j] < room:
@@ -102,14 +114,17 @@ def fill_table(indptr, prob, policy, first, size, word, entry):
     entry that the slot stands for.
     """
     widest = 1 << np.max(size)
-    chance, mass = np.empty(widest), np.empty(widest, np.int64)
-    small, large = np.empty(widest, np.int64), np.empty(widest, np.int64)
+    chance = np.empty(widest)
+    mass = np.empty(widest, np.int64)
+    small = np.empty(widest, np.int64)
+    large = np.empty(widest, np.int64)
     for s in range(len(size)):
         slots = slice(first[s], first[s] + (1 << size[s]))
         own = entry[slots]
         n = list_outcomes(s, indptr, prob, policy, chance, own)
         most = round_to_units(chance, n, mass)
-        mass[n : len(own)], own[n:] = 0, own[most]
+        mass[n : len(own)] = 0
+        own[n:] = own[most]
         pair_slots(mass, size[s], word[slots], small, large)
 
 
@@ -121,7 +136,10 @@ def philox(c0, c1, c2, c3, k0, k1):
     for _ in range(10):
         p0 = _M0 * (c0 & _LOW)
         p1 = _M1 * (c2 & _LOW)
-        c0, c1, c2, c3 = (p1 >> _SHIFT) ^ c1 ^ k0, p1, (p0 >> _SHIFT) ^ c3 ^ k1, p0
+        c0 = (p1 >> _SHIFT) ^ c1 ^ k0
+        c1 = p1
+        c2 = (p0 >> _SHIFT) ^ c3 ^ k1
+        c3 = p0
         k0 = k0 + _W0
         k1 = k1 + _W1
     return c0 & _LOW, c1 & _LOW, c2 & _LOW, c3 & _LOW
@@ -132,13 +150,14 @@ def fill_words(key, stream, trajectory, block, words):
     """(2, blocks) words of 62 bits, which alias tables read, of the next blocks: side
     by side, so that they are vectorised.
     """
-    k0, k1, c2, c3 = key & _LOW, key >> _SHIFT, trajectory & _LOW, trajectory >> _SHIFT
+    k0 = key & _LOW
+    k1 = key >> _SHIFT
+    c2 = trajectory & _LOW
+    c3 = trajectory >> _SHIFT
     for b in range(words.shape[1]):
         x0, x1, x2, x3 = philox(block + np.uint64(b), stream, c2, c3, k0, k1)
-        words[0, b], words[1, b] = (
-            (x1 << _SHIFT | x0) >> _TWO,
-            (x3 << _SHIFT | x2) >> _TWO,
-        )
+        words[0, b] = (x1 << _SHIFT | x0) >> _TWO
+        words[1, b] = (x3 << _SHIFT | x2) >> _TWO
 
 
 @njit(cache=True, inline="always")
@@ -146,7 +165,8 @@ def choose_slot(code, x, word):
     """The slot whose outcome the word x gives in the state of that code: its own below
     the threshold, else the alias.
     """
-    base, low = code >> _PLACE, (_ONE << (code & _SIZE)) - _ONE
+    base = code >> _PLACE
+    low = (_ONE << (code & _SIZE)) - _ONE
     slot = base + (x & low)
     own = word[slot]
     return slot if x | low < own else base + (own & low)
@@ -177,12 +197,12 @@ def draw_episodes(
     ``path`` has no room for, and how much of it is used.
     """
     code, word, following, reward, factor, entry = table
-    weighted, record, used = len(factor) > 0, len(path) > 0, 0
+    weighted = len(factor) > 0
+    record = len(path) > 0
+    used = 0
     n_lanes = 1 if record else N_LANES
-    words, here = (
-        np.empty((n_lanes, 2, N_BLOCKS), np.uint64),
-        np.empty(n_lanes, np.uint64),
-    )
+    words = np.empty((n_lanes, 2, N_BLOCKS), np.uint64)
+    here = np.empty(n_lanes, np.uint64)
     for first in range(begin, end, n_lanes):
         n_together = min(n_lanes, end - first)
         for lane in range(n_together):
@@ -190,7 +210,8 @@ def draw_episodes(
             here[lane] = following[choose_slot(code[-1], words[lane, 0, 0], word)]
             for k, start in enumerate((0.0, 0.0, 1.0, 0.0 if weighted else 1.0)):
                 sums[k, first + lane] = start
-        scale, n_running = 1.0, n_together
+        scale = 1.0
+        n_running = n_together
         for t in range(horizon):
             at = (t + 1) % (2 * N_BLOCKS)
             for lane in range(n_together):
@@ -206,7 +227,8 @@ def draw_episodes(
                 gain = scale * reward[slot]
                 sums[0, i] += gain
                 if weighted:
-                    before, after = sums[2, i], sums[2, i] * factor[slot]
+                    before = sums[2, i]
+                    after = sums[2, i] * factor[slot]
                     carried = after if by_transition else before
                     # a weight may be infinite
                     sums[1, i] += gain * carried if gain != 0.0 else 0.0
@@ -218,7 +240,8 @@ def draw_episodes(
                     path[used] = entry[slot]
                     used += 1
                 if t + 1 == horizon or here[lane] & _TERMINAL:
-                    lengths[i], last[i] = t + 1, entry[slot]
+                    lengths[i] = t + 1
+                    last[i] = entry[slot]
                     n_running -= 1
             if n_running == 0:
                 break
@@ -243,16 +266,22 @@ def write_columns(
     next state, timestep, episode; ``numbers`` (2, n) reward, behaviour probability;
     ``flags`` (2, n) terminated, truncated, which begin as zeros.
     """
-    n_actions, i = policy.shape[1], 0
+    n_actions = policy.shape[1]
+    i = 0
     for episode in range(len(lengths)):
         for t in range(lengths[episode]):
             x = path[i]
             row = row_of_entry[x]
             state = row // n_actions
             action = row - state * n_actions
-            integers[0, i], integers[1, i], integers[2, i] = state, action, indices[x]
-            integers[3, i], integers[4, i] = t, episode
-            numbers[0, i], numbers[1, i] = rewards[x], policy[state, action]
+            integers[0, i] = state
+            integers[1, i] = action
+            integers[2, i] = indices[x]
+            integers[3, i] = t
+            integers[4, i] = episode
+            numbers[0, i] = rewards[x]
+            numbers[1, i] = policy[state, action]
             i += 1
         over = terminal[indices[path[i - 1]]]
-        flags[0, i - 1], flags[1, i - 1] = over, not over
+        flags[0, i - 1] = over
+        flags[1, i - 1] = not over

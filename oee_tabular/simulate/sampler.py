@@ -126,7 +126,8 @@ def draw(
         mdp, policy, mdp.initial if pairs is None else pairs, terminal, ratio
     )
     key = np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
-    sums, (lengths, last) = np.empty((4, n)), np.empty((2, n), dtype=np.int64)
+    sums = np.empty((4, n))
+    (lengths, last) = np.empty((2, n), dtype=np.int64)
     options = (
         key,
         stream,
@@ -138,11 +139,9 @@ def draw(
         lengths,
         last,
     )
-    pieces, done, room = (
-        [np.empty(0, dtype=np.int64)],
-        0,
-        min(n * horizon, N_RECORDED_STEPS),
-    )
+    pieces = [np.empty(0, dtype=np.int64)]
+    done = 0
+    room = min(n * horizon, N_RECORDED_STEPS)
     while record and done < n:
         _checks.require_memory(2.0 * room, name, n)
         done, used = draw_episodes(
@@ -175,14 +174,13 @@ def alias_table(
     """
     from oee_tabular.simulate._rollout import fill_table
 
-    matrix, begin = mdp.transitions, np.flatnonzero(initial)
+    matrix = mdp.transitions
+    begin = np.flatnonzero(initial)
     indptr = np.append(
         matrix.indptr, np.full(policy.shape[1], matrix.nnz + len(begin))
     ).astype(np.int64)
-    indices, prob = (
-        np.append(matrix.indices, begin),
-        np.append(matrix.data, initial[begin]),
-    )
+    indices = np.append(matrix.indices, begin)
+    prob = np.append(matrix.data, initial[begin])
     pi = np.concatenate([policy, np.eye(1, policy.shape[1])])
     n_outcomes = (np.diff(indptr).reshape(pi.shape) * (pi > 0.0)).sum(axis=1)
     # the least k with 2^k slots for them
@@ -320,7 +318,8 @@ def sample_transitions(
     weights = _checks.distribution(
         weights, "distribution", (mdp.n_states, mdp.n_actions)
     )
-    pairs, every = weights.reshape(-1), np.ones((weights.size, 1))
+    pairs = weights.reshape(-1)
+    every = np.ones((weights.size, 1))
     path = draw(
         mdp,
         every,
@@ -344,12 +343,11 @@ def episode_log(mdp: FiniteMDP, drawn: Drawn, policy: Array) -> Transitions:
     """
     from oee_tabular.simulate._rollout import write_columns
 
-    n, indices = len(drawn.path), mdp.transitions.indices
-    integers, numbers, flags = (
-        np.empty((5, n), dtype=np.int64),
-        np.empty((2, n)),
-        np.zeros((2, n), dtype=np.bool_),
-    )
+    n = len(drawn.path)
+    indices = mdp.transitions.indices
+    integers = np.empty((5, n), dtype=np.int64)
+    numbers = np.empty((2, n))
+    flags = np.zeros((2, n), dtype=np.bool_)
     entries = row_of_entry(mdp.transitions), indices, entry_rewards(mdp)
     write_columns(
         drawn.path,

@@ -178,7 +178,8 @@ def record_episodes(
         terminal_state=np.arange(sizes[0]),
     )
     pi = check_policy(policy, numbered)
-    rows, progress = [], progress_bar("recording", total=limit or episodes)
+    rows = []
+    progress = progress_bar("recording", total=limit or episodes)
     for row in itertools.islice(
         _step(env, pi, episodes, longest, _checks.generator(seed)), limit
     ):
@@ -223,7 +224,9 @@ def _step(
     cumulative /= cumulative[:, -1:]
     first_seed: int | None = int(generator.integers(2**31))
     for episode in itertools.count() if episodes is None else range(episodes):
-        state, has_ended, steps = int(env.reset(seed=first_seed)[0]), False, 0
+        state = int(env.reset(seed=first_seed)[0])
+        has_ended = False
+        steps = 0
         first_seed = None
         while not has_ended:
             action = int(
@@ -241,4 +244,5 @@ def _step(
                 truncated,
                 episode,
             )
-            state, has_ended = int(next_state), bool(terminated) or truncated
+            state = int(next_state)
+            has_ended = bool(terminated) or truncated

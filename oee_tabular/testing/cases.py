@@ -77,7 +77,8 @@ class Case:
         single draw).
         """
         whole = self.log(n * repetitions, seed=seed)
-        starts, columns = whole.episode_starts, whole.columns()
+        starts = whole.episode_starts
+        columns = whole.columns()
         assert starts is not None
         for k in range(repetitions):
             rows = slice(starts[k * n], starts[(k + 1) * n])
@@ -91,7 +92,8 @@ class Case:
 
     def problem_of(self, log: Transitions) -> Problem:
         """The problem of a log, on copies of everything."""
-        simulator, own_log = copy.deepcopy(self.simulator), Transitions(**log.columns())
+        simulator = copy.deepcopy(self.simulator)
+        own_log = Transitions(**log.columns())
         return Problem(
             simulator,
             own_log,
@@ -213,7 +215,8 @@ def padded_log(
     >>> len(log), int(log.terminated.sum()), len(padded_log(log, (0, 1), 0.5))
     (4, 2, 8)
     """
-    starts, n = log.episode_starts, len(actions)
+    starts = log.episode_starts
+    n = len(actions)
     if starts is None:
         raise ValueError("log must have episodes; it has none")
     columns = log.columns()
@@ -366,7 +369,8 @@ def case(name: str) -> Case:
     _checks.one_of(bare, "name", CASES)
     pair, discount, horizon, steps = _MADE[bare]
     simulator = pair.make(pair.simulator if bare == name else pair.target, discount)
-    policy, behavior = np.array(pair.policy), np.array(pair.behavior)
+    policy = np.array(pair.policy)
+    behavior = np.array(pair.behavior)
     return Case(
         name,
         simulator,
@@ -387,7 +391,9 @@ def odd_cases() -> Iterator[Case]:
     fork = [[[0.5, 0.5], [0.0, 1.0]], [[0.0, 1.0], [0.0, 1.0]]]
     leave = FiniteMDP(fork, [[1.0, 3.0], [0.0, 0.0]], [0.5, 0.5], 1.0)
     certain = FiniteMDP([[[0.0, 1.0]], [[1.0, 0.0]]], [1.0, -1.0], [1.0, 0.0], 0.9)
-    first, even, one = [[1.0, 0.0]] * 2, [[0.5, 0.5]] * 2, [[1.0]]
+    first = [[1.0, 0.0]] * 2
+    even = [[0.5, 0.5]] * 2
+    one = [[1.0]]
     # policy, behaviour, horizon, steps
     rows: list[tuple[str, FiniteMDP, Any, Any, int | None, int]] = [
         ("one state", single, one, one, 3, 3),

@@ -274,7 +274,8 @@ class Ended(Exception):
 
     def __init__(self, outcome: str, text: str) -> None:
         super().__init__(text)
-        self.outcome, self.text = outcome, text
+        self.outcome = outcome
+        self.text = text
 
 
 @contextmanager
@@ -292,7 +293,8 @@ def _process(
 
     def answer(seconds: float) -> Any:
         message: Any = ""
-        end, title = time.monotonic() + seconds, ""
+        end = time.monotonic() + seconds
+        title = ""
         while isinstance(message, str):  # the title of a case that is begun
             title = f"{message}: " if message else ""
             if not reader.poll(max(end - time.monotonic(), 0.0)):

@@ -43,18 +43,17 @@ def check(exercise: str, answer: Any) -> None:
         raise ValueError(
             f"exercise must be one of {', '.join(exercises)}; it is {exercise!r}"
         )
-    expected, hint = exercises[exercise]["answer"], exercises[exercise]["hint"]
+    expected = exercises[exercise]["answer"]
+    hint = exercises[exercise]["hint"]
     if answer is None:
         print(
             "Not answered yet: put your answer in place of None and run the cell again."
         )
         return
     if isinstance(expected, bool):
-        kind, has_kind, is_right = (
-            "True or False",
-            isinstance(answer, bool),
-            answer is expected,
-        )
+        kind = "True or False"
+        has_kind = isinstance(answer, bool)
+        is_right = answer is expected
     else:
         kind = (
             f"a list of {len(expected)} numbers"

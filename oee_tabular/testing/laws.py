@@ -35,23 +35,32 @@ from oee_tabular.testing.subject import (
     shorten,
 )
 
-SMALL, LARGE = 300, 4800  # episodes
+# episodes
+SMALL = 300
+LARGE = 4800
 ROLLOUTS = {SMALL: 100, LARGE: 1000}  # of an estimator that has such a field, at least
 FAILURE_CHANCE = 1e-5  # of a right estimator in one comparison, two-sided
-FEW, MANY = 3, 400  # episodes of a log, and logs, for unbiasedness
+# episodes of a log, and logs, for unbiasedness
+FEW = 3
+MANY = 400
 N_ERRORS = 4.0  # standard errors that a mean may be off
-EPISODES, FEW_EPISODES = 300, 40  # of the logs of laws that compare two estimates
-SCALE, SHIFT = -2.5, 3.0
+# of the logs of laws that compare two estimates
+EPISODES = 300
+FEW_EPISODES = 40
+SCALE = -2.5
+SHIFT = 3.0
 SEEDS = 16
 # of the logs of odd problems, and of those that look at side effects
-ODD_EPISODES, PROTOCOL_EPISODES = 20, 200
+ODD_EPISODES = 20
+PROTOCOL_EPISODES = 200
 
 
 def well_formed(subject: Subject) -> str:
     """Odd small problems give a finite value, a status that is not "ok", or a
     ValueError that says why.
     """
-    answers, n_refused = [], 0
+    answers = []
+    n_refused = 0
     refusals: dict[str, str] = {}  # reason -> the first problem refused for it
     for pair, log in _odd_problems(subject):
         try:
@@ -91,10 +100,8 @@ def input_unchanged(subject: Subject, pair: Case) -> str:
     """Problem, log, simulator and policy are after the call what they were, to the bit
     (their arrays made writable).
     """
-    problem, policy = (
-        pair.problem(PROTOCOL_EPISODES, seed=subject.log_seed("input", pair.name)),
-        pair.policy.copy(),
-    )
+    problem = pair.problem(PROTOCOL_EPISODES, seed=subject.log_seed("input", pair.name))
+    policy = pair.policy.copy()
     fields = {name: getattr(problem, name) for name in Problem.__dataclass_fields__}
     arrays = dict(_arrays(problem, policy))
     for array in arrays.values():
@@ -164,7 +171,8 @@ def _estimate_in_state(
     """An estimate of seed 7 under a global random state of ours, or ``Broken`` where it
     has changed that.
     """
-    estimator, states = as_estimator(subject.estimator(pair)), []
+    estimator = as_estimator(subject.estimator(pair))
+    states = []
 
     def watched(problem: Problem, policy: PolicyLike, seed: int) -> Estimate:
         random.seed(state)
@@ -294,7 +302,8 @@ def unbiased(subject: Subject, pair: Case) -> str:
     values: Array = np.array(
         [subject.value(pair, log, seed=k) for k, log in enumerate(logs)]
     )
-    mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(MANY))
+    mean = float(values.mean())
+    error = float(values.std(ddof=1) / np.sqrt(MANY))
     distance = abs(mean - pair.truth)
     numbers = (
         f"mean {mean:.5g} of {MANY} logs of {FEW} episodes, J_target {pair.truth:.5g}"
@@ -376,8 +385,10 @@ def after_end(subject: Subject, pair: Case) -> str:
     """Rows in the absorbing state change nothing, also where policy and behaviour take
     other actions there.
     """
-    policy, behavior = pair.policy.copy(), pair.behavior.copy()
-    policy[-1], behavior[-1] = [0.9, 0.1], [0.5, 0.5]
+    policy = pair.policy.copy()
+    behavior = pair.behavior.copy()
+    policy[-1] = [0.9, 0.1]
+    behavior[-1] = [0.5, 0.5]
     return _compare_padding(
         subject, replace(pair, policy=policy, behavior=behavior), (0, 1, 0), 0.5
     )
@@ -420,7 +431,8 @@ def _tends_to(subject: Subject, pair: Case, goal: float, what: str) -> str:
             _draw_values(subject, pair, LARGE, subject.repetitions, 1000),
         )
     small, large = subject.values[pair.name]
-    n, mean = len(large), float(large.mean())
+    n = len(large)
+    mean = float(large.mean())
     allowed = _chance(float(large.std(ddof=1) / np.sqrt(n)), n) + 1e-9 * max(
         1.0, abs(goal)
     )
@@ -500,7 +512,8 @@ def _compare_rewards(
 ) -> str:
     """Rewards factor * r + added give factor * J + added * sum_t gamma^t."""
     log = pair.log(n, seed=subject.log_seed("rewards", pair.name))
-    columns, gamma = log.columns(), pair.simulator.discount
+    columns = log.columns()
+    gamma = pair.simulator.discount
     other = Transitions(**(columns | {"reward": factor * columns["reward"] + added}))
     total = (
         1.0 / (1.0 - gamma)

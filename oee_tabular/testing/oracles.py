@@ -221,11 +221,10 @@ def compare_with_oracle(
         raise ValueError(f"pair must be (simulator, target); it holds {len(both)}")
     simulator, target = both
     require_pair(target, simulator)
-    own, pi = as_estimator(estimator), check_policy(policy, simulator)
-    size, times = (
-        _checks.positive_integer(n, "n"),
-        _checks.positive_integer(repetitions, "repetitions"),
-    )
+    own = as_estimator(estimator)
+    pi = check_policy(policy, simulator)
+    size = _checks.positive_integer(n, "n")
+    times = _checks.positive_integer(repetitions, "repetitions")
     if times < 2:
         raise ValueError(f"repetitions must be at least 2; it is {times}")
     _checks.require_memory(4.0 * times, "repetitions", times)
@@ -259,7 +258,8 @@ def compare_with_oracle(
             "data_distribution": pair_shares(target, behavior, steps),
             "behavior_policy": behavior,
         }
-    values, statuses = [], []
+    values = []
+    statuses = []
     for k in range(times):
         log = draw(seed=_checks.seed_sequence(seed, (k,)))
         estimate = own(

@@ -89,7 +89,8 @@ def mdps(
 
     @st.composite
     def draw_mdp(draw: st.DrawFn) -> FiniteMDP:
-        n, a = draw(st.integers(low, high)), draw(st.integers(1, most_actions))
+        n = draw(st.integers(low, high))
+        a = draw(st.integers(1, most_actions))
         discount = draw(st.sampled_from(factors))
         does_end = (
             draw(st.booleans() if absorbing is None else st.just(absorbing))
@@ -175,7 +176,8 @@ def mdp_pairs(
     @st.composite
     def draw_pair(draw: st.DrawFn) -> tuple[FiniteMDP, FiniteMDP]:
         simulator = draw(simulators)
-        n, a = simulator.n_states, simulator.n_actions
+        n = simulator.n_states
+        a = simulator.n_actions
         # where every row must be able to end
         last = [n - 1] if simulator.discount == 1.0 else []
         matrix = simulator.transitions.toarray()
@@ -184,7 +186,8 @@ def mdp_pairs(
             start, action, to = (
                 draw(st.integers(0, most)) for most in (n - 2, a - 1, n - 2)
             )
-            row, initial = start * a + action, simulator.initial
+            row = start * a + action
+            initial = simulator.initial
             matrix[row] = np.insert(draw(_rows(n - 1, [k - 1 for k in last])), to, 0.0)
             if initial[start] == 0.0:
                 initial = (initial + np.eye(n)[start]) / 2.0
@@ -273,10 +276,8 @@ def logs(
         if behavior_policy is None
         else check_policy(behavior_policy, model, name="behavior_policy")
     )
-    n, steps = (
-        _checks.positive_integer(max_episodes, "max_episodes"),
-        _checks.positive_integer(max_steps, "max_steps"),
-    )
+    n = _checks.positive_integer(max_episodes, "max_episodes")
+    steps = _checks.positive_integer(max_steps, "max_steps")
     ended = model.absorbing()
 
     @st.composite

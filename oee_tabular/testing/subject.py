@@ -228,7 +228,8 @@ class Broken(Exception):
 
     def __init__(self, text: str, example: str = "") -> None:
         super().__init__(text)
-        self.text, self.example = text, example
+        self.text = text
+        self.example = example
 
 
 class Raises(Broken):
@@ -382,7 +383,9 @@ def call(estimator: Any, problem: Problem, policy: Array, seed: int) -> Estimate
 
 def find_defect(estimate: Any) -> str:
     """What is wrong with an estimate, whose fields may hold anything; or nothing."""
-    value, error, interval = estimate.value, estimate.standard_error, estimate.interval
+    value = estimate.value
+    error = estimate.standard_error
+    interval = estimate.interval
     try:
         lower, upper = (0.0, 0.0) if interval is None else interval
         is_ordered = bool(lower <= upper)
@@ -449,7 +452,8 @@ def name_of(estimator: object) -> str:
     """What to call an estimator in a table: a function's name, a representation that
     says something, or the class's name.
     """
-    name, text = getattr(estimator, "__name__", ""), repr(estimator)
+    name = getattr(estimator, "__name__", "")
+    text = repr(estimator)
     return (
         str(name or type(estimator).__name__)
         if name or text.startswith("<") or len(text) > 100

@@ -24,7 +24,8 @@ from oee_tabular.theory.theorem_1 import Sides, divergence_terms
 from oee_tabular.theory.theorem_2 import check_pair, forward_distributions
 
 # infinite sums: terms that are added up, and the discount^t where that ends
-N_TERMS, NEGLIGIBLE = 100_000, 1e-12
+N_TERMS = 100_000
+NEGLIGIBLE = 1e-12
 
 
 def unnormalised_bound(
@@ -108,7 +109,8 @@ def unnormalised_sides(
     """
     kernel = check_pair(target, model, ratio)
     left = _value_error(target, kernel, policy, horizon)
-    constants, on_moves = _constants(target, kernel), target.reward_data is not None
+    constants = _constants(target, kernel)
+    on_moves = target.reward_data is not None
     return Sides(
         left, unnormalised_bound(*constants, horizon=horizon, rewards_on_moves=on_moves)
     )
@@ -185,7 +187,8 @@ def normalised_sides(
     """
     kernel = _check_normalised_pair(target, model, ratio)
     left = _value_error(target, kernel, policy, horizon)
-    constants, on_moves = _constants(target, kernel), target.reward_data is not None
+    constants = _constants(target, kernel)
+    on_moves = target.reward_data is not None
     return Sides(
         left, normalised_bound(*constants, horizon=horizon, rewards_on_moves=on_moves)
     )
@@ -313,7 +316,8 @@ def kl_path_sides(
     kernel = _check_normalised_pair(target, model, ratio)
     left = _value_error(target, kernel, policy, horizon)
     _, bound, gamma = _constants(target, kernel)
-    shift, row_kl = int(target.reward_data is not None), _row_kl(target, kernel)
+    shift = int(target.reward_data is not None)
+    row_kl = _row_kl(target, kernel)
     steps = optional_horizon_length(horizon, kernel, policy)
     pi = check_policy(policy, target, horizon=steps)
     if steps is not None:

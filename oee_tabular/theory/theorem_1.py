@@ -76,7 +76,8 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
         raise ValueError("order must be positive; it is 0")
     if a == 1.0:
         return float(np.sum(divergence_terms(ps, qs)))
-    shared, unshared_mass = (ps > 0.0) & (qs > 0.0), float(np.sum(ps[qs == 0.0]))
+    shared = (ps > 0.0) & (qs > 0.0)
+    unshared_mass = float(np.sum(ps[qs == 0.0]))
     if not shared.any() or (a > 1.0 and unshared_mass > 0.0):
         return math.inf
     log_ratio = np.log(ps[shared]) - np.log(qs[shared])
@@ -130,7 +131,8 @@ def estimation_bound(
     >>> round(estimation_bound(100, 10.0, 0.1, 0.95, 0.0, 1.0), 4)
     1.475
     """
-    samples, (lower, upper) = _checks.positive_integer(n, "n"), check_box(nu, mu)
+    samples = _checks.positive_integer(n, "n")
+    (lower, upper) = check_box(nu, mu)
     delta = 1.0 - _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     divergence = _checks.number_in(renyi, "renyi", 0.0, math.inf, infinite=True)
     k = _checks.number_in(constant, "constant", 0.0, math.inf, open_ends=True)
@@ -263,10 +265,8 @@ def sup_error_bound(
     >>> round(sup_error_bound(100_000, 0.1, 0.2, 4, 1.5, 0.95), 4)
     0.1097
     """
-    samples, cells = (
-        _checks.positive_integer(n, "n"),
-        _checks.positive_integer(n_cells, "n_cells"),
-    )
+    samples = _checks.positive_integer(n, "n")
+    cells = _checks.positive_integer(n_cells, "n_cells")
     smallest = [
         _checks.number_in(x, name, 0.0, 1.0)
         for x, name in ((p_min, "p_min"), (q_min, "q_min"))
@@ -341,7 +341,8 @@ def squared_error_sides(
     """
     risk = excess_risk(g, p, q).right
     ps, qs = check_distributions(p, q)
-    values, best = _checks.float_array(g, "g")[ps > 0.0], _ratio(ps, qs)[ps > 0.0]
+    values = _checks.float_array(g, "g")[ps > 0.0]
+    best = _ratio(ps, qs)[ps > 0.0]
     largest = float(max(values.max(), best.max()))
     bound = (
         largest

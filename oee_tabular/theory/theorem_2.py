@@ -125,7 +125,8 @@ def _error_by_occupancy(
     """sum_t g^t <alpha_t, r' - r_K + g (P' - K) V_{t+1}>: alpha of ``measured``, V of
     ``valued``.
     """
-    gamma, reward_error = target.discount, target.rewards - kernel.rewards
+    gamma = target.discount
+    reward_error = target.rewards - kernel.rewards
 
     def row_errors(value: Array) -> Array:
         change: Array = target.transitions @ value - kernel.transitions @ value
@@ -216,7 +217,8 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
         )
         if bad.size:
             s, a = bad[0]
-            wanted, found = target.rewards[s, a], model.rewards[s, a]
+            wanted = target.rewards[s, a]
+            found = model.rewards[s, a]
             raise ValueError(
                 f"model.rewards[{s}, {a}] must be the target's {wanted:g}; it is"
                 f" {found:g}"
@@ -324,7 +326,8 @@ def ratio_error_sides(
     )
     # a quotient beyond the largest float is infinite: nothing from another such one
     with np.errstate(over="ignore"):
-        quotient, best = top / bottom, best_top / best_bottom
+        quotient = top / bottom
+        best = best_top / best_bottom
     differs = quotient != best
     left = float(np.abs(quotient[differs] - best[differs]).max(initial=0.0))
     return Sides(left, ratio_error_bound(error, mu, nu, tight=tight))

@@ -15,7 +15,8 @@ from scipy import stats
 
 from oee_tabular.lab.bench.league import ERRORS, LEAST
 
-NODES, TOP = np.linspace(0.0, 12.0, 97), 12.0
+NODES = np.linspace(0.0, 12.0, 97)
+TOP = 12.0
 BIASES = np.arange(0.0, 9.01, 0.125)
 
 
@@ -42,7 +43,8 @@ def minimax_ratios():
     def weighted(b):
         return np.sqrt(stats.norm.pdf(x - b) * (x[1] - x[0])) / scale(b)
 
-    rule, worst = cp.Variable(len(NODES)), cp.Variable()
+    rule = cp.Variable(len(NODES))
+    worst = cp.Variable()
     rules = []
     for b in BIASES:  # a triangular factor in place of 2401 points
         factor = np.linalg.qr(

@@ -13,12 +13,12 @@ NAME = "FrozenLake-v1:map_name=8x8,success_rate="
 
 def main():
     """A line for each estimator."""
-    simulator, task = (
-        named_task(f"{NAME}1/3", discount=0.99).mdp,
-        named_task(f"{NAME}0.6", discount=0.99),
-    )
-    best, uniform = oee.optimal_policy(task.mdp), oee.uniform_policy(task.mdp)
-    policy, behavior = oee.mix(best, uniform, 0.7), oee.mix(best, uniform, 0.49)
+    simulator = named_task(f"{NAME}1/3", discount=0.99).mdp
+    task = named_task(f"{NAME}0.6", discount=0.99)
+    best = oee.optimal_policy(task.mdp)
+    uniform = oee.uniform_policy(task.mdp)
+    policy = oee.mix(best, uniform, 0.7)
+    behavior = oee.mix(best, uniform, 0.49)
     truth = oee.policy_value(task.mdp, policy)
     off = abs(oee.policy_value(simulator, policy) - truth)
     logs = [

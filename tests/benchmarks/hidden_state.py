@@ -55,7 +55,8 @@ class Lag(Hidden):
         self.lag = lag
 
     def moves(self, states, actions, disturbance):
-        own, force = self.own(states), states[:, -1]
+        own = self.own(states)
+        force = states[:, -1]
         force = (
             self.lag * np.where(force == NONE, 0.0, force)
             + (1.0 - self.lag) * self.actions[actions]
@@ -81,10 +82,8 @@ class SensorNoise(Hidden):
 
     def __init__(self, task, deviation):
         super().__init__(task, task.n_state)
-        self.deviation, self.n_disturbances = (
-            deviation,
-            task.n_disturbances + task.n_state,
-        )
+        self.deviation = deviation
+        self.n_disturbances = task.n_disturbances + task.n_state
 
     def initial_states(self, n, rng):
         own = self.task.initial_states(n, rng)
@@ -93,7 +92,8 @@ class SensorNoise(Hidden):
         )
 
     def moves(self, states, actions, disturbance):
-        d, k = self.task.n_state, self.task.n_disturbances
+        d = self.task.n_state
+        k = self.task.n_disturbances
         moved = self.task.moves(
             np.ascontiguousarray(states[:, d:]), actions, disturbance[:, :k]
         )
@@ -108,7 +108,8 @@ class RandomActions(DerivedTask):
 
     def __init__(self, task, share):
         super().__init__(task, f"{task.name}, random actions")
-        self.share, self.n_disturbances = share, task.n_disturbances + 2
+        self.share = share
+        self.n_disturbances = task.n_disturbances + 2
 
     def moves(self, states, actions, disturbance):
         uniform = ndtr(disturbance[:, -2:])

@@ -58,7 +58,8 @@ def counts(most):
     """Counts of a parquet file and of a tenth of it, ours and DuckDB's sums; 10^9 are
     projected from the slope.
     """
-    n, simulator = min(10**7, 50 * most), mdps.garnet(1000)
+    n = min(10**7, 50 * most)
+    simulator = mdps.garnet(1000)
     sums = (
         "state, action, next_state, terminated, count(*), sum(reward), min(reward),"
         " max(reward)"
@@ -103,9 +104,14 @@ def counts(most):
 
 def small_calls(most):
     """FiniteMDP and policy_value of four states."""
-    n, actions, discount, rng = 4, 2, 0.9, np.random.default_rng(0)
-    p, r = rng.dirichlet(np.ones(n), (n, actions)), rng.normal(size=(n, actions))
-    first, policy = np.full(n, 1 / n), np.full((n, actions), 1 / actions)
+    n = 4
+    actions = 2
+    discount = 0.9
+    rng = np.random.default_rng(0)
+    p = rng.dirichlet(np.ones(n), (n, actions))
+    r = rng.normal(size=(n, actions))
+    first = np.full(n, 1 / n)
+    policy = np.full((n, actions), 1 / actions)
     mdp = oee.FiniteMDP(p, r, first, discount)
 
     def check():
@@ -162,7 +168,8 @@ def write_files(folder, simulator, log, policy):
 
 def starts(most):
     """A new interpreter to the end of a first command."""
-    grid, target = gridworld(10, 0.1), gridworld(10, 0.25)
+    grid = gridworld(10, 0.1)
+    target = gridworld(10, 0.25)
     policy = oee.mix(gridworld_expert(10), oee.uniform_policy(grid), 0.7)
     with tempfile.TemporaryDirectory() as folder:
         own = write_files(folder, grid, mdps.draw_log(target, 1000), policy)
@@ -181,7 +188,8 @@ def starts(most):
 def millions(most):
     """``oee evaluate --quick`` at 10^6 states with 10^5 transitions, from files."""
     side = 1_000 if most >= 10**6 else 40
-    grid, graph = gridworld(side, 0.1), mdps.garnet(side**2)
+    grid = gridworld(side, 0.1)
+    graph = mdps.garnet(side**2)
     expert = oee.mix(gridworld_expert(side), oee.uniform_policy(grid), 0.8)
     for name, simulator, target, policy in (
         ("grid", grid, gridworld(side, 0.3), expert),
@@ -201,9 +209,12 @@ def small_estimates(most):
     maximum likelihood in numpy.
     """
     for n in (4, 30):
-        simulator, target = mdps.garnet(n, entries=4), mdps.garnet(n, entries=4, seed=0)
-        policy, log = oee.uniform_policy(simulator), mdps.draw_log(target, 200)
-        prior, m = simulator.transitions.toarray(), simulator.n_actions
+        simulator = mdps.garnet(n, entries=4)
+        target = mdps.garnet(n, entries=4, seed=0)
+        policy = oee.uniform_policy(simulator)
+        log = mdps.draw_log(target, 200)
+        prior = simulator.transitions.toarray()
+        m = simulator.n_actions
 
         def likelihood(log=log, n=n, m=m, prior=prior, simulator=simulator):
             counts = np.bincount(
@@ -230,10 +241,8 @@ def reports(most):
     """A report of several policies, quick and with intervals, and the page of one."""
     n = min(2_500, most)
     simulator = mdps.garnet(n)
-    problem, best = (
-        oee.Problem(simulator, mdps.draw_log(simulator, 10 * n)),
-        oee.optimal_policy(simulator),
-    )
+    problem = oee.Problem(simulator, mdps.draw_log(simulator, 10 * n))
+    best = oee.optimal_policy(simulator)
     mixed = {
         f"policy {k}": oee.mix(best, oee.uniform_policy(simulator), k / 20)
         for k in range(1, 21)
@@ -257,11 +266,14 @@ def plain_loop(indptr, indices, sums, rewards, discount, terminal, n, horizon, r
     """The loop that anybody writes: a linear scan of the running sums of a row, numpy's
     Generator.
     """
-    returns, steps = np.zeros(n), 0
+    returns = np.zeros(n)
+    steps = 0
     for i in range(n):
-        state, scale = 0, 1.0
+        state = 0
+        scale = 1.0
         for _ in range(horizon):
-            u, k = rng.random(), indptr[state]
+            u = rng.random()
+            k = indptr[state]
             while sums[k] <= u:
                 k += 1
             returns[i] += scale * rewards[state]
@@ -349,15 +361,15 @@ def compare_solvers(size, n=100_000):
     """Counts of the target and exact probabilities of the simulator on the gridworld's
     triples.
     """
-    simulator, target = gridworld(size, 0.3), gridworld(size, 0.1)
+    simulator = gridworld(size, 0.3)
+    target = gridworld(size, 0.1)
     log = oee.sample_episodes(
         target, oee.uniform_policy(target), 20 + n // 400, 1000, seed=0
     )
-    probability, starts = (
-        simulator.transitions.data,
-        simulator.transitions.indptr.astype(np.int64),
-    )
-    lengths, zero = np.diff(starts), np.zeros(len(probability))
+    probability = simulator.transitions.data
+    starts = simulator.transitions.indptr.astype(np.int64)
+    lengths = np.diff(starts)
+    zero = np.zeros(len(probability))
     rows = np.repeat(np.arange(len(lengths)), lengths)
     observed = np.asarray(
         log.counts(size * size, 4)[rows, simulator.transitions.indices]
@@ -386,8 +398,10 @@ def compare_solvers(size, n=100_000):
 
 def fit_cells(most):
     """Large programs beside ``numpy.log(p / q)``."""
-    rng, n = np.random.default_rng(0), 10**6
-    p, q = rng.integers(1, 6, n).astype(float), rng.integers(1, 5, n).astype(float)
+    rng = np.random.default_rng(0)
+    n = 10**6
+    p = rng.integers(1, 6, n).astype(float)
+    q = rng.integers(1, 5, n).astype(float)
     once = {"numpy.log(p / q)": lambda: lambda: np.log(p / q)}
     for options in (
         {},

@@ -85,7 +85,8 @@ def layers(n, rng, width=4, entries=4):
 
 def banded(n, rng, reach=8, entries=5):
     """Some of the neighbours within reach; states in any order."""
-    rows, new = np.repeat(np.arange(n), entries), rng.permutation(n)
+    rows = np.repeat(np.arange(n), entries)
+    new = rng.permutation(n)
     return (
         new[rows],
         new[np.clip(rows + rng.integers(-reach, reach + 1, len(rows)), 0, n - 1)],
@@ -109,7 +110,8 @@ def graph(name, n, discount, actions=1):
     rows, columns = GRAPHS[name](n, rng)
     every = np.arange(actions)[:, None]
     chances = rng.random((actions, len(rows))).reshape(-1) + 0.1
-    pairs, columns = (actions * rows + every).reshape(-1), np.tile(columns, actions)
+    pairs = (actions * rows + every).reshape(-1)
+    columns = np.tile(columns, actions)
     kernel = sparse.coo_array(
         (chances, (pairs, columns)), shape=(actions * n, n)
     ).tocsr()
@@ -126,12 +128,12 @@ def draw_log(mdp, n, seed=0):
     """Transitions from pairs that are drawn alike, the same in every state of the
     package.
     """
-    rng, kernel = np.random.default_rng(seed), mdp.transitions
-    pairs, sums = (
-        rng.integers(0, kernel.shape[0], n),
-        np.concatenate([[0.0], np.cumsum(kernel.data)]),
-    )
-    low, high = sums[kernel.indptr[pairs]], sums[kernel.indptr[pairs + 1]]
+    rng = np.random.default_rng(seed)
+    kernel = mdp.transitions
+    pairs = rng.integers(0, kernel.shape[0], n)
+    sums = np.concatenate([[0.0], np.cumsum(kernel.data)])
+    low = sums[kernel.indptr[pairs]]
+    high = sums[kernel.indptr[pairs + 1]]
     entries = (
         np.searchsorted(sums, low + (high - low) * rng.random(n), side="right") - 1
     )

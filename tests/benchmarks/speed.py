@@ -48,7 +48,9 @@ TASKS = {
     "ratio": "jobs",
 }
 QUICK = 2_000  # states of the largest problem with --quick
-LEAST, MOST = 3, 200  # times that a program is timed
+# times that a program is timed
+LEAST = 3
+MOST = 200
 BEFORE = "before: "  # a program of ours in the other checkout
 
 
@@ -131,7 +133,8 @@ def compare(
         run |= {
             BEFORE + name: lambda name=name: (Other.ask(name), None) for name in ours
         }
-    times, results = {}, {}
+    times = {}
+    results = {}
     for program in [*run, *(peers or {})]:
         try:
             if program not in run:
@@ -207,7 +210,8 @@ def main():
         "--quick", action="store_true", help=f"problems of at most {QUICK} states"
     )
     parser.add_argument("--answer", action="store_true", help=argparse.SUPPRESS)
-    options, rows = parser.parse_args(), []
+    options = parser.parse_args()
+    rows = []
     tasks = options.tasks or list(TASKS)
     Other.is_self = options.answer
     if options.before:

@@ -30,7 +30,8 @@ import oee_tabular as oee
 from oee_tabular import exact
 from oee_tabular.tasks import gridworld, gridworld_policy
 
-STEPS, EPSILON = 200, 1e-6
+STEPS = 200
+EPSILON = 1e-6
 GRAPHS = (  # name, states, discount, whether elimination fills much
     ("ring", 20_000, 0.999, False),
     ("ring", 20_000, 0.9999, False),
@@ -61,10 +62,8 @@ def quantecon_model(transitions, rewards, discount):
 
 
 def quantecon(kernel, rewards, discount):
-    model, one = (
-        quantecon_model(kernel, rewards[:, None], discount),
-        np.zeros(len(rewards), dtype=np.int64),
-    )
+    model = quantecon_model(kernel, rewards[:, None], discount)
+    one = np.zeros(len(rewards), dtype=np.int64)
     return lambda: model.evaluate_policy(one)
 
 
@@ -205,21 +204,21 @@ def memory(most):
                 seconds, size = pool.apply(measure_memory, (n, program))
                 note = f"{size:.2f} GB"
             except Exception as error:
-                seconds, note = np.nan, f"{type(error).__name__}: {error}"[:120]
+                seconds = np.nan
+                note = f"{type(error).__name__}: {error}"[:120]
         yield row("V", f"grid {n}, memory", program, seconds, note=note)
 
 
 def measure_memory(n, program):
     """CPU seconds and GB of one evaluation on the n x n grid."""
     exact.evaluate_policy(gridworld(40, 0.3), gridworld_policy(40, 0.5))  # compiles
-    mdp, policy = gridworld(n, 0.3), gridworld_policy(n, 0.5)
+    mdp = gridworld(n, 0.3)
+    policy = gridworld_policy(n, 0.5)
     call = partial(exact.evaluate_policy, mdp, policy)
     if program != "ours":
         call = DIRECT[program](*form(mdp, policy), mdp.discount)
-    before, start = (
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
-        time.process_time(),
-    )
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.process_time()
     call()
     return (
         time.process_time() - start,
@@ -304,12 +303,11 @@ def horizon(most):
 
 def evaluate_horizon(size):
     """Rows of V and of J on a grid."""
-    grid, policy = gridworld(size, 0.3), gridworld_policy(size, 0.0)
-    (kernel, rewards), discount, name = (
-        form(grid, policy),
-        grid.discount,
-        f"grid {size}",
-    )
+    grid = gridworld(size, 0.3)
+    policy = gridworld_policy(size, 0.0)
+    (kernel, rewards) = form(grid, policy)
+    discount = grid.discount
+    name = f"grid {size}"
     truth = scipy_sweeps(
         kernel.astype(np.longdouble), rewards, np.longdouble(discount)
     )().astype(float)
@@ -335,9 +333,13 @@ def moments(size):
     gamma^2 K2 q, three sparse products a step, and q - m^2 at the end. On the smallest
     grid V of as many rewards stands beside the moments.
     """
-    grid, policy = gridworld(size, 0.3), gridworld_policy(size, 0.0)
+    grid = gridworld(size, 0.3)
+    policy = gridworld_policy(size, 0.0)
     zeta = oee.true_ratio(gridworld(size, 0.1), grid)
-    w, r, gamma, n = zeta.values.data, grid.reward_data, grid.discount, grid.n_states
+    w = zeta.values.data
+    r = grid.reward_data
+    gamma = grid.discount
+    n = grid.n_states
     mean = sparse.csr_array(
         (policy.reshape(-1), np.arange(4 * n), 4 * np.arange(n + 1))
     )
@@ -364,7 +366,8 @@ def moments(size):
         return both, merge(gamma**2 * w**2), np.concatenate(means)
 
     def variance(both, second, means):
-        first, square = np.zeros(n), np.zeros(n)
+        first = np.zeros(n)
+        square = np.zeros(n)
         for _ in range(STEPS):
             step = both @ first
             step += means
@@ -380,7 +383,8 @@ def moments(size):
             ).variance
         )
 
-    ready, known = make_matrices(), moments_of()()
+    ready = make_matrices()
+    known = moments_of()()
     peers = {"scipy": lambda: partial(variance, *ready)}
     peers["scipy, with its matrices"] = lambda: lambda: variance(*make_matrices())
     miss = lambda v: abs(v / known - 1.0)  # noqa: E731
@@ -412,11 +416,9 @@ def plan_mdpsolver(mdp, update):
     """
     import mdpsolver
 
-    (n, m), starts, model = (
-        mdp.rewards.shape,
-        mdp.transitions.indptr.tolist(),
-        mdpsolver.model(),
-    )
+    (n, m) = mdp.rewards.shape
+    starts = mdp.transitions.indptr.tolist()
+    model = mdpsolver.model()
     parts = list(zip(starts[:-1], starts[1:], strict=True))
     chances, columns = (
         [x[i:j].tolist() for i, j in parts]

@@ -22,9 +22,12 @@ LOG = oee.sample_transitions(
     oee.tasks.gridworld(3, 0.1), np.full((9, 4), 1 / 36), 200, seed=0
 )
 ROW = np.repeat(np.arange(36), np.diff(GRID.transitions.indptr))
-STATE, ACTION, NEXT = ROW // 4, ROW % 4, GRID.transitions.indices
+STATE = ROW // 4
+ACTION = ROW % 4
+NEXT = GRID.transitions.indices
 KIND = displacements(GRID)[1]
-KEYS, NNZ = 10 * ACTION + KIND, GRID.transitions.nnz
+KEYS = 10 * ACTION + KIND
+NNZ = GRID.transitions.nnz
 POLICY = oee.tasks.gridworld_policy(3, 0.8)
 ASK = "evaluate --simulator gridworld:3,slip=0.3 --log log.csv --policy mix:0.8"
 
@@ -92,10 +95,8 @@ def test_a_file_adds_a_row_with_its_interval_and_leaves_the_others(run, kind, na
     for one, two in zip(plain["results"], more["results"], strict=False):
         assert one | {"notes": 0} == two | {"notes": 0}
     assert set(plain["warnings"]) <= set(more["warnings"])
-    problem, row = (
-        oee.Problem(GRID, oee.Transitions.load("log.csv")),
-        more["results"][-1],
-    )
+    problem = oee.Problem(GRID, oee.Transitions.load("log.csv"))
+    row = more["results"][-1]
     expected = oee.estimators.OffEnvironment(
         partial(oee.transition_ratio, **OPTIONS[kind])
     )(problem, POLICY)
@@ -143,7 +144,8 @@ def test_the_simulator_is_the_one_with_action_noise(run):
 
 
 def test_forms_of_features():
-    one, two = (KIND == 1).astype(float), np.column_stack([KIND == 1, NEXT])
+    one = (KIND == 1).astype(float)
+    two = np.column_stack([KIND == 1, NEXT])
     for given, expected in (
         (one, one[:, None]),
         (dense(one), one[:, None]),
@@ -290,8 +292,10 @@ BOTH = [
     ),
     ("f.csv", pd.concat([table(x=1), table(x=1).iloc[2:4]]), TWICE),
 ]
-nan, inf = FILES["features"].copy(), FILES["features"].copy()
-nan[3, 1], inf[-1, 0] = np.nan, np.inf
+nan = FILES["features"].copy()
+inf = FILES["features"].copy()
+nan[3, 1] = np.nan
+inf[-1, 0] = np.inf
 FEATURES = [
     (
         "f.npy",

@@ -89,7 +89,8 @@ def test_info(run, tmp_path):
 def parts(run, tmp_path):
     """A folder of three files, each a log of ten episodes, and one file with all."""
     pytest.importorskip("pyarrow")
-    grid, logs = oee.tasks.gridworld(3, slip=0.1), []
+    grid = oee.tasks.gridworld(3, slip=0.1)
+    logs = []
     (tmp_path / "log").mkdir()
     for k in range(3):
         logs.append(oee.sample_episodes(grid, oee.uniform_policy(grid), 10, 20, seed=k))

@@ -211,7 +211,8 @@ def test_tables_that_are_no_policy(run, folder, table, text):
 def test_a_policy_that_is_a_function_of_one_s_own(run):
     run("policy sim.npz own_worlds:north_then_east --output made.npy")
     expected = np.zeros((9, 4))
-    expected[:, 0], expected[0] = 1.0, [0.5, 0.5, 0.0, 0.0]
+    expected[:, 0] = 1.0
+    expected[0] = [0.5, 0.5, 0.0, 0.0]
     assert_allclose(np.load("made.npy"), expected)
     for name, text in (
         ("unsure", "it sums to 0.5"),
@@ -227,7 +228,8 @@ def test_another_start(run):
         "evaluate --simulator sim.npz --log log.csv --estimators simulator --json"
         " --initial"
     )
-    first, second = run(words, "r2c1"), run(words, "7")
+    first = run(words, "r2c1")
+    second = run(words, "7")
     assert first.replace('"r2c1"', '"7"') == second
     grid = oee.FiniteMDP.load("sim.npz").with_initial(7)
     assert f'"value": {oee.policy_value(grid, oee.optimal_policy(grid))!r}' in first

@@ -76,7 +76,8 @@ def test_from_a_simulator_s_name_to_a_calibrated_value(run):
         assert text in shown
     report = run(words, "--json")
     rows = by_row(report)
-    raw, calibrated = rows["oee on the grid"], rows["oee (calibrated)"]
+    raw = rows["oee on the grid"]
+    calibrated = rows["oee (calibrated)"]
     factor = (
         rows["simulator (continuous)"]["value"] / rows["simulator (plain)"]["value"]
     )
@@ -136,12 +137,10 @@ def test_minari(run, tmp_path, monkeypatch):
     from minari.data_collector import EpisodeBuffer
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    log, buffers = (
-        record(
-            CartPole(15.0), cartpole_policy(0.3), n_episodes=3, max_steps=30, seed=0
-        ),
-        [],
+    log = record(
+        CartPole(15.0), cartpole_policy(0.3), n_episodes=3, max_steps=30, seed=0
     )
+    buffers = []
     for k in range(3):
         rows = log.episode == k
         states = np.concatenate([log.state[rows], log.next_state[rows][-1:]])
@@ -489,10 +488,8 @@ def test_the_command_s_configuration_by_hand():
     raw = oee.estimators.OffEnvironment(zeta)(problem, pi)
     rows = by_row(report)
     assert_allclose(rows["oee on the grid"]["value"], raw.value, rtol=1e-12)
-    mc, below = (
-        rows["simulator (continuous)"],
-        oee.policy_value(model.plain, pi, horizon=100),
-    )
+    mc = rows["simulator (continuous)"]
+    below = oee.policy_value(model.plain, pi, horizon=100)
     for kind in ("ratio", "difference"):
         known = {
             "discretised": below,
@@ -653,10 +650,8 @@ def test_reacher_from_the_command_line(run):
         f"{chosen}4000 --estimators simulator,oee --target"
         " reacher:length=0.2,tamed=True",
     )
-    report, value = (
-        json.loads(printed),
-        {name: row["value"] for name, row in by_row(printed).items()},
-    )
+    report = json.loads(printed)
+    value = {name: row["value"] for name, row in by_row(printed).items()}
     right = value["target (continuous)"]
     assert abs(value["oee on the grid"] - right) < 0.7 * abs(
         value["simulator (continuous)"] - right
@@ -698,10 +693,8 @@ def test_the_arm_from_the_command_line(run):
         " simulator,oee --grid=13x13x11 --json --quick",
         "--task-option=simulations=20 --horizon 6 --target kinova:velocity_scale=1.4",
     )
-    report, value = (
-        json.loads(printed),
-        {name: row["value"] for name, row in by_row(printed).items()},
-    )
+    report = json.loads(printed)
+    value = {name: row["value"] for name, row in by_row(printed).items()}
     right = value["target (continuous)"]
     assert abs(value["oee (calibrated)"] - right) < 0.3 * abs(
         value["simulator (continuous)"] - right

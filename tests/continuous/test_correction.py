@@ -62,7 +62,8 @@ def log_of(target, n=3000, seed=0, delta=0.3):
 
 
 def value(task, delta=0.4):
-    policy, seed = of_own(cartpole_policy(delta), 4), np.random.SeedSequence(1)
+    policy = of_own(cartpole_policy(delta), 4)
+    seed = np.random.SeedSequence(1)
     return compare_returns([task], policy, 400, 100, discount=0.99, seed=seed).mean()
 
 
@@ -71,8 +72,10 @@ def value(task, delta=0.4):
 
 
 def test_states_hold_the_last_actions():
-    log, task = log_of(SIMULATOR, 60), HistoryTask(SIMULATOR, 3)
-    whole, codes = task.log(log), np.eye(2)[log.action]
+    log = log_of(SIMULATOR, 60)
+    task = HistoryTask(SIMULATOR, 3)
+    whole = task.log(log)
+    codes = np.eye(2)[log.action]
     first = np.flatnonzero(np.diff(log.episode, prepend=-1))
     for k in range(3):
         last = whole.state[:, 4 + 2 * k : 6 + 2 * k]
@@ -144,7 +147,8 @@ def test_a_delay_is_named_and_its_history_kept(steps):
 def test_what_history_explains_is_no_effect_below_the_least():
     log = log_of(Delay(SIMULATOR, 1), 2000)
     left = ResidualSimulator(SIMULATOR, log, seed=0).left_over
-    every, group = np.ones(len(log), dtype=np.bool_), log.episode % 40
+    every = np.ones(len(log), dtype=np.bool_)
+    group = log.episode % 40
     for share, is_effect in ((0.5, True), (2.0, False)):
         effect = history_effects(
             SIMULATOR,
@@ -366,7 +370,8 @@ def test_the_right_structure_is_found_exactly():
     )
     assert fit.start == {"mass": 1.0, "gravity": 10.0, "friction": 0.0}
     assert_allclose(fit.residual, 0.0, atol=1e-8)
-    states, actions = log.state[:9], log.action[:9]
+    states = log.state[:9]
+    actions = log.action[:9]
     none = np.zeros((9, 0))
     assert_allclose(
         fit.task.moves(states, actions, none).next_state,
@@ -572,7 +577,8 @@ def test_a_linear_model_is_least_squares_with_the_log_s_residuals():
     by_hand = np.linalg.lstsq(x, log.next_state[a] - log.state[a])[0]
     left = log.next_state[a] - log.state[a] - x @ by_hand
     np.testing.assert_allclose(model.residuals[a], left, atol=1e-9)
-    states, actions = np.zeros((4000, 4)), np.ones(4000, dtype=np.int64)
+    states = np.zeros((4000, 4))
+    actions = np.ones(4000, dtype=np.int64)
     moved = (
         model.step(states, actions, np.random.default_rng(0)).next_state - by_hand[0]
     )
@@ -604,7 +610,8 @@ def test_rewards_that_are_not_the_task_s_are_reported():
     odd = ContinuousTransitions(
         **(log.columns() | {"reward": np.where(np.arange(400) < 3, 2.0, 1.0)})
     )
-    policies, settings = {"mixed": cartpole_policy(0.4)}, Settings(episodes=50)
+    policies = {"mixed": cartpole_policy(0.4)}
+    settings = Settings(episodes=50)
     right, wrong = (
         evaluate_continuous(
             simulator, each, policies, settings=settings, seed=0, estimators=["oee"]

@@ -41,11 +41,16 @@ class Drift(ContinuousTask):
     """s' = s + push + noise xi on the line; over beyond 1 unless it circles."""
 
     def __init__(self, circle=False, push=0.25, noise=0.0):
-        self.name, self.state_names, self.feature_names = "Drift", ("s",), ("s",)
+        self.name = "Drift"
+        self.state_names = ("s",)
+        self.feature_names = ("s",)
         self.actions = np.array([-push, push])
-        self.n_disturbances, self.noise = 1, noise
-        self.feature_low, self.feature_high = np.array([-1.0]), np.array([1.0])
-        self.periodic, self.terminates = (circle,), not circle
+        self.n_disturbances = 1
+        self.noise = noise
+        self.feature_low = np.array([-1.0])
+        self.feature_high = np.array([1.0])
+        self.periodic = (circle,)
+        self.terminates = not circle
 
     def moves(self, states, actions, disturbance):
         following = states + self.actions[actions][:, None] + self.noise * disturbance
@@ -69,7 +74,8 @@ def half(states):
 
 
 def dense(model):
-    n_states, n_actions = model.mdp.n_states, model.mdp.n_actions
+    n_states = model.mdp.n_states
+    n_actions = model.mdp.n_actions
     return model.mdp.transitions.toarray().reshape(n_states, n_actions, n_states)
 
 
@@ -136,7 +142,8 @@ def test_noise_by_quadrature():
     model = discretize(
         Drift(noise=0.1), cells=GridInterpolation((41,), noise_points=7), **QUICK
     )
-    row, where = dense(model)[20, 1, :41], model.points[:, 0]
+    row = dense(model)[20, 1, :41]
+    where = model.points[:, 0]
     assert_allclose(row @ where, 0.25, atol=1e-12)
     variance = row @ where**2 - 0.25**2
     assert 0.1**2 < variance < 0.1**2 + 0.25 * 0.05**2
@@ -319,7 +326,8 @@ def test_states_outside_are_named_and_counted():
 
 @given(seeds)
 def test_what_is_supported_lies_where_there_is_probability(seed):
-    rng, shape = np.random.default_rng(seed), MODEL.mdp.transitions.shape
+    rng = np.random.default_rng(seed)
+    shape = MODEL.mdp.transitions.shape
     counts = sparse.random_array(shape, density=0.01, rng=rng)
     kept, lost = MODEL.supported(sparse.csr_array(counts))
     inside = counts.toarray() * (MODEL.mdp.transitions.toarray() > 0)
@@ -386,7 +394,8 @@ def test_a_floor_around_cells():
 
 
 def test_a_mixture_has_the_others_support():
-    low, high = CartPole(5.0), CartPole(20.0)
+    low = CartPole(5.0)
+    high = CartPole(20.0)
     model = discretize(
         CartPole(), cells=(60, 60), floor=0.2, others=[low, high], **QUICK
     )
@@ -462,7 +471,8 @@ def test_rewards_telescope_on_cells():
     rewards = LENGTHS.mdp.transition_rewards
     distance = LENGTHS.places.mean(ARM.distance(LENGTHS.points))
     matrix = LENGTHS.mdp.transitions.tocoo()
-    (rows, columns), idle = matrix.coords, 4
+    (rows, columns) = matrix.coords
+    idle = 4
     of_idle = rows % 9 == idle
     paid = np.asarray(rewards[rows[of_idle], columns[of_idle]]).ravel()
     at_stop = LENGTHS.places.mean(
@@ -497,7 +507,8 @@ def test_tied_counts_recover_the_target_s_displacement():
     zeta = oee.transition_ratio(
         counts, model.mdp, tie=model.displacement_ties(), strength=0.1
     )
-    target, places = zeta.target_model(model.mdp), model.cells.vertices()
+    target = zeta.target_model(model.mdp)
+    places = model.cells.vertices()
     middle = model.mdp.n_states // 2
     often = np.flatnonzero(
         np.asarray(counts.sum(axis=1)).reshape(-1, 27).sum(axis=0) > 20
@@ -531,7 +542,8 @@ def test_the_hand_on_visited_cells_counts_transitions_where_they_are():
 
 def test_costs_and_policies_are_means_over_a_box():
     model = discretize(kinova.ideal_hand(), **QUICK)
-    goal, places = kinova.GOALS[0], model.cells.vertices()
+    goal = kinova.GOALS[0]
+    places = model.cells.vertices()
     at = int(np.argmin(np.linalg.norm(places - goal, axis=1)))
     line = 0.02 * ((np.arange(4) + 0.5) / 4 - 0.5)
     box = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)

@@ -272,7 +272,8 @@ def test_the_paper_s_errors_of_reacher():
         reacher.WEIGHTED,
         reacher.WEIGHTED,
     ]
-    lengths, sizes = [0.2, 0.2, 0.2, 0.2, 0.05, 0.2], [150_000] * 5 + [15_000]
+    lengths = [0.2, 0.2, 0.2, 0.2, 0.05, 0.2]
+    sizes = [150_000] * 5 + [15_000]
     summary = pd.DataFrame({"length": lengths, "n": sizes, "series": names})
     errors = [reacher.published_error(row) for row in summary.to_dict("records")]
     assert_allclose(errors, [1.84, 4.88, 15.73, np.nan, np.nan, np.nan], atol=0.01)
@@ -298,10 +299,8 @@ def test_even_beginnings_have_the_same_mean():
 
 def places(task, n=200, seed=0):
     rng = np.random.default_rng(seed)
-    low, high = (
-        np.resize(task.feature_low, task.n_state),
-        np.resize(task.feature_high, task.n_state),
-    )
+    low = np.resize(task.feature_low, task.n_state)
+    high = np.resize(task.feature_high, task.n_state)
     return rng.uniform(low, high, (n, task.n_state)), rng.integers(
         task.n_actions, size=n
     )

@@ -139,7 +139,8 @@ def test_where_a_state_is_over_is_what_the_steps_say():
 def test_many_states_step_as_one_does(spec):
     """By environments that step together, or by formulas that take arrays."""
     simulator = gymnasium_simulator(spec)
-    task, rng = simulator.task, np.random.default_rng(0)
+    task = simulator.task
+    rng = np.random.default_rng(0)
     assert task.steps_at_once
     log = record(
         task, simulator.policy("uniform"), n_transitions=300, max_steps=100, seed=0
@@ -201,15 +202,15 @@ def task_of(make, low=(-9.0,), high=(9.0,), names=("place",), n_actions=2, **opt
 class Place(gymnasium.Env):
     """States between ``low`` and ``high`` at the beginning."""
 
-    observation_space, action_space = (
-        gymnasium.spaces.Box(-9.0, 9.0, (1,), np.float64),
-        gymnasium.spaces.Discrete(2),
-    )
-    low, high = [0.0], [0.0]
+    observation_space = gymnasium.spaces.Box(-9.0, 9.0, (1,), np.float64)
+    action_space = gymnasium.spaces.Discrete(2)
+    low = [0.0]
+    high = [0.0]
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        self.state, self.push = self.np_random.uniform(self.low, self.high), 0.0
+        self.state = self.np_random.uniform(self.low, self.high)
+        self.push = 0.0
         return self.state, {}
 
 
@@ -284,14 +285,14 @@ class Tank(Place):
     jumps up now and then.
     """
 
-    observation_space, action_space = (
-        gymnasium.spaces.Box(-9.0, 9.0, (2,), np.float64),
-        gymnasium.spaces.Discrete(3),
-    )
-    low, high = [1.0, -0.1], [2.0, 0.1]
+    observation_space = gymnasium.spaces.Box(-9.0, 9.0, (2,), np.float64)
+    action_space = gymnasium.spaces.Discrete(3)
+    low = [1.0, -0.1]
+    high = [2.0, 0.1]
 
     def __init__(self, leak=0.1, jumps=False):
-        self.leak, self.jumps = leak, jumps
+        self.leak = leak
+        self.jumps = jumps
 
     def step(self, action):
         level, rate = self.state
@@ -321,7 +322,8 @@ def test_the_environment_s_own_chance_is_no_change(jumps):
     """Random numbers of a step are its disturbance: the same environment does not
     differ, another is corrected.
     """
-    same, other = tank(jumps=jumps), tank(leak=0.14, jumps=jumps)
+    same = tank(jumps=jumps)
+    other = tank(leak=0.14, jumps=jumps)
     assert same.n_disturbances == 1
     found = ResidualSimulator(
         same, same.record(filling, n_transitions=1500, max_steps=50, seed=0), seed=0
@@ -460,7 +462,8 @@ def test_a_policy_of_one_state_has_its_own_error(one):
 
 
 def test_a_policy_s_bad_answers_keep_their_own_sentence():
-    states, commands = np.ones((3, 4)), np.array([[0.0], [1.0]])
+    states = np.ones((3, 4))
+    commands = np.array([[0.0], [1.0]])
     for answer, actions, text in (
         (
             np.array([0, 2, 0]),
@@ -742,17 +745,18 @@ def test_a_log_of_other_commands_or_states(run, mine):
 class Chain(Place):
     """Three masses on springs, pushed at one end: six dimensions."""
 
-    observation_space, action_space = (
-        gymnasium.spaces.Box(-9.0, 9.0, (6,), np.float64),
-        gymnasium.spaces.Discrete(3),
-    )
-    low, high = [-0.5] * 6, [0.5] * 6
+    observation_space = gymnasium.spaces.Box(-9.0, 9.0, (6,), np.float64)
+    action_space = gymnasium.spaces.Discrete(3)
+    low = [-0.5] * 6
+    high = [0.5] * 6
 
     def __init__(self, spring=1.0, weight=1.0):
-        self.spring, self.weight = spring, weight
+        self.spring = spring
+        self.weight = weight
 
     def step(self, action):
-        x, v = self.state[:3], self.state[3:]
+        x = self.state[:3]
+        v = self.state[3:]
         pull = -self.spring * (2 * x - np.append(x[1:], 0.0) - np.append(0.0, x[:-1]))
         pull[0] += action - 1.0
         v = 0.97 * v + 0.1 * pull / self.weight
@@ -797,10 +801,8 @@ def test_six_dimensions_have_a_value_without_cells(monkeypatch):
         "simulator (continuous)",
         "target (continuous)",
     ]
-    truth, before = (
-        rows["target (continuous)"]["value"],
-        rows["simulator (continuous)"]["value"],
-    )
+    truth = rows["target (continuous)"]["value"]
+    before = rows["simulator (continuous)"]["value"]
     assert abs(rows["oee (residual)"]["value"] - truth) < 0.05 * abs(before - truth)
     assert rows["oee (residual)"]["lower"] < truth < rows["oee (residual)"]["upper"]
     assert "<!doctype html>" in report.to_html()

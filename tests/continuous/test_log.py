@@ -35,7 +35,8 @@ def assert_same(a, b):
 
 @st.composite
 def logs(draw):
-    n, d = draw(st.integers(1, 6)), draw(st.integers(1, 4))
+    n = draw(st.integers(1, 6))
+    d = draw(st.integers(1, 4))
     numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
     state = draw(hnp.arrays(float, (n, d), elements=numbers))
     following = draw(hnp.arrays(float, (n, d), elements=numbers))

@@ -91,13 +91,12 @@ def test_an_unchanged_target_is_the_simulator_to_the_last_bit():
     assert [c.scatter for c in corrected.coordinates] == ["simulator"] * 4 + ["none"]
     assert not any(c.differs or c.hidden for c in corrected.coordinates)
     rng = np.random.default_rng(0)
-    states, actions, xi = (
-        rng.normal(size=(50, 4)) / 10,
-        rng.integers(2, size=50),
-        rng.normal(size=(50, 4)),
-    )
+    states = rng.normal(size=(50, 4)) / 10
+    actions = rng.integers(2, size=50)
+    xi = rng.normal(size=(50, 4))
     assert corrected.n_disturbances == 4
-    mine, own = corrected.moves(states, actions, xi), task.moves(states, actions, xi)
+    mine = corrected.moves(states, actions, xi)
+    own = task.moves(states, actions, xi)
     assert_allclose(mine.next_state, own.next_state, rtol=0, atol=1e-15)
     assert_array_equal(mine.terminated, own.terminated)
     values = [
@@ -109,7 +108,8 @@ def test_an_unchanged_target_is_the_simulator_to_the_last_bit():
 
 def test_pendulum():
     """The environment's steps are Gymnasium's (test_experiments.py)."""
-    target, simulator = classic.Pendulum(mass=1.2, gravity=11.0), classic.Pendulum()
+    target = classic.Pendulum(mass=1.2, gravity=11.0)
+    simulator = classic.Pendulum()
     log = record(
         target, classic.swinging(0.3), n_transitions=4000, max_steps=200, seed=0
     )
@@ -177,15 +177,20 @@ class Line(ContinuousTask):
         wall=np.inf,
         end=np.inf,
     ):
-        self.name, self.state_names, self.feature_names = "Line", ("s",), ("s",)
-        self.actions, self.n_disturbances = np.array([-0.25, 0.25]), 1
-        self.feature_low, self.feature_high, self.periodic = (
-            np.array([-2.0]),
-            np.array([2.0]),
-            (False,),
-        )
-        self.terminates, self.drift, self.noise = np.isfinite(end), drift, noise
-        self.knows_reward, self.wall, self.end = knows_reward, wall, end
+        self.name = "Line"
+        self.state_names = ("s",)
+        self.feature_names = ("s",)
+        self.actions = np.array([-0.25, 0.25])
+        self.n_disturbances = 1
+        self.feature_low = np.array([-2.0])
+        self.feature_high = np.array([2.0])
+        self.periodic = (False,)
+        self.terminates = np.isfinite(end)
+        self.drift = drift
+        self.noise = noise
+        self.knows_reward = knows_reward
+        self.wall = wall
+        self.end = end
 
     def moves(self, states, actions, disturbance):
         shift = self.actions[actions] + self.drift(states[:, 0], actions)
@@ -234,7 +239,8 @@ def test_the_simplest_class_that_does(drift, kind, per_action):
     assert learned.scatter == "simulator"
     assert learned.explained > 0.8
     rng = np.random.default_rng(1)
-    states, actions = rng.uniform(-1, 1, (200, 1)), rng.integers(2, size=200)
+    states = rng.uniform(-1, 1, (200, 1))
+    actions = rng.integers(2, size=200)
     found = corrected.moves(states, actions, np.zeros((200, 1))).next_state
     right = Line(drift).moves(states, actions, np.zeros((200, 1))).next_state
     assert np.sqrt(((found - right) ** 2).mean()) < 0.005
@@ -244,18 +250,14 @@ def test_a_correction_stays_within_the_residuals_that_were_logged():
     """They are -.3 and .3; the fit alone reaches .97; what it leaves, which is drawn,
     adds to what is cut off.
     """
-    target, simulator = (
-        Line(lambda s, a: np.where(s > 0, 0.3, -0.3), knows_reward=False),
-        Line(knows_reward=False),
-    )
+    target = Line(lambda s, a: np.where(s > 0, 0.3, -0.3), knows_reward=False)
+    simulator = Line(knows_reward=False)
     corrected = ResidualSimulator(
         simulator, line_log(target, 100, seed=2, steps=4), seed=0
     )
     for reach in (3.0, 50.0):
-        states, actions = (
-            np.linspace(-reach, reach, 2001)[:, None],
-            np.zeros(2001, dtype=int),
-        )
+        states = np.linspace(-reach, reach, 2001)[:, None]
+        actions = np.zeros(2001, dtype=int)
         added = corrected.moves(
             states, actions, np.zeros((2001, corrected.n_disturbances))
         ).next_state - (states - 0.25)
@@ -264,9 +266,11 @@ def test_a_correction_stays_within_the_residuals_that_were_logged():
 
 def test_a_reward_that_the_task_cannot_tell_is_learned():
     """r = s' - s where only the step knows it: the simulator's misses the drift."""
-    target, simulator = Line(lambda s, a: -0.3 * s), Line(knows_reward=False)
+    target = Line(lambda s, a: -0.3 * s)
+    simulator = Line(knows_reward=False)
     corrected = ResidualSimulator(simulator, line_log(target), seed=0)
-    states, actions = np.linspace(-0.8, 0.8, 30)[:, None], np.arange(30) % 2
+    states = np.linspace(-0.8, 0.8, 30)[:, None]
+    actions = np.arange(30) % 2
     found, right = (
         t.moves(states, actions, np.zeros((30, t.n_disturbances)))
         for t in (corrected, target)
@@ -281,7 +285,8 @@ def test_noise_is_drawn_from_the_log_where_it_is_another():
     corrected = ResidualSimulator(Line(noise=0.01), line_log(target, 6000), seed=0)
     assert (corrected.coordinates[0].scatter, corrected.n_disturbances) == ("log", 2)
     assert not corrected._scatter.local
-    states, actions = np.zeros((20_000, 1)), np.ones(20_000, dtype=np.int64)
+    states = np.zeros((20_000, 1))
+    actions = np.ones(20_000, dtype=np.int64)
     spread = (
         corrected.step(states, actions, np.random.default_rng(0)).next_state[:, 0]
         - 0.25
@@ -303,11 +308,9 @@ def test_noise_is_the_simulator_s_own_where_it_is_alike(kind):
     corrected = ResidualSimulator(task, line_log(task, 3000), seed=0)
     assert corrected.coordinates[0].scatter == "simulator"
     rng = np.random.default_rng(0)
-    states, actions, xi = (
-        rng.uniform(-1, 1, (500, 1)),
-        rng.integers(2, size=500),
-        rng.standard_normal((500, 1)),
-    )
+    states = rng.uniform(-1, 1, (500, 1))
+    actions = rng.integers(2, size=500)
+    xi = rng.standard_normal((500, 1))
     found, still = (
         corrected.moves(states, actions, x).next_state for x in (xi, 0.0 * xi)
     )
@@ -401,10 +404,8 @@ def test_a_value_s_standard_error_has_the_rollouts_noise_in_it():
         for n in (50, 800)
     }
     for n, estimate in found.items():
-        facts, rollouts = (
-            estimate.diagnostics,
-            monte_carlo_value(corrected, half, n, 10, seed=0),
-        )
+        facts = estimate.diagnostics
+        rollouts = monte_carlo_value(corrected, half, n, 10, seed=0)
         assert facts["standard_error_of"] == "log and rollouts"
         assert facts["n_rollouts"] == n
         both = np.hypot(facts["standard_error_of_the_log"], rollouts.standard_error)
@@ -419,7 +420,8 @@ def test_a_value_s_standard_error_has_the_rollouts_noise_in_it():
 def regression(n=300, seed=0):
     """Functions, their arguments on rows, targets, groups and which rows are used."""
     rng = np.random.default_rng(seed)
-    states, actions = rng.normal(size=(n, 1)), rng.integers(2, size=n)
+    states = rng.normal(size=(n, 1))
+    actions = rng.integers(2, size=n)
     displacement = np.sin(states) + rng.normal(size=(n, 1)) / 10
     targets = np.column_stack(
         [states[:, 0] * actions + rng.normal(size=n) / 10, np.cos(3 * states[:, 0])]
@@ -438,11 +440,9 @@ def test_values_are_sums_of_functions_row_by_row():
     """Whatever rows stand beside a row, and beyond the log as at its edge."""
     functions, arguments, targets, group, used = regression(1000)
     fits = Grams(functions, arguments, targets, group, used).choose()
-    w, phi, (states, actions, displacement) = (
-        functions.stack(fits),
-        functions(*arguments),
-        arguments,
-    )
+    w = functions.stack(fits)
+    phi = functions(*arguments)
+    (states, actions, displacement) = arguments
     right = np.stack([phi[:, : w.shape[1]][i] @ w[a] for i, a in enumerate(actions)])
     ends = np.array([[-np.inf, -0.5], [np.inf, 0.5]])
     found = functions.predict(*arguments, w, ends)
@@ -540,18 +540,23 @@ class Cart(Plain):
     name = "Cart"
     state_names = feature_names = ("place", "speed", "spin")
     actions = np.array([-1.0, 1.0])
-    feature_low, feature_high = np.full(3, -2.0), np.full(3, 2.0)
-    periodic, terminates = (False,) * 3, False
+    feature_low = np.full(3, -2.0)
+    feature_high = np.full(3, 2.0)
+    periodic = (False,) * 3
+    terminates = False
 
     def __init__(self, force=1.0, wall=1.0, loss=0.5):
-        self.force, self.wall, self.loss = force, wall, loss
+        self.force = force
+        self.wall = wall
+        self.loss = loss
 
     def moves(self, states, actions, disturbance):
         speed = states[:, 1] + 0.1 * self.force * self.actions[actions]
         place = states[:, 0] + 0.1 * speed
         over = np.abs(place) >= self.wall
         spin = 0.95 * states[:, 2] - over * self.loss * speed
-        place, speed = np.clip(place, -self.wall, self.wall), np.where(over, 0.0, speed)
+        place = np.clip(place, -self.wall, self.wall)
+        speed = np.where(over, 0.0, speed)
         following = np.stack([place, speed, spin], axis=1)
         return Moves(following, -(place**2), np.zeros(len(states), dtype=np.bool_))
 
@@ -570,11 +575,10 @@ def one_step(target, simulator, n=6000):
     log = record(target, evenly, n_transitions=n, max_steps=25, seed=0)
     corrected = ResidualSimulator(simulator, log, seed=0)
     new = record(target, evenly, n_transitions=4000, max_steps=25, seed=1)
-    actions, xi = (
-        new.action_numbers(target.actions),
-        np.zeros((4000, corrected.n_disturbances)),
-    )
-    right, own = new.next_state, simulator.moves(new.state, actions, xi).next_state
+    actions = new.action_numbers(target.actions)
+    xi = np.zeros((4000, corrected.n_disturbances))
+    right = new.next_state
+    own = simulator.moves(new.state, actions, xi).next_state
     found = corrected.moves(new.state, actions, xi).next_state
     stopped = np.abs(right[:, 0]) == 1.0, np.abs(own[:, 0]) == 1.0
     return np.abs(own - right), np.abs(found - right), stopped, corrected
@@ -638,10 +642,8 @@ def test_a_stop_of_another_place():
 
 def found(following, own=None, is_angle=None):
     no_angles = np.zeros(following.shape[1], dtype=bool)
-    own, angles = (
-        following if own is None else own,
-        no_angles if is_angle is None else np.array(is_angle),
-    )
+    own = following if own is None else own
+    angles = no_angles if is_angle is None else np.array(is_angle)
     return Stops(np.zeros_like(following), following, own, angles)
 
 

@@ -106,7 +106,8 @@ def test_cartpole_s_policies():
     states = record(
         CartPole(), cartpole_policy(0.5), n_transitions=200, max_steps=100, seed=0
     ).state
-    expert, uniform = cartpole_policy(0.0)(states), cartpole_policy(1.0)(states)
+    expert = cartpole_policy(0.0)(states)
+    uniform = cartpole_policy(1.0)(states)
     assert_array_equal(uniform, 0.5)
     assert_allclose(cartpole_policy(0.3)(states), 0.3 * uniform + 0.7 * expert)
     firm = cartpole_policy(0.0, deterministic=True)(states)
@@ -194,7 +195,8 @@ def test_small_steps_converge_to_the_equations_of_motion():
     """Against Lagrange's equations with derivatives of M taken numerically, by an
     adaptive Runge-Kutta method.
     """
-    length, torque = 0.1, np.array([0.02, -0.01])
+    length = 0.1
+    torque = np.array([0.02, -0.01])
 
     def motion(t, s):
         step = 1e-6
@@ -223,7 +225,8 @@ def test_laws_of_reacher_s_step(seed, length, tamed):
     """
     rng = np.random.default_rng(seed)
     arm = Reacher.tamed(length) if tamed else Reacher(length)
-    states, commands = states_of(rng, 20), rng.uniform(-1, 1, (20, 2))
+    states = states_of(rng, 20)
+    commands = rng.uniform(-1, 1, (20, 2))
     after = arm.advance(states, commands)
     assert_allclose(arm.advance(-states, -commands), -after, rtol=0, atol=1e-12)
     turned = states + np.array([0.7, 0.0, 0.0, 0.0])
@@ -246,20 +249,20 @@ def test_drag_is_a_force_at_each_centre_and_a_torque_on_each_link(seed, length):
     """Bullet's law from the velocities of the centres of mass; the torques of that,
     without drag, make the same step.
     """
-    states, k = states_of(np.random.default_rng(seed), 20, speed=10.0), 0.04
+    states = states_of(np.random.default_rng(seed), 20, speed=10.0)
+    k = 0.04
     torques = np.zeros((20, 2))
     for row, (_, q2, w1, w2) in zip(torques, states, strict=True):
         for mass, moment, jacobian, turn in links(q2, length):
-            velocity, spin = jacobian @ (w1, w2), turn @ (w1, w2)
+            velocity = jacobian @ (w1, w2)
+            spin = turn @ (w1, w2)
             row -= jacobian.T @ (k * mass * velocity * (1 + np.hypot(*velocity)))
             row -= turn * k * moment * spin * (1 + abs(spin))
     arm, drawn = (
         Reacher(length, gear=1.0, drag=drag, timestep=1e-3) for drag in (0.0, k)
     )
-    braked, still = (
-        drawn.advance(states, np.zeros((20, 2))),
-        arm.advance(states, np.zeros((20, 2))),
-    )
+    braked = drawn.advance(states, np.zeros((20, 2)))
+    still = arm.advance(states, np.zeros((20, 2)))
     pushed = arm.advance(states, torques)
     assert_allclose(braked, pushed, rtol=1e-12, atol=1e-14)
     assert np.abs(braked - still)[:, 2:].max() > 1e-4
@@ -386,7 +389,9 @@ def test_the_arm_is_mujoco_s(length, armature, damping, gear):
         states_of(rng, 40), rng.uniform(-1, 1, (40, 2)), strict=True
     ):
         mujoco.mj_resetData(model, data)
-        data.qpos[:2], data.qvel[:2], data.ctrl[:] = state[:2], state[2:], command
+        data.qpos[:2] = state[:2]
+        data.qvel[:2] = state[2:]
+        data.ctrl[:] = command
         mujoco.mj_step(model, data, 2)
         theirs = np.concatenate([data.qpos[:2], data.qvel[:2]])
         assert_allclose(
@@ -404,7 +409,8 @@ def _tip(mujoco, model, data):
 
 def test_reacher_s_policies():
     states = states_of(np.random.default_rng(0), 50)
-    expert, random = reacher_policy(0.0)(states), reacher_policy(1.0)(states)
+    expert = reacher_policy(0.0)(states)
+    random = reacher_policy(1.0)(states)
     assert_array_equal(np.sort(expert, axis=1)[:, :-1], 0.0)
     assert_allclose(random, 1 / 9)
     assert_allclose(reacher_policy(0.3)(states), 0.3 * random + 0.7 * expert)

@@ -167,7 +167,8 @@ def test_flags_that_no_longer_hold_are_not_believed():
     """
     matrix = sparse.csr_array(np.array([[0.25, 0.75], [0.5, 0.5]]))
     assert matrix.has_sorted_indices
-    matrix.indices[:2], matrix.data[:2] = [1, 0], [0.75, 0.25]
+    matrix.indices[:2] = [1, 0]
+    matrix.data[:2] = [0.75, 0.25]
     mdp = oee.FiniteMDP(matrix, np.zeros(2), [1, 0], 0.5)
     np.testing.assert_array_equal(mdp.transitions.toarray(), [[0.25, 0.75], [0.5, 0.5]])
     np.testing.assert_array_equal(mdp.transitions.indices, [0, 1, 0, 1])

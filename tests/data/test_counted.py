@@ -102,7 +102,8 @@ def test_a_file_that_has_changed_is_refused(tmp_path):
 
 # ---- logs that hold names, streamed: matched to the simulator's, in memory of the
 # counts
-ROOMS, HEADINGS = ("hall", ("room", 2), "dock", "über,all"), ("go", "stay")
+ROOMS = ("hall", ("room", 2), "dock", "über,all")
+HEADINGS = ("go", "stay")
 
 
 def named_simulator():

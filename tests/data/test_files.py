@@ -309,7 +309,8 @@ def test_several_files_a_pattern_and_a_folder_are_one_log(tmp_path):
     for k, ending in enumerate(("csv", "parquet", "npz")):
         log.save(tmp_path / f"part-{k}.{ending}")
     (tmp_path / "_SUCCESS").write_text("")
-    whole, parts = Transitions.concatenate([log] * 3), sorted(tmp_path.glob("part*"))
+    whole = Transitions.concatenate([log] * 3)
+    parts = sorted(tmp_path.glob("part*"))
     mdp = oee.FiniteMDP(np.full((5, 3, 5), 0.2), np.zeros(5), 0, 0.9)
     for path in (tmp_path, str(tmp_path / "part-*"), parts):
         assert_same(Transitions.load(path), whole)
@@ -325,7 +326,8 @@ def test_missing_rewards_are_missing(tmp_path):
     )
     (tmp_path / "b.csv").write_text("state,action,next_state\n0,0,1\n")
     (tmp_path / "c.csv").write_text("state,action,next_state,reward\n0,0,1,2\n")
-    log, counts = Transitions.load(tmp_path), Transitions.open(tmp_path)
+    log = Transitions.load(tmp_path)
+    counts = Transitions.open(tmp_path)
     assert_array_equal(log.reward, [4, np.nan, np.nan, np.nan, 2])
     assert_array_equal(counts.reward_count, [2, 0])
     assert_array_equal(counts.reward_sum, [6, 0])

@@ -422,7 +422,8 @@ def test_a_table_is_the_same_log_in_every_form_or_is_refused_in_all(data):
     }
     frame = pd.DataFrame(drawn)
     with tempfile.TemporaryDirectory() as folder:
-        csv, parquet = f"{folder}/log.csv", f"{folder}/log.parquet"
+        csv = f"{folder}/log.csv"
+        parquet = f"{folder}/log.parquet"
         frame.to_csv(csv, index=False)
         frame.to_parquet(parquet, index=False)
         ways = (

@@ -61,7 +61,8 @@ def test_a_folder_is_the_log_of_its_files(tmp_path, ending):
     whole = Transitions.concatenate(logs())
     assert_array_equal(found.counts(9, 4).toarray(), whole.counts(9, 4).toarray())
     assert_columns(found.sample, whole)
-    facts, plain = found.summary(), whole.summary()
+    facts = found.summary()
+    plain = whole.summary()
     assert facts["files"] == 4
     for name in facts.keys() & plain.keys():
         assert facts[name] == plain[name], name
@@ -107,10 +108,12 @@ def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path, ending):
     each smaller one.
     """
     folder = written(tmp_path / "a", ending, number=2, episodes=30)
-    whole, before = Transitions.concatenate(logs(2, 30)), set()
+    whole = Transitions.concatenate(logs(2, 30))
+    before = set()
     episodes = [whole.select(whole.episode == e) for e in range(60)]
     for size in (5, 9, 40, 100, 200, 540):
-        sample, chosen = Transitions.open(folder, kept_moves=size).sample, []
+        sample = Transitions.open(folder, kept_moves=size).sample
+        chosen = []
         for e in range(0 if sample is None else sample.n_episodes):
             part = sample.select(sample.episode == e)
             after = chosen[-1] + 1 if chosen else 0
@@ -130,7 +133,8 @@ def test_the_sample_is_the_first_episodes_of_a_draw(tmp_path, ending):
 def test_every_episode_is_drawn_as_often_as_another(tmp_path):
     """The draw is by the file's name: three of ten episodes, under 100 names."""
     state = np.repeat(np.arange(10), 2)
-    log, drawn = Transitions(state, 0 * state, state, episode=state), np.zeros(10)
+    log = Transitions(state, 0 * state, state, episode=state)
+    drawn = np.zeros(10)
     for k in range(100):
         log.save(tmp_path / f"{k}.csv")
         drawn[
@@ -292,7 +296,8 @@ CASES = [(*case, ending) for case in BAD for ending in (".csv", ".parquet")]
 
 @pytest.mark.parametrize(("name", "value", "rule", "ending"), CASES)
 def test_bad_rows_are_named_and_refused_or_counted(tmp_path, name, value, rule, ending):
-    frame, path = frame_of(**{name: (4, value)}), tmp_path / f"bad{ending}"
+    frame = frame_of(**{name: (4, value)})
+    path = tmp_path / f"bad{ending}"
     if ending == ".csv":
         frame.to_csv(path, index=False)
     else:
@@ -475,7 +480,8 @@ def test_episodes_stand_together(order, names):
 
 
 def test_files_that_are_none_are_named(tmp_path):
-    folder, plain = written(tmp_path / "a"), frame_of()
+    folder = written(tmp_path / "a")
+    plain = frame_of()
     (tmp_path / "empty").mkdir()
     (tmp_path / "x.txt").write_text("")
     for path in (tmp_path / "none.parquet", tmp_path / "none", f"{tmp_path}/*.none"):
@@ -552,7 +558,8 @@ def test_a_scheduler_that_does_not_answer(tmp_path):
 
 
 def test_an_unreadable_file_is_named_and_nothing_is_written(tmp_path):
-    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
+    folder = written(tmp_path / "a")
+    output = tmp_path / "c.npz"
     data = bytearray((folder / "part-2.parquet").read_bytes())
     data[8:200] = bytes(192)
     (folder / "part-2.parquet").write_bytes(data)
@@ -575,7 +582,8 @@ Transitions.open(sys.argv[1], output=sys.argv[2])
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no kill -9 here")
 def test_a_count_that_is_killed_leaves_nothing_under_its_name(tmp_path):
-    folder, output = written(tmp_path / "a"), tmp_path / "c.npz"
+    folder = written(tmp_path / "a")
+    output = tmp_path / "c.npz"
     with subprocess.Popen(
         [sys.executable, "-c", KILLED, str(folder), str(output)],
         stdout=subprocess.PIPE,

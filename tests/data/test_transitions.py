@@ -36,11 +36,9 @@ def test_what_is_not_given_is_filled_in():
 @given(rngs)
 def test_counts_count(rng):
     n = int(rng.integers(1, 200))
-    state, action, following = (
-        rng.integers(0, 5, n),
-        rng.integers(0, 3, n),
-        rng.integers(0, 5, n),
-    )
+    state = rng.integers(0, 5, n)
+    action = rng.integers(0, 3, n)
+    following = rng.integers(0, 5, n)
     timestep = rng.integers(0, 9, n)
     log = Transitions(state, action, following, timestep=timestep)
     for discount, weights in ((None, np.ones(n)), (0.5, 0.5**timestep)):
@@ -67,7 +65,8 @@ LOGS = [
 
 def test_drawing_is_without_replacement_and_reproducible():
     log = LOGS[0]
-    drawn, again = log.draw(30, seed=3), log.draw(30, seed=3)
+    drawn = log.draw(30, seed=3)
+    again = log.draw(30, seed=3)
     assert_array_equal(drawn.state, again.state)
     assert drawn.episode is None
     whole = log.draw(len(log), seed=1)

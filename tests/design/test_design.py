@@ -23,7 +23,9 @@ def small_grid(slip):
     return FiniteMDP(base.transitions, (row + column - 8) / 8, base.initial, 0.95)
 
 
-SIMULATOR, TARGET, POLICY = small_grid(0.3), small_grid(0.1), gridworld_policy(5, 0.5)
+SIMULATOR = small_grid(0.3)
+TARGET = small_grid(0.1)
+POLICY = gridworld_policy(5, 0.5)
 THREE = {f"delta {d}": gridworld_policy(5, d) for d in (0.1, 0.5, 0.9)}
 
 
@@ -96,7 +98,8 @@ def test_deterministic_rows_have_an_optimistic_cost():
 
 
 def test_optimism_fades_with_observations():
-    chain, ahead = deterministic_chain(), np.array([[1.0, 0.0]] * 3)
+    chain = deterministic_chain()
+    ahead = np.array([[1.0, 0.0]] * 3)
     previous = np.inf
     for number in (1, 10, 100, 1000):
         counts = np.zeros((3, 2), dtype=int)
@@ -132,12 +135,10 @@ def test_rewards_of_transitions_that_the_simulator_lacks():
     transitions[0, 0, 1] = transitions[0, 1, 2] = 1.0
     transitions[1:, :, :] = np.eye(3)[1:, None, :]
     rewards = np.full((3, 2, 3), np.nan)
-    rewards[0, 0, 1], rewards[0, 1, 2], rewards[1, :, 1], rewards[2, :, 2] = (
-        1.0,
-        5.0,
-        0.0,
-        0.0,
-    )
+    rewards[0, 0, 1] = 1.0
+    rewards[0, 1, 2] = 5.0
+    rewards[1, :, 1] = 0.0
+    rewards[2, :, 2] = 0.0
     chain = FiniteMDP(transitions, rewards, [1.0, 0.0, 0.0], 0.5)
     plan = plan_data_collection(chain, np.array([[1.0, 0.0]] * 3), n=5)
     # G = r + gamma V: 1 for the own move, 5 for the other action's, 1 + 0.5 * 1 for
@@ -388,8 +389,10 @@ def collected(base, restart):
 def test_a_plan_is_the_least_of_its_own_program(sampling, counts, number, solver):
     simulator, policies = three()
     policies = dict(list(policies.items())[:number])
-    base, n = Dense(simulator), 200
-    given, before = simulator, np.zeros(6)
+    base = Dense(simulator)
+    n = 200
+    given = simulator
+    before = np.zeros(6)
     if counts:
         log = oee.sample_transitions(
             simulator, [[0.5, 0.1], [0.1, 0.1], [0.1, 0.1]], counts, seed=0
@@ -457,12 +460,14 @@ def test_over_a_horizon_the_sum_over_time_stands_inside_the_variance(discount):
 @few
 def test_a_bound_by_lagrange_holds_at_any_multipliers(rng):
     mdp = random_mdp(rng)
-    world, n_pairs = collection_mdp(mdp, 0.3), mdp.n_states * mdp.n_actions
+    world = collection_mdp(mdp, 0.3)
+    n_pairs = mdp.n_states * mdp.n_actions
     program = programs.Program(
         rng.uniform(0, 1, (2, n_pairs)), np.full(n_pairs, 0.1), world
     )
     flow, right = program.equations()
-    v, share = rng.normal(size=mdp.n_states), rng.uniform()
+    v = rng.normal(size=mdp.n_states)
+    share = rng.uniform()
     prices = flow.T @ v
     # where it is free to record there is nothing to learn
     program.costs[:, prices.argmin()] = 0.0
@@ -494,12 +499,17 @@ def test_a_row_without_spread_costs_its_largest_plausible_variance(lower, upper)
     slope = Dense(simulator).slope(policy)
     for s in (0, 1):
         R = 0.9 * P[s, 0] + 0.05 * P[s].mean(axis=0) + 0.05 * np.eye(3)[s]
-        low, high = lower * R, np.minimum(upper * R, 1.0)
+        low = lower * R
+        high = np.minimum(upper * R, 1.0)
         # the widest entry is what the other two leave
-        best, order = 0.0, np.argsort(high - low)
-        low, high, g = low[order], high[order], slope[s, 0][order]
+        best = 0.0
+        order = np.argsort(high - low)
+        low = low[order]
+        high = high[order]
+        g = slope[s, 0][order]
         for x in np.linspace(low[0], high[0], 401):
-            least, most = max(low[1], 1 - x - high[2]), min(high[1], 1 - x - low[2])
+            least = max(low[1], 1 - x - high[2])
+            most = min(high[1], 1 - x - low[2])
             if least <= most:
                 y = np.linspace(least, most, 401)
                 p = np.array([np.full(401, x), y, 1 - x - y])
@@ -518,7 +528,8 @@ def test_a_behaviour_plan_where_episodes_end(costs_a_move):
     P = rng.dirichlet(np.ones(3), size=(3, 2))
     P[2] = [0.0, 0.0, 1.0]
     simulator = oee.FiniteMDP(P, np.array([1.0, -1.0, 0.0]), [0.6, 0.4, 0.0], 0.8)
-    policy, n = np.array([[0.7, 0.3], [0.2, 0.8], [0.5, 0.5]]), 100
+    policy = np.array([[0.7, 0.3], [0.2, 0.8], [0.5, 0.5]])
+    n = 100
     plan = oee.plan_data_collection(
         simulator,
         policy,
@@ -557,9 +568,11 @@ def test_the_next_pairs_are_the_largest_falls_one_after_another():
     plan = oee.plan_data_collection(
         oee.Problem(simulator, log), policies["one"], n=8, model="simulator"
     )
-    cost, counts = costs_of(Dense(simulator), policies["one"]), np.zeros((3, 2))
+    cost = costs_of(Dense(simulator), policies["one"])
+    counts = np.zeros((3, 2))
     np.add.at(counts, (log.state, log.action), 1.0)
-    own, z = [], 1.959963984540054
+    own = []
+    z = 1.959963984540054
     for _ in range(8):
         error = np.sqrt(sum(cost[x] / counts[x] for x in np.ndindex(3, 2) if counts[x]))
         falls = {

@@ -46,7 +46,8 @@ def test_doubly_robust_on_transitions_row_by_row(form, horizon, weights):
     table[stored.coords] = gradient
     counts = problem.counts.toarray()
     n = counts.sum(axis=1)
-    value, variance = oee.policy_value(simulator, POLICY, horizon=horizon), 0.0
+    value = oee.policy_value(simulator, POLICY, horizon=horizon)
+    variance = 0.0
     for x in np.flatnonzero(n):
         frequency = counts[x] / n[x]
         value += (frequency - simulator.transitions.toarray()[x]) @ table[x]
@@ -150,11 +151,10 @@ def episode_parts(problem, model, *, used, self_normalized=True):
     """(n,) what each episode adds where the log is used for ``used`` steps, and the
     model's value after them.
     """
-    episodes, horizon = plain_episodes(problem.log), problem.horizon
-    n, steps = (
-        len(episodes),
-        min(max(len(moves) for moves, _ in episodes), horizon or 99),
-    )
+    episodes = plain_episodes(problem.log)
+    horizon = problem.horizon
+    n = len(episodes)
+    steps = min(max(len(moves) for moves, _ in episodes), horizon or 99)
 
     def values(function, t):
         left = horizon and horizon - t
@@ -213,8 +213,10 @@ def resample(problem, draws, zeta):
     """Weighted doubly robust of logs in which the drawn episodes stand, each as often
     as it was drawn.
     """
-    log, found = problem.log, []
-    starts, columns = log.episode_starts, log.columns()
+    log = problem.log
+    found = []
+    starts = log.episode_starts
+    columns = log.columns()
     for draw in draws:
         rows = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in draw])
         parts = {name: column[rows] for name, column in columns.items()}
@@ -257,7 +259,8 @@ def test_magic_between_the_model_and_the_log(is_wrong):
     parts = np.stack(
         [episode_parts(problem, model, used=used) for used in (0, 99)], axis=1
     )
-    totals, n = parts.sum(axis=0), 15
+    totals = parts.sum(axis=0)
+    n = 15
     covariance = n / (n - 1) * (parts - totals / n).T @ (parts - totals / n)
     draws = np.random.default_rng(3).integers(0, n, size=(50, n))
     low, high = np.quantile(resample(problem, draws, zeta), [0.25, 0.75])
@@ -309,7 +312,8 @@ def test_marginalised_values_row_by_row(form, horizon):
     paid = np.bincount(rows, problem.log.reward, minlength=8) / np.maximum(n, 1)
     mass = 10.0 if horizon is None else (1 - 0.9**4) / 0.1
     found = Marginalized(ratio=zeta)(problem, POLICY)
-    seen, share = n > 0, n / n.sum()
+    seen = n > 0
+    share = n / n.sum()
     assert_allclose(found.value, mass * (there * paid)[seen].sum(), rtol=1e-9)
     weights = np.where(seen, there / np.maximum(share, 1e-300), 0.0)
     assert_allclose(found.diagnostics["largest_weight"], weights.max(), rtol=1e-9)
@@ -384,7 +388,8 @@ def test_the_saddle_point_pair_by_pair():
     equations are printed.
     """
     problem, _ = recorded_problem(3, n=3, length=4)
-    simulator, log = problem.simulator, problem.log
+    simulator = problem.simulator
+    log = problem.log
     counts = problem.counts.sum(axis=1)
     assert (counts[:6] == 0).any()
     phi = np.stack([np.ones((4, 2)), np.arange(8.0).reshape(4, 2) % 3], axis=2)

@@ -67,7 +67,8 @@ def test_standard_errors_have_the_scale_of_the_rewards(estimator, scale):
             seed=0,
         )
 
-    plain, scaled = found(1.0), found(scale)
+    plain = found(1.0)
+    scaled = found(scale)
     assert scaled.status == "ok"
     assert scaled.value == pytest.approx(plain.value * scale, rel=1e-9)
     assert scaled.standard_error == pytest.approx(

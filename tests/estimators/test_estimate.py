@@ -266,7 +266,8 @@ def test_the_error_of_a_frequency_from_n_samples(n):
     problem = oee.Problem(
         sampled_simulator(n), oee.Transitions([0], [0], [1]), horizon=2
     )
-    found, p = Simulator()(problem, np.ones((3, 1))), 3 / n
+    found = Simulator()(problem, np.ones((3, 1)))
+    p = 3 / n
     assert found.value == pytest.approx(p / 2)
     assert found.standard_error == pytest.approx(0.5 * np.sqrt(p * (1 - p) / (n - 1)))
     assert found.interval == pytest.approx(
@@ -335,11 +336,10 @@ def test_a_value_that_rests_on_the_prior_against_the_log_says_so():
 
 def test_a_change_beyond_two_standard_errors_goes_on_to_maximum_likelihood():
     """To the nearer, the one-step value, up to two; from four on to the other."""
-    simulator, target = oee.tasks.gridworld(4, 0.1), oee.tasks.gridworld(4, 0.3)
-    log, nearer = (
-        oee.sample_transitions(target, np.full((16, 4), 1 / 64), 600, seed=0),
-        [],
-    )
+    simulator = oee.tasks.gridworld(4, 0.1)
+    target = oee.tasks.gridworld(4, 0.3)
+    log = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 600, seed=0)
+    nearer = []
     for strength in (3.0, 10.0, 30.0):
         ratio = oee.ratio.Conditional(prior="simulator", strength=strength)
         facts = OffEnvironment(ratio)(

@@ -279,8 +279,10 @@ def test_models_of_the_log_use_the_simulator_s_rewards():
     assert_allclose(pay[0, 0, 1:3], own[0, 0, 1:3])
     assert_allclose(pay[1, 0, 1], own[1, 0, 1])
     assert_allclose(pay[1, 1, 1], own[1, 1, 1])
-    rows, undefined = dense(simulator)[0], own.copy()
-    rows[1, 0], undefined[1, 0, 1] = [0.5, 0.0, 0.5, 0.0], np.nan
+    rows = dense(simulator)[0]
+    undefined = own.copy()
+    rows[1, 0] = [0.5, 0.0, 0.5, 0.0]
+    undefined[1, 0, 1] = np.nan
     without = FiniteMDP(rows, undefined, simulator.initial, simulator.discount)
     moved = ModelBased().model(
         Problem(without, Transitions([0, 0, 1], [0, 0, 1], [1, 2, 1]))

@@ -71,7 +71,8 @@ def test_the_error_of_a_value_is_the_derivative_in_each_episode(
     ratios = [
         [POLICY[s, a] / BEHAVIOR[s, a] for s, a, _, _ in steps] for steps, _ in episodes
     ]
-    n, step = len(episodes), 1e-5
+    n = len(episodes)
+    step = 1e-5
     how = {
         "gamma": 0.9,
         "horizon": horizon or 99,
@@ -234,7 +235,8 @@ def test_rows_after_an_episode_s_end_weigh_nothing(kind, self_normalized):
     was at the end.
     """
     pair = case("ragged")
-    policy, log = pair.policy.copy(), pair.log(60, seed=0)
+    policy = pair.policy.copy()
+    log = pair.log(60, seed=0)
     policy[-1] = [0.9, 0.1]
     estimator = ImportanceSampling(kind=kind, self_normalized=self_normalized)
     one, other = (

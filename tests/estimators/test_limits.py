@@ -45,7 +45,9 @@ def exact_log(target, share):
     """A log with 12 * k moves in each row, k = 1, 2, ... where ``share`` is positive,
     in the target's exact proportions.
     """
-    state, action, following = [], [], []
+    state = []
+    action = []
+    following = []
     for s, a, j in np.argwhere(dense(target)[0] > 0):
         number = round(12 * dense(target)[0][s, a, j]) * round(share[s, a])
         state += [s] * number
@@ -136,7 +138,8 @@ def test_24_the_error_on_transitions_is_a_product_of_errors(rng, weights):
     distribution = share / share.sum()
     estimator = DoublyRobust(weights=weights, ratio=oee.true_ratio(target, simulator))
     limit = estimator.limit(simulator, target, policy, data_distribution=distribution)
-    q, v = oee.action_values(simulator, policy), oee.state_values(simulator, policy)
+    q = oee.action_values(simulator, policy)
+    v = oee.state_values(simulator, policy)
     # target.rewards: the simulator's pay, its own moves
     moved = target.rewards + 0.9 * dense(target)[0] @ v - q
     visits = (
@@ -155,7 +158,8 @@ def test_28_with_beta_alone_halving_the_mismatch_quarters_the_error():
     )
     other = rng.dirichlet(np.ones(4), (4, 2))
     policy = np.full((4, 2), 0.5)
-    errors, naive = [], []
+    errors = []
+    naive = []
     for size in (0.04, 0.02, 0.01):
         target = simulator.with_transitions(
             (1 - size) * dense(simulator)[0] + size * other
@@ -190,10 +194,8 @@ def test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_o
     rng,
 ):
     simulator, target = pair(rng)
-    policy, behavior = (
-        random_policy(rng, simulator),
-        random_policy(rng, simulator, zeros=0),
-    )
+    policy = random_policy(rng, simulator)
+    behavior = random_policy(rng, simulator, zeros=0)
     if simulator.closed().any():
         return
     log = oee.sample_episodes(target, behavior, 20, 6, seed=int(rng.integers(1 << 30)))
@@ -217,7 +219,8 @@ def test_31_self_normalised_values_shift_with_the_reward_and_stay_in_the_range_o
 
 
 def test_a_ratio_that_diverges_is_a_status():
-    simulator, target = oee.tasks.gridworld(6, 0.3), oee.tasks.gridworld(6, 0.1)
+    simulator = oee.tasks.gridworld(6, 0.3)
+    target = oee.tasks.gridworld(6, 0.1)
     behavior = oee.uniform_policy(simulator)
     log = oee.sample_episodes(target, behavior, 12, 60, seed=0)
     problem = oee.Problem(simulator, log, behavior_policy=behavior)
@@ -297,7 +300,8 @@ def test_doubly_robust_on_episodes_without_support_by_every_path(form):
     found = DoublyRobust(data="episodes", ratio=same).limit(
         simulator, target, policy, behavior_policy=behavior, horizon=HORIZON
     )
-    truth, model = Dense(target), Dense(simulator)
+    truth = Dense(target)
+    model = Dense(simulator)
     # the reward of a model's row is its own mean for r(s, a, s')
     V = model.values(policy, HORIZON)
     Q = [
@@ -352,8 +356,10 @@ def test_the_limit_of_the_quotient_of_two_clipped_ratios(box):
     """
     simulator, target, policy, behavior = world(2)
     share = np.array([[0.2, 0.4], [0.25, 0.15]])
-    here, there = Dense(simulator), Dense(target)
-    at, d = here.mu, np.zeros((2, 2))
+    here = Dense(simulator)
+    there = Dense(target)
+    at = here.mu
+    d = np.zeros((2, 2))
     # every move counts alike, as in a log, of episodes of a thousand
     for _ in range(1000):
         d += at[:, None] * behavior / 1000
@@ -393,7 +399,8 @@ def test_the_limit_of_weighted_importance_sampling_where_episodes_end(ragged):
     normaliser.
     """
     simulator, policy, behavior = ragged_world()
-    top, mass = np.zeros(4), np.zeros(4)
+    top = np.zeros(4)
+    mass = np.zeros(4)
     for chance, path in paths(simulator, behavior, 4):
         rho = 1.0
         for t, (s, a, _, paid) in enumerate(path):
@@ -431,7 +438,8 @@ def test_the_limit_of_products_of_ratios_by_every_path_of_the_simulator(
     zeta = fitted.values.toarray().reshape(2, 2, 2)
     shift = int(form == "sat")
     g = 0.9 ** np.arange(HORIZON)
-    top, mass = np.zeros(HORIZON), np.zeros(HORIZON)
+    top = np.zeros(HORIZON)
+    mass = np.zeros(HORIZON)
     for chance, path in paths(simulator, policy, HORIZON):
         w = np.cumprod([1.0] + [zeta[s, a, j] for s, a, j, _ in path])
         w = (

@@ -83,10 +83,8 @@ def test_each_log_of_a_problem_is_led_to_where_termination_leads():
     """
     rows = np.array([[[0.5, 0.5]], [[0.0, 1.0]]])
     simulator = FiniteMDP(rows, [1.0, 0.0], [1, 0], 0.9, terminal_state=[1, 1])
-    ended, going = (
-        Transitions([0], [0], [0], terminated=[True]),
-        Transitions([0], [0], [0]),
-    )
+    ended = Transitions([0], [0], [0], terminated=[True])
+    going = Transitions([0], [0], [0])
     problem = Problem(simulator, ended, simulator_data=ended, episodes=ended)
     for log in (problem.log, problem.episodes, problem.simulator_data):
         assert log.next_state.tolist() == [1]
@@ -230,10 +228,8 @@ def paid(change):
 
 def test_counts_show_rewards_that_contradict():
     log = paid(lambda k: np.where(k == 7, 0.5, 0.0))
-    plain, problem = (
-        oee.Problem(SIMULATOR, log, 20),
-        oee.Problem(SIMULATOR, counted(log), 20),
-    )
+    plain = oee.Problem(SIMULATOR, log, 20)
+    problem = oee.Problem(SIMULATOR, counted(log), 20)
     assert str(problem.reward_conflict) == str(plain.reward_conflict)
     assert oee.Problem(SIMULATOR, counted(LOG), 20).reward_conflict is None
     assert oee.Problem(SIMULATOR, COUNTS, 20).reward_conflict is None
@@ -265,10 +261,8 @@ def test_rewards_of_counts_are_the_log_s(estimator, rewards):
 
 
 def test_importance_sampling_sees_the_sample_beside_the_counts():
-    problem, plain = (
-        oee.Problem(SIMULATOR, counted(MORE, sample=LOG), 20),
-        oee.Problem(SIMULATOR, LOG, 20),
-    )
+    problem = oee.Problem(SIMULATOR, counted(MORE, sample=LOG), 20)
+    plain = oee.Problem(SIMULATOR, LOG, 20)
     assert (
         ImportanceSampling()(problem, EXPERT).value
         == ImportanceSampling()(plain, EXPERT).value
@@ -286,7 +280,8 @@ def test_terminated_transitions_of_counts_are_led_to_the_terminal_state():
     )
     log = oee.sample_episodes(mdp, oee.uniform_policy(mdp), 20, 200, seed=2)
     assert log.terminated.any()
-    ours, plain = oee.Problem(mdp, counted(log, sample=log)), oee.Problem(mdp, log)
+    ours = oee.Problem(mdp, counted(log, sample=log))
+    plain = oee.Problem(mdp, log)
     assert abs(ours.counts - plain.counts).sum() == 0
     assert np.array_equal(ours.log.sample.next_state, plain.log.next_state)
 
@@ -324,7 +319,8 @@ def paid_case(form):
     pay = rng.normal(size=40)
     log = oee.Transitions(drawn.state, drawn.action, drawn.next_state, pay)
     base = Dense(simulator)
-    n, total = table_of(log, (3, 2)), np.zeros((3, 2, 3))
+    n = table_of(log, (3, 2))
+    total = np.zeros((3, 2, 3))
     np.add.at(total, (log.state, log.action, log.next_state), pay)
     own = base.like(base.P)
     own.r = np.where(n > 0, total / np.maximum(n, 1), base.r)

@@ -89,11 +89,14 @@ def test_self_normalised_products_step_by_step(form, horizon):
     simulator = oee.FiniteMDP(
         [[[0.7, 0.3]], [[0.0, 1.0]]], rewards.reshape((2, 1, 2)[:form]), [1.0, 0.0], 0.9
     )
-    zeta, n = ratio_with(simulator, [1.4, 0.3, 1.0]), 30
+    zeta = ratio_with(simulator, [1.4, 0.3, 1.0])
+    n = 30
     log = oee.sample_returns(
         simulator, np.ones((2, 1)), n, horizon, seed=1, record=True
     ).log
-    carried, paid, ends = np.ones((n, horizon)), np.zeros((n, horizon)), np.ones(n)
+    carried = np.ones((n, horizon))
+    paid = np.zeros((n, horizon))
+    ends = np.ones(n)
     largest = []
     for i in range(n):
         weight = 1.0

@@ -34,10 +34,13 @@ def test_41_the_bound_is_the_variance_of_the_numeric_gradient(rng):
     for r(s, a).
     """
     mdp = random_mdp(rng, n_states=int(rng.integers(1, 5)), discount=0.9)
-    policy, share = random_policy(rng, mdp), shares(rng, mdp)
-    base, expected = Dense(mdp), 0.0
+    policy = random_policy(rng, mdp)
+    share = shares(rng, mdp)
+    base = Dense(mdp)
+    expected = 0.0
     for s, a in np.ndindex(*share.shape):
-        slope, row = np.zeros(mdp.n_states), base.P[s, a]
+        slope = np.zeros(mdp.n_states)
+        row = base.P[s, a]
         for j in np.flatnonzero(row):
             step = np.zeros(base.P.shape)
             step[s, a, j] = 1e-5
@@ -65,7 +68,8 @@ def test_41_the_bound_is_the_variance_of_the_numeric_gradient(rng):
 def test_30_the_bound_is_convex_in_the_data_and_has_its_minimum_where_theory_says(rng):
     mdp = random_mdp(rng, n_states=3, n_actions=2, discount=0.9)
     policy = random_policy(rng, mdp)
-    one, two = shares(rng, mdp), shares(rng, mdp)
+    one = shares(rng, mdp)
+    two = shares(rng, mdp)
     both = oee.efficiency_bound(mdp, policy, (one + two) / 2)
     ends = [oee.efficiency_bound(mdp, policy, x) for x in (one, two)]
     assert both <= np.mean(ends) * (1 + 1e-12) + 1e-12
@@ -97,7 +101,8 @@ def test_30_the_bound_is_convex_in_the_data_and_has_its_minimum_where_theory_say
 @given(rngs)
 def test_08_discount_0_and_a_long_horizon(rng):
     mdp = random_mdp(rng, n_states=3, form=2, discount=0.9)
-    policy, share = random_policy(rng, mdp), shares(rng, mdp)
+    policy = random_policy(rng, mdp)
+    share = shares(rng, mdp)
     bound = oee.efficiency_bound(mdp, policy, share)
     assert oee.efficiency_bound(mdp.with_discount(0.0), policy, share) == 0
     assert_allclose(
@@ -113,7 +118,8 @@ def test_data_that_never_show_what_matters():
     share = np.full((9, 4), 1 / 32)
     share[0] = 0
     assert oee.efficiency_bound(mdp, oee.uniform_policy(mdp), share) == np.inf
-    even, simulator = np.full((9, 4), 1 / 36), oee.tasks.gridworld(3, 0.5)
+    even = np.full((9, 4), 1 / 36)
+    simulator = oee.tasks.gridworld(3, 0.5)
     for two in ((share, even), (even, share)):
         assert (
             ratio_of_ratios_variance(simulator, mdp, oee.uniform_policy(mdp), *two)
@@ -132,7 +138,8 @@ def test_the_tree_bound_is_the_variance_of_doubly_robust_with_the_truth(rng):
     Var[r + gamma V], is at most that.
     """
     mdp = random_mdp(rng, n_states=3, n_actions=2)
-    behavior, policy = random_policy(rng, mdp, zeros=0), random_policy(rng, mdp)
+    behavior = random_policy(rng, mdp, zeros=0)
+    policy = random_policy(rng, mdp)
     horizon = 3
     values = [
         oee.state_values(mdp, policy, horizon=horizon - t) for t in range(horizon)
@@ -145,7 +152,8 @@ def test_the_tree_bound_is_the_variance_of_doubly_robust_with_the_truth(rng):
         ]
     )
     ratio = np.where(mdp.absorbing()[:, None], 1.0, policy / behavior)
-    probabilities, estimates = [], []
+    probabilities = []
+    estimates = []
     for probability, steps in paths(mdp, behavior, horizon):
         value = 0.0
         for t, (s, a, _, r) in reversed(list(enumerate(steps))):
@@ -154,7 +162,8 @@ def test_the_tree_bound_is_the_variance_of_doubly_robust_with_the_truth(rng):
             )
         probabilities.append(probability)
         estimates.append(value)
-    probabilities, estimates = np.array(probabilities), np.array(estimates)
+    probabilities = np.array(probabilities)
+    estimates = np.array(estimates)
     mean = probabilities @ estimates
     tree, markov = (
         oee.trajectory_efficiency_bound(
@@ -170,10 +179,13 @@ def test_the_tree_bound_is_the_variance_of_doubly_robust_with_the_truth(rng):
         mean, oee.policy_value(mdp, policy, horizon=horizon), rtol=1e-9, atol=1e-9
     )
     assert markov <= tree + 1e-10 * scale
-    alpha, beta, q_noise = mdp.initial, mdp.initial, 0.0
+    alpha = mdp.initial
+    beta = mdp.initial
+    q_noise = 0.0
     own = mdp.initial @ (values[0] - mdp.initial @ values[0]) ** 2
     for t in range(horizon):
-        ahead, factor = paid + mdp.discount * values[t + 1], mdp.discount ** (2 * t)
+        ahead = paid + mdp.discount * values[t + 1]
+        factor = mdp.discount ** (2 * t)
         spread = (
             transitions
             * (ahead - (transitions * ahead).sum(axis=2, keepdims=True)) ** 2
@@ -181,7 +193,8 @@ def test_the_tree_bound_is_the_variance_of_doubly_robust_with_the_truth(rng):
         q_noise += (
             factor * alpha @ (policy * (pairs[t] - values[t][:, None]) ** 2).sum(axis=1)
         )
-        mine, theirs = alpha[:, None] * policy, beta[:, None] * behavior
+        mine = alpha[:, None] * policy
+        theirs = beta[:, None] * behavior
         own += (
             factor
             * np.divide(
@@ -204,7 +217,8 @@ def test_the_tree_bound_is_the_variance_of_doubly_robust_with_the_truth(rng):
 def test_finite_horizons_of_the_ratio_of_ratios(rng):
     simulator = random_mdp(rng, n_states=3, discount=0.5, zeros=0.0)
     target = random_mdp(rng, like=simulator)
-    policy, share = random_policy(rng, simulator), shares(rng, simulator)
+    policy = random_policy(rng, simulator)
+    share = shares(rng, simulator)
     for rows in ("as_they_are", "normalised"):
         infinite, long = (
             ratio_of_ratios_variance(
@@ -232,7 +246,8 @@ def test_the_four_quotients_against_a_delta_method(rng):
     share, other = (
         rng.dirichlet(np.ones(2 * size) * 3).reshape(size, 2) for _ in range(2)
     )
-    p, q = dense(target)[0], dense(simulator)[0]
+    p = dense(target)[0]
+    q = dense(simulator)[0]
     moves = [share[:, :, None] * p, other[:, :, None] * q]
 
     def value(a, b, c, d, normalised):
@@ -338,7 +353,8 @@ def test_the_bound_for_one_kernel_is_that_of_the_fisher_information_of_all_paths
         form=form,
         discount=0.9,
     )
-    behavior, policy = random_policy(rng, mdp, zeros=0.0), random_policy(rng, mdp)
+    behavior = random_policy(rng, mdp, zeros=0.0)
+    policy = random_policy(rng, mdp)
     horizon = int(rng.integers(1, 4))
     found, markov = (
         oee.trajectory_efficiency_bound(mdp, behavior, policy, horizon=horizon, model=m)
@@ -360,7 +376,9 @@ def test_the_leading_bias_is_that_of_second_differences(form):
     """
     _, target = environments(form)
     base = Dense(target)
-    rows, step, total = base.P.reshape(6, 3), 1e-3, 0.0
+    rows = base.P.reshape(6, 3)
+    step = 1e-3
+    total = 0.0
     for x in range(6):
         for j in range(3):
             direction = np.zeros((6, 3))
@@ -388,7 +406,8 @@ def test_only_actions_within_reach_must_be_taken():
     rows[[0, 1, 2, 3], :, [1, 2, 3, 0]] = 1.0
     mdp = FiniteMDP(rows, np.ones(4), [1, 0, 0, 0], 0.9)
     half = np.full((4, 2), 0.5)
-    never, without = np.eye(2)[[1, 1, 1, 1]], half.copy()
+    never = np.eye(2)[[1, 1, 1, 1]]
+    without = half.copy()
     without[2] = [1.0, 0.0]
     for horizon in (1, 2):
         oee.trajectory_efficiency_bound(mdp, without, half, horizon=horizon)

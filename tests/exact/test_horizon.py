@@ -41,7 +41,8 @@ def backward(model, policy, steps):
 
 def forward(model, policy, steps):
     """sum_t gamma^t Pr(s_t = s, a_t = a)."""
-    states, total = model.initial, np.zeros((model.n_states, model.n_actions))
+    states = model.initial
+    total = np.zeros((model.n_states, model.n_actions))
     for t in range(steps):
         pairs = states[:, None] * (policy if policy.ndim == 2 else policy[t])
         total += model.discount**t * pairs
@@ -141,7 +142,8 @@ def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
     rows = np.repeat(np.arange(10), np.diff(valued.transitions.indptr))
     columns = valued.transitions.indices
     pay = 0.0 if valued.reward_data is None else valued.reward_data
-    states, expected = model.initial, np.zeros(len(rows))
+    states = model.initial
+    expected = np.zeros(len(rows))
     endless = exact.state_values(valued, policy)
     for t in range(steps or 400):
         share = (states[:, None] * policy).reshape(-1)
@@ -179,7 +181,8 @@ def check_in_time(mdp, zeta, policy, behavior, horizon):
             for pi in (policy, np.stack([policy] * horizon))
         )
         for name in ("mean", "variance", "bias", "by_step", "by_state"):
-            one, two = getattr(merged, name), getattr(timed, name)
+            one = getattr(merged, name)
+            two = getattr(timed, name)
             scale = max(1.0, np.abs(two).max(), abs(timed.mean) ** 2)
             assert_allclose(one, two, rtol=1e-9, atol=1e-12 * scale, err_msg=name)
 
@@ -209,7 +212,8 @@ def test_rings_and_rows_of_very_different_lengths(rng):
     """A ring's entries lead to consecutive states; in the other, one state leads
     everywhere, the rest to three.
     """
-    n, n_actions = int(rng.integers(70, 200)), 2
+    n = int(rng.integers(70, 200))
+    n_actions = 2
     for is_ring in (True, False):
         transitions = np.zeros((n, n_actions, n))
         for step in rng.choice(np.arange(-5, 40), 3, replace=False):
@@ -244,7 +248,8 @@ def test_an_infinite_sum_has_the_shares_of_a_long_one(form, weights):
             simulator, BEHAVIOR, POLICY, sources=True, **options
         )
 
-    endless, long = moments(), moments(horizon=120)
+    endless = moments()
+    long = moments(horizon=120)
     assert_allclose(endless.mean, long.mean, rtol=1e-10)
     assert_allclose(endless.variance, long.variance, rtol=1e-10)
     assert_allclose(endless.by_state, long.by_state, rtol=1e-9)

@@ -41,10 +41,15 @@ def enumerated(mdp, drawn, u, w, horizon, kind):
     """(probability, X, last weight, return, weights of the rewards, weighted rewards)
     of every path.
     """
-    by_move, over = mdp.transition_rewards is not None, mdp.absorbing()
+    by_move = mdp.transition_rewards is not None
+    over = mdp.absorbing()
     rows = []
     for probability, steps in paths(mdp, drawn, horizon):
-        weight, total, plain, weights, paid = 1.0, 0.0, 0.0, [], []
+        weight = 1.0
+        total = 0.0
+        plain = 0.0
+        weights = []
+        paid = []
         for t, (s, a, following, r) in enumerate(steps):
             weight *= 1.0 if over[s] else u[s, a]
             move = 1.0 if over[s] else w[s, a, following]
@@ -84,13 +89,13 @@ def check_sources(found, mdp, drawn, x, horizon):
     the steps' by their states s_t.
     """
     every = paths(mdp, drawn, horizon)
-    probability, before = (
-        np.array([p for p, _ in every]),
-        moments_of(np.array([p for p, _ in every]), x)[0],
-    )
-    scale, by_state = max(1.0, probability @ x**2), np.zeros(mdp.n_states)
+    probability = np.array([p for p, _ in every])
+    before = moments_of(np.array([p for p, _ in every]), x)[0]
+    scale = max(1.0, probability @ x**2)
+    by_state = np.zeros(mdp.n_states)
     for t in range(horizon + 1):
-        groups, level = {}, np.empty(len(x))
+        groups = {}
+        level = np.empty(len(x))
         for k, (_, steps) in enumerate(every):
             known = (
                 tuple(step[:2] for step in steps[:t]),
@@ -101,7 +106,8 @@ def check_sources(found, mdp, drawn, x, horizon):
             level[members] = (
                 probability[members] @ x[members] / probability[members].sum()
             )
-        part, before = probability * (level - before) ** 2, level
+        part = probability * (level - before) ** 2
+        before = level
         assert_allclose(found.by_step[t], part.sum(), rtol=1e-8, atol=1e-11 * scale)
         if t > 0:
             np.add.at(by_state, [steps[t - 1][0] for _, steps in every], part)
@@ -117,11 +123,9 @@ def test_19_products_of_ratios_equal_enumeration(rng, kind):
     simulator = random_mdp(
         rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3))
     )
-    policy, zeta, horizon = (
-        random_policy(rng, simulator),
-        ratio_of(rng, simulator),
-        int(rng.integers(1, 4)),
-    )
+    policy = random_policy(rng, simulator)
+    zeta = ratio_of(rng, simulator)
+    horizon = int(rng.integers(1, 4))
     if rng.random() < 0.3:
         policy = np.stack([random_policy(rng, simulator) for _ in range(horizon)])
     w = zeta.toarray().reshape(simulator.n_states, simulator.n_actions, -1)
@@ -148,7 +152,8 @@ def test_19_products_of_ratios_equal_enumeration(rng, kind):
 @given(rngs, st.sampled_from(KINDS))
 def test_19_policy_importance_sampling_equals_enumeration(rng, kind):
     mdp = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=2)
-    behavior, policy = random_policy(rng, mdp), random_policy(rng, mdp)
+    behavior = random_policy(rng, mdp)
+    policy = random_policy(rng, mdp)
     horizon = int(rng.integers(1, 4))
     u = np.divide(policy, behavior, out=np.zeros_like(policy), where=behavior > 0)
     ones = np.ones((mdp.n_states, 2, mdp.n_states))
@@ -167,7 +172,8 @@ def test_self_normalised_limits_variances_and_biases(rng, kind):
     mean 1.
     """
     simulator = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=2)
-    policy, horizon = random_policy(rng, simulator), int(rng.integers(1, 4))
+    policy = random_policy(rng, simulator)
+    horizon = int(rng.integers(1, 4))
     zeta = ratio_of(rng, simulator)
     w = zeta.toarray().reshape(simulator.n_states, 2, -1)
     probability, _, last, plain, weights, paid = enumerated(
@@ -218,11 +224,9 @@ def test_22_42_doubly_robust_moments_equal_enumeration(rng, action_baseline, own
     simulator = random_mdp(
         rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3))
     )
-    policy, zeta, horizon = (
-        random_policy(rng, simulator),
-        ratio_of(rng, simulator),
-        int(rng.integers(1, 4)),
-    )
+    policy = random_policy(rng, simulator)
+    zeta = ratio_of(rng, simulator)
+    horizon = int(rng.integers(1, 4))
     baseline = rng.normal(size=(horizon + 1, simulator.n_states)) if own else None
     found = oee.doubly_robust_moments(
         simulator,
@@ -247,8 +251,10 @@ def test_22_42_doubly_robust_moments_equal_enumeration(rng, action_baseline, own
     over = simulator.absorbing()
     w = zeta.toarray().reshape(transitions.shape)
     w[over] = 1.0
-    by_move, gamma = simulator.transition_rewards is not None, simulator.discount
-    probabilities, values = [], []
+    by_move = simulator.transition_rewards is not None
+    gamma = simulator.discount
+    probabilities = []
+    values = []
     for probability, steps in paths(simulator, policy, horizon):
         value = 0.0
         for t in range(horizon - 1, -1, -1):
@@ -276,7 +282,8 @@ def test_23_with_the_true_values_only_the_start_varies(rng):
     """
     simulator = random_mdp(rng)
     target = random_mdp(rng, like=simulator)
-    policy, zeta = random_policy(rng, simulator), oee.true_ratio(target, simulator)
+    policy = random_policy(rng, simulator)
+    zeta = oee.true_ratio(target, simulator)
     values = values_to_go(target, policy, 4)
     found = oee.doubly_robust_moments(
         simulator, zeta, policy, baseline=values, horizon=4, action_baseline=True
@@ -293,7 +300,8 @@ def test_20_21_the_mean_is_the_value_of_the_model(rng):
     """Per decision: J(zeta P). With rows that sum to 1 the trajectory's is the same."""
     simulator = random_mdp(rng, discount=0.9)
     target = random_mdp(rng, like=simulator)
-    policy, any_zeta = random_policy(rng, simulator), ratio_of(rng, simulator)
+    policy = random_policy(rng, simulator)
+    any_zeta = ratio_of(rng, simulator)
     model = oee.exact.reweight(simulator, any_zeta)
     # there weights stand still, in the model they need not
     if not simulator.absorbing().any():
@@ -332,7 +340,8 @@ def test_10_12_26_moments_of_the_weight(rng):
     """
     simulator = random_mdp(rng, n_states=3)
     target = random_mdp(rng, like=simulator)
-    policy, zeta = random_policy(rng, simulator), oee.true_ratio(target, simulator)
+    policy = random_policy(rng, simulator)
+    zeta = oee.true_ratio(target, simulator)
     first, second = weight_moments(simulator, zeta, policy, horizon=6)
     assert_allclose(first, 1.0, rtol=1e-12)
     assert (np.diff(second) >= -1e-12 * second[1:]).all()
@@ -354,10 +363,8 @@ def test_10_12_26_moments_of_the_weight(rng):
         )
     if not simulator.absorbing().any():
         other = ratio_of(rng, simulator)
-        alpha, kernel = (
-            simulator.initial,
-            other.multiply(simulator.transitions).toarray().reshape(3, -1, 3),
-        )
+        alpha = simulator.initial
+        kernel = other.multiply(simulator.transitions).toarray().reshape(3, -1, 3)
         for mass in weight_moments(simulator, other, policy, horizon=6)[0]:
             assert_allclose(mass, alpha.sum(), rtol=1e-10, atol=1e-12)
             alpha = np.einsum("s,sa,sat->t", alpha, policy, kernel)
@@ -369,7 +376,8 @@ def test_25_the_law_of_total_variance(rng):
     a).
     """
     mdp = random_mdp(rng, form=2)
-    policy, horizon = random_policy(rng, mdp), 4
+    policy = random_policy(rng, mdp)
+    horizon = 4
     values = values_to_go(mdp, policy, horizon)
     transitions, _ = dense(mdp)
     total = mdp.initial @ (values[0] - mdp.initial @ values[0]) ** 2
@@ -458,8 +466,10 @@ def test_no_cancellation():
 def test_05_06_07_relabelling_and_longer_horizons_change_nothing(rng, kind):
     """[5] states and actions in another order; [7] steps after sure absorption."""
     simulator = random_mdp(rng, n_states=3, n_actions=2)
-    policy, zeta = random_policy(rng, simulator), ratio_of(rng, simulator)
-    states, actions = rng.permutation(3), rng.permutation(2)
+    policy = random_policy(rng, simulator)
+    zeta = ratio_of(rng, simulator)
+    states = rng.permutation(3)
+    actions = rng.permutation(2)
     transitions, rewards = dense(simulator)
     if simulator.transition_rewards is None:
         paid = simulator.rewards[np.ix_(states, actions)]

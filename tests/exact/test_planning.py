@@ -178,7 +178,8 @@ def test_plans_cannot_be_improved(discount):
             np.random.default_rng(0), n_states=60, n_actions=5, discount=discount
         )
     )
-    rng, n = np.random.default_rng(1), 300
+    rng = np.random.default_rng(1)
+    n = 300
     at = np.arange(n)
     for is_ring in (False, True):
         rows = np.zeros((n, 2, n))
@@ -204,10 +205,8 @@ def test_plans_of_rewards_near_the_largest_float_end():
 @pytest.mark.parametrize("unit", [1e-200, 1e-12, 1e-3, 1e9])
 def test_the_unit_of_rewards_does_not_matter(unit):
     rng = np.random.default_rng(0)
-    transitions, rewards = (
-        rng.dirichlet(np.ones(4), size=(4, 3)),
-        rng.uniform(size=(4, 3)),
-    )
+    transitions = rng.dirichlet(np.ones(4), size=(4, 3))
+    rewards = rng.uniform(size=(4, 3))
     best = oee.optimal_policy(oee.FiniteMDP(transitions, rewards, 0, 0.9))
     assert_array_equal(
         oee.optimal_policy(oee.FiniteMDP(transitions, unit * rewards, 0, 0.9)), best

@@ -71,10 +71,8 @@ def refined(system, b, solver):
 
 def check_solver(solver, system, b, truth):
     """A direct solver and BiCGSTAB are right; what an iteration leaves is in its bound."""
-    found, scale = (
-        refined(system, b, solver),
-        np.abs(truth).sum() if system.transpose else np.abs(truth).max(),
-    )
+    found = refined(system, b, solver)
+    scale = np.abs(truth).sum() if system.transpose else np.abs(truth).max()
     missed = np.abs(found.x - truth)
     missed = missed.sum() if system.transpose else missed.max()
     size = 1e-12 / (1.0 - system.kernel.discount) * scale
@@ -103,7 +101,8 @@ def test_every_solver_gives_the_one_answer_within_its_bound(name, discount, tran
 @given(rngs)
 def test_small_systems_by_solvers_that_they_would_not_meet(rng):
     """Any pattern, rows of any sum below 1; states that nothing leads to, or from."""
-    n, gamma = int(rng.integers(2, 30)), float(rng.choice([0.5, 0.95]))
+    n = int(rng.integers(2, 30))
+    gamma = float(rng.choice([0.5, 0.95]))
     kernel = rng.random((n, n)) * (rng.random((n, n)) < rng.choice([0.05, 0.2, 0.5]))
     kernel /= np.maximum(kernel.sum(axis=1, keepdims=True), 1e-9) * rng.choice(
         [1.0, 1.2]
@@ -141,7 +140,8 @@ def test_a_singular_system_diverges(n, transpose):
 
 
 def test_answers_are_refined_to_rounding_and_zero_is_left_alone():
-    system, b = system_of(grid(25), 0.99), np.random.default_rng(0).random(625)
+    system = system_of(grid(25), 0.99)
+    b = np.random.default_rng(0).random(625)
     x, missed, largest, bound, rounding, method = solvers.answer(system, b)
     assert method == "BiCGSTAB"
     assert_allclose(
@@ -193,7 +193,8 @@ def test_where_iteration_fails_the_direct_solver_answers(monkeypatch):
 
 def dense_halves():
     """Value iteration fails there, and every state is a hub."""
-    p, half = np.random.default_rng(0).random((450, 450)), 225
+    p = np.random.default_rng(0).random((450, 450))
+    half = 225
     p[:half, half:] *= 1e-9
     p[half:, :half] *= 1e-9
     return p / p.sum(axis=1, keepdims=True)
@@ -260,13 +261,13 @@ def test_an_even_start_does_not_end_the_plain_iteration(discount):
     """Ones are an eigenvector of what the transposed residuals are held against: a
     Krylov space of one dimension.
     """
-    n, rng = 2000, np.random.default_rng(3)
-    weights, ahead = (
-        rng.dirichlet(np.ones(2), n).reshape(-1),
-        rng.integers(n, size=2 * n),
-    )
+    n = 2000
+    rng = np.random.default_rng(3)
+    weights = rng.dirichlet(np.ones(2), n).reshape(-1)
+    ahead = rng.integers(n, size=2 * n)
     kernel = sparse.csr_array((weights, (np.repeat(np.arange(n), 2), ahead)), (n, n))
-    system, b = system_of(kernel, discount, True), np.full(n, (1 - discount) / n)
+    system = system_of(kernel, discount, True)
+    b = np.full(n, (1 - discount) / n)
     assert ValueIteration().prepare(system)(b, 0.0) is None
     found = solvers.answer(system, b)
     assert found.method == "BiCGSTAB"
@@ -301,10 +302,8 @@ def test_near_discount_one_occupancies_sum_to_one(entries):
     bound on them 1e-8 and 3e-7.
     """
     rng = np.random.default_rng(0)
-    weights, columns = (
-        rng.dirichlet(np.ones(entries), size=200),
-        rng.integers(200, size=200 * entries),
-    )
+    weights = rng.dirichlet(np.ones(entries), size=200)
+    columns = rng.integers(200, size=200 * entries)
     rows = sparse.coo_array(
         (weights.ravel(), (np.repeat(np.arange(200), entries), columns)),
         shape=(200, 200),
@@ -370,7 +369,8 @@ def test_the_certificate_counts_its_own_residual(monkeypatch):
 # calls, systems without a solution
 def rational(matrix, b, gamma):
     """(I - gamma K)^-1 b in fractions, by Gauss and Jordan."""
-    n, g = len(b), Fraction(gamma)
+    n = len(b)
+    g = Fraction(gamma)
     rows = [
         [(i == j) - g * Fraction(matrix[i][j]) for j in range(n)] + [Fraction(b[i])]
         for i in range(n)
@@ -393,11 +393,13 @@ def refined_exactly(matrix, b, gamma):
     """The same for more states: a dense solve, and five corrections from exact
     residuals, each good to 6 digits or more.
     """
-    factors, g = linalg.lu_factor(np.eye(len(b)) - gamma * matrix), Fraction(gamma)
+    factors = linalg.lu_factor(np.eye(len(b)) - gamma * matrix)
+    g = Fraction(gamma)
     entries = [
         [(int(j), g * Fraction(row[j])) for j in np.flatnonzero(row)] for row in matrix
     ]
-    x, right = [Fraction(0)] * len(b), [Fraction(v) for v in b.tolist()]
+    x = [Fraction(0)] * len(b)
+    right = [Fraction(v) for v in b.tolist()]
     for _ in range(6):
         residual = [
             v - x[i] + sum(c * x[j] for j, c in entries[i]) for i, v in enumerate(right)
@@ -411,7 +413,8 @@ def ill_conditioned(name, n):
     """Kernels whose I - gamma K is nearly singular, or whose solution spans many
     magnitudes.
     """
-    rng, at = np.random.default_rng(n), np.arange(n)
+    rng = np.random.default_rng(n)
+    at = np.arange(n)
     rows = np.zeros((n, n))
     if name == "ring":
         rows[at, (at + 1) % n] = rng.uniform(0.3, 0.7, n)
@@ -452,7 +455,8 @@ def ill_conditioned(name, n):
 )
 def test_error_bound_of_ill_conditioned_systems(name, n, discount, transpose):
     """|x - x*| <= error_bound in exact arithmetic; the bound is no more than the rounding times the condition number."""
-    kernel, b = ill_conditioned(name, n), np.random.default_rng(1).normal(size=n)
+    kernel = ill_conditioned(name, n)
+    b = np.random.default_rng(1).normal(size=n)
     result = solve_policy_system(
         sparse.csr_array(kernel), b, discount, transpose=transpose
     )

@@ -203,10 +203,8 @@ def test_values_beyond_floats_are_infinite_and_their_bound_is():
         [1, 0, 0],
         0.99,
     )
-    same, policy = (
-        FiniteMDP(never.transitions, [[0], [1], [1]], never.initial, 0.99),
-        [[1.0]] * 3,
-    )
+    same = FiniteMDP(never.transitions, [[0], [1], [1]], never.initial, 0.99)
+    policy = [[1.0]] * 3
     for horizon in (None, 5, 500):
         found, plain = (
             exact.evaluate_policy(mdp, policy, horizon=horizon) for mdp in (never, same)
@@ -228,7 +226,8 @@ def test_values_beyond_floats_are_infinite_and_their_bound_is():
 
 def test_warnings_about_a_value():
     """The method and the error bound of each way to a value."""
-    chain, ones = survival_chain(), np.ones((2, 1))
+    chain = survival_chain()
+    ones = np.ones((2, 1))
     found = exact.evaluate_policy(chain, ones, horizon=3)
     assert (found.method, found.error_bound) == ("backward recursion", 0.0)
     assert exact.evaluate_policy(chain, ones).method == "dense LU"
@@ -288,7 +287,9 @@ def test_the_error_bound_counts_the_rounding_of_the_policys_rows(which):
     """Thousands of actions: sums over them are rounded before the system is solved. 40
     states that stay where they are.
     """
-    n, n_actions, rng = 40, 2000, np.random.default_rng(0)
+    n = 40
+    n_actions = 2000
+    rng = np.random.default_rng(0)
     policy = rng.dirichlet(np.ones(n_actions), n)
     rewards = (
         np.ones((n, n_actions))

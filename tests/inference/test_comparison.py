@@ -11,10 +11,8 @@ from scipy import optimize, stats
 import oee_tabular as oee
 from oee_tabular.inference import compare_policies, row_changes, selection_measures
 
-SIMULATOR, TARGET = (
-    oee.tasks.gridworld(4, 0.3, discount=0.9),
-    oee.tasks.gridworld(4, 0.1, discount=0.9),
-)
+SIMULATOR = oee.tasks.gridworld(4, 0.3, discount=0.9)
+TARGET = oee.tasks.gridworld(4, 0.1, discount=0.9)
 POLICIES = {f"delta={d}": oee.tasks.gridworld_policy(4, d) for d in (0.4, 0.5, 0.9)}
 SHARE = np.full((16, 4), 1 / 64)
 
@@ -190,13 +188,15 @@ def test_compared_policies_by_the_variance_of_each_row_with_one_more_transition(
     found = compare_policies(
         oee.Problem(simulator, log, horizon=horizon), policies, n_draws=200_000
     )
-    base, n = Dense(simulator), table_of(log, first.shape)
+    base = Dense(simulator)
+    n = table_of(log, first.shape)
     total = n.sum(axis=2, keepdims=True)
     model = base.like(np.where(total > 0, n / np.maximum(total, 1), base.P))
     law = (n + base.P) / (total + 1)
     values = [model.J(policies[name], horizon) for name in found.names]
     slopes = [model.slope(policies[name], horizon) for name in found.names]
-    x, y = np.array(slopes)[:, None], np.array(slopes)[None]
+    x = np.array(slopes)[:, None]
+    y = np.array(slopes)[None]
     joint = (law * x * y).sum(axis=4) - (law * x).sum(axis=4) * (law * y).sum(axis=4)
     covariance = (joint / np.maximum(total[:, :, 0], 1)).sum(axis=(2, 3))
     assert_allclose(found.values, values, rtol=1e-9)
@@ -231,7 +231,8 @@ def test_both_methods_widen_for_what_was_never_recorded():
 
 # ---- certain changes of rows: bounds that hold, all at once, and say nothing where
 # there is nothing to say
-CHANGED_SIMULATOR, CHANGED = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+CHANGED_SIMULATOR = oee.tasks.gridworld(4, 0.3)
+CHANGED = oee.tasks.gridworld(4, 0.1)
 
 
 def test_the_simulator_s_own_log_changes_nothing():
@@ -257,7 +258,8 @@ def test_changes_of_rows_by_roots_of_their_own(episodes):
     if episodes:
         log = oee.sample_episodes(target, policy, 40, 10, seed=0)
     found = row_changes(oee.Problem(simulator, log), confidence=0.9)
-    P, n = Dense(simulator).P, table_of(log, policy.shape)
+    P = Dense(simulator).P
+    n = table_of(log, policy.shape)
     tested = (n.sum(axis=2) > 0).sum()
     level = 0.1 / tested
     for s, a in np.ndindex(policy.shape):

@@ -22,7 +22,8 @@ from oee_tabular.inference.asymptotic import bootstrap_values
 def test_43_the_radii_hold_by_enumeration(n, k):
     """Pr(KL(phat || P) > epsilon) <= level, summed over all outcomes, for several P."""
     for level in (0.3, 0.05, 0.001):
-        one, count = np.array([float(n)]), np.array([k])
+        one = np.array([float(n)])
+        count = np.array([k])
         epsilon = robust.independent_radius(one, count, level)[0]
         anytime = robust.anytime_radius(one, count, level)[0]
         # Jonsson et al. 2020: n r
@@ -97,7 +98,8 @@ def test_34_35_44_nested_mirrored_and_every_member_inside(rng, horizon):
         for k in range(len(evidence.n)):
             row = slice(*evidence.rows.indptr[k : k + 2])
             aim = rng.dirichlet(np.ones(row.stop - row.start))
-            low, high = 0.0, 1.0 - 1e-9
+            low = 0.0
+            high = 1.0 - 1e-9
             for _ in range(40):
                 middle = 0.5 * (low + high)
                 trial = (1 - middle) * evidence.phat[row] + middle * aim
@@ -161,7 +163,8 @@ def test_39_two_states_by_brute_force():
         np.array([[[0.6, 0.4]], [[0.0, 1.0]]]), np.array([1.0, 0.0]), [1, 0], 0.9
     )
     log = oee.Transitions([0] * 20, [0] * 20, [0] * 13 + [1] * 7)
-    problem, ones = oee.Problem(simulator, log), np.ones((2, 1))
+    problem = oee.Problem(simulator, log)
+    ones = np.ones((2, 1))
     grid = np.linspace(1e-6, 1 - 1e-6, 400_001)
     kl = 0.65 * np.log(0.65 / grid) + 0.35 * np.log(0.35 / (1 - grid))
     values = 1 / (1 - 0.9 * grid)
@@ -264,7 +267,8 @@ def test_38_unrecorded_rows_are_not_trusted():
     rows = np.array([[[0.5, 0.5], [0.5, 0.5]], [[0.0, 1.0], [0.0, 1.0]]])
     simulator = oee.FiniteMDP(rows, np.array([1.0, 0.0]), [1, 0], 0.9)
     log = oee.Transitions([0, 0, 0], [1, 1, 1], [0, 1, 0])
-    problem, first = oee.Problem(simulator, log), np.array([[1.0, 0.0], [1.0, 0.0]])
+    problem = oee.Problem(simulator, log)
+    first = np.array([[1.0, 0.0], [1.0, 0.0]])
     identified = (1 / (1 - 0.9 * 0.25), 1 / (1 - 0.9 * 0.75))
     for method in ("likelihood", "robust"):
         found = oee.interval(
@@ -303,10 +307,8 @@ def test_rows_that_only_an_unrecorded_transition_reaches_are_set_to_their_extrem
 
 
 def test_with_much_data_the_methods_agree():
-    simulator, target = (
-        oee.tasks.gridworld(3, 0.3, discount=0.9),
-        oee.tasks.gridworld(3, 0.1, discount=0.9),
-    )
+    simulator = oee.tasks.gridworld(3, 0.3, discount=0.9)
+    target = oee.tasks.gridworld(3, 0.1, discount=0.9)
     policy = oee.tasks.gridworld_policy(3, 0.5)
     log = oee.sample_transitions(target, np.full((9, 4), 1 / 36), 200_000, seed=0)
     problem = oee.Problem(simulator, log)
@@ -325,10 +327,8 @@ def test_bootstrap_by_episodes():
     """A resample is the model of the drawn episodes, each as often as it was drawn; its
     law is that of episodes.
     """
-    simulator, target = (
-        oee.tasks.gridworld(3, 0.3, discount=0.9),
-        oee.tasks.gridworld(3, 0.1, discount=0.9),
-    )
+    simulator = oee.tasks.gridworld(3, 0.3, discount=0.9)
+    target = oee.tasks.gridworld(3, 0.1, discount=0.9)
     policy = oee.uniform_policy(simulator)
     log = oee.sample_episodes(target, policy, 200, 10, seed=0)
     problem = oee.Problem(simulator, log)
@@ -339,7 +339,9 @@ def test_bootstrap_by_episodes():
         by="episodes",
         seed=3,
     )
-    starts, generator, expected = log.episode_starts, np.random.default_rng(3), []
+    starts = log.episode_starts
+    generator = np.random.default_rng(3)
+    expected = []
     for _ in range(25):
         drawn = generator.integers(0, 200, 200)
         rows = np.concatenate([np.arange(starts[i], starts[i + 1]) for i in drawn])

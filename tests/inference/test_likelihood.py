@@ -57,12 +57,17 @@ def test_an_end_is_a_member_and_its_value(rng, horizon):
 
 def best_of_slsqp(evidence, sign, n_starts, rng):
     """The end by SLSQP over all free probabilities."""
-    spread, policy, horizon = evidence.rows.spread, evidence.policy, evidence.horizon
+    spread = evidence.rows.spread
+    policy = evidence.policy
+    horizon = evidence.horizon
     free = np.flatnonzero(spread(evidence.reachable & evidence.open_rows))
-    pair, n = spread(np.arange(len(evidence.n)))[free], spread(evidence.n)[free]
-    phat, base = evidence.phat[free], evidence.phat.copy()
+    pair = spread(np.arange(len(evidence.n)))[free]
+    n = spread(evidence.n)[free]
+    phat = evidence.phat[free]
+    base = evidence.phat.copy()
     held = np.flatnonzero((n > 0) & (phat > 0))
-    weight, sums = (n * phat)[held], (pair == np.unique(pair)[:, None]) * 1.0
+    weight = (n * phat)[held]
+    sums = (pair == np.unique(pair)[:, None]) * 1.0
 
     def left(x):
         return LIMIT + weight @ np.log(np.maximum(x[held], 1e-300) / phat[held])
@@ -81,10 +86,8 @@ def best_of_slsqp(evidence, sign, n_starts, rng):
             -sign * gradient,
         )
 
-    best, bounds = (
-        -np.inf,
-        [(1e-10 if k in set(held) else 0.0, 1.0) for k in range(len(free))],
-    )
+    best = -np.inf
+    bounds = [(1e-10 if k in set(held) else 0.0, 1.0) for k in range(len(free))]
     for _ in range(n_starts):
         aim = rng.exponential(size=len(free)) ** 3
         aim = np.where(
@@ -135,7 +138,8 @@ def test_no_end_is_short_of_slsqp(seed):
 def sparse_problem(seed):
     """A few next states, few transitions, many rows without any: where ends are many."""
     rng = np.random.default_rng(1000 + seed)
-    n_states, n_actions = int(rng.integers(4, 40)), int(rng.integers(1, 4))
+    n_states = int(rng.integers(4, 40))
+    n_actions = int(rng.integers(1, 4))
     k = int(rng.integers(2, min(n_states, 6) + 1))
     rows = np.zeros((n_states, n_actions, n_states))
     for row in rows.reshape(-1, n_states):
@@ -148,7 +152,8 @@ def sparse_problem(seed):
         if rng.random() < 0.7
         else (rng.random(shape) < 0.15) * 1.0
     )
-    ends, finite = seed % 5 == 4, seed % 5 in (2, 4)
+    ends = seed % 5 == 4
+    finite = seed % 5 in (2, 4)
     discount = 1.0 if ends else float(rng.choice([0.8, 0.95, 0.99]))
     horizon = int(rng.integers(3, 60)) if finite else None
     simulator = oee.FiniteMDP(rows, rewards, rng.dirichlet(np.ones(n_states)), discount)
@@ -192,10 +197,8 @@ def test_large_problems_have_the_ends_of_small_ones(horizon, monkeypatch):
     """One ascent at a time, V and d corrected from those near by, scouts and one that
     is continued.
     """
-    simulator, target = (
-        oee.tasks.gridworld(6, 0.2, discount=0.95),
-        oee.tasks.gridworld(6, 0.1, discount=0.95),
-    )
+    simulator = oee.tasks.gridworld(6, 0.2, discount=0.95)
+    target = oee.tasks.gridworld(6, 0.1, discount=0.95)
     policy = oee.tasks.gridworld_policy(6, 0.5)
     log = oee.sample_transitions(target, np.full((36, 4), 1 / 144), 600, seed=1)
     evidence = gather(oee.Problem(simulator, log, horizon=horizon), policy)
@@ -215,7 +218,8 @@ def test_ends_are_in_the_rewards_unit(unit):
         else simulator.transition_rewards
     )
     scaled = oee.Problem(simulator.with_rewards(unit * rewards), problem.log)
-    one, other = oee.interval(problem, policy), oee.interval(scaled, policy)
+    one = oee.interval(problem, policy)
+    other = oee.interval(scaled, policy)
     assert_allclose(
         np.array([other.lower, other.upper]) / unit, [one.lower, one.upper], rtol=1e-6
     )
@@ -228,8 +232,11 @@ def test_an_end_where_no_recorded_row_changes_the_value():
     places = np.arange(21)
     for seed in range(15):
         rng = np.random.default_rng(seed)
-        P, rewards = np.zeros((21, 2, 21)), np.full((21, 2, 21), -0.004)
-        P[20, :, 20], rewards[:, :, 20], rewards[20] = 1.0, 0.996, 0.0
+        P = np.zeros((21, 2, 21))
+        rewards = np.full((21, 2, 21), -0.004)
+        P[20, :, 20] = 1.0
+        rewards[:, :, 20] = 0.996
+        rewards[20] = 0.0
         for s, a in np.ndindex(20, 2):
             np.add.at(
                 P[s, a],

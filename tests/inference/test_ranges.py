@@ -41,10 +41,8 @@ def brute_force(mdp, policy, nu, mu, sign, horizon=None):
         # policy iteration of whoever picks the rows: 60 rounds are many more than it
         # takes
         if horizon is None:
-            kernel, paid = (
-                np.einsum("sa,sat->st", policy, q),
-                np.einsum("sa,sat,sat->s", policy, q, r),
-            )
+            kernel = np.einsum("sa,sat->st", policy, q)
+            paid = np.einsum("sa,sat,sat->s", policy, q, r)
             new = np.linalg.solve(np.eye(len(P)) - mdp.discount * kernel, paid)
             if np.abs(new - values).max() < 1e-13:
                 break
@@ -61,11 +59,9 @@ def test_value_range_equals_a_linear_program_in_each_row(horizon):
         mdp = random_mdp(
             rng, n_states=3, n_actions=2, discount=float(rng.choice([0.5, 0.9]))
         )
-        policy, nu, mu = (
-            random_policy(rng, mdp),
-            rng.choice([0.0, 0.3, 0.8]),
-            rng.choice([1.3, 4.0]),
-        )
+        policy = random_policy(rng, mdp)
+        nu = rng.choice([0.0, 0.3, 0.8])
+        mu = rng.choice([1.3, 4.0])
         found = oee.value_range(mdp, policy, nu, mu, horizon=horizon)
         peer = [brute_force(mdp, policy, nu, mu, sign, horizon) for sign in (-1.0, 1.0)]
         assert_allclose([found.lower, found.upper], peer, rtol=1e-10, atol=1e-10)
@@ -85,7 +81,8 @@ def test_value_range_is_monotone_and_ends_at_the_value(horizon):
     for seed in range(10):
         rng = np.random.default_rng(seed)
         mdp = random_mdp(rng, discount=0.9)
-        target, policy = random_mdp(rng, like=mdp), random_policy(rng, mdp)
+        target = random_mdp(rng, like=mdp)
+        policy = random_policy(rng, mdp)
         ranges = [oee.value_range(mdp, policy, *box, horizon=horizon) for box in boxes]
         value = oee.policy_value(mdp, policy, horizon=horizon)
         # a row that can be raised nowhere can be lowered nowhere
@@ -161,10 +158,8 @@ def log_zeta(simulator, phi, theta):
     """(entries,) logarithms of rows proportional to P exp(phi theta), less those of P;
     in range for any theta.
     """
-    starts, lengths = (
-        simulator.transitions.indptr[:-1],
-        np.diff(simulator.transitions.indptr),
-    )
+    starts = simulator.transitions.indptr[:-1]
+    lengths = np.diff(simulator.transitions.indptr)
     exponent = phi @ theta
     exponent = exponent - np.repeat(np.maximum.reduceat(exponent, starts), lengths)
     total = np.add.reduceat(simulator.transitions.data * np.exp(exponent), starts)
@@ -213,7 +208,8 @@ def test_the_ends_are_the_extremes_over_the_set(rng):
     simulator, target, policy, phi = pair(int(rng.integers(1 << 30)))
     log = log_of(target, int(rng.integers(30, 300)), int(rng.integers(1 << 30)))
     found = oee.interval(oee.Problem(simulator, log), policy, features=phi)
-    P, indptr = simulator.transitions.data, simulator.transitions.indptr
+    P = simulator.transitions.data
+    indptr = simulator.transitions.indptr
     row = np.repeat(np.arange(10), np.diff(indptr))
     n = np.asarray(log.counts(5, 2)[row, simulator.transitions.indices]).reshape(-1)
     centred = phi - np.add.reduceat(P[:, None] * phi, indptr[:-1])[row]

@@ -102,7 +102,8 @@ def test_the_variance_is_that_of_starts_and_mean_rewards(horizon):
     found = outside_margin(problem, evidence)
     rng = np.random.default_rng(0)
     base = simulator.with_transitions(evidence.fitted.transitions)
-    pays, errors = base.transition_rewards, simulator.sampling.reward_error
+    pays = base.transition_rewards
+    errors = simulator.sampling.reward_error
     values = []
     for _ in range(600):
         table = pays.copy()
@@ -155,17 +156,16 @@ def swayed(simulator, problem, horizon, sign, share):
     worth most (sign -1: least).
     """
     evidence = gather(problem, PI)
-    p, pays = (
-        evidence.fitted.transitions.toarray(),
-        evidence.with_rows(evidence.pay).transitions.toarray(),
-    )
+    p = evidence.fitted.transitions.toarray()
+    pays = evidence.with_rows(evidence.pay).transitions.toarray()
     counts = (
         np.rint(simulator.transitions.toarray() * simulator.sampling.pairs[:, None])
         + problem.counts.toarray()
     )
     total = counts.sum(axis=1)
     unmet = np.where(total > 0, (counts == 1).sum(axis=1) / np.maximum(total, 1), 1.0)
-    plain, value = np.zeros(4), np.zeros(4)
+    plain = np.zeros(4)
+    value = np.zeros(4)
     for _ in range(horizon):
         far = sign * max(sign * simulator.reward_data) + 0.8 * sign * max(sign * plain)
         place = np.argmax(sign * plain)

@@ -30,10 +30,8 @@ def test_pairs_never_recorded_are_as_the_default_estimates_them():
     simulator.
     """
     problem, policy = chain(0)
-    found, estimate = (
-        oee.interval(problem, policy, confidence=0.9),
-        oee.estimators.OffEnvironment()(problem, policy),
-    )
+    found = oee.interval(problem, policy, confidence=0.9)
+    estimate = oee.estimators.OffEnvironment()(problem, policy)
     half = stats.norm.ppf(0.95) * estimate.standard_error
     assert_allclose(
         found.sampling, [estimate.value - half, estimate.value + half], rtol=1e-12
@@ -79,7 +77,8 @@ def unrecorded(seed, n_next=30):
 
 def test_the_report_gives_both_and_says_what_each_assumes(tmp_path):
     simulator, _, log = unrecorded(0)
-    problem, policy = oee.Problem(simulator, log), np.ones((60, 1))
+    problem = oee.Problem(simulator, log)
+    policy = np.ones((60, 1))
     found = oee.interval(problem, policy)
     assert found.lower < found.sampling[0] < found.sampling[1] < found.upper
     assert found.width > 1.5 * np.diff(found.sampling)[0]
@@ -121,6 +120,7 @@ def test_it_stays_in_the_box():
     rows = np.array([[[0, 0.5, 0.5]]] * 2 + [[[0, 0, 1.0]]])
     simulator = oee.FiniteMDP(rows, np.array([0.0, 1.0, 0.0]), 0, 0.9)
     log = oee.Transitions([1] * 400, [0] * 400, [1] * 396 + [2] * 4)
-    problem, policy = oee.Problem(simulator, log), np.ones((3, 1))
+    problem = oee.Problem(simulator, log)
+    policy = np.ones((3, 1))
     narrow = oee.interval(problem, policy, lower_ratio=0.01, upper_ratio=2.0)
     assert narrow.lower <= narrow.sampling[0] <= narrow.sampling[1] <= narrow.upper

@@ -15,7 +15,10 @@ from oee_tabular.inference import compare_policies
 from oee_tabular.inference.asymptotic import outside_margin
 from oee_tabular.inference.evidence import gather
 
-S, A, STRAYS, EACH = 4, 2, (0, 3), 3.0
+S = 4
+A = 2
+STRAYS = (0, 3)
+EACH = 3.0
 
 
 def world(seed, form, each=EACH):
@@ -49,7 +52,8 @@ def problem_of(P, r, counts, horizon=None):
 
 def value_of(P, r, policy, horizon):
     """V(0) at discount 0.9 by numpy alone."""
-    kernel, pay = 0.9 * np.einsum("sa,sat->st", policy, P), (policy * r).sum(axis=1)
+    kernel = 0.9 * np.einsum("sa,sat->st", policy, P)
+    pay = (policy * r).sum(axis=1)
     if horizon is None:
         return np.linalg.solve(np.eye(S) - kernel, pay)[0]
     value = np.zeros(S)
@@ -113,10 +117,8 @@ def test_the_band_of_a_horizon_has_the_extreme_of_every_step(form):
     problem = problem_of(P, r, counts, 4)
     evidence = gather(problem, policy)
     margin = outside_margin(problem, evidence)
-    rows, paid = (
-        evidence.fitted.transitions.toarray().reshape(P.shape),
-        r[:, :, None] if r.ndim == 2 else r,
-    )
+    rows = evidence.fitted.transitions.toarray().reshape(P.shape)
+    paid = r[:, :, None] if r.ndim == 2 else r
     share = (problem.dropped / (problem.dropped + evidence.n)).reshape(S, A)
     for sign, size in ((-1.0, margin.down), (1.0, margin.up)):
         values = []
@@ -161,7 +163,8 @@ def test_differences_know_of_them_and_other_methods_refuse():
     problem = oee.Problem(simulator, sparse.csr_array(counts), impossible="drop")
     kept = oee.Problem(simulator, problem.counts)
     policies = {"one": policy, "other": policy[:, ::-1]}
-    wide, narrow = compare_policies(problem, policies), compare_policies(kept, policies)
+    wide = compare_policies(problem, policies)
+    narrow = compare_policies(kept, policies)
     assert (wide.values == narrow.values).all()
     off = ~np.eye(2, dtype=bool)
     assert (wide.lower < narrow.lower)[off].all()

@@ -44,13 +44,12 @@ def table_shares(mdp, policy):
     table = alias_table(mdp, policy, mdp.initial, mdp.absorbing(), np.zeros(0))
     shares = []
     for code in table.code:
-        first, k = int(code) >> 8, int(code) & 63
+        first = int(code) >> 8
+        k = int(code) & 63
         units = {}
         for slot in range(first, first + 2**k):
-            threshold, alias = (
-                int(table.word[slot]) >> k,
-                int(table.word[slot]) & (2**k - 1),
-            )
+            threshold = int(table.word[slot]) >> k
+            alias = int(table.word[slot]) & (2**k - 1)
             for entry, number in (
                 (table.entry[slot], threshold),
                 (table.entry[first + alias], 2 ** (62 - k) - threshold),
@@ -67,7 +66,8 @@ def check_table(mdp, policy):
     """Each (a, s') has the chance policy(a | s) P(s' | s, a) to some roundings, 0 where
     that is 0; the first state likewise.
     """
-    indptr, data = mdp.transitions.indptr, mdp.transitions.data
+    indptr = mdp.transitions.indptr
+    data = mdp.transitions.data
     *states, start = table_shares(mdp, policy)
     for state, shares in enumerate(states):
         for action, weight in enumerate(policy[state]):

@@ -29,7 +29,10 @@ def random_row(rng, box=True):
 
 
 def solve_row(phat, v, low, high, epsilon):
-    out, above, kl, lam = np.empty(len(v)), np.empty(1), np.empty(1), np.zeros(1)
+    out = np.empty(len(v))
+    above = np.empty(1)
+    kl = np.empty(1)
+    lam = np.zeros(1)
     kernel.worst_rows(
         np.array([epsilon]),
         phat,

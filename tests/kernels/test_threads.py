@@ -27,7 +27,8 @@ def test_one_thread_inside_and_as_many_as_before_afterwards():
         with pytest.raises(ZeroDivisionError):
             one_thread(lambda: 1 / 0)()
         assert blas_threads() == before
-        first, second = threading.Event(), threading.Event()
+        first = threading.Event()
+        second = threading.Event()
         seen = []
 
         @one_thread

@@ -15,10 +15,8 @@ class Maker:
 
 
 def pairs(seed):
-    simulator, target = (
-        oee.tasks.gridworld(3, 0.3),
-        oee.tasks.gridworld(3, 0.1 + 0.01 * seed),
-    )
+    simulator = oee.tasks.gridworld(3, 0.3)
+    target = oee.tasks.gridworld(3, 0.1 + 0.01 * seed)
     policy = oee.uniform_policy(simulator)
     return {
         "three": oee.bench.Family(
@@ -36,7 +34,8 @@ def wrong():
 
 
 def outside(seed):
-    simulator, target = oee.tasks.gridworld(3, 0.0), oee.tasks.gridworld(3, 0.1)
+    simulator = oee.tasks.gridworld(3, 0.0)
+    target = oee.tasks.gridworld(3, 0.1)
     policy = oee.uniform_policy(simulator)
     return oee.bench.Families(
         {

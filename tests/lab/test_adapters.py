@@ -146,27 +146,22 @@ def test_names_from_the_literature_solve_the_published_equations(name):
     - gamma f(s', pi))] = f(s_0, pi).
     """
     family = oee.bench.families()[name]
-    simulator, policy = family.simulator, family.policy
+    simulator = family.simulator
+    policy = family.policy
     log = oee.sample_transitions(
         family.target, np.full(policy.shape, 1 / policy.size), 20_000, seed=0
     )
     problem = oee.Problem(simulator, log)
-    pair, moves = (
-        log.state * policy.shape[1] + log.action,
-        np.zeros((policy.size, policy.shape[0])),
-    )
+    pair = log.state * policy.shape[1] + log.action
+    moves = np.zeros((policy.size, policy.shape[0]))
     np.add.at(moves, (pair, log.next_state), simulator.discount)
     matrix = np.diag(np.bincount(pair)) - (moves[:, :, None] * policy).reshape(
         policy.size, -1
     )
-    rewards, start = (
-        np.bincount(pair, problem.rewards_of(log)),
-        (simulator.initial[:, None] * policy).ravel(),
-    )
-    by_q, by_w = (
-        start @ np.linalg.solve(matrix, rewards),
-        np.linalg.solve(matrix.T, start) @ rewards,
-    )
+    rewards = np.bincount(pair, problem.rewards_of(log))
+    start = (simulator.initial[:, None] * policy).ravel()
+    by_q = start @ np.linalg.solve(matrix, rewards)
+    by_w = np.linalg.solve(matrix.T, start) @ rewards
     for own, value in {
         "fqe": by_q,
         "mql": by_q,

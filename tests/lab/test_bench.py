@@ -184,7 +184,8 @@ def test_the_printed_value_and_its_interval():
 
 def test_finished_cells_are_kept(tmp_path):
     """Not those of other settings (how an interrupted run goes on: test_run.py)."""
-    calls, options = [], {"sizes": 1, "seeds": 2, "output": tmp_path / "out"}
+    calls = []
+    options = {"sizes": 1, "seeds": 2, "output": tmp_path / "out"}
     first, again = (
         run_machine(
             {"counted": lambda problem, policy: calls.append(1) or 0.0}, **options

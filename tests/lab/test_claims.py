@@ -45,7 +45,8 @@ def of_the_networks(table):
 
 def test_figure_1a_is_a_twentieth_of_the_networks():
     share = 100 * of_the_networks(saved("fig1a"))
-    small, large = share.loc[10], share.loc[40]
+    small = share.loc[10]
+    large = share.loc[40]
     assert len(share) == 12
     assert (
         "about 5% of the paper's networks' on the grid of 10"
@@ -66,7 +67,8 @@ def test_our_networks_reach_the_published_curve():
         ],
         axis=0,
     )
-    afresh, recorded = share["sampled afresh"], share["a log of n moves"]
+    afresh = share["sampled afresh"]
+    recorded = share["a log of n moves"]
     assert (
         f"our networks' error of zeta is {span(afresh[:-1], '.2f')} times the published"
         f" one up to n = 10^5 and {afresh.iloc[-1]:.2f} times at the last point"
@@ -228,7 +230,8 @@ def test_efficiency():
     found = table.groupby("estimator").agg(
         ratio=("ratio", "mean"), error=("ratio", "sem"), exact=("exact", "first")
     )
-    plug_in, quotient = found.loc["plug-in"], found.loc["ratio of ratios"]
+    plug_in = found.loc["plug-in"]
+    quotient = found.loc["ratio of ratios"]
     assert (
         f"is {plug_in.ratio:.2f} +- {plug_in.error:.2f} of `efficiency_bound`" in PAGES
     )

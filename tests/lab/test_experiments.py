@@ -68,11 +68,9 @@ def test_a_smoke_cell(name):
 def test_the_saved_results_are_of_the_full_sweep_and_say_what_the_table_shows(
     experiment,
 ):
-    folder, table, figure = (
-        RESULTS / experiment.id,
-        saved(experiment.id),
-        Figure(layout="constrained"),
-    )
+    folder = RESULTS / experiment.id
+    table = saved(experiment.id)
+    figure = Figure(layout="constrained")
     assert (
         json.loads((folder / "settings.json").read_text())
         == experiment.settings().as_dict()
@@ -220,7 +218,8 @@ def test_bad_calls(arguments, text, tmp_path, capsys):
 
 @pytest.mark.parametrize("name", ["smoke", "smoke/estimands", "smoke/index.md"])
 def test_a_results_folder_with_a_link_is_refused(tmp_path, capsys, name):
-    outside, link = tmp_path / "outside", tmp_path / "results" / name
+    outside = tmp_path / "outside"
+    link = tmp_path / "results" / name
     outside.mkdir()
     link.parent.mkdir(parents=True)
     link.symlink_to(outside / "precious" if name.endswith(".md") else outside)

@@ -25,7 +25,8 @@ def dense_value(mdp, policy, horizon):
     kernel = np.einsum("sa,sat->st", policy, mdp.transitions.toarray().reshape(shape))
     paid = np.einsum("sa,sa->s", policy, mdp.rewards)
     over = mdp.absorbing()
-    kernel[over], paid[over] = 0.0, 0.0
+    kernel[over] = 0.0
+    paid[over] = 0.0
     kernel *= mdp.discount
     if horizon is not None:
         return sum(
@@ -148,7 +149,8 @@ def test_without_the_extra_a_family_is_left_out_with_a_sentence(monkeypatch):
 
 @pytest.mark.parametrize("name", RANDOM)
 def test_random_parts_are_redrawn_by_the_seed_and_by_nothing_else(name):
-    other, again = oee.bench.families(1), oee.bench.families(np.int64(1))
+    other = oee.bench.families(1)
+    again = oee.bench.families(np.int64(1))
     other["garnet_replaced"]  # another one before it changes nothing
     assert other[name] is other[name]  # made once
     assert other[name].truth != EVERY[name].truth
@@ -196,7 +198,8 @@ def test_episodes_that_start_where_they_are_over_have_one_transition():
 
 def test_logs_are_exact_and_reproducible():
     family = EVERY["floor_motor"]
-    one, two = family.log(777, seed=4), family.log(777, seed=4)
+    one = family.log(777, seed=4)
+    two = family.log(777, seed=4)
     assert len(one) == 777
     assert all(
         np.array_equal(one.columns()[name], two.columns()[name])

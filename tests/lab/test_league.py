@@ -13,7 +13,8 @@ from scipy import stats
 
 from oee_tabular.lab.bench.league import ERRORS, floor, league_of
 
-ML, SIM = "maximum-likelihood", "simulator"
+ML = "maximum-likelihood"
+SIM = "simulator"
 FACTS = {
     "families": "held",
     "identical": False,
@@ -31,7 +32,8 @@ def rows(family, size, errors, *, half=None, **facts):
     made = []
     for name, values in errors.items():
         for seed, error in enumerate(values):
-            value, wide = 5.0 + error, (half or {}).get(name, math.nan)
+            value = 5.0 + error
+            wide = (half or {}).get(name, math.nan)
             own = {
                 "family": family,
                 "size": float(size),
@@ -209,7 +211,8 @@ def test_files_are_whole_and_the_same_twice(tmp_path):
         "sizes.png",
         "heat.png",
     }
-    one, two = tmp_path / "one", tmp_path / "two"
+    one = tmp_path / "one"
+    two = tmp_path / "two"
     made = (
         found.save(one, about={"a|b": "Something."}, command="oee bench"),
         found.save(two),
@@ -235,7 +238,9 @@ def test_the_pictures_show_every_cell():
             for name, x in errors.items()
         )
     )
-    heat, profile, sizes = Figure(), Figure(), Figure()
+    heat = Figure()
+    profile = Figure()
+    sizes = Figure()
     found.heat(heat)
     assert [text.get_text() for text in heat.axes[0].texts] == ["0.1", "40", "-"]
     found.profile(profile)
@@ -270,7 +275,8 @@ def test_the_floor_against_the_least_favourable_prior():
             * (x[1] - x[0])
             / scale**2
         )
-        least, worst = np.sqrt(prior @ squares), np.sqrt(squares.max())
+        least = np.sqrt(prior @ squares)
+        worst = np.sqrt(squares.max())
         prior = prior * np.exp(
             0.5 / np.sqrt(1.0 + k / 50.0) * (squares - squares.max())
         )

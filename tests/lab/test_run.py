@@ -63,11 +63,9 @@ def test_a_worker_with_other_code_is_refused(tmp_path, monkeypatch):
 def test_dask_that_does_not_answer_or_is_not_installed(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("oee_tabular._parallel.CONNECT", 1.0)
-    start, settings, address = (
-        time.perf_counter(),
-        experiment().settings(),
-        "tcp://127.0.0.1:9",
-    )
+    start = time.perf_counter()
+    settings = experiment().settings()
+    address = "tcp://127.0.0.1:9"
     with pytest.raises(
         OSError, match=r"no dask scheduler answers at 'tcp://127\.0\.0\.1:9'"
     ):
@@ -199,7 +197,8 @@ def children_of(number):
 @pytest.mark.parametrize("blow", [signal.SIGTERM, signal.SIGKILL])
 def test_a_command_that_is_ended_leaves_no_worker(tmp_path, blow):
     process, _ = start_command(tmp_path, "--jobs", "2")
-    deadline, cells = time.time() + 60, tmp_path / "smoke" / "lambda_n" / "cells.jsonl"
+    deadline = time.time() + 60
+    cells = tmp_path / "smoke" / "lambda_n" / "cells.jsonl"
     while time.time() < deadline and len(workers := children_of(process.pid)) < 2:
         time.sleep(0.02)
     assert len(workers) >= 2

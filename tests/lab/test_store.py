@@ -167,7 +167,8 @@ DAMAGED = {
 
 @pytest.mark.parametrize("name", DAMAGED)
 def test_a_line_that_does_not_fit_is_reported_and_computed_again(folder, name):
-    expected, cells = (folder / "table.csv").read_bytes(), folder / "cells.jsonl"
+    expected = (folder / "table.csv").read_bytes()
+    cells = folder / "cells.jsonl"
     first, *rest = cells.read_text().splitlines()
     cells.write_text("\n".join([DAMAGED[name](first), *rest]) + "\n")
     sweep = run_experiment(folder, SETTINGS)
@@ -191,7 +192,8 @@ def test_a_file_without_a_line_that_fits(folder, content):
 
 
 def test_a_cell_that_is_there_twice_counts_once(folder):
-    expected, cells = (folder / "table.csv").read_bytes(), folder / "cells.jsonl"
+    expected = (folder / "table.csv").read_bytes()
+    cells = folder / "cells.jsonl"
     cells.write_text(cells.read_text() * 2)
     save(run_experiment(folder, SETTINGS))
     assert (folder / "table.csv").read_bytes() == expected
@@ -204,7 +206,8 @@ def test_a_cell_that_is_there_twice_counts_once(folder):
 @pytest.mark.parametrize("name", [*FILES, LOCK])
 @pytest.mark.parametrize("kind", ["link", "dangling link", "folder"])
 def test_nothing_is_written_through_what_is_no_plain_file(tmp_path, name, kind):
-    precious, path = tmp_path / "precious", tmp_path / "r" / name
+    precious = tmp_path / "precious"
+    path = tmp_path / "r" / name
     path.parent.mkdir()
     precious.write_text("mine")
     (
@@ -229,7 +232,8 @@ def test_nothing_is_written_through_what_is_no_plain_file(tmp_path, name, kind):
 
 
 def test_a_link_that_comes_while_cells_are_computed(tmp_path):
-    precious, folder = tmp_path / "precious", tmp_path / "r"
+    precious = tmp_path / "precious"
+    folder = tmp_path / "r"
     precious.write_text("mine")
 
     def swap(cell, stream):

@@ -66,7 +66,8 @@ def assert_same_bits(a, b):
         assert_array_equal(getattr(a, name), getattr(b, name))
     assert_array_equal(a.absorbing(), b.absorbing())
     for name in ("transitions", "transition_rewards"):
-        left, right = getattr(a, name), getattr(b, name)
+        left = getattr(a, name)
+        right = getattr(b, name)
         assert (left is None) == (right is None)
         for part in ("indptr", "indices", "data") if left is not None else ():
             assert_array_equal(getattr(left, part), getattr(right, part))
@@ -307,7 +308,9 @@ def test_it_is_immutable_and_keeps_nothing_that_it_was_given():
     ):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0.0
-    transitions, initial, layout = np.ones((1, 1, 1)), np.ones(1), np.ones(1)
+    transitions = np.ones((1, 1, 1))
+    initial = np.ones(1)
+    layout = np.ones(1)
     mdp = FiniteMDP(transitions, np.ones(1), initial, 0.5, layout=layout)
     for array in (transitions, initial, layout):
         array[:] = 0.0

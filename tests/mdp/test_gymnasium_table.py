@@ -30,7 +30,8 @@ def test_values_and_terminations_are_those_of_the_table_itself(name, kwargs):
     conversion.
     """
     env = gymnasium.make(name, **kwargs)
-    table, mdp = env.unwrapped.P, FiniteMDP.from_gymnasium(env, discount=0.9)
+    table = env.unwrapped.P
+    mdp = FiniteMDP.from_gymnasium(env, discount=0.9)
     policy = np.random.default_rng(0).dirichlet(np.ones(mdp.n_actions), size=len(table))
     rows = [
         (s, a, p, t, r, done)
@@ -58,10 +59,8 @@ def test_values_and_terminations_are_those_of_the_table_itself(name, kwargs):
         rtol=1e-9,
         atol=1e-9,
     )
-    over, expected = (
-        mdp.absorbing(),
-        np.zeros((mdp.n_states, mdp.n_actions, mdp.n_states)),
-    )
+    over = mdp.absorbing()
+    expected = np.zeros((mdp.n_states, mdp.n_actions, mdp.n_states))
     np.add.at(expected, (s, a, np.where(done, mdp.terminal_state[t], t)), p)
     assert over[mdp.terminal_state[t[done]]].all()
     assert_allclose(
@@ -122,10 +121,8 @@ class Ledge(gymnasium.Env):
     twin; 0 ends with probability 0.
     """
 
-    observation_space, action_space = (
-        gymnasium.spaces.Discrete(4),
-        gymnasium.spaces.Discrete(2),
-    )
+    observation_space = gymnasium.spaces.Discrete(4)
+    action_space = gymnasium.spaces.Discrete(2)
     initial_state_distrib = np.array([1.0, 0.0, 0.0, 0.0])
     P = {
         0: {

@@ -191,11 +191,9 @@ def test_coordinates_in_names_are_a_layout_where_none_is_given(tmp_path):
     # a given one comes first
     assert_array_equal(named.with_layout(PLACES).layout, PLACES)
     assert_array_equal(named.with_layout(PLACES).with_layout(None).layout, named.layout)
-    longer, text, digits = (
-        [(0, 0), (0, 1), (0, 1, 2)],
-        [(0, 0), (0, 1), "dock"],
-        [(0,), ("1",), (2,)],
-    )
+    longer = [(0, 0), (0, 1), (0, 1, 2)]
+    text = [(0, 0), (0, 1), "dock"]
+    digits = [(0,), ("1",), (2,)]
     for names in (
         longer,
         text,
@@ -225,7 +223,9 @@ def test_other_numbers_of_the_states_take_layout_and_names_along():
 
 def list_displacements(mdp, places):
     """(displacement -> sum of P, displacement of each entry), entry by entry."""
-    mass, each, matrix = {}, [], mdp.transitions
+    mass = {}
+    each = []
+    matrix = mdp.transitions
     for row in range(matrix.shape[0]):
         for j in range(matrix.indptr[row], matrix.indptr[row + 1]):
             step = places[matrix.indices[j]] - places[row // mdp.n_actions]

@@ -254,7 +254,8 @@ def test_a_late_reward_is_not_cut_off():
 
 
 def test_policies_that_change_with_time_are_followed_to_their_end():
-    changing, fast = np.repeat(POLICY[None], 10_500, axis=0), TARGET.with_discount(0.5)
+    changing = np.repeat(POLICY[None], 10_500, axis=0)
+    fast = TARGET.with_discount(0.5)
     assert oee.policy_value(fast, changing, horizon=10_500) == pytest.approx(
         oee.policy_value(fast, POLICY), rel=1e-12
     )

@@ -96,7 +96,8 @@ def test_a_state_that_ends_and_goes_on_gets_a_twin(rewards):
 
 def test_a_twin_s_mean_reward_has_its_own_error():
     """s^2 / 3 where three rewards were recorded, and the pooled s^2 where one was."""
-    rewards, ended = [1.0, 3.0, 8.0, 5.0, 0.0, 0.0], [1, 1, 1, 0, 0, 0]
+    rewards = [1.0, 3.0, 8.0, 5.0, 0.0, 0.0]
+    ended = [1, 1, 1, 0, 0, 0]
     log = Transitions(
         [0, 0, 0, 0, 1, 1], [0] * 6, [1, 1, 1, 1, 0, 0], rewards, terminated=ended
     )
@@ -157,14 +158,15 @@ class Corridor(gymnasium.Env):
     action_space = spaces.Discrete(2)
 
     def __init__(self, seen=lambda place: (place, 0), space=None):
-        self.seen, self.observation_space = (
-            seen,
-            space or spaces.Tuple([spaces.Discrete(4), spaces.Discrete(2)]),
+        self.seen = seen
+        self.observation_space = space or spaces.Tuple(
+            [spaces.Discrete(4), spaces.Discrete(2)]
         )
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        self.place, self.steps = 0, 0
+        self.place = 0
+        self.steps = 0
         return self.seen(0), {}
 
     def step(self, action):
@@ -224,22 +226,22 @@ class Table(gymnasium.Env):
     observation_space = spaces.Discrete(9)
 
     def __init__(self, following, starts=(0,), limit=50):
-        self.following, self.starts, self.limit, self.n_steps = (
-            following,
-            starts,
-            limit,
-            0,
-        )
+        self.following = following
+        self.starts = starts
+        self.limit = limit
+        self.n_steps = 0
         self.action_space = spaces.Discrete(len(following[0]))
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        self.state, self.steps = int(self.np_random.choice(self.starts)), 0
+        self.state = int(self.np_random.choice(self.starts))
+        self.steps = 0
         return self.state, {}
 
     def step(self, action):
         self.n_steps += 1
-        following, self.steps = self.following[self.state][action], self.steps + 1
+        following = self.following[self.state][action]
+        self.steps = self.steps + 1
         self.state = abs(following)
         return self.state, 0.0, following < 0, self.steps == self.limit, {}
 

@@ -152,7 +152,8 @@ def test_the_commands_for_own_files_run(tmp_path, monkeypatch, capsys):
     (text,) = [
         cell.source for cell in first.cells if "## With your own files" in cell.source
     ]
-    P, policy = np.full((2, 2, 2), 0.5), np.full((2, 2), 0.5)
+    P = np.full((2, 2, 2), 0.5)
+    policy = np.full((2, 2), 0.5)
     oee.Transitions([0, 1, 1], [0, 1, 0], [1, 1, 0]).save("log.csv")
     run_blocks(
         text,

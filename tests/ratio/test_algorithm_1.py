@@ -12,7 +12,8 @@ import oee_tabular as oee
 from oee_tabular import paper
 from oee_tabular.ratio import Quotient, Sgd
 
-NU, MU = 0.2, 5.0
+NU = 0.2
+MU = 5.0
 BOX = {"lower": NU, "upper": MU, "normalized": False}
 SGD = Sgd(step_size=0.02, batch_size=128, n_iterations=20_000)
 START_EXCESS = 0.05  # nats: what g = 1 lacks at least
@@ -71,7 +72,8 @@ def test_both_tables_and_their_quotient_are_within_the_traces_bound():
         assert beta.trace.excess[0] > START_EXCESS
         assert excess < 0.05 * beta.trace.excess[0]
     (_, _, a), (_, _, b) = tables(logs)
-    (moves, pairs), row = fitted.details["beta"], np.repeat(np.arange(6), 3)
+    (moves, pairs) = fitted.details["beta"]
+    row = np.repeat(np.arange(6), 3)
     zeta = a / b[row]
     assert_allclose(fitted.values.data, moves.ratio / pairs.ratio[row], rtol=1e-12)
     assert np.abs(fitted.values.data - zeta).mean() < 0.15 * np.abs(zeta - 1).mean()
@@ -79,7 +81,8 @@ def test_both_tables_and_their_quotient_are_within_the_traces_bound():
 
 def test_algorithm_1_step_by_step():
     """The same draws, one update at a time, and its trace."""
-    p, q = np.array([3.0, 1.0, 4.0]) / 8, np.array([2.0, 4.0, 2.0]) / 8
+    p = np.array([3.0, 1.0, 4.0]) / 8
+    q = np.array([2.0, 4.0, 2.0]) / 8
     options = {
         "lower": 0.2,
         "upper": 3.0,
@@ -98,7 +101,9 @@ def test_algorithm_1_step_by_step():
         **options,
     )
     best = oee.density_ratio(p, q, **options)
-    generator, g, trace = np.random.default_rng(4), np.ones(3), {}
+    generator = np.random.default_rng(4)
+    g = np.ones(3)
+    trace = {}
     for iteration in range(1, 61):
         counts = [
             np.bincount(

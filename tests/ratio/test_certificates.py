@@ -17,7 +17,8 @@ from numpy.testing import assert_allclose
 import oee_tabular as oee
 from oee_tabular.ratio import dual, statements
 
-SIMULATOR, TARGET = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+SIMULATOR = oee.tasks.gridworld(4, 0.3)
+TARGET = oee.tasks.gridworld(4, 0.1)
 LOG = oee.sample_transitions(TARGET, np.full((16, 4), 1 / 64), 800, seed=0)
 
 
@@ -47,23 +48,21 @@ def optimum(p, q, options):
     nothing of the package's.
     """
     known = (p > 0) | (q > 0)
-    p, q = (p / p.sum())[known], (q / q.sum())[known]
-    ridge, toward, squares = (
-        options["ridge"],
-        options["toward"],
-        options["loss"] == "chi2",
-    )
+    p = (p / p.sum())[known]
+    q = (q / q.sum())[known]
+    ridge = options["ridge"]
+    toward = options["toward"]
+    squares = options["loss"] == "chi2"
     bend, center = (
         (np.full(len(p), ridge), 0.0) if toward is None else (ridge * q, toward)
     )
-    lower, upper = (
-        options["lower"],
-        1e4 if options["upper"] is None else options["upper"],
-    )
+    lower = options["lower"]
+    upper = 1e4 if options["upper"] is None else options["upper"]
 
     def at(eta):
         """The Lagrangian's least value, and sum q g - 1 there."""
-        low, high = np.full(len(p), lower), np.full(len(p), upper)
+        low = np.full(len(p), lower)
+        high = np.full(len(p), upper)
         for _ in range(60):
             g = 0.5 * (low + high)
             slope = (
@@ -71,7 +70,8 @@ def optimum(p, q, options):
                 + eta * q
                 + (q * g - p if squares else q - p / np.maximum(g, 1e-300))
             )
-            low, high = np.where(slope < 0, g, low), np.where(slope < 0, high, g)
+            low = np.where(slope < 0, g, low)
+            high = np.where(slope < 0, high, g)
         g = np.where(
             low == lower, lower, np.where(high == upper, upper, 0.5 * (low + high))
         )
@@ -85,7 +85,8 @@ def optimum(p, q, options):
 
     if not options["normalized"]:
         return at(0.0)[0]
-    left, right = -1e4, 1e4
+    left = -1e4
+    right = 1e4
     for _ in range(60):
         middle = 0.5 * (left + right)
         left, right = (middle, right) if at(middle)[1] > 0 else (left, middle)
@@ -95,7 +96,9 @@ def optimum(p, q, options):
 def value_of(g, p, q, options):
     """The objective as the docstring of ``density_ratio`` writes it."""
     known = (p > 0) | (q > 0)
-    p, q, g = (p / p.sum())[known], (q / q.sum())[known], g[known]
+    p = (p / p.sum())[known]
+    q = (q / q.sum())[known]
+    g = g[known]
     gap = g if options["toward"] is None else g - options["toward"]
     penalty = (
         options["ridge"]
@@ -147,16 +150,15 @@ def test_no_feasible_point_is_called_nearer_to_the_minimum_than_it_is(rng, off):
     """Whatever the point and the multiplier: objective - gap is below the optimum."""
     p, q, options, fit = solved(rng)
     known = (p > 0) | (q > 0)
-    ps, qs = (p / p.sum())[known], (q / q.sum())[known]
+    ps = (p / p.sum())[known]
+    qs = (q / q.sum())[known]
     toward = options["toward"]
     bend = np.full(len(ps), options["ridge"]) * (1.0 if toward is None else qs)
     program = dual.Coordinates(
         ps, qs, bend, np.full(len(ps), toward or 0.0), squares=options["loss"] == "chi2"
     )
-    low, high = (
-        options["lower"],
-        np.inf if options["upper"] is None else options["upper"],
-    )
+    low = options["lower"]
+    high = np.inf if options["upper"] is None else options["upper"]
     g = fit.ratio[known]
     moved = np.clip(g * np.exp(rng.normal(size=len(g)) * off), max(low, 1e-9), high)
     if options["normalized"]:
@@ -201,11 +203,9 @@ def test_a_class_is_certified_at_the_weights_that_are_handed_over(
 ):
     """w that are off, multipliers that are off."""
     x = np.linspace(-1.0, 1.0, 30)
-    p, q, features = (
-        np.exp(-((x - 0.3) ** 2)),
-        np.ones(30),
-        np.column_stack([np.ones(30), x]),
-    )
+    p = np.exp(-((x - 0.3) ** 2))
+    q = np.ones(30)
+    features = np.column_stack([np.ones(30), x])
     options = {
         "features": features,
         "lower": 0.05,
@@ -213,7 +213,8 @@ def test_a_class_is_certified_at_the_weights_that_are_handed_over(
         "ridge": ridge,
         "normalized": False,
     }
-    right, solve = oee.density_ratio(p, q, **options), statements.solve_linear
+    right = oee.density_ratio(p, q, **options)
+    solve = statements.solve_linear
     assert right.gap < 1e-11
 
     def wrong(program, **keywords):

@@ -101,7 +101,8 @@ def test_the_kernel_class_is_a_gaussian_process_around_the_simulator():
     center = np.eye(len(s)) - (row[:, None] == row[None]) * P[s, a, j][None]
     root = np.linalg.cholesky(K + 1e-13 * np.eye(len(s)))
     features = center @ root
-    counts, total = n[s, a, j], n.sum()
+    counts = n[s, a, j]
+    total = n.sum()
     mass = n.sum(axis=2)[s, a] * P[s, a, j] / total
 
     def risk(w):
@@ -121,7 +122,8 @@ def test_the_kernel_class_is_a_gaussian_process_around_the_simulator():
         bend = (features * (counts / z**2 / total)[:, None]).T @ features + np.eye(
             len(w)
         ) / total
-        step, length = -np.linalg.solve(bend, gradient), 1.0
+        step = -np.linalg.solve(bend, gradient)
+        length = 1.0
         while risk(w + length * step) > risk(w) and length > 1e-12:
             length /= 2
         w = w + length * step
@@ -163,11 +165,9 @@ def test_displacements_of_a_walk():
     the others have columns.
     """
     rows = np.zeros((3, 2, 3))
-    rows[0], rows[1, 0], rows[2] = (
-        [[0.2, 0.8, 0], [0.9, 0.1, 0]],
-        [0.1, 0.2, 0.7],
-        [[0, 0.3, 0.7], [0, 0.6, 0.4]],
-    )
+    rows[0] = [[0.2, 0.8, 0], [0.9, 0.1, 0]]
+    rows[1, 0] = [0.1, 0.2, 0.7]
+    rows[2] = [[0, 0.3, 0.7], [0, 0.6, 0.4]]
     rows[1, 1] = [0.6, 0.3, 0.1]
     mdp = oee.FiniteMDP(rows, np.zeros(3), [1, 0, 0], 0.9)
     found = oee.ratio.action_displacement(mdp, np.array([0.0, 1.0, 2.0]))

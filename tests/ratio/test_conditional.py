@@ -81,13 +81,16 @@ def test_the_chosen_strength_is_the_best_of_a_fine_grid(criterion):
     """The rows' probability under Dirichlet(kappa m), or each transition's under those
     of the others.
     """
-    rng, prior, rows = np.random.default_rng(0), np.array([0.5, 0.3, 0.2]), 40
+    rng = np.random.default_rng(0)
+    prior = np.array([0.5, 0.3, 0.2])
+    rows = 40
     observed = np.array(
         [rng.multinomial(60, rng.dirichlet(20.0 * prior)) for _ in range(rows)]
     )
 
     def score(kappa):
-        n, m = observed.sum(axis=1, keepdims=True), kappa * prior
+        n = observed.sum(axis=1, keepdims=True)
+        m = kappa * prior
         if criterion == "evidence":
             gained = gammaln(m + observed) - gammaln(m)
             return gained.sum() + rows * gammaln(kappa) - gammaln(kappa + n).sum()
@@ -138,11 +141,9 @@ def test_what_the_strength_means():
     """From 50 transitions a row on the prior fits roughly, from 300 on it fits; that of
     kinds, and too few to decide.
     """
-    n_row, flat, curve = (
-        np.array([0.0, 10.0, 20.0, 30.0]),
-        np.zeros(3),
-        np.array([0.0, 5.0, 0.0]),
-    )
+    n_row = np.array([0.0, 10.0, 20.0, 30.0])
+    flat = np.zeros(3)
+    curve = np.array([0.0, 5.0, 0.0])
 
     def words(strength, *kinds, curve=curve):
         kinds = [(3, 60, 500.0), *kinds]
@@ -191,7 +192,8 @@ OPTIONS = {
 
 @pytest.mark.parametrize("name", OPTIONS)
 def test_a_fit_by_blocks_is_that_of_all_rows_at_once(name, monkeypatch):
-    simulator, target = oee.tasks.gridworld(5, 0.3), oee.tasks.gridworld(5, 0.1)
+    simulator = oee.tasks.gridworld(5, 0.3)
+    target = oee.tasks.gridworld(5, 0.1)
     policy = oee.tasks.gridworld_expert(5)
     log = oee.sample_episodes(target, oee.uniform_policy(target), 15, 30, seed=0)
     about = {} if OPTIONS[name] else {"values_of": policy}
@@ -264,7 +266,8 @@ def standardised(phi, simulator, observed):
     """phi centred in each row, its root mean square over the rows with counts 1; the
     scale.
     """
-    indptr, weights = simulator.transitions.indptr, simulator.transitions.data
+    indptr = simulator.transitions.indptr
+    weights = simulator.transitions.data
     centred = phi - spread(sums(weights[:, None] * phi, indptr), indptr)
     seen = sums(observed, indptr) > 0
     scale = np.sqrt(
@@ -336,7 +339,8 @@ def test_a_feature_of_one_rare_transition_is_fitted_with_a_true_certificate(p, n
     simulator = oee.FiniteMDP([[[1 - p, p]], [[0.5, 0.5]]], [0.0, 0.0], [1.0, 0.0], 0.9)
     observed = np.array([0.0, n, 5.0, 5.0])
     (theta,), _, gap = fit_tilt(observed, simulator, np.array([0.0, 1.0, 0.0, 0.0]))
-    centred, scale = np.array([-p, 1 - p]), np.sqrt(p * (1 - p) / 2)
+    centred = np.array([-p, 1 - p])
+    scale = np.sqrt(p * (1 - p) / 2)
 
     def risk(theta):  # of the first row; the second has no feature
         exponent = centred / scale * theta

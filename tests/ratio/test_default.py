@@ -31,7 +31,8 @@ def random_case(moves):
     places = np.array(
         [[rng.choice(8, 4, replace=False) for _ in range(2)] for _ in range(8)]
     )
-    P, Q = np.zeros((8, 2, 8)), np.zeros((8, 2, 8))
+    P = np.zeros((8, 2, 8))
+    Q = np.zeros((8, 2, 8))
     pay = rng.normal(size=(8, 2))
     np.put_along_axis(P, places, rows, axis=2)
     simulator = oee.FiniteMDP(P, pay, np.full(8, 1 / 8), 0.9)
@@ -51,7 +52,8 @@ def random_case(moves):
 def moved_case():
     """Against the worst state, two fifths of all moves: no direction of the library."""
     rng = np.random.default_rng(7)
-    P, r = rng.dirichlet(np.full(8, 0.7), size=(8, 1)), rng.normal(size=8)
+    P = rng.dirichlet(np.full(8, 0.7), size=(8, 1))
+    r = rng.normal(size=8)
     simulator = oee.FiniteMDP(P, r, np.full(8, 1 / 8), 0.9)
     Q = 0.6 * P
     Q[:, :, np.argmin(r)] += 0.4
@@ -69,7 +71,8 @@ def dirichlet(counts, model, kappa):
     Dirichlet(kappa model).
     """
     on = model > 0
-    n, b = counts[on], kappa * model[on]
+    n = counts[on]
+    b = kappa * model[on]
     return (
         gammaln(kappa) - gammaln(kappa + n.sum()) + np.sum(gammaln(b + n) - gammaln(b))
     )
@@ -92,7 +95,8 @@ def strengths(counts, model, kind):
     """kappa of each row, the best in [1, 1e8] for its kind, and the sum of the kinds'
     evidence.
     """
-    kappa, score = np.empty(len(counts)), 0.0
+    kappa = np.empty(len(counts))
+    score = 0.0
     for k in np.unique(kind):
         mine = np.flatnonzero((kind == k) & (counts.sum(axis=1) > 0))
 
@@ -109,7 +113,8 @@ def strengths(counts, model, kind):
             options={"xatol": 1e-6},
         )
         at = found.x if found.fun < level.min() else best
-        kappa[kind == k], score = np.exp(at), score - min(found.fun, level.min())
+        kappa[kind == k] = np.exp(at)
+        score = score - min(found.fun, level.min())
     return kappa, score
 
 
@@ -119,7 +124,8 @@ class Own:
     """
 
     def __init__(self, simulator, policy, log):
-        self.mdp, self.policy = Dense(simulator), policy
+        self.mdp = Dense(simulator)
+        self.policy = policy
         P = self.mdp.P
         self.shape = P.shape
         self.counts = table_of(log, policy.shape)
@@ -136,7 +142,8 @@ class Own:
 
     def columns(self):
         """[(group, (S, A, S) values)] of the directions."""
-        P, x = self.mdp.P, self.places
+        P = self.mdp.P
+        x = self.places
         logs = np.log(np.where(P > 0, P, 1.0))
         pay = self.mdp.r if (self.mdp.r != self.mdp.r[:, :, :1]).any() else 0.0
         ahead = pay + self.mdp.g * self.mdp.values(self.policy)
@@ -161,7 +168,8 @@ class Own:
         """(k, rows, S) centred, of root mean square 1 over the visited rows, and the
         group of each.
         """
-        found, groups = [], []
+        found = []
+        groups = []
         for part in range(1 + self.shape[1] if self.shape[1] > 1 else 1):
             for group, column in self.columns():
                 phi = np.where(self.rows > 0, column[self.seen], 0.0)
@@ -222,12 +230,16 @@ class Own:
         names = sorted(set(groups))
         group_of = np.array([names.index(group) for group in groups])
         plain = np.array([group[0] != "V" for group in groups])
-        theta, level, model = np.zeros(len(groups)), np.ones(len(names)), self.rows
+        theta = np.zeros(len(groups))
+        level = np.ones(len(names))
+        model = self.rows
         # first what no policy changes
         for rounds, used in ((6, plain), (3, plain), (6, plain | True)):
-            kappa, n = self.coarse_kappa(model), self.n.sum(axis=1)
+            kappa = self.coarse_kappa(model)
+            n = self.n.sum(axis=1)
             weight = np.minimum((1 + kappa) / (n + kappa), 1.0)
-            features, member = every[used], group_of[used]
+            features = every[used]
+            member = group_of[used]
             for _ in range(rounds):
                 theta[used], bend, _ = self.fit(
                     features, weight, level[member], theta[used]
@@ -363,7 +375,8 @@ def test_the_value_its_error_and_its_interval(case, horizon):
 
 def test_in_the_limit_rows_without_data_are_the_centre_s_of_the_horizon_asked_for():
     simulator, policy, _ = random_case(10)
-    base, share = Dense(simulator), np.full((8, 2), 1 / 14)
+    base = Dense(simulator)
+    share = np.full((8, 2), 1 / 14)
     share[5] = 0.0
     V = base.values(policy, 2)[0]
     Q = base.P * np.exp(-0.5 * V / V.std())

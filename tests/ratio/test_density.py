@@ -12,7 +12,8 @@ def test_with_a_box_the_two_ratios_agree_to_1e_6():
     """The paper's grid, 1572 triples, counts of 10 000 moves against exact occupancies,
     box [0.1, 4], ridges.
     """
-    simulator, target = oee.tasks.gridworld(10, 0.3), oee.tasks.gridworld(10, 0.1)
+    simulator = oee.tasks.gridworld(10, 0.3)
+    target = oee.tasks.gridworld(10, 0.1)
     uniform = oee.uniform_policy(simulator)
     shares = oee.occupancy(
         simulator.with_discount(1.0), uniform, horizon=200, of="transition"
@@ -51,9 +52,11 @@ def test_with_a_box_the_two_ratios_agree_to_1e_6():
 def test_closed_forms(rng):
     """Unconstrained p/q; box clip(p/q); ridge 2p / (q + sqrt(q^2 + 4 lam p))."""
     n = int(rng.integers(1, 20))
-    p, q = rng.integers(0, 9, n) + 0.0, rng.integers(1, 9, n) + 0.0
+    p = rng.integers(0, 9, n) + 0.0
+    q = rng.integers(1, 9, n) + 0.0
     p[0] += 1
-    ps, qs = p / p.sum(), q / q.sum()
+    ps = p / p.sum()
+    qs = q / q.sum()
     assert_allclose(oee.density_ratio(p, q).ratio, ps / qs, rtol=1e-14)
     boxed = oee.density_ratio(p, q, lower=0.5, upper=1.25, normalized=False).ratio
     assert_allclose(boxed, np.clip(ps / qs, 0.5, 1.25), rtol=1e-14)

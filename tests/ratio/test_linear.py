@@ -21,7 +21,8 @@ def random_program(rng):
     """p, q, features with a constant, and options for ``density_ratio``."""
     n = int(rng.integers(8, 40))
     phi = np.column_stack([np.ones(n), rng.normal(size=(n, int(rng.integers(1, 5))))])
-    p, q = rng.integers(0, 5, n) + 0.0, rng.integers(1, 5, n) + 0.0
+    p = rng.integers(0, 5, n) + 0.0
+    q = rng.integers(1, 5, n) + 0.0
     p[0] += 1
     return (
         p,
@@ -37,7 +38,8 @@ def random_program(rng):
 
 
 def value(w, p, q, options):
-    g, seen = options["features"] @ w, p > 0
+    g = options["features"] @ w
+    seen = p > 0
     return (
         (q @ g) / q.sum()
         - p[seen] @ np.log(g[seen]) / p.sum()
@@ -62,7 +64,8 @@ def test_no_feasible_point_is_better_by_more_than_the_gap(rng):
         w = fit.weights + size * rng.normal(size=len(fit.weights))
         g = options["features"] @ w
         if options["normalized"]:
-            w, g = w / (q @ g) * q.sum(), g / (q @ g) * q.sum()
+            w = w / (q @ g) * q.sum()
+            g = g / (q @ g) * q.sum()
         if (
             (g > 0).all()
             and (g >= options["lower"]).all()
@@ -72,10 +75,13 @@ def test_no_feasible_point_is_better_by_more_than_the_gap(rng):
 
 
 def test_a_class_has_the_numbers_of_its_program():
-    p, q = np.array([3.0, 1.0, 4.0, 2.0]), np.array([2.0, 2.0, 1.0, 5.0])
+    p = np.array([3.0, 1.0, 4.0, 2.0])
+    q = np.array([2.0, 2.0, 1.0, 5.0])
     features = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0], [1.0, -1.0]])
     fit = oee.density_ratio(p, q, features=features, ridge=0.1)
-    w, ps, qs = fit.weights, p / 10, q / 10
+    w = fit.weights
+    ps = p / 10
+    qs = q / 10
     g = features @ w
     assert_allclose(fit.ratio, g, rtol=1e-9)
     assert_allclose(fit.objective, qs @ g - ps @ np.log(g) + 0.05 * w @ w, rtol=1e-9)
@@ -140,7 +146,8 @@ def test_another_solver_has_the_same_minimum(options, kind):
 @given(rngs)
 def test_one_feature_an_entry_is_the_table(rng):
     n = int(rng.integers(2, 12))
-    p, q = rng.integers(1, 9, n), rng.integers(1, 9, n)
+    p = rng.integers(1, 9, n)
+    q = rng.integers(1, 9, n)
     for options in (
         {},
         {"lower": 0.5, "upper": 1.6},
@@ -209,7 +216,8 @@ def test_numbers_of_many_scales_end_with_a_status(rng):
     assert (fit.status == "optimal") == (fit.gap <= 1e-8)
 
 
-SIMULATOR, TARGET = oee.tasks.gridworld(5, 0.3), oee.tasks.gridworld(5, 0.1)
+SIMULATOR = oee.tasks.gridworld(5, 0.3)
+TARGET = oee.tasks.gridworld(5, 0.1)
 PLACES = np.column_stack(np.unravel_index(np.arange(25), (5, 5)))
 LOG = oee.sample_transitions(TARGET, np.full((25, 4), 0.01), 3000, seed=1)
 TRUTH = oee.true_ratio(TARGET, SIMULATOR).values.data

@@ -150,11 +150,10 @@ def test_rows_sum_to_one_whatever_their_width_and_the_logs_share(ragged, size):
 @trained
 def test_batches_of_rows_come_near_and_stop_on_held_out_transitions(logs):
     simulator, te, _ = logs
-    found, best = (
-        by_rows(logs, patience=4, n_iterations=20_000),
-        Conditional(prior="none").fit(te, simulator),
-    )
-    held, trace = found.details["held_out_risk"], found.details["trace"]
+    found = by_rows(logs, patience=4, n_iterations=20_000)
+    best = Conditional(prior="none").fit(te, simulator)
+    held = found.details["held_out_risk"]
+    trace = found.details["trace"]
     assert found.gap < 0.1 * trace.excess[0]
     assert len(held) == len(trace.iteration) < 201
     assert np.argmin(held) == len(held) - 5

@@ -93,12 +93,10 @@ def more_often(simulator, theta):
 def test_a_log_that_tells_nothing_leaves_the_simulator():
     """Transitions of pairs with a single successor only."""
     rows = np.zeros((3, 2, 3))
-    rows[0, 0], rows[0, 1], rows[1], rows[2] = (
-        [0.2, 0.5, 0.3],
-        [0, 0, 1],
-        [0.6, 0.1, 0.3],
-        [0, 0, 1],
-    )
+    rows[0, 0] = [0.2, 0.5, 0.3]
+    rows[0, 1] = [0, 0, 1]
+    rows[1] = [0.6, 0.1, 0.3]
+    rows[2] = [0, 0, 1]
     simulator = FiniteMDP(rows, np.array([1.0, 2.0, 0.0]), [1, 0, 0], 0.9)
     log = oee.Transitions([0, 2], [1, 0], [2, 2])
     policy = np.full((3, 2), 0.5)
@@ -168,8 +166,10 @@ def test_names_of_states_and_actions_do_not_matter_where_places_are_given(
     )
     policy = random_policy(rng, simulator, zeros=0.0)
     log = drawn(worse(simulator, policy), per_row, seed)
-    states, actions = rng.permutation(12), rng.permutation(2)
-    names, moves = np.argsort(states), np.argsort(actions)
+    states = rng.permutation(12)
+    actions = rng.permutation(2)
+    names = np.argsort(states)
+    moves = np.argsort(actions)
     again = oee.Transitions(names[log.state], moves[log.action], names[log.next_state])
     turned = policy[np.ix_(states, actions)]
     default = oee.estimators.OffEnvironment()
@@ -200,7 +200,8 @@ def test_units_of_rewards_and_places_do_not_matter(seed, scale, shift):
 
 
 def test_places_are_the_states_numbers_where_there_are_none():
-    plain, log = line(), drawn(more_often(line(), 0.4), 20.0, 0)
+    plain = line()
+    log = drawn(more_often(line(), 0.4), 20.0, 0)
     numbered = plain.with_layout(np.arange(60))
     one, two = (oee.transition_ratio(log, mdp) for mdp in (plain, numbered))
     assert_array_equal(one.values.data, two.values.data)
@@ -218,7 +219,8 @@ def test_the_user_s_features_are_directions_beside_the_others():
     """Every third state leads on more often: no direction of ours, but one of the
     user's.
     """
-    simulator, policy = line(), np.full((60, 2), 0.5)
+    simulator = line()
+    policy = np.full((60, 2), 0.5)
     target = more_often(simulator, 0.8 * (np.arange(60) % 3 == 0))
     log = drawn(target, 30.0, 0)
     truth = oee.true_ratio(target, simulator).values.data
@@ -237,10 +239,8 @@ def test_the_user_s_features_are_directions_beside_the_others():
 
 def test_several_policies_have_a_direction_each():
     simulator = garnet(4, n_states=30)
-    good, bad = (
-        oee.optimal_policy(simulator),
-        oee.optimal_policy(simulator.with_rewards(-simulator.rewards)),
-    )
+    good = oee.optimal_policy(simulator)
+    bad = oee.optimal_policy(simulator.with_rewards(-simulator.rewards))
     log = drawn(worse(simulator, good, 0.8), 10.0, 0)
     zeta = oee.transition_ratio(log, simulator, values_of=[bad, good])
     assert {"V of policy 1", "V of policy 2"} <= set(zeta.details["directions"])
@@ -298,21 +298,26 @@ def test_the_error_if_the_prior_fits_is_the_posterior_s():
     zeta = oee.transition_ratio(
         drawn(worse(simulator, policy), 6.0, 0), simulator, values_of=policy
     )
-    inside, rows, P = zeta._influence, Rows.of(simulator), simulator.transitions.data
+    inside = zeta._influence
+    rows = Rows.of(simulator)
+    P = simulator.transitions.data
     gradient = np.random.default_rng(0).normal(size=len(P))
-    share, n = inside.share, inside.n
+    share = inside.share
+    n = inside.n
 
     def value(theta):
         model = replace(inside.tilt, theta=theta).at(rows)
         return gradient @ (rows.spread(1 - share) * model)
 
-    theta, h = inside.tilt.theta, 1e-5
+    theta = inside.tilt.theta
+    h = 1e-5
     pull = np.zeros(theta.shape)
     for place in np.ndindex(*theta.shape):
         step = np.zeros(theta.shape)
         step[place] = h
         pull[place] = (value(theta + step) - value(theta - step)) / (2 * h)
-    G, d = inside.tilt.covariances, theta.shape[1]
+    G = inside.tilt.covariances
+    d = theta.shape[1]
     H = np.diag(inside.tilt.penalty.reshape(-1))
     H[:d, :d] += G.sum(axis=0)
     for a in range(2):

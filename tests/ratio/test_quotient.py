@@ -40,7 +40,9 @@ def test_the_quotient_without_a_box_is_that_of_frequencies():
     other = np.array(
         [[2, 2, 4], [1, 0, 3], [5, 5, 2], [1, 1, 1], [0, 0, 0], [4, 0, 4]], dtype=float
     )
-    state, action, following = [], [], []
+    state = []
+    action = []
+    following = []
     for row, j in np.argwhere(other > 0):
         for column, number in zip(
             (state, action, following), (row // 2, row % 2, j), strict=True
@@ -51,7 +53,8 @@ def test_the_quotient_without_a_box_is_that_of_frequencies():
     found = fit(
         counts, method="ratio_of_ratios", simulator_data=data, lower=0.0, upper=np.inf
     )
-    n, m = counts.sum(axis=1, keepdims=True), other.sum(axis=1, keepdims=True)
+    n = counts.sum(axis=1, keepdims=True)
+    m = other.sum(axis=1, keepdims=True)
     expected = np.divide(
         counts * m, other * n, out=np.ones((6, 3)), where=(other > 0) & (n > 0)
     )
@@ -59,7 +62,8 @@ def test_the_quotient_without_a_box_is_that_of_frequencies():
     facts = found.details
     assert facts["undetermined_moves"] == 5
     assert facts["moves_only_in_log"] == 0
-    p, q = counts[counts > 0] / counts.sum(), other[counts > 0] / other.sum()
+    p = counts[counts > 0] / counts.sum()
+    q = other[counts > 0] / other.sum()
     assert_allclose(facts["divergence_moves"], p @ np.log(p / q), rtol=1e-8)
     pairs = [
         (a, b)
@@ -75,7 +79,8 @@ def test_the_quotient_without_a_box_is_that_of_frequencies():
     moves = oee.density_ratio(
         COUNTS.reshape(-1), other.reshape(-1), lower=0.5, upper=1.5, toward=1.0
     ).ratio
-    low, high = (moves <= 0.5).mean(), (moves >= 1.5).mean()
+    low = (moves <= 0.5).mean()
+    high = (moves >= 1.5).mean()
     assert low > 0
     assert high > 0
     assert_allclose(boxed.details["share_at_the_box"], low + high)
@@ -94,10 +99,8 @@ def test_data_of_the_simulator():
         )
         p = LOG.counts(3, 2, discount=discount).toarray().reshape(-1)
         actions = p.reshape(3, 2, 3).sum(axis=2)
-        behavior, weighted = (
-            actions / actions.sum(axis=1, keepdims=True),
-            SIMULATOR.with_discount(discount or 1.0),
-        )
+        behavior = actions / actions.sum(axis=1, keepdims=True)
+        weighted = SIMULATOR.with_discount(discount or 1.0)
         q = oee.occupancy(weighted, behavior, horizon=8, of="transition").data
         moves, pairs = (
             oee.density_ratio(
@@ -144,7 +147,8 @@ def test_logs_stop_where_an_episode_is_over():
 
 # ---- the joint program, with and without a box on the ratio: ratio_lower beta_sa <=
 # beta_sas' <= ratio_upper beta_sa
-GRID, GRID_TARGET = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+GRID = oee.tasks.gridworld(4, 0.3)
+GRID_TARGET = oee.tasks.gridworld(4, 0.1)
 GRID_LOG = oee.sample_transitions(GRID_TARGET, np.full((16, 4), 1 / 64), 800, seed=0)
 KNOWN = {
     "method": "joint",
@@ -187,20 +191,17 @@ def value(counts, simulator, options, found):
         horizon=1000,
         of="transition",
     )
-    share, rows = (
-        share.toarray(),
-        np.repeat(np.arange(counts.shape[0]), np.diff(simulator.transitions.indptr)),
-    )
+    share = share.toarray()
+    rows = np.repeat(np.arange(counts.shape[0]), np.diff(simulator.transitions.indptr))
     absorbing = np.repeat(simulator.absorbing(), 2)
     if not absorbing.all():
         share[absorbing] = 0.0
-    moves, pairs = found.details["moves"], found.details["pairs"]
+    moves = found.details["moves"]
+    pairs = found.details["pairs"]
     columns = simulator.transitions.indices
     r = share.sum(axis=1) / share.sum()
-    p, q = (
-        counts.toarray()[rows, columns] / counts.sum(),
-        r[rows] * simulator.transitions.data,
-    )
+    p = counts.toarray()[rows, columns] / counts.sum()
+    q = r[rows] * simulator.transitions.data
     s = np.bincount(rows, p, counts.shape[0])
     total = 0.0
     for weights, masses, g in ((p, q, moves), (s, r, pairs)):

@@ -123,7 +123,8 @@ def test_the_standard_error_by_refits(name):
     """
     # no zeros in rows that have moves
     counts = COUNTS + np.where(COUNTS.sum(axis=1, keepdims=True) > 0, 0.5, 0.0)
-    options, step = REFITTED[name], 1e-4
+    options = REFITTED[name]
+    step = 1e-4
     gradient = np.random.default_rng(1).normal(size=18)
     p = SIMULATOR.transitions.data
 
@@ -150,10 +151,8 @@ def test_the_one_step_correction_row_by_row():
     found = fit(prior="simulator", strength=4.0)
     gradient = np.random.default_rng(1).normal(size=18)
     step = found.one_step(gradient)
-    g, kernel = (
-        gradient.reshape(6, 3),
-        (found.values.data * SIMULATOR.transitions.data).reshape(6, 3),
-    )
+    g = gradient.reshape(6, 3)
+    kernel = (found.values.data * SIMULATOR.transitions.data).reshape(6, 3)
     change = variance = own = 0.0
     for x in np.flatnonzero(COUNTS.sum(axis=1)):
         n = COUNTS[x].sum()
@@ -170,7 +169,8 @@ def test_the_one_step_correction_row_by_row():
 
 
 # ---- methods of ratios as objects: what a name stands for, and limits
-GRID, GRID_TARGET = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1)
+GRID = oee.tasks.gridworld(3, 0.3)
+GRID_TARGET = oee.tasks.gridworld(3, 0.1)
 POLICY = oee.tasks.gridworld_policy(3, 0.5)
 GRID_LOG = oee.sample_episodes(
     GRID_TARGET, oee.uniform_policy(GRID_TARGET), 30, 20, seed=0
@@ -301,10 +301,8 @@ def test_rows_agree_with_clarabel(rng, options):
     simulator, target = pair(rng, n_states=4, n_actions=2)
     counts = counts_of(rng, target, 60)
     shrunk = {"prior": "simulator", "strength": 1.0} | options
-    ours, theirs = (
-        oee.transition_ratio(counts, simulator, **shrunk),
-        by_clarabel(counts, simulator, **shrunk),
-    )
+    ours = oee.transition_ratio(counts, simulator, **shrunk)
+    theirs = by_clarabel(counts, simulator, **shrunk)
     assert ours.gap < 1e-12
     assert ours.row_sum_error < 1e-12
     if theirs is not None:
@@ -362,7 +360,8 @@ def test_ratio_of_ratios_does_not_depend_on_who_sampled(rng):
 def test_a_ridge_function_is_asked_for_visited_rows_only():
     import math
 
-    simulator, target = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(3, 0.1)
+    simulator = oee.tasks.gridworld(3, 0.3)
+    target = oee.tasks.gridworld(3, 0.1)
     log = oee.sample_episodes(target, oee.tasks.gridworld_expert(3), 5, 20, seed=0)
     asked = []
 
@@ -413,7 +412,8 @@ def test_matrices_in_any_order_are_read_right_and_left_alone():
 
 
 def test_the_joint_program_without_box_and_ridge_is_maximum_likelihood():
-    simulator, target = oee.tasks.gridworld(4, 0.3), oee.tasks.gridworld(4, 0.1)
+    simulator = oee.tasks.gridworld(4, 0.3)
+    target = oee.tasks.gridworld(4, 0.1)
     log = oee.sample_transitions(target, np.full((16, 4), 1 / 64), 5000, seed=0)
     data = oee.sample_transitions(simulator, np.full((16, 4), 1 / 64), 5000, seed=1)
     joint = oee.transition_ratio(

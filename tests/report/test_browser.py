@@ -8,7 +8,8 @@ from browsing import axe, browser, opened, violations  # noqa: F401
 import oee_tabular as oee
 from oee_tabular.tasks import embedded_default
 
-WIDTHS, SCHEMES = (400, 1400), ("light", "dark")
+WIDTHS = (400, 1400)
+SCHEMES = ("light", "dark")
 
 
 @pytest.fixture(scope="module")

@@ -373,7 +373,8 @@ def test_the_hash_depends_on_the_inputs_alone():
 
 def test_the_day_is_the_newest_input_s_or_source_date_epoch(tmp_path, monkeypatch):
     monkeypatch.delenv(page.EPOCH, raising=False)
-    old, new = tmp_path / "old.npz", tmp_path / "new.npz"
+    old = tmp_path / "old.npz"
+    new = tmp_path / "new.npz"
     for path, day in ((old, 100), (new, 365)):
         path.touch()
         os.utime(path, (day * 86400, day * 86400))
@@ -411,7 +412,8 @@ def test_the_page_s_command_runs_and_gives_the_page_s_advice(
         " & hall=page.html'"
     )
     assert run_command(*shlex.split(words)) == 0
-    text, printed = (tmp_path / "page.html").read_text(), capsys.readouterr().out
+    text = (tmp_path / "page.html").read_text()
+    printed = capsys.readouterr().out
     script = f"from oee_tabular.cli import main; main({shlex.split(words)!r})"
     # in a process of its own, with another hash seed and the same BLAS kernels: the
     # same bytes

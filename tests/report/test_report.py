@@ -16,7 +16,8 @@ from oee_tabular.estimators.findings import NEVER_VARIED
 from oee_tabular.report import text
 from oee_tabular.report.text import Answer
 
-SMALL, TARGET = oee.tasks.gridworld(3, 0.3), oee.tasks.gridworld(4, 0.1)
+SMALL = oee.tasks.gridworld(3, 0.3)
+TARGET = oee.tasks.gridworld(4, 0.1)
 UNIFORM = oee.uniform_policy(SMALL)
 POLICIES = {
     "cautious": oee.tasks.gridworld_policy(4, 0.2),
@@ -207,7 +208,8 @@ def test_saving_writes_all_or_nothing(problem, report, tmp_path, monkeypatch):
 
 
 def test_policies_may_be_one_array_a_list_or_a_mapping(problem):
-    bold, cautious = POLICIES["bold"], POLICIES["cautious"]
+    bold = POLICIES["bold"]
+    cautious = POLICIES["cautious"]
     one = oee.evaluate(problem, bold, estimators="oee")
     several = oee.evaluate(problem, [bold, cautious], estimators=["oee"])
     assert list(one.table["policy"]) == ["policy"]

@@ -22,10 +22,8 @@ from oee_tabular.estimators import Estimate, ModelBased, OffEnvironment, Problem
 from oee_tabular.report import uncertainty
 from oee_tabular.report.text import format_interval, format_value
 
-SIMULATOR, TARGET = (
-    oee.tasks.gridworld(4, 0.3, discount=0.9),
-    oee.tasks.gridworld(4, 0.1, discount=0.9),
-)
+SIMULATOR = oee.tasks.gridworld(4, 0.3, discount=0.9)
+TARGET = oee.tasks.gridworld(4, 0.1, discount=0.9)
 GOOD, MINE, BAD = (oee.tasks.gridworld_policy(4, delta) for delta in (0.9, 0.5, 0.4))
 
 
@@ -117,7 +115,8 @@ def test_the_same_interval_stands_everywhere(tmp_path):
     ) == expected
     (answer,) = report.answers
     assert (answer.lower, answer.upper, answer.method) == expected
-    text, page = str(report), report.to_html()
+    text = str(report)
+    page = report.to_html()
     assert str(sure).split(", 95%")[0] in text
     assert "95% interval of corrected (likelihood): " in text
     assert "95% interval of model (standard error): " in text
@@ -264,7 +263,8 @@ def test_a_standard_error_of_zero_makes_no_interval():
 
 def test_policies_that_the_log_separates_are_ranked_and_others_are_not():
     report = oee.evaluate(even(4000), {"bad": BAD, "good": GOOD}, estimators=["oee"])
-    compared, ranking = report.uncertainty.comparison, report.uncertainty.ranking
+    compared = report.uncertainty.comparison
+    ranking = report.uncertainty.ranking
     assert ranking.startswith(
         "Of 2 policies, “good” is worth most in the target. It is better than “bad” by "
     )
@@ -359,7 +359,8 @@ def test_values_are_in_the_reports_unit():
     )
     row, small = (report.to_dict()["intervals"][0] for report in (plain, scaled))
     assert np.isclose(small["lower"], 0.1 * row["lower"])
-    row, small = plain.records()[0], scaled.records()[0]
+    row = plain.records()[0]
+    small = scaled.records()[0]
     for name in (
         "value",
         "standard_error",
@@ -401,7 +402,8 @@ def test_missing_likelihood_intervals_are_reported():
     """At discount 1 without a horizon, and where ``quick`` leaves them out; guaranteed
     ones are refused there.
     """
-    endless, problem = Problem(SIMULATOR.with_discount(1.0), even(900).log), even(300)
+    endless = Problem(SIMULATOR.with_discount(1.0), even(900).log)
+    problem = even(300)
     reason = "at discount 1 they need a horizon"
     assert sentences(endless)[1] == f"There are no likelihood intervals: {reason}."
     quick, full = (

@@ -80,27 +80,33 @@ def test_sums_along_the_recorded_paths(rng):
     words: step by step from the log.
     """
     mdp = random_mdp(rng)
-    policy, horizon = random_policy(rng, mdp), int(rng.integers(1, 70))
-    zeta, key = (
-        oee.true_ratio(random_mdp(rng, like=mdp), mdp),
-        int(rng.integers(1 << 30)),
-    )
+    policy = random_policy(rng, mdp)
+    horizon = int(rng.integers(1, 70))
+    zeta = oee.true_ratio(random_mdp(rng, like=mdp), mdp)
+    key = int(rng.integers(1 << 30))
     ratio = zeta.values.toarray().reshape(mdp.n_states, mdp.n_actions, -1)
-    terminal, by_transition = mdp.absorbing(), mdp.transition_rewards is not None
+    terminal = mdp.absorbing()
+    by_transition = mdp.transition_rewards is not None
     for kind in ("per_decision", "trajectory"):
         drawn = oee.sample_returns(
             mdp, policy, 17, horizon, seed=key, zeta=zeta, kind=kind, record=True
         )
-        log, starts = drawn.log, drawn.log.episode_starts
+        log = drawn.log
+        starts = drawn.log.episode_starts
         assert_array_equal(np.diff(starts), drawn.lengths)
         assert_array_equal(log.next_state[starts[1:] - 1], drawn.final_state)
         assert_array_equal(log.terminated[starts[1:] - 1], terminal[drawn.final_state])
         assert (mdp.initial[log.state[starts[:-1]]] > 0).all()
         assert (policy[log.state, log.action] > 0).all()
         for i in range(17):
-            plain, weighted, w, whole = 0.0, 0.0, 1.0, 1.0
+            plain = 0.0
+            weighted = 0.0
+            w = 1.0
+            whole = 1.0
             for t, row in enumerate(range(starts[i], starts[i + 1])):
-                s, a, following = log.state[row], log.action[row], log.next_state[row]
+                s = log.state[row]
+                a = log.action[row]
+                following = log.next_state[row]
                 after = w * (1.0 if terminal[s] else ratio[s, a, following])
                 plain += mdp.discount**t * log.reward[row]
                 weighted += (
@@ -119,7 +125,9 @@ def test_sums_along_the_recorded_paths(rng):
 def test_weighted_returns_have_the_exact_moments(kind, pay):
     # weights within 1.05^5 or so
     simulator, target = (oee.tasks.gridworld(4, slip, pay=pay) for slip in (0.3, 0.27))
-    zeta, n, horizon = oee.true_ratio(target, simulator), 40_000, 6
+    zeta = oee.true_ratio(target, simulator)
+    n = 40_000
+    horizon = 6
     drawn = oee.sample_returns(
         simulator, UNIFORM, n, horizon, seed=1, zeta=zeta, kind=kind
     )
@@ -151,7 +159,8 @@ def test_an_episode_that_begins_where_it_is_terminal_has_one_step():
 
 
 def test_a_generator_is_advanced_and_a_refused_call_leaves_it():
-    generator, other = np.random.default_rng(0), np.random.default_rng(0)
+    generator = np.random.default_rng(0)
+    other = np.random.default_rng(0)
     first, second = (
         oee.sample_returns(GRID, UNIFORM, 20, 10, seed=generator) for _ in range(2)
     )
@@ -195,7 +204,8 @@ def test_infinite_weights_leave_rewards_of_0_alone():
 # ---- sampled logs: frequencies by chi-square at fixed seeds, where episodes end, seeds
 # and bits, bad calls
 def test_seeds_are_what_default_rng_takes():
-    mdp, policy = survival_chain(), np.ones((2, 1))
+    mdp = survival_chain()
+    policy = np.ones((2, 1))
     one, two = (
         oee.sample_episodes(
             mdp, policy, 50, 20, seed=np.random.SeedSequence(5, spawn_key=(1, 2))
@@ -235,7 +245,8 @@ def test_transitions_follow_the_distribution_and_the_model():
     never happen.
     """
     rng = np.random.default_rng(4)
-    mdp, n = random_mdp(rng, n_states=5, n_actions=3), 100_000
+    mdp = random_mdp(rng, n_states=5, n_actions=3)
+    n = 100_000
     weights = rng.dirichlet(np.ones(15)).reshape(5, 3)
     weights[1] *= [0.0, 1.0, 1.0]
     weights /= weights.sum()
@@ -275,7 +286,8 @@ def test_episodes_follow_initial_policy_and_transitions():
 
 def test_episodes_end_where_they_are_terminal():
     log = oee.sample_episodes(survival_chain(), np.ones((2, 1)), 4000, 5, seed=0)
-    lengths, last = np.diff(log.episode_starts), log.episode_starts[1:] - 1
+    lengths = np.diff(log.episode_starts)
+    last = log.episode_starts[1:] - 1
     ended = log.terminated[last]
     assert_array_equal(ended, log.next_state[last] == 1)
     assert (lengths[~ended] == 5).all()
@@ -322,7 +334,8 @@ def test_twins_of_terminal_states_are_not_drawn_from():
 @pytest.mark.parametrize("n", [1, 100, 401])
 def test_whole_episodes_hold_n_transitions(n):
     """At least n, whole episodes, and of one seed those first that hold fewer."""
-    grid, policy = oee.tasks.gridworld(3, slip=0.1), oee.tasks.gridworld_expert(3)
+    grid = oee.tasks.gridworld(3, slip=0.1)
+    policy = oee.tasks.gridworld_expert(3)
     log, more = (
         episodes_holding(grid, policy, size, 20, seed=0) for size in (n, 5 * n)
     )

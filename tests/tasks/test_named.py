@@ -153,7 +153,8 @@ def test_paying_for_the_next_or_the_current_cell():
     """J_next at T equals (J_current at T + 1 - first reward) / discount: the same
     payments one step later.
     """
-    following, current = gridworld(5, 0.2), gridworld(5, 0.2, pay="current")
+    following = gridworld(5, 0.2)
+    current = gridworld(5, 0.2, pay="current")
     policy = gridworld_policy(5, 0.5)
     first = -0.2 * 8
     shifted = (oee.policy_value(current, policy, horizon=31) - first) / 0.99

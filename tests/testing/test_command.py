@@ -75,7 +75,8 @@ def here(tmp_path, monkeypatch):
 
 
 def run(capsys, *arguments):
-    code, captured = run_command("check", *arguments), capsys.readouterr()
+    code = run_command("check", *arguments)
+    captured = capsys.readouterr()
     return code, captured.out, captured.err
 
 

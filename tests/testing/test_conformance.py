@@ -292,7 +292,8 @@ def test_relabelled_and_padded_logs():
     that a log may have or lack.
     """
     log = case("ragged").log(3, seed=0)
-    states, actions = [1, 2, 3, 0], [1, 0]
+    states = [1, 2, 3, 0]
+    actions = [1, 0]
     new = relabelled_log(log, pd.Series(states, index=[3, 2, 1, 0]), actions)
     assert new.state.tolist() == [states[s] for s in log.state]
     assert new.action.tolist() == [1 - a for a in log.action]

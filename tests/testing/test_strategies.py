@@ -95,10 +95,8 @@ def test_pairs_have_the_support_that_was_asked_for(support):
 @given(st.data())
 def test_logs_are_of_their_mdp(data):
     mdp = data.draw(mdps(max_states=4))
-    behavior, kind = (
-        data.draw(policies(mdp)),
-        data.draw(st.sampled_from(["episodes", "transitions"])),
-    )
+    behavior = data.draw(policies(mdp))
+    kind = data.draw(st.sampled_from(["episodes", "transitions"]))
     log = data.draw(
         logs(mdp, kind=kind, behavior_policy=behavior, max_episodes=3, max_steps=4)
     )

@@ -26,7 +26,8 @@ def sampling(
     """
 
     def estimate(problem, policy, seed=None):
-        log, pi = problem.log, evaluated(policy)
+        log = problem.log
+        pi = evaluated(policy)
         ratios = ratio(pi[log.state, log.action], log.behavior_probability)
         weights = segment_products(ratios, log.episode_starts) ** power
         rewards = (
@@ -229,7 +230,8 @@ class Shrunk:
         self.strength = strength
 
     def __call__(self, problem, policy, *, seed=None):
-        simulator, counts = problem.simulator, problem.counts.toarray()
+        simulator = problem.simulator
+        counts = problem.counts.toarray()
         prior = self.strength * simulator.transitions.toarray()
         rows = (counts + prior) / (counts.sum(axis=1, keepdims=True) + self.strength)
         model = simulator.with_transitions(

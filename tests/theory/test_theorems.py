@@ -30,7 +30,8 @@ horizons = st.sampled_from([None, 1, 2, 7])
 def pair(rng, **options):
     """A target, and a model near it or far, on the support of one simulator."""
     simulator = random_mdp(rng, **options)
-    target, other = random_mdp(rng, like=simulator), random_mdp(rng, like=simulator)
+    target = random_mdp(rng, like=simulator)
+    other = random_mdp(rng, like=simulator)
     weight = rng.choice([0.0, 1e-6, 0.1, 1.0])
     model = target.with_transitions(
         sparse.csr_array((1 - weight) * target.transitions + weight * other.transitions)
@@ -395,7 +396,8 @@ def test_the_sup_error_bound_covers(n, p, q, confidence):
 
 def test_the_sup_error_bound_by_hand():
     log_term = math.log(4 * 3 / 0.1)
-    e_p, e_q = math.sqrt(3 * log_term / 2000), math.sqrt(3 * log_term / 4000)
+    e_p = math.sqrt(3 * log_term / 2000)
+    e_q = math.sqrt(3 * log_term / 4000)
     assert_allclose(
         theory.sup_error_bound(10_000, 0.2, 0.4, 3, 2.0, 0.9),
         2 * (e_p + e_q) / (1 - e_q),
@@ -539,7 +541,9 @@ def test_the_corrected_bound_in_the_horizon():
 @pytest.mark.parametrize("form", ["sa", "sat"])
 def test_path_bounds_by_every_path(form):
     simulator, target, _, policy = tiny(8, form=form, n_states=2)
-    model, truth, steps = Dense(simulator), Dense(target), 4
+    model = Dense(simulator)
+    truth = Dense(target)
+    steps = 4
     own = []
     for t in range(steps + 1):
         found = paths(simulator, policy, t)
@@ -561,7 +565,8 @@ def test_path_bounds_by_every_path(form):
     shift = int(form == "sat")
     size = np.abs(model.r).max()
     error = abs(model.J(policy, steps) - truth.J(policy, steps))
-    g, eta = model.g, np.abs(model.P - truth.P).sum(axis=2).max()
+    g = model.g
+    eta = np.abs(model.P - truth.P).sum(axis=2).max()
     bounds = {
         theory.kl_path_sides: sum(
             g**t * min(2.0, np.sqrt(2 * own[t + shift])) for t in range(steps)
@@ -582,11 +587,14 @@ def test_path_bounds_by_every_path(form):
 # the ends: nothing lost, and sums that are infinite
 
 PAYS = FiniteMDP(np.ones((1, 1, 1)), [1.0], [1.0], 0.9)
-UNPAID, GROWS = PAYS.with_rewards([0.0]), sparse.csr_array([[1.2]])
-CHAIN, TWO = survival_chain(1.0), np.ones((2, 1))
+UNPAID = PAYS.with_rewards([0.0])
+GROWS = sparse.csr_array([[1.2]])
+CHAIN = survival_chain(1.0)
+TWO = np.ones((2, 1))
 FASTER = CHAIN.with_transitions(np.array([[[0.6, 0.4]], [[0.0, 1.0]]]))
 SAME = ([1.1, 1e308], [1.0, 0.5])
-NOTHING, INFINITE = Sides(0.0, 0.0), Sides(math.inf, math.inf)
+NOTHING = Sides(0.0, 0.0)
+INFINITE = Sides(math.inf, math.inf)
 SEEN = {"n": 4, "mu": 2.0, "nu": 0.5, "confidence": 0.9, "constant": 1.0}
 ENDS = [
     (lambda: theory.unnormalised_sides(PAYS, PAYS, ONE, ratio=GROWS), INFINITE),

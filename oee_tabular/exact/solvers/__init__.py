@@ -109,9 +109,11 @@ def answer(
     a tenth. For systems that change a
         little from one to the next: on grids of 100 x 100 a share of .001 takes .3 of an exact solution's time.
     """
-    best, allowed = Iterate(np.zeros(len(b)), b, np.inf, np.inf, 0.0, "none"), 0.0
+    best = Iterate(np.zeros(len(b)), b, np.inf, np.inf, 0.0, "none")
+    allowed = 0.0
     if near is not None:
-        start, size = measure(system, b, near, "none"), np.abs(b).max()
+        start = measure(system, b, near, "none")
+        size = np.abs(b).max()
         best = start if start.largest < size else best
         allowed = 0.1 * min(start.largest, size) if share > 0.0 else 0.0
     for solver in STEADY if share > 0.0 else SOLVERS:

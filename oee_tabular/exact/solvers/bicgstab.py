@@ -64,10 +64,13 @@ class BiCGStab:
 
     def prepare(self, system: System) -> Solve:
         """The reduced system and its factors."""
-        kernel, transpose, (order, _) = system.kernel, system.transpose, system.order
+        kernel = system.kernel
+        transpose = system.transpose
+        (order, _) = system.order
         inverse, room = find_independent(kernel, order)
         if room > 2.5 * len(kernel.indices):
-            inverse, room = np.zeros(system.n_states), len(kernel.indices)
+            inverse = np.zeros(system.n_states)
+            room = len(kernel.indices)
         rest, states = eliminate(kernel, order, inverse, room)
         # weight 1 keeps row sums, which counts near discount 1; a little below it the
         # iteration is steadier in a drift
@@ -97,9 +100,12 @@ def find_independent(kernel, order):
     """
     indptr, indices, data, discount = kernel
     n = len(order)
-    is_free, inverse, room = np.ones(n, dtype=np.bool_), np.zeros(n), np.int64(0)
+    is_free = np.ones(n, dtype=np.bool_)
+    inverse = np.zeros(n)
+    room = np.int64(0)
     for q in range(n):
-        state, diagonal = order[q], 1.0
+        state = order[q]
+        diagonal = 1.0
         for k in range(indptr[state], indptr[state + np.uint32(1)]):
             if indices[k] == state:
                 diagonal -= discount * data[k]
@@ -128,19 +134,21 @@ def eliminate(kernel, order, inverse, room):
     """
     indptr, indices, data, discount = kernel
     states = order[inverse[order] == 0.0]
-    number, place = (
-        np.zeros(len(order), dtype=np.uint32),
-        np.zeros(len(states), dtype=np.uint32),
-    )
+    number = np.zeros(len(order), dtype=np.uint32)
+    place = np.zeros(len(states), dtype=np.uint32)
     for row in range(len(states)):
         number[states[row]] = row
     # only what is filled becomes memory
-    columns, values = np.empty(room, dtype=np.uint32), np.empty(room)
-    starts, filled = np.zeros(len(states) + 1, dtype=np.uint32), np.uint64(0)
+    columns = np.empty(room, dtype=np.uint32)
+    values = np.empty(room)
+    starts = np.zeros(len(states) + 1, dtype=np.uint32)
+    filled = np.uint64(0)
     for row in range(len(states)):
-        begin, state = filled, states[row]
+        begin = filled
+        state = states[row]
         for k in range(indptr[state], indptr[state + np.uint32(1)]):
-            j, value = indices[k], discount * data[k]
+            j = indices[k]
+            value = discount * data[k]
             if inverse[j] == 0.0:
                 filled = add_entry(
                     columns, values, place, begin, filled, number[j], value
@@ -172,9 +180,12 @@ def modified_diagonal(kernel, weight):
     """
     indptr, indices, data, _ = kernel
     n = len(indptr) - 1
-    modified, later = np.empty(n), np.empty(n)
+    modified = np.empty(n)
+    later = np.empty(n)
     for i in range(n):
-        diagonal, dropped, sum_later = 1.0, 0.0, 0.0
+        diagonal = 1.0
+        dropped = 0.0
+        sum_later = 0.0
         for k in range(indptr[i], indptr[i + 1]):
             j = indices[k]
             if j < i:
@@ -200,27 +211,32 @@ def factorise(kernel, transpose, weight):
     n = len(modified)
     if transpose:
         indptr, indices, data = transpose_rows(indptr, indices, data, n)
-    lower, upper = np.empty(n + 1, dtype=np.uint32), np.empty(n + 1, dtype=np.uint32)
-    columns, values, diagonal = (
-        np.empty(len(indices), dtype=np.uint32),
-        np.empty(len(indices)),
-        np.empty(n),
-    )
-    low, high = 0, len(indices)
-    lower[0], upper[0] = low, high
+    lower = np.empty(n + 1, dtype=np.uint32)
+    upper = np.empty(n + 1, dtype=np.uint32)
+    columns = np.empty(len(indices), dtype=np.uint32)
+    values = np.empty(len(indices))
+    diagonal = np.empty(n)
+    low = 0
+    high = len(indices)
+    lower[0] = low
+    upper[0] = high
     for i in range(n):
-        scale, own = 1.0 / modified[i], 1.0
+        scale = 1.0 / modified[i]
+        own = 1.0
         for k in range(indptr[i], indptr[i + 1]):
             j = indices[k]
             if j < i:
-                columns[low], values[low] = j, data[k] * scale
+                columns[low] = j
+                values[low] = data[k] * scale
                 low += 1
             elif j > i:
                 high -= 1
-                columns[high], values[high] = j, data[k] * scale
+                columns[high] = j
+                values[high] = data[k] * scale
             else:
                 own -= data[k]
-        lower[i + 1], upper[i + 1] = low, high
+        lower[i + 1] = low
+        upper[i + 1] = high
         diagonal[i] = own * scale - 2.0
     return Factors(lower, upper, columns, values, diagonal, modified)
 
@@ -246,21 +262,31 @@ def iterate(factors, b, relative, steps):
         r[i] = total
         first[i] = total
         size = max(size, abs(total))
-    y, p, v, w = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    t, z = np.empty(n), np.empty(n)
-    rho, alpha, omega, beta = 0.0, 0.0, 0.0, 0.0
+    y = np.zeros(n)
+    p = np.zeros(n)
+    v = np.zeros(n)
+    w = np.zeros(n)
+    t = np.empty(n)
+    z = np.empty(n)
+    rho = 0.0
+    alpha = 0.0
+    omega = 0.0
+    beta = 0.0
     for i in range(n):
         rho += r[i] * r[i]
     goal = relative * size
     taken = 0
     while True:
-        largest, largest_y = 0.0, 0.0
+        largest = 0.0
+        largest_y = 0.0
         # finishes the step before, and t = (I + U)^-1 p for the new p
         for i in range(n - 1, -1, -1):
             y_i = y[i] + (alpha * p[i] + omega * r[i])
             r_i = r[i] - omega * w[i]
             p_i = r_i + beta * (p[i] - omega * v[i])
-            y[i], p[i], r[i] = y_i, p_i, r_i
+            y[i] = y_i
+            p[i] = p_i
+            r[i] = r_i
             largest = max(largest, abs(r_i))
             largest_y = max(largest_y, abs(y_i))
             total = p_i
@@ -293,7 +319,10 @@ def iterate(factors, b, relative, steps):
             for k in range(upper[i + 1], upper[i]):
                 total += values[k] * t[columns[k]]
             t[i] = total
-        ws, ww, first_w, first_s = 0.0, 0.0, 0.0, 0.0
+        ws = 0.0
+        ww = 0.0
+        first_w = 0.0
+        first_s = 0.0
         for i in range(n):
             s_i = r[i]
             total = s_i + diagonal[i] * t[i]

@@ -94,7 +94,8 @@ class EnvelopeLU:
         """Graphs that a breadth-first search walks through in narrow fronts."""
         if (self.is_narrow and system.expands) or system.envelope is None:
             return False
-        n_filled, n_entries = system.envelope[-1][-1], len(system.kernel.indices)
+        n_filled = system.envelope[-1][-1]
+        n_entries = len(system.kernel.indices)
         return not self.is_narrow or bool(
             n_filled <= max(10 * system.n_states, 2 * n_entries)
         )
@@ -119,11 +120,14 @@ def factorise(kernel, place, order, first, starts):
     """The factors, and whether all pivots are positive."""
     indptr, indices, data, discount = kernel
     n = len(order)
-    lower, upper, diagonal = np.zeros(starts[n]), np.zeros(starts[n]), np.ones(n)
+    lower = np.zeros(starts[n])
+    upper = np.zeros(starts[n])
+    diagonal = np.ones(n)
     for state in range(n):
         i = n - 1 - np.int64(place[state])
         for k in range(indptr[state], indptr[state + 1]):
-            j, value = n - 1 - np.int64(place[indices[k]]), discount * data[k]
+            j = n - 1 - np.int64(place[indices[k]])
+            value = discount * data[k]
             if j < i:
                 lower[starts[i] + j - first[i]] -= value
             elif j > i:
@@ -134,11 +138,13 @@ def factorise(kernel, place, order, first, starts):
         own = starts[i] - first[i]  # where column 0 would be
         for j in range(first[i], i):
             other = starts[j] - first[j]
-            below, above = lower[own + j], upper[own + j]
+            below = lower[own + j]
+            above = upper[own + j]
             for k in range(max(first[i], first[j]), j):
                 below -= lower[own + k] * upper[other + k]
                 above -= lower[other + k] * upper[own + k]
-            lower[own + j], upper[own + j] = below / diagonal[j], above
+            lower[own + j] = below / diagonal[j]
+            upper[own + j] = above
             diagonal[i] -= lower[own + j] * above
         if not diagonal[i] > 0.0:
             break
@@ -150,7 +156,8 @@ def substitute(factors, transpose, b):
     """x of L U x = b, or of U^T L^T x = b."""
     order, first, starts, lower, upper, diagonal = factors
     n = len(b)
-    y, x = np.empty(n), np.empty(n)
+    y = np.empty(n)
+    x = np.empty(n)
     ahead, behind = (upper, lower) if transpose else (lower, upper)
     for i in range(n):
         total = b[order[i]]

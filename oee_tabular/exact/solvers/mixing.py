@@ -75,12 +75,16 @@ def sweep(kernel, mass, transpose, b, relative):
     for i in range(n):
         mean += b[i]
     mean /= n
-    x, new = b + (over * mean if transpose else 0.0), np.empty(n)
+    x = b + (over * mean if transpose else 0.0)
+    new = np.empty(n)
     # rounding grows with a row
-    allowed, floor = np.inf, 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))
+    allowed = np.inf
+    floor = 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))
     for turn in range(200):
         multiply(kernel, transpose, x, new)
-        low, high, largest = np.inf, -np.inf, 0.0
+        low = np.inf
+        high = -np.inf
+        largest = 0.0
         for i in range(n):
             value = b[i] + kernel.discount * new[i]
             new[i] = value
@@ -134,7 +138,9 @@ class PlainBiCGStab:
 def product(kernel, transpose, constant, p, first, out):
     """out = M p + constant, or M^T p + constant; first . out, p . out, out . out."""
     multiply(kernel, transpose, p, out)
-    with_first, with_p, with_out = 0.0, 0.0, 0.0
+    with_first = 0.0
+    with_p = 0.0
+    with_out = 0.0
     for i in range(len(p)):
         value = p[i] + (constant - kernel.discount * out[i])
         out[i] = value
@@ -149,13 +155,25 @@ def bicgstab(kernel, transpose, shared, b, relative):
     """y, its residual below ``relative`` times b's or the floor; None where it does not
     fall to a tenth in 150 steps.
     """
-    n, part = len(b), shared / len(b)
-    x, first, v, w = np.zeros(n), b.copy(), np.empty(n), np.empty(n)
+    n = len(b)
+    part = shared / len(b)
+    x = np.zeros(n)
+    first = b.copy()
+    v = np.empty(n)
+    w = np.empty(n)
     if transpose:
         product(kernel, transpose, part * b.sum(), b, first, v)
-        x, first = first, b - v
-    r, p, sum_p = first.copy(), first.copy(), first.sum()
-    rho, goal, largest, largest_x, allowed, steps = 0.0, 0.0, 0.0, 0.0, np.inf, 0
+        x = first
+        first = b - v
+    r = first.copy()
+    p = first.copy()
+    sum_p = first.sum()
+    rho = 0.0
+    goal = 0.0
+    largest = 0.0
+    largest_x = 0.0
+    allowed = np.inf
+    steps = 0
     for i in range(n):
         rho += r[i] * r[i]
         goal = max(goal, relative * abs(b[i]))
@@ -170,7 +188,9 @@ def bicgstab(kernel, transpose, shared, b, relative):
         along, _, _ = product(kernel, transpose, part * sum_p, p, first, v)
         if along == 0.0 or not np.isfinite(along):
             break
-        alpha, sum_s, first_s = rho / along, 0.0, 0.0
+        alpha = rho / along
+        sum_s = 0.0
+        first_s = 0.0
         for i in range(n):
             r[i] -= alpha * v[i]  # the half step's residual
             sum_s += r[i]
@@ -180,7 +200,10 @@ def bicgstab(kernel, transpose, shared, b, relative):
         new = first_s - omega * first_w
         # nowhere to go: what was found stands, and is refined
         beta = (new / rho) * (alpha / omega) if omega != 0.0 and rho != 0.0 else 0.0
-        rho, largest, largest_x, sum_p = new, 0.0, 0.0, 0.0
+        rho = new
+        largest = 0.0
+        largest_x = 0.0
+        sum_p = 0.0
         for i in range(n):
             x[i] += alpha * p[i] + omega * r[i]
             r[i] -= omega * w[i]

@@ -164,7 +164,8 @@ def plan(
     """Check the arguments of ``run`` and make every family once: settings of an
     experiment of the lab's kind.
     """
-    count, first = _checks.positive_integer(seeds, "seeds"), check_seed(seed)
+    count = _checks.positive_integer(seeds, "seeds")
+    first = check_seed(seed)
     limit = _checks.number_in(timeout, "timeout", 0.0, 1e6, open_ends=True)
     chosen = choose_estimators(estimators)
     source, names = choose_families(families, first)
@@ -224,11 +225,9 @@ def measure_cell(
     """One seed of family x size, every estimator on its log; the seed of the family is
     the run's first plus the repetition.
     """
-    seed, name, size = (
-        stream.seed + int(cell["repetition"]),
-        str(cell["family"]),
-        float(cell["size"]),
-    )
+    seed = stream.seed + int(cell["repetition"])
+    name = str(cell["family"])
+    size = float(cell["size"])
     family = find_family(source, name, seed)
     own = Stream(stream.experiment, seed, {"family": name, "size": size})
     problem = family.problem(family.size(size), own.generator(use="log"))
@@ -249,7 +248,8 @@ def facts_of(family: Family, problem: Problem) -> Row:
     """What is known exactly about a log: truth, the share of the policy's time that it
     covers, efficiency bound / n.
     """
-    n, horizon = len(problem.log), family.horizon
+    n = len(problem.log)
+    horizon = family.horizon
     is_endless = horizon is None and family.target.discount == 1.0
     time = occupancy(
         family.target, family.policy, horizon=family.length if is_endless else horizon
@@ -296,7 +296,8 @@ def measure(
             estimate = as_estimator(estimator_of(name, given, family))(
                 problem, family.policy, seed=seed
             )
-        seconds, value = time.process_time() - start, float(estimate.value)
+        seconds = time.process_time() - start
+        value = float(estimate.value)
         if not math.isfinite(value):
             is_explained = estimate.status not in ("ok", UNEXPLAINED)
             return row | {
@@ -308,16 +309,16 @@ def measure(
             if estimate.standard_error is None
             else float(estimate.standard_error)
         )
-        lower, upper, method = (
-            value - NORMAL * error,
-            value + NORMAL * error,
-            "value +- 1.96 standard errors",
-        )
+        lower = value - NORMAL * error
+        upper = value + NORMAL * error
+        method = "value +- 1.96 standard errors"
         if estimate.interval is not None:
             lower, upper = (float(end) for end in estimate.interval)
             method = str(estimate.diagnostics.get("interval_method", "reported"))
         elif not math.isfinite(error):
-            lower, upper, method = math.nan, math.nan, ""
+            lower = math.nan
+            upper = math.nan
+            method = ""
     except Exception as failure:
         return row | {"status": f"{type(failure).__name__}: {failure}"}
     return row | {

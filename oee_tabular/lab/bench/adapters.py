@@ -49,7 +49,8 @@ def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
     policy at each step.
     """
     log = problem.recorded
-    starts, probability = log.episode_starts, log.behavior_probability
+    starts = log.episode_starts
+    probability = log.behavior_probability
     if starts is None or log.timestep is None:
         raise ValueError(
             "log must have episodes for importance sampling; its transitions have none"
@@ -131,11 +132,10 @@ class Peer:
         self, problem: Problem, policy: PolicyLike, *, seed: Seed = None
     ) -> Estimate:
         """Its value of the policy."""
-        pi, discount = (
-            check_policy(policy, problem.simulator),
-            float(problem.simulator.discount),
-        )
-        estimator, episodes = self.load(), pad_episodes(problem, pi)
+        pi = check_policy(policy, problem.simulator)
+        discount = float(problem.simulator.discount)
+        estimator = self.load()
+        episodes = pad_episodes(problem, pi)
         if self.library == "scope-rl":
             q = action_values(problem.simulator, pi, horizon=problem.horizon)[
                 episodes["state"]

@@ -56,7 +56,8 @@ def floor(slip: Any = SIMULATED) -> FiniteMDP:
     """
     share = np.broadcast_to(np.asarray(slip, dtype=np.float64), (64, 4)).copy()
     share[-1] = 0.0
-    always, never = gridworld(8, 1.0).transitions, gridworld(8, 0.0).transitions
+    always = gridworld(8, 1.0).transitions
+    never = gridworld(8, 0.0).transitions
     transitions = (
         sparse.diags_array(share.ravel()) @ always
         + sparse.diags_array(1.0 - share.ravel()) @ never
@@ -110,9 +111,12 @@ def icu_sepsis() -> Family:
     if path is None:
         raise ImportError(MISSING_ICU)
     with np.load(path) as table:
-        moves, start, chosen = table["tx_mat"], table["d_0"], table["expert_policy"]
+        moves = table["tx_mat"]
+        start = table["d_0"]
+        chosen = table["expert_policy"]
     # 713 states of patients; then death, survival, and what follows
-    n_states, ends = len(start), slice(713, None)
+    n_states = len(start)
+    ends = slice(713, None)
     chosen = chosen.reshape(n_states, 5, 5)
     levels = chosen.sum(axis=2, keepdims=True)
     given = np.where(levels > 0, chosen / np.where(levels > 0, levels, 1.0), 0.2)
@@ -368,8 +372,10 @@ class Families(Mapping[str, Family]):
     def __init__(
         self, makers: Mapping[str, Maker], seed: int, left_out: Mapping[str, str]
     ):
-        self._makers, self._made = dict(makers), dict[str, Family]()
-        self.seed, self.left_out = seed, dict(left_out)
+        self._makers = dict(makers)
+        self._made = dict[str, Family]()
+        self.seed = seed
+        self.left_out = dict(left_out)
 
     def __getitem__(self, name: str) -> Family:
         if name not in self._makers:

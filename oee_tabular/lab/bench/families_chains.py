@@ -107,11 +107,10 @@ def tandem(size: int = 45) -> Family:
     def moves(
         state: IntArray, action: IntArray, arrival: float, first: float, second: float
     ) -> Moves:
-        (i, j), (fast_2, fast_1) = np.divmod(state, size), np.divmod(action, 2)
-        one, two = (
-            first * np.where(fast_1, 1.6, 1.0),
-            second * np.where(fast_2, 1.6, 1.0),
-        )
+        (i, j) = np.divmod(state, size)
+        (fast_2, fast_1) = np.divmod(action, 2)
+        one = first * np.where(fast_1, 1.6, 1.0)
+        two = second * np.where(fast_2, 1.6, 1.0)
         yield arrival, np.minimum(i + 1, size - 1) * size + j
         yield one, np.where(i > 0, (i - 1) * size + np.minimum(j + 1, size - 1), state)
         yield two, np.where(j > 0, state - 1, state)
@@ -150,7 +149,8 @@ def mountain(place: IntArray, action: IntArray, pull: float) -> Moves:
     right top ends it with 10.
     """
     slope = pull * (place - 10) / 14
-    right, left = 0.3 + 0.2 * (action - 1) - slope, 0.3 - 0.2 * (action - 1) + slope
+    right = 0.3 + 0.2 * (action - 1) - slope
+    left = 0.3 - 0.2 * (action - 1) + slope
     return (right, place + 1), (left, place - 1), (1 - left - right, place)
 
 
@@ -246,11 +246,9 @@ def ageing_asset(state: IntArray, action: IntArray, shock: float) -> Moves:
     repaired = np.where(
         action < 2, 0.05, np.select([state == 10, state == 11], [0.5, 0.7], 0.95)
     )
-    wear, shocked, older = (
-        0.003 * (1 + action) * state,
-        shock * (1 + action),
-        0.4 + 0.3 * action,
-    )
+    wear = 0.003 * (1 + action) * state
+    shocked = shock * (1 + action)
+    older = 0.4 + 0.3 * action
     yield np.where(runs, 0.0, repaired), 0
     yield np.where(runs, 0.0, 1 - repaired), state
     yield runs * wear, 10
@@ -268,7 +266,8 @@ def epidemic(state: IntArray, action: IntArray, infection: float) -> Moves:
     """Twelve people, susceptible and infected; nothing, distance (.5) or lockdown
     (1.2); an infected one costs 1 a step.
     """
-    s, i = SUSCEPTIBLE[state], INFECTED[state]
+    s = SUSCEPTIBLE[state]
+    i = INFECTED[state]
     rate = infection * np.array([1.0, 0.55, 0.25])[action]
     new, cured = np.divmod(np.arange((PEOPLE + 1) ** 2), PEOPLE + 1)
     law = cross(binomial(s, 1 - (1 - rate / PEOPLE) ** i), binomial(i, 0.25))
@@ -285,7 +284,8 @@ def clinical_trial(state: IntArray, arm: IntArray, *arms: float) -> Moves:
     the arms cure .6 and .25 in truth.
     """
     a, b, c, d = TRIALS[state[:, :, 0]].transpose(2, 0, 1)[..., None]
-    cured, failed = np.where(arm, c, a), np.where(arm, d, b)
+    cured = np.where(arm, c, a)
+    failed = np.where(arm, d, b)
     cure = np.choose(arm, arms) if arms else (cured + 1) / (cured + failed + 2)
     yield cure, NUMBER_OF_TRIAL[a + 1 - arm, b, c + arm, d]
     yield 1 - cure, NUMBER_OF_TRIAL[a, b + 1 - arm, c, d + arm]
@@ -341,7 +341,9 @@ def elevator(state: IntArray, action: IntArray, low: float) -> Moves:
     more often than simulated.
     """
     # call 9: none
-    at, call, floors = np.clip(state // 10 + action - 1, 0, 8), state % 10, np.arange(9)
+    at = np.clip(state // 10 + action - 1, 0, 8)
+    call = state % 10
+    floors = np.arange(9)
     goes = (call < 9) & (at != call)
     yield goes, at * 10 + call
     yield 0.4 * ~goes, at * 10 + 9

@@ -30,14 +30,17 @@ from oee_tabular.mdp import FiniteMDP
 
 DECK = np.append(np.ones(9), 4.0) / 13
 OUTCOME = np.zeros((203, 2, 203))
-OUTCOME[:200, :, 200], OUTCOME[:200, :, 202] = -1.0, 1.0
+OUTCOME[:200, :, 200] = -1.0
+OUTCOME[:200, :, 202] = 1.0
 ONE, TWO = np.divmod(np.arange(64), 8)
 CLAIMS = np.arange(1, 61)
 RETURNS = np.arange(-15, 16)
 PREY, HUNTERS = np.divmod(np.arange(96), 8)
 HARVESTS = np.array([0, 1, 3])
-PRICES, STOCK = np.array([1.0, 1.5, 2.0, 3.0]), np.arange(176) % 16
-BATCHES, DEMAND = np.array([0, 3, 6, 10]), poisson(3.0, 30)
+PRICES = np.array([1.0, 1.5, 2.0, 3.0])
+STOCK = np.arange(176) % 16
+BATCHES = np.array([0, 3, 6, 10])
+DEMAND = poisson(3.0, 30)
 SALES = np.minimum(np.arange(31)[:, None], np.arange(31)) @ DEMAND
 LEVEL, SEASON = np.divmod(np.arange(60), 4)
 SWING = np.array([1.0, 0.6, -0.8, -0.8])
@@ -95,7 +98,9 @@ def blackjack(s: IntArray, stand: IntArray, cards: Array) -> Moves:
     """Own total 2 to 21, dealer's card 1 to 10, aces count 1; then lost, even, won;
     draw or stand.
     """
-    total, drawn, final = s // 10 + 2, np.arange(1, 11), np.arange(17, 27)
+    total = s // 10 + 2
+    drawn = np.arange(1, 11)
+    final = np.arange(17, 27)
     dealer = np.eye(32)[1:11]
     for t in range(1, 17):
         dealer[:, t + 1 : t + 11] += dealer[:, t : t + 1] * cards
@@ -108,7 +113,9 @@ def blackjack(s: IntArray, stand: IntArray, cards: Array) -> Moves:
 
 def blend_with_stranger(rng: np.random.Generator) -> Family:
     """A Garnet and another one that is mixed into it."""
-    mine, other, rewards = draw_garnet(rng), draw_garnet(rng), rng.normal(size=(40, 3))
+    mine = draw_garnet(rng)
+    other = draw_garnet(rng)
+    rewards = rng.normal(size=(40, 3))
     about = (
         "Three in ten transitions follow another MDP; simulated, one in twenty does."
     )
@@ -123,7 +130,9 @@ def coupled_maintenance(
     """Two parts with wear 0 to 7; the action's bits say which are repaired."""
 
     def wear(part: IntArray, is_repaired: IntArray, rate: Array) -> Array:
-        k, new, old = np.arange(8), 0.95 * is_repaired, np.where(is_repaired, 0.05, 1.0)
+        k = np.arange(8)
+        new = 0.95 * is_repaired
+        old = np.where(is_repaired, 0.05, 1.0)
         law = (
             new * (1 - rate) * (k == 0)
             + new * rate * (k == 1)
@@ -175,10 +184,8 @@ def insurance_claims(
 
 def low_rank(rng: np.random.Generator) -> Family:
     """Rows are mixtures of four laws."""
-    weights, factors = (
-        rng.dirichlet(np.full(4, 0.5), (60, 3)),
-        rng.dirichlet(np.ones(60), 4),
-    )
+    weights = rng.dirichlet(np.full(4, 0.5), (60, 3))
+    factors = rng.dirichlet(np.ones(60), 4)
     changed = factors.copy()
     changed[:2] = normalize(changed[:2] * rng.gamma(2.0, size=(2, 60)))
     about = "Rows are mixtures of four laws, two of which are wrong in the simulator."
@@ -189,11 +196,9 @@ def low_rank(rng: np.random.Generator) -> Family:
 
 def lucky_garnet(rng: np.random.Generator) -> Family:
     """A Garnet tilted along V, up in half of the states and down in the others."""
-    table, rewards, better = (
-        draw_garnet(rng),
-        rng.normal(size=(40, 3)),
-        rng.random(40) < 0.5,
-    )
+    table = draw_garnet(rng)
+    rewards = rng.normal(size=(40, 3))
+    better = rng.random(40) < 0.5
     simulator = FiniteMDP(table, rewards, np.full(40, 1 / 40), 0.95)
     z = stats.zscore(state_values(simulator, optimal_policy(simulator)))
     about = (
@@ -214,15 +219,14 @@ def lucky_garnet(rng: np.random.Generator) -> Family:
 
 def lucky_queue(rng: np.random.Generator) -> Family:
     """0 to 29 jobs, slow or fast service."""
-    arrival, about = (
-        rng.uniform(0.34, 0.4),
-        "Fewer arrivals and slower service than simulated, which cancel by luck.",
-    )
+    arrival = rng.uniform(0.34, 0.4)
+    about = "Fewer arrivals and slower service than simulated, which cancel by luck."
     cost = -0.1 * np.arange(30.0)[:, None] - np.array([0.0, 0.4])
 
     def moves(jobs: IntArray, fast: IntArray, arrival: float, factor: float) -> Moves:
         done = np.where(jobs > 0, factor * np.where(fast, 0.7, 0.5), 0.0)
-        up, down = arrival * (1 - done), (1 - arrival) * done
+        up = arrival * (1 - done)
+        down = (1 - arrival) * done
         return (up, jobs + 1), (down, jobs - 1), (1 - up - down, jobs)
 
     def family_at(factor: float) -> Family:
@@ -245,7 +249,8 @@ def predator_prey(
     s: IntArray, action: IntArray, growth: float, death: float, bite: float
 ) -> Moves:
     """Prey 0 to 11, predators 0 to 7; harvests of 0, 1 and 3."""
-    hunters, left = HUNTERS[s], np.maximum(PREY[s] - HARVESTS[action], 0)
+    hunters = HUNTERS[s]
+    left = np.maximum(PREY[s] - HARVESTS[action], 0)
     mean = np.maximum(
         0.3 + left * (1 + growth * (1 - left / 11)) - bite * left * hunters, 0.1
     )
@@ -293,13 +298,12 @@ def router_fault(rng: np.random.Generator) -> Family:
     """
     links = np.array([rng.permutation(40)[:3] for _ in range(40)])
     busiest = 1 + int(np.bincount(links.ravel(), minlength=40)[1:].argmax())
-    about, real = (
-        "The busiest node loses most packets; the others are as simulated.",
-        (rng.uniform(0.1, 0.25),),
-    )
+    about = "The busiest node loses most packets; the others are as simulated."
+    real = (rng.uniform(0.1, 0.25),)
 
     def moves(node: IntArray, link: IntArray, works: float) -> Moves:
-        p, goes = np.where(node == busiest, works, 0.9), node > 0
+        p = np.where(node == busiest, works, 0.9)
+        goes = node > 0
         yield goes * p, links[node, link]
         yield goes * (0.9 * (1 - p)), node
         yield goes * (0.1 * (1 - p) / 3), links[node[:, :, 0]]
@@ -311,7 +315,8 @@ def router_fault(rng: np.random.Generator) -> Family:
 
 def scattered_points(rng: np.random.Generator) -> Family:
     """200 points of the unit square; up, left and right."""
-    points, ways = rng.random((200, 2)), 0.15 * np.array([[0, 1], [-1, 0], [1, 0]])
+    points = rng.random((200, 2))
+    ways = 0.15 * np.array([[0, 1], [-1, 0], [1, 0]])
 
     def scatter(width: float, on_the_right: float) -> Array:
         strength = np.where(points[:, 0] > 0.5, on_the_right, 1.0)
@@ -332,13 +337,15 @@ def scattered_points(rng: np.random.Generator) -> Family:
 
 def traffic_hours(s: IntArray, green: IntArray, north: Array, west: Array) -> Moves:
     """Six hours, queues of 0 to 6 from north and west; who has green."""
-    hour, both = s // 49, np.arange(49)
+    hour = s // 49
+    both = np.arange(49)
 
     def queue(waiting: IntArray, is_green: IntArray, rate: Array) -> Array:
         leave, come = (
             stats.binom.pmf(np.arange(3), 2, p) for p in (0.85 * is_green, rate)
         )
-        law, (served, new) = cross(leave, come), np.divmod(np.arange(9), 3)
+        law = cross(leave, come)
+        (served, new) = np.divmod(np.arange(9), 3)
         after = np.minimum(np.maximum(waiting - served, 0) + new, 6)
         return np.stack(
             [
@@ -377,11 +384,9 @@ def two_motors(s: IntArray, action: IntArray, wear: float, overshoots: float) ->
 
 def web_pages(rng: np.random.Generator) -> Family:
     """120 pages with two sets of four links; a reader may go to any page."""
-    links, rewards, popular = (
-        draw_garnet(rng, 120, 2, 4),
-        rng.normal(size=120),
-        1 / (1 + rng.permutation(120)),
-    )
+    links = draw_garnet(rng, 120, 2, 4)
+    rewards = rng.normal(size=120)
+    popular = 1 / (1 + rng.permutation(120))
     jump = rng.uniform(0.3, 0.4)
     real = (1 - jump) * links + jump * normalize(popular)
     about = "Readers leave the links more often than simulated, and for popular pages."

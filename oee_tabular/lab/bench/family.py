@@ -118,7 +118,8 @@ class Family:
     @cached_property
     def identical(self) -> bool:
         """Whether the target is the simulator."""
-        here, there = self.simulator.transitions, self.target.transitions
+        here = self.simulator.transitions
+        there = self.target.transitions
         return np.array_equal(here.indices, there.indices) and np.array_equal(
             here.data, there.data
         )

@@ -33,7 +33,9 @@ from oee_tabular.lab.experiment import draw_bytes, pipe_table
 from oee_tabular.lab.run import refuse_links
 from oee_tabular.plots.style import DIVERGING, INK, disable_math, series, shorten
 
-LIKELIHOOD, SIMULATOR = "maximum-likelihood", "simulator"  # the references
+# the references
+LIKELIHOOD = "maximum-likelihood"
+SIMULATOR = "simulator"
 # a ratio is over max(min(RMSE of maximum likelihood, simulator's error), LEAST * eff)
 LEAST = 0.5
 ERRORS = np.array(
@@ -176,7 +178,8 @@ def _intervals(
     """Of the reported interval and of value +- 1.96 standard errors: logs that count,
     those covered, width / (2 * 1.96 eff).
     """
-    half, numbers = NORMAL * mine["standard_error"], dict[str, float]()
+    half = NORMAL * mine["standard_error"]
+    numbers = dict[str, float]()
     ends = {
         "": (mine["lower"], mine["upper"]),
         "se_": (mine["value"] - half, mine["value"] + half),
@@ -387,10 +390,8 @@ class League:
         ):
             points = own.groupby("size")["log"].agg(["mean", "sem"])
             shift = 1.0 + 0.02 * (k - N_CURVES / 2)
-            middle, error = (
-                np.exp(points["mean"].to_numpy()),
-                points["sem"].fillna(0.0).to_numpy(),
-            )
+            middle = np.exp(points["mean"].to_numpy())
+            error = points["sem"].fillna(0.0).to_numpy()
             ends = [
                 (middle * -np.expm1(-error)).tolist(),
                 (middle * np.expm1(error)).tolist(),
@@ -415,10 +416,8 @@ class League:
         names = [
             name for name in self.cells["estimator"].unique() if name not in references
         ] or references
-        families, sizes = (
-            list(self.cells["family"].unique()),
-            sorted(self.cells["size"].unique()),
-        )
+        families = list(self.cells["family"].unique())
+        sizes = sorted(self.cells["size"].unique())
         figure.set_size_inches(
             2.6 + (1.2 + 0.62 * len(sizes)) * len(names), 1.6 + 0.25 * len(families)
         )

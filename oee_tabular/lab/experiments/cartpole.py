@@ -66,7 +66,8 @@ from oee_tabular.ratio import TransitionRatio, transition_ratio
 DELTAS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 GRAVITIES = (7.5, 10.0, 12.5, 15.0)
 SIMULATED = 10.0
-HORIZON, EPISODES = 100, 400_000
+HORIZON = 100
+EPISODES = 400_000
 CASES = {
     "target": (GRAVITIES, PAPER_NOISE, False),
     "target without noise": (GRAVITIES, 0.0, False),  # Gymnasium's
@@ -124,8 +125,11 @@ def true_values(case: str, gravity: float, column: str = "value") -> Array:
 
 # ---- estimates of one log
 
-VERTICES, STRENGTH, FLOOR = 32, 0.01, 1e-3
-DISCOUNT, BEHAVIOR = 0.99, 0.3
+VERTICES = 32
+STRENGTH = 0.01
+FLOOR = 1e-3
+DISCOUNT = 0.99
+BEHAVIOR = 0.3
 VISITING = continuous_simulator("cartpole").policies
 FINE_VERTICES = 320  # at which a task's values are within 0.1% of its own Monte Carlo
 RESIDUAL = "residual"
@@ -188,10 +192,8 @@ def importance_sampling(log: ContinuousTransitions, *, self_normalized: bool) ->
     """Per decision, on the log's whole episodes, with the probabilities that policy and
     behaviour have in each state.
     """
-    episode, is_cut = (
-        log.columns()["episode"],
-        log.truncated & (log.columns()["timestep"] < HORIZON - 1),
-    )
+    episode = log.columns()["episode"]
+    is_cut = log.truncated & (log.columns()["timestep"] < HORIZON - 1)
     # the last is cut where the log ends
     whole = log.first(len(log) - int(np.isin(episode, episode[is_cut]).sum()))
     estimator = ImportanceSampling(kind="per_decision", self_normalized=self_normalized)
@@ -257,11 +259,9 @@ def estimates(
     has fallen.
     """
     found = off_environment(log)
-    model, policies, n_actions = (
-        found.simulator,
-        policies_of(found.simulator),
-        found.simulator.task.n_actions,
-    )
+    model = found.simulator
+    policies = policies_of(found.simulator)
+    n_actions = found.simulator.task.n_actions
     cells = GridInterpolation(model.cells.shape, vertex_weight=0.0)
     looked = discretize(CartPole(SIMULATED), log, cells=cells, closure_episodes=0)
     seen = sparse.diags_array((row_sums(found.counts) > 0).astype(float))
@@ -344,7 +344,8 @@ def published_error(gravity: float, estimator: str) -> float:
     """Mean |error| of the paper's own curve from its own true curve; of the simulator,
     between its two true curves.
     """
-    setting, name = f"gravity={gravity}", PAPERS_NAMES.get(estimator.partition(",")[0])
+    setting = f"gravity={gravity}"
+    name = PAPERS_NAMES.get(estimator.partition(",")[0])
     right = published("cartpole", setting, "true_value")
     if estimator == "simulator" and gravity != SIMULATED:
         return distance_between(
@@ -459,7 +460,8 @@ def fig2(settings: Cell, stream: Stream) -> list[Row]:
     oracle is the target itself on the same grid. Residual: the simulator corrected by
     what the log's steps leave over its own. Hollow grey marks: the paper's.
     """
-    kind, gravity = str(settings["target"]), float(settings["gravity"])
+    kind = str(settings["target"])
+    gravity = float(settings["gravity"])
     log = target_log(kind, gravity, int(settings["n"]), stream.generator())
     case, noise = TRUTHS[kind]
     values, found = estimates(log, gravity, noise=noise)
@@ -524,11 +526,9 @@ def cartpole_resolution(settings: Cell, stream: Stream) -> list[Row]:
     covers a grid of the whole state. uncovered: share of the log's transitions without
     probability, which are left out.
     """
-    (form, cells), n, gravity = (
-        STATES[str(settings["states"])],
-        int(settings["n"]),
-        float(settings["gravity"]),
-    )
+    (form, cells) = STATES[str(settings["states"])]
+    n = int(settings["n"])
+    gravity = float(settings["gravity"])
     if n > 0 and len(np.atleast_1d(cells)) == 4:
         return []
     if n > 0:
@@ -539,7 +539,9 @@ def cartpole_resolution(settings: Cell, stream: Stream) -> list[Row]:
             else {}
         )
         found = off_environment(log, **({"cells": cells, "form": form} | whole))
-        values, model, uncovered = found.values, found.simulator, found.uncovered
+        values = found.values
+        model = found.simulator
+        uncovered = found.uncovered
     else:
         model = discretize(
             CartPole(SIMULATED, form=form),
@@ -551,10 +553,8 @@ def cartpole_resolution(settings: Cell, stream: Stream) -> list[Row]:
             CartPole(gravity, form=form), cells=model, closure_episodes=0
         )
         raw, mended = calibrate("", target.mdp, model.mdp, policies_of(model)).values()
-        values, uncovered = (
-            {"target on these states": raw, "the same, calibrated": mended},
-            0.0,
-        )
+        values = {"target on these states": raw, "the same, calibrated": mended}
+        uncovered = 0.0
     values = {"simulator": true_values("simulator", SIMULATED)} | values
     cost: Row = {
         "number_of_states": model.mdp.n_states,

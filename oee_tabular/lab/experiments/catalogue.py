@@ -136,7 +136,8 @@ def reproduce(
         for settings in every:
             Store(folder / settings.experiment.id, settings)
     for settings in every:
-        target, progress = folder / settings.experiment.id, sys.stderr.isatty()
+        target = folder / settings.experiment.id
+        progress = sys.stderr.isatty()
         run_and_write(target, settings, save, say=say, progress=progress, **options)
     say(f"Index: {write_index(folder)}")
     for reason in missing:
@@ -153,7 +154,8 @@ def write_index(output: Path) -> Path:
     parts = ["# Results"]
     for experiment in EXPERIMENTS.values():
         if (output / experiment.id / "summary.md").is_file():
-            title, folder = experiment.title, experiment.id
+            title = experiment.title
+            folder = experiment.id
             parts += [
                 f"## [{title}]({folder}/summary.md)",
                 f"![{title}]({folder}/figure.png)",

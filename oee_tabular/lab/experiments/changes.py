@@ -82,7 +82,8 @@ class Change:
 
     def acting(self, delta: float) -> StatePolicy:
         """The policy, of states that may have more coordinates."""
-        policy, d = self.policy(delta), self.simulator.n_state
+        policy = self.policy(delta)
+        d = self.simulator.n_state
         return lambda states: policy(states[:, :d])
 
     def log(self, n: int, seed: Seed) -> ContinuousTransitions:
@@ -94,7 +95,8 @@ class Change:
             max_steps=self.horizon,
             seed=seed,
         )
-        d, columns = self.simulator.n_state, found.columns()
+        d = self.simulator.n_state
+        columns = found.columns()
         return ContinuousTransitions(
             **(columns | {k: columns[k][:, :d] for k in ("state", "next_state")})
         )
@@ -130,7 +132,8 @@ class Arm(Change):
         found = []
         for goal in range(len(kinova.GOALS)):
             seed = np.random.SeedSequence(11, spawn_key=(round(100 * delta), goal))
-            aim, policy = towards(task, goal), kinova.kinova_policy(goal, delta)
+            aim = towards(task, goal)
+            policy = kinova.kinova_policy(goal, delta)
             found += [
                 *compare_returns(
                     [aim],
@@ -261,14 +264,15 @@ CASES: dict[str, Change] = {
 
 # ---- the experiments
 
-SIMULATOR, RESIDUAL, HISTORY, LINEAR = (
-    "simulator",
-    "residual",
-    "residual, last action",
-    "linear model",
-)
-CALIBRATED, GRID = "calibrated", "grid"
-FLOOR, STRENGTH = 1e-3, 0.01  # of the rows on a grid
+SIMULATOR = "simulator"
+RESIDUAL = "residual"
+HISTORY = "residual, last action"
+LINEAR = "linear model"
+CALIBRATED = "calibrated"
+GRID = "grid"
+# of the rows on a grid
+FLOOR = 1e-3
+STRENGTH = 0.01
 GRID_SEEDS = 1  # logs of a case that have the rows on a grid, the dearest
 LOGS = {
     f"{name}, n = {n}": (name, n) for name, case in CASES.items() for n in case.sizes
@@ -329,10 +333,8 @@ def _grid_returns(
     corrected = zeta.target_model(model.mdp)
     found: dict[str, list[Array]] = {CALIBRATED: [], GRID: []}
     for delta in case.deltas:
-        policy, simulated = (
-            model.policy(case.acting(delta)),
-            known(name, delta, simulator=True).mean(),
-        )
+        policy = model.policy(case.acting(delta))
+        simulated = known(name, delta, simulator=True).mean()
         value, inside = (
             policy_value(mdp, policy, horizon=case.horizon)
             for mdp in (corrected, model.plain)
@@ -450,7 +452,9 @@ POLICIES = {
     "Pendulum, mass, gravity": 0.5,
 }
 N = 20_000  # moves of a log
-EPISODES, REFITS, PATHS = 1000, 10, 200
+EPISODES = 1000
+REFITS = 10
+PATHS = 200
 TRUTH = 400_000  # episodes
 
 
@@ -521,10 +525,8 @@ def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
     case, there = returns_of_target(name)
     log = case.log(N, stream.generator(use="log"))
     corrected = ResidualSimulator(case.simulator, log, seed=0)
-    policy, seed = (
-        case.acting(POLICIES[name]),
-        int(stream.generator(use="value").integers(2**31)),
-    )
+    policy = case.acting(POLICIES[name])
+    seed = int(stream.generator(use="value").integers(2**31))
     found = corrected_value(
         corrected,
         policy,
@@ -538,7 +540,8 @@ def residual_coverage(settings: Cell, stream: Stream) -> list[Row]:
     # none where the log seems to show hidden state: not covered
     low, high = found.interval or (np.nan, np.nan)
     apart = case.returns(corrected, POLICIES[name]) - there
-    error, noise = float(apart.mean()), float(apart.std() / np.sqrt(apart.size))
+    error = float(apart.mean())
+    noise = float(apart.std() / np.sqrt(apart.size))
     of_log = float(found.diagnostics.get("standard_error_of_the_log", np.nan))
     margin = float(stats.t.ppf(0.975, REFITS - 1))
     known = truth(name)

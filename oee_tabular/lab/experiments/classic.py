@@ -40,10 +40,12 @@ class ChangedCartPole(CartPole):
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step."""
         x_dot, angle, speed = states[:, 1:].T
-        half, mass = 0.5 * self.pole, 0.1
+        half = 0.5 * self.pole
+        mass = 0.1
         total = 1.0 + mass
         force = self.force * self.actions[actions] - self.cart * np.sign(x_dot)
-        sine, cosine = np.sin(angle), np.cos(angle)
+        sine = np.sin(angle)
+        cosine = np.cos(angle)
         pulled = (force + mass * half * speed**2 * sine) / total
         turned = (
             self.gravity * sine - cosine * pulled - self.joint * speed / (mass * half)
@@ -80,11 +82,10 @@ class Pendulum(Plain):
 
     state_names = feature_names = ("angle", "speed")
     actions = freeze(np.array([-2.0, 0.0, 2.0]))
-    feature_low, feature_high = (
-        freeze(np.array([-np.pi, -8.0])),
-        freeze(np.array([np.pi, 8.0])),
-    )
-    periodic, terminates = (True, False), False
+    feature_low = freeze(np.array([-np.pi, -8.0]))
+    feature_high = freeze(np.array([np.pi, 8.0]))
+    periodic = (True, False)
+    terminates = False
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step."""
@@ -118,11 +119,10 @@ class MountainCar(Plain):
 
     state_names = feature_names = ("position", "speed")
     actions = freeze(np.array([-1.0, 0.0, 1.0]))
-    feature_low, feature_high = (
-        freeze(np.array([-1.2, -0.07])),
-        freeze(np.array([0.6, 0.07])),
-    )
-    periodic, terminates = (False, False), True
+    feature_low = freeze(np.array([-1.2, -0.07]))
+    feature_high = freeze(np.array([0.6, 0.07]))
+    periodic = (False, False)
+    terminates = True
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step."""
@@ -164,11 +164,13 @@ class Acrobot(Plain):
     actions = freeze(np.array([-1.0, 0.0, 1.0]))
     feature_low = freeze(-np.array([np.pi, np.pi, 4.0 * np.pi, 9.0 * np.pi]))
     feature_high = freeze(np.array([np.pi, np.pi, 4.0 * np.pi, 9.0 * np.pi]))
-    periodic, terminates = (True, True, False, False), True
+    periodic = (True, True, False, False)
+    terminates = True
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step."""
-        torque, dt = self.torque * self.actions[actions], 0.2
+        torque = self.torque * self.actions[actions]
+        dt = 0.2
         k1 = self._rates(states, torque)
         k2 = self._rates(states + dt / 2.0 * k1, torque)
         k3 = self._rates(states + dt / 2.0 * k2, torque)
@@ -181,15 +183,14 @@ class Acrobot(Plain):
 
     def _rates(self, states: Array, torque: Array) -> Array:
         first, second, speed_1, speed_2 = states.T
-        m1, m2, l1, c1, c2, g = (
-            self.mass_1,
-            self.mass_2,
-            self.length_1,
-            0.5 * self.length_1,
-            0.5,
-            9.8,
-        )
-        sine, cosine = np.sin(second), np.cos(second)
+        m1 = self.mass_1
+        m2 = self.mass_2
+        l1 = self.length_1
+        c1 = 0.5 * self.length_1
+        c2 = 0.5
+        g = 9.8
+        sine = np.sin(second)
+        cosine = np.cos(second)
         d1 = m1 * c1**2 + m2 * (l1**2 + c2**2 + 2.0 * l1 * c2 * cosine) + 2.0
         d2 = m2 * (c2**2 + l1 * c2 * cosine) + 1.0
         phi2 = m2 * c2 * g * np.sin(first + second)
@@ -234,12 +235,15 @@ class Chain(Plain):
     )
     actions = freeze(np.array([-1.0, 0.0, 1.0]))
     n_disturbances = 4
-    feature_low, feature_high = freeze(np.full(8, -2.0)), freeze(np.full(8, 2.0))
-    periodic, terminates = (False,) * 8, False
+    feature_low = freeze(np.full(8, -2.0))
+    feature_high = freeze(np.full(8, 2.0))
+    periodic = (False,) * 8
+    terminates = False
 
     def moves(self, states: Array, actions: IntArray, disturbance: Array) -> Moves:
         """One step."""
-        place, speed = states[:, :4], states[:, 4:]
+        place = states[:, :4]
+        speed = states[:, 4:]
         for _ in range(2):
             stretched = np.diff(place, axis=1, prepend=0.0, append=0.0)
             tension = self.stiffness * (stretched + self.hardness * stretched**3)
@@ -326,7 +330,8 @@ def swinging(delta: float) -> StatePolicy:
     """Pendulum: by energy, then balance."""
 
     def policy(states: Array) -> Array:
-        angle, speed = (states[:, 0] + np.pi) % (2.0 * np.pi) - np.pi, states[:, 1]
+        angle = (states[:, 0] + np.pi) % (2.0 * np.pi) - np.pi
+        speed = states[:, 1]
         energy = speed**2 / 6.0 + 5.0 * (np.cos(angle) - 1.0)
         up = np.where(energy < 0.0, 1.0, -1.0) * np.sign(speed)
         wanted = np.where(np.abs(angle) < 0.6, -8.0 * angle - 2.0 * speed, up)

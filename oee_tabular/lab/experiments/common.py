@@ -20,11 +20,15 @@ from oee_tabular._sparse import row_sums
 from oee_tabular.lab.experiment import Panels
 from oee_tabular.tasks import gridworld, gridworld_policy
 
-HORIZON, LONGEST = 200, 1000  # rewards of a value, steps of a recorded episode
+# rewards of a value, steps of a recorded episode
+HORIZON = 200
+LONGEST = 1000
 HALF_DECADES = tuple(round(10**e) for e in (3, 3.5, 4, 4.5, 5, 5.5))
 DELTAS = (0.1, 0.5, 0.9)
 DATA = {"uniform": 0.0, "pi_0.5": 0.5}  # delta of the policies that record
-SCALE, SMALL_SCALE = 0.01, 0.05  # 1 - discount, of ``grids`` and of ``small_grids``
+# 1 - discount, of ``grids`` and of ``small_grids``
+SCALE = 0.01
+SMALL_SCALE = 0.05
 MEAN_ERROR = "mean |error| of (1 - discount) J"
 
 

@@ -50,15 +50,21 @@ TARGETS: dict[str, dict[str, float]] = {
     },
 }
 POLICIES = (0.0, 0.3)  # delta: the controller itself, and with 30 % of random commands
-N_RUNS, CONVERGED = 10, 50  # runs to each goal: recorded, and for a value without noise
+# runs to each goal: recorded, and for a value without noise
+N_RUNS = 10
+CONVERGED = 50
 RUNS = (len(kinova.GOALS), N_RUNS, kinova.HORIZON)  # the shape of a log
 DISCOUNTS = 0.99 ** np.arange(kinova.HORIZON)
 # of the defensive simulator, and of the ties (moves for each command)
-EPSILON, STRENGTH = 0.1, 3.0
-TRUE, OEE, SIMULATOR = "true value, 50 runs", "OEE, tied, exact", "simulator, 50 runs"
+EPSILON = 0.1
+STRENGTH = 3.0
+TRUE = "true value, 50 runs"
+OEE = "OEE, tied, exact"
+SIMULATOR = "simulator, 50 runs"
 RESIDUAL = "residual, 250 runs"
 PUBLISHED = {TRUE: "true_value", OEE: "oee", SIMULATOR: "simulator"}
-REFERENCE, UNIT = "velocity x 1.4", "mean discounted cost over 5 goals (m), T = 25"
+REFERENCE = "velocity x 1.4"
+UNIT = "mean discounted cost over 5 goals (m), T = 25"
 PUBLISHED_SD = {TRUE: 0.016, OEE: 0.101, SIMULATOR: 0.170}
 
 
@@ -103,7 +109,8 @@ def simulate_values(task: Any, delta: float) -> Array:
     """(5,) Monte Carlo values of the goals, 50 runs each: in an arm or in a corrected
     one.
     """
-    goals, horizon = range(len(kinova.GOALS)), kinova.HORIZON
+    goals = range(len(kinova.GOALS))
+    horizon = kinova.HORIZON
     policies = [kinova.kinova_policy(g, delta) for g in goals]
     found = [
         monte_carlo_value(
@@ -178,7 +185,8 @@ def product_values(
     """The paper's product of ratios over 10 simulated runs to each goal: (5,) plain and
     (5,) self-normalised.
     """
-    plain, normalized = [], []
+    plain = []
+    normalized = []
     for g in range(len(kinova.GOALS)):
         policy, costs = controller(g)
         policy = delta / policy.shape[1] + (1.0 - delta) * policy
@@ -244,7 +252,8 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
         shown = part[(part.target == target) & (part.data == data)].set_index(
             "estimator"
         )
-        mean, sd = shown["value_mean"], shown["value_sd"].fillna(0.0)
+        mean = shown["value_mean"]
+        sd = shown["value_sd"].fillna(0.0)
         truth = float(mean["true value, 250 runs"])
         ends = (1.25 * min(truth, mean[SIMULATOR]), 0.75 * max(truth, mean[SIMULATOR]))
         plot_intervals(
@@ -257,10 +266,8 @@ def draw(table: pd.DataFrame, summary: pd.DataFrame, figure: Any) -> None:
             limits=ends,
             xlabel=UNIT,
         )
-    mean, sd = (
-        np.array([paper_value(name) for name in PUBLISHED]),
-        np.array([PUBLISHED_SD[name] for name in PUBLISHED]),
-    )
+    mean = np.array([paper_value(name) for name in PUBLISHED])
+    sd = np.array([PUBLISHED_SD[name] for name in PUBLISHED])
     names = ["true value", "OEE", "simulator"]
     plot_intervals(
         names, mean, mean - sd, mean + sd, axes[-1], truth=mean[0], xlabel=UNIT
@@ -313,8 +320,10 @@ def table1(settings: Cell, stream: Stream) -> list[Row]:
     outside the grid. residual: the simulated arm corrected by what the log's steps
     leave over its own, 250 runs. The paper's column has the real arm's numbers.
     """
-    target, data = str(settings["target"]), float(settings["data"])
-    rng, (plain, defensive) = stream.generator(), simulators()
+    target = str(settings["target"])
+    data = float(settings["data"])
+    rng = stream.generator()
+    (plain, defensive) = simulators()
     recorded = {
         delta: kinova.record_goals(arm_of(target), n_runs=N_RUNS, delta=delta, seed=rng)
         for delta in sorted({data, *POLICIES})

@@ -35,8 +35,11 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
 
 DELTAS = (0.1, 0.3, 0.5, 0.7, 0.9)
-SIMULATED, HORIZON = 0.1, 100  # m, rewards of a value
-TRUTH_EPISODES, MODEL_EPISODES = 4096, 2048
+# m, rewards of a value
+SIMULATED = 0.1
+HORIZON = 100
+TRUTH_EPISODES = 4096
+MODEL_EPISODES = 2048
 STRENGTH = 0.1  # what the simulator's row is worth, in moves
 DEFENSIVE = 0.1  # the averaged lengths' share of the defensive simulator
 N_PAPER = 150_000
@@ -46,26 +49,18 @@ LENGTHS = (0.05, 0.07, 0.1, 0.14, 0.2)
 WIDER = (SIMULATED, 0.04, 0.05, 0.07, 0.14, 0.2, 0.28)
 CELLS = VisitedCells(3000)
 VISITING = tuple(reacher_policy(delta) for delta in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9))
-WEIGHTED, AVERAGED, PLAIN = (
-    "OEE",
-    "OEE, averaged lengths",
-    "OEE, plain simulator (defensive)",
-)
-UNKNOWN, UNKNOWN_AVERAGED = (
-    "OEE, target's length left out",
-    "OEE, averaged, target's length left out",
-)
-MODEL, LINEAR, ORACLE = (
-    "model, same cells",
-    "linear-Gaussian model",
-    "oracle, same cells",
-)
+WEIGHTED = "OEE"
+AVERAGED = "OEE, averaged lengths"
+PLAIN = "OEE, plain simulator (defensive)"
+UNKNOWN = "OEE, target's length left out"
+UNKNOWN_AVERAGED = "OEE, averaged, target's length left out"
+MODEL = "model, same cells"
+LINEAR = "linear-Gaussian model"
+ORACLE = "oracle, same cells"
 RESIDUAL = "residual"
-OWN_REWARD, SIMULATOR, AVERAGE = (
-    "simulator, its own reward",
-    "simulator",
-    "averaged-length simulator, same cells",
-)
+OWN_REWARD = "simulator, its own reward"
+SIMULATOR = "simulator"
+AVERAGE = "averaged-length simulator, same cells"
 PUBLISHED = {WEIGHTED: "oee", OWN_REWARD: "simulated", MODEL: "mle"}
 
 
@@ -119,7 +114,8 @@ def estimates(
     cells.
     """
     policies = [model.policy(reacher_policy(delta)) for delta in DELTAS]
-    below, above = values_of(model.plain, policies), truth(SIMULATED, length)
+    below = values_of(model.plain, policies)
+    above = truth(SIMULATED, length)
     found: dict[str, Array] = {}
     facts: dict[str, Row] = {
         SIMULATOR: {"uncovered": replace(model, mdp=model.plain).supported(counts)[1]}
@@ -168,7 +164,8 @@ def estimates(
         if name != AVERAGE
     }
     found[ORACLE] = values_of(model.simulators[WIDER.index(length)], policies)
-    found[SIMULATOR], found[OWN_REWARD] = above, truth(SIMULATED, SIMULATED)
+    found[SIMULATOR] = above
+    found[OWN_REWARD] = truth(SIMULATED, SIMULATED)
     return found, facts
 
 
@@ -266,7 +263,8 @@ def fig3(settings: Cell, stream: Stream) -> list[Row]:
     what the log's steps leave over its own, 2048 episodes; no other length is known to
     it.
     """
-    length, n = float(settings["length"]), int(settings["n"])
+    length = float(settings["length"])
+    n = int(settings["n"])
     target = Reacher(length)
     log = reacher_log(target, n, seed=stream.generator())
     others = [Reacher(other, length) for other in WIDER[1:]]

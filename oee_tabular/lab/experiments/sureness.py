@@ -48,7 +48,8 @@ def plot_means(
     points = (
         table.groupby([by, curves], sort=False)[y].agg(["mean", "sem"]).reset_index()
     )
-    mean, half = points["mean"], 1.96 * points["sem"]
+    mean = points["mean"]
+    half = 1.96 * points["sem"]
     plot_intervals(
         list(points[curves]),
         mean,
@@ -102,7 +103,8 @@ def efficiency(settings: Cell, stream: Stream) -> list[Row]:
     side, 500 logs a seed. Exact: efficiency_bound for the plug-in (the
     maximum-likelihood model), ratio_of_ratios_variance for the quotient.
     """
-    n, logs = settings["n"], 500
+    n = settings["n"]
+    logs = 500
     simulator, target = grids(5, discount=0.95)
     share = np.full((25, 4), 0.01)
     assert simulator.transition_rewards is not None
@@ -220,7 +222,9 @@ def collection(settings: Cell, stream: Stream) -> list[Row]:
     variance of maximum likelihood; the default borrows from all rows, and no plan is
     made for it.
     """
-    n, design, generator = settings["n"], settings["design"], stream.generator()
+    n = settings["n"]
+    design = settings["design"]
+    generator = stream.generator()
     simulator, target = small_grids()
     log = record(
         target,
@@ -234,7 +238,8 @@ def collection(settings: Cell, stream: Stream) -> list[Row]:
             target, plan(oee.Problem(simulator, log), rest), rest, generator
         )
         log = oee.Transitions.concatenate([log, second])
-    problem, truth = oee.Problem(simulator, log), oee.policy_value(target, POLICY)
+    problem = oee.Problem(simulator, log)
+    truth = oee.policy_value(target, POLICY)
     rows = []
     for name, fit in {
         "maximum likelihood": ModelBased(fallback="simulator"),
@@ -318,7 +323,8 @@ def coverage(settings: Cell, stream: Stream) -> list[Row]:
     log = oee.sample_transitions(
         target, share / share.sum(), int(n), seed=stream.generator()
     )
-    problem, truth = oee.Problem(simulator, log), oee.policy_value(target, POLICY)
+    problem = oee.Problem(simulator, log)
+    truth = oee.policy_value(target, POLICY)
     rows = []
     for name, options in METHODS.items():
         interval = oee.interval(problem, POLICY, seed=settings["repetition"], **options)
@@ -363,16 +369,17 @@ def coverage_lake(settings: Cell, stream: Stream) -> list[Row]:
     (profile likelihood) without a box.
     """
     lake = families()["frozen_lake"]
-    simulator, target = lake.simulator, lake.target
-    best, uniform = oee.optimal_policy(target), oee.uniform_policy(target)
-    policy, behavior = oee.mix(best, uniform, 0.7), oee.mix(best, uniform, 0.49)
+    simulator = lake.simulator
+    target = lake.target
+    best = oee.optimal_policy(target)
+    uniform = oee.uniform_policy(target)
+    policy = oee.mix(best, uniform, 0.7)
+    behavior = oee.mix(best, uniform, 0.49)
     log = oee.sample_episodes(
         target, behavior, 700, 100, seed=stream.generator()
     ).first(20_000)
-    interval, truth = (
-        oee.interval(oee.Problem(simulator, log), policy),
-        oee.policy_value(target, policy),
-    )
+    interval = oee.interval(oee.Problem(simulator, log), policy)
+    truth = oee.policy_value(target, policy)
     return [
         {
             "method": "likelihood",
@@ -408,7 +415,8 @@ def compare_rules(table: pd.DataFrame) -> str:
         str(rule): rows[["right", "wrong", "cannot_say"]].mean()
         for rule, rows in table.groupby("rule")
     }
-    ours, oee = share["contest"], share["largest value of oee"]
+    ours = share["contest"]
+    oee = share["largest value of oee"]
     return (
         f"contest is right in {percent(ours['right'])}, cannot say in"
         f" {percent(ours['cannot_say'])}, wrong in {percent(ours['wrong'])}; the"

@@ -56,7 +56,8 @@ ESTIMATORS = {  # curves, and their names in ``oee evaluate``
     "WIS, per decision": "wpdis",
 }
 # ratios of dynamics, and of policies
-BY_MODEL, BY_POLICY = [*ESTIMATORS][:6], [*ESTIMATORS][6:11]
+BY_MODEL = [*ESTIMATORS][:6]
+BY_POLICY = [*ESTIMATORS][6:11]
 
 
 def plot_group(names: list[str], title: str, **options: Any) -> Panels:
@@ -121,11 +122,9 @@ def fig1bcd(settings: Cell, stream: Stream) -> list[Row]:
     the whole episodes behind the log and the true behaviour policy. Products are means
     of 100 rollouts; exact_sd in table.csv is their exact standard deviation.
     """
-    n, generator, rollouts = (
-        settings["n"],
-        stream.generator(),
-        stream.generator(use="rollouts"),
-    )
+    n = settings["n"]
+    generator = stream.generator()
+    rollouts = stream.generator(use="rollouts")
     simulator, target = grids()
     behavior = oee.uniform_policy(target)
     pool = sample_pool(target, behavior, n, generator)
@@ -365,10 +364,8 @@ def data_policy(settings: Cell, stream: Stream) -> list[Row]:
 
 # ---- toy text
 
-LAKE, TAXI_RAIN = (
-    "FrozenLake-v1:map_name=8x8,success_rate=",
-    "Taxi-v4:is_rainy=true,rainy_probability=",
-)
+LAKE = "FrozenLake-v1:map_name=8x8,success_rate="
+TAXI_RAIN = "Taxi-v4:is_rainy=true,rainy_probability="
 CLIFF = "CliffWalking-v1"
 # simulator, target, discount; random actions that give the simulator support; those of
 # the target, which its log does not show

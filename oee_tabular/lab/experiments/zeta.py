@@ -43,7 +43,8 @@ from oee_tabular.ratio import Network, Quotient, action_displacement
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.tasks import gridworld, gridworld_policy
 
-DEFAULT, QUOTIENT = "default (tilt by evidence)", "paper's quotient, tabular"
+DEFAULT = "default (tilt by evidence)"
+QUOTIENT = "paper's quotient, tabular"
 FITS: dict[str, dict[str, Any]] = {  # options of ``transition_ratio``
     DEFAULT: {},
     "maximum likelihood": {"prior": "none"},
@@ -57,10 +58,8 @@ def error_of_paper(row: Any) -> float:
     """The error of the paper's networks where a row of a table or summary is; their
     data are the uniform policy's.
     """
-    is_published, grid = (
-        row.get("data", "uniform") == "uniform",
-        f"grid={row.get('grid', 10)}",
-    )
+    is_published = row.get("data", "uniform") == "uniform"
+    grid = f"grid={row.get('grid', 10)}"
     return (
         common.published_at("fig1a", grid, "mean_absolute_error_of_zeta", row["n"])
         if is_published
@@ -101,7 +100,8 @@ def fig1a(settings: Cell, stream: Stream) -> list[Row]:
     Bands: smallest and largest. The linear class has indicators of (action,
     displacement).
     """
-    size, generator = settings["grid"], stream.generator()
+    size = settings["grid"]
+    generator = stream.generator()
     simulator, target = grids(size)
     log = sample_log(target, DATA[settings["data"]], settings["n"], generator)
     places = np.column_stack(np.divmod(np.arange(size**2), size))
@@ -231,7 +231,8 @@ def networks(settings: Cell, stream: Stream) -> list[Row]:
     - L(best), optimisation = L_n(trained) - L_n(fitted to the log), excess = L - L(p /
       q).
     """
-    n, is_recorded = settings["n"], settings["simulator"] == RECORDED
+    n = settings["n"]
+    is_recorded = settings["simulator"] == RECORDED
     simulator, target = grids()
     log = sample_log(target, 0.0, n, stream.generator("n"))
     data: Any = (
@@ -308,7 +309,8 @@ def rate(settings: Cell, stream: Stream) -> list[Row]:
     pi_0.5. Root mean square over the seeds of the error of the exact value. With data
     of pi_0.5 and delta = 0.1, n = 10^6 is not yet large.
     """
-    n, behavior = settings["n"], gridworld_policy(10, DATA[settings["data"]])
+    n = settings["n"]
+    behavior = gridworld_policy(10, DATA[settings["data"]])
     simulator, target = grids()
     log = common.sample_pool(target, behavior, n, stream.generator()).first(n)
     problem = oee.Problem(simulator, log, horizon=HORIZON)
@@ -436,7 +438,8 @@ def renyi(settings: Cell, stream: Stream) -> list[Row]:
         ),
     }
     zeta = oee.true_ratio(target, simulator)
-    ratio, chances = zeta.values.data, simulator.transitions
+    ratio = zeta.values.data
+    chances = simulator.transitions
     variance = oee.weighted_return_moments(
         simulator, zeta, policy, horizon=HORIZON
     ).variance
@@ -476,7 +479,8 @@ def normalisation(settings: Cell, stream: Stream) -> list[Row]:
     programs and their quotient; rows: zeta itself, sum_s' zeta P = 1 in every row.
     Medians over the seeds: without normalised rows the value can be astronomical.
     """
-    n, policy = settings["n"], gridworld_policy(10, 0.5)
+    n = settings["n"]
+    policy = gridworld_policy(10, 0.5)
     simulator, target = grids()
     pattern = simulator.transitions
     log = sample_log(target, 0.0, n, stream.generator())

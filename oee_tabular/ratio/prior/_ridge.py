@@ -61,10 +61,8 @@ def tilt_rows(columns, theta):
     each row.
     """
     width = columns.base.shape[1]
-    model, log_normalizer = (
-        np.empty(len(columns.weights)),
-        np.empty(len(columns.action)),
-    )
+    model = np.empty(len(columns.weights))
+    log_normalizer = np.empty(len(columns.action))
     for row in range(len(columns.action)):
         own = theta[0] + theta[1 + columns.action[row]]
         largest = -np.inf
@@ -108,15 +106,18 @@ def sum_covariances(columns, model, mass, n_actions):
     """
     width = columns.base.shape[1]
     d = width + columns.n_codes
-    means, covariances = np.zeros((n_actions, d)), np.zeros((n_actions, d, d))
-    mean, used = np.zeros(d), np.arange(d)
+    means = np.zeros((n_actions, d))
+    covariances = np.zeros((n_actions, d, d))
+    mean = np.zeros(d)
+    used = np.arange(d)
     for row in range(len(columns.action)):
         if mass[row] == 0.0:
             continue
         own = covariances[columns.action[row]]
         n_used = width  # the columns of the base, then the codes that the row has
         for x in range(columns.indptr[row], columns.indptr[row + 1]):
-            share, code = mass[row] * model[x], columns.code[x]
+            share = mass[row] * model[x]
+            code = columns.code[x]
             if share == 0.0:
                 continue
             for i in range(width):
@@ -154,12 +155,11 @@ def invert_arrow(covariances, penalty):
     The complement is L_0 + sum_a G_a - G_a (G_a + L_a)^-1 G_a = L_0 + sum_a G_a (G_a +
     L_a)^-1 L_a, which does not cancel.
     """
-    n_own, d = len(penalty) - 1, penalty.shape[1]
-    inverse, gain, left = (
-        np.empty((n_own, d, d)),
-        np.empty((n_own, d, d)),
-        np.diag(penalty[0]),
-    )
+    n_own = len(penalty) - 1
+    d = penalty.shape[1]
+    inverse = np.empty((n_own, d, d))
+    gain = np.empty((n_own, d, d))
+    left = np.diag(penalty[0])
     for action in range(len(covariances)):
         own = covariances[action].copy()
         if n_own > 0:
@@ -170,10 +170,8 @@ def invert_arrow(covariances, penalty):
         for i in range(d):
             for j in range(d):
                 if n_own > 0:
-                    inverse[action, i, j], gain[action, i, j] = (
-                        inverted[i, j],
-                        own[i, j],
-                    )
+                    inverse[action, i, j] = inverted[i, j]
+                    gain[action, i, j] = own[i, j]
                     own[i, j] *= penalty[1 + action, i]
                 left[i, j] += 0.5 * own[i, j]
                 left[j, i] += 0.5 * own[i, j]
@@ -184,7 +182,8 @@ def invert_arrow(covariances, penalty):
 def solve_arrow(inverses, b):
     """f''^-1 b, both (blocks, d)."""
     inverse, gain, shared = inverses
-    x, right = np.zeros(b.shape), b[0].copy()
+    x = np.zeros(b.shape)
+    right = b[0].copy()
     for action in range(len(gain)):
         for i in range(len(right)):
             for j in range(len(right)):
@@ -257,13 +256,16 @@ def minimise(columns, risk, theta, penalty, tolerance):
     theta, G, and the bound sum f'^2 / (2 L) on f less its minimum.
     """
     value, model = penalized_risk(columns, risk, theta, penalty)
-    last, mass, gap = np.inf, 0.0, 0.0
+    last = np.inf
+    mass = 0.0
+    gap = 0.0
     for row in range(len(risk[0])):
         mass += risk[0][row]
     for _ in range(N_NEWTON):
         gradient, covariances = differentiate(columns, model, risk, theta, penalty)
         step = solve_arrow(invert_arrow(covariances, penalty), gradient)
-        decrement, gap = 0.0, 0.0
+        decrement = 0.0
+        gap = 0.0
         for block in range(len(penalty)):
             for j in range(penalty.shape[1]):
                 decrement += gradient[block, j] * step[block, j]
@@ -274,7 +276,8 @@ def minimise(columns, risk, theta, penalty, tolerance):
         last = decrement
         # what rounding may add to a fall that it hides
         slack = 1e-13 * size if decrement < 1e-9 * size else 0.0
-        length, trial = 2.0, np.inf
+        length = 2.0
+        trial = np.inf
         while trial > value - 1e-4 * length * decrement + slack and length > 1e-12:
             length *= 0.5
             moved = theta.copy()
@@ -284,7 +287,9 @@ def minimise(columns, risk, theta, penalty, tolerance):
             trial, tilted = penalized_risk(columns, risk, moved, penalty)
         if length <= 1e-12:
             break
-        theta, value, model = moved, trial, tilted
+        theta = moved
+        value = trial
+        model = tilted
     return theta, covariances, gap
 
 
@@ -294,7 +299,8 @@ def update_strengths(theta, inverses, penalty, scale, group, n_groups):
     each action alone.
     """
     diagonal = invert_diagonal(inverses)
-    told, size = np.full((2, n_groups), HYPERPRIOR), np.zeros((2, n_groups))
+    told = np.full((2, n_groups), HYPERPRIOR)
+    size = np.zeros((2, n_groups))
     for block in range(len(penalty)):
         for j in range(len(group)):
             told[min(block, 1), group[j]] += (

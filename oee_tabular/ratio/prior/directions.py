@@ -186,7 +186,8 @@ def own_directions(
     from 0; log P without either.
     """
     given = np.zeros((len(simulator.csr.data), 0)) if features is None else features
-    n_keys, none = 0 if keys is None else int(keys.max()) + 1, list[str]()
+    n_keys = 0 if keys is None else int(keys.max()) + 1
+    none = list[str]()
     powers = ["log P"] if features is None and keys is None else none
     own = [f"feature {k}" for k in range(given.shape[1])]
     names = (powers, none, none, none, own, none, [f"key {k}" for k in range(n_keys)])
@@ -205,10 +206,8 @@ def _directions(
 ) -> Directions:
     """Directions with the columns ``names`` of each group."""
     group = np.repeat(np.arange(len(GROUPS)), [len(own) for own in names])
-    columns, nothing_ahead = (
-        tuple(itertools.chain(*names)),
-        np.zeros((simulator.n_states, 0)),
-    )
+    columns = tuple(itertools.chain(*names))
+    nothing_ahead = np.zeros((simulator.n_states, 0))
     return Directions(
         columns, group, simulator, len(names[0]), places, steps, features, nothing_ahead
     )
@@ -219,7 +218,8 @@ def add_values(directions: Directions, values: Sequence[Array]) -> Directions:
     simulator.
     """
     simulator = directions.simulator
-    ahead, pay = np.stack(values, axis=1), simulator.reward_data
+    ahead = np.stack(values, axis=1)
+    pay = simulator.reward_data
     unit = max(
         *(float(np.abs(x).max()) for x in (ahead, ahead if pay is None else pay)),
         1e-300,

@@ -162,15 +162,20 @@ def fit_ridge(
     Cost: O(entries d_1^2 + A d^3) a step of Newton's method, d_1 columns that are not
     indicators; some twenty steps.
     """
-    n_actions, columns = rows.n_actions, directions.columns(rows)
+    n_actions = rows.n_actions
+    columns = directions.columns(rows)
     n_blocks = 1 + n_actions if by_evidence and n_actions > 1 else 1
     scale = _root_mean_squares(columns, rows)[:n_blocks]
     theta = np.zeros((1 + n_actions, scale.shape[1]))
     strengths = np.ones((2, len(GROUPS)))
-    model, n, rounds = rows.weights, rows.sums(counts), ROUNDS if by_evidence else (0,)
+    model = rows.weights
+    n = rows.sums(counts)
+    rounds = ROUNDS if by_evidence else (0,)
     if start is not None:
         theta[:, directions.group != GROUPS.index("V")] = start.theta
-        strengths, model, rounds = start.strengths.copy(), start.at(rows), ROUNDS[:1]
+        strengths = start.strengths.copy()
+        model = start.at(rows)
+        rounds = ROUNDS[:1]
         strengths[:, GROUPS.index("V")] = 1.0
     for n_rounds in rounds:
         weight = np.ones(len(rows))

@@ -52,13 +52,16 @@ def log_rising(base, n):
     the difference of Stirling's series, (x - 1/2) ln(1 + d/x) + d ln(x + d) - d + s(x +
     d) - s(x).
     """
-    x, y, gap = base, base + n, n
+    x = base
+    y = base + n
+    gap = n
     if n <= 8.0 and n == int(n):
         product = base
         for i in range(1, int(n)):
             product *= base + i
         return log(product)
-    over, under = 1.0, 1.0
+    over = 1.0
+    under = 1.0
     while x < FAR:
         over *= x
         x += 1.0
@@ -67,7 +70,8 @@ def log_rising(base, n):
         under *= y
         y += 1.0
         gap += 1.0
-    u, v = 1.0 / (x * x), 1.0 / (y * y)
+    u = 1.0 / (x * x)
+    v = 1.0 / (y * y)
     series_x = (1.0 / 12.0 - u * (1.0 / 360.0 - u * (1.0 / 1260.0 - u / 1680.0))) / x
     series_y = (1.0 / 12.0 - v * (1.0 / 360.0 - v * (1.0 / 1260.0 - v / 1680.0))) / y
     return (
@@ -85,7 +89,8 @@ def score_by_kind(kappa, rows, leave_one_out):
     """The criterion of the rows' counts, summed over each kind, at kappa (kinds,)."""
     score = np.zeros(len(kappa))
     for row in range(len(rows.n)):
-        strength, gained = kappa[rows.kind[row]], 0.0
+        strength = kappa[rows.kind[row]]
+        gained = 0.0
         if leave_one_out:
             others = strength + max(rows.n[row] - 1.0, 0.0)
             for x in range(rows.ends[row], rows.ends[row + 1]):
@@ -110,12 +115,14 @@ def maximise_by_kind(grid, rows, n_kinds, leave_one_out, n_halvings):
     counts that do not tell leave the prior believed.
     """
     scores = np.empty((len(grid), n_kinds))
-    best, value = np.full(n_kinds, grid[0]), np.full(n_kinds, -np.inf)
+    best = np.full(n_kinds, grid[0])
+    value = np.full(n_kinds, -np.inf)
     for i in range(len(grid)):
         scores[i] = score_by_kind(np.full(n_kinds, exp(grid[i])), rows, leave_one_out)
         for kind in range(n_kinds):
             if scores[i, kind] >= value[kind] - 1e-13 * (1.0 + abs(value[kind])):
-                best[kind], value[kind] = grid[i], max(scores[i, kind], value[kind])
+                best[kind] = grid[i]
+                value[kind] = max(scores[i, kind], value[kind])
     distance = grid[1] - grid[0]
     for _ in range(n_halvings):
         distance *= 0.5
@@ -125,14 +132,18 @@ def maximise_by_kind(grid, rows, n_kinds, leave_one_out, n_halvings):
             new = score_by_kind(np.exp(trial), rows, leave_one_out)
             for kind in range(n_kinds):
                 if new[kind] > value[kind]:
-                    best[kind], value[kind] = trial[kind], new[kind]
+                    best[kind] = trial[kind]
+                    value[kind] = new[kind]
     return best, value, scores
 
 
 # at least one move: few moves must not talk the evidence out of a row of the prior
-SMALLEST, LARGEST = 1.0, 1e8
-FITS, FITS_ROUGHLY = 300.0, 50.0
-FEWEST_ROWS, FEWEST_MOVES = 5, 100
+SMALLEST = 1.0
+LARGEST = 1e8
+FITS = 300.0
+FITS_ROUGHLY = 50.0
+FEWEST_ROWS = 5
+FEWEST_MOVES = 100
 CRITERIA = ("evidence", "loo")
 
 
@@ -188,7 +199,8 @@ def kinds_of_rows(observed: Array, rows: Rows) -> IntArray:
     ]
     keys = np.column_stack([np.diff(rows.indptr), *np.round(shape, 6)])
     _, kind = distinct_rows(keys)
-    n_row, size = rows.sums(observed), int(kind.max()) + 1
+    n_row = rows.sums(observed)
+    size = int(kind.max()) + 1
     few = (np.bincount(kind[n_row > 0], minlength=size) < FEWEST_ROWS) | (
         np.bincount(kind, n_row, size) < FEWEST_MOVES
     )
@@ -243,7 +255,8 @@ def choose_strength(
 
 def _counts(observed: Array, prior: Array, rows: Rows, kind: IntArray) -> Counts:
     """What the loops read, of the rows with counts."""
-    n_row, seen = rows.sums(observed), observed > 0
+    n_row = rows.sums(observed)
+    seen = observed > 0
     visited = np.flatnonzero(n_row > 0)
     ends = np.concatenate(
         [[0], np.cumsum(rows.sums(seen.astype(np.int64))[visited])]
