@@ -267,6 +267,23 @@ SUBJECTS = {
             "MARKERS",
         ),
     },
+    "exceptions": {
+        "Errors": (
+            "ArgumentError",
+            "AnswerError",
+            "DivergentKernelError",
+            "NoCellsError",
+            "SolverStatusError",
+        ),
+        "Warnings": (
+            "OeeWarning",
+            "CostWarning",
+            "DataWarning",
+            "DiscretizationWarning",
+            "NumericalWarning",
+            "SimulatorWarning",
+        ),
+    },
     "paper": {
         "Equation by equation": (
             "J",

@@ -25,120 +25,128 @@ __version__ = "0.1.0"
 
 # module -> its names at the top; imported on first use, so that "import oee_tabular"
 # and "oee --help" stay quick
-_EXPORTS = {
-    "bench": "",
-    "data": "ContinuousTransitions TransitionCounts Transitions",
-    "design": "plan_data_collection Plan",
-    "estimators": "Problem Estimate",
+_EXPORTS: dict[str, tuple[str, ...]] = {
+    "bench": (),
+    "data": (
+        "ContinuousTransitions",
+        "TransitionCounts",
+        "Transitions",
+    ),
+    "design": (
+        "Plan",
+        "plan_data_collection",
+    ),
+    "estimators": (
+        "Estimate",
+        "Problem",
+    ),
     "exact": (
-        "policy_value state_values action_values occupancy optimal_policy Moments"
-        " return_moments weighted_return_moments policy_is_moments"
-        " doubly_robust_moments efficiency_bound trajectory_efficiency_bound"
+        "Moments",
+        "action_values",
+        "doubly_robust_moments",
+        "efficiency_bound",
+        "occupancy",
+        "optimal_policy",
+        "policy_is_moments",
+        "policy_value",
+        "return_moments",
+        "state_values",
+        "trajectory_efficiency_bound",
+        "weighted_return_moments",
     ),
-    "inference": "interval Interval value_range",
-    "mdp": "FiniteMDP uniform_policy mix",
-    "plots": "",
+    "exceptions": (),
+    "inference": (
+        "Interval",
+        "interval",
+        "value_range",
+    ),
+    "mdp": (
+        "FiniteMDP",
+        "mix",
+        "uniform_policy",
+    ),
+    "plots": (),
     "ratio": (
-        "density_ratio check_assumptions transition_ratio true_ratio RatioFit"
-        " TransitionRatio"
+        "RatioFit",
+        "TransitionRatio",
+        "check_assumptions",
+        "density_ratio",
+        "transition_ratio",
+        "true_ratio",
     ),
-    "report": "evaluate Report",
-    "simulate": "sample_episodes sample_returns sample_transitions",
-    "tasks": "record_episodes",
-    "testing": "",
-    "theory": "",
+    "report": (
+        "Report",
+        "evaluate",
+    ),
+    "simulate": (
+        "sample_episodes",
+        "sample_returns",
+        "sample_transitions",
+    ),
+    "tasks": ("record_episodes",),
+    "testing": (),
+    "theory": (),
 }
 
 if TYPE_CHECKING:  # the same for type checkers
-    # isort: off
     from typing import Any
 
-    from oee_tabular import (
-        data as data,
-        design as design,
-        estimators as estimators,
-        exact as exact,
-    )
-    from oee_tabular import (
-        inference as inference,
-        mdp as mdp,
-        plots as plots,
-        ratio as ratio,
-        report as report,
-    )
-    from oee_tabular import (
-        simulate as simulate,
-        tasks as tasks,
-        testing as testing,
-        theory as theory,
-    )
-    from oee_tabular.data import (
-        ContinuousTransitions as ContinuousTransitions,
-        TransitionCounts as TransitionCounts,
-    )
+    from oee_tabular import data as data
+    from oee_tabular import design as design
+    from oee_tabular import estimators as estimators
+    from oee_tabular import exact as exact
+    from oee_tabular import exceptions as exceptions
+    from oee_tabular import inference as inference
+    from oee_tabular import mdp as mdp
+    from oee_tabular import plots as plots
+    from oee_tabular import ratio as ratio
+    from oee_tabular import report as report
+    from oee_tabular import simulate as simulate
+    from oee_tabular import tasks as tasks
+    from oee_tabular import testing as testing
+    from oee_tabular import theory as theory
+    from oee_tabular.data import ContinuousTransitions as ContinuousTransitions
+    from oee_tabular.data import TransitionCounts as TransitionCounts
     from oee_tabular.data import Transitions as Transitions
-    from oee_tabular.design import (
-        Plan as Plan,
-        plan_data_collection as plan_data_collection,
-    )
-    from oee_tabular.estimators import Estimate as Estimate, Problem as Problem
-    from oee_tabular.exact import (
-        Moments as Moments,
-        action_values as action_values,
-        efficiency_bound as efficiency_bound,
-    )
-    from oee_tabular.exact import (
-        doubly_robust_moments as doubly_robust_moments,
-        optimal_policy as optimal_policy,
-    )
-    from oee_tabular.exact import (
-        policy_is_moments as policy_is_moments,
-        policy_value as policy_value,
-    )
-    from oee_tabular.exact import (
-        return_moments as return_moments,
-        state_values as state_values,
-    )
+    from oee_tabular.design import Plan as Plan
+    from oee_tabular.design import plan_data_collection as plan_data_collection
+    from oee_tabular.estimators import Estimate as Estimate
+    from oee_tabular.estimators import Problem as Problem
+    from oee_tabular.exact import Moments as Moments
+    from oee_tabular.exact import action_values as action_values
+    from oee_tabular.exact import doubly_robust_moments as doubly_robust_moments
+    from oee_tabular.exact import efficiency_bound as efficiency_bound
+    from oee_tabular.exact import optimal_policy as optimal_policy
+    from oee_tabular.exact import policy_is_moments as policy_is_moments
+    from oee_tabular.exact import policy_value as policy_value
+    from oee_tabular.exact import return_moments as return_moments
+    from oee_tabular.exact import state_values as state_values
     from oee_tabular.exact import (
         trajectory_efficiency_bound as trajectory_efficiency_bound,
     )
     from oee_tabular.exact import weighted_return_moments as weighted_return_moments
     from oee_tabular.exact.occupancy import occupancy as occupancy
-    from oee_tabular.inference import (
-        Interval as Interval,
-        interval as interval,
-        value_range as value_range,
-    )
+    from oee_tabular.inference import Interval as Interval
+    from oee_tabular.inference import interval as interval
+    from oee_tabular.inference import value_range as value_range
     from oee_tabular.lab import bench as bench
-    from oee_tabular.mdp import (
-        FiniteMDP as FiniteMDP,
-        mix as mix,
-        uniform_policy as uniform_policy,
-    )
-    from oee_tabular.ratio import (
-        RatioFit as RatioFit,
-        TransitionRatio as TransitionRatio,
-        true_ratio as true_ratio,
-    )
-    from oee_tabular.ratio import (
-        check_assumptions as check_assumptions,
-        density_ratio as density_ratio,
-    )
+    from oee_tabular.mdp import FiniteMDP as FiniteMDP
+    from oee_tabular.mdp import mix as mix
+    from oee_tabular.mdp import uniform_policy as uniform_policy
+    from oee_tabular.ratio import RatioFit as RatioFit
+    from oee_tabular.ratio import TransitionRatio as TransitionRatio
+    from oee_tabular.ratio import check_assumptions as check_assumptions
+    from oee_tabular.ratio import density_ratio as density_ratio
     from oee_tabular.ratio import transition_ratio as transition_ratio
-    from oee_tabular.report import Report as Report, evaluate as evaluate
-    from oee_tabular.simulate import (
-        sample_episodes as sample_episodes,
-        sample_returns as sample_returns,
-    )
+    from oee_tabular.ratio import true_ratio as true_ratio
+    from oee_tabular.report import Report as Report
+    from oee_tabular.report import evaluate as evaluate
+    from oee_tabular.simulate import sample_episodes as sample_episodes
+    from oee_tabular.simulate import sample_returns as sample_returns
     from oee_tabular.simulate import sample_transitions as sample_transitions
     from oee_tabular.tasks import record_episodes as record_episodes
 
-    # isort: on
-
-
-_ROOM_OF = {
-    name: room for room, names in _EXPORTS.items() for name in (room, *names.split())
-}
+_ROOM_OF = {name: room for room, names in _EXPORTS.items() for name in (room, *names)}
 __all__ = sorted(_ROOM_OF)  # noqa: PLE0605
 
 

@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from oee_tabular import _checks
+from oee_tabular.exceptions import ArgumentError
 
 
 def named_specs(
@@ -31,12 +32,15 @@ def named_specs(
         if known and (not equals or name not in known):
             near = difflib.get_close_matches(name, known, n=1)
             hint = f" (did you mean {near[0]}=VALUE?)" if near else ""
-            raise ValueError(
-                f"{option} must be NAME=VALUE, NAME one of {', '.join(known)}; got"
-                f" {text!r}{hint}"
+            raise ArgumentError(
+                option,
+                f"must be NAME=VALUE, NAME one of {', '.join(known)}; got"
+                f" {text!r}{hint}",
             )
         if equals and not name:
-            raise ValueError(f"{option} must have a name before its '='; got {text!r}")
+            raise ArgumentError(
+                option, f"must have a name before its '='; got {text!r}"
+            )
         if name in specs:
             raise ValueError(f"{option} names must differ; {name!r} is given twice")
         specs[name] = spec if equals else text
@@ -72,8 +76,8 @@ def arguments(text: str) -> tuple[list[Any], dict[str, Any]]:
         key, equals, value = part.partition("=")
         if equals and key.strip().isidentifier():
             if key.strip() in keywords:
-                raise ValueError(
-                    f"{key.strip()} must be given once; {text!r} has it twice"
+                raise ArgumentError(
+                    key.strip(), f"must be given once; {text!r} has it twice"
                 )
             keywords[key.strip()] = literal(value.strip(), key.strip())
         else:
@@ -110,7 +114,7 @@ def literal(text: str, name: str = "an argument") -> Any:
     if "/" in text and all(part.strip().isdigit() for part in text.split("/", 1)):
         top, bottom = text.split("/", 1)
         if int(bottom) == 0:
-            raise ValueError(f"{name} must be a finite number; {text!r} divides by 0")
+            raise ArgumentError(name, f"must be a finite number; {text!r} divides by 0")
         return int(top) / int(bottom)
     try:
         return ast.literal_eval(text)
@@ -133,15 +137,15 @@ def module_and_path(spec: str, what: str, example: str) -> tuple[str, str]:
     """The two parts of "module:object"; nothing is imported."""
     module_name, colon, path = spec.partition(":")
     if not (colon and module_name and path):
-        raise ValueError(
-            f"{what} must be given as MODULE:OBJECT, {example}; got"
-            f" {_checks.show(spec)}"
+        raise ArgumentError(
+            what, f"must be given as MODULE:OBJECT, {example}; got {_checks.show(spec)}"
         )
     if module_name.endswith(".py") or os.sep in module_name:
         hint = module_name.removesuffix(".py").replace(os.sep, ".").strip(".")
-        raise ValueError(
-            "MODULE must be a module's name, not a file's; got"
-            f" {_checks.show(module_name)} (try {hint}:{path})"
+        raise ArgumentError(
+            "MODULE",
+            f"must be a module's name, not a file's; got {_checks.show(module_name)}"
+            f" (try {hint}:{path})",
         )
     return module_name, path
 

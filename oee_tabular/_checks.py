@@ -12,30 +12,18 @@ import reprlib
 import sys
 import unicodedata
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
-IntArray: TypeAlias = NDArray[np.int64]
-BoolArray: TypeAlias = NDArray[np.bool_]
-Column: TypeAlias = NDArray[Any]  # of a log: numbers, flags or names
-Seed: TypeAlias = (  # what numpy.random.default_rng takes
-    int
-    | np.integer[Any]
-    | Sequence[int]
-    | np.random.SeedSequence
-    | np.random.BitGenerator
-    | np.random.Generator
-    | None
-)
-# a policy as people have it (``mdp.check_policy``): probabilities, actions, a mapping
-# by state, a function of a state
-PolicyLike: TypeAlias = (
-    ArrayLike | Sequence[object] | Mapping[Any, Any] | Callable[[Any], object]
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import (
+    Array,
+    BoolArray,
+    Seed,
 )
 
 T = TypeVar("T")
@@ -135,14 +123,14 @@ def float_array(
             )
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(
-            f"{name} must be an array of numbers; got {type(value).__name__} ({error})"
+        raise ArgumentError(
+            name, f"must be an array of numbers; got {type(value).__name__} ({error})"
         ) from None
     allowed = (ndim,) if isinstance(ndim, int) else ndim
     if allowed is not None and array.ndim not in allowed:
         rule = " or ".join(str(n) for n in allowed)
-        raise ValueError(
-            f"{name} must have {rule} dimension(s); it has shape {array.shape}"
+        raise ArgumentError(
+            name, f"must have {rule} dimension(s); it has shape {array.shape}"
         )
     return array
 
@@ -156,8 +144,8 @@ def as_array(value: object, name: str, rule: str = "an array") -> NDArray[Any]:
             raise TypeError("a sparse matrix")
         return np.array(value)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(
-            f"{name} must be {rule}; got {type(value).__name__} ({error})"
+        raise ArgumentError(
+            name, f"must be {rule}; got {type(value).__name__} ({error})"
         ) from None
 
 
@@ -192,9 +180,8 @@ def _require(
     bad = np.argwhere(~fine)
     first = tuple(bad[0])  # of a single number the index is empty
     more = f" ({len(bad)} such {counted} in all)" if counted and len(bad) > 1 else ""
-    raise ValueError(
-        f"{place(name, first) if first else name} must"
-        f" {rule.format(array[first])}{more}"
+    raise ArgumentError(
+        place(name, first) if first else name, f"must {rule.format(array[first])}{more}"
     )
 
 
@@ -213,7 +200,9 @@ def distribution(value: object, name: str, shape: tuple[int, ...]) -> Array:
     """``value`` as an array of ``shape``, nonnegative, with a total of 1."""
     array = float_array(value, name)
     if array.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}; it has shape {array.shape}")
+        raise ArgumentError(
+            name, f"must have shape {shape}; it has shape {array.shape}"
+        )
     require_nonnegative(array, name)
     if array.ndim == 1:
         array = scale_if_single(array, value)
@@ -239,16 +228,16 @@ def number_in(
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be a number; got {show(value)}") from None
+        raise ArgumentError(name, f"must be a number; got {show(value)}") from None
     inside = low < number < high if open_ends else low <= number <= high
     if np.isinf(number) and not infinite:
-        raise ValueError(f"{name} must be finite; it is {number:g}")
+        raise ArgumentError(name, f"must be finite; it is {number:g}")
     if not inside:
         left, right = (
             "()" if open_ends else ("[", "]" if infinite or np.isfinite(high) else ")")
         )
-        raise ValueError(
-            f"{name} must be in {left}{low:g}, {high:g}{right}; it is {number:g}"
+        raise ArgumentError(
+            name, f"must be in {left}{low:g}, {high:g}{right}; it is {number:g}"
         )
     return number
 
@@ -260,13 +249,13 @@ def positive_integer(value: Any, name: str) -> int:
             raise TypeError
         number = operator.index(value)
     except TypeError:
-        raise ValueError(
-            f"{name} must be a positive integer; got {show(value)}"
+        raise ArgumentError(
+            name, f"must be a positive integer; got {show(value)}"
         ) from None
     if number < 1:
-        raise ValueError(f"{name} must be a positive integer; it is {show(number)}")
+        raise ArgumentError(name, f"must be a positive integer; it is {show(number)}")
     if number > LARGEST_INTEGER:
-        raise ValueError(f"{name} must be at most 2**63 - 1; it is {show(number)}")
+        raise ArgumentError(name, f"must be at most 2**63 - 1; it is {show(number)}")
     return number
 
 
@@ -278,7 +267,7 @@ def is_integer(value: object) -> bool:
 def boolean(value: object, name: str) -> bool:
     """True or False, Python's or numpy's; nothing else stands for them."""
     if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} must be True or False; got {show(value)}")
+        raise ArgumentError(name, f"must be True or False; got {show(value)}")
     return bool(value)
 
 
@@ -293,26 +282,26 @@ def instance(
             k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,))
         )
         article = "" if rule.endswith("s") else "an " if rule[0] in "AEIOU" else "a "
-        raise ValueError(f"{name} must be {article}{rule}; got {type(value).__name__}")
+        raise ArgumentError(
+            name, f"must be {article}{rule}; got {type(value).__name__}"
+        )
     return value
 
 
 def function(value: object, name: str) -> None:
     """``value`` can be called."""
     if not callable(value):
-        raise ValueError(f"{name} must be a function; got {type(value).__name__}")
+        raise ArgumentError(name, f"must be a function; got {type(value).__name__}")
 
 
-def warn(text: str) -> None:
-    """A UserWarning at the line of the caller, however deep in the package it is
-    noticed.
-    """
+def warn(text: str, category: type[Warning]) -> None:
+    """Warn at the line that called the package, however deep in it that is noticed."""
     frame = sys._getframe(1)
     level = 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         frame = frame.f_back
         level = level + 1
-    warnings.warn(text, stacklevel=level)
+    warnings.warn(text, category, stacklevel=level)
 
 
 def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
@@ -324,7 +313,9 @@ def collection(value: Any, name: str, rule: str) -> tuple[Any, ...]:
             raise TypeError
         return tuple(value)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be {rule}; got {type(value).__name__}") from None
+        raise ArgumentError(
+            name, f"must be {rule}; got {type(value).__name__}"
+        ) from None
 
 
 def require_memory(
@@ -345,9 +336,10 @@ def require_memory(
             f"{name} needs {needed / 2**30:.3g} GiB of memory; {free / 2**30:.3g} GiB"
             " are free"
         )
-    raise ValueError(
-        f"{name} must be small enough for this machine's memory; {value} needs"
-        f" {needed / 2**30:.3g} GiB"
+    raise ArgumentError(
+        name,
+        f"must be small enough for this machine's memory; {value} needs"
+        f" {needed / 2**30:.3g} GiB",
     )
 
 
@@ -369,7 +361,7 @@ def one_of(value: object, name: str, allowed: tuple[str, ...], hint: str = "") -
     """``value`` is one of the allowed words; ``hint``: what else there is to do."""
     if not isinstance(value, str) or value not in allowed:
         words = ", ".join(repr(word) for word in allowed)
-        raise ValueError(f"{name} must be one of {words}; got {show(value)}{hint}")
+        raise ArgumentError(name, f"must be one of {words}; got {show(value)}{hint}")
 
 
 def generator(seed: Seed) -> np.random.Generator:
@@ -389,9 +381,10 @@ def _call_numpy(make: Callable[..., T], seed: Any, **options: Any) -> T:
         return make(seed, **options)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         reason = escape_controls(str(error))[:200]
-        raise ValueError(
-            f"seed must be what numpy.random.{make.__name__} takes; got {show(seed)}"
-            f" ({reason})"
+        raise ArgumentError(
+            "seed",
+            f"must be what numpy.random.{make.__name__} takes; got {show(seed)}"
+            f" ({reason})",
         ) from None
 
 

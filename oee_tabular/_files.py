@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks
+from oee_tabular.exceptions import ArgumentError
 
 KIND = "oee_tabular_kind"
 DIGEST = "oee_tabular_digest"
@@ -42,31 +43,35 @@ def local(path: str | os.PathLike[str], argument: str = "path") -> str:
     opened (``argument``: its name).
     """
     if not isinstance(path, str | os.PathLike):
-        raise ValueError(
-            f"{argument} must be a path of a file; got {type(path).__name__}"
+        raise ArgumentError(
+            argument, f"must be a path of a file; got {type(path).__name__}"
         )
     name = os.fspath(path)
     if not isinstance(name, str) or "\0" in name or not name:
-        raise ValueError(
-            f"{argument} must be text, not empty and without a null character; got"
-            f" {_checks.show(name)}"
+        raise ArgumentError(
+            argument,
+            "must be text, not empty and without a null character; got"
+            f" {_checks.show(name)}",
         )
     if len(name) > LONGEST_PATH:
-        raise ValueError(
-            f"{argument} must have at most {LONGEST_PATH} characters; it has"
-            f" {len(name)}: {_checks.show(name)}"
+        raise ArgumentError(
+            argument,
+            f"must have at most {LONGEST_PATH} characters; it has {len(name)}:"
+            f" {_checks.show(name)}",
         )
     if name == "-":
-        raise ValueError(
-            f"{argument} must be a file; '-', standard input or output, is none (--json"
-            " prints what a command found)"
+        raise ArgumentError(
+            argument,
+            "must be a file; '-', standard input or output, is none (--json prints what"
+            " a command found)",
         )
     if re.match(r"(?!minari:)[A-Za-z][A-Za-z0-9+.-]+:/", name) and not os.path.exists(
         name
     ):  # pathlib makes one slash of two
-        raise ValueError(
-            f"{argument} must be a file of this machine; {name!r} is an address, and"
-            " nothing is fetched"
+        raise ArgumentError(
+            argument,
+            f"must be a file of this machine; {name!r} is an address, and nothing is"
+            " fetched",
         )
     return name
 
@@ -77,9 +82,10 @@ def new_file(path: str | os.PathLike[str], name: str, *, overwrite: bool) -> Non
     """
     local(path)
     if not overwrite and os.path.lexists(path):
-        raise ValueError(
-            f"{name} must be a new file, or be given with --overwrite;"
-            f" {os.fspath(path)!r} exists already"
+        raise ArgumentError(
+            name,
+            f"must be a new file, or be given with --overwrite; {os.fspath(path)!r}"
+            " exists already",
         )
     folder = Path(os.path.realpath(path)).parent
     # else whoever writes it makes the folder, or says that there is none
@@ -104,8 +110,8 @@ def whole_file(
     names ``path``. A link stays one: the file that it leads to is replaced.
     """
     if suffixes and Path(local(path)).suffix.lower() not in suffixes:
-        raise ValueError(
-            f"path must end in {' or '.join(suffixes)}; it is {os.fspath(path)!r}"
+        raise ArgumentError(
+            "path", f"must end in {' or '.join(suffixes)}; it is {os.fspath(path)!r}"
         )
     target = Path(os.path.realpath(local(path)))
     if target.is_dir():
@@ -205,8 +211,8 @@ def save_npz(
     for name, array in arrays.items():
         # it would be a pickle, which numpy 2.0 cannot be told not to write
         if array.dtype.hasobject:
-            raise ValueError(
-                f"{name} must be numbers or text; it is an array of objects"
+            raise ArgumentError(
+                name, "must be numbers or text; it is an array of objects"
             )
     with whole_file(path, (".npz",)) as handle:
         stored = {KIND: np.array(kind), **arrays}
@@ -233,9 +239,10 @@ def load_npz(
             if stored
             else f"the arrays {_checks.show(', '.join(arrays))}"
         )
-        raise ValueError(
-            f"{os.fspath(path)!r} must hold a {KINDS[kind]}; it holds"
-            f" {holds}{f' ({hint})' if hint else ''}"
+        raise ArgumentError(
+            f"{os.fspath(path)!r}",
+            f"must hold a {KINDS[kind]}; it holds"
+            f" {holds}{(f' ({hint})' if hint else '')}",
         )
     return arrays
 
@@ -246,8 +253,9 @@ def parts_of(path: str | os.PathLike[str], what: str) -> Iterator[None]:
     try:
         yield
     except KeyError as error:
-        raise ValueError(
-            f"{os.fspath(path)!r} must hold every part of {what}; {error} is missing"
+        raise ArgumentError(
+            f"{os.fspath(path)!r}",
+            f"must hold every part of {what}; {error} is missing",
         ) from None
     except (IndexError, OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{os.fspath(path)!r}: {error}") from None
@@ -282,14 +290,14 @@ def read_npz(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
             if isinstance(error, MemoryError) and repr(name) in str(error):
                 raise
             words = _checks.escape_controls(str(error) or type(error).__name__)
-            raise ValueError(
-                f"{name!r} must be an npz or npy file of plain arrays; {words:.300}"
+            raise ArgumentError(
+                f"{name!r}", f"must be an npz or npy file of plain arrays; {words:.300}"
             ) from None
     saved = arrays.pop(DIGEST, None)
     if (KIND in arrays or saved is not None) and str(saved) != digest(arrays):
-        raise ValueError(
-            f"{name!r} must hold the arrays that were saved in it; it is damaged, or"
-            " was edited"
+        raise ArgumentError(
+            f"{name!r}",
+            "must hold the arrays that were saved in it; it is damaged, or was edited",
         )
     return arrays
 

@@ -18,7 +18,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from oee_tabular._checks import Array
+from oee_tabular.typing import Array
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._checks import freeze
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 
 def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
@@ -37,13 +39,15 @@ def check_csr(matrix: Any, name: str) -> sparse.csr_array:
     what is no matrix of real numbers.
     """
     if not sparse.issparse(matrix):
-        raise ValueError(f"{name} must be a sparse matrix; got {type(matrix).__name__}")
+        raise ArgumentError(
+            name, f"must be a sparse matrix; got {type(matrix).__name__}"
+        )
     if matrix.ndim != 2:
-        raise ValueError(
-            f"{name} must have 2 dimensions when sparse; it has shape {matrix.shape}"
+        raise ArgumentError(
+            name, f"must have 2 dimensions when sparse; it has shape {matrix.shape}"
         )
     if matrix.dtype.kind not in "biuf":
-        raise ValueError(f"{name} must be real numbers; they are {matrix.dtype}")
+        raise ArgumentError(name, f"must be real numbers; they are {matrix.dtype}")
     shape = matrix.shape
     kind = matrix.format
     if kind in ("csr", "csc"):
@@ -77,8 +81,8 @@ def check_csr(matrix: Any, name: str) -> sparse.csr_array:
         TypeError,
         ValueError,
     ) as error:
-        raise ValueError(
-            f"{name} must be a sound sparse matrix; its {kind} form is not ({error})"
+        raise ArgumentError(
+            name, f"must be a sound sparse matrix; its {kind} form is not ({error})"
         ) from None
 
 
@@ -97,22 +101,25 @@ def csr_from_parts(
         ("indptr", pointers, "iu", "integers"),
     ):
         if array.dtype.kind not in kinds or array.ndim != 1:
-            raise ValueError(
-                f"{name}.{part} must be {rule} of one dimension; they are {array.dtype}"
-                f" of {array.ndim}"
+            raise ArgumentError(
+                f"{name}.{part}",
+                f"must be {rule} of one dimension; they are {array.dtype} of"
+                f" {array.ndim}",
             )
     if len(pointers) != shape[0] + 1:
-        raise ValueError(
-            f"{name}.indptr must have {shape[0] + 1} entries, one more than rows; it"
-            f" has {len(pointers)}"
+        raise ArgumentError(
+            f"{name}.indptr",
+            f"must have {shape[0] + 1} entries, one more than rows; it has"
+            f" {len(pointers)}",
         )
     if len(values) != len(columns):
-        raise ValueError(
-            f"{name}.data must have a value for each of the {len(columns)} indices; it"
-            f" has {len(values)}"
+        raise ArgumentError(
+            f"{name}.data",
+            f"must have a value for each of the {len(columns)} indices; it has"
+            f" {len(values)}",
         )
     if pointers[0] != 0:
-        raise ValueError(f"{name}.indptr[0] must be 0; it is {pointers[0]}")
+        raise ArgumentError(f"{name}.indptr[0]", f"must be 0; it is {pointers[0]}")
     used = int(pointers[-1])
     for array, part, bad, rule in (
         (
@@ -136,7 +143,9 @@ def csr_from_parts(
     ):
         if bad.any():
             k = int(bad.argmax())
-            raise ValueError(f"{name}.{part}[{k}] must be {rule}; it is {array[k]}")
+            raise ArgumentError(
+                f"{name}.{part}[{k}]", f"must be {rule}; it is {array[k]}"
+            )
     return sparse.csr_array(
         (values[:used].astype(np.float64, copy=False), columns[:used], pointers),
         shape=shape,
@@ -194,8 +203,8 @@ def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
     values = getattr(ratio, "values", ratio)
     if not sparse.issparse(values) or values.shape != pattern.shape:
         found = getattr(values, "shape", type(values).__name__)
-        raise ValueError(
-            f"{name} must be sparse of shape {pattern.shape}, row s*A + a; got {found}"
+        raise ArgumentError(
+            name, f"must be sparse of shape {pattern.shape}, row s*A + a; got {found}"
         )
     if (
         values.format == "csr"

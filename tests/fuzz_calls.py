@@ -80,7 +80,7 @@ def functions(known, rooms=None):
     modules = {"top": oee} | {
         name: getattr(oee, name)
         for name in oee.__all__
-        if inspect.ismodule(getattr(oee, name))
+        if inspect.ismodule(getattr(oee, name)) and name != "exceptions"
     }
     every = {}
     for room in rooms or modules:

@@ -156,7 +156,7 @@ def test_the_check_sees_what_is_missing(old, new, kind):
         pass
 
     text = inspect.cleandoc(PUBLIC["mdp.mix"].__doc__)
-    text = text.replace(text.partition("\n")[0], "Merge two policies.")
+    text = text.replace(text.partition("\n\n")[0], "Merge two policies.")
     assert old in text
     mix.__doc__ = text.replace(old, new)
     assert lacks(mix).keys() == {kind}

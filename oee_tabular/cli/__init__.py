@@ -18,6 +18,7 @@ from typer.core import TyperCommand
 from oee_tabular import _progress
 from oee_tabular.cli import files, values
 from oee_tabular.cli.options import ARGUMENTS, GROUPS, say
+from oee_tabular.exceptions import ArgumentError
 
 
 class Command(TyperCommand):
@@ -32,8 +33,8 @@ class Command(TyperCommand):
         _, _, order = self.make_parser(ctx).parse_args(args=list(args))
         for parameter, times in Counter(order).items():
             if times > 1 and not getattr(parameter, "multiple", False):
-                raise ValueError(
-                    f"{parameter.opts[0]} must be given once; it is given {times} times"
+                raise ArgumentError(
+                    parameter.opts[0], f"must be given once; it is given {times} times"
                 )
         return super().parse_args(ctx, args)
 
@@ -43,9 +44,8 @@ class Command(TyperCommand):
         """
         try:
             return super().invoke(ctx)
-        except ValueError as error:
-            name, must, rule = str(error).partition(" must ")
-            argument = ARGUMENTS.get(name, name)
+        except ArgumentError as error:
+            argument = ARGUMENTS.get(error.argument, error.argument)
             options = {
                 p.name: p.opts[0] for p in self.params if p.opts[0].startswith("-")
             }
@@ -54,8 +54,8 @@ class Command(TyperCommand):
                     text.partition("=")[0] for text in ctx.params.get(option) or []
                 ]
                 options |= {name: f"{options[option]} {name}" for name in named}
-            if must and argument in options:
-                raise ValueError(f"{options[argument]} must {rule}") from error
+            if argument in options:
+                raise ArgumentError(options[argument], error.rule) from error
             raise
 
     def format_options(self, ctx: Any, formatter: Any) -> None:

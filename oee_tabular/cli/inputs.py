@@ -27,8 +27,9 @@ from oee_tabular._arguments import (
     own_modules,
     own_object,
 )
-from oee_tabular._checks import Array
 from oee_tabular.cli.options import Options
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array
 
 
 def task_of(
@@ -173,7 +174,7 @@ def policy_of(spec: str, task: oee.tasks.NamedTask, name: str) -> Array:
         try:
             weight = float(spec.removeprefix("mix:"))
         except ValueError:
-            raise ValueError(f"{name} must be like mix:0.5; got {spec!r}") from None
+            raise ArgumentError(name, f"must be like mix:0.5; got {spec!r}") from None
         return oee.mix(
             check_policy(task.expert(), mdp), oee.uniform_policy(mdp), weight
         )
@@ -219,17 +220,18 @@ def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any
         or (is_wide and not known.issuperset(actions.values()))
         or frame.empty
     ):
-        raise ValueError(
-            f"{name} must have the columns state and action, with probability or"
-            " without, or state and one for each action, and at least one row; it has"
-            f" {', '.join(labels)} and {len(frame)} rows"
+        raise ArgumentError(
+            name,
+            "must have the columns state and action, with probability or without, or"
+            " state and one for each action, and at least one row; it has"
+            f" {', '.join(labels)} and {len(frame)} rows",
         )
     keys = ["state", "action"] if "probability" in labels else ["state"]
     twice = frame[frame.duplicated(keys)]
     if len(twice):
         place = ", ".join(f"{key} {twice.iloc[0][key]}" for key in keys)
-        raise ValueError(
-            f"{name} must have one row for each {' and '.join(keys)}; {place} has two"
+        raise ArgumentError(
+            name, f"must have one row for each {' and '.join(keys)}; {place} has two"
         )
     if is_wide:
         frame = frame.rename(columns=actions).melt(
@@ -240,8 +242,8 @@ def _policy_by_state(frame: Any, mdp: oee.FiniteMDP, name: str) -> dict[Any, Any
     try:
         numbers = frame["probability"].astype(float)
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{name} must have numbers as probabilities; {error}"
+        raise ArgumentError(
+            name, f"must have numbers as probabilities; {error}"
         ) from None
     policy: dict[Any, Any] = {}
     for state, action, number in zip(
@@ -283,9 +285,10 @@ def read_problem(options: Options) -> tuple[oee.tasks.NamedTask, oee.Problem]:
     )
     is_share = isinstance(epsilon, float) and 0.0 < epsilon < 1.0
     if not is_share and impossible not in ("refuse", "drop"):
-        raise ValueError(
-            "--impossible must be refuse, drop, or allow=EPS with 0 < EPS < 1,"
-            f" allow=0.01; got {impossible!r}"
+        raise ArgumentError(
+            "--impossible",
+            "must be refuse, drop, or allow=EPS with 0 < EPS < 1, allow=0.01; got"
+            f" {impossible!r}",
         )
     _progress.report_step(f"reading the log {', '.join(log)}")
     recorded = oee.data.read_log(log[0] if len(log) == 1 else log, model)
@@ -322,9 +325,10 @@ def read_box(text: str | None) -> dict[str, float | None]:
         <= (1.0 if upper is None else upper)
         or (lower or 0.0) < 0.0
     ):
-        raise ValueError(
-            "--box must be LOWER,UPPER, bounds on P_target / P with 0 <= LOWER <= 1 <="
-            f" UPPER, as 0.5,2; got {text!r}"
+        raise ArgumentError(
+            "--box",
+            "must be LOWER,UPPER, bounds on P_target / P with 0 <= LOWER <= 1 <="
+            f" UPPER, as 0.5,2; got {text!r}",
         )
     return {"lower_ratio": lower, "upper_ratio": upper}
 
@@ -346,12 +350,13 @@ def read_entries(path: Path, name: str, simulator: oee.FiniteMDP) -> tuple[Any, 
     is_table = path.suffix.lower() == ".csv"
     file = repr(str(path))
     if not is_table and path.suffix.lower() != ".npy":
-        raise ValueError(f"--{name} must be a .npy or .csv file; got {file}")
+        raise ArgumentError(f"--{name}", f"must be a .npy or .csv file; got {file}")
     arrays: Any = {"array": csv_frame(str(path))} if is_table else _files.read_npz(path)
     if "array" not in arrays:
-        raise ValueError(
-            f"{file} must hold one array, as numpy.save writes it; it holds"
-            f" {', '.join(arrays)}"
+        raise ArgumentError(
+            file,
+            "must hold one array, as numpy.save writes it; it holds"
+            f" {', '.join(arrays)}",
         )
     given = arrays["array"]
     try:

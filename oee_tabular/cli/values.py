@@ -28,6 +28,7 @@ from oee_tabular.continuous.command import (
     read_grid,
     task_options,
 )
+from oee_tabular.exceptions import ArgumentError
 
 PLAN_OPTIONS = ("model", "optimistic", "restart", "restart_costs_a_move", "solver")
 # which need a simulator whose states are numbered, and a log
@@ -169,8 +170,9 @@ def _evaluate(options: Options) -> Any:
         return oee.evaluate(problem, policies, target=default.target, **common)
     if simulator is None or not log:
         there, lacking = ("log", "simulator") if log else ("simulator", "log")
-        raise ValueError(
-            f"--{lacking} must be given with --{there} (record a log with: oee sample)"
+        raise ArgumentError(
+            f"--{lacking}",
+            f"must be given with --{there} (record a log with: oee sample)",
         )
     if is_continuous(simulator):
         common |= {
@@ -263,14 +265,16 @@ def compare(options: Options) -> None:
     from oee_tabular.report.tables import render_comparison
 
     if is_continuous(options.simulator):
-        raise ValueError(
-            "--simulator must have numbered states to compare policies; "
-            f"{options.simulator!r} is continuous: oee evaluate"
+        raise ArgumentError(
+            "--simulator",
+            f"must have numbered states to compare policies; {options.simulator!r} is"
+            " continuous: oee evaluate",
         )
     if len(named_specs(options.policy)) < 2:
-        raise ValueError(
-            "--policy must be given twice or more, for there is nothing to compare;"
-            f" there is {options.policy[0]!r}"
+        raise ArgumentError(
+            "--policy",
+            "must be given twice or more, for there is nothing to compare; there is"
+            f" {options.policy[0]!r}",
         )
     known = read_box(options.box)
     task, problem = read_problem(options)

@@ -36,8 +36,10 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._checks import freeze
 from oee_tabular.continuous.task import ContinuousTask, Moves
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 ANGLE_LIMIT = 12 * 2 * np.pi / 360
 X_LIMIT = 2.4
@@ -265,8 +267,8 @@ def train_expert(
     ):
         _checks.positive_integer(value, name)
     if elite > population:
-        raise ValueError(
-            f"elite must be at most the population, {population}; it is {elite}"
+        raise ArgumentError(
+            "elite", f"must be at most the population, {population}; it is {elite}"
         )
     simulator = task or CartPole()
     rng = _checks.generator(seed)

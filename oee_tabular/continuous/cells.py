@@ -19,11 +19,12 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._progress import progress_bar
 from oee_tabular._sparse import canonical, csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 PLACES_AT_A_TIME = 250_000  # bounds the memory
 
@@ -235,7 +236,7 @@ class Places:
         terms = task.reward_terms(self.points)
         if terms is not None:
             mean = self.mean(terms)
-            (state, action) = np.divmod(rows, task.n_actions)
+            state, action = np.divmod(rows, task.n_actions)
             between = task.reward_of(mean[state], action, mean[matrix.indices])
             first = between[matrix.indptr[:-1]]
             is_of_pair = np.array_equal(between, first[rows])
@@ -270,10 +271,11 @@ class Places:
             moved = task.moves(states, actions, disturbance)
             bad = np.flatnonzero(~np.isfinite(moved.next_state).all(axis=1))
             if bad.size:
-                raise ValueError(
-                    f"task must step to finite states; from {states[bad[0]].tolist()}"
-                    f" under action {actions[bad[0]]} it steps to"
-                    f" {moved.next_state[bad[0]].tolist()}"
+                raise ArgumentError(
+                    "task",
+                    f"must step to finite states; from {states[bad[0]].tolist()} under"
+                    f" action {actions[bad[0]]} it steps to"
+                    f" {moved.next_state[bad[0]].tolist()}",
                 )
             ended = moved.terminated & task.end_shows(moved.next_state) | gone
             total = total + chance * self.weights(task, moved.next_state, ended)

@@ -21,6 +21,7 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._arguments import literal, named_specs, parse_spec
+from oee_tabular.exceptions import ArgumentError
 
 if TYPE_CHECKING:
     from oee_tabular.continuous.log import ContinuousTransitions
@@ -167,9 +168,10 @@ def continuous_simulator(
         from oee_tabular.continuous.gymnasium_named import gymnasium_simulator
 
         if not is_continuous(spec):
-            raise ValueError(
-                f"spec must begin with one of {', '.join(CONTINUOUS)}, or with a"
-                f" Gymnasium id whose states are no numbers; got {spec!r}"
+            raise ArgumentError(
+                "spec",
+                f"must begin with one of {', '.join(CONTINUOUS)}, or with a Gymnasium"
+                f" id whose states are no numbers; got {spec!r}",
             )
         return gymnasium_simulator(spec, state=state, actions=actions)
     for option, given in (("state", state), ("actions", actions)):
@@ -225,8 +227,8 @@ def read_grid(text: str | None) -> tuple[int, ...] | int | str | None:
             else tuple(int(part) for part in text.lower().split("x"))
         )
     except ValueError:
-        raise ValueError(
-            f"--grid must be like 32x32, 3000 or auto; got {text!r}"
+        raise ArgumentError(
+            "--grid", f"must be like 32x32, 3000 or auto; got {text!r}"
         ) from None
 
 
@@ -269,13 +271,14 @@ def evaluate_files(
             " actions are commands: the log has their numbers alone"
         )
     if target is not None and not is_continuous(target):
-        raise ValueError(
-            f"--target must be a continuous task as the simulator is; got {target!r}"
+        raise ArgumentError(
+            "--target", f"must be a continuous task as the simulator is; got {target!r}"
         )
     if policy is None and simulator.expert is None:
-        raise ValueError(
-            f"--policy must be given for {simulator.task.name}, which has no expert:"
-            " uniform or MODULE:FUNCTION"
+        raise ArgumentError(
+            "--policy",
+            f"must be given for {simulator.task.name}, which has no expert: uniform or"
+            " MODULE:FUNCTION",
         )
     policies: dict[str, Any] = {}
     for label, source in named_specs(policy or ["expert"]).items():
@@ -339,9 +342,10 @@ def _find_policy(spec: str, simulator: ContinuousSimulator, name: str) -> StateP
     from oee_tabular.mdp.policies import read_policy_array
 
     if len(simulator.task.feature_names) > max(DEFAULT_VERTICES):
-        raise ValueError(
-            f"{name} must be uniform, expert, mix:WEIGHT or MODULE:FUNCTION for"
-            f" {simulator.task.name}, whose cells are made of the log; got {spec!r}"
+        raise ArgumentError(
+            name,
+            "must be uniform, expert, mix:WEIGHT or MODULE:FUNCTION for"
+            f" {simulator.task.name}, whose cells are made of the log; got {spec!r}",
         )
     model = simulator.discretize()
     return model.policy_function(

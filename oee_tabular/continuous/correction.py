@@ -34,7 +34,6 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from oee_tabular import _checks, _progress
-from oee_tabular._checks import Array, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.history import MAX_LAG, HistoryTask, hidden_state
 from oee_tabular.continuous.log import ContinuousTransitions
@@ -46,6 +45,8 @@ from oee_tabular.continuous.task import (
     require_log_of,
     shortest,
 )
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, Seed
 
 # by which parameters are fitted; slow: of tasks that step one by one
 MAX_ROWS = 20_000
@@ -156,8 +157,9 @@ def fit_parameters(
     """
     _checks.function(task_of, "task_of")
     if not isinstance(start, Mapping) or not start:
-        raise ValueError(
-            f"start must map names of parameters to numbers; got {_checks.show(start)}"
+        raise ArgumentError(
+            "start",
+            f"must map names of parameters to numbers; got {_checks.show(start)}",
         )
     names = list(start)
     x0 = np.array(
@@ -170,16 +172,16 @@ def fit_parameters(
     high = np.where(x0 < 0, 0.0, np.inf)
     for name, ends in ({} if bounds is None else bounds).items():
         if name not in names:
-            raise ValueError(
-                f"bounds must be of parameters in start ({', '.join(names)}); got"
-                f" {name!r}"
+            raise ArgumentError(
+                "bounds",
+                f"must be of parameters in start ({', '.join(names)}); got {name!r}",
             )
         k = names.index(name)
         low[k], high[k] = ends
         if not low[k] <= x0[k] <= high[k] or low[k] == high[k]:
-            raise ValueError(
-                f"start[{name!r}] must be in its bounds, {low[k]:g} to {high[k]:g}; it"
-                f" is {x0[k]:g}"
+            raise ArgumentError(
+                f"start[{name!r}]",
+                f"must be in its bounds, {low[k]:g} to {high[k]:g}; it is {x0[k]:g}",
             )
 
     def by_name(x: Array) -> dict[str, float]:
@@ -288,9 +290,10 @@ def parameters_of(
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             hint = f" (did you mean {near[0]}?)" if near else ""
-            raise ValueError(
-                f"fit must name parameters of {task.name}"
-                f" ({', '.join(known) or 'none'}); got {name!r}{hint}"
+            raise ArgumentError(
+                "fit",
+                f"must name parameters of {task.name} ({', '.join(known) or 'none'});"
+                f" got {name!r}{hint}",
             )
 
     def change(**values: float) -> Any:

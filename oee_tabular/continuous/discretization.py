@@ -54,7 +54,6 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.cells import (
     Grid,
@@ -74,6 +73,8 @@ from oee_tabular.continuous.task import (
     check_states,
     require_log_of,
 )
+from oee_tabular.exceptions import ArgumentError, DiscretizationWarning
+from oee_tabular.typing import Array
 
 N_LLOYD = 3  # iterations for the centres of cells
 POINTS_OF_A_BOX = 4  # along each axis, where a state is the box around its vertex
@@ -120,13 +121,14 @@ class GridInterpolation:
         try:
             shape = tuple(_checks.positive_integer(n, "shape") for n in self.shape)
         except TypeError:
-            raise ValueError(
-                "shape must be a tuple of positive integers; got"
-                f" {_checks.show(self.shape)}"
+            raise ArgumentError(
+                "shape",
+                f"must be a tuple of positive integers; got {_checks.show(self.shape)}",
             ) from None
         if not shape or min(shape) < 2:
-            raise ValueError(
-                f"shape must have at least 2 vertices along each feature; it is {shape}"
+            raise ArgumentError(
+                "shape",
+                f"must have at least 2 vertices along each feature; it is {shape}",
             )
         object.__setattr__(self, "shape", shape)
         _checks.number_in(self.vertex_weight, "vertex_weight", 0.0, np.inf)
@@ -139,9 +141,10 @@ class GridInterpolation:
         """
         k = len(task.feature_names)
         if len(self.shape) != k:
-            raise ValueError(
-                f"shape must have {k} numbers, one for each feature of {task.name}"
-                f" ({', '.join(task.feature_names)}); it is {self.shape}"
+            raise ArgumentError(
+                "shape",
+                f"must have {k} numbers, one for each feature of {task.name}"
+                f" ({', '.join(task.feature_names)}); it is {self.shape}",
             )
         ends = (
             task.feature_low if self.low is None else self.low,
@@ -153,14 +156,14 @@ class GridInterpolation:
         )
         for name, end in (("low", low), ("high", high)):
             if end.shape != (k,):
-                raise ValueError(
-                    f"{name} must have shape ({k},); it has shape {end.shape}"
+                raise ArgumentError(
+                    name, f"must have shape ({k},); it has shape {end.shape}"
                 )
             _checks.require_finite(end, name)
         for axis in np.flatnonzero(low >= high):
-            raise ValueError(
-                f"high[{axis}] must be above low[{axis}], {low[axis]}; it is"
-                f" {high[axis]}"
+            raise ArgumentError(
+                f"high[{axis}]",
+                f"must be above low[{axis}], {low[axis]}; it is {high[axis]}",
             )
         grid = Grid(low, high, self.shape, task.periodic)
         points = task.embed(grid.vertices())
@@ -417,9 +420,10 @@ def discretize(
     if share > 0.0 and not mixed:
         _checks.number_in(floor, "floor", 0.0, 1.0, open_ends=True)
         if log is None:
-            raise ValueError(
-                f"floor must be 0 without a log, for {task.name} has no others; it is"
-                f" {floor}"
+            raise ArgumentError(
+                "floor",
+                f"must be 0 without a log, for {task.name} has no others; it is"
+                f" {floor}",
             )
     chosen = process.default_cells if cells is None else cells
     k = len(process.feature_names)
@@ -498,7 +502,7 @@ def _measure_closure(model: Discretization, n_episodes: int) -> Discretization:
                 " smeared out by interpolation: take more "
             )
             text += "points there"
-        warnings.warn(text, stacklevel=4)
+        _checks.warn(text, DiscretizationWarning)
     return replace(
         model, diagnostics={"closure_error": error, "closure_standard_error": noise}
     )

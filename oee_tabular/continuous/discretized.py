@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
@@ -16,7 +15,6 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import canonical, row_of_entry
 from oee_tabular.continuous.cells import Grid, Places, indicator, spread_over_pairs
@@ -30,8 +28,10 @@ from oee_tabular.continuous.task import (
     require_log_of,
 )
 from oee_tabular.data import Transitions
+from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.finite_mdp import KIND
+from oee_tabular.typing import Array, BoolArray, IntArray, Seed
 
 OUTSIDE = ("error", "nearest", "drop")
 N_RISK_STEPS = 300  # of EM: weights of mixtures change by less than 1e-3 later
@@ -216,10 +216,11 @@ class Discretization:
         impossible = np.flatnonzero(table.sum(axis=1) == 0.0)
         if impossible.size:
             s, a = divmod(int(entries.coords[0][impossible[0]]), self.task.n_actions)
-            raise ValueError(
-                f"counts must have transitions that some simulator allows; ({s}, {a},"
+            raise ArgumentError(
+                "counts",
+                f"must have transitions that some simulator allows; ({s}, {a},"
                 f" {entries.coords[1][impossible[0]]}) is allowed by none"
-                f" ({impossible.size} such transitions in all)"
+                f" ({impossible.size} such transitions in all)",
             )
         weights = np.full(table.shape[1], 1.0 / table.shape[1])
         for _ in range(N_RISK_STEPS):
@@ -341,9 +342,10 @@ class Discretization:
         grid = self.cells
         matrix = self.mdp.transitions
         if not isinstance(grid, Grid) or self.over is not None:
-            raise ValueError(
-                "cells must be a grid without an absorbing state to tie displacements;"
-                f" they are {grid.extent()}"
+            raise ArgumentError(
+                "cells",
+                "must be a grid without an absorbing state to tie displacements; they"
+                f" are {grid.extent()}",
             )
         first, action = np.divmod(row_of_entry(matrix), self.task.n_actions)
         places = grid.indices()
@@ -373,27 +375,27 @@ class Discretization:
         actions = log.action_numbers(self.task.actions)
         ended = log.terminated | task.terminated(log.next_state)
         for row in () if task.terminates else np.flatnonzero(log.terminated):
-            raise ValueError(
-                f"log.terminated[{row}] must be False: episodes of {task.name} do not"
-                " end; it is True"
+            raise ArgumentError(
+                f"log.terminated[{row}]",
+                f"must be False: episodes of {task.name} do not end; it is True",
             )
         before = np.flatnonzero(task.terminated(log.state))
         if before.size and task.terminates:
-            raise ValueError(
-                f"log.state[{before[0]}] must be a state in which {task.name} goes on;"
-                f" it is over in {log.state[before[0]].tolist()} ({before.size} such"
-                " rows in all)"
+            raise ArgumentError(
+                f"log.state[{before[0]}]",
+                f"must be a state in which {task.name} goes on; it is over in"
+                f" {log.state[before[0]].tolist()} ({before.size} such rows in all)",
             )
         hidden = np.flatnonzero(
             ended & ~task.end_shows(log.next_state) & task.terminates
         )
         if hidden.size:
-            warnings.warn(
+            _checks.warn(
                 f"log.terminated: {hidden.size} of {int(ended.sum())} ends do not show"
                 f" in the features ({', '.join(task.feature_names)}); the first, row"
                 f" {hidden[0]}, leads to {log.next_state[hidden[0]].tolist()}. They are"
                 " taken as truncated, the process going on",
-                stacklevel=3,
+                DataWarning,
             )
         ended[hidden] = False
         gone = self._outside(log.state, np.zeros_like(ended), "log.state", outside)
@@ -401,9 +403,9 @@ class Discretization:
         if outside != "drop" or not gone.any():
             return log, actions, ended
         if gone.all():
-            raise ValueError(
-                "outside must not be 'drop' where every row is outside; nothing would"
-                " be left"
+            raise ArgumentError(
+                "outside",
+                "must not be 'drop' where every row is outside; nothing would be left",
             )
         return log.select(~gone), actions[~gone], ended[~gone]
 
@@ -431,7 +433,7 @@ class Discretization:
             done = (
                 "left out" if outside == "drop" else "moved to the nearest place inside"
             )
-            warnings.warn(f"{text}They are {done}", stacklevel=4)
+            _checks.warn(f"{text}They are {done}", DataWarning)
         return np.asarray(gone)
 
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import (
     ContinuousTask,
@@ -21,7 +20,9 @@ from oee_tabular.continuous.task import (
     check_probabilities,
     check_states,
 )
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.typing import Array, IntArray, Seed
 
 CHUNK = 4096  # episodes of one random stream
 
@@ -103,9 +104,9 @@ def monte_carlo_value(
         _checks.positive_integer(horizon, "horizon"), gamma, work=1000.0 * n
     )
     if normalized and gamma == 1.0:
-        raise ValueError(
-            "normalized must be False at discount 1: the factor (1 - discount) would"
-            " be 0"
+        raise ArgumentError(
+            "normalized",
+            "must be False at discount 1: the factor (1 - discount) would be 0",
         )
     returns = []
     for rng, size in _streams(seed, n):

@@ -17,7 +17,6 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks, _progress
-from oee_tabular._checks import Array, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.correction import (
     ParameterFit,
@@ -31,13 +30,7 @@ from oee_tabular.continuous.episodes import MonteCarlo
 from oee_tabular.continuous.history import consecutive
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.regression import LinearModel
-from oee_tabular.continuous.rows import (
-    NoCellsError,
-    OnCells,
-    Rollouts,
-    Row,
-    refuse_impossible,
-)
+from oee_tabular.continuous.rows import OnCells, Rollouts, Row, refuse_impossible
 from oee_tabular.continuous.simulator import (
     CommandPolicy,
     ContinuousSimulator,
@@ -62,10 +55,16 @@ from oee_tabular.estimators import (
 )
 from oee_tabular.estimators.calibrated import KINDS
 from oee_tabular.estimators.names import named_estimators
+from oee_tabular.exceptions import (
+    ArgumentError,
+    DiscretizationWarning,
+    NoCellsError,
+)
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.report.evaluation import evaluate, group_findings, number_notes
 from oee_tabular.report.results import Report, Result
 from oee_tabular.report.uncertainty import Uncertainty, choose_interval
+from oee_tabular.typing import Array, Seed
 
 CALIBRATIONS = (*KINDS, "none")
 SIMULATOR = "simulator (continuous)"
@@ -156,7 +155,7 @@ def evaluate_continuous(
     if not _checks.instance(
         policies, Mapping, "policies", "mapping from names to policies"
     ):
-        raise ValueError("policies must hold at least one; it is empty")
+        raise ArgumentError("policies", "must hold at least one; it is empty")
     facts = dict(_checks.instance(options.pop("facts", None) or {}, Mapping, "facts"))
     seed = options.get("seed")
     _checks.instance(
@@ -190,16 +189,18 @@ def evaluate_continuous(
             try:
                 cells = OnCells(simulator, numbered, chosen, steps, discount, seed)
             except NoCellsError as reason:
-                warnings.warn(
-                    f"The rows on the grid are left out: {reason}", stacklevel=2
+                _checks.warn(
+                    f"The rows on the grid are left out: {reason}",
+                    DiscretizationWarning,
                 )
-    messages = list(
-        dict.fromkeys(
-            str(w.message) for w in caught if issubclass(w.category, UserWarning)
-        )
-    )
-    for message in messages:
-        warnings.warn(message, stacklevel=3)
+    kinds = {
+        str(w.message): w.category
+        for w in caught
+        if issubclass(w.category, UserWarning)
+    }
+    messages = list(kinds)
+    for message, category in kinds.items():
+        _checks.warn(message, category)
     tables: dict[str, Array] = {}
     functions: dict[str, StatePolicy] = {}
     for name, policy in policies.items():
@@ -446,7 +447,7 @@ def _names(names: object, argument: str) -> list[str]:
         for name in _checks.collection(names, argument, "names")
     ]
     if not checked:
-        raise ValueError(f"{argument} must hold at least one name; it is empty")
+        raise ArgumentError(argument, "must hold at least one name; it is empty")
     return checked
 
 
@@ -498,14 +499,14 @@ def _report_rows(
     """The report of rows without a finite problem, each beside its own interval."""
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if _checks.boolean(guaranteed, "guaranteed"):
-        raise ValueError(
-            "guaranteed must be False without cells: guaranteed intervals need a finite"
-            " simulator"
+        raise ArgumentError(
+            "guaranteed",
+            "must be False without cells: guaranteed intervals need a finite simulator",
         )
     if _checks.boolean(normalized, "normalized") and discount == 1.0:
-        raise ValueError(
-            "normalized must be False at discount 1: the factor (1 - discount) would"
-            " be 0"
+        raise ArgumentError(
+            "normalized",
+            "must be False at discount 1: the factor (1 - discount) would be 0",
         )
     _checks.boolean(quick, "quick")
     scale = 1.0 - discount if normalized else 1.0

@@ -24,10 +24,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular._checks import freeze
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, IntArray
 
 N_JOINTS = 7
 # position 3, angles, speeds and references 7 each, the last command 3
@@ -98,9 +100,10 @@ def end_effector(joints: Array) -> Array:
     """
     angles = _checks.float_array(joints, "joints")
     if angles.ndim != 2 or angles.shape[1] != N_JOINTS:
-        raise ValueError(
-            f"joints must have shape (n, {N_JOINTS}), angles in rad; it has shape"
-            f" {angles.shape}"
+        raise ArgumentError(
+            "joints",
+            f"must have shape (n, {N_JOINTS}), angles in rad; it has shape"
+            f" {angles.shape}",
         )
     _checks.require_finite(angles, "joints")
     return _frames(angles)[2]
@@ -152,9 +155,10 @@ def goal_number(goal: object) -> int:
         or not isinstance(goal, int | np.integer)
         or not 0 <= goal < len(GOALS)
     ):
-        raise ValueError(
-            f"goal must be in 0..{len(GOALS) - 1}, a row of GOALS; it is"
-            f" {_checks.show(goal)}"
+        raise ArgumentError(
+            "goal",
+            f"must be in 0..{len(GOALS) - 1}, a row of GOALS; it is"
+            f" {_checks.show(goal)}",
         )
     return int(goal)
 
@@ -313,15 +317,16 @@ def hand_log(
     if speed is not None:
         scale = _checks.number_in(speed, "speed", 0.0, np.inf, open_ends=True)
         if log.action.ndim != 2:
-            raise ValueError(
-                "speed must be None where log.action has numbers of commands; it is not"
-                " None"
+            raise ArgumentError(
+                "speed",
+                "must be None where log.action has numbers of commands; it is not None",
             )
         columns["action"] = log.action / scale
     if columns["action"].ndim == 2 and columns["action"].shape[1] != COMMANDS.shape[1]:
-        raise ValueError(
-            "log.action must have 3 coordinates, along x, y, z; it has"
-            f" {columns['action'].shape[1]}"
+        raise ArgumentError(
+            "log.action",
+            "must have 3 coordinates, along x, y, z; it has"
+            f" {columns['action'].shape[1]}",
         )
     return ContinuousTransitions(**columns)
 
@@ -359,9 +364,10 @@ def _positions(states: Array, name: str) -> Array:
     """(n, 3) the positions of the hand, which must be possible ones."""
     width = states.shape[1]
     if width not in (3, N_JOINTS, N_ARM_STATES):
-        raise ValueError(
-            f"log.{name} must have 3 coordinates (position), {N_JOINTS} (joint angles)"
-            f" or {N_ARM_STATES} (the stand-in's state); it has {width}"
+        raise ArgumentError(
+            f"log.{name}",
+            f"must have 3 coordinates (position), {N_JOINTS} (joint angles) or"
+            f" {N_ARM_STATES} (the stand-in's state); it has {width}",
         )
     is_angles = width == N_JOINTS
     limit, what = (
@@ -372,8 +378,8 @@ def _positions(states: Array, name: str) -> Array:
     array = states if is_angles else np.array(states[:, :3])
     for place in np.argwhere(np.abs(array) > limit):
         where = _checks.place(f"log.{name}", tuple(place))
-        raise ValueError(
-            f"{where} must be within +-{limit:.4g}: {what}; it is"
-            f" {array[tuple(place)]:g}"
+        raise ArgumentError(
+            where,
+            f"must be within +-{limit:.4g}: {what}; it is {array[tuple(place)]:g}",
         )
     return end_effector(array) if is_angles else array

@@ -24,10 +24,11 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._arguments import own_module, own_modules, own_object, parse_spec
-from oee_tabular._checks import Array
 from oee_tabular.continuous.gymnasium_task import GymnasiumTask
 from oee_tabular.continuous.simulator import SLOW, ContinuousSimulator, as_simulator
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.tasks.toy_text import environment_exists
+from oee_tabular.typing import Array
 
 # MODULE:EnvId-v0
 OWN_ID = re.compile(r"([^\W\d]\w*(?:\.[^\W\d]\w*)*):([A-Za-z][\w.-]*-v\d+)(?=[:,]|$)")
@@ -280,25 +281,27 @@ def action_set(space: Any, given: Any = None) -> Array:
     """
     if hasattr(space, "n"):
         if given is not None:
-            raise ValueError(
-                f"actions must be left out where the environment has {space}; they are"
-                f" {_checks.show(given)}"
+            raise ArgumentError(
+                "actions",
+                f"must be left out where the environment has {space}; they are"
+                f" {_checks.show(given)}",
             )
         return np.asarray(
             int(getattr(space, "start", 0)) + np.arange(int(space.n)), dtype=np.float64
         )
     if len(getattr(space, "shape", None) or ()) != 1 or not hasattr(space, "low"):
-        raise ValueError(
-            f"env.action_space must be Discrete, or a Box of vectors; it is {space}"
+        raise ArgumentError(
+            "env.action_space", f"must be Discrete, or a Box of vectors; it is {space}"
         )
     k = space.shape[0]
     count = N_LEVELS.get(k, 3) if given is None else given
     if isinstance(count, int):
         n = _checks.positive_integer(count, "actions")
         if not np.isfinite([space.low, space.high]).all():
-            raise ValueError(
-                f"actions must be given for {space}, whose range has no end: levels"
-                " such as [-1,0,1]"
+            raise ArgumentError(
+                "actions",
+                f"must be given for {space}, whose range has no end: levels such as"
+                " [-1,0,1]",
             )
         levels = list(np.linspace(space.low, space.high, n).T)
     else:
@@ -307,14 +310,17 @@ def action_set(space: Any, given: Any = None) -> Array:
     table = np.asarray(levels[0])
     if table.ndim == 1:
         if float(n_levels) ** k > MAX_COMMANDS:
-            raise ValueError(
-                f"actions must be at most {MAX_COMMANDS} in all; {n_levels} levels of"
-                f" {k} coordinates are more"
+            raise ArgumentError(
+                "actions",
+                f"must be at most {MAX_COMMANDS} in all; {n_levels} levels of {k}"
+                " coordinates are more",
             )
         table = np.array(list(itertools.product(*levels)))
     for i, row in enumerate(table):
         if not space.contains(row.astype(space.dtype)):
-            raise ValueError(f"actions[{i}] must be in {space}; it is {row.tolist()}")
+            raise ArgumentError(
+                f"actions[{i}]", f"must be in {space}; it is {row.tolist()}"
+            )
     return np.asarray(table)
 
 
@@ -366,10 +372,10 @@ class Physics:
                     ", ".join(name for name in self._takes if name != "kwargs")
                     or "none"
                 )
-                raise ValueError(
-                    f"{key} must be an argument or a number of {identifier}: it takes"
-                    f" {takes} and has {', '.join(known) or 'none'}; got"
-                    f" {key}={value!r}"
+                raise ArgumentError(
+                    key,
+                    f"must be an argument or a number of {identifier}: it takes {takes}"
+                    f" and has {', '.join(known) or 'none'}; got {key}={value!r}",
                 )
             self._constants[key] = _checks.number_in(value, key, -np.inf, np.inf)
         env.close()
@@ -382,9 +388,10 @@ class Physics:
         arguments = self.spec.kwargs | self._arguments | arguments
         if self._constants:
             if not isinstance(owner, type):
-                raise ValueError(
-                    f"{next(iter(self._constants))} must be an argument of"
-                    f" {self.identifier}, which is made by a function"
+                raise ArgumentError(
+                    next(iter(self._constants)),
+                    f"must be an argument of {self.identifier}, which is made by a"
+                    " function",
                 )
 
             def hold(env: object, name: str, value: object) -> None:
@@ -502,9 +509,10 @@ def _set_field(inner: Any, key: str, value: Any) -> None:
         own = np.asarray(getattr(holder, key))
         found = _checks.float_array(value, key, ndim=(0, 1, 2))
         if found.shape != own.shape:
-            raise ValueError(
-                f"{key} must have shape {own.shape}, as in the model: {own.tolist()};"
-                f" it has shape {found.shape}"
+            raise ArgumentError(
+                key,
+                f"must have shape {own.shape}, as in the model: {own.tolist()}; it has"
+                f" shape {found.shape}",
             )
         setattr(holder, key, found if own.ndim else own.dtype.type(found))
     mujoco.mj_setConst(model, inner.data)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular._checks import freeze
 from oee_tabular.continuous.log import RECORDED, ContinuousTransitions
 from oee_tabular.continuous.task import (
     NO_CHANCE,
@@ -30,6 +30,8 @@ from oee_tabular.continuous.task import (
     StatePolicy,
     check_probabilities,
 )
+from oee_tabular.exceptions import ArgumentError, SimulatorWarning
+from oee_tabular.typing import Array, IntArray
 
 FEWEST_AT_ONCE = 16  # states
 LOOKED = 1000  # steps by which usual ranges are found
@@ -152,9 +154,10 @@ class GymnasiumTask(ContinuousTask):
             ]
         self.state_names = self.feature_names = tuple(state_names)
         if state.shape != (self.n_state,):
-            raise ValueError(
-                f"get_state must return the {self.n_state} numbers of state_names; it"
-                f" returns shape {state.shape}"
+            raise ArgumentError(
+                "get_state",
+                f"must return the {self.n_state} numbers of state_names; it returns"
+                f" shape {state.shape}",
             )
         spec = getattr(self._env, "spec", None)
         self.name = "environment" if spec is None else str(spec.id)
@@ -165,9 +168,10 @@ class GymnasiumTask(ContinuousTask):
         self.terminates = terminates
         for number in range(len(self.actions)):
             if not self._env.action_space.contains(self.command(number)):
-                raise ValueError(
-                    f"actions[{number}] must be in {self._env.action_space}; it is"
-                    f" {self.actions[number].tolist()}"
+                raise ArgumentError(
+                    f"actions[{number}]",
+                    f"must be in {self._env.action_space}; it is"
+                    f" {self.actions[number].tolist()}",
                 )
         found = (
             self._find_ranges(make()) if low is None or high is None else (low, high)
@@ -175,16 +179,18 @@ class GymnasiumTask(ContinuousTask):
         for name, own, given in zip(("low", "high"), found, (low, high), strict=True):
             end = _checks.float_array(own if given is None else given, name)
             if end.shape != state.shape:
-                raise ValueError(
-                    f"{name} must have shape {state.shape}, one for each of"
-                    f" state_names; it has shape {end.shape}"
+                raise ArgumentError(
+                    name,
+                    f"must have shape {state.shape}, one for each of state_names; it"
+                    f" has shape {end.shape}",
                 )
             setattr(self, f"feature_{name}", end)
         self._set(self._env, state)
         if not np.array_equal(kept := self.read(self._env), state):
-            raise ValueError(
-                f"set_state must set what get_state reads; {state.tolist()} became"
-                f" {kept.tolist()}"
+            raise ArgumentError(
+                "set_state",
+                f"must set what get_state reads; {state.tolist()} became"
+                f" {kept.tolist()}",
             )
         # of parameters by name makes the task with them; where that is known (Physics)
         self.family: Any = None
@@ -247,7 +253,7 @@ class GymnasiumTask(ContinuousTask):
             )
             if bad.mean() > FEW:
                 raise ValueError(text)
-            _checks.warn(text)
+            _checks.warn(text, SimulatorWarning)
         return states, np.asarray(numbers, dtype=np.int64)
 
     def _repeats(

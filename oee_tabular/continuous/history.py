@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._checks import freeze
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.scatter import Neighbors
 from oee_tabular.continuous.task import (
@@ -27,6 +27,7 @@ from oee_tabular.continuous.task import (
     StatePolicy,
     require_log_of,
 )
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 FOLDS = 4
 MAX_LAG = 5  # steps back that the test looks at, and that a report tries in the state

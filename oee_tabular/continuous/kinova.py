@@ -38,7 +38,6 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous import gen3
 from oee_tabular.continuous.cells import each_action
@@ -56,6 +55,7 @@ from oee_tabular.continuous.gen3 import (
     record_goals,
 )
 from oee_tabular.continuous.task import Moves
+from oee_tabular.typing import Array, IntArray
 
 __all__ = [
     "COMMANDS",

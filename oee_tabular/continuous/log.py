@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.files import Columns, Format
 from oee_tabular.data.frames import is_minari, minari_episodes
 from oee_tabular.data.rules import COLUMNS, check_array, suggest_columns
 from oee_tabular.data.tables import read_labels
+from oee_tabular.exceptions import ArgumentError, DataWarning
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 # the columns of a log that is recorded by stepping
 RECORDED = (
@@ -78,9 +78,9 @@ class VectorFormat(Format):
                 columns[label] = column
         for vector, part in parts.items():
             if vector in columns:
-                raise ValueError(
-                    f"{name!r} must have either {vector} or {vector}_0, ...; it has"
-                    " both"
+                raise ArgumentError(
+                    f"{name!r}",
+                    f"must have either {vector} or {vector}_0, ...; it has both",
                 )
             missing = next((k for k in range(len(part)) if k not in part), None)
             if missing is not None:
@@ -88,14 +88,15 @@ class VectorFormat(Format):
                     f"every column from {vector}_0 to {vector}_{max(part)};"
                     f" {vector}_{missing} is missing"
                 )
-                raise ValueError(f"{name!r} must have {text}")
+                raise ArgumentError(f"{name!r}", f"must have {text}")
             # columns of kinds that have nothing in common
             with _files.parts_of(name, f"{vector}_0, ..."):
                 columns[vector] = np.stack([part[k] for k in range(len(part))], axis=1)
         if columns["state"].ndim == 1:
-            raise ValueError(
-                f"{name!r} must have the columns state_0, ..., next_state_0, ...; it"
-                " has one column state: a log of numbered states"
+            raise ArgumentError(
+                f"{name!r}",
+                "must have the columns state_0, ..., next_state_0, ...; it has one"
+                " column state: a log of numbered states",
             )
         return columns
 
@@ -123,10 +124,11 @@ class VectorFormat(Format):
             or observations.dtype.kind not in "fiu"
             or actions.ndim not in (1, 2)
         ):
-            raise ValueError(
-                f"{name!r} must have observations that are vectors, and actions that"
-                f" are numbers or vectors; they have shapes {observations.shape} of"
-                f" {observations.dtype} and {actions.shape} of {actions.dtype}"
+            raise ArgumentError(
+                f"{name!r}",
+                "must have observations that are vectors, and actions that are numbers"
+                f" or vectors; they have shapes {observations.shape} of"
+                f" {observations.dtype} and {actions.shape} of {actions.dtype}",
             )
 
 
@@ -196,9 +198,10 @@ class ContinuousTransitions(LogColumns):
         states = _vectors(state, "state")
         following = _vectors(next_state, "next_state")
         if following.shape[1] != states.shape[1]:
-            raise ValueError(
-                f"next_state must have the {states.shape[1]} coordinates of state; it"
-                f" has {following.shape[1]}"
+            raise ArgumentError(
+                "next_state",
+                f"must have the {states.shape[1]} coordinates of state; it has"
+                f" {following.shape[1]}",
             )
         return {"state": states, "action": _actions(action), "next_state": following}
 
@@ -238,23 +241,25 @@ class ContinuousTransitions(LogColumns):
         _checks.boolean(strict, "strict")
         table = _checks.float_array(actions, "actions", ndim=(1, 2))
         if table.size == 0:
-            raise ValueError(
-                f"actions must hold at least one; they have shape {table.shape}"
+            raise ArgumentError(
+                "actions", f"must hold at least one; they have shape {table.shape}"
             )
         table = table.reshape(len(table), -1)
         if self.action.ndim == 1:
             bad = np.flatnonzero(self.action >= len(table))
             if bad.size:
-                raise ValueError(
-                    f"log.action[{bad[0]}] must be in 0..{len(table) - 1}, the numbers"
-                    f" of the task's actions; it is {self.action[bad[0]]} ({bad.size}"
-                    " such rows in all)"
+                raise ArgumentError(
+                    f"log.action[{bad[0]}]",
+                    f"must be in 0..{len(table) - 1}, the numbers of the task's"
+                    f" actions; it is {self.action[bad[0]]} ({bad.size} such rows in"
+                    " all)",
                 )
             return np.asarray(self.action, dtype=np.int64)
         if self.action.shape[1] != table.shape[1]:
-            raise ValueError(
-                f"log.action must have the {table.shape[1]} coordinates of the task's"
-                f" actions; it has {self.action.shape[1]}"
+            raise ArgumentError(
+                "log.action",
+                f"must have the {table.shape[1]} coordinates of the task's actions; it"
+                f" has {self.action.shape[1]}",
             )
         distances = np.linalg.norm(self.action[:, None, :] - table[None], axis=2)
         nearest = distances.argmin(axis=1)
@@ -270,19 +275,20 @@ class ContinuousTransitions(LogColumns):
             f" {table[nearest[worst]].tolist()}"
         )
         if strict:
-            raise ValueError(f"log.action must be one of {about}; {which}")
+            raise ArgumentError("log.action", f"must be one of {about}; {which}")
         gaps = [np.diff(np.unique(column)).max(initial=0.0) for column in table.T]
         room = 0.5 * float(np.linalg.norm(gaps)) * (1.0 + 1e-9)  # 0 of a single action
         if 0.0 < room < distance[worst]:
-            raise ValueError(
-                f"log.action must lie among {about}, no farther off than half of what"
-                f" they are apart; {which}. Name actions that reach as far"
-                " (tasks.GymnasiumTask(actions=), --task-option actions=)"
+            raise ArgumentError(
+                "log.action",
+                f"must lie among {about}, no farther off than half of what they are"
+                f" apart; {which}. Name actions that reach as far"
+                " (tasks.GymnasiumTask(actions=), --task-option actions=)",
             )
-        warnings.warn(
+        _checks.warn(
             f"log.action is moved to the nearest of {about}: {which}. More actions"
             " (tasks.GymnasiumTask(actions=), --task-option actions=) move it less",
-            stacklevel=3,
+            DataWarning,
         )
         return np.asarray(nearest, dtype=np.int64)
 
@@ -291,11 +297,11 @@ def _vectors(value: object, name: str) -> Array:
     array = _checks.float_array(value, name)
     if array.ndim != 2 or array.shape[1] == 0:
         hint = " (a log of numbered states: Transitions)" * (array.ndim == 1)
-        raise ValueError(
-            f"{name} must have shape (n, d); it has shape {array.shape}{hint}"
+        raise ArgumentError(
+            name, f"must have shape (n, d); it has shape {array.shape}{hint}"
         )
     if len(array) == 0:
-        raise ValueError(f"{name} must have at least one row; the log is empty")
+        raise ArgumentError(name, "must have at least one row; the log is empty")
     _checks.require_finite(array, name)
     return array
 
@@ -303,9 +309,10 @@ def _vectors(value: object, name: str) -> Array:
 def _actions(value: object) -> NDArray[Any]:
     array = _checks.as_array(value, "action")
     if array.ndim not in (1, 2):
-        raise ValueError(
-            "action must have shape (n,) (numbers) or (n, k) (commands); it has shape"
-            f" {array.shape}"
+        raise ArgumentError(
+            "action",
+            "must have shape (n,) (numbers) or (n, k) (commands); it has shape"
+            f" {array.shape}",
         )
     return (
         check_array(array, "action") if array.ndim == 1 else _vectors(array, "action")

@@ -29,10 +29,12 @@ from typing import Any, Self
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular._checks import freeze
 from oee_tabular.continuous.episodes import record
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, IntArray
 
 # m, kg/m^3, Bullet's collision margin in m
 RADIUS = 0.01
@@ -57,7 +59,7 @@ def link_bodies(length: float, inertia: str = "box") -> Array:
     """
     long = _checks.number_in(length, "length", 0.0, np.inf)
     if long == 0.0:
-        raise ValueError(f"length must be positive; it is {length}")
+        raise ArgumentError("length", f"must be positive; it is {length}")
     _checks.one_of(inertia, "inertia", INERTIAS)
     rod = DENSITY * np.pi * RADIUS**2 * long
     ball = DENSITY * 4.0 / 3.0 * np.pi * RADIUS**3
@@ -159,8 +161,8 @@ class Reacher(ContinuousTask):
             )
         place = _checks.float_array(self.target, "target")
         if place.shape != (2,) or not np.isfinite(place).all():
-            raise ValueError(
-                f"target must be two finite numbers (x, y); it is {self.target}"
+            raise ArgumentError(
+                "target", f"must be two finite numbers (x, y); it is {self.target}"
             )
         for name in ("gear", "damping", "armature", "drag"):
             _checks.number_in(getattr(self, name), name, 0.0, np.inf)
@@ -316,13 +318,14 @@ def joint_angles(target: object, length: float = LENGTH) -> tuple[float, float]:
     cos q2 = (x^2 + y^2 - l^2 - (l + .01)^2) / (2 l (l + .01)); a ValueError for a
     target out of the arm's reach.
     """
-    (x, y) = _checks.float_array(target, "target")
+    x, y = _checks.float_array(target, "target")
     far = length + RADIUS
     bend = (x * x + y * y - length**2 - far**2) / (2.0 * length * far)
     if not -1.0 <= bend <= 1.0:
-        raise ValueError(
-            f"target must be {RADIUS:g} to {length + far:g} m from the shoulder of an"
-            f" arm with links of {length:g} m; it is {np.hypot(x, y):g} m away"
+        raise ArgumentError(
+            "target",
+            f"must be {RADIUS:g} to {length + far:g} m from the shoulder of an arm with"
+            f" links of {length:g} m; it is {np.hypot(x, y):g} m away",
         )
     q2 = float(np.arccos(bend))
     return (

@@ -24,7 +24,6 @@ from scipy import linalg
 from scipy.special import ndtr
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.scatter import draw_rows
@@ -36,6 +35,7 @@ from oee_tabular.continuous.task import (
     require_log_of,
     shortest,
 )
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 ROWS = 256  # at a time, in a kernel: their inputs stay in the nearest cache
 BLOCK = 4096  # rows at a time

@@ -27,7 +27,6 @@ import numpy as np
 from scipy.special import ndtr
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular.continuous.history import HistoryEffect, history_effects
 from oee_tabular.continuous.log import ContinuousTransitions
@@ -47,6 +46,7 @@ from oee_tabular.continuous.task import (
     require_log_of,
     shortest,
 )
+from oee_tabular.typing import Array, BoolArray, IntArray, Seed
 
 OUTLYING = 8.0  # robust deviations: such residuals no smooth g should be fitted to
 MAX_OUTLYING = 0.2  # share of rows that may be so

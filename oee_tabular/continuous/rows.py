@@ -16,7 +16,6 @@ stands the calibrated one, by the simulator without the defensive share.
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
@@ -25,7 +24,6 @@ import numpy as np
 from scipy.special import stdtrit
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cells import Grid
@@ -51,7 +49,9 @@ from oee_tabular.estimators import (
 from oee_tabular.estimators.base import IN_VALUES_UNIT
 from oee_tabular.estimators.findings import Finding, missing_support
 from oee_tabular.exact import policy_value
+from oee_tabular.exceptions import ArgumentError, DiscretizationWarning, NoCellsError
 from oee_tabular.ratio import transition_ratio, uncovered_share
+from oee_tabular.typing import Array, Seed
 
 # share of a policy's transitions beyond the log's range: more is said
 MAX_BEYOND = 0.02
@@ -241,7 +241,9 @@ def corrected_value(
         _checks.positive_integer(value, name) for name, value in numbers.items()
     )
     if n_refits < 2:
-        raise ValueError(f"refits must be at least 2, for a variance; got {refits}")
+        raise ArgumentError(
+            "refits", f"must be at least 2, for a variance; got {refits}"
+        )
     gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     rollouts = Rollouts(
         steps, gamma, episodes, _checks.seed_sequence(seed, ()), n_refits, each
@@ -282,12 +284,6 @@ def refuse_impossible(
         findings=(),
         diagnostics=facts,
     )
-
-
-class NoCellsError(ValueError):
-    """The cells cannot take the log; its text is the sentence that a report says in
-    place of their rows.
-    """
 
 
 class OnCells:
@@ -370,11 +366,11 @@ class OnCells:
                 int((row_sums(counts) - row_sums(kept)).argmax())
                 // model.task.n_actions
             )
-            warnings.warn(
+            _checks.warn(
                 f"{share:.2g} of the log's transitions have no probability in the"
                 f" simulator on {where}; the rows on the cells leave them out. Most of"
                 f" them begin at state {most}",
-                stacklevel=2,
+                DiscretizationWarning,
             )
         episodes = encoded if encoded.episode is not None else None
         self.problem = Problem(

@@ -19,9 +19,9 @@ from collections.abc import Hashable
 import numpy as np
 from scipy.spatial import cKDTree
 
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.continuous.log import ContinuousTransitions
 from oee_tabular.continuous.task import ContinuousTask, Moves, shortest
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 MIN_ROWS = 5  # that end at exactly the extreme of a coordinate: a stop
 MAX_SHARE = 0.5  # of rows at stops, beyond which they are values like others

@@ -16,7 +16,6 @@ import numpy as np
 
 from oee_tabular import _checks
 from oee_tabular._arguments import own_modules, own_object
-from oee_tabular._checks import Array
 from oee_tabular.continuous.discretization import VisitedCells, discretize
 from oee_tabular.continuous.discretized import Discretization, uniform_policy_of
 from oee_tabular.continuous.episodes import record
@@ -27,6 +26,8 @@ from oee_tabular.continuous.task import (
     StatePolicy,
     ask_policy,
 )
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array
 
 # of tasks that step one state at a time
 SLOW = {"episodes": 2000, "refit_paths": 200, "refits": 10}
@@ -191,8 +192,8 @@ class ContinuousSimulator:
             try:
                 weight = float(spec.removeprefix("mix:"))
             except ValueError:
-                raise ValueError(
-                    f"{name} must be like mix:0.5; got {_checks.show(spec)}"
+                raise ArgumentError(
+                    name, f"must be like mix:0.5; got {_checks.show(spec)}"
                 ) from None
             _checks.number_in(weight, f"the weight of {name} {spec!r}", 0.0, 1.0)
             uniform = (1.0 - weight) / self.task.n_actions
@@ -253,9 +254,10 @@ def as_simulator(
     ``options``; ``horizon`` of its episodes.
     """
     if horizon is None:
-        raise ValueError(
-            f"horizon must be given for {task.name}, which has no time limit of its"
-            " own; it is None"
+        raise ArgumentError(
+            "horizon",
+            f"must be given for {task.name}, which has no time limit of its own; it is"
+            " None",
         )
     ratio = {"prior": "simulator", "strength": 0.01}
     speed = {} if task.steps_at_once else SLOW

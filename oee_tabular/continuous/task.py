@@ -21,8 +21,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.continuous.log import ContinuousTransitions
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 StatePolicy: TypeAlias = Callable[[Array], Array]
 
@@ -288,9 +289,10 @@ def check_states(task: ContinuousTask, states: object, name: str = "states") -> 
     """
     array = _checks.float_array(states, name)
     if array.ndim != 2 or array.shape[1] != task.n_state:
-        raise ValueError(
-            f"{name} must have shape (n, {task.n_state}), the"
-            f" {', '.join(task.state_names)} of {task.name}; it has shape {array.shape}"
+        raise ArgumentError(
+            name,
+            f"must have shape (n, {task.n_state}), the {', '.join(task.state_names)} of"
+            f" {task.name}; it has shape {array.shape}",
         )
     _checks.require_finite(array, name)
     return array
@@ -309,9 +311,10 @@ def require_log_of(task: ContinuousTask, log: ContinuousTransitions) -> None:
                 "if these are observations, compute the state from them (an angle by"
                 " arctan2 of its sine and cosine)"
             )
-        raise ValueError(
-            f"log.state must have the {task.n_state} coordinates of {task.name}"
-            f" ({', '.join(task.state_names)}); it has {log.n_state}; {way_out}"
+        raise ArgumentError(
+            "log.state",
+            f"must have the {task.n_state} coordinates of {task.name}"
+            f" ({', '.join(task.state_names)}); it has {log.n_state}; {way_out}",
         )
 
 
@@ -415,9 +418,10 @@ def check_probabilities(policy: StatePolicy, states: Array, n_actions: int) -> A
     table = _checks.float_array(ask_policy(policy, states), "policy(states)")
     n = len(states)
     if table.shape != (n, n_actions):
-        raise ValueError(
-            f"policy(states) must have shape {(n, n_actions)} for {n} states; it has"
-            f" shape {table.shape}"
+        raise ArgumentError(
+            "policy(states)",
+            f"must have shape {(n, n_actions)} for {n} states; it has shape"
+            f" {table.shape}",
         )
     _checks.require_nonnegative(table, "policy(states)")
     _checks.require_sums_to_one(table.sum(axis=1), "policy(states)")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Array, BoolArray, Column, IntArray, Seed, freeze
+from oee_tabular._checks import freeze
 from oee_tabular.data import files
 from oee_tabular.data.frames import number_in_order
 from oee_tabular.data.rules import (
@@ -21,6 +21,8 @@ from oee_tabular.data.rules import (
     find_order_faults,
     find_repeat,
 )
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, BoolArray, Column, IntArray, Seed
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -77,10 +79,12 @@ class LogColumns:
             name: len(column) for name, column in columns.items() if column is not None
         }
         if len(set(lengths.values())) > 1:
-            raise ValueError(f"columns must have equal lengths; they have {lengths}")
+            raise ArgumentError(
+                "columns", f"must have equal lengths; they have {lengths}"
+            )
         n = lengths["state"]
         if n == 0:
-            raise ValueError("state must have at least one row; the log is empty")
+            raise ArgumentError("state", "must have at least one row; the log is empty")
         if columns["terminated"] is None:
             columns["terminated"] = np.zeros(n, dtype=np.bool_)
         if columns["episode"] is not None:
@@ -172,12 +176,14 @@ class LogColumns:
             if chosen.ndim != 1:
                 raise IndexError(f"they have shape {asked.shape}")
         except (IndexError, ValueError, TypeError, OverflowError) as error:
-            raise ValueError(
-                f"rows must be a mask or row numbers of the log's {len(self)} rows;"
-                f" {error}"
+            raise ArgumentError(
+                "rows",
+                f"must be a mask or row numbers of the log's {len(self)} rows; {error}",
             ) from None
         if chosen.size == 0:
-            raise ValueError("rows must choose at least one row; they choose none")
+            raise ArgumentError(
+                "rows", "must choose at least one row; they choose none"
+            )
         return type(self)(
             **{
                 name: column[chosen]
@@ -214,8 +220,8 @@ class LogColumns:
         """
         parts = _checks.collection(logs, "logs", f"one or more {cls.__name__}")
         if not parts or not all(isinstance(log, cls) for log in parts):
-            raise ValueError(
-                f"logs must be one or more {cls.__name__}; got {_checks.show(logs)}"
+            raise ArgumentError(
+                "logs", f"must be one or more {cls.__name__}; got {_checks.show(logs)}"
             )
         columns = [log.columns() for log in parts]
         if cls.ALLOWS_MISSING_REWARDS and any("reward" in part for part in columns):
@@ -249,8 +255,8 @@ class LogColumns:
     def _check_size(self, n: object) -> int:
         size = _checks.positive_integer(n, "n")
         if size > len(self):
-            raise ValueError(
-                f"n must be at most the {len(self)} rows of the log; it is {size}"
+            raise ArgumentError(
+                "n", f"must be at most the {len(self)} rows of the log; it is {size}"
             )
         return size
 

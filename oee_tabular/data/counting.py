@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oee_tabular._checks import BoolArray, Column, IntArray
 from oee_tabular.data.counts import N_REASONS, Recording
 from oee_tabular.data.rules import (
     COLUMNS,
@@ -31,6 +30,7 @@ from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.tables import LogFile, Piece, Table, open_table, sum_groups
 from oee_tabular.data.transitions import Transitions
 from oee_tabular.mdp.naming import Name
+from oee_tabular.typing import BoolArray, Column, IntArray
 
 LARGEST = 2**53  # from which on a float does not tell n from n + 1
 N_SPARE = 2  # times the sample is kept before it is cut

@@ -15,11 +15,13 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
-from oee_tabular._checks import Array, BoolArray, Column, IntArray, freeze
+from oee_tabular._checks import freeze
 from oee_tabular._sparse import canonical, check_csr, row_of_entry
 from oee_tabular.data.rules import KEY, check_array
 from oee_tabular.data.sums import COUNTED, RowSums, counts_of
 from oee_tabular.data.transitions import Transitions, describe_facts
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, BoolArray, Column, IntArray
 
 KIND = "transition_counts"
 REWARDS = COUNTED[1:]
@@ -134,9 +136,11 @@ class TransitionCounts:
             columns["terminated"] = np.zeros(len(columns["state"]), dtype=np.bool_)
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
-            raise ValueError(f"columns must have equal lengths; they have {lengths}")
+            raise ArgumentError(
+                "columns", f"must have equal lengths; they have {lengths}"
+            )
         if lengths["state"] == 0:
-            raise ValueError("state must have at least one row; the log is empty")
+            raise ArgumentError("state", "must have at least one row; the log is empty")
         if len({name in columns for name in REWARDS[:3]}) > 1:
             raise ValueError(
                 "reward_sum, reward_min and reward_max must be given together"
@@ -170,8 +174,8 @@ class TransitionCounts:
         actions = _checks.positive_integer(n_actions, "n_actions")
         csr = canonical(check_csr(matrix, "matrix"), drop_zeros=True)
         if csr.nnz == 0:
-            raise ValueError(
-                "matrix must have at least one transition; all counts are 0"
+            raise ArgumentError(
+                "matrix", "must have at least one transition; all counts are 0"
             )
         state, action = np.divmod(row_of_entry(csr), actions)
         return cls(state, action, csr.indices.astype(np.int64), csr.data)
@@ -203,9 +207,9 @@ class TransitionCounts:
         of ``Transitions.counts``.
         """
         if discount is not None:
-            raise ValueError(
-                "discount must be left out where counts are given: they have no"
-                " timesteps"
+            raise ArgumentError(
+                "discount",
+                "must be left out where counts are given: they have no timesteps",
             )
         return counts_of(self, self.count, n_states, n_actions)
 
@@ -282,7 +286,9 @@ def holds_counts(path: str | os.PathLike[str]) -> bool:
 def _require(values: Array, name: str, is_good: BoolArray, rule: str) -> None:
     bad = np.flatnonzero(~is_good)
     if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] must be {rule}; it is {values[bad[0]]:g}")
+        raise ArgumentError(
+            f"{name}[{bad[0]}]", f"must be {rule}; it is {values[bad[0]]:g}"
+        )
 
 
 def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
@@ -291,9 +297,9 @@ def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
     numbers = parts.pop("recording").tolist()
     reasons = tuple(parts.pop("reasons").tolist())
     if len(numbers) != len(Recording._fields) - 1:
-        raise ValueError(
-            f"recording must have {len(Recording._fields) - 1} numbers; it has"
-            f" {len(numbers)}"
+        raise ArgumentError(
+            "recording",
+            f"must have {len(Recording._fields) - 1} numbers; it has {len(numbers)}",
         )
     recording = Recording._make([bool(numbers[0]), *numbers[1:], reasons])
     sample = {
@@ -307,9 +313,10 @@ def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
         if name in parts or name not in REWARDS
     }
     if parts:
-        raise ValueError(
-            "it must hold the parts of counts alone; it has"
-            f" {_checks.show(next(iter(parts)))}"
+        raise ArgumentError(
+            "it",
+            "must hold the parts of counts alone; it has"
+            f" {_checks.show(next(iter(parts)))}",
         )
     return TransitionCounts(
         **columns, recording=recording, sample=Transitions(**sample) if sample else None

@@ -13,7 +13,6 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Column
 from oee_tabular.data.frames import is_minari, minari_columns, save_minari
 from oee_tabular.data.rules import (
     COLUMNS,
@@ -30,7 +29,9 @@ from oee_tabular.data.tables import (
     open_table,
     write_parquet,
 )
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.naming import from_text, to_text
+from oee_tabular.typing import Column
 
 # a file, a folder, a pattern, or several
 Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
@@ -80,10 +81,11 @@ class Format:
             or observations.dtype.kind not in "iu"
             or actions.dtype.kind not in "iu"
         ):
-            raise ValueError(
-                f"{name!r} must have discrete observations and actions; they have"
-                f" shapes {observations.shape} of {observations.dtype} and"
-                f" {actions.shape} of {actions.dtype}"
+            raise ArgumentError(
+                f"{name!r}",
+                "must have discrete observations and actions; they have shapes"
+                f" {observations.shape} of {observations.dtype} and {actions.shape} of"
+                f" {actions.dtype}",
             )
 
 
@@ -109,7 +111,7 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
         with _files.whole_file(name) as handle:
             write_parquet(handle.name, form.to_table(log.columns()))
     else:
-        raise ValueError(f"path must end in {form.endings}; it is {name!r}")
+        raise ArgumentError("path", f"must end in {form.endings}; it is {name!r}")
 
 
 def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
@@ -122,9 +124,10 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
         columns.pop(_files.KIND)
         unknown = [label for label in columns if label not in COLUMNS]
         if unknown:
-            raise ValueError(
-                f"{name!r} must hold the columns of a log alone; it has"
-                f" {_checks.show(unknown[0])}"
+            raise ArgumentError(
+                f"{name!r}",
+                "must hold the columns of a log alone; it has"
+                f" {_checks.show(unknown[0])}",
             )
         form.require(columns, name)
         with _files.parts_of(name, "a log"):
@@ -149,7 +152,7 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
     elif is_minari(name):
         columns = minari_columns(name, form.check_episode)
     else:
-        raise ValueError(f"path must end in {form.endings}; it is {name!r}")
+        raise ArgumentError("path", f"must end in {form.endings}; it is {name!r}")
     return {column: columns[column] for column in COLUMNS if column in columns}
 
 
@@ -191,14 +194,16 @@ def find_log_files(path: Paths) -> list[LogFile]:
     )
     some = [file for one in given for file in _files_at(_files.local(one))]
     if not some:
-        raise ValueError("path must name files; it is an empty list")
+        raise ArgumentError("path", "must name files; it is an empty list")
     again = sorted(
         name
         for name, number in Counter(file.path for file in some).items()
         if number > 1
     )
     if again:
-        raise ValueError(f"path must name each file once; {again[0]!r} is named twice")
+        raise ArgumentError(
+            "path", f"must name each file once; {again[0]!r} is named twice"
+        )
     return some
 
 
@@ -208,9 +213,10 @@ def _files_at(name: str) -> list[LogFile]:
     if place.is_dir():
         files = [file for file in sorted(place.rglob("*")) if file.is_file()]
         if not files:
-            raise ValueError(
-                f"path must hold files in {', '.join(ENDINGS)}; the folder {name!r} has"
-                " none"
+            raise ArgumentError(
+                "path",
+                f"must hold files in {', '.join(ENDINGS)}; the folder {name!r} has"
+                " none",
             )
         ways = [
             file.relative_to(place)

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Column, IntArray
 from oee_tabular.data.rules import (
     COLUMNS,
     MOVE,
@@ -28,7 +27,9 @@ from oee_tabular.data.rules import (
     suggest,
     suggest_columns,
 )
+from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp.naming import Name, check_names, is_name, is_number_text, to_plain
+from oee_tabular.typing import Column, IntArray
 
 STEP = (
     "(state, action, reward), and after these next_state, terminated and truncated"
@@ -60,9 +61,10 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
     """
     for field in column_names:
         if field not in COLUMNS:
-            raise ValueError(
-                f"column_names must be of {', '.join(COLUMNS)}; got"
-                f" {field!r:.80}{suggest(field, COLUMNS)}"
+            raise ArgumentError(
+                "column_names",
+                f"must be of {', '.join(COLUMNS)}; got"
+                f" {field!r:.80}{suggest(field, COLUMNS)}",
             )
     table = eager(frame)
     labels = [str(label) for label in table.columns]
@@ -79,10 +81,11 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
     missing = [field for field in MOVE if field not in taken]
     if missing:
         hint = "" if len(labels) == 1 else suggest_columns(missing, labels)
-        raise ValueError(
-            f"frame must have the columns {', '.join(MOVE)}; it has"
+        raise ArgumentError(
+            "frame",
+            f"must have the columns {', '.join(MOVE)}; it has"
             f" {', '.join(labels) or 'none':.300}{hint} (say which it is:"
-            f" Transitions.from_frame(frame, {missing[0]}='its name', ...))"
+            f" Transitions.from_frame(frame, {missing[0]}='its name', ...))",
         )
     used = {label for group in taken.values() for label in group}
     absent = [field for field in COLUMNS if field not in taken]
@@ -95,7 +98,8 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
     if near:
         _checks.warn(
             "columns of the frame that a log does not use are left out:"
-            f" {', '.join(near)}"
+            f" {', '.join(near)}",
+            DataWarning,
         )
     return check_table(
         {field: _join_columns(table, group) for field, group in taken.items()}, "frame"
@@ -127,15 +131,18 @@ def eager(frame: Any) -> Any:
             if isinstance(frame, str | os.PathLike)
             else ""
         )
-        raise ValueError(
-            "frame must be a data frame (pandas, polars, arrow); got"
-            f" {type(frame).__name__}{hint}"
+        raise ArgumentError(
+            "frame",
+            "must be a data frame (pandas, polars, arrow); got"
+            f" {type(frame).__name__}{hint}",
         )
     try:
         table = nw.from_native(frame)
         return table.collect() if isinstance(table, nw.LazyFrame) else table
     except (nw.exceptions.NarwhalsError, ValueError) as error:
-        raise ValueError(f"frame must have columns that differ; {error}") from None
+        raise ArgumentError(
+            "frame", f"must have columns that differ; {error}"
+        ) from None
 
 
 def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
@@ -147,14 +154,14 @@ def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
     )
     for label in group:
         if not isinstance(label, str) or label not in labels:
-            raise ValueError(
-                f"{field} must be the name of a column of the frame,"
-                f" {', '.join(labels):.300}; it is"
-                f" {_checks.show(label)}{suggest(label, labels, quotes=True)}"
+            raise ArgumentError(
+                field,
+                f"must be the name of a column of the frame, {', '.join(labels):.300};"
+                f" it is {_checks.show(label)}{suggest(label, labels, quotes=True)}",
             )
     if not group or (len(group) > 1 and field not in MOVE):
-        raise ValueError(
-            f"{field} must be the name of one column; it is {_checks.show(given)}"
+        raise ArgumentError(
+            field, f"must be the name of one column; it is {_checks.show(given)}"
         )
     return group
 
@@ -176,16 +183,18 @@ def episode_columns(episodes: object) -> dict[str, Any]:
         rows += [(*move, k) for move in known]
         n_cut += len(moves) - len(known)
     if not rows:
-        raise ValueError(
-            "episodes must have at least one transition whose next state is known; they"
-            " have none (end an episode with its last state: [..., (state, action,"
-            " reward), (state,)])"
+        raise ArgumentError(
+            "episodes",
+            "must have at least one transition whose next state is known; they have"
+            " none (end an episode with its last state: [..., (state, action, reward),"
+            " (state,)])",
         )
     if n_cut:
         _checks.warn(
             f"the last transitions of {n_cut} episodes are left out, since their next"
             " states are unknown; end an episode with its last state, (state,) or"
-            " (state, terminated), to keep them"
+            " (state, terminated), to keep them",
+            DataWarning,
         )
     labels = ("state", "action", "reward", "next_state", "terminated", "episode")
     return dict(
@@ -197,9 +206,10 @@ def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
     """The items of a list or tuple; a mapping has no order that tells a step's parts."""
     if isinstance(value, Mapping):
         keys = ", ".join(map(str, value))
-        raise ValueError(
-            f"{name} must be {rule}; it is a mapping of {keys:.200} (give its values,"
-            " in the order above)"
+        raise ArgumentError(
+            name,
+            f"must be {rule}; it is a mapping of {keys:.200} (give its values, in the"
+            " order above)",
         )
     return _checks.collection(value, name, rule)
 
@@ -225,9 +235,10 @@ def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
             steps[0][0], tuple
         )
         place = f"episodes[{episode}][{len(steps)}]"
-        raise ValueError(
-            f"{place} must be (state,) or (state, terminated), the end; it is"
-            f" {end!r:.80}{hint}"
+        raise ArgumentError(
+            place,
+            "must be (state,) or (state, terminated), the end; it is"
+            f" {end!r:.80}{hint}",
         )
     moves = []
     for step, following in zip(steps, [*steps[1:], end], strict=False):
@@ -276,9 +287,9 @@ def encode_names(
             None if given is None else check_names(given, name, size)
         )
     if given is not None:
-        raise ValueError(
-            f"{next(iter(found))} must hold numbers where {name} are given; it holds"
-            " names"
+        raise ArgumentError(
+            next(iter(found)),
+            f"must hold numbers where {name} are given; it holds names",
         )
     first: dict[Name, int] = {}
     codes = [number_in_order(items, first)[0] for items in found.values()]
@@ -302,7 +313,7 @@ def _names_in(value: object, name: str) -> list[Any] | None:
     try:
         distinct = dict.fromkeys(names)
     except TypeError as error:
-        raise ValueError(f"{name} must be a column of names; {error}") from None
+        raise ArgumentError(name, f"must be a column of names; {error}") from None
     odd = [
         item
         for item in distinct
@@ -312,9 +323,9 @@ def _names_in(value: object, name: str) -> list[Any] | None:
         return None
     if odd:
         k = names.index(odd[0])
-        raise ValueError(
-            f"{name}[{k}] must be a name, as others of the column are; it is"
-            f" {odd[0]!r:.80}"
+        raise ArgumentError(
+            f"{name}[{k}]",
+            f"must be a name, as others of the column are; it is {odd[0]!r:.80}",
         )
     return names
 
@@ -360,9 +371,10 @@ def find_folder(identifier: str) -> Path:
     try:
         parse_dataset_id(identifier)
     except (TypeError, ValueError):  # TypeError: no version
-        raise ValueError(
-            "path must be a Minari id, minari:namespace/name-v0, of letters, digits, -"
-            f" and _; it is {identifier!r}"
+        raise ArgumentError(
+            "path",
+            "must be a Minari id, minari:namespace/name-v0, of letters, digits, - and"
+            f" _; it is {identifier!r}",
         ) from None
     return Path(get_dataset_path(identifier))
 
@@ -374,20 +386,23 @@ def save_minari(log: Any, name: str) -> None:
 
     require_minari()
     if log.state_names or log.action_names:
-        raise ValueError(
-            "log must be in numbers to be a Minari data set; this one has names:"
-            " log.numbered(simulator)"
+        raise ArgumentError(
+            "log",
+            "must be in numbers to be a Minari data set; this one has names:"
+            " log.numbered(simulator)",
         )
     if log.episode is None or log.reward is None:
         lacking = "episodes" if log.episode is None else "rewards"
-        raise ValueError(
-            f"log must have {lacking} to be a Minari data set; this one has none"
+        raise ArgumentError(
+            "log", f"must have {lacking} to be a Minari data set; this one has none"
         )
     is_id = name.startswith("minari:")
     identifier = name.removeprefix("minari:") if is_id else "oee/log-v0"
     target = find_folder(identifier) if is_id else Path(name)
     if target.exists():
-        raise ValueError(f"path must be a new folder; {str(target)!r} exists already")
+        raise ArgumentError(
+            "path", f"must be a new folder; {str(target)!r} exists already"
+        )
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         absolute = target.parent.absolute()  # Minari joins a relative one twice
@@ -463,9 +478,9 @@ def minari_episodes(name: str) -> list[Any]:
     except MemoryError:
         raise
     except Exception as error:  # whatever Minari makes of files that are not its own
-        raise ValueError(
-            f"{name!r} must be a Minari data set;"
-            f" {str(error) or type(error).__name__:.300}"
+        raise ArgumentError(
+            f"{name!r}",
+            f"must be a Minari data set; {str(error) or type(error).__name__:.300}",
         ) from None
 
 
@@ -496,8 +511,8 @@ def minari_columns(
             ).reshape(-1)[: len(actions)]
         parts.append(columns)
     if len({len(part) for part in parts}) > 1:
-        raise ValueError(
-            f"{name!r} must record behavior_probability in every episode or in none"
+        raise ArgumentError(
+            f"{name!r}", "must record behavior_probability in every episode or in none"
         )
     return {
         label: np.concatenate([part[label] for part in parts])

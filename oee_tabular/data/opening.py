@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _parallel
-from oee_tabular._checks import Column
 from oee_tabular.data.counting import LARGEST, Limits, Sample, count_file
 from oee_tabular.data.counts import Recording, TransitionCounts, holds_counts
 from oee_tabular.data.files import Paths, find_log_files, plain_name
@@ -21,7 +20,9 @@ from oee_tabular.data.frames import is_frame
 from oee_tabular.data.rules import COLUMNS, KEY, warn_left_out
 from oee_tabular.data.sums import add_sums, join_sums
 from oee_tabular.data.transitions import Transitions
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.typing import Column
 
 
 def open_log(
@@ -112,9 +113,9 @@ def open_log(
         sample = sample.join(counts.sample, limits.kept)
     if not sums:
         first = f", the first of which is {files[0].path!r}"
-        raise ValueError(
-            f"path must have at least one good row; of {len(files)} files none"
-            f" has{first}"
+        raise ArgumentError(
+            "path",
+            f"must have at least one good row; of {len(files)} files none has{first}",
         )
     result = _to_counts(join_sums(sums), recording, sample)
     if output is not None:
@@ -216,5 +217,7 @@ def read_log(
         hint = hint or " (columns state, action, next_state: Transitions(*log.T))" * (
             getattr(log, "ndim", 0) == 2
         )
-        raise ValueError(f"{name} must be Transitions; got {type(log).__name__}{hint}")
+        raise ArgumentError(
+            name, f"must be Transitions; got {type(log).__name__}{hint}"
+        )
     return log.numbered(simulator, name)

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, Column, IntArray
+from oee_tabular.exceptions import ArgumentError, DataWarning
 from oee_tabular.mdp.naming import Name, is_number_text, numbers_of, suggest_name
+from oee_tabular.typing import Array, BoolArray, Column, IntArray
 
 MOVE = ("state", "action", "next_state")
 KEY = (*MOVE, "terminated")  # of sums
@@ -157,14 +158,14 @@ def check_array(value: object, label: str) -> Column:
     else:
         array = _checks.as_array(value, label, f"a column of {kind}")
     if array.ndim != 1:
-        raise ValueError(f"{label} must have 1 dimension; it has shape {array.shape}")
+        raise ArgumentError(label, f"must have 1 dimension; it has shape {array.shape}")
     if kind == "integers" and array.size and array.dtype.kind not in "iuf":
         texts = (
             " (numbers written as text? .astype(int))"
             if array.dtype.kind in "UO"
             else ""
         )
-        raise ValueError(f"{label} must hold integers; it holds {array.dtype}{texts}")
+        raise ArgumentError(label, f"must hold integers; it holds {array.dtype}{texts}")
     values, fault = check_column(array, label)
     if fault is not None:
         raise ValueError(fault.describe())
@@ -384,8 +385,8 @@ def require_columns(
     hint = suggest_columns(
         required, given
     ) or f" (rename the columns that hold them{way})" * (len(given) >= len(required))
-    raise ValueError(
-        f"{name} must have the columns {', '.join(required)}; it has {shown}{hint}"
+    raise ArgumentError(
+        name, f"must have the columns {', '.join(required)}; it has {shown}{hint}"
     )
 
 
@@ -429,7 +430,8 @@ def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str]) -> No
     if len(unknown) > N_SHOWN:
         named.append(f"and {len(unknown) - N_SHOWN} more")
     _checks.warn(
-        f"columns of {name!r} that a log does not use are left out: {', '.join(named)}"
+        f"columns of {name!r} that a log does not use are left out: {', '.join(named)}",
+        DataWarning,
     )
 
 

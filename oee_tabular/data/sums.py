@@ -19,9 +19,10 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Column, IntArray
 from oee_tabular._sparse import canonical
 from oee_tabular.data.rules import KEY, MOVE
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, Column, IntArray
 
 COUNTED = ("count", "reward_sum", "reward_min", "reward_max", "reward_count")
 N_APART = 2**20  # entries that are not joined yet
@@ -134,9 +135,10 @@ def counts_of(
         limit = n_actions if name == "action" else n_states
         bad = np.flatnonzero(column >= limit)
         if bad.size:
-            raise ValueError(
-                f"log.{name}[{bad[0]}] must be in 0..{limit - 1}; it is"
-                f" {column[bad[0]]} ({bad.size} such rows in all; {given} is {limit})"
+            raise ArgumentError(
+                f"log.{name}[{bad[0]}]",
+                f"must be in 0..{limit - 1}; it is {column[bad[0]]} ({bad.size} such"
+                f" rows in all; {given} is {limit})",
             )
     rows = log.state * n_actions + log.action
     matrix = sparse.csr_array(

@@ -28,9 +28,10 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Column, IntArray
 from oee_tabular.data.rules import KEY, MOVE
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.naming import is_number_text
+from oee_tabular.typing import Column, IntArray
 
 # rows of a piece
 N_PARQUET = 2**18
@@ -92,9 +93,10 @@ def open_table(file: LogFile, form: Any) -> Table:
         check_digest(file.path)
     labels = read_labels(file.path)
     if not is_parquet and len(labels) > MOST_COLUMNS:
-        raise ValueError(
-            f"{file.path!r} must have at most {MOST_COLUMNS} columns; it has"
-            f" {len(labels)} (keep those that a log has)"
+        raise ArgumentError(
+            f"{file.path!r}",
+            f"must have at most {MOST_COLUMNS} columns; it has {len(labels)} (keep"
+            " those that a log has)",
         )
     first_of: dict[str, str] = {}
     for label in labels:  # also for who does not tell capitals, as DuckDB does not
@@ -105,8 +107,8 @@ def open_table(file: LogFile, form: Any) -> Table:
                 if first_of[lower] == label
                 else f"{first_of[lower]!r} and {label!r}"
             )
-            raise ValueError(
-                f"{file.path!r} must have columns that differ; it has {twice}"
+            raise ArgumentError(
+                f"{file.path!r}", f"must have columns that differ; it has {twice}"
             )
         first_of.setdefault(lower, label)
     fixed = {
@@ -173,8 +175,9 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
         raise MemoryError(f"{path!r} has more rows than memory holds") from None
     except duckdb.Error as error:
         text = _checks.escape_controls(str(error).splitlines()[0])
-        raise ValueError(
-            f"{path!r} must be a parquet table; it is not, or is damaged ({text:.200})"
+        raise ArgumentError(
+            f"{path!r}",
+            f"must be a parquet table; it is not, or is damaged ({text:.200})",
         ) from None
 
 
@@ -295,10 +298,11 @@ def check_digest(path: str) -> None:
     """
     stored, digest, _ = _read_digest(path)
     if stored != digest:
-        raise ValueError(
-            f"{path!r} must be as it was saved: its digest is not that of its bytes. It"
-            " is damaged, or another program wrote it anew (then make a log of its"
-            " frame and save that: Transitions.from_frame(frame).save(path))"
+        raise ArgumentError(
+            f"{path!r}",
+            "must be as it was saved: its digest is not that of its bytes. It is"
+            " damaged, or another program wrote it anew (then make a log of its frame"
+            " and save that: Transitions.from_frame(frame).save(path))",
         )
 
 
@@ -344,8 +348,8 @@ def _csv_errors(path: str) -> Iterator[None]:
     try:
         yield
     except UnicodeDecodeError:
-        raise ValueError(
-            f"{path!r} must be a CSV table with a header, in UTF-8; it is not"
+        raise ArgumentError(
+            f"{path!r}", "must be a CSV table with a header, in UTF-8; it is not"
         ) from None
     except (
         csv.Error,
@@ -356,8 +360,8 @@ def _csv_errors(path: str) -> Iterator[None]:
         OverflowError,
         Warning,
     ) as error:
-        raise ValueError(
-            f"{path!r} must be a CSV table with a header; {error}"
+        raise ArgumentError(
+            f"{path!r}", f"must be a CSV table with a header; {error}"
         ) from None
 
 

@@ -16,14 +16,15 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Column, IntArray
 from oee_tabular.data import files
 from oee_tabular.data.columns import LogColumns
 from oee_tabular.data.frames import encode_names, episode_columns, frame_columns
 from oee_tabular.data.rules import MOVE, as_objects, check_array
 from oee_tabular.data.sums import RowSums, counts_of
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.naming import Name, name_text, renumber
+from oee_tabular.typing import Column, IntArray
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -97,9 +98,10 @@ class Transitions(LogColumns):
     ) -> None:
         if action is None or next_state is None:
             lacking = "action" if action is None else "next_state"
-            raise ValueError(
-                f"{lacking} must be given, (n,) as state (of a data frame:"
-                " Transitions.from_frame(frame))"
+            raise ArgumentError(
+                lacking,
+                "must be given, (n,) as state (of a data frame:"
+                " Transitions.from_frame(frame))",
             )
         (states, following), called = encode_names(
             {"state": state, "next_state": next_state}, state_names, "state_names"
@@ -124,9 +126,9 @@ class Transitions(LogColumns):
             bad = np.flatnonzero(getattr(self, column) >= len(names))
             if bad.size:
                 value = getattr(self, column)[bad[0]]
-                raise ValueError(
-                    f"{column}[{bad[0]}] must have a name, of which there are"
-                    f" {len(names)}; it is {value}"
+                raise ArgumentError(
+                    f"{column}[{bad[0]}]",
+                    f"must have a name, of which there are {len(names)}; it is {value}",
                 )
 
     def _names(self) -> dict[str, tuple[Name, ...]]:
@@ -279,16 +281,18 @@ class Transitions(LogColumns):
         outside the given numbers.
         """
         if self._names():
-            raise ValueError(
-                "log must be in a simulator's numbers to be counted; its states or"
-                " actions have names: log.numbered(simulator)"
+            raise ArgumentError(
+                "log",
+                "must be in a simulator's numbers to be counted; its states or actions"
+                " have names: log.numbered(simulator)",
             )
         weights = np.ones(len(self))
         if discount is not None:
             if self.timestep is None:
-                raise ValueError(
-                    "log must have timesteps (or episodes) to be counted with a"
-                    " discount; it has none"
+                raise ArgumentError(
+                    "log",
+                    "must have timesteps (or episodes) to be counted with a discount;"
+                    " it has none",
                 )
             weights = _checks.number_in(
                 discount, "discount", 0.0, 1.0

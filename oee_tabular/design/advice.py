@@ -9,7 +9,6 @@ from statistics import NormalDist
 
 import numpy as np
 
-from oee_tabular._checks import Array, BoolArray
 from oee_tabular._sparse import row_sums
 from oee_tabular.design.costs import row_costs
 from oee_tabular.estimators import Problem
@@ -17,6 +16,7 @@ from oee_tabular.exact import reweight
 from oee_tabular.mdp.naming import Names
 from oee_tabular.ratio import Conditional
 from oee_tabular.ratio.dual import Box
+from oee_tabular.typing import Array, BoolArray
 
 NOTHING = "More transitions would not narrow it."
 

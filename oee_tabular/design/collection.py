@@ -10,7 +10,6 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_sums
 from oee_tabular.design.advice import next_pairs
@@ -26,12 +25,14 @@ from oee_tabular.design.programs import (
 )
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy, uniform_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.mdp.policies import split_policies
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.support import refuse_unsupported
+from oee_tabular.typing import Array
 
 
 @one_thread
@@ -135,14 +136,14 @@ def plan_data_collection(
         lower_ratio, upper_ratio, normalized=True, names=("lower_ratio", "upper_ratio")
     )
     if sampling == "free" and restart is not None:
-        raise ValueError(
-            "restart must be left out with sampling 'free'; it is"
-            f" {_checks.show(restart)}"
+        raise ArgumentError(
+            "restart",
+            f"must be left out with sampling 'free'; it is {_checks.show(restart)}",
         )
     named = _check_policies(policies, mdp)
     pis = list(named.values())
     if steps is None and mdp.discount == 1.0:
-        raise ValueError("horizon must be given at discount 1")
+        raise ArgumentError("horizon", "must be given at discount 1")
     truth, source = _check_model(problem, mdp, model)
     table, certain = row_costs(
         mdp,
@@ -248,9 +249,10 @@ def _counts_and_simulator(
         )
     _checks.instance(problem, Problem, "problem", "Problem or a FiniteMDP")
     if horizon is not None:
-        raise ValueError(
-            "horizon must be left out with a Problem, which has its own"
-            f" ({problem.horizon}); it is {_checks.show(horizon)}"
+        raise ArgumentError(
+            "horizon",
+            f"must be left out with a Problem, which has its own ({problem.horizon});"
+            f" it is {_checks.show(horizon)}",
         )
     return row_sums(problem.counts), problem.model, problem.horizon
 
@@ -260,7 +262,7 @@ def _check_policies(policies: Any, mdp: FiniteMDP) -> dict[str, Array]:
     if several is None:
         return {"policy": check_policy(policies, mdp, name="policies")}
     if not several:
-        raise ValueError("policies must have at least one policy; it has none")
+        raise ArgumentError("policies", "must have at least one policy; it has none")
     return {
         name: check_policy(pi, mdp, name=f"policies[{name!r}]")
         for name, pi in several.items()
@@ -272,16 +274,18 @@ def _check_model(
 ) -> tuple[FiniteMDP, str]:
     if isinstance(model, FiniteMDP):
         if (model.n_states, model.n_actions) != (mdp.n_states, mdp.n_actions):
-            raise ValueError(
-                f"model must be for {mdp.n_states} states and {mdp.n_actions} actions; "
-                f"it is for {model.n_states} and {model.n_actions}"
+            raise ArgumentError(
+                "model",
+                f"must be for {mdp.n_states} states and {mdp.n_actions} actions; it is"
+                f" for {model.n_states} and {model.n_actions}",
             )
         refuse_unsupported(model.transitions, mdp, what="model")
         return mdp.with_transitions(model.transitions), "a given model"
     if not isinstance(model, str):
-        raise ValueError(
-            "model must be 'estimate', 'simulator' or a FiniteMDP; got"
-            f" {type(model).__name__}"
+        raise ArgumentError(
+            "model",
+            "must be 'estimate', 'simulator' or a FiniteMDP; got"
+            f" {type(model).__name__}",
         )
     _checks.one_of(model, "model", ("estimate", "simulator"))
     if model == "simulator" or isinstance(problem, FiniteMDP):

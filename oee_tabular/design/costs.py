@@ -11,7 +11,6 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-from oee_tabular._checks import Array, BoolArray
 from oee_tabular._sparse import (
     align,
     canonical,
@@ -22,6 +21,7 @@ from oee_tabular._sparse import (
 from oee_tabular.exact import Model, ReweightedModel, transition_gradient
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.dual import Box
+from oee_tabular.typing import Array, BoolArray
 
 ACTION_NOISE = 0.1  # of R: half of it another action, half of it no transition
 CERTAIN = 1.0 - 1e-12  # a row whose largest probability is above this has no spread

@@ -10,11 +10,11 @@ import numpy as np
 from scipy import special
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.design.advice import advice_sentence, describe_pair
 from oee_tabular.design.programs import sum_variances
 from oee_tabular.mdp.naming import NAMELESS, Names, name_text
 from oee_tabular.plots import plot_states
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,11 +16,12 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import aslinearoperator, cg
 
-from oee_tabular._checks import Array, BoolArray
 from oee_tabular._sparse import canonical
 from oee_tabular.exact import occupancy
+from oee_tabular.exceptions import ArgumentError, SolverStatusError
 from oee_tabular.mdp import FiniteMDP, uniform_policy
-from oee_tabular.ratio.statements import SolverStatusError, run
+from oee_tabular.ratio.statements import run
+from oee_tabular.typing import Array, BoolArray
 
 Solver = Literal["auto", "frank_wolfe", "CLARABEL"]
 # q (S*A,), its largest F_k, and a lower bound of that of every q
@@ -147,11 +148,12 @@ class Program:
         q = np.mean(visits, axis=0).reshape(-1)
         worst = float(sum_variances(self.costs, self.base, q).max())
         if not worst < UNREACHED:
-            raise ValueError(
-                "restart must let episodes reach the (s, a) that matter; at"
+            raise ArgumentError(
+                "restart",
+                "must let episodes reach the (s, a) that matter; at"
                 f" {1.0 - self.collection.discount:g} what their own policies and the"
                 f" uniform one record leaves {worst:.2g} times the variance of free"
-                " sampling"
+                " sampling",
             )
         return np.asarray(q)
 

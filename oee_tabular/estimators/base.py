@@ -13,19 +13,20 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import row_variances
 from oee_tabular.estimators.findings import WEIGHTLESS, Finding, from_diagnostics
 from oee_tabular.estimators.problem import Problem, require_policy
 from oee_tabular.exact import ReweightedModel, reweight
-from oee_tabular.exact.system import DivergentKernelError, exponent
+from oee_tabular.exact.system import exponent
+from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import Method, TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 from oee_tabular.ratio.transition import method_named
+from oee_tabular.typing import Array, IntArray, PolicyLike, Seed
 
 UNEXPLAINED = "the value is not finite: beyond the largest float, or not a number"
 
@@ -386,9 +387,10 @@ class RatioEstimator(TabularEstimator):
         elif not isinstance(self.ratio, TransitionRatio | Method) and not callable(
             self.ratio
         ):
-            raise ValueError(
-                "ratio must be a method's name, a TransitionRatio or a function; got"
-                f" {_checks.show(self.ratio)}"
+            raise ArgumentError(
+                "ratio",
+                "must be a method's name, a TransitionRatio or a function; got"
+                f" {_checks.show(self.ratio)}",
             )
 
     def fit(

@@ -23,6 +23,7 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators.base import Estimate
+from oee_tabular.exceptions import ArgumentError
 
 KINDS = ("ratio", "difference")
 
@@ -72,9 +73,10 @@ def calibrate(
     truth = _checks.number_in(continuous, "continuous", -np.inf, np.inf)
     error = _checks.number_in(continuous_error, "continuous_error", 0.0, np.inf)
     if kind == "ratio" and below * truth <= 0.0:
-        raise ValueError(
-            "kind must be 'difference' unless discretised and continuous have one"
-            f" sign; they are {below:g} and {truth:g}"
+        raise ArgumentError(
+            "kind",
+            "must be 'difference' unless discretised and continuous have one sign;"
+            f" they are {below:g} and {truth:g}",
         )
     if kind == "ratio":
         value = estimate.value * truth / below

@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular.estimators.base import (
     OF_COUNTS,
@@ -39,11 +38,13 @@ from oee_tabular.exact.efficiency import require_action_support
 from oee_tabular.exact.finite import values_to_go
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.exact.walks import walk_of
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.simulate.sampler import Drawn, draw
+from oee_tabular.typing import Array, IntArray
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,9 @@ class DoublyRobust(RatioEstimator):
         _checks.one_of(self.weights, "weights", ("occupancy", "beta"))
         _checks.boolean(self.self_normalized, "self_normalized")
         if self.self_normalized and self.data != "episodes":
-            raise ValueError(
-                f"self_normalized must be False with data {self.data!r}: it is for"
-                " episodes"
+            raise ArgumentError(
+                "self_normalized",
+                f"must be False with data {self.data!r}: it is for episodes",
             )
         _checks.positive_integer(self.n_rollouts, "n_rollouts")
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from oee_tabular._checks import Array
+from oee_tabular.typing import Array
 
 # below, or above, these something is worth a sentence
 MIN_SHARE = 0.02  # of the policy's discounted time

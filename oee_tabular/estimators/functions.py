@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular.estimators.base import Estimate
 from oee_tabular.estimators.problem import Problem
+from oee_tabular.exceptions import AnswerError, ArgumentError
+from oee_tabular.typing import PolicyLike, Seed
 
 # the diagnostic by which an Estimate says that the function's answer was a bare number
 RETURNED = "returned"
@@ -59,10 +60,6 @@ class FunctionEstimator:
         )
 
 
-class AnswerError(ValueError):
-    """What a function returned is neither a number nor an ``Estimate``."""
-
-
 def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
     """An estimator from a function, from another callable, or from a class or function
     that makes one without arguments.
@@ -92,7 +89,7 @@ def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
     ValueError: estimator must be callable as (problem, policy) or (problem, policy, seed); it takes (log)
     """
     if not callable(given):
-        raise ValueError(f"{name} must be {FORMS}; got {type(given).__name__}")
+        raise ArgumentError(name, f"must be {FORMS}; got {type(given).__name__}")
     made: Any = given
     if isinstance(given, type) or (
         _accepts(given) and not _accepts(given, None, None, seed=None)
@@ -106,15 +103,16 @@ def as_estimator(given: object, name: str = "estimator") -> FunctionEstimator:
             )
             raise ValueError(text) from error
         if not callable(made):
-            raise ValueError(
-                f"{name} must make {FORMS}; it makes {type(made).__name__}"
+            raise ArgumentError(
+                name, f"must make {FORMS}; it makes {type(made).__name__}"
             )
     takes_seed = _accepts(made, None, None, seed=None)
     if not takes_seed and not _accepts(made, None, None):
         signature = inspect.signature(made)
-        raise ValueError(
-            f"{name} must be callable as (problem, policy) or (problem, policy, seed);"
-            f" it takes {signature}"
+        raise ArgumentError(
+            name,
+            "must be callable as (problem, policy) or (problem, policy, seed); it"
+            f" takes {signature}",
         )
     return FunctionEstimator(made, takes_seed)
 

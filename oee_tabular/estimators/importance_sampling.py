@@ -13,7 +13,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
@@ -33,7 +32,9 @@ from oee_tabular.estimators.rollouts import (
 )
 from oee_tabular.exact import policy_is_moments
 from oee_tabular.exact.walks import walk_of
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio.method import Population
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 LARGEST_WEIGHT = 1e150  # its square is still a float
 
@@ -99,10 +100,11 @@ def _behavior_ratios(problem: Problem, policy: Array, *, is_estimated: bool) -> 
     beyond = np.flatnonzero(~(ratio <= LARGEST_WEIGHT))
     if beyond.size:
         row = int(beyond[0])
-        raise ValueError(
-            "behavior_probability must be large enough for a weight that floats can"
-            f" square; in row {row} it is {behavior[row]:g}, and the policy takes that"
-            f" action with probability {policy[log.state[row], log.action[row]]:g}"
+        raise ArgumentError(
+            "behavior_probability",
+            f"must be large enough for a weight that floats can square; in row {row} it"
+            f" is {behavior[row]:g}, and the policy takes that action with probability"
+            f" {policy[log.state[row], log.action[row]]:g}",
         )
     return np.where(problem.simulator.absorbing()[log.state], 1.0, ratio)
 
@@ -123,9 +125,10 @@ def _behavior_probabilities(problem: Problem, log: Transitions) -> Array:
     zero = np.flatnonzero(probability == 0)
     if zero.size:
         row = int(zero[0])
-        raise ValueError(
-            f"{name} must be positive for the actions taken; it is 0 in row {row}"
-            f" (s={log.state[row]}, a={log.action[row]}; {zero.size} such rows in all)"
+        raise ArgumentError(
+            name,
+            f"must be positive for the actions taken; it is 0 in row {row}"
+            f" (s={log.state[row]}, a={log.action[row]}; {zero.size} such rows in all)",
         )
     return np.asarray(probability)
 

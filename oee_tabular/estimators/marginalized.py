@@ -9,7 +9,6 @@ import numpy as np
 from scipy import linalg, sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.estimators.base import (
     OF_COUNTS,
@@ -27,11 +26,13 @@ from oee_tabular.exact import Model, occupancy, reweight
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.exact.values import solve_policy_system
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import total_discount
 from oee_tabular.ratio import density_ratio
 from oee_tabular.ratio.dual import check_box
 from oee_tabular.ratio.method import Population
+from oee_tabular.typing import Array, IntArray
 
 # of the saddle point's matrix, its columns scaled: above it no digit of theta is sure
 MAX_CONDITION = 1e12
@@ -98,7 +99,9 @@ class Marginalized(RatioEstimator):
         if self.features is not None and not (
             isinstance(self.ratio, str) and self.ratio == "conditional"
         ):
-            raise ValueError("ratio must be left out with features, which need no zeta")
+            raise ArgumentError(
+                "ratio", "must be left out with features, which need no zeta"
+            )
 
     def estimate(
         self, problem: Problem, policy: Array, generator: np.random.Generator
@@ -177,12 +180,12 @@ class Marginalized(RatioEstimator):
     ) -> tuple[Array, float]:
         """Beta on (S*A,), 0 where the log has nothing, and its gap."""
         if self.features is not None and horizon is not None:
-            raise ValueError(
-                "horizon must be None with features, for the infinite sum; it is"
-                f" {horizon}"
+            raise ArgumentError(
+                "horizon",
+                f"must be None with features, for the infinite sum; it is {horizon}",
             )
         if self.features is not None and simulator.discount == 1.0:
-            raise ValueError("discount must be below 1 with features; it is 1")
+            raise ArgumentError("discount", "must be below 1 with features; it is 1")
         time = occupancy(simulator, policy, horizon=horizon).reshape(-1)
         recorded = share > 0
         beta = np.zeros_like(share)
@@ -232,9 +235,10 @@ class Marginalized(RatioEstimator):
         matrix = matrix / np.outer(scale, scale)
         start = simulator.initial @ by_state / scale
         if np.linalg.cond(matrix) > MAX_CONDITION:
-            raise ValueError(
-                "features must make the saddle point's matrix A regular; its condition"
-                f" exceeds {MAX_CONDITION:g}"
+            raise ArgumentError(
+                "features",
+                "must make the saddle point's matrix A regular; its condition exceeds"
+                f" {MAX_CONDITION:g}",
             )
         theta = np.linalg.solve(matrix.T, -(1.0 - gamma) * start)
         return np.asarray(phi @ (theta / scale))
@@ -268,21 +272,24 @@ def _pair_features(features: object, simulator: FiniteMDP) -> tuple[Array, IntAr
     if array.size == 0 or not (
         is_table or (array.ndim in (1, 2) and len(array) == size)
     ):
-        raise ValueError(
-            f"features must have shape {shape} (+ d), or {size} rows, one for each"
-            f" state-action pair; they have shape {array.shape}"
+        raise ArgumentError(
+            "features",
+            f"must have shape {shape} (+ d), or {size} rows, one for each state-action"
+            f" pair; they have shape {array.shape}",
         )
     _checks.require_finite(array, "features")
     given = array.reshape(size, -1)
     going = np.repeat(~simulator.absorbing(), shape[1])
     empty = np.flatnonzero((given == 0.0).all(axis=0))
     if empty.size:
-        raise ValueError(
-            f"features must not be 0 in every state-action pair; column {empty[0]} is"
+        raise ArgumentError(
+            "features",
+            f"must not be 0 in every state-action pair; column {empty[0]} is",
         )
     if (np.ptp(given[going], axis=0) == 0.0).all():
-        raise ValueError(
-            "features must differ between state-action pairs; every column is constant"
+        raise ArgumentError(
+            "features",
+            "must differ between state-action pairs; every column is constant",
         )
     phi = given * going[:, None]
     columns = np.flatnonzero((phi != 0.0).any(axis=0))
@@ -351,15 +358,16 @@ class DualDice(TabularEstimator):
         y = D w from B^T y, then nu from B nu = w.
         """
         if problem.horizon is not None:
-            raise ValueError(
-                "horizon must be None for DualDICE, whose occupancies are of the"
-                f" infinite sum; it is {problem.horizon}"
+            raise ArgumentError(
+                "horizon",
+                "must be None for DualDICE, whose occupancies are of the infinite sum;"
+                f" it is {problem.horizon}",
             )
         model = ModelBased(fallback="simulator").model(problem)
         gamma = model.discount
         kernel = policy_kernel(model, policy)
         if gamma == 1.0:
-            raise ValueError("discount must be below 1 for DualDICE; it is 1")
+            raise ArgumentError("discount", "must be below 1 for DualDICE; it is 1")
         base = occupancy(problem.simulator, policy)
         states = solve_policy_system(
             kernel, (1.0 - gamma) * model.initial, gamma, transpose=True

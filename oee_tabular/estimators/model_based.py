@@ -9,7 +9,6 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
 from oee_tabular._sparse import align, row_of_entry, row_sums
 from oee_tabular.estimators.base import (
     OF_COUNTS,
@@ -25,6 +24,7 @@ from oee_tabular.exact import evaluate_policy, transition_gradient
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio.method import Population
+from oee_tabular.typing import Array
 
 
 @dataclass(frozen=True)

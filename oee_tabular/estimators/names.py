@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from oee_tabular.exceptions import ArgumentError
+
 if TYPE_CHECKING:
     from oee_tabular.estimators.base import Estimator
     from oee_tabular.estimators.problem import Problem
@@ -179,8 +181,8 @@ def named_estimators(
         if name not in NAMED:
             near = difflib.get_close_matches(name, [*NAMED, *ALIASES], n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
-            raise ValueError(
-                f"estimators must be among {', '.join(NAMED)}; got {name!r}{hint}"
+            raise ArgumentError(
+                "estimators", f"must be among {', '.join(NAMED)}; got {name!r}{hint}"
             )
         if NAMED[name].needs_target and target is None:
             raise ValueError(
@@ -189,7 +191,7 @@ def named_estimators(
             )
         estimators[name] = NAMED[name](target)
     if not estimators:
-        raise ValueError("estimators must name at least one; it is empty")
+        raise ArgumentError("estimators", "must name at least one; it is empty")
     return estimators
 
 

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
@@ -41,11 +40,12 @@ from oee_tabular.exact import (
 )
 from oee_tabular.exact.occupancy import time_in_pairs
 from oee_tabular.exact.reweighted import with_rows
-from oee_tabular.exact.system import DivergentKernelError
+from oee_tabular.exceptions import DivergentKernelError
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.ratio import TransitionRatio
 from oee_tabular.ratio.method import Population
 from oee_tabular.simulate.sampler import draw
+from oee_tabular.typing import Array
 
 NORMAL = NormalDist().inv_cdf(0.975)
 # Minimax-regret soft thresholds for x ~ N(b, s^2) beside a second estimate whose bias

@@ -11,7 +11,6 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.data import TransitionCounts, Transitions, read_log
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.findings import Finding
@@ -21,11 +20,13 @@ from oee_tabular.estimators.rewards import (
     simulator_rewards,
     with_log_rewards,
 )
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.quotient import check_simulator_data
 from oee_tabular.ratio.support import checked_counts, without_impossible
+from oee_tabular.typing import Array, IntArray, PolicyLike
 
 _ALLOW = " (to allow them: simulator.with_support_of(log, epsilon))"
 
@@ -140,9 +141,9 @@ class Problem:
                 simulator_data.numbered(simulator, name), simulator, name
             )
         if rewards == "log" and log.moves().reward_sum is None:
-            raise ValueError(
-                "rewards must be 'simulator' where the log has no reward column; it is"
-                " 'log'"
+            raise ArgumentError(
+                "rewards",
+                "must be 'simulator' where the log has no reward column; it is 'log'",
             )
         if counts is not None:
             counts = _check_counts(counts, simulator, may_drop=may_drop)
@@ -162,9 +163,10 @@ class Problem:
         if counts is None and not may_drop:
             refuse_unsupported(self.counts, simulator)
         if may_drop and self.counts.nnz == 0:
-            raise ValueError(
-                "log must have a transition that the simulator can make;"
-                " impossible='drop' leaves none"
+            raise ArgumentError(
+                "log",
+                "must have a transition that the simulator can make; impossible='drop'"
+                " leaves none",
             )
 
     def __repr__(self) -> str:
@@ -339,14 +341,15 @@ def settle(log: Any, simulator: FiniteMDP, name: str) -> Any:
     if going_on.size:
         row = int(going_on[0])
         where = simulator.names.state(arrival[row])
-        raise ValueError(
-            f"{name}.terminated[{row}] must be False, or state {where} must be terminal"
-            " in the simulator (every action leads back to it with reward 0); it is"
-            f" not ({going_on.size} such transitions). If a time limit cut the log's"
-            " episodes there, mark them truncated instead; if the task ends there,"
-            f" make the state terminal, P[{arrival[row]}] = 0; P[{arrival[row]}, :,"
-            f" {arrival[row]}] = 1 with reward 0, or say where termination leads with"
-            " FiniteMDP(..., terminal_state=)"
+        raise ArgumentError(
+            f"{name}.terminated[{row}]",
+            f"must be False, or state {where} must be terminal in the simulator (every"
+            f" action leads back to it with reward 0); it is not ({going_on.size} such"
+            " transitions). If a time limit cut the log's episodes there, mark them"
+            " truncated instead; if the task ends there, make the state terminal,"
+            f" P[{arrival[row]}] = 0; P[{arrival[row]}, :, {arrival[row]}] = 1 with"
+            " reward 0, or say where termination leads with FiniteMDP(...,"
+            " terminal_state=)",
         )
     if isinstance(log, TransitionCounts) and log.sample is not None:
         log = replace(log, sample=settle(log.sample, simulator, f"{name}.sample"))
@@ -365,6 +368,6 @@ def _check_counts(
     if may_drop:
         return matrix
     if matrix.nnz == 0:
-        raise ValueError("counts must have at least one transition; all are 0")
+        raise ArgumentError("counts", "must have at least one transition; all are 0")
     refuse_unsupported(matrix, simulator, what="counts")
     return matrix

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oee_tabular._checks import Array
 from oee_tabular._sparse import align, csr_on_pattern, find, row_of_entry, row_sums
 from oee_tabular.data import TransitionCounts, Transitions
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import csr_from_entries
+from oee_tabular.typing import Array
 
 if TYPE_CHECKING:
     from oee_tabular.estimators.problem import Problem

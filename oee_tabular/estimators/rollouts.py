@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from oee_tabular._checks import Array, IntArray
 from oee_tabular.estimators.base import mean_and_error
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.simulate.sampler import Drawn, entry_rewards
+from oee_tabular.typing import Array, IntArray
 
 NEGLIGIBLE_DISCOUNT = 1e-12  # discount^t below which an infinite sum is cut
 
@@ -26,7 +27,7 @@ def rollout_horizon(discount: float, horizon: int | None) -> int:
     if horizon is not None:
         return horizon
     if discount == 1.0:
-        raise ValueError("horizon must be given for rollouts at discount 1")
+        raise ArgumentError("horizon", "must be given for rollouts at discount 1")
     return (
         1
         if discount == 0.0

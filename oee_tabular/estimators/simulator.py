@@ -22,7 +22,6 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
 from oee_tabular._sparse import align
 from oee_tabular.estimators import findings
 from oee_tabular.estimators.base import (
@@ -40,6 +39,7 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.horizons import total_discount
 from oee_tabular.ratio import true_ratio
 from oee_tabular.ratio.method import Population
+from oee_tabular.typing import Array
 
 # of the policy's time in pairs with one sample or none: above it there is no interval
 MAX_UNKNOWN_SHARE = 0.1

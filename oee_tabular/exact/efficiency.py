@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._parallel import dot, one_thread
 from oee_tabular._sparse import align, row_of_entry, row_sums, row_variances
 from oee_tabular.exact.finite import values_to_go
@@ -27,8 +26,10 @@ from oee_tabular.exact.occupancy import occupancy, transition_gradient
 from oee_tabular.exact.system import policy_kernel
 from oee_tabular.exact.values import state_values
 from oee_tabular.exact.walks import walk_of
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.typing import Array, PolicyLike
 
 
 def efficiency_bound(
@@ -175,9 +176,10 @@ def ratio_of_ratios_variance(
     probability, stored = align(simulator.transitions, target.transitions)
     lost = ~stored & (target.transitions.data > 0)
     if lost.any():
-        raise ValueError(
-            f"target must stay in the simulator's support; {int(lost.sum())} of its"
-            " transitions do not"
+        raise ArgumentError(
+            "target",
+            f"must stay in the simulator's support; {int(lost.sum())} of its"
+            " transitions do not",
         )
     matrix = target.transitions
     entry = row_of_entry(matrix)
@@ -310,10 +312,11 @@ def require_action_support(
         missing &= walk_of(mdp, policy).reachable_states(horizon)[:, None]
     if missing.any():
         s, a = (int(i) for i in np.argwhere(missing)[0])
-        raise ValueError(
-            "behavior_policy must take every action that the policy takes; in state"
+        raise ArgumentError(
+            "behavior_policy",
+            "must take every action that the policy takes; in state"
             f" {mdp.names.state(s)} it never takes action {mdp.names.action(a)}"
-            f" ({int(missing.sum())} such state-action pairs in all)"
+            f" ({int(missing.sum())} such state-action pairs in all)",
         )
 
 
@@ -328,7 +331,7 @@ def _check_share(
     """
     _checks.instance(target, FiniteMDP, "target")
     if horizon is None and target.discount == 1.0:
-        raise ValueError("horizon must be given at discount 1")
+        raise ArgumentError("horizon", "must be given at discount 1")
     return _checks.distribution(
         distribution, name, (target.n_states, target.n_actions)
     ).reshape(-1)

@@ -18,7 +18,6 @@ import numpy as np
 from numba import njit
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.exact._system import average_rewards, transpose_rows
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import (
@@ -30,6 +29,7 @@ from oee_tabular.exact.system import (
 )
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.typing import Array, PolicyLike
 
 # terms of a long sum that are added before the sum of these sums: rounding grows with n
 # / 128

@@ -22,7 +22,6 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import PolicyLike
 from oee_tabular._sparse import row_sums
 from oee_tabular.exact.finite import values_to_go
 from oee_tabular.exact.recursions import (
@@ -34,7 +33,9 @@ from oee_tabular.exact.recursions import (
 )
 from oee_tabular.exact.system import as_readonly, exponent
 from oee_tabular.exact.walks import walk_of
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.typing import PolicyLike
 
 KINDS = ("per_decision", "trajectory")
 Kind = Literal["per_decision", "trajectory"]
@@ -247,9 +248,10 @@ def doubly_robust_moments(
     else:
         u = _checks.float_array(baseline, "baseline")
     if u.shape != (length + 1, simulator.n_states):
-        raise ValueError(
-            f"baseline must have shape {(length + 1, simulator.n_states)}, values to go"
-            f" at t; it has {u.shape}"
+        raise ArgumentError(
+            "baseline",
+            f"must have shape {(length + 1, simulator.n_states)}, values to go at t; it"
+            f" has {u.shape}",
         )
     _checks.require_finite(u, "baseline")
     shift = exponent(np.concatenate([walk.rewards.ravel(), u.ravel()]))

@@ -12,14 +12,15 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact.finite import gradient_to_horizon, visits
 from oee_tabular.exact.reweighted import Model, require_model
 from oee_tabular.exact.system import drop_states, policy_system, recurrent_states
 from oee_tabular.exact.values import policy_rewards, solve, state_values
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.typing import Array, PolicyLike
 
 
 @overload
@@ -80,9 +81,10 @@ def occupancy(
     if steps is None:
         pi = check_policy(policy, mdp)
         if mdp.discount == 1.0:
-            raise ValueError(
-                "horizon must be given: at discount 1 an infinite occupancy cannot be"
-                " normalised"
+            raise ArgumentError(
+                "horizon",
+                "must be given: at discount 1 an infinite occupancy cannot be"
+                " normalised",
             )
         pairs = (1.0 - mdp.discount) * infinite_visits(mdp, pi)[:, None] * pi
     else:
@@ -169,9 +171,10 @@ def transition_gradient(
     if values_of is not None:
         require_model(values_of, "values_of")
         if values_of.rewards.shape != model.rewards.shape:
-            raise ValueError(
-                "values_of must have the model's states and actions,"
-                f" {model.rewards.shape}; it has {values_of.rewards.shape}"
+            raise ArgumentError(
+                "values_of",
+                f"must have the model's states and actions, {model.rewards.shape}; it"
+                f" has {values_of.rewards.shape}",
             )
     steps = optional_horizon_length(horizon, model, kept=model.n_states)
     pi = check_policy(policy, model)

@@ -16,13 +16,13 @@ import numpy as np
 from numba import njit
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
 from oee_tabular.exact import _system
 from oee_tabular.exact.solvers.direct import EnvelopeLU
 from oee_tabular.exact.system import Kernel, as_readonly, policy_system, rows_of
 from oee_tabular.exact.values import action_values, finite_values, infinite_values
 from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.typing import Array
 
 N_TURNS = 100  # of modified policy iteration, at most
 # where a graph is narrow: exact evaluation is then as quick as some sweeps

@@ -10,20 +10,20 @@ covariance.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from oee_tabular import _printing
-from oee_tabular._checks import Array
+from oee_tabular import _checks, _printing
 from oee_tabular._parallel import dot
 from oee_tabular._sparse import row_sums
 from oee_tabular.exact import _moments
-from oee_tabular.exact.system import DivergentKernelError, as_readonly, exponent
+from oee_tabular.exact.system import as_readonly, exponent
 from oee_tabular.exact.values import solve_policy_system
 from oee_tabular.exact.walks import Walk, radius_of
+from oee_tabular.exceptions import ArgumentError, DivergentKernelError, NumericalWarning
 from oee_tabular.mdp.horizons import SHORT_HORIZON, limit_horizon
+from oee_tabular.typing import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +105,10 @@ def compute_moments(
         if horizon is None:
             if is_trajectory or self_normalized:
                 what = "trajectory" if is_trajectory else "self-normalised"
-                raise ValueError(
-                    "horizon must be given: the infinite sum has no variance for"
-                    f" {what} weights"
+                raise ArgumentError(
+                    "horizon",
+                    f"must be given: the infinite sum has no variance for {what}"
+                    " weights",
                 )
             return scale_moments(infinite_moments(walk, sources), shift)
         horizon = limit_walk(walk, horizon, is_trajectory or self_normalized, sources)
@@ -255,7 +256,7 @@ def _combine(
     # what other states have must not count, even infinite
     begin = np.flatnonzero(walk.initial)
     initial = walk.initial[begin]
-    (mean_l, mean_r, var_l, cov, var_r) = out[:, begin]
+    mean_l, mean_r, var_l, cov, var_r = out[:, begin]
     length = dot(initial, mean_l)
     total = dot(initial, mean_r)
     off = q * (mean_r - total)
@@ -295,9 +296,10 @@ def infinite_moments(walk: Walk, sources: bool) -> Moments:
     n = walk.n_states
     rows = walk.rows
     if gamma == 1.0:
-        raise ValueError(
-            "horizon must be given: at discount 1 the infinite sum's variance is not"
-            " worked out"
+        raise ArgumentError(
+            "horizon",
+            "must be given: at discount 1 the infinite sum's variance is not"
+            " worked out",
         )
     chance = walk.act[0][rows] * walk.prob
     f = walk.u[0][rows]
@@ -347,15 +349,15 @@ def scale_moments(moments: Moments, shift: int) -> Moments:
             moments.variance < np.finfo(float).tiny < deviation
             or moments.variance == np.inf > deviation
         ):
-            warnings.warn(
+            _checks.warn(
                 f"the variance {moments.variance:g} is beyond floats;"
                 " standard_deviation has its root",
-                stacklevel=4,
+                NumericalWarning,
             )
     if not np.isfinite([moments.mean, moments.standard_deviation]).all():
         what = (
             "beyond the largest float: the weights or the rewards are too large; or all"
             " weights of a step are 0"
         )
-        warnings.warn(f"a moment is {what}", stacklevel=4)
+        _checks.warn(f"a moment is {what}", NumericalWarning)
     return moments

@@ -15,11 +15,13 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, freeze
+from oee_tabular._checks import freeze
 from oee_tabular._sparse import csr_on_pattern, ratio_on, row_sums
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import CsrArrays, name_transition
 from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.typing import Array, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +109,8 @@ def entries_of_ratio(mdp: FiniteMDP, ratio: Any, name: str) -> Array:
     if not 0.0 <= zeta.min() <= zeta.max() < np.inf:
         bad = int(np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))[0])
         where = name_transition(mdp.transitions, bad, mdp.n_actions, mdp.names)
-        raise ValueError(
-            f"{name} must be finite and nonnegative; at {where} it is {zeta[bad]}"
+        raise ArgumentError(
+            name, f"must be finite and nonnegative; at {where} it is {zeta[bad]}"
         )
     return zeta
 

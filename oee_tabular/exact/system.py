@@ -14,11 +14,12 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.exact import _system
 from oee_tabular.exact.reweighted import Model
+from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 # entries of a state in the envelope, on average, up to which LU in it is asked
 # (solvers/direct.py)
@@ -27,10 +28,6 @@ WIDEST = 48.0
 # x = solve(b, relative): until the residual of x is below ``relative`` times that of 0,
 # which direct solvers need not read; None where the solver gives up
 Solve: TypeAlias = Callable[[Array, float], Array | None]
-
-
-class DivergentKernelError(ValueError):
-    """gamma K has a spectral radius of 1 or more: the infinite sum does not exist."""
 
 
 class Csr(NamedTuple):
@@ -61,9 +58,9 @@ def rows_of(matrix: sparse.csr_array) -> Csr:
     data = matrix.data
     if indptr.dtype != np.int32 or indices.dtype != np.int32:
         if indptr[-1] >= 2**32:
-            raise ValueError(
-                "transitions must have fewer than 2**32 entries; they have"
-                f" {int(indptr[-1])}"
+            raise ArgumentError(
+                "transitions",
+                f"must have fewer than 2**32 entries; they have {int(indptr[-1])}",
             )
         indptr = indptr.astype(np.uint32)
         indices = indices.astype(np.uint32)

@@ -10,7 +10,6 @@ Each policy system, (I - gamma P) x = b or its transpose, is solved with a bound
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -19,7 +18,6 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import check_csr
 from oee_tabular.exact import _system, finite, solvers
 from oee_tabular.exact.reweighted import Model, require_model
@@ -32,8 +30,10 @@ from oee_tabular.exact.system import (
     recurrent_states,
     rows_of,
 )
+from oee_tabular.exceptions import ArgumentError, NumericalWarning
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
+from oee_tabular.typing import Array, PolicyLike
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,8 @@ def solve_policy_system(
     gamma = _checks.number_in(discount, "discount", 0.0, 1.0)
     right = _checks.float_array(b, "b", ndim=1)
     if len(right) != rows.shape[0]:
-        raise ValueError(
-            f"b must have {rows.shape[0]} entries, one a state; it has {len(right)}"
+        raise ArgumentError(
+            "b", f"must have {rows.shape[0]} entries, one a state; it has {len(right)}"
         )
     _checks.require_finite(right, "b")
     return solve(System(Kernel(*rows_of(rows), gamma), transpose), right)
@@ -133,9 +133,13 @@ def solve(
 def _check_kernel(kernel: Any) -> sparse.csr_array:
     """The kernel as the solvers read it."""
     if not sparse.issparse(kernel):
-        raise ValueError(f"kernel must be a sparse matrix; got {type(kernel).__name__}")
+        raise ArgumentError(
+            "kernel", f"must be a sparse matrix; got {type(kernel).__name__}"
+        )
     if kernel.ndim != 2 or kernel.shape[0] != kernel.shape[1] or kernel.shape[0] == 0:
-        raise ValueError(f"kernel must be square, (S, S); it has shape {kernel.shape}")
+        raise ArgumentError(
+            "kernel", f"must be square, (S, S); it has shape {kernel.shape}"
+        )
     rows = check_csr(kernel, "kernel")
     bad = np.flatnonzero(~(np.isfinite(rows.data) & (rows.data >= 0.0)))
     if bad.size:
@@ -143,9 +147,10 @@ def _check_kernel(kernel: Any) -> sparse.csr_array:
             int(np.searchsorted(rows.indptr, bad[0], side="right")) - 1,
             int(rows.indices[bad[0]]),
         )
-        raise ValueError(
-            f"kernel must be finite and nonnegative; kernel[{place[0]}, {place[1]}] is"
-            f" {rows.data[bad[0]]}"
+        raise ArgumentError(
+            "kernel",
+            f"must be finite and nonnegative; kernel[{place[0]}, {place[1]}] is"
+            f" {rows.data[bad[0]]}",
         )
     return rows
 
@@ -259,9 +264,9 @@ def infinite_values(
 def warn_if_not_finite(values: Any) -> Any:
     """The same values, with a warning where one is not finite."""
     if not np.isfinite(values).all():
-        warnings.warn(
+        _checks.warn(
             "a value is beyond the largest float: it is infinite, or not a number",
-            stacklevel=3,
+            NumericalWarning,
         )
     return values
 
@@ -324,9 +329,9 @@ def policy_value(
     """
     require_model(mdp)
     if _checks.boolean(normalized, "normalized") and mdp.discount == 1.0:
-        raise ValueError(
-            "normalized must be False at discount 1: the factor (1 - discount) would"
-            " be 0"
+        raise ArgumentError(
+            "normalized",
+            "must be False at discount 1: the factor (1 - discount) would be 0",
         )
     factor = 1.0 - mdp.discount if normalized else 1.0
     if horizon is None:

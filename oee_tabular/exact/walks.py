@@ -10,13 +10,13 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike
 from oee_tabular._parallel import one_thread
 from oee_tabular.exact import _moments
 from oee_tabular.exact.reweighted import entries_of_ratio
 from oee_tabular.exact.system import as_readonly, rows_of, spectral_radius
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import limit_horizon
+from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike
 
 
 class Walk(NamedTuple):

@@ -36,13 +36,14 @@ from typing import NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Seed
 from oee_tabular._sparse import align, find
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value, state_values, transition_gradient
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.inference.likelihood import PolicyRows, value_of_rows
 from oee_tabular.mdp.horizons import horizon_length, total_discount
+from oee_tabular.typing import Array, Seed
 
 FEWEST_EPISODES = 10
 
@@ -86,20 +87,23 @@ def bootstrap_values(
     )
     weight = log.moves().number
     if (weight != np.floor(weight)).any():
-        raise ValueError("counts must be whole numbers to be resampled; some are not")
+        raise ArgumentError(
+            "counts", "must be whole numbers to be resampled; some are not"
+        )
     n = len(log)
     size = len(evidence.phat)
     starts = log.episode_starts
     n_episodes = 0 if starts is None else len(starts) - 1
     if by == "episodes":
         if starts is None:
-            raise ValueError(
-                "log must have episodes to be resampled by episodes; it has none"
+            raise ArgumentError(
+                "log", "must have episodes to be resampled by episodes; it has none"
             )
         if n_episodes < FEWEST_EPISODES:
-            raise ValueError(
-                f"log must have at least {FEWEST_EPISODES} episodes to be resampled by"
-                f" episodes; it has {n_episodes}"
+            raise ArgumentError(
+                "log",
+                f"must have at least {FEWEST_EPISODES} episodes to be resampled by"
+                f" episodes; it has {n_episodes}",
             )
         episode = np.repeat(np.arange(n_episodes), np.diff(starts))
     share = np.bincount(entry, weights=weight, minlength=size) / n

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.special import rel_entr
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
 from oee_tabular.estimators import Problem
 from oee_tabular.inference.evidence import gather
 from oee_tabular.inference.robust import anytime_radius, independent_radius
 from oee_tabular.mdp import uniform_policy
+from oee_tabular.typing import Array, IntArray
 
 
 @dataclass(frozen=True, eq=False)

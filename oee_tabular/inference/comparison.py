@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.occupancy import time_in_pairs
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.asymptotic import (
     bootstrap_values,
     outside_margin,
@@ -29,6 +29,7 @@ from oee_tabular.inference.intervals import Interval
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.policies import check_policies
 from oee_tabular.plots import plot_intervals
+from oee_tabular.typing import Array, Seed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -411,9 +412,10 @@ def several_policies(policies: object, mdp: FiniteMDP) -> dict[str, Array]:
     """Name -> (S, A) of at least two; a ValueError where there are fewer."""
     named = check_policies(policies, mdp)
     if len(named) < 2:
-        raise ValueError(
-            "policies must be at least two to compare; there is"
-            f" {', '.join(map(repr, named)) or 'none'}"
+        raise ArgumentError(
+            "policies",
+            "must be at least two to compare; there is"
+            f" {', '.join(map(repr, named)) or 'none'}",
         )
     return named
 
@@ -498,8 +500,8 @@ def selection_measures(
         _checks.require_finite(array, name)
     number = _checks.positive_integer(k, "k")
     if number > len(guess):
-        raise ValueError(
-            f"k must be at most the number of policies, {len(guess)}; it is {number}"
+        raise ArgumentError(
+            "k", f"must be at most the number of policies, {len(guess)}; it is {number}"
         )
     flat = np.ptp(guess) == 0 or np.ptp(truth) == 0
     from scipy import stats  # a quarter of a second

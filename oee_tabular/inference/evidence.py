@@ -13,13 +13,13 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, PolicyLike
 from oee_tabular._sparse import align
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import ReweightedModel, occupancy
 from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.rows import Rows
+from oee_tabular.typing import Array, BoolArray, PolicyLike
 
 LARGEST_REWARD = 1e140
 

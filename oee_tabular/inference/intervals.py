@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import OffEnvironment, Problem
 from oee_tabular.exact import policy_value
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.asymptotic import (
     bootstrap_values,
     outside_margin,
@@ -42,6 +42,7 @@ from oee_tabular.inference.robust import (
 )
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.plots import plot_intervals
+from oee_tabular.typing import PolicyLike, Seed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -224,7 +225,7 @@ def interval(
     _checks.one_of(resample, "resample", ("transitions", "episodes"))
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if problem.simulator.discount == 1.0 and problem.horizon is None:
-        raise ValueError("horizon must be given at discount 1")
+        raise ArgumentError("horizon", "must be given at discount 1")
     if tie is not None or features is not None:
         has_box = lower_ratio is not None or upper_ratio is not None
         return _interval_under(
@@ -233,9 +234,10 @@ def interval(
     evidence = gather(problem, policy, lower_ratio, upper_ratio)
     has_dropped = bool(problem.dropped.any())
     if has_dropped and method not in ("likelihood", "robust"):
-        raise ValueError(
-            "method must be 'likelihood' or 'robust' if impossible transitions were"
-            f" dropped; it is {_checks.show(method)}"
+        raise ArgumentError(
+            "method",
+            "must be 'likelihood' or 'robust' if impossible transitions were dropped;"
+            f" it is {_checks.show(method)}",
         )
     if has_dropped and evidence.has_box:
         raise ValueError(

@@ -52,11 +52,11 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import gammaincinv
 
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import policy_value, solvers, transition_gradient
 from oee_tabular.exact.reweighted import with_rows
 from oee_tabular.exact.system import Kernel, System, as_readonly
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import _likelihood as kernels
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.mdp import FiniteMDP
@@ -68,6 +68,7 @@ from oee_tabular.ratio.prior.directions import Directions, own_directions
 from oee_tabular.ratio.prior.ridge import fit_ridge
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.ratio.ties import tie_keys
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 N_DENSE = 128  # states up to which LAPACK takes no longer than sweeps (.1 ms)
 N_DRAWS = 16  # ascents from drawn directions, at most, of small problems
@@ -367,9 +368,10 @@ def shared_directions(
         spread <= 1e-12 * np.maximum(np.abs(array).max(axis=0), 1e-300)
     )
     if constant.size:
-        raise ValueError(
-            "features must differ between the next states of some state-action pair;"
-            f" feature {constant[0]} is constant in every one"
+        raise ArgumentError(
+            "features",
+            "must differ between the next states of some state-action pair; feature"
+            f" {constant[0]} is constant in every one",
         )
     return own_directions(simulator, array)
 
@@ -383,9 +385,10 @@ def shared_ends(
     counts = aligned_counts(problem.counts, problem.simulator)
     visited = rows.select((rows.sums(counts) > 0) & (np.diff(rows.indptr) > 1))
     if not len(visited):
-        raise ValueError(
-            "log must have a transition of a state-action pair with more than one next"
-            " state; it has none"
+        raise ArgumentError(
+            "log",
+            "must have a transition of a state-action pair with more than one next"
+            " state; it has none",
         )
     observed = counts[visited.entries]
     columns = directions.columns(visited)

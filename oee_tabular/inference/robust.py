@@ -43,12 +43,13 @@ from numba import njit
 from scipy import special
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
 from oee_tabular._parallel import dot
 from oee_tabular.exact import evaluate_policy, state_values
 from oee_tabular.exact.system import policy_system, recurrent_states
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.evidence import Evidence
 from oee_tabular.mdp.horizons import optional_horizon_length
+from oee_tabular.typing import Array, IntArray
 
 N_SWEEPS = 100  # at most; five to ten are usual
 N_STALLED = 8  # sweeps that no longer halve the residual: what is left is rounding
@@ -199,11 +200,11 @@ def require_end(evidence: Evidence) -> None:
         smaller = inside & closed.reshape(-1, model.n_actions).all(axis=1)
         if (smaller == inside).all():
             state = model.names.state(np.flatnonzero(inside)[0])
-            raise ValueError(
-                "horizon must be given: at discount 1 the infinite sum exists only"
-                " where the policy is absorbed in every model of the box; with"
-                f" lower_ratio 0 it may stay for ever among states of which s={state}"
-                " is one"
+            raise ArgumentError(
+                "horizon",
+                "must be given: at discount 1 the infinite sum exists only where the"
+                " policy is absorbed in every model of the box; with lower_ratio 0 it"
+                f" may stay for ever among states of which s={state} is one",
             )
         inside = smaller
 

@@ -39,6 +39,7 @@ from oee_tabular._arguments import own_modules
 from oee_tabular._checks import show
 from oee_tabular._parallel import backend, parallel
 from oee_tabular._progress import progress_bar
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import (
     Cell,
     Experiment,
@@ -114,14 +115,14 @@ def refuse_links(
     could lead out of the folder.
     """
     if folder.exists() and not folder.is_dir():
-        raise ValueError(f"{folder} must be a folder; it is a file")
+        raise ArgumentError(f"{folder}", "must be a folder; it is a file")
     for path in (folder / name for name in names):
         is_right = path.is_dir() if are_folders else path.is_file()
         if path.is_symlink() or (path.exists() and not is_right):
             rule = "a folder" if are_folders else "a plain file"
-            raise ValueError(
-                f"{str(path)!r} must be {rule}; it is a link or something else:"
-                " remove it"
+            raise ArgumentError(
+                f"{str(path)!r}",
+                f"must be {rule}; it is a link or something else: remove it",
             )
 
 
@@ -143,10 +144,11 @@ def alone(folder: Path) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         holder = path.read_text(errors="replace")[:20].strip() if path.is_file() else ""
-        raise ValueError(
-            f"{folder} must be used by one command at a time;"
-            f" another{f' (process {holder})' if holder else ''} is at work in it: wait"
-            " for it, or name another folder with --output"
+        raise ArgumentError(
+            f"{folder}",
+            "must be used by one command at a time;"
+            f" another{(f' (process {holder})' if holder else '')} is at work in it:"
+            " wait for it, or name another folder with --output",
         ) from None
     except OSError as error:
         raise OSError(
@@ -223,9 +225,9 @@ class Store:
     def _empty(self) -> None:
         present = [path for path in self.folder.iterdir() if path.name != LOCK]
         if present and not (self.folder / SETTINGS).is_file():
-            raise ValueError(
-                f"{self.folder} must be a results folder to be emptied; it has no"
-                f" {SETTINGS}"
+            raise ArgumentError(
+                f"{self.folder}",
+                f"must be a results folder to be emptied; it has no {SETTINGS}",
             )
         others = sorted(
             path.name
@@ -233,9 +235,10 @@ class Store:
             if path.name not in FILES and path.suffix != ".part"
         )
         if others:
-            raise ValueError(
-                f"{self.folder} must hold results only to be emptied; it holds"
-                f" {', '.join(others[:3])}"
+            raise ArgumentError(
+                f"{self.folder}",
+                "must hold results only to be emptied; it holds"
+                f" {', '.join(others[:3])}",
             )
         for path in present:
             path.unlink()
@@ -394,9 +397,10 @@ def _read_settings(path: Path) -> dict[str, Any]:
             settings["repetitions"], int
         ):
             return _flatten(settings)
-    raise ValueError(
-        f"{path} must be the settings of a results folder; it is not (--output names"
-        " another folder)"
+    raise ArgumentError(
+        f"{path}",
+        "must be the settings of a results folder; it is not (--output names another"
+        " folder)",
     )
 
 
@@ -455,8 +459,8 @@ def run_experiment(
         or jobs == 0
         or jobs < -1
     ):
-        raise ValueError(
-            f"jobs must be a positive number, or -1 for one a core; got {jobs!r}"
+        raise ArgumentError(
+            "jobs", f"must be a positive number, or -1 for one a core; got {jobs!r}"
         )
     require_modules(settings.experiment)
     with backend(jobs, dask) as cluster:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._checks import freeze
 from oee_tabular._sparse import (
     align,
     align_to,
@@ -20,7 +20,9 @@ from oee_tabular._sparse import (
     row_of_entry,
     row_sums,
 )
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.naming import NAMELESS, Names
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 _SHAPES = (
     "have shape (S, A, S), or (S*A, S) as a scipy.sparse array, with at least one state"
@@ -110,8 +112,8 @@ def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
             hint = (
                 ": the axes look like (A, S, S); use P.transpose(1, 0, 2)" * is_swapped
             )
-            raise ValueError(
-                f"transitions must {_SHAPES}; it has shape {dense.shape}{hint}"
+            raise ArgumentError(
+                "transitions", f"must {_SHAPES}; it has shape {dense.shape}{hint}"
             )
         _checks.require_nonnegative(dense, "transitions")
         dense = _checks.scale_if_single(dense, transitions)
@@ -124,15 +126,15 @@ def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
 def _check_sparse_transitions(transitions: Any) -> CsrArrays:
     shape = transitions.shape
     if transitions.ndim != 2 or 0 in shape or shape[0] % shape[1]:
-        raise ValueError(f"transitions must {_SHAPES}; it has shape {shape}")
+        raise ArgumentError("transitions", f"must {_SHAPES}; it has shape {shape}")
     raw = check_csr(transitions, "transitions")
     n_actions = shape[0] // shape[1]
     bad = np.flatnonzero(~(np.isfinite(raw.data) & (raw.data >= 0)))
     if bad.size:
         rule = "nonnegative" if np.isfinite(raw.data[bad[0]]) else "finite"
         where = name_transition(raw, int(bad[0]), n_actions)
-        raise ValueError(
-            f"transitions must be {rule}; at {where} it is {raw.data[bad[0]]}"
+        raise ArgumentError(
+            "transitions", f"must be {rule}; at {where} it is {raw.data[bad[0]]}"
         )
     matrix = canonical(raw, drop_zeros=True)
     _checks.require_sums_to_one(row_sums(matrix).reshape(-1, n_actions), "transitions")
@@ -154,9 +156,9 @@ def check_rewards(
     else:
         array = freeze(_checks.float_array(rewards, "rewards", ndim=(1, 2, 3)))
         if array.shape != shape[: array.ndim]:
-            raise ValueError(
-                f"rewards must have shape {shape[: array.ndim]}; it has shape"
-                f" {array.shape}"
+            raise ArgumentError(
+                "rewards",
+                f"must have shape {shape[: array.ndim]}; it has shape {array.shape}",
             )
         if array.ndim < 3:
             _checks.require_finite(array, "rewards")
@@ -171,9 +173,8 @@ def check_rewards(
             )
         if np.isinf(array).any():
             first = tuple(np.argwhere(np.isinf(array))[0])
-            raise ValueError(
-                f"{_checks.place('rewards', first)} must be finite; it is"
-                f" {array[first]}"
+            raise ArgumentError(
+                _checks.place("rewards", first), f"must be finite; it is {array[first]}"
             )
         row = row_of_entry(csr)
         table = array
@@ -182,9 +183,9 @@ def check_rewards(
             where = _checks.place(
                 "rewards", (*divmod(int(row[bad[0]]), n_actions), csr.indices[bad[0]])
             )
-            raise ValueError(
-                f"{where} must be finite where the transition has a probability; it"
-                " is nan"
+            raise ArgumentError(
+                where,
+                "must be finite where the transition has a probability; it is nan",
             )
     return (
         freeze(row_sums(csr, csr.data * data).reshape(n_states, n_actions)),
@@ -198,16 +199,16 @@ def _check_sparse_rewards(
 ) -> sparse.csr_array:
     """The table with a 0 wherever P has an entry and it has none."""
     if rewards.shape != csr.shape:
-        raise ValueError(
-            f"rewards must have shape {csr.shape} when sparse; it has shape"
-            f" {rewards.shape}"
+        raise ArgumentError(
+            "rewards",
+            f"must have shape {csr.shape} when sparse; it has shape {rewards.shape}",
         )
     given = canonical(check_csr(rewards, "rewards"), drop_zeros=False)
     bad = np.flatnonzero(~np.isfinite(given.data))
     if bad.size:
         where = name_transition(given, int(bad[0]), n_actions)
-        raise ValueError(
-            f"rewards must be finite; at {where} it is {given.data[bad[0]]}"
+        raise ArgumentError(
+            "rewards", f"must be finite; at {where} it is {given.data[bad[0]]}"
         )
     absent = ~align(given, csr)[1]
     if not absent.any():
@@ -227,9 +228,10 @@ def check_terminal_state(value: object, n_states: int) -> IntArray:
         or array.dtype.kind not in "iu"
         or not 0 < array.size <= n_states
     ):
-        raise ValueError(
-            f"terminal_state must be 1 to {n_states} integers; got {array.dtype} of"
-            f" shape {array.shape}"
+        raise ArgumentError(
+            "terminal_state",
+            f"must be 1 to {n_states} integers; got {array.dtype} of shape"
+            f" {array.shape}",
         )
     require_numbers(array, n_states, "terminal_state")
     return array.astype(np.int64)
@@ -239,8 +241,9 @@ def require_numbers(values: Any, size: int, name: str, whose: str = "") -> None:
     """Every one of (n,) integers is a number of ``size`` states or actions."""
     bad = np.flatnonzero((values < 0) | (values >= size))
     if bad.size:
-        raise ValueError(
-            f"{name}[{bad[0]}] must be in 0..{size - 1}{whose}; it is {values[bad[0]]}"
+        raise ArgumentError(
+            f"{name}[{bad[0]}]",
+            f"must be in 0..{size - 1}{whose}; it is {values[bad[0]]}",
         )
 
 
@@ -265,15 +268,17 @@ def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
                 )
             )
         if n_states != 2:
-            raise ValueError(
-                f"{name} must be (height, width) with height * width = {n_states}, the"
-                f" number of states; it is {value!r:.80}"
+            raise ArgumentError(
+                name,
+                f"must be (height, width) with height * width = {n_states}, the number"
+                f" of states; it is {value!r:.80}",
             )
     array = _checks.float_array(value, name, ndim=(1, 2))
     if len(array) != n_states or array.size == 0:
-        raise ValueError(
-            f"{name} must have shape ({n_states},) or ({n_states}, c), a place for each"
-            f" state; it has shape {array.shape}"
+        raise ArgumentError(
+            name,
+            f"must have shape ({n_states},) or ({n_states}, c), a place for each state;"
+            f" it has shape {array.shape}",
         )
     _checks.require_finite(array, name)
     return freeze(array.reshape(n_states, -1))

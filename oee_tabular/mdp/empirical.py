@@ -24,8 +24,8 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular._sparse import check_csr, csr_on_pattern, row_of_entry, row_sums
+from oee_tabular.exceptions import ArgumentError, SimulatorWarning
 from oee_tabular.mdp.arrays import check_layout, csr_from_entries
 from oee_tabular.mdp.gymnasium_table import Outcomes, build_arguments
 from oee_tabular.mdp.naming import (
@@ -37,6 +37,7 @@ from oee_tabular.mdp.naming import (
     to_plain,
 )
 from oee_tabular.mdp.support import require_log
+from oee_tabular.typing import Array, IntArray, Seed
 
 
 class Sampling(NamedTuple):
@@ -81,7 +82,7 @@ def log_arguments(
             if log.reward is None
             else "some rows of the log have none"
         )
-        raise ValueError(f"rewards must be given where {lacking}; they are None")
+        raise ArgumentError("rewards", f"must be given where {lacking}; they are None")
     samples = Outcomes(
         state,
         action,
@@ -151,17 +152,19 @@ def env_arguments(
     limit = _checks.positive_integer(max_steps, "max_steps")
     if not hasattr(env, "step") or not hasattr(env, "reset"):
         hint = f" (gymnasium.make({_checks.show(env)}))" if isinstance(env, str) else ""
-        raise ValueError(
-            f"env must be a Gymnasium environment; got {type(env).__name__}{hint}"
+        raise ArgumentError(
+            "env", f"must be a Gymnasium environment; got {type(env).__name__}{hint}"
         )
     space = getattr(env, "observation_space", None)
     actions = getattr(env, "action_space", None)
     if not hasattr(actions, "n") or int(getattr(actions, "start", 0)) != 0:
-        raise ValueError(f"env.action_space must be Discrete, from 0; it is {actions}")
+        raise ArgumentError(
+            "env.action_space", f"must be Discrete, from 0; it is {actions}"
+        )
     if getattr(getattr(space, "dtype", None), "kind", "i") == "f":
-        raise ValueError(
-            "env.observation_space must be discrete (cut a continuous one into cells"
-            f" first); it is {space}"
+        raise ArgumentError(
+            "env.observation_space",
+            f"must be discrete (cut a continuous one into cells first); it is {space}",
         )
     explorer = Explorer(
         env, int(getattr(actions, "n", 0)), n_wanted, _checks.generator(seed)
@@ -187,7 +190,8 @@ def env_arguments(
         total = f"{explorer.n_actions * len(explorer.open)} reached state-action pairs"
         short = [(number[s], a) for s, a in sorted(explorer.lacking)]
         _checks.warn(
-            f"{rule}, in {len(short)} of the {total}: {_list_pairs(short, names)}"
+            f"{rule}, in {len(short)} of the {total}: {_list_pairs(short, names)}",
+            SimulatorWarning,
         )
     state, action, following, reward, terminated = (
         np.array(c) for c in zip(*explorer.transitions, strict=True)
@@ -287,8 +291,9 @@ def _check_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
     if sparse.issparse(rewards) and table.shape == (n_states * n_actions, n_states):
         table = table.reshape(shape)
     if table.shape != shape[: table.ndim]:
-        raise ValueError(
-            f"rewards must have shape {shape[: table.ndim]}; it has shape {table.shape}"
+        raise ArgumentError(
+            "rewards",
+            f"must have shape {shape[: table.ndim]}; it has shape {table.shape}",
         )
     return table
 
@@ -319,7 +324,8 @@ def _fill_pairs(
         _checks.warn(
             f"{len(filled)} state-action pairs were never recorded and are filled in"
             " (by the state's other actions; without any the state is absorbing,"
-            f" reward 0): {_list_pairs(filled, names)}"
+            f" reward 0): {_list_pairs(filled, names)}",
+            SimulatorWarning,
         )
     stays = np.flatnonzero(~is_left & (is_alive | ~is_ended))
     one = np.ones(len(stays))

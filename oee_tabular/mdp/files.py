@@ -12,6 +12,7 @@ from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._sparse import csr_from_parts
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.empirical import Sampling
 from oee_tabular.mdp.naming import from_text, to_text
 
@@ -56,9 +57,10 @@ def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
     """
     sizes = arrays["shape"]
     if sizes.shape != (2,) or sizes.dtype.kind not in "iu" or sizes.min() < 1:
-        raise ValueError(
-            "shape must be two positive integers, states and actions; it is"
-            f" {sizes.tolist()!r:.80}"
+        raise ArgumentError(
+            "shape",
+            "must be two positive integers, states and actions; it is"
+            f" {sizes.tolist()!r:.80}",
         )
     n_states, n_actions = sizes.tolist()
     shape = n_states * n_actions, n_states
@@ -97,9 +99,9 @@ def _read_sampling(arrays: Mapping[str, Any], shape: tuple[int, int]) -> Samplin
         _checks.float_array(arrays["sampling_starts"], "sampling_starts", ndim=0)
     )
     if pairs.shape != shape[:1] or not (pairs >= 0).all() or not starts > 0:
-        raise ValueError(
-            f"sampling_pairs must be {shape[0]} numbers of samples, and sampling_starts"
-            " positive"
+        raise ArgumentError(
+            "sampling_pairs",
+            f"must be {shape[0]} numbers of samples, and sampling_starts positive",
         )
     error = (
         _read_csr(arrays, "sampling_error", shape)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks, _files, _printing
-from oee_tabular._checks import Array, BoolArray, IntArray, freeze
+from oee_tabular._checks import freeze
 from oee_tabular._sparse import align, align_to, row_of_entry
 from oee_tabular.mdp.arrays import (
     CsrArrays,
@@ -34,6 +34,7 @@ from oee_tabular.mdp.naming import (
     initial_distribution,
 )
 from oee_tabular.mdp.support import add_action_noise, add_support
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 KIND = "finite_mdp"
 

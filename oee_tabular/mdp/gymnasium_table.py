@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import csr_on_pattern
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries
 from oee_tabular.mdp.naming import Name, check_names, coordinates
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 # wrappers of Gymnasium that change neither actions nor observations nor rewards (a time
 # limit is a horizon)
@@ -53,19 +54,20 @@ def read_table(env: Any) -> dict[str, Any]:
     base = getattr(env, "unwrapped", env)
     table = getattr(base, "P", None)
     if table is None or not hasattr(base, "initial_state_distrib"):
-        raise ValueError(
-            "env must have a toy-text table env.unwrapped.P and an"
-            f" initial_state_distrib; {type(base).__name__} has none (build the"
-            " FiniteMDP from its arrays, or sample it: FiniteMDP.from_env(env,"
-            " samples_per_pair=...); of an environment with continuous states make a"
-            " tasks.GymnasiumTask)"
+        raise ArgumentError(
+            "env",
+            "must have a toy-text table env.unwrapped.P and an initial_state_distrib;"
+            f" {type(base).__name__} has none (build the FiniteMDP from its arrays, or"
+            " sample it: FiniteMDP.from_env(env, samples_per_pair=...); of an"
+            " environment with continuous states make a tasks.GymnasiumTask)",
         )
     if getattr(base, "fickle_passenger", False):
-        raise ValueError(
-            "env must have all its dynamics in the table P; a fickle Taxi passenger"
+        raise ArgumentError(
+            "env",
+            "must have all its dynamics in the table P; a fickle Taxi passenger"
             " changes its destination outside it"
             f" (fickle_probability={base.fickle_probability:g}): use"
-            " fickle_passenger=False"
+            " fickle_passenger=False",
         )
     n_states = len(table)
     n_actions = len(table[0])
@@ -108,7 +110,7 @@ def build_arguments(
     their mean. ``rewards``: (S, A) of the own states, in place of theirs.
     """
     n_own = len(initial)
-    (state, action, to, weight, reward, terminated) = outcomes
+    state, action, to, weight, reward, terminated = outcomes
     is_ended = np.bincount(to[terminated], minlength=n_own) > 0
     is_entered = (initial > 0) | (np.bincount(to[~terminated], minlength=n_own) > 0)
     twins = np.flatnonzero(is_ended & is_entered)
@@ -162,10 +164,11 @@ def _refuse_changing_wrappers(env: object) -> None:
     layer = env
     while hasattr(layer, "env") and layer is not getattr(layer, "unwrapped", layer):
         if type(layer).__name__ not in _HARMLESS:
-            raise ValueError(
-                "env must not change actions, observations or rewards outside its"
-                f" table P; the wrapper {type(layer).__name__} may (pass env.unwrapped"
-                " to leave it out)"
+            raise ArgumentError(
+                "env",
+                "must not change actions, observations or rewards outside its table P;"
+                f" the wrapper {type(layer).__name__} may (pass env.unwrapped to leave"
+                " it out)",
             )
         layer = layer.env
 

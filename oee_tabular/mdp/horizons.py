@@ -8,9 +8,10 @@ import math
 from typing import Any
 
 from oee_tabular import _checks
-from oee_tabular._checks import PolicyLike
 from oee_tabular._sparse import row_sums
+from oee_tabular.exceptions import ArgumentError, CostWarning
 from oee_tabular.mdp.policies import count_dimensions
+from oee_tabular.typing import PolicyLike
 
 SHORT_HORIZON = 10_000  # rewards; such a horizon is carried out as it stands
 # of a reward; far below rounding, so that late and unlikely rewards are not lost either
@@ -43,10 +44,11 @@ def limit_horizon(
     length = int(min(horizon, max(SHORT_HORIZON, ahead + fading)))
     cost = length * work
     if horizon > 10**6 and cost > ABSURD:
-        raise ValueError(
-            f"horizon must be one that can be carried out; {horizon} steps take some"
-            f" {cost:.0e} multiply-adds ({cost / 3.6e12:.2g} hours), and nothing ends"
-            " them earlier"
+        raise ArgumentError(
+            "horizon",
+            f"must be one that can be carried out; {horizon} steps take some {cost:.0e}"
+            f" multiply-adds ({cost / 3.6e12:.2g} hours), and nothing ends"
+            " them earlier",
         )
     _checks.require_memory(length * kept, "horizon", horizon)
     if length < horizon:
@@ -54,11 +56,14 @@ def limit_horizon(
             "from there on the discount leaves less of a reward than 2**-200, which no"
             " float shows beside the sum"
         )
-        _checks.warn(f"horizon {horizon} is followed to step {length}: {rule}")
+        _checks.warn(
+            f"horizon {horizon} is followed to step {length}: {rule}", CostWarning
+        )
     elif cost > SLOW:
         _checks.warn(
             f"horizon {horizon} takes some {cost:.0e} multiply-adds ({cost / 1e9:.2g}"
-            " seconds)"
+            " seconds)",
+            CostWarning,
         )
     return length
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular.exceptions import ArgumentError
+from oee_tabular.typing import Array, IntArray
 
 Name: TypeAlias = str | tuple[Any, ...]
 
@@ -74,34 +75,37 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
     """
     given = _checks.collection(value, name, "a sequence of texts or tuples")
     if len(given) != size:
-        raise ValueError(
-            f"{name} must have {size} names, one for each; it has {len(given)}"
+        raise ArgumentError(
+            name, f"must have {size} names, one for each; it has {len(given)}"
         )
     names = tuple(to_plain(item) for item in given)
     first: dict[str, int] = {}
     for k, item in enumerate(names):
         place = f"{name}[{k}]"
         if not is_name(item):
-            raise ValueError(
-                f"{place} must be a text, or a tuple of texts and numbers; it is"
-                f" {_checks.show(item)}"
+            raise ArgumentError(
+                place,
+                "must be a text, or a tuple of texts and numbers; it is"
+                f" {_checks.show(item)}",
             )
         text = str(item)
         if text.strip() != text or not text:
-            raise ValueError(
-                f"{place} must not be empty, nor begin or end with a blank; it is"
-                f" {_checks.show(text)}"
+            raise ArgumentError(
+                place,
+                "must not be empty, nor begin or end with a blank; it is"
+                f" {_checks.show(text)}",
             )
         if is_number_text(text):
-            raise ValueError(
-                f"{place} must not read as a number, which a file does not tell from"
-                f" the number of a state or an action; it is {text!r} (write"
-                f" {'s' + text!r})"
+            raise ArgumentError(
+                place,
+                "must not read as a number, which a file does not tell from the number"
+                f" of a state or an action; it is {text!r} (write {'s' + text!r})",
             )
         if text in first:
-            raise ValueError(
-                f"{name} must differ; {place} is {_checks.show(item)}, as"
-                f" {name}[{first[text]}] is"
+            raise ArgumentError(
+                name,
+                f"must differ; {place} is {_checks.show(item)}, as"
+                f" {name}[{first[text]}] is",
             )
         first[text] = k
     return names
@@ -199,26 +203,28 @@ def number_of(
     given = to_plain(item)
     if _checks.is_integer(given):
         if not 0 <= given < size:
-            raise ValueError(
-                f"{name} must be in 0..{size - 1}; it is {_checks.show(given)}"
+            raise ArgumentError(
+                name, f"must be in 0..{size - 1}; it is {_checks.show(given)}"
             )
         return int(given)
     if not is_name(given):
-        raise ValueError(
-            f"{name} must be a name or a number; it is {_checks.show(given)}"
+        raise ArgumentError(
+            name, f"must be a name or a number; it is {_checks.show(given)}"
         )
     if names is None:
-        raise ValueError(
-            f"{name} must be a number in 0..{size - 1}, since"
+        raise ArgumentError(
+            name,
+            f"must be a number in 0..{size - 1}, since"
             f" {owner.removesuffix(chr(39) + 's')} has no names here; it is"
             f" {_checks.show(given)} (give it names: with_names(state_names=...,"
-            " action_names=...))"
+            " action_names=...))",
         )
     number = numbers_of(names).get(given)
     if number is None:
-        raise ValueError(
-            f"{name} must be one of {owner} names; it is"
-            f" {_checks.show(given)}{suggest_name(given, names)}"
+        raise ArgumentError(
+            name,
+            f"must be one of {owner} names; it is"
+            f" {_checks.show(given)}{suggest_name(given, names)}",
         )
     return number
 
@@ -273,14 +279,14 @@ def to_text(names: Any) -> NDArray[Any]:
 def from_text(stored: NDArray[Any], name: str) -> tuple[Name, ...]:
     """Return what ``to_text`` was given; ValueError for other arrays."""
     if stored.ndim != 1 or stored.dtype.kind != "U":
-        raise ValueError(
-            f"{name} must be texts; it has {stored.dtype} of shape {stored.shape}"
+        raise ArgumentError(
+            name, f"must be texts; it has {stored.dtype} of shape {stored.shape}"
         )
     try:
         return tuple(to_plain(json.loads(text)) for text in stored.tolist())
     except (ValueError, RecursionError):
-        raise ValueError(
-            f"{name} must be names as JSON; it has {stored.tolist()[0]!r:.80}"
+        raise ArgumentError(
+            name, f"must be names as JSON; it has {stored.tolist()[0]!r:.80}"
         ) from None
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _files
-from oee_tabular._checks import Array, PolicyLike
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import require_numbers
 from oee_tabular.mdp.naming import (
     Name,
@@ -21,6 +21,7 @@ from oee_tabular.mdp.naming import (
     numbers_of,
     to_plain,
 )
+from oee_tabular.typing import Array, PolicyLike
 
 
 def check_policy(
@@ -86,9 +87,9 @@ def check_policy(
         allowed += [] if horizon is None else [(horizon, *shape) for shape in allowed]
         if array.shape not in allowed:
             rule = " or ".join(str(shape) for shape in allowed)
-            raise ValueError(
-                f"{name} must have shape {rule} (states, actions); it has shape"
-                f" {array.shape}"
+            raise ArgumentError(
+                name,
+                f"must have shape {rule} (states, actions); it has shape {array.shape}",
             )
     array = _check_distributions(array, policy, name)
     if array.shape[-2] < n_states:
@@ -242,13 +243,14 @@ def read_policy_array(path: str, name: str) -> Array:
     arrays = _files.read_npz(path)
     kind = _files.npz_kind(arrays)
     if kind is not None:
-        raise ValueError(
-            f"{name} must be a file with an (S, A) array; {path!r} holds a {kind}"
+        raise ArgumentError(
+            name, f"must be a file with an (S, A) array; {path!r} holds a {kind}"
         )
     if "policy" not in arrays and len(arrays) != 1:
-        raise ValueError(
-            f"{name} must be a file with one array, or one named 'policy'; {path!r} has"
-            f" {sorted(arrays)}"
+        raise ArgumentError(
+            name,
+            f"must be a file with one array, or one named 'policy'; {path!r} has"
+            f" {sorted(arrays)}",
         )
     return arrays.get("policy", next(iter(arrays.values())))
 
@@ -261,7 +263,7 @@ def require_sized(mdp: object) -> None:
         and hasattr(mdp, "terminal_state")
     )
     if isinstance(mdp, type) or not is_sized:
-        raise ValueError(f"mdp must be a FiniteMDP; got {type(mdp).__name__}")
+        raise ArgumentError("mdp", f"must be a FiniteMDP; got {type(mdp).__name__}")
 
 
 def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
@@ -275,20 +277,21 @@ def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
         )
         if policy in ("uniform", "optimal"):
             hint = f"oee.{policy}_policy(simulator)"
-        raise ValueError(
-            f"{name} must be an action, or a distribution, for each of the"
-            f" {mdp.n_states} states; it is {_checks.show(policy)} ({hint})"
+        raise ArgumentError(
+            name,
+            f"must be an action, or a distribution, for each of the {mdp.n_states}"
+            f" states; it is {_checks.show(policy)} ({hint})",
         )
     if isinstance(policy, Mapping) or (
         callable(policy) and not hasattr(policy, "__array__")
     ):
         return _choice_table(policy, mdp, name)
     if hasattr(policy, "to_dict"):
-        raise ValueError(
-            f"{name} must be an array or a mapping by state; got"
-            f" {type(policy).__name__} (of a table with an action a column:"
-            ' policy.to_dict("index"); of a series: policy.to_dict(); of either by'
-            " order: policy.to_numpy())"
+        raise ArgumentError(
+            name,
+            f"must be an array or a mapping by state; got {type(policy).__name__} (of a"
+            ' table with an action a column: policy.to_dict("index"); of a series:'
+            " policy.to_dict(); of either by order: policy.to_numpy())",
         )
     return _action_table(policy, mdp, name)
 
@@ -317,9 +320,10 @@ def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
     missing = np.flatnonzero((np.isnan(table[:, 0]) & ~is_free)[:n_own])
     if missing.size:
         more = f" ({len(missing)} such states in all)" if len(missing) > 1 else ""
-        raise ValueError(
-            f"{name} must have every state that is not terminal; state"
-            f" {names.state(missing[0])} is not there{more}"
+        raise ArgumentError(
+            name,
+            "must have every state that is not terminal; state"
+            f" {names.state(missing[0])} is not there{more}",
         )
     return np.where(np.isnan(table), 1.0 / mdp.n_actions, table)
 
@@ -345,8 +349,8 @@ def _list_choices(
                 f"it raises {type(error).__name__}:"
                 f" {_checks.escape_controls(str(error)):.300}"
             )
-            raise ValueError(
-                f"{place} must be an action or a distribution; {reason}"
+            raise ArgumentError(
+                place, f"must be an action or a distribution; {reason}"
             ) from error
         yield state, choice, place
 
@@ -371,7 +375,7 @@ def _choice_row(
         row = _checks.float_array(choice, name, ndim=1)
     else:
         rule = f"an action, or a distribution over the {n_actions} actions"
-        raise ValueError(f"{name} must be {rule}; it is {_checks.show(choice)}")
+        raise ArgumentError(name, f"must be {rule}; it is {_checks.show(choice)}")
     return _check_distributions(row, choice, name)
 
 

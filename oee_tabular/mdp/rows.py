@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.finite_mdp import FiniteMDP
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 # entries: 16 000 000 of them by blocks take .6 of the time, and no memory to speak of
 BLOCK = 2**18

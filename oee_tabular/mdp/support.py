@@ -10,7 +10,6 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import (
     align,
     canonical,
@@ -18,7 +17,9 @@ from oee_tabular._sparse import (
     csr_on_pattern,
     row_of_entry,
 )
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import csr_from_entries, require_numbers
+from oee_tabular.typing import Array, IntArray
 
 SMALLEST_PROBABILITY = 1e-300  # a smaller one supports no ratio
 
@@ -97,9 +98,10 @@ def _read_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | N
     shape = mdp.csr.shape
     if sparse.issparse(log):
         if log.shape != shape:
-            raise ValueError(
-                f"log must be of shape {shape} where it is counts; it has shape"
-                f" {log.shape}"
+            raise ArgumentError(
+                "log",
+                f"must be of shape {shape} where it is counts; it has shape"
+                f" {log.shape}",
             )
         counts = canonical(check_csr(log, "log"), drop_zeros=True)
         return row_of_entry(counts), counts.indices.astype(np.int64), None
@@ -126,4 +128,6 @@ def require_log(log: object) -> None:
         hint = " (of a data frame: Transitions.from_frame(log))" * (
             hasattr(log, "columns") and not is_class
         )
-        raise ValueError(f"log must be Transitions; got {type(log).__name__}{hint}")
+        raise ArgumentError(
+            "log", f"must be Transitions; got {type(log).__name__}{hint}"
+        )

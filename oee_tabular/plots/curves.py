@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots.style import (
     INK,
     check_axes,
@@ -19,6 +19,7 @@ from oee_tabular.plots.style import (
     series,
     shorten,
 )
+from oee_tabular.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,13 +61,14 @@ def plot_curves(
     ends = {}
     for name, pair in _checks.instance(bands or {}, Mapping, "bands").items():
         if name not in drawn:
-            raise ValueError(
-                f"bands must be of names in curves; {_checks.show(name)} is not"
+            raise ArgumentError(
+                "bands", f"must be of names in curves; {_checks.show(name)} is not"
             )
         both = _checks.collection(pair, "bands", "pairs of arrays")
         if len(both) != 2:
-            raise ValueError(
-                f"bands[{name!r}] must be (lower, upper); it has {len(both)} entries"
+            raise ArgumentError(
+                f"bands[{name!r}]",
+                f"must be (lower, upper); it has {len(both)} entries",
             )
         ends[name] = [_check_like(end, where, f"bands[{name!r}]") for end in both]
     line = None
@@ -126,7 +128,9 @@ def plot_errors(
     """
     where, drawn = _check_curves(n, errors, "n", "errors", is_logarithmic=True)
     if where.min() <= 0:
-        raise ValueError(f"n[{where.argmin()}] must be positive; it is {where.min():g}")
+        raise ArgumentError(
+            f"n[{where.argmin()}]", f"must be positive; it is {where.min():g}"
+        )
     ax = plot_curves(where, drawn, ax, bands=bands, xlabel=xlabel, ylabel=ylabel)
     first = next(iter(drawn.values()))
     start = np.flatnonzero(np.isfinite(first))
@@ -200,11 +204,11 @@ def _check_curves(
             y = np.where(y > 0, y, np.nan)
         arrays[str(label)] = y
     if not arrays:
-        raise ValueError(f"{name} must hold at least one curve; it is empty")
+        raise ArgumentError(name, "must hold at least one curve; it is empty")
     if not any(np.isfinite(y).any() for y in arrays.values()):
         rule = "positive number, for a logarithmic axis" if is_logarithmic else "number"
-        raise ValueError(
-            f"{name} must hold at least one finite {rule}; there is nothing to draw"
+        raise ArgumentError(
+            name, f"must hold at least one finite {rule}; there is nothing to draw"
         )
     return where, arrays
 
@@ -212,8 +216,8 @@ def _check_curves(
 def _check_like(values: object, where: Array, name: str) -> Array:
     array = _checks.float_array(values, name, ndim=1)
     if len(array) != len(where):
-        raise ValueError(
-            f"{name} must have {len(where)} values, one a point; it has {len(array)}"
+        raise ArgumentError(
+            name, f"must have {len(where)} values, one a point; it has {len(array)}"
         )
     return array
 

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import row_of_entry
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.plots import style
 from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,9 +80,9 @@ class Map:
         """(rows * columns,) of (S,): what is in each cell, nan where no state is."""
         given = _checks.float_array(values, "values", ndim=1)
         if len(given) != len(self.cell):
-            raise ValueError(
-                f"values must have {len(self.cell)} entries, one a state; it has"
-                f" {len(given)}"
+            raise ArgumentError(
+                "values",
+                f"must have {len(self.cell)} entries, one a state; it has {len(given)}",
             )
         cells = np.full(len(self.rows) * len(self.columns), np.nan)
         cells[self.cell[self.cell >= 0]] = given[self.cell >= 0]
@@ -90,9 +91,10 @@ class Map:
     def place(self, state: int) -> tuple[float, float] | None:
         """The coordinates of a state's row and column; None where it is not drawn."""
         if not _checks.is_integer(state) or not 0 <= state < len(self.cell):
-            raise ValueError(
-                f"state must be an integer from 0 to {len(self.cell) - 1}; got"
-                f" {_checks.show(state)}"
+            raise ArgumentError(
+                "state",
+                f"must be an integer from 0 to {len(self.cell) - 1}; got"
+                f" {_checks.show(state)}",
             )
         if self.cell[state] < 0:
             return None
@@ -153,8 +155,8 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
             tuple((distinct[0] + step * np.arange(int(number.max()) + 1)).tolist())
         )
         numbers.append(number.astype(np.int64))
-    (rows, columns) = coordinates
-    (row, column) = numbers
+    rows, columns = coordinates
+    row, column = numbers
     if len(layout) < SPARSEST * len(rows) * len(columns):
         return None
     cell = row * len(columns) + column
@@ -175,8 +177,8 @@ def as_map(shape: tuple[int, int] | Map) -> Map:
     try:
         rows, columns = shape
     except (TypeError, ValueError):
-        raise ValueError(
-            f"shape must be (rows, columns); got {_checks.show(shape)}"
+        raise ArgumentError(
+            "shape", f"must be (rows, columns); got {_checks.show(shape)}"
         ) from None
     return Map.of_shape(
         _checks.positive_integer(rows, "shape[0]"),
@@ -264,9 +266,9 @@ def plot_grid(
     is_crossed = _check_mask(crossed, places, "crossed")
     check_texts(label=label, colormap=colormap)
     if colormap not in matplotlib.colormaps:
-        raise ValueError(
-            "colormap must be the name of one of matplotlib's; got"
-            f" {_checks.show(colormap)}"
+        raise ArgumentError(
+            "colormap",
+            f"must be the name of one of matplotlib's; got {_checks.show(colormap)}",
         )
     if norm is not None:
         _checks.instance(
@@ -495,13 +497,14 @@ def _check_states(
 ) -> Any:
     array = _checks.float_array(values, name).reshape(-1)
     if array.size != len(places.cell):
-        raise ValueError(
-            f"{name} must have {len(places.cell)} entries, one a cell of the grid; it"
-            f" has {array.size}"
+        raise ArgumentError(
+            name,
+            f"must have {len(places.cell)} entries, one a cell of the grid; it has"
+            f" {array.size}",
         )
     if not allow_blank and not np.isfinite(array).any():
-        raise ValueError(
-            f"{name} must hold at least one finite number; there is nothing to draw"
+        raise ArgumentError(
+            name, "must hold at least one finite number; there is nothing to draw"
         )
     return array
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
+from oee_tabular.exceptions import ArgumentError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -149,8 +150,9 @@ def check_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.8)) -> Axes:
 
         ax = pyplot.subplots(figsize=size, layout="constrained")[1]
     if not hasattr(ax, "get_xaxis"):
-        raise ValueError(
-            f"ax must be matplotlib Axes, or None for new ones; got {_checks.show(ax)}"
+        raise ArgumentError(
+            "ax",
+            f"must be matplotlib Axes, or None for new ones; got {_checks.show(ax)}",
         )
     return ax
 
@@ -165,7 +167,9 @@ def check_pair(pair: object, name: str) -> tuple[float, float]:
     """Two finite numbers."""
     ends = _checks.float_array(pair, name)
     if ends.shape != (2,) or not np.isfinite(ends).all():
-        raise ValueError(f"{name} must be two finite numbers; got {_checks.show(pair)}")
+        raise ArgumentError(
+            name, f"must be two finite numbers; got {_checks.show(pair)}"
+        )
     return float(ends[0]), float(ends[1])
 
 
@@ -261,7 +265,7 @@ def _save(
     _checks.function(draw, "draw")
     inches = check_pair(size, "size")
     if not 0.1 <= min(inches) <= max(inches) <= 100.0:
-        raise ValueError(f"size must be from 0.1 to 100 inches; it is {inches}")
+        raise ArgumentError("size", f"must be from 0.1 to 100 inches; it is {inches}")
     figure = Figure(figsize=inches, layout="constrained")
     draw(figure.subplots())
     canvas: Any = FigureCanvasAgg(figure) if form == "png" else FigureCanvasSVG(figure)

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots import style
 from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
+from oee_tabular.typing import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,13 +61,14 @@ def plot_values(
     rows = _checks.collection(records, "records", "a Report's records()")
     for row in rows:
         if not isinstance(row, Mapping) or not row.keys() >= COLUMNS:
-            raise ValueError(
-                f"records must be mappings with {', '.join(sorted(COLUMNS))}; one is"
-                f" {_checks.show(row)}"
+            raise ArgumentError(
+                "records",
+                f"must be mappings with {', '.join(sorted(COLUMNS))}; one is"
+                f" {_checks.show(row)}",
             )
     if limits is None and not any(math.isfinite(row["value"]) for row in rows):
-        raise ValueError(
-            "records must hold at least one finite value; there is nothing to draw"
+        raise ArgumentError(
+            "records", "must hold at least one finite value; there is nothing to draw"
         )
     policies = [row["policy"] for row in rows]
     ordered = sorted(rows, key=lambda row: policies.index(row["policy"]))
@@ -148,9 +150,10 @@ def plot_intervals(
             f"they have {', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
         )
     if not len(names) or (limits is None and not np.isfinite(arrays).any()):
-        raise ValueError(
-            "values must have a finite number, or lower and upper an interval; there is"
-            " nothing to draw"
+        raise ArgumentError(
+            "values",
+            "must have a finite number, or lower and upper an interval; there is"
+            " nothing to draw",
         )
     truths = (
         truth
@@ -170,7 +173,9 @@ def plot_intervals(
     )
     left, right = span
     if not left < right:
-        raise ValueError(f"limits must be (low, high) with low < high; got {limits}")
+        raise ArgumentError(
+            "limits", f"must be (low, high) with low < high; got {limits}"
+        )
 
     # the lines from the top; above each group one for its name and the truth's
     starts = (
@@ -339,11 +344,11 @@ def plot_states(
     counts = _checks.float_array(recorded, "recorded", ndim=(1, 2))
     _checks.require_nonnegative(shares, "time")
     if not shares.size:
-        raise ValueError("time must hold at least one state; it is empty")
+        raise ArgumentError("time", "must hold at least one state; it is empty")
     if counts.shape != shares.shape:
-        raise ValueError(
-            f"recorded must have the shape of time, {shares.shape}; it has"
-            f" {counts.shape}"
+        raise ArgumentError(
+            "recorded",
+            f"must have the shape of time, {shares.shape}; it has {counts.shape}",
         )
     parts = shares, np.where(counts > 0, shares, 0.0), counts
     share, known, total = (
@@ -355,8 +360,9 @@ def plot_states(
         else _checks.collection(names, "names", "names, one a state")
     )
     if len(called) != len(share):
-        raise ValueError(
-            f"names must have {len(share)} entries, one a state; it has {len(called)}"
+        raise ArgumentError(
+            "names",
+            f"must have {len(share)} entries, one a state; it has {len(called)}",
         )
     check_texts(xlabel=xlabel)
     order = np.argsort(-share, kind="stable")[: _checks.positive_integer(top, "top")]

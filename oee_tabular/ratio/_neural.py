@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from oee_tabular._checks import Array, IntArray
 from oee_tabular._progress import progress_bar
 from oee_tabular.mdp.rows import Rows
+from oee_tabular.typing import Array, IntArray
 
 if TYPE_CHECKING:
     from oee_tabular.ratio.network import Network

@@ -18,8 +18,8 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
 from oee_tabular._sparse import align, csr_on_pattern, row_of_entry
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.rows import BLOCK, Rows
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.dual import check_box, check_ridge
@@ -40,6 +40,7 @@ from oee_tabular.ratio.prior.strength import (
     meaning,
 )
 from oee_tabular.ratio.result import Influence, TransitionRatio
+from oee_tabular.typing import Array, IntArray
 
 Ridge = float | str | Callable[[float], float]
 SMALLEST = np.finfo(float).tiny  # in place of a weight of 0
@@ -119,9 +120,10 @@ class Conditional(Method):
         if self.functions is not None:
             check_network(self)
             if prior not in (None, "none"):
-                raise ValueError(
-                    "prior must be left out with functions=Network(...), which has"
-                    f" none; got {_checks.show(prior)}"
+                raise ArgumentError(
+                    "prior",
+                    "must be left out with functions=Network(...), which has none; got"
+                    f" {_checks.show(prior)}",
                 )
             if box != (0.0, np.inf):
                 raise ValueError(
@@ -136,9 +138,9 @@ class Conditional(Method):
         object.__setattr__(self, "prior", prior)
         _checks.one_of(prior, "prior", tuple(PRIORS))
         if self.features is not None and PRIORS[str(prior)] is _no_tilt:
-            raise ValueError(
-                f"features must be left out with prior {prior!r}, which does not use"
-                " them"
+            raise ArgumentError(
+                "features",
+                f"must be left out with prior {prior!r}, which does not use them",
             )
 
     @property

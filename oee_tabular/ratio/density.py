@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, Seed
 from oee_tabular._parallel import one_thread
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import dual, statements
 from oee_tabular.ratio.dual import Box, check_box, check_ridge, check_weights
 from oee_tabular.ratio.features import KernelFunction, class_features
 from oee_tabular.ratio.linear import N_CENTERS, fit_cells
 from oee_tabular.ratio.sgd import Sgd, SgdTrace, descend
+from oee_tabular.typing import Array, Seed
 
 ACCURATE = 1e-8  # nats
 
@@ -208,7 +209,7 @@ def density_ratio(
             " tables"
         )
     if coordinates is not None and not in_class:
-        raise ValueError("coordinates must be given with a kernel; none is given")
+        raise ArgumentError("coordinates", "must be given with a kernel; none is given")
     center = 0.0 if toward is None else _checks.number_in(toward, "toward", 0.0, np.inf)
     known: Any = (weights[0] > 0) | (weights[1] > 0)
     known = slice(None) if in_class or known.all() else known
@@ -294,10 +295,11 @@ def _refuse_unbounded(index: Any, program: dual.Coordinates, box: Box) -> None:
     bad = np.flatnonzero((program.q == 0) & (program.p > 0) & (program.curvature == 0))
     if bad.size and not np.isfinite(box.upper):
         named = ", ".join(str(int(i)) for i in index[bad[:5]])
-        raise ValueError(
-            f"q must be positive where p is: the program is unbounded at the {bad.size}"
+        raise ArgumentError(
+            "q",
+            f"must be positive where p is: the program is unbounded at the {bad.size}"
             f" entries with q = 0 < p (the first: {named}); give a finite upper bound,"
-            " or more data behind q"
+            " or more data behind q",
         )
 
 

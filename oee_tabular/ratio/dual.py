@@ -19,8 +19,9 @@ import numpy as np
 from numba import njit
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import _certificate
+from oee_tabular.typing import Array, IntArray
 
 
 class Box(NamedTuple):
@@ -47,13 +48,14 @@ def check_box(
         else _checks.number_in(upper, names[1], 0.0, np.inf, infinite=True)
     )
     if nu > mu:
-        raise ValueError(
-            f"{names[0]} must not exceed {names[1]}; they are {nu:g} and {mu:g}"
+        raise ArgumentError(
+            names[0], f"must not exceed {names[1]}; they are {nu:g} and {mu:g}"
         )
     if mu == 0.0:
-        raise ValueError(
-            f"{names[1]} must be positive: the logarithm of the ratio is part of the"
-            " objective; it is 0"
+        raise ArgumentError(
+            names[1],
+            "must be positive: the logarithm of the ratio is part of the objective; it"
+            " is 0",
         )
     if normalized and not nu <= 1.0 <= mu:
         raise ValueError(
@@ -81,8 +83,8 @@ def check_weights(p: object, q: object) -> tuple[Array, Array]:
         with np.errstate(over="ignore"):
             total = float(array.sum())
         if not 0.0 < total < np.inf:
-            raise ValueError(
-                f"{name} must have a positive, finite sum; it is {total:g}"
+            raise ArgumentError(
+                name, f"must have a positive, finite sum; it is {total:g}"
             )
     if len(weights[0]) != len(weights[1]):
         raise ValueError(

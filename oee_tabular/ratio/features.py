@@ -26,14 +26,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular._sparse import find
 from oee_tabular.data.frames import eager, is_frame
 from oee_tabular.data.rules import MOVE, require_columns
+from oee_tabular.exceptions import ArgumentError, NumericalWarning
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.naming import Name, number_of
 from oee_tabular.mdp.rows import Rows, distinct_rows
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 KernelFunction = Callable[[Array, Array], Any]
 N_DIAGONAL = 64  # points whose k(x, x) is taken from one square of the Gram matrix
@@ -83,13 +84,13 @@ def kernel_features(
     left = np.concatenate([np.diag(_gram(kernel, part, part)) for part in parts])
     if not (left >= 0).all():
         bad = int(np.argmin(left))
-        raise ValueError(
-            f"kernel must be positive semidefinite; k(x, x) is {left[bad]:g} at point"
-            f" {bad}"
+        raise ArgumentError(
+            "kernel",
+            f"must be positive semidefinite; k(x, x) is {left[bad]:g} at point {bad}",
         )
     scale = float(left.max(initial=0.0))
     if scale == 0.0:
-        raise ValueError("kernel must not be 0 at every point")
+        raise ArgumentError("kernel", "must not be 0 at every point")
     factor = np.zeros((len(points), min(len(points), n_centers)))
     pivots = []
     for j in range(factor.shape[1]):
@@ -106,9 +107,10 @@ def kernel_features(
         left[pivots] = 0.0
         if left.min() < -1e-6 * scale:
             bad = int(np.argmin(left))
-            raise ValueError(
-                "kernel must be symmetric and positive semidefinite; given the points"
-                f" {pivots[-3:]} point {bad} has the variance {left[bad]:g}"
+            raise ArgumentError(
+                "kernel",
+                "must be symmetric and positive semidefinite; given the points"
+                f" {pivots[-3:]} point {bad} has the variance {left[bad]:g}",
             )
     return KernelFeatures(
         factor[:, : len(pivots)], np.array(pivots), float(np.maximum(left, 0.0).max())
@@ -119,9 +121,10 @@ def _gram(kernel: KernelFunction, x: Array, centers: Array) -> Array:
     """kernel(x, centers), checked: finite, of shape (n, m)."""
     array = _checks.float_array(kernel(x, centers), "kernel", ndim=2)
     if array.shape != (len(x), len(centers)):
-        raise ValueError(
-            f"kernel must give an array of shape {(len(x), len(centers))}; it gives"
-            f" {array.shape}"
+        raise ArgumentError(
+            "kernel",
+            f"must give an array of shape {(len(x), len(centers))}; it gives"
+            f" {array.shape}",
         )
     _checks.require_finite(array, "kernel")
     return array
@@ -154,23 +157,25 @@ def class_features(
     if features is not None:
         for value, name in ((kernel, "kernel"), (coordinates, "coordinates")):
             if value is not None:
-                raise ValueError(
-                    f"{name} must not be given with features; the two are different"
-                    " classes"
+                raise ArgumentError(
+                    name,
+                    "must not be given with features; the two are different classes",
                 )
         array = _checks.float_array(features, "features", ndim=(1, 2))
         if len(array) != n or array.size == 0:
-            raise ValueError(
-                f"features must have {n} rows, one for each entry of p; they have shape"
-                f" {array.shape}"
+            raise ArgumentError(
+                "features",
+                f"must have {n} rows, one for each entry of p; they have shape"
+                f" {array.shape}",
             )
         _checks.require_finite(array, "features")
         array = array.reshape(n, -1)
         return array, {"feature_rank": count_rank(array)}
     if coordinates is None:
-        raise ValueError(
-            "coordinates must be given with kernel: the points that the entries of p"
-            " and q stand for"
+        raise ArgumentError(
+            "coordinates",
+            "must be given with kernel: the points that the entries of p and q"
+            " stand for",
         )
     points = _check_points(coordinates, n, "one for each entry of p")
     check_kernel(kernel)
@@ -192,7 +197,8 @@ def count_rank(features: Array, *, where: str = "") -> int:
     if rank < d:
         _checks.warn(
             f"features should be linearly independent{where}; they have rank {rank} of"
-            f" {d} (the smallest parameters that fit are taken)"
+            f" {d} (the smallest parameters that fit are taken)",
+            NumericalWarning,
         )
     return rank
 
@@ -218,15 +224,16 @@ def feature_array(features: object, simulator: FiniteMDP) -> Array:
     if array.ndim >= 3 and array.shape[:3] == shape:
         array = array[moves]
     if array.ndim not in (1, 2) or array.shape[0] != matrix.nnz or array.size == 0:
-        raise ValueError(
-            f"features must have {matrix.nnz} rows, one for each transition of the"
-            f" simulator, or shape {shape} (+ d); they have shape {written}"
+        raise ArgumentError(
+            "features",
+            f"must have {matrix.nnz} rows, one for each transition of the simulator, or"
+            f" shape {shape} (+ d); they have shape {written}",
         )
     array = array.reshape(matrix.nnz, -1)
     for entry, k in np.argwhere(~np.isfinite(array))[:1].tolist():
         where = name_transition(matrix, entry, simulator.n_actions, simulator.names)
-        raise ValueError(
-            f"features must be finite; feature {k} at {where} is {array[entry, k]}"
+        raise ArgumentError(
+            "features", f"must be finite; feature {k} at {where} is {array[entry, k]}"
         )
     return array
 
@@ -236,8 +243,8 @@ def _check_points(coordinates: object, n: int, rule: str) -> Array:
     points = _checks.float_array(coordinates, "coordinates", ndim=(1, 2))
     _checks.require_finite(points, "coordinates")
     if len(points) != n:
-        raise ValueError(
-            f"coordinates must have {n} rows, {rule}; they have {len(points)}"
+        raise ArgumentError(
+            "coordinates", f"must have {n} rows, {rule}; they have {len(points)}"
         )
     return points.reshape(n, -1)
 
@@ -313,9 +320,9 @@ def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
     columns, entry = _moves_of(frame, simulator, source)
     if len(columns) > 1:
         labels = words(column.label for column in columns)
-        raise ValueError(
-            f"{source} must have one column of keys beside {words(MOVE)}; it has"
-            f" {labels}"
+        raise ArgumentError(
+            source,
+            f"must have one column of keys beside {words(MOVE)}; it has {labels}",
         )
     written = columns[0].integers()
     matrix = simulator.transitions
@@ -324,9 +331,10 @@ def keys_in(frame: Any, simulator: FiniteMDP, source: str) -> NDArray[Any]:
         first = name_transition(
             matrix, int(absent[0]), simulator.n_actions, simulator.names
         )
-        raise ValueError(
-            f"{source} must have a key for every transition of the simulator;"
-            f" {absent.size} of {matrix.nnz} have none, the first: {first}"
+        raise ArgumentError(
+            source,
+            f"must have a key for every transition of the simulator; {absent.size} of"
+            f" {matrix.nnz} have none, the first: {first}",
         )
     keys = np.empty(matrix.nnz, dtype=written.dtype)
     keys[entry] = written
@@ -344,9 +352,10 @@ def _moves_of(
     require_columns(source, MOVE, labels)
     own = [label for label in labels if label not in MOVE]
     if any(label.startswith(NAMELESS) for label in own):
-        raise ValueError(
-            f"{source} must have a name for every column; it has {words(labels)} (a"
-            " written index?)"
+        raise ArgumentError(
+            source,
+            f"must have a name for every column; it has {words(labels)} (a written"
+            " index?)",
         )
     if not own or len(table) == 0:
         rule = (
@@ -354,7 +363,7 @@ def _moves_of(
             if len(table)
             else "at least one row"
         )
-        raise ValueError(f"{source} must have {rule}; it has none")
+        raise ArgumentError(source, f"must have {rule}; it has none")
     columns = {label: _Column(label, source, table[label]) for label in labels}
     states = (simulator.state_names, simulator.n_states)
     sizes = (states, (simulator.action_names, simulator.n_actions), states)

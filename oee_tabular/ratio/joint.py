@@ -31,13 +31,14 @@ import numpy as np
 from numba import njit
 
 from oee_tabular import _checks
-from oee_tabular._checks import PolicyLike
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.dual import ROUNDING, Box, check_box, check_ridge, coordinate
 from oee_tabular.ratio.method import Method, RatioInput, SimulatorData
 from oee_tabular.ratio.quotient import check_simulator_data, simulator_weights
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.statements import JointPoint, JointProgram
+from oee_tabular.typing import PolicyLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +117,10 @@ class Joint(Method):
         )
         lost = (program.s > 0) & (share == 0)
         if lost.any() and not np.isfinite(box.upper) and lam == 0:
-            raise ValueError(
-                "simulator_data must cover the log's (s, a), or upper be finite: the"
-                f" program is unbounded at {int(lost.sum())} of them"
+            raise ArgumentError(
+                "simulator_data",
+                "must cover the log's (s, a), or upper be finite: the program is"
+                f" unbounded at {int(lost.sum())} of them",
             )
         if self.solver == "dual":
             point = JointPoint(*solve_all(program))

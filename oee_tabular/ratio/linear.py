@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio import _certificate, statements
 from oee_tabular.ratio.dual import Box, check_box, check_ridge
 from oee_tabular.ratio.features import (
@@ -45,6 +45,7 @@ from oee_tabular.ratio.features import (
 from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.statements import LinearProgram
+from oee_tabular.typing import Array
 
 N_CENTERS = 200
 # short steps stall less; one of 270 random programs stalls at each, none at all three
@@ -97,9 +98,10 @@ def solve_class(program: LinearProgram, solver: str) -> ClassFit:
     if best is None:
         _refuse_class_without_room(program)
         if program.penalty > 1e100:
-            raise ValueError(
-                "ridge must leave a program that double precision holds; it is"
-                f" {program.penalty:g}"
+            raise ArgumentError(
+                "ridge",
+                "must leave a program that double precision holds; it is"
+                f" {program.penalty:g}",
             )
         raise RuntimeError(
             f"{solver} found no minimum; the program may be unbounded, where q = 0 < p;"
@@ -173,9 +175,10 @@ def _refuse_class_without_room(program: LinearProgram) -> None:
     nearest = (
         f"the nearest misses by {miss:g}" if miss > 1e-9 else "none is at all points"
     )
-    raise ValueError(
-        f"features must span a function that is {above} {program.lower:g}{upper}{one};"
-        f" {nearest} (a constant feature makes one)"
+    raise ArgumentError(
+        "features",
+        f"must span a function that is {above} {program.lower:g}{upper}{one}; {nearest}"
+        " (a constant feature makes one)",
     )
 
 
@@ -256,22 +259,23 @@ class InClass(Method):
         self._refuse_words(self.ridge)
         if self.kernel is None:
             if self.features is None:
-                raise ValueError('features must be given with method "linear"')
+                raise ArgumentError("features", 'must be given with method "linear"')
             if self.coordinates is not None:
-                raise ValueError(
-                    "coordinates must be given with a kernel; none is given"
+                raise ArgumentError(
+                    "coordinates", "must be given with a kernel; none is given"
                 )
         else:
             if self.features is not None:
-                raise ValueError(
-                    "features must be left out with a kernel: the two are different"
-                    " classes"
+                raise ArgumentError(
+                    "features",
+                    "must be left out with a kernel: the two are different classes",
                 )
             check_kernel(self.kernel)
             if self.coordinates is None:
-                raise ValueError(
-                    'coordinates must be given with method "kernel": (S,) or (S, c),'
-                    " where each state is"
+                raise ArgumentError(
+                    "coordinates",
+                    'must be given with method "kernel": (S,) or (S, c), where each'
+                    " state is",
                 )
         _checks.positive_integer(self.n_centers, "n_centers")
         _refuse_thin_box(check_box(self.lower, self.upper, normalized=True), True)

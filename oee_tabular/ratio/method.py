@@ -12,17 +12,18 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, PolicyLike, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.exact import Model, policy_value
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.mdp.policies import split_policies
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.result import Influence, TransitionRatio
 from oee_tabular.ratio.support import checked_counts, supported_counts
+from oee_tabular.typing import Array, BoolArray, PolicyLike, Seed
 
 SimulatorData = Transitions | str | None
 
@@ -177,9 +178,10 @@ class Method:
     def _refuse_words(self, ridge: object) -> None:
         """A ridge chosen on the data is the conditional program's alone."""
         if isinstance(ridge, str):
-            raise ValueError(
-                f"ridge must be a number or a function of n with method {self._name!r};"
-                f" got {_checks.show(ridge)}"
+            raise ArgumentError(
+                "ridge",
+                f"must be a number or a function of n with method {self._name!r}; got"
+                f" {_checks.show(ridge)}",
             )
 
     @one_thread
@@ -211,14 +213,15 @@ class Method:
                 simulator.n_states, simulator.n_actions, discount=discount
             )
         elif not sparse.issparse(log_or_counts):
-            raise ValueError(
-                "log_or_counts must be Transitions or sparse counts; got"
-                f" {type(log_or_counts).__name__}"
+            raise ArgumentError(
+                "log_or_counts",
+                "must be Transitions or sparse counts; got"
+                f" {type(log_or_counts).__name__}",
             )
         elif discount is not None:
-            raise ValueError(
-                "discount must be left out where counts are given: they have no"
-                " timesteps"
+            raise ArgumentError(
+                "discount",
+                "must be left out where counts are given: they have no timesteps",
             )
         else:
             counts = checked_counts(log_or_counts, simulator)
@@ -226,8 +229,8 @@ class Method:
             cache[Rows] = Rows.of(simulator)
         observed = supported_counts(counts, simulator)
         if not observed.sum() > 0:
-            raise ValueError(
-                "log_or_counts must have at least one transition; it has none"
+            raise ArgumentError(
+                "log_or_counts", "must have at least one transition; it has none"
             )
         given = RatioInput(
             observed,

@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, Seed
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp.arrays import check_layout
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import dual
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.dual import Coordinates, check_box, check_ridge
 from oee_tabular.ratio.sgd import SgdTrace
+from oee_tabular.typing import Array, BoolArray, IntArray, Seed
 
 ACTIVATIONS = ("relu", "tanh", "gelu", "silu", "softplus")
 OPTIMIZERS = ("adam", "sgd")
@@ -119,7 +120,9 @@ class Network:
             _checks.positive_integer(self.batch_size, "batch_size")
         _checks.positive_integer(self.n_iterations, "n_iterations")
         if _checks.number_in(self.held_out, "held_out", 0.0, 1.0) == 1.0:
-            raise ValueError("held_out must leave transitions to train on; it is 1")
+            raise ArgumentError(
+                "held_out", "must leave transitions to train on; it is 1"
+            )
         _checks.positive_integer(self.patience, "patience")
 
 
@@ -129,9 +132,10 @@ def check_network(method: Any) -> None:
     """
     _checks.instance(method.functions, Network, "functions", "Network(...)")
     if method.solver != "dual":
-        raise ValueError(
-            "solver must be left out with functions=Network(...), which has its own;"
-            f" got {_checks.show(method.solver)}"
+        raise ArgumentError(
+            "solver",
+            "must be left out with functions=Network(...), which has its own; got"
+            f" {_checks.show(method.solver)}",
         )
 
 
@@ -139,9 +143,10 @@ def check_boxed_network(method: Any) -> None:
     """Nor eq. 3.7 without rows."""
     check_network(method)
     if method.normalized:
-        raise ValueError(
-            "normalized must be False with functions=Network(...): Algorithm 1 imposes"
-            " no sum q g = 1"
+        raise ArgumentError(
+            "normalized",
+            "must be False with functions=Network(...): Algorithm 1 imposes no sum q"
+            " g = 1",
         )
     box = check_box(method.lower, method.upper, normalized=False)
     if not 0.0 < box.lower < box.upper < np.inf:
@@ -150,9 +155,10 @@ def check_boxed_network(method: Any) -> None:
             f" functions=Network(...); it is [{box.lower:g}, {box.upper:g}]"
         )
     if method.toward is None and (callable(method.ridge) or method.ridge != 0):
-        raise ValueError(
-            "toward must be a number with functions=Network(...) and a ridge: sum g^2"
-            " has no batches"
+        raise ArgumentError(
+            "toward",
+            "must be a number with functions=Network(...) and a ridge: sum g^2 has no"
+            " batches",
         )
 
 
@@ -319,16 +325,17 @@ def _split(
     if (weights != np.round(weights)).any():
         if name == "q":
             return (weights / weights.sum(),) * 2
-        raise ValueError(
-            "held_out must be 0 if the log's transitions are weighted (discount) or are"
-            " probabilities"
+        raise ArgumentError(
+            "held_out",
+            "must be 0 if the log's transitions are weighted (discount) or are"
+            " probabilities",
         )
     total = int(weights.sum())
     size = max(round(held_out * total), 1)
     if size >= total:
-        raise ValueError(
-            f"held_out must leave transitions to train on; it keeps out {size} of"
-            f" {total}"
+        raise ArgumentError(
+            "held_out",
+            f"must leave transitions to train on; it keeps out {size} of {total}",
         )
     held = generator.multivariate_hypergeometric(
         weights.astype(np.int64), size, method="marginals"

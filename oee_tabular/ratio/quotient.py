@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, PolicyLike
 from oee_tabular.data import Transitions
 from oee_tabular.exact import occupancy
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import check_policy
 from oee_tabular.ratio.density import RatioFit, density_ratio
 from oee_tabular.ratio.dual import check_box
@@ -23,6 +23,7 @@ from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.sgd import Sgd
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.simulate.sampler import episodes_holding
+from oee_tabular.typing import Array, IntArray, PolicyLike
 
 # the paper's episodes, where the log does not say how long its own were
 _LONGEST_EPISODE = 1000
@@ -91,8 +92,8 @@ class Quotient(Method):
     def __post_init__(self) -> None:
         _checks.boolean(self.normalized, "normalized")
         if not isinstance(self.solver, str | Sgd):
-            raise ValueError(
-                f"solver must be a name or Sgd(...); got {_checks.show(self.solver)}"
+            raise ArgumentError(
+                "solver", f"must be a name or Sgd(...); got {_checks.show(self.solver)}"
             )
         self._refuse_words(self.ridge)
         check_box(self.lower, self.upper, normalized=self.normalized)
@@ -174,9 +175,9 @@ def check_simulator_data(value: object) -> None:
         or isinstance(value, Transitions)
         or (isinstance(value, str) and value == "exact")
     ):
-        raise ValueError(
-            "simulator_data must be Transitions, 'exact' or None; got"
-            f" {_checks.show(value)}"
+        raise ArgumentError(
+            "simulator_data",
+            f"must be Transitions, 'exact' or None; got {_checks.show(value)}",
         )
 
 

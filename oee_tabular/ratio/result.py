@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, BoolArray
 from oee_tabular._parallel import one_thread
 from oee_tabular._sparse import (
     align,
@@ -24,9 +23,11 @@ from oee_tabular._sparse import (
     row_sums,
 )
 from oee_tabular.exact.system import exponent
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.prior.ridge import Tilt
+from oee_tabular.typing import Array, BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +97,20 @@ class TransitionRatio:
         """
         _checks.instance(simulator, FiniteMDP, "simulator")
         if self.values.shape != simulator.transitions.shape:
-            raise ValueError(
-                f"ratio must be for {simulator.transitions.shape} rows and states; it"
-                f" is for {self.values.shape}, another simulator's"
+            raise ArgumentError(
+                "ratio",
+                f"must be for {simulator.transitions.shape} rows and states; it is for"
+                f" {self.values.shape}, another simulator's",
             )
         zeta, stored = align(
             canonical(check_csr(self.values, "ratio"), drop_zeros=False),
             simulator.transitions,
         )
         if not stored.all() or self.values.nnz != simulator.transitions.nnz:
-            raise ValueError(
-                "ratio must have the support of this simulator's transitions; it is"
-                " another simulator's"
+            raise ArgumentError(
+                "ratio",
+                "must have the support of this simulator's transitions; it is another"
+                " simulator's",
             )
         return zeta
 
@@ -217,9 +220,10 @@ class TransitionRatio:
         array = _checks.float_array(gradient, "gradient", ndim=1)
         _checks.require_finite(array, "gradient")
         if len(array) != self.values.nnz:
-            raise ValueError(
-                f"gradient must have an entry for each of the {self.values.nnz}"
-                f" transitions; it has {len(array)}"
+            raise ArgumentError(
+                "gradient",
+                f"must have an entry for each of the {self.values.nnz} transitions; it"
+                f" has {len(array)}",
             )
         shift = exponent(array)
         return array if shift == 0 else np.ldexp(array, -shift), shift

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.ratio import dual
+from oee_tabular.typing import Array, IntArray, Seed
 
 
 @dataclass(frozen=True)

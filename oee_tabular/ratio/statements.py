@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import sparse
 
-from oee_tabular._checks import Array, IntArray, show
+from oee_tabular._checks import show
+from oee_tabular.exceptions import ArgumentError, SolverStatusError
 from oee_tabular.ratio.dual import Coordinates
+from oee_tabular.typing import Array, IntArray
 
 # Clarabel is asked for the tightest of these that it can call "optimal"; 1e-8, its
 # default, leaves ratios off by 1e-4
@@ -26,10 +28,6 @@ def clarabel_options(tolerance: float) -> dict[str, Any]:
     """Clarabel's settings for a tolerance on gap and feasibility."""
     names = ("tol_gap_abs", "tol_gap_rel", "tol_feas")
     return {**dict.fromkeys(names, tolerance), "tol_ktratio": 1e-6, "max_iter": 500}
-
-
-class SolverStatusError(RuntimeError):
-    """The solver did not report an optimal point; its numbers are not handed on."""
 
 
 class JointProgram(NamedTuple):
@@ -302,9 +300,10 @@ def _attempt(problem: Any, solver: str, options: dict[str, Any]) -> str:
     import cvxpy as cp
 
     if solver not in cp.installed_solvers():
-        raise ValueError(
-            "solver must be 'dual' or one of"
-            f" {', '.join(sorted(cp.installed_solvers()))}; got {show(solver)}"
+        raise ArgumentError(
+            "solver",
+            f"must be 'dual' or one of {', '.join(sorted(cp.installed_solvers()))}; got"
+            f" {show(solver)}",
         )
     try:
         with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):

@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
 from oee_tabular._sparse import align, canonical, check_csr, find, row_of_entry
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.ratio.dual import check_distributions
+from oee_tabular.typing import Array
 
 LEAST_PROBABILITY = 1e-300  # of a smaller one a ratio overflows
 LARGEST_COUNT = 2.0**53  # beyond it a float does not tell n from n + 1
@@ -164,7 +165,9 @@ def uncovered_share(moves: sparse.csr_array, simulator: FiniteMDP) -> float:
     moves, possible = _possible(moves, simulator)
     total = moves.data.sum()
     if not 0 < total < np.inf:
-        raise ValueError(f"moves must have a positive, finite sum; it is {total:g}")
+        raise ArgumentError(
+            "moves", f"must have a positive, finite sum; it is {total:g}"
+        )
     return float(moves.data[~possible].sum() / total)
 
 
@@ -177,9 +180,10 @@ def _possible(
     _checks.instance(simulator, FiniteMDP, "simulator")
     matrix = simulator.transitions
     if not sparse.issparse(moves) or moves.shape != matrix.shape:
-        raise ValueError(
-            f"{name} must be sparse of shape {matrix.shape}; got"
-            f" {getattr(moves, 'shape', type(moves).__name__)}"
+        raise ArgumentError(
+            name,
+            f"must be sparse of shape {matrix.shape}; got"
+            f" {getattr(moves, 'shape', type(moves).__name__)}",
         )
     rows = check_csr(moves, name)
     position, stored = find(matrix, row_of_entry(rows), rows.indices.astype(np.int64))
@@ -216,16 +220,17 @@ def checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
     """
     shape = simulator.transitions.shape
     if not sparse.issparse(counts):
-        raise ValueError(
-            f"counts must be sparse, of shape {shape}; got {type(counts).__name__}"
+        raise ArgumentError(
+            "counts", f"must be sparse, of shape {shape}; got {type(counts).__name__}"
         )
     if counts.shape != shape:
-        raise ValueError(
-            f"counts must have shape {shape} (row s*A + a, column s'); they have shape"
-            f" {counts.shape}"
+        raise ArgumentError(
+            "counts",
+            f"must have shape {shape} (row s*A + a, column s'); they have shape"
+            f" {counts.shape}",
         )
     if counts.dtype.kind not in "fiub":
-        raise ValueError(f"counts must be real numbers; they are {counts.dtype}")
+        raise ArgumentError("counts", f"must be real numbers; they are {counts.dtype}")
     matrix = canonical(check_csr(counts, "counts"), drop_zeros=True)
     is_count = np.isfinite(matrix.data) & (matrix.data >= 0)
     for fine, rule in (
@@ -235,8 +240,8 @@ def checked_counts(counts: Any, simulator: FiniteMDP) -> sparse.csr_array:
         if not fine.all():
             k = int(np.flatnonzero(~fine)[0])
             where = name_transition(matrix, k, simulator.n_actions, simulator.names)
-            raise ValueError(
-                f"counts must be {rule}; at {where} there is {matrix.data[k]:g}"
+            raise ArgumentError(
+                "counts", f"must be {rule}; at {where} there is {matrix.data[k]:g}"
             )
     return matrix
 

@@ -24,8 +24,8 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import IntArray
 from oee_tabular.data.frames import is_frame
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import dual
@@ -33,6 +33,7 @@ from oee_tabular.ratio.dual import Coordinates
 from oee_tabular.ratio.features import keys_in
 from oee_tabular.ratio.method import Method, RatioInput
 from oee_tabular.ratio.result import TransitionRatio
+from oee_tabular.typing import IntArray
 
 Tie = Callable[[IntArray, IntArray, IntArray], Any]
 
@@ -88,14 +89,16 @@ class Tied(Method):
 
     def __post_init__(self) -> None:
         if self.tie is None:
-            raise ValueError(
-                "tie must be given with method 'tied': a key for each entry, or a"
-                " function of (s, a, s')"
+            raise ArgumentError(
+                "tie",
+                "must be given with method 'tied': a key for each entry, or a function"
+                " of (s, a, s')",
             )
         if isinstance(self.strength, str):
-            raise ValueError(
-                "strength must be a number with method 'tied'; got"
-                f" {_checks.show(self.strength)}"
+            raise ArgumentError(
+                "strength",
+                "must be a number with method 'tied'; got"
+                f" {_checks.show(self.strength)}",
             )
         _checks.number_in(self.strength, "strength", 0.0, np.inf)
 
@@ -127,10 +130,11 @@ class Tied(Method):
         empty = np.flatnonzero(~(sums > 0))
         if empty.size:
             s, a = divmod(int(empty[0]), simulator.n_actions)
-            raise ValueError(
-                "strength must be positive here: no key of row"
-                f" ({simulator.names.pair(s, a)}) was recorded, and zeta * P would have"
-                f" no mass there ({empty.size} such rows in all); it is {kappa:g}"
+            raise ArgumentError(
+                "strength",
+                f"must be positive here: no key of row ({simulator.names.pair(s, a)})"
+                f" was recorded, and zeta * P would have no mass there ({empty.size}"
+                f" such rows in all); it is {kappa:g}",
             )
         zeta = zeta / rows.spread(sums)
         used = sums[visits > 0] if (visits > 0).any() else sums
@@ -158,12 +162,13 @@ def tie_keys(tie: object, rows: Rows, simulator: FiniteMDP) -> IntArray:
     if given.shape == (simulator.n_states, simulator.n_actions, simulator.n_states):
         given = given[rows.transitions]
     if given.shape != rows.arrival.shape:
-        raise ValueError(
-            f"tie must have shape {rows.arrival.shape}, a key for each entry of"
-            f" simulator.transitions; it has shape {given.shape}"
+        raise ArgumentError(
+            "tie",
+            f"must have shape {rows.arrival.shape}, a key for each entry of"
+            f" simulator.transitions; it has shape {given.shape}",
         )
     if given.dtype.kind not in "iu":
-        raise ValueError(f"tie must have integer keys; they are {given.dtype}")
+        raise ArgumentError("tie", f"must have integer keys; they are {given.dtype}")
     return np.asarray(np.unique(given, return_inverse=True)[1], dtype=np.int64)
 
 

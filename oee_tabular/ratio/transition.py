@@ -10,9 +10,9 @@ from typing import Any
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._sparse import align
 from oee_tabular.data import Transitions
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio.conditional import Conditional
@@ -23,6 +23,7 @@ from oee_tabular.ratio.quotient import Quotient
 from oee_tabular.ratio.result import TransitionRatio
 from oee_tabular.ratio.support import refuse_unsupported, require_pair
 from oee_tabular.ratio.ties import Tied
+from oee_tabular.typing import PolicyLike, Seed
 
 # What a method's name stands for: a class, those of its fields that are no options, and
 # those that the name settles
@@ -62,9 +63,10 @@ def method_named(name: str, **options: Any) -> Method:
                 f" {_checks.show(value)}"
             )
         if option not in OPTIONS[name]:
-            raise ValueError(
-                f"{option} must not be given with method {name!r}, which does not use"
-                f" it; got {_checks.show(value)}"
+            raise ArgumentError(
+                option,
+                f"must not be given with method {name!r}, which does not use it; got"
+                f" {_checks.show(value)}",
             )
     made: Method = make(**{**settled, **given})
     return made
@@ -151,8 +153,8 @@ def transition_ratio(
     }
     chosen.refuse_unused(**inputs)
     if horizon is not None and values_of is None:
-        raise ValueError(
-            "horizon must be left out without values_of: it is that of the values"
+        raise ArgumentError(
+            "horizon", "must be left out without values_of: it is that of the values"
         )
     return chosen.fit(log_or_counts, simulator, discount=discount, seed=seed, **inputs)
 

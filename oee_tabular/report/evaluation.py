@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _progress
-from oee_tabular._checks import Array, Seed
 from oee_tabular._parallel import one_thread
 from oee_tabular.estimators import Estimator, Problem
 from oee_tabular.estimators.findings import (
@@ -23,6 +22,7 @@ from oee_tabular.estimators.findings import (
 from oee_tabular.estimators.functions import as_estimator
 from oee_tabular.estimators.names import default_names, named_estimators
 from oee_tabular.exact import Model, action_values, occupancy, policy_value
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference.comparison import several_policies
 from oee_tabular.inference.evidence import gather
 from oee_tabular.mdp import FiniteMDP
@@ -37,6 +37,7 @@ from oee_tabular.report.uncertainty import (
     choose_interval,
     find_intervals,
 )
+from oee_tabular.typing import Array, Seed
 
 
 @one_thread
@@ -112,8 +113,8 @@ def evaluate(
     ):
         _checks.boolean(flag, name)
     if quick and guaranteed:
-        raise ValueError(
-            "guaranteed must be False where quick is True: it leaves intervals out"
+        raise ArgumentError(
+            "guaranteed", "must be False where quick is True: it leaves intervals out"
         )
     if facts is not None:
         _checks.instance(facts, Mapping, "facts")
@@ -121,25 +122,27 @@ def evaluate(
     if target is not None:
         _checks.instance(target, FiniteMDP, "target")
         if target.transitions.shape != simulator.transitions.shape:
-            raise ValueError(
-                f"target must have the simulator's {simulator.n_states} states and"
+            raise ArgumentError(
+                "target",
+                f"must have the simulator's {simulator.n_states} states and"
                 f" {simulator.n_actions} actions; it has {target.n_states} and"
-                f" {target.n_actions}"
+                f" {target.n_actions}",
             )
     level = _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     if normalized and simulator.discount == 1.0:
-        raise ValueError(
-            "normalized must be False at discount 1: the factor (1 - discount) would"
-            " be 0"
+        raise ArgumentError(
+            "normalized",
+            "must be False at discount 1: the factor (1 - discount) would be 0",
         )
     named = check_policies(policies, simulator, name="policy")
     if not named:
-        raise ValueError("policies must hold at least one; it is empty")
+        raise ArgumentError("policies", "must hold at least one; it is empty")
     known = Premises(**assumed)
     if quick and str(known):
-        raise ValueError(
-            "quick must be False with lower_ratio or upper_ratio: it leaves out the"
-            " intervals that they narrow"
+        raise ArgumentError(
+            "quick",
+            "must be False with lower_ratio or upper_ratio: it leaves out the intervals"
+            " that they narrow",
         )
     chosen, left_out = _choose_estimators(problem, estimators, target)
     truth = {}
@@ -249,7 +252,7 @@ def contest(problem: Problem, policies: object, **options: Any) -> Report:
     _checks.instance(problem, Problem, "problem", "Problem(simulator, log, ...)")
     several_policies(policies, problem.simulator)
     if problem.simulator.discount == 1.0 and problem.horizon is None:
-        raise ValueError("horizon must be given at discount 1")
+        raise ArgumentError("horizon", "must be given at discount 1")
     return evaluate(problem, policies, estimators=["oee"], seed=0, **options)
 
 
@@ -301,11 +304,12 @@ def _choose_estimators(
                     label += "'"
                 chosen[label] = item
             else:
-                raise ValueError(
-                    f"estimators must be names or callables; got {_checks.show(item)}"
+                raise ArgumentError(
+                    "estimators",
+                    f"must be names or callables; got {_checks.show(item)}",
                 )
     if not chosen:
-        raise ValueError("estimators must name at least one; it is empty")
+        raise ArgumentError("estimators", "must name at least one; it is empty")
     return chosen, []
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _files, _printing
+from oee_tabular.exceptions import ArgumentError
 
 
 def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
@@ -43,16 +44,17 @@ def check_output(folder: str | os.PathLike[str], name: str = "output") -> None:
     while not nearest.exists() and nearest != nearest.parent:
         nearest = nearest.parent
     if not nearest.is_dir():
-        raise ValueError(
-            f"{name} must be a folder that can be written; {str(nearest)!r} is a file"
+        raise ArgumentError(
+            name, f"must be a folder that can be written; {str(nearest)!r} is a file"
         )
     try:
         with tempfile.TemporaryFile(dir=nearest):
             pass
     except OSError as error:
-        raise ValueError(
-            f"{name} must be a folder that can be written; {str(nearest)!r} is not"
-            f" writable ({error.strerror})"
+        raise ArgumentError(
+            name,
+            f"must be a folder that can be written; {str(nearest)!r} is not writable"
+            f" ({error.strerror})",
         ) from None
 
 
@@ -126,7 +128,7 @@ def summary(path: Path) -> str:
             )
             lines.append(f"{row['policy']}  {row['estimator']}  {row['value']}{ends}")
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"{str(path)!r} must be a report that oee evaluate wrote; {error}"
+        raise ArgumentError(
+            f"{str(path)!r}", f"must be a report that oee evaluate wrote; {error}"
         ) from None
     return "\n".join(lines)

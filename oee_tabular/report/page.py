@@ -23,18 +23,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from oee_tabular import __version__, _files, _printing, plots
-from oee_tabular._checks import Array, BoolArray, positive_integer, show
+from oee_tabular._checks import positive_integer, show
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.names import NAMED
 from oee_tabular.exact.occupancy import time_in_pairs
-from oee_tabular.exact.system import DivergentKernelError
+from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.inference.changes import RowChanges, row_changes
 from oee_tabular.mdp.naming import Names
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
 from oee_tabular.report.tables import diagnostic_columns
 from oee_tabular.report.uncertainty import GUARANTEED, LIKELIHOOD
+from oee_tabular.typing import Array, BoolArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,9 +71,9 @@ def render(
     if report.problem is not None:
         portrait = portray(report.problem, report.policies, report.confidence, grid)
     elif grid is not None:
-        raise ValueError(
-            "grid must be None for a report without its problem: there is nothing to"
-            " draw"
+        raise ArgumentError(
+            "grid",
+            "must be None for a report without its problem: there is nothing to draw",
         )
     environment = Environment(
         loader=PackageLoader("oee_tabular.report"),
@@ -162,8 +163,8 @@ def date(report: Report) -> str:
     try:
         return _day(int(given)) if given else str(report.facts.get("date", ""))
     except (ValueError, OverflowError, OSError):
-        raise ValueError(
-            f"{EPOCH} must be a whole number of seconds since 1970; it is {given!r}"
+        raise ArgumentError(
+            EPOCH, f"must be a whole number of seconds since 1970; it is {given!r}"
         ) from None
 
 
@@ -402,12 +403,15 @@ def _read_grid(grid: Any, n_states: int) -> plots.Map:
     try:
         rows, columns = grid
     except (TypeError, ValueError):
-        raise ValueError(f"grid must be (rows, columns); got {show(grid)}") from None
+        raise ArgumentError(
+            "grid", f"must be (rows, columns); got {show(grid)}"
+        ) from None
     shape = positive_integer(rows, "grid[0]"), positive_integer(columns, "grid[1]")
     if shape[0] * shape[1] != n_states:
-        raise ValueError(
-            f"grid must have as many cells as the simulator has states, {n_states};"
-            f" {shape} has {shape[0] * shape[1]}"
+        raise ArgumentError(
+            "grid",
+            f"must have as many cells as the simulator has states, {n_states}; {shape}"
+            f" has {shape[0] * shape[1]}",
         )
     return plots.Map.of_shape(*shape)
 

@@ -11,15 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from oee_tabular import __version__, _checks, _files
-from oee_tabular._checks import Array
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import IN_VALUES_UNIT
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import Interval
 from oee_tabular.plots import figure_png, plot_values
 from oee_tabular.report import tables, text
 from oee_tabular.report.files import check_output, check_page, plain
 from oee_tabular.report.text import Answer
 from oee_tabular.report.uncertainty import LIKELIHOOD, OWN, Uncertainty, descending_key
+from oee_tabular.typing import Array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -371,8 +372,8 @@ class Report:
                 "interval_method",
                 "estimator",
             }:
-                raise ValueError(
-                    f"rows must be a Report's records(); one is {_checks.show(row)}"
+                raise ArgumentError(
+                    "rows", f"must be a Report's records(); one is {_checks.show(row)}"
                 )
             if row["interval_method"] is not None:
                 members.setdefault(str(row["interval_method"]), {})[

@@ -15,10 +15,10 @@ import numpy as np
 from scipy import special
 
 from oee_tabular import _printing, _progress
-from oee_tabular._checks import Array
 from oee_tabular.design.advice import advice
 from oee_tabular.estimators import Estimate, Estimator, OffEnvironment, Problem
 from oee_tabular.estimators.findings import NEVER_VARIED, no_value, outside
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.inference import (
     Comparison,
     Decision,
@@ -31,6 +31,7 @@ from oee_tabular.inference.evidence import Evidence, gather
 from oee_tabular.inference.robust import independent_radius
 from oee_tabular.ratio import transition_ratio
 from oee_tabular.report import text
+from oee_tabular.typing import Array
 
 # that can be reached: beyond, likelihood intervals take many minutes, and are left out
 MAX_TRANSITIONS = 10_000_000
@@ -190,8 +191,8 @@ def find_intervals(
     if problem.soft:
         if guaranteed:
             reason = "soft counts are no independent transitions"
-            raise ValueError(
-                f"guaranteed must be False where counts are given: {reason}"
+            raise ArgumentError(
+                "guaranteed", f"must be False where counts are given: {reason}"
             )
         return Uncertainty(distance=(text.SOFT,))
     evidence = gather(problem, next(iter(policies.values())))
@@ -200,7 +201,7 @@ def find_intervals(
     del evidence  # as much memory as the simulator
     if lacking:
         if guaranteed:
-            raise ValueError(f"guaranteed must be False here: {lacking}")
+            raise ArgumentError("guaranteed", f"must be False here: {lacking}")
         return Uncertainty(distance=(*distance, text.MISSING_INTERVALS.format(lacking)))
     intervals = {}
     for i, (name, policy) in enumerate(policies.items()):

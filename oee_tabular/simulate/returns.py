@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, IntArray, PolicyLike, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.simulate.sampler import draw, episode_log
+from oee_tabular.typing import Array, IntArray, PolicyLike, Seed
 
 KINDS = ("per_decision", "trajectory")
 

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, BoolArray, IntArray, PolicyLike, Seed
 from oee_tabular._sparse import row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
+from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike, Seed
 
 # one seed, three different samples
 LOG_STREAM, RETURN_STREAM, BAG_STREAM = (np.uint64(number) for number in range(3))

@@ -16,11 +16,12 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, mix, uniform_policy
 from oee_tabular.mdp.policies import deterministic_policy
 from oee_tabular.simulate import sample_episodes
+from oee_tabular.typing import Array
 
 MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 STATE_BYTES = 1800.0  # that are taken for each state while an MDP is made, measured
@@ -55,7 +56,7 @@ def gridworld(
     n = _checks.positive_integer(size, "size")
     _checks.require_memory(STATE_BYTES * n * n, "size", n, size=1)
     if n < 2:
-        raise ValueError(f"size must be at least 2; it is {n}")
+        raise ArgumentError("size", f"must be at least 2; it is {n}")
     wrong = _checks.number_in(slip, "slip", 0.0, 1.0)
     _checks.one_of(pay, "pay", ("next", "current"))
     cells = np.stack(np.divmod(np.arange(n * n), n), axis=1)

@@ -16,10 +16,10 @@ from typing import Any
 
 from oee_tabular import _checks
 from oee_tabular._arguments import arguments, parse_spec
-from oee_tabular._checks import Array
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
+from oee_tabular.typing import Array
 
 # tasks of numbered states that ``named_task`` knows, beside Gymnasium's
 FINITE = ("gridworld",)

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular._progress import progress_bar
 from oee_tabular.data import Transitions
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.policies import count_dimensions
+from oee_tabular.typing import Array, PolicyLike, Seed
 
 
 def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
@@ -30,9 +31,10 @@ def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
             identifier, [*others, *registry], n=3, cutoff=0.5
         )
         hint = f"; near: {', '.join(near)}" if near else ""
-        raise ValueError(
-            f"environment must be a task or a Gymnasium id; {identifier!r} is"
-            f" neither{hint} (your own: module:Class or module:EnvId-v0)"
+        raise ArgumentError(
+            "environment",
+            f"must be a task or a Gymnasium id; {identifier!r} is neither{hint} (your"
+            " own: module:Class or module:EnvId-v0)",
         )
 
 
@@ -206,7 +208,7 @@ def _count(env: object, name: str) -> int:
     """The number of observations, or of actions."""
     space: object = getattr(env, name, None)
     if not hasattr(space, "n") or int(getattr(space, "start", 0)) != 0:
-        raise ValueError(f"env.{name} must be Discrete, from 0; it is {space}")
+        raise ArgumentError(f"env.{name}", f"must be Discrete, from 0; it is {space}")
     return int(space.n)
 
 

@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, policy_value
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.simulate import sample_episodes
+from oee_tabular.typing import Array, IntArray, Seed
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,12 +188,12 @@ def _permutation(value: ArrayLike, name: str, most: int) -> IntArray:
     if array.dtype.kind not in "iuf" or not np.array_equal(
         np.sort(array, axis=None), np.arange(len(array))
     ):
-        raise ValueError(
-            f"{name} must be a permutation of 0, 1, ...; it is {_checks.show(value)}"
+        raise ArgumentError(
+            name, f"must be a permutation of 0, 1, ...; it is {_checks.show(value)}"
         )
     if len(array) < most:
-        raise ValueError(
-            f"{name} must have a number for each of {most} {name}; it has {len(array)}"
+        raise ArgumentError(
+            name, f"must have a number for each of {most} {name}; it has {len(array)}"
         )
     return array.astype(np.int64)
 
@@ -218,7 +219,7 @@ def padded_log(
     starts = log.episode_starts
     n = len(actions)
     if starts is None:
-        raise ValueError("log must have episodes; it has none")
+        raise ArgumentError("log", "must have episodes; it has none")
     columns = log.columns()
     last = starts[1:] - 1
     last = last[log.terminated[last]]

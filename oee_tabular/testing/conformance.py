@@ -24,6 +24,7 @@ from oee_tabular._arguments import module_and_path, own_modules, own_object
 from oee_tabular._parallel import end_with_parent
 from oee_tabular.estimators import Simulator
 from oee_tabular.estimators.functions import as_estimator
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.testing import laws
 from oee_tabular.testing.cases import case
 from oee_tabular.testing.subject import (
@@ -149,11 +150,11 @@ def check_estimator(
 def check_numbers(seed: object, repetitions: object) -> None:
     """ValueError where they are not what ``check_estimator`` takes."""
     if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-        raise ValueError(
-            f"seed must be an integer of at least 0; got {_checks.show(seed)}"
+        raise ArgumentError(
+            "seed", f"must be an integer of at least 0; got {_checks.show(seed)}"
         )
     if _checks.positive_integer(repetitions, "repetitions") < 3:
-        raise ValueError(f"repetitions must be at least 3; it is {repetitions}")
+        raise ArgumentError("repetitions", f"must be at least 3; it is {repetitions}")
 
 
 def make_subject(

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from oee_tabular.exceptions import ArgumentError
+
 __all__ = ["check"]
 
 TOLERANCE = 0.005  # relative
@@ -40,8 +42,8 @@ def check(exercise: str, answer: Any) -> None:
     )
     exercises: dict[str, dict[str, Any]] = tomllib.loads(text)
     if exercise not in exercises:
-        raise ValueError(
-            f"exercise must be one of {', '.join(exercises)}; it is {exercise!r}"
+        raise ArgumentError(
+            "exercise", f"must be one of {', '.join(exercises)}; it is {exercise!r}"
         )
     expected = exercises[exercise]["answer"]
     hint = exercises[exercise]["hint"]

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.functions import RETURNED, as_estimator
@@ -34,6 +33,7 @@ from oee_tabular.testing.subject import (
     on_cases,
     shorten,
 )
+from oee_tabular.typing import Array, PolicyLike
 
 # episodes
 SMALL = 300

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.estimators.functions import as_estimator
@@ -24,12 +23,14 @@ from oee_tabular.exact import (
     policy_value,
     trajectory_efficiency_bound,
 )
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes, sample_transitions
 from oee_tabular.testing.cases import pair_shares
 from oee_tabular.testing.subject import name_of
+from oee_tabular.typing import Array, PolicyLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +219,9 @@ def compare_with_oracle(
     """
     both = _checks.collection(pair, "pair", "(simulator, target)")
     if len(both) != 2:
-        raise ValueError(f"pair must be (simulator, target); it holds {len(both)}")
+        raise ArgumentError(
+            "pair", f"must be (simulator, target); it holds {len(both)}"
+        )
     simulator, target = both
     require_pair(target, simulator)
     own = as_estimator(estimator)
@@ -226,7 +229,7 @@ def compare_with_oracle(
     size = _checks.positive_integer(n, "n")
     times = _checks.positive_integer(repetitions, "repetitions")
     if times < 2:
-        raise ValueError(f"repetitions must be at least 2; it is {times}")
+        raise ArgumentError("repetitions", f"must be at least 2; it is {times}")
     _checks.require_memory(4.0 * times, "repetitions", times)
     if (behavior_policy is None) == (data_distribution is None):
         raise ValueError("one of behavior_policy and data_distribution must be given")

@@ -18,9 +18,10 @@ from typing import Any, Literal
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
 from oee_tabular.data import Transitions
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
+from oee_tabular.typing import Array, PolicyLike
 
 try:
     from hypothesis import strategies as st
@@ -76,13 +77,13 @@ def mdps(
         for n, end in ((min_states, "min"), (max_states, "max"))
     )
     if low > high:
-        raise ValueError(
-            f"min_states must be at most max_states; they are {low} and {high}"
+        raise ArgumentError(
+            "min_states", f"must be at most max_states; they are {low} and {high}"
         )
     most_actions = _checks.positive_integer(max_actions, "max_actions")
     for name, values in (("discounts", discounts), ("rewards", rewards)):
         if not len(values):
-            raise ValueError(f"{name} must hold at least one; it is empty")
+            raise ArgumentError(name, "must hold at least one; it is empty")
     factors = [_checks.number_in(value, "discounts", 0.0, 1.0) for value in discounts]
     for form in rewards:
         _checks.one_of(form, "rewards", REWARDS)
@@ -168,8 +169,8 @@ def mdp_pairs(
     if support == "violated":
         options = {"min_states": 2} | options
         if _checks.positive_integer(options["min_states"], "min_states") < 2:
-            raise ValueError(
-                "min_states must be at least 2 for support 'violated'; it is 1"
+            raise ArgumentError(
+                "min_states", "must be at least 2 for support 'violated'; it is 1"
             )
     simulators = mdps(**options)
 

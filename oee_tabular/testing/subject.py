@@ -20,13 +20,14 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks, _printing
-from oee_tabular._checks import Array
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.estimators.base import UNEXPLAINED
-from oee_tabular.estimators.functions import AnswerError, as_estimator, is_number
+from oee_tabular.estimators.functions import as_estimator, is_number
+from oee_tabular.exceptions import AnswerError, ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.testing.cases import Case, case
+from oee_tabular.typing import Array
 
 CLAIMS: Mapping[str, str] = {
     "consistent": (
@@ -92,8 +93,8 @@ def claims_of(estimator: Any, claims: Iterable[str] | None = None) -> frozenset[
             words = getattr(estimator, "claims", None)
             words = words() if callable(words) else words
         except Exception as error:
-            raise ValueError(
-                f"{name} must be a collection of words; it raises {error!r}"
+            raise ArgumentError(
+                name, f"must be a collection of words; it raises {error!r}"
             ) from None
         if words is None:
             return DEFAULT

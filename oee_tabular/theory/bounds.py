@@ -13,15 +13,15 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import align, row_sums
 from oee_tabular.exact import policy_value
 from oee_tabular.exact.reweighted import Model
-from oee_tabular.exact.system import DivergentKernelError
+from oee_tabular.exceptions import ArgumentError, DivergentKernelError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
 from oee_tabular.theory.theorem_1 import Sides, divergence_terms
 from oee_tabular.theory.theorem_2 import check_pair, forward_distributions
+from oee_tabular.typing import Array, PolicyLike
 
 # infinite sums: terms that are added up, and the discount^t where that ends
 N_TERMS = 100_000
@@ -278,8 +278,8 @@ def kl_path_bound(
     kl = _checks.float_array(path_divergence, "path_divergence", ndim=1)
     bad = np.flatnonzero(~(kl >= 0.0))
     if bad.size:
-        raise ValueError(
-            f"path_divergence[{bad[0]}] must be nonnegative; it is {kl[bad[0]]}"
+        raise ArgumentError(
+            f"path_divergence[{bad[0]}]", f"must be nonnegative; it is {kl[bad[0]]}"
         )
     _, bound, gamma, _ = _check_constants(0.0, reward_bound, discount, None)
     return float(

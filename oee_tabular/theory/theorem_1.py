@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.ratio.dual import check_distributions
+from oee_tabular.typing import Array
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ def renyi_divergence(p: ArrayLike, q: ArrayLike, order: float) -> float:
     ps, qs = check_distributions(p, q)
     a = _checks.number_in(order, "order", 0.0, math.inf, infinite=True)
     if a == 0.0:
-        raise ValueError("order must be positive; it is 0")
+        raise ArgumentError("order", "must be positive; it is 0")
     if a == 1.0:
         return float(np.sum(divergence_terms(ps, qs)))
     shared = (ps > 0.0) & (qs > 0.0)
@@ -132,7 +133,7 @@ def estimation_bound(
     1.475
     """
     samples = _checks.positive_integer(n, "n")
-    (lower, upper) = check_box(nu, mu)
+    lower, upper = check_box(nu, mu)
     delta = 1.0 - _checks.number_in(confidence, "confidence", 0.0, 1.0, open_ends=True)
     divergence = _checks.number_in(renyi, "renyi", 0.0, math.inf, infinite=True)
     k = _checks.number_in(constant, "constant", 0.0, math.inf, open_ends=True)
@@ -229,7 +230,7 @@ def universal_constant_counterexample(
     """
     samples = _checks.positive_integer(n, "n")
     if samples < 2:
-        raise ValueError(f"n must be at least 2; it is {samples}")
+        raise ArgumentError("n", f"must be at least 2; it is {samples}")
     right = estimation_bound(samples, mu, nu, confidence, 0.0, 1.0)
     unseen = math.exp(samples * math.log1p(-1.0 / samples))
     return EstimationCounterexample(
@@ -350,8 +351,9 @@ def squared_error_sides(
         else _checks.number_in(mu, "mu", 0.0, math.inf, infinite=True)
     )
     if bound < largest:
-        raise ValueError(
-            f"mu must be at least g and p/q, which reach {largest:g}; it is {bound:g}"
+        raise ArgumentError(
+            "mu",
+            f"must be at least g and p/q, which reach {largest:g}; it is {bound:g}",
         )
     left = float(ps[ps > 0.0] @ (values - best) ** 2)
     return Sides(left, 0.0 if risk == 0.0 else 2.0 * bound * bound * risk)
@@ -359,7 +361,9 @@ def squared_error_sides(
 
 def _check_same_length(g: Array, p: Array) -> None:
     if g.shape != p.shape:
-        raise ValueError(f"g must have the length of p, {len(p)}; it has {len(g)}")
+        raise ArgumentError(
+            "g", f"must have the length of p, {len(p)}; it has {len(g)}"
+        )
 
 
 def _ratio(p: Array, q: Array) -> Array:
@@ -378,8 +382,8 @@ def check_ratio(value: object, name: str, nu: float, mu: float) -> Array:
     array = _checks.float_array(value, name, ndim=1)
     bad = np.flatnonzero(~((array >= nu) & (array <= mu)))
     if bad.size:
-        raise ValueError(
-            f"{name}[{bad[0]}] must be in [nu, mu] = [{nu:g}, {mu:g}]; it is"
-            f" {array[bad[0]]}"
+        raise ArgumentError(
+            f"{name}[{bad[0]}]",
+            f"must be in [nu, mu] = [{nu:g}, {mu:g}]; it is {array[bad[0]]}",
         )
     return array

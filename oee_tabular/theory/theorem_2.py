@@ -15,7 +15,6 @@ import numpy as np
 from scipy import sparse
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike
 from oee_tabular._sparse import align, csr_on_pattern
 from oee_tabular.exact import (
     ReweightedModel,
@@ -25,10 +24,12 @@ from oee_tabular.exact import (
     state_values,
 )
 from oee_tabular.exact.reweighted import Model
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.arrays import name_transition
 from oee_tabular.mdp.horizons import limit_horizon, optional_horizon_length
 from oee_tabular.theory.theorem_1 import Sides, check_box, check_ratio
+from oee_tabular.typing import Array, PolicyLike
 
 
 @dataclass(frozen=True)
@@ -173,9 +174,9 @@ def check_pair(
             ratio,
         )
     if not isinstance(model, FiniteMDP | ReweightedModel):
-        raise ValueError(
-            "model must be a FiniteMDP or a ReweightedModel; got"
-            f" {type(model).__name__}"
+        raise ArgumentError(
+            "model",
+            f"must be a FiniteMDP or a ReweightedModel; got {type(model).__name__}",
         )
     if target.transitions.shape != model.transitions.shape:
         raise ValueError(
@@ -183,16 +184,17 @@ def check_pair(
             f" have shapes {target.transitions.shape} and {model.transitions.shape}"
         )
     if target.discount != model.discount:
-        raise ValueError(
-            f"model must have the target's discount {target.discount:g}; it has"
-            f" {model.discount:g}"
+        raise ArgumentError(
+            "model",
+            f"must have the target's discount {target.discount:g}; it has"
+            f" {model.discount:g}",
         )
     bad = np.flatnonzero(np.abs(target.initial - model.initial) > _checks.SUM_TOLERANCE)
     if bad.size:
         s = bad[0]
-        raise ValueError(
-            f"model.initial[{s}] must be the target's {target.initial[s]:g}; it is"
-            f" {model.initial[s]:g}"
+        raise ArgumentError(
+            f"model.initial[{s}]",
+            f"must be the target's {target.initial[s]:g}; it is {model.initial[s]:g}",
         )
     _check_rewards(target, model)
     return model
@@ -208,9 +210,10 @@ def _check_rewards(target: FiniteMDP, model: Model) -> None:
                 "r(s, a)" if m.reward_data is None else "r(s, a, s')"
                 for m in (target, model)
             ]
-            raise ValueError(
-                f"model must have the target's form of rewards, {forms[0]}; it has"
-                f" {forms[1]}"
+            raise ArgumentError(
+                "model",
+                f"must have the target's form of rewards, {forms[0]}; it has"
+                f" {forms[1]}",
             )
         bad = np.argwhere(
             ~np.isclose(target.rewards, model.rewards, rtol=1e-9, atol=1e-12)
@@ -315,8 +318,8 @@ def ratio_error_sides(
         (best_bottom, "true_pairs"),
     ):
         if array.shape != top.shape:
-            raise ValueError(
-                f"{name} must have the length of moves, {len(top)}; it has {len(array)}"
+            raise ArgumentError(
+                name, f"must have the length of moves, {len(top)}; it has {len(array)}"
             )
     error = float(
         max(
@@ -406,9 +409,9 @@ def value_error_sides(
     kernel = check_pair(target, model, ratio)
     steps = _checks.positive_integer(horizon, "horizon")
     if target.reward_data is not None:
-        raise ValueError(
-            "target must have rewards r(s, a): Theorem 2 is about those; it has r(s,"
-            " a, s')"
+        raise ArgumentError(
+            "target",
+            "must have rewards r(s, a): Theorem 2 is about those; it has r(s, a, s')",
         )
     largest = float(np.abs(target.rewards).max())
     right = value_error_bound(horizon, largest, target.discount, error=error, nu=nu)

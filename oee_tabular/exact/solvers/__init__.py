@@ -32,23 +32,19 @@ Reference: [1] Berman and Plemmons, Nonnegative Matrices in the Mathematical Sci
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from oee_tabular._checks import Array
+from oee_tabular import _checks
 from oee_tabular.exact import _system
 from oee_tabular.exact.solvers.bicgstab import BiCGStab
 from oee_tabular.exact.solvers.direct import LAPACK, LAST_RESORT, EnvelopeLU, SuperLU
 from oee_tabular.exact.solvers.mixing import PlainBiCGStab, ValueIteration
-from oee_tabular.exact.system import (
-    DivergentKernelError,
-    Solve,
-    System,
-    spectral_radius,
-)
+from oee_tabular.exact.system import Solve, System, spectral_radius
+from oee_tabular.exceptions import DivergentKernelError, NumericalWarning
+from oee_tabular.typing import Array
 
 
 class Solver(Protocol):
@@ -124,12 +120,11 @@ def answer(
             if solver.is_direct or best.largest <= max(allowed, 64.0 * best.rounding):
                 return best
     if not best.largest <= 1e-9 * np.abs(b).max():
-        warnings.warn(
+        _checks.warn(
             f"the linear system of {len(b)} states is solved only to a residual of"
             f" {best.largest:.2g}, and its graph lets no direct solver finish: the"
             " error bound says what that is worth",
-            RuntimeWarning,
-            stacklevel=2,
+            NumericalWarning,
         )
     return best
 

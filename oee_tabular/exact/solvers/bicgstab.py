@@ -28,9 +28,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from oee_tabular._checks import Array
 from oee_tabular.exact._system import add_entry, multiply, transpose_rows
 from oee_tabular.exact.system import Kernel, Solve, System
+from oee_tabular.typing import Array
 
 FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x
 STEPS = 500

@@ -20,9 +20,9 @@ from scipy import sparse
 from scipy.linalg import lapack
 from scipy.sparse import linalg as sparse_linalg
 
-from oee_tabular._checks import Array
 from oee_tabular.exact import _system
 from oee_tabular.exact.system import Csr, Solve, System
+from oee_tabular.typing import Array
 
 LAST_RESORT = 3000  # states: 72 MB and a second
 

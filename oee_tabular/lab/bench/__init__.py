@@ -25,7 +25,6 @@ import numpy as np
 
 from oee_tabular import _checks, _files
 from oee_tabular._arguments import own_modules, own_object
-from oee_tabular._checks import PolicyLike, Seed
 from oee_tabular._parallel import time_limit
 from oee_tabular._sparse import row_sums
 from oee_tabular.estimators import Estimate, Estimator, ModelBased, Problem, Simulator
@@ -35,6 +34,7 @@ from oee_tabular.estimators.names import named_estimators
 from oee_tabular.estimators.names import names as estimator_names
 from oee_tabular.estimators.off_environment import NORMAL
 from oee_tabular.exact import efficiency_bound, occupancy
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.bench.adapters import PEERS, Peer
 from oee_tabular.lab.bench.families import HELD, Families, families, garnet_worse
 from oee_tabular.lab.bench.families_chains import tandem
@@ -43,6 +43,7 @@ from oee_tabular.lab.bench.league import LIKELIHOOD, SIMULATOR, League, league_o
 from oee_tabular.lab.experiment import Cell, Experiment, Row, RunSettings, Stream
 from oee_tabular.lab.run import Store, alone, run_and_write, run_experiment
 from oee_tabular.testing.conformance import own_estimator
+from oee_tabular.typing import PolicyLike, Seed
 
 __all__ = [
     "Families",
@@ -177,7 +178,7 @@ def plan(
         }
     )
     if not numbers:
-        raise ValueError("sizes must name at least one; it is empty")
+        raise ArgumentError("sizes", "must name at least one; it is empty")
     experiment = Experiment(
         id="bench",
         title="Estimators on families of environment shift",
@@ -356,9 +357,9 @@ def choose_estimators(given: Any) -> dict[str, Any]:
         else [(None, item) for item in given]
     ):
         if not isinstance(item, str) and not callable(item):
-            raise ValueError(
-                "estimators must be names, MODULE:OBJECT or callables; got"
-                f" {_checks.show(item)}"
+            raise ArgumentError(
+                "estimators",
+                f"must be names, MODULE:OBJECT or callables; got {_checks.show(item)}",
             )
         name = (
             item
@@ -369,13 +370,14 @@ def choose_estimators(given: Any) -> dict[str, Any]:
         while key is None and name in chosen and not isinstance(item, str):
             name += "'"
         if name in chosen:
-            raise ValueError(
-                f"estimators must have different names; {name!r} is there twice"
+            raise ArgumentError(
+                "estimators", f"must have different names; {name!r} is there twice"
             )
         if name in REFERENCES and item != name:
-            raise ValueError(
-                f"estimators must not be called {name!r}, which is a reference;"
-                f" {_checks.show(item)} is"
+            raise ArgumentError(
+                "estimators",
+                f"must not be called {name!r}, which is a reference;"
+                f" {_checks.show(item)} is",
             )
         if isinstance(item, str) and item not in (
             *REFERENCES,
@@ -384,7 +386,7 @@ def choose_estimators(given: Any) -> dict[str, Any]:
             look_up_estimator(item)
         chosen[name] = item
     if not chosen:
-        raise ValueError("estimators must name at least one; it is empty")
+        raise ArgumentError("estimators", "must name at least one; it is empty")
     return chosen
 
 
@@ -449,7 +451,7 @@ def choose_families(given: Any, seed: int) -> tuple[Any, tuple[str, ...]]:
     else:
         given, names = None, tuple(dict.fromkeys(given))
     if not names:
-        raise ValueError("families must name at least one; it is empty")
+        raise ArgumentError("families", "must name at least one; it is empty")
     for name in names:
         find_family(given, name, seed)
     return given, names
@@ -483,9 +485,9 @@ def families_at(source: Any, seed: int) -> Mapping[str, Family]:
     if not isinstance(source, Mapping) or not all(
         isinstance(name, str) for name in source
     ):
-        raise ValueError(
-            "families must make a mapping name -> Family; they make a"
-            f" {type(source).__name__}"
+        raise ArgumentError(
+            "families",
+            f"must make a mapping name -> Family; they make a {type(source).__name__}",
         )
     return source
 
@@ -537,9 +539,10 @@ def bench(
     try:
         numbers = SIZES if sizes is None else [float(word) for word in split(sizes)]
     except ValueError:
-        raise ValueError(
-            "--sizes must be numbers with commas between them, 0.3,1,3; got"
-            f" {_checks.show(sizes)}"
+        raise ArgumentError(
+            "--sizes",
+            "must be numbers with commas between them, 0.3,1,3; got"
+            f" {_checks.show(sizes)}",
         ) from None
     settings = plan(
         estimators,

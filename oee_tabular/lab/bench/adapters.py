@@ -22,10 +22,11 @@ from typing import Any
 import numpy as np
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, PolicyLike, Seed
 from oee_tabular.estimators import Estimate, Problem
 from oee_tabular.exact import action_values
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import check_policy
+from oee_tabular.typing import Array, PolicyLike, Seed
 
 PEERS: Mapping[str, tuple[str, ...]] = {
     "scope-rl": (
@@ -52,12 +53,14 @@ def pad_episodes(problem: Problem, policy: Array) -> dict[str, Any]:
     starts = log.episode_starts
     probability = log.behavior_probability
     if starts is None or log.timestep is None:
-        raise ValueError(
-            "log must have episodes for importance sampling; its transitions have none"
+        raise ArgumentError(
+            "log",
+            "must have episodes for importance sampling; its transitions have none",
         )
     if probability is None:
-        raise ValueError(
-            "log must have behaviour probabilities for importance sampling; it has none"
+        raise ArgumentError(
+            "log",
+            "must have behaviour probabilities for importance sampling; it has none",
         )
     lengths = np.diff(starts)
     steps = (

@@ -23,6 +23,7 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
 from oee_tabular.exact import optimal_policy, state_values
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.bench import families_chains as chains
 from oee_tabular.lab.bench.families_shifts import FAMILIES as SHIFTS
 from oee_tabular.lab.bench.family import (
@@ -208,7 +209,7 @@ def garnet_worse(n_states: int = 40, seed: int = 0) -> Family:
     (30, True)
     """
     if _checks.positive_integer(n_states, "n_states") < 5:
-        raise ValueError(f"n_states must be at least 5; it is {n_states}")
+        raise ArgumentError("n_states", f"must be at least 5; it is {n_states}")
     return make_worse(n_states)(np.random.default_rng([check_seed(seed), n_states]))
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular._checks import Array, BoolArray, IntArray
 from oee_tabular.lab.bench.family import (
     Family,
     Maker,
@@ -19,6 +18,7 @@ from oee_tabular.lab.bench.family import (
     poisson,
     shift,
 )
+from oee_tabular.typing import Array, BoolArray, IntArray
 
 HIGHER = "Customers ask for more than simulated."
 LINE = (0.45, 0.5, 0.7)  # arrivals, slow and fast service of the simulated queue

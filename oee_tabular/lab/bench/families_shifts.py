@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from scipy import optimize, stats
 
-from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact import optimal_policy, policy_value, state_values
 from oee_tabular.lab.bench.family import (
     Family,
@@ -27,6 +26,7 @@ from oee_tabular.lab.bench.family import (
     shift,
 )
 from oee_tabular.mdp import FiniteMDP
+from oee_tabular.typing import Array, IntArray
 
 DECK = np.append(np.ones(9), 4.0) / 13
 OUTCOME = np.zeros((203, 2, 203))

@@ -17,16 +17,17 @@ import numpy as np
 from scipy import sparse, special, stats
 
 from oee_tabular import _checks
-from oee_tabular._checks import Array, Seed
 from oee_tabular._sparse import csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.data import Transitions
 from oee_tabular.estimators import Problem
 from oee_tabular.exact import occupancy, optimal_policy, policy_value
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy, mix, uniform_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
 from oee_tabular.ratio import refuse_unsupported
 from oee_tabular.ratio.support import require_pair
 from oee_tabular.simulate import sample_episodes
+from oee_tabular.typing import Array, Seed
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +82,10 @@ class Family:
                 self, name, check_policy(getattr(self, name), self.simulator, name=name)
             )
         if not isinstance(self.about, str) or not self.about.strip():
-            raise ValueError(
-                "about must be a sentence that says what the simulator has wrong; got"
-                f" {_checks.show(self.about)}"
+            raise ArgumentError(
+                "about",
+                "must be a sentence that says what the simulator has wrong; got"
+                f" {_checks.show(self.about)}",
             )
         object.__setattr__(
             self, "horizon", optional_horizon_length(self.horizon, self.simulator)
@@ -194,15 +196,17 @@ class Family:
 def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
     """Check that only the dynamics differ; estimators know the rest."""
     if target.discount != simulator.discount:
-        raise ValueError(
-            f"target must have the simulator's discount, {simulator.discount:g}; it has"
-            f" {target.discount:g}"
+        raise ArgumentError(
+            "target",
+            f"must have the simulator's discount, {simulator.discount:g}; it has"
+            f" {target.discount:g}",
         )
     if not np.array_equal(target.initial, simulator.initial):
         s = int(np.flatnonzero(target.initial != simulator.initial)[0])
-        raise ValueError(
-            f"target must have the simulator's initial distribution; initial[{s}] is"
-            f" {target.initial[s]:g} there, {simulator.initial[s]:g} in the simulator"
+        raise ArgumentError(
+            "target",
+            f"must have the simulator's initial distribution; initial[{s}] is"
+            f" {target.initial[s]:g} there, {simulator.initial[s]:g} in the simulator",
         )
     paid = simulator.with_transitions(target.transitions).rewards
     bad = np.argwhere(
@@ -210,11 +214,12 @@ def _require_same(target: FiniteMDP, simulator: FiniteMDP) -> None:
     )
     if len(bad):
         s, a = (int(i) for i in bad[0])
-        raise ValueError(
-            "target must pay the simulator's rewards (simulator.with_transitions makes"
-            f" such a target); at {simulator.names.pair(s, a)} it pays"
+        raise ArgumentError(
+            "target",
+            "must pay the simulator's rewards (simulator.with_transitions makes such a"
+            f" target); at {simulator.names.pair(s, a)} it pays"
             f" {target.rewards[s, a]:g} on average, with the simulator's rewards"
-            f" {paid[s, a]:g} ({len(bad)} such state-action pairs in all)"
+            f" {paid[s, a]:g} ({len(bad)} such state-action pairs in all)",
         )
 
 
@@ -369,5 +374,7 @@ def cross(one: Array, other: Array) -> Array:
 def check_seed(seed: Any) -> int:
     """An integer from 0, or ValueError."""
     if not _checks.is_integer(seed) or seed < 0:
-        raise ValueError(f"seed must be an integer from 0; got {_checks.show(seed)}")
+        raise ArgumentError(
+            "seed", f"must be an integer from 0; got {_checks.show(seed)}"
+        )
     return int(seed)

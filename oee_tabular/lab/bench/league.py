@@ -28,10 +28,10 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _files
-from oee_tabular._checks import Array, BoolArray
 from oee_tabular.lab.experiment import draw_bytes, pipe_table
 from oee_tabular.lab.run import refuse_links
 from oee_tabular.plots.style import DIVERGING, INK, disable_math, series, shorten
+from oee_tabular.typing import Array, BoolArray
 
 # the references
 LIKELIHOOD = "maximum-likelihood"

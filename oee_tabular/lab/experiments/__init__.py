@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from oee_tabular import _checks
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import RunSettings, Stream
 from oee_tabular.lab.experiments.common import published
 
@@ -83,7 +84,9 @@ def table(
     chosen = dict(experiment.axes)
     for axis, given in axes.items():
         if axis not in chosen:
-            raise ValueError(f"axes must be among {', '.join(chosen)}; got {axis!r}")
+            raise ArgumentError(
+                "axes", f"must be among {', '.join(chosen)}; got {axis!r}"
+            )
         # 1000.0 is the same cell as 1000
         own = {value: value for value in chosen[axis]}
         chosen[axis] = tuple(

@@ -33,7 +33,6 @@ import numpy as np
 import pandas as pd
 from scipy import sparse
 
-from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular.continuous.cartpole import PAPER_NOISE, CartPole, cartpole_policy
 from oee_tabular.continuous.command import continuous_simulator
@@ -62,6 +61,7 @@ from oee_tabular.lab.experiments.common import (
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.plots import label_ends
 from oee_tabular.ratio import TransitionRatio, transition_ratio
+from oee_tabular.typing import Array
 
 DELTAS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 GRAVITIES = (7.5, 10.0, 12.5, 15.0)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from oee_tabular import _files
+from oee_tabular.exceptions import ArgumentError
 from oee_tabular.lab.experiment import Experiment, files_of
 from oee_tabular.lab.experiments import (
     cartpole,
@@ -65,7 +66,9 @@ def choose(names: Iterable[str], *, everything: bool = False) -> list[Experiment
     ]
     wanted = list(dict.fromkeys(itertools.chain(*members)))
     if everything and wanted:
-        raise ValueError(f"--all must be given without ids; got {', '.join(wanted)}")
+        raise ArgumentError(
+            "--all", f"must be given without ids; got {', '.join(wanted)}"
+        )
     if not everything and not wanted:
         raise ValueError(
             f"one experiment or more must be given, or --all; there are {known}"
@@ -74,7 +77,9 @@ def choose(names: Iterable[str], *, everything: bool = False) -> list[Experiment
         if name not in EXPERIMENTS:
             near = difflib.get_close_matches(name, EXPERIMENTS, n=3, cutoff=0.4)
             hint = f"; nearest: {', '.join(near)}" if near else ""
-            raise ValueError(f"experiment must be one of {known}; got {name!r}{hint}")
+            raise ArgumentError(
+                "experiment", f"must be one of {known}; got {name!r}{hint}"
+            )
     return [EXPERIMENTS[name] for name in (EXPERIMENTS if everything else wanted)]
 
 
@@ -110,7 +115,7 @@ def reproduce(
     anything runs. ``options``: jobs, dask, fresh, as in ``run_experiment``.
     """
     if seeds is not None and seeds < 1:
-        raise ValueError(f"--seeds must be at least 1; got {seeds}")
+        raise ArgumentError("--seeds", f"must be at least 1; got {seeds}")
     _files.local(output)
     chosen: list[Experiment] = []
     missing: list[ImportError] = []

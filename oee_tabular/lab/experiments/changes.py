@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from oee_tabular._checks import Array, IntArray, Seed
 from oee_tabular.continuous import kinova
 from oee_tabular.continuous.cartpole import CartPole, cartpole_policy
 from oee_tabular.continuous.discretization import discretize
@@ -48,6 +47,7 @@ from oee_tabular.lab.experiments.kinova import arm_of, towards
 from oee_tabular.lab.experiments.reacher import DELTAS as REACHER_DELTAS
 from oee_tabular.lab.experiments.reacher import Even
 from oee_tabular.ratio import transition_ratio
+from oee_tabular.typing import Array, IntArray, Seed
 
 DISCOUNT = 0.99
 

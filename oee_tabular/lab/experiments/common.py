@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 import oee_tabular as oee
-from oee_tabular._checks import Array
 from oee_tabular._sparse import row_sums
 from oee_tabular.lab.experiment import Panels
 from oee_tabular.tasks import gridworld, gridworld_policy
+from oee_tabular.typing import Array
 
 # rewards of a value, steps of a recorded episode
 HORIZON = 200

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from oee_tabular._checks import Array
 from oee_tabular.continuous import kinova
 from oee_tabular.continuous.discretization import discretize
 from oee_tabular.continuous.discretized import Discretization
@@ -37,6 +36,7 @@ from oee_tabular.lab.experiments.common import frequencies, published_table
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import TransitionRatio, transition_ratio
 from oee_tabular.simulate import sample_episodes
+from oee_tabular.typing import Array
 
 TARGETS: dict[str, dict[str, float]] = {
     "velocity x 1.4": {"velocity_scale": 1.4},

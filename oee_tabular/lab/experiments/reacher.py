@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 from scipy import sparse
 
-from oee_tabular._checks import Array
 from oee_tabular.continuous.discretization import VisitedCells, discretize
 from oee_tabular.continuous.discretized import Discretization
 from oee_tabular.continuous.episodes import monte_carlo_value
@@ -33,6 +32,7 @@ from oee_tabular.lab.experiments.common import (
 )
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.ratio import transition_ratio
+from oee_tabular.typing import Array
 
 DELTAS = (0.1, 0.3, 0.5, 0.7, 0.9)
 # m, rewards of a value

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 
 import oee_tabular as oee
-from oee_tabular._checks import Array
 from oee_tabular.design.programs import collection_mdp
 from oee_tabular.estimators import ModelBased, OffEnvironment
 from oee_tabular.exact import policy_value, ratio_of_ratios_variance
@@ -37,6 +36,7 @@ from oee_tabular.mdp import mix, uniform_policy
 from oee_tabular.plots import plot_intervals
 from oee_tabular.report import contest
 from oee_tabular.tasks import gridworld_policy
+from oee_tabular.typing import Array
 
 POLICY = gridworld_policy(5, 0.5)  # that is evaluated on the small grids
 

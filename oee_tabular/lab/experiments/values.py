@@ -16,7 +16,6 @@ import pandas as pd
 from scipy import stats
 
 import oee_tabular as oee
-from oee_tabular._checks import Array
 from oee_tabular._sparse import csr_on_pattern
 from oee_tabular.estimators import OffEnvironment, Oracle
 from oee_tabular.estimators.names import NAMED
@@ -39,6 +38,7 @@ from oee_tabular.lab.experiments.common import (
     sample_pool,
 )
 from oee_tabular.tasks import gridworld, gridworld_policy, named_task
+from oee_tabular.typing import Array
 
 N_ROLLOUTS = 100  # of the products
 ESTIMATORS = {  # curves, and their names in ``oee evaluate``

@@ -14,7 +14,6 @@ from scipy import sparse
 from scipy.special import xlogy
 
 import oee_tabular as oee
-from oee_tabular._checks import Array
 from oee_tabular._sparse import csr_on_pattern, row_of_entry, row_sums
 from oee_tabular.estimators import ModelBased, OffEnvironment, Simulator
 from oee_tabular.exact import evaluate_policy, reweight
@@ -42,6 +41,7 @@ from oee_tabular.plots.style import INK
 from oee_tabular.ratio import Network, Quotient, action_displacement
 from oee_tabular.ratio.support import aligned_counts
 from oee_tabular.tasks import gridworld, gridworld_policy
+from oee_tabular.typing import Array
 
 DEFAULT = "default (tilt by evidence)"
 QUOTIENT = "paper's quotient, tabular"

@@ -28,12 +28,12 @@ from typing import Any
 
 import numpy as np
 
-from oee_tabular._checks import Array, IntArray
 from oee_tabular.exact import state_values
-from oee_tabular.exact.system import DivergentKernelError
+from oee_tabular.exceptions import DivergentKernelError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.mdp.rows import BLOCK, DIGITS, Rows, distinct_rows, round_displacements
 from oee_tabular.ratio.prior._ridge import Columns, find_codes
+from oee_tabular.typing import Array, IntArray
 
 N_STEPS = 24  # displacements that are directions of their own
 # coordinates up to which each displacement is multiplied by each coordinate of s;

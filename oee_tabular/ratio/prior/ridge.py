@@ -43,7 +43,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oee_tabular._checks import Array
 from oee_tabular.mdp.rows import Rows
 from oee_tabular.ratio import statements
 from oee_tabular.ratio.prior._ridge import (
@@ -59,6 +58,7 @@ from oee_tabular.ratio.prior._ridge import (
 )
 from oee_tabular.ratio.prior.directions import GROUPS, Directions
 from oee_tabular.ratio.statements import TiltProgram
+from oee_tabular.typing import Array
 
 # of MacKay's rule, for kappa around the first rows, then for kappa around the tilt;
 # more change nothing

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from oee_tabular._checks import Array, IntArray
 from oee_tabular.mdp.rows import Rows, distinct_rows
+from oee_tabular.typing import Array, IntArray
 
 FAR = 12.0  # from here Stirling's series with four terms errs by less than 1e-13
 

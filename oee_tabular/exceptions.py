@@ -1,0 +1,116 @@
+"""Errors and warnings of the package, to be caught or filtered by class.
+
+Every error is also a ``ValueError`` or a ``RuntimeError``, and every warning is also a
+``UserWarning``: code that knows only Python's own classes keeps working.
+
+>>> import warnings
+>>> import oee_tabular as oee
+>>> from oee_tabular.exceptions import ArgumentError, OeeWarning
+>>> try:
+...     oee.tasks.gridworld(4, slip=1.5)
+... except ArgumentError as error:
+...     print(error.argument, "|", error.rule)
+slip | must be in [0, 1]; got 1.5
+>>> with warnings.catch_warnings():
+...     warnings.simplefilter("ignore", OeeWarning)  # what the package itself warns of
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "AnswerError",
+    "ArgumentError",
+    "CostWarning",
+    "DataWarning",
+    "DiscretizationWarning",
+    "DivergentKernelError",
+    "NoCellsError",
+    "NumericalWarning",
+    "OeeWarning",
+    "SimulatorWarning",
+    "SolverStatusError",
+]
+
+
+class ArgumentError(ValueError):
+    """Report an argument that breaks a rule: ``str(error)`` is "argument rule".
+
+    Parameters
+    ----------
+    argument : str
+        The argument as the caller wrote it, with the place where it has one:
+        ``"discount"``, ``"transitions[3, 1]"``.
+    rule : str
+        The rest of the sentence: the rule, and the value that breaks it.
+
+    Attributes
+    ----------
+    argument : str
+        The argument, with its place.
+    rule : str
+        The rule and the value found.
+
+    Examples
+    --------
+    >>> error = ArgumentError("discount", "must be in [0, 1]; got 2.0")
+    >>> str(error), error.argument
+    ('discount must be in [0, 1]; got 2.0', 'discount')
+    """
+
+    def __init__(self, argument: str, rule: str) -> None:
+        super().__init__(argument, rule)
+        self.argument = argument
+        self.rule = rule
+
+    def __str__(self) -> str:
+        return f"{self.argument} {self.rule}"
+
+
+class DivergentKernelError(ValueError):
+    """Report a kernel gamma K whose spectral radius is 1 or more.
+
+    The infinite discounted sum over powers of gamma K does not exist then. It happens
+    at discount 1 where a policy need not end, and for weighted kernels.
+    """
+
+
+class SolverStatusError(RuntimeError):
+    """Report a convex solver that did not end at an optimal point.
+
+    The numbers of such a solve are not handed on.
+    """
+
+
+class AnswerError(ValueError):
+    """Report an estimator's answer that is neither a number nor an ``Estimate``."""
+
+
+class NoCellsError(ValueError):
+    """Report cells of a continuous task that cannot take the log.
+
+    Its text is the sentence that a report prints in place of the rows on the cells.
+    """
+
+
+class OeeWarning(UserWarning):
+    """Stand for every warning of this package, as the base of the others."""
+
+
+class DataWarning(OeeWarning):
+    """Warn of rows or columns of a log that are left out, moved or read otherwise."""
+
+
+class SimulatorWarning(OeeWarning):
+    """Warn of a simulator that was recorded or sampled incompletely."""
+
+
+class DiscretizationWarning(OeeWarning):
+    """Warn of what a continuous task loses when it is cut into cells."""
+
+
+class NumericalWarning(OeeWarning, RuntimeWarning):
+    """Warn of a result that is beyond floats, inaccurate, or not determined."""
+
+
+class CostWarning(OeeWarning):
+    """Warn of a call that will take long, or that is shortened without loss."""
