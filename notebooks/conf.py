@@ -12,7 +12,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 import dependencies
-import docstrings
 import subjects
 from docutils import nodes
 
@@ -23,7 +22,8 @@ author = "The oee_tabular maintainers"
 release = version = oee_tabular.__version__
 extensions = [
     "sphinx.ext.autodoc",
-    "sphinx.ext.napoleon",
+    "sphinx.ext.autosummary",
+    "numpydoc",
     "sphinx.ext.viewcode",
     "sphinx.ext.mathjax",
     "myst_nb",
@@ -39,23 +39,26 @@ myst_heading_anchors = 2
 html_theme = "pydata_sphinx_theme"
 html_title = "oee_tabular"
 html_show_sourcelink = False
-html_sidebars = {"*": []}  # pages that have none below them: the room is the code's
+html_sidebars = {
+    "*": [],
+    "api/commands": [],
+    "api/dependencies": [],
+}  # pages that have none below them: the room is the code's
 html_context = {"default_mode": "auto"}
 html_theme_options = {
     "show_prev_next": True,
     "navigation_depth": 2,
-    "header_links_before_dropdown": 4,
+    "header_links_before_dropdown": 5,
 }
 nb_execution_mode = "off"  # python tests/saved_notebook.py stores the outputs
 nb_merge_streams = True
 # fields of one name in several classes
 suppress_warnings = ["myst.header", "misc.highlighting_failure", "ref.python"]
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"
-napoleon_use_param = False
-napoleon_use_rtype = False
-napoleon_use_ivar = True
-napoleon_attr_annotations = False
+autodoc_typehints = "none"  # the types stand in the docstrings, in words
+autosummary_generate = False  # its tables link to the entries on the pages themselves
+numpydoc_show_class_members = False
+smartquotes = False  # which would make a dash of the two hyphens of an option
 
 
 # the theme tells the console which colours it took; a page that has nothing to say is
@@ -64,11 +67,6 @@ SILENT = (
     'console.log = (log => (...words) => String(words[0]).startsWith("[PST]") ||'
     " log(...words))(console.log);"
 )
-
-
-def plain_docstrings(app, what, name, obj, options, lines):
-    """Before napoleon reads them."""
-    lines[:] = docstrings.plain(lines)
 
 
 def describe_pictures(app, doctree):
@@ -98,71 +96,70 @@ def nest_modules(app, page, template, context, doctree):
 
 
 def write_api(app):
-    """A page for each module, its names by subject, one of the commands and one of
-    dependencies.
+    """Write a page for each module, one of all names, of the commands, of dependencies.
+
+    A module's page has for each subject a table, one line a name, and the entries.
     """
     folder = Path(app.srcdir) / "api"
     folder.mkdir(exist_ok=True)
     for module, headings in subjects.SUBJECTS.items():
         title = f"oee_tabular.{module}"
-        text = [
-            title,
-            "=" * len(title),
-            "",
-            f".. automodule:: {title}",
-            "   :no-members:",
-            "",
-        ]
-        for heading, names in headings.items():
-            text += [
-                heading,
-                "-" * len(heading),
-                "",
-                *(line for name in names for line in directive(title, name)),
-            ]
+        text = [*heading(title, "="), f".. automodule:: {title}", "   :no-members:", ""]
+        for subject, names in headings.items():
+            text += [*heading(subject, "-"), *table(title, names, "")]
+            for name in names:
+                text += directive(title, name)
         write(folder / f"{module}.rst", "\n".join([*text, *short_names(module)]))
-    write(folder / "index.md", index())
+    write(folder / "index.rst", index())
     write(folder / "commands.md", commands())
     write(folder / "dependencies.md", dependencies.page())
 
 
+def heading(text, line):
+    """Return the lines of a heading."""
+    return [text, line * len(text), ""]
+
+
+def table(module, names, prefix=None):
+    """Return the lines of a table that has a line for each name, with its summary.
+
+    On the module's own page names have no prefix, elsewhere the module's.
+    """
+    loaded = importlib.import_module(module)
+    shown = [name for name in names if callable(getattr(loaded, name))]
+    if not shown:
+        return []
+    before = f"~{module}." if prefix is None else prefix
+    rows = [f"   {before}{name}" for name in shown]
+    return [".. autosummary::", "   :nosignatures:", "", *rows, ""]
+
+
 def directive(module, name):
-    """What makes autodoc show a name."""
+    """Return the lines that make autodoc show a name."""
     value = getattr(importlib.import_module(module), name)
     if isinstance(value, type):
         return [f".. autoclass:: {module}.{name}", "   :members:", ""]
     if callable(value):
         return [f".. autofunction:: {module}.{name}", ""]
-    shown = (
-        repr(value)
-        if len(repr(value)) < 300
-        else f"{type(value).__name__} of {len(value)}"
-    )
-    return [f".. py:data:: {module}.{name}", "", f"   ``{shown}``", ""]
+    text = repr(value)
+    if len(text) >= 300:
+        text = f"{type(value).__name__} of {len(value)}"
+    return [f".. py:data:: {module}.{name}", "", f"   ``{text}``", ""]
 
 
 def index():
-    """All public names on a page: by subject, each with its link."""
-    text = ["# Public names", "", "What `import oee_tabular` gives, by subject.", ""]
+    """Return the page of all public names, one line each, by module and subject."""
+    text = [*heading("Public names", "=")]
+    text += ["What ``import oee_tabular`` gives, by subject.", ""]
     for module, headings in subjects.SUBJECTS.items():
-        first = importlib.import_module(f"oee_tabular.{module}").__doc__.split("\n\n")[
-            0
-        ]
-        text += [
-            f"## [{module}]({module}.rst)",
-            "",
-            " ".join(first.replace("``", "`").split()),
-            "",
-        ]
-        for heading, names in headings.items():
-            links = ", ".join(
-                f"{{any}}`{name} <oee_tabular.{module}.{name}>`" for name in names
-            )
-            text += [f"- *{heading}*: {links}"]
-        text.append("")
-    return "\n".join(
-        [*text, "```{toctree}", ":hidden:", "", *subjects.SUBJECTS, "```", ""]
-    )
+        title = f"oee_tabular.{module}"
+        summary = importlib.import_module(title).__doc__.split("\n\n")[0]
+        text += [*heading(title, "-"), " ".join(summary.split()), ""]
+        text += [f":doc:`All about {module} <{module}>`", ""]
+        for subject, names in headings.items():
+            text += [f".. rubric:: {subject}", "", *table(title, names)]
+    text += [".. toctree::", "   :hidden:", ""]
+    return "\n".join([*text, *(f"   {module}" for module in subjects.SUBJECTS), ""])
 
 
 def commands():
@@ -188,8 +185,7 @@ def short_names(module):
     from oee_tabular.estimators.names import NAMED
 
     rows = (
-        (f"``{name}``", f"    {docstrings.escaped(named.meaning)}", "")
-        for name, named in NAMED.items()
+        (f"``{name}``", f"    {named.meaning}", "") for name, named in NAMED.items()
     )
     return ["Short names", "-----------", "", *(line for row in rows for line in row)]
 
@@ -203,7 +199,6 @@ def write(page, content):
 def setup(app):
     """Called by Sphinx."""
     app.connect("builder-inited", write_api)
-    app.connect("autodoc-process-docstring", plain_docstrings, priority=100)
     app.connect("doctree-read", describe_pictures)
     app.connect("html-page-context", nest_modules)
     app.add_js_file(None, body=SILENT)

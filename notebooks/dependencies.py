@@ -9,7 +9,7 @@ from packaging.requirements import Requirement
 
 HEAD = """# Dependencies
 
-What `pip install oee-tabular` brings, with what that needs in turn: the releases that were installed where this page was made,
+What `pip install .` brings in a clone, with what that needs in turn: the releases that were installed where this page was made,
 and the licences that their metadata name. Optional ones come with the extras of `pyproject.toml`.
 
 | package | release | licence | needed by |

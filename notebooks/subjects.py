@@ -13,7 +13,6 @@ SUBJECTS = {
             "evaluate_continuous",
             "Report",
             "Result",
-            "Settings",
         ),
         "Which policy is better": ("contest",),
         "Files": ("check_output", "check_page"),
@@ -148,6 +147,7 @@ SUBJECTS = {
             "monte_carlo_value",
             "StatePolicy",
             "ContinuousSimulator",
+            "Settings",
             "gymnasium_simulator",
         ),
         "Continuous tasks corrected by a log": (
@@ -303,8 +303,9 @@ SUBJECTS = {
 }
 
 
-# names that another module's page has: report's
-ELSEWHERE = {"tasks": {"evaluate_continuous", "Settings"}}
+# names that another module's page has; the links from the source to the page need
+# all names of one file on one page
+ELSEWHERE = {"tasks": {"evaluate_continuous"}, "report": {"Settings"}}
 
 
 def public(module):
