@@ -274,6 +274,7 @@ SUBJECTS = {
             "DivergentKernelError",
             "NoCellsError",
             "SolverStatusError",
+            "UnknownKeywordError",
         ),
         "Warnings": (
             "OeeWarning",

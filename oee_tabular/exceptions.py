@@ -10,12 +10,14 @@ Every error is also a ``ValueError`` or a ``RuntimeError``, and every warning is
 ...     oee.tasks.gridworld(4, slip=1.5)
 ... except ArgumentError as error:
 ...     print(error.argument, "|", error.rule)
-slip | must be in [0, 1]; got 1.5
+slip | must be in [0, 1]; it is 1.5
 >>> with warnings.catch_warnings():
 ...     warnings.simplefilter("ignore", OeeWarning)  # what the package itself warns of
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 __all__ = [
     "AnswerError",
@@ -29,6 +31,7 @@ __all__ = [
     "OeeWarning",
     "SimulatorWarning",
     "SolverStatusError",
+    "UnknownKeywordError",
 ]
 
 
@@ -64,6 +67,57 @@ class ArgumentError(ValueError):
 
     def __str__(self) -> str:
         return f"{self.argument} {self.rule}"
+
+
+class UnknownKeywordError(TypeError):
+    """Report a keyword that a function does not have, and the one that is nearest.
+
+    Parameters
+    ----------
+    function : str
+        The name of the function or class that was called.
+    keyword : str
+        The unknown keyword.
+    nearest : str or None
+        The known keyword that resembles it most; None if none does.
+    known : sequence of str
+        All keywords of the function, which the message lists if none is near.
+
+    Attributes
+    ----------
+    function : str
+        The name of the function or class that was called.
+    keyword : str
+        The unknown keyword.
+    nearest : str or None
+        The known keyword that resembles it most; None if none does.
+
+    Examples
+    --------
+    >>> error = UnknownKeywordError("evaluate", "sed", "seed", ["seed"])
+    >>> str(error)
+    "evaluate() got an unexpected keyword argument 'sed'. Did you mean 'seed'?"
+    """
+
+    def __init__(
+        self, function: str, keyword: str, nearest: str | None, known: Sequence[str]
+    ) -> None:
+        super().__init__(function, keyword, nearest, known)
+        self.function = function
+        self.keyword = keyword
+        self.nearest = nearest
+        self._known = tuple(known)
+
+    def __str__(self) -> str:
+        hint = (
+            f"It takes {', '.join(self._known)}." if self._known else "It takes none."
+        )
+        if self.nearest is not None:
+            hint = f"Did you mean {self.nearest!r}?"
+        return (
+            f"{self.function}() got an unexpected keyword argument {self.keyword!r}."
+            f" {hint}"
+        )
 
 
 class DivergentKernelError(ValueError):

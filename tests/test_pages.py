@@ -6,6 +6,7 @@ import re
 import shlex
 from pathlib import Path
 
+import nbformat
 import numpy as np
 import pandas as pd
 import pytest
@@ -155,7 +156,7 @@ def test_the_landing_page_prints_what_it_shows(capsys):
     code = next(
         block for kind, block in BLOCK.findall(PAGES["index"]) if kind == "python"
     )
-    assert len(code.splitlines()) <= 10  # two of them imports
+    assert len(code.splitlines()) <= 14  # two of them imports
     run(
         "".join(
             match[0] for match in BLOCK.finditer(PAGES["index"]) if match[1] != "sh"
@@ -214,13 +215,13 @@ def test_own_arrays_print_what_the_readme_shows(capsys):
         re.search(rf"```{kind}\n(.*?)```", TEXT, re.S).group(1)
         for kind in ("python", "text")
     )
-    assert len(code.splitlines()) <= 12  # two of them imports
+    assert len(code.splitlines()) <= 16  # two of them imports
     exec(compile(code, "README.md", "exec"), {})
     assert capsys.readouterr().out.split() == shown.split()
 
 
 def test_the_readme_is_short():
-    assert len(TEXT.splitlines()) <= 110
+    assert len(TEXT.splitlines()) <= 120
     assert max(map(len, TEXT.splitlines())) <= 120
 
 
@@ -277,3 +278,77 @@ def test_every_command_of_the_readme_is_found():
         "bench",
         "reproduce",
     }
+
+
+# ---- what pages and notebooks say of things that change
+
+
+def read_book(path):
+    return nbformat.read(path, as_version=4)
+
+
+BOOKS = {path.stem: read_book(path) for path in sorted(NOTEBOOKS.glob("[0-9]*.ipynb"))}
+
+
+def prose():
+    """Name -> the text of a page, or of a notebook's cells of text."""
+    books = {
+        name: "\n\n".join(
+            cell.source for cell in book.cells if cell.cell_type == "markdown"
+        )
+        for name, book in BOOKS.items()
+    }
+    return PAGES | books
+
+
+def test_lines_that_install_work_from_a_clone():
+    """The package is in no index: what installs it names a folder."""
+    texts = prose() | {
+        path.name: path.read_text()
+        for path in (NOTEBOOKS.parent / "oee_tabular").rglob("*.py")
+    }
+    texts["README"] = README.read_text()
+    for name, text in texts.items():
+        assert not re.search(r"pip install\s+['\"]?oee[-_]tabular", text), name
+
+
+def test_families_are_counted_right():
+    pytest.importorskip("icu_sepsis")
+    number = len(oee.bench.families())
+    counted = 0
+    for name, text in prose().items():
+        for found in re.findall(
+            r"(\d+) (?:\*families of|families of environment|kinds of change)", text
+        ):
+            assert int(found) == number, name
+            counted += 1
+    assert counted >= 3
+
+
+def outputs_of(cell):
+    """The text that a cell of code printed, tables without their HTML."""
+    return "\n".join(
+        output.get("text", "") or output.get("data", {}).get("text/plain", "")
+        for output in cell.get("outputs", [])
+    )
+
+
+def test_columns_that_a_notebook_explains_exist():
+    """A list of "- **name**" or "- *name*" after a report explains what it shows."""
+    checked = 0
+    for name, book in BOOKS.items():
+        cells = list(book.cells)
+        for before, cell in zip(cells, cells[1:], strict=False):
+            shown = outputs_of(before) if before.cell_type == "code" else ""
+            if cell.cell_type != "markdown" or "95% interval" not in shown:
+                continue
+            for word in re.findall(r"^- \*{1,2}([^*]+)\*{1,2}", cell.source, re.M):
+                assert word in shown, (name, word)
+                checked += 1
+    assert checked >= 3
+
+
+def test_no_bound_that_is_printed_is_negative():
+    for name, book in BOOKS.items():
+        for cell in book.cells:
+            assert not re.search(r"at most -", outputs_of(cell)), name

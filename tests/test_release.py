@@ -28,8 +28,10 @@ def dependencies(monkeypatch):
 
 
 def test_one_version():
-    version = PROJECT["version"]
-    assert oee_tabular.__version__ == version
+    version = oee_tabular.__version__
+    assert PROJECT["dynamic"] == ["version"]
+    citation = (ROOT / ".github" / "CITATION.cff").read_text()
+    assert f"\nversion: {version}\n" in citation
     assert f"version = {{{version}}}" in (ROOT / "README.md").read_text()
     assert (
         re.search(r"^## (\S+)", (ROOT / "notebooks" / "changes.md").read_text(), re.M)[

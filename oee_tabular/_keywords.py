@@ -1,0 +1,76 @@
+"""Errors of misspelt keywords: they name the function and the nearest known keyword."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import inspect
+from collections.abc import Callable, Iterable
+from typing import Any, ParamSpec, TypeVar, overload
+
+from oee_tabular.exceptions import UnknownKeywordError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+C = TypeVar("C", bound=type)
+
+
+@overload
+def suggest_keywords(door: C) -> C: ...
+
+
+@overload
+def suggest_keywords(door: Callable[P, T]) -> Callable[P, T]: ...
+
+
+def suggest_keywords(door: Any) -> Any:
+    """Make a function, or the constructor of a class, answer a misspelt keyword well.
+
+    A call that succeeds costs a tenth of a microsecond more. A ``TypeError`` that has
+    another reason passes unchanged.
+
+    >>> @suggest_keywords
+    ... def walk(*, horizon=None, seed=None): ...
+    >>> walk(horizn=3)
+    Traceback (most recent call last):
+    oee_tabular.exceptions.UnknownKeywordError: walk() got an unexpected keyword argument 'horizn'. Did you mean 'horizon'?
+    """
+    if not isinstance(door, type):
+        return _wrap(door, door.__name__)
+    door.__init__ = _wrap(door.__init__, door.__name__)  # type: ignore[misc]
+    return door
+
+
+def _wrap(function: Callable[P, T], name: str) -> Callable[P, T]:
+    """Return the function with better errors, under the name that a caller knows."""
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            return function(*args, **kwargs)
+        except TypeError:
+            refuse_unknown(function, name, kwargs)
+            raise
+
+    return call
+
+
+def refuse_unknown(
+    function: Callable[..., object], name: str, keywords: Iterable[str]
+) -> None:
+    """Raise an ``UnknownKeywordError`` for a keyword that the function does not have."""
+    parameters = inspect.signature(function).parameters.values()
+    if any(each.kind is each.VAR_KEYWORD for each in parameters):
+        return
+    known = [
+        each.name
+        for each in parameters
+        if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD)
+        and each.name != "self"
+    ]
+    for keyword in keywords:
+        if keyword not in known:
+            nearest = difflib.get_close_matches(keyword, known, n=1)
+            raise UnknownKeywordError(
+                name, keyword, nearest[0] if nearest else None, known
+            ) from None

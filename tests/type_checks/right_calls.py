@@ -1,0 +1,104 @@
+"""Calls that a type checker must accept: what users write, in all its forms.
+
+Nothing here is run; ``test_types.py`` gives the file to mypy and to pyright.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy import sparse
+
+import oee_tabular as oee
+from oee_tabular.exceptions import ArgumentError, DataWarning, OeeWarning
+from oee_tabular.typing import Array, PolicyLike, Seed
+
+# simulators
+P = [[[0.9, 0.1], [0.6, 0.4]], [[0.5, 0.5], [0.2, 0.8]]]
+small = oee.FiniteMDP(P, [[1.0, 0.8], [0.0, 0.2]], initial=0, discount=0.9)
+arrays = oee.FiniteMDP(np.array(P), np.ones((2, 2)), np.array([0.5, 0.5]), 0.9)
+rows = sparse.csr_array(np.array(P).reshape(4, 2))
+stored = oee.FiniteMDP(rows, [1.0, 0.0], [1, 0], 0.9, state_names=["left", "right"])
+noisy = small.with_action_noise(0.1)
+grid = oee.tasks.gridworld(10, slip=0.1, pay="current", discount=0.95)
+small.save("simulator.npz")
+loaded = oee.FiniteMDP.load(Path("simulator.npz"))
+
+# policies
+expert: Array = oee.tasks.gridworld_expert(10)
+mixed: Array = oee.mix(expert, oee.uniform_policy(grid), 0.5)
+forms: list[PolicyLike] = [
+    expert,
+    [0, 1],
+    [[0.5, 0.5], [1.0, 0.0]],
+    {"left": 0, "right": 1},
+    lambda state: 0,
+]
+best: Array = oee.optimal_policy(grid)
+
+# exact values
+value: float = oee.policy_value(small, [0, 1])
+by_state: Array = oee.state_values(small, {0: 0, 1: 1}, horizon=10)
+both: Array = oee.action_values(small, lambda state: [0.5, 0.5])
+visits = oee.occupancy(small, [0, 1], of="state_action")
+moments = oee.return_moments(small, [0, 1], horizon=5)
+spread: float = moments.variance
+bound: float = oee.efficiency_bound(small, [0, 1], [[0.25, 0.25], [0.25, 0.25]])
+
+# logs
+log = oee.Transitions([0, 1], [0, 1], [1, 0], [0.5, 1.0])
+more = oee.Transitions(np.array([0]), np.array([0]), np.array([1]), episode=[0])
+frame = pd.DataFrame({"state": [0], "action": [0], "next_state": [1]})
+from_frame = oee.Transitions.from_frame(frame)
+from_file = oee.Transitions.load("log.csv")
+from_path = oee.Transitions.load(Path("log.parquet"))
+opened = oee.Transitions.open("log.parquet")
+drawn = oee.sample_episodes(small, [0, 1], 10, 20, seed=0)
+seeds: list[Seed] = [None, 0, [1, 2], np.random.default_rng(0)]
+steps = oee.sample_transitions(small, np.full((2, 2), 0.25), 100, seed=[1, 2])
+counts = log.counts(2, 2)
+
+# problems, estimators, reports
+problem = oee.Problem(small, log)
+framed = oee.Problem(small, frame, horizon=20, rewards="log")
+counted = oee.Problem(small, counts)
+estimate = oee.estimators.OffEnvironment()(problem, [0, 1], seed=0)
+number: float = estimate.value
+ends = estimate.interval
+product = oee.estimators.OffEnvironment(
+    evaluation="monte_carlo", weighting="per_decision", n_rollouts=100
+)
+weighted = oee.estimators.ImportanceSampling(kind="per_decision", self_normalized=True)
+limit: float = oee.estimators.ModelBased(fallback="simulator").limit(
+    small, small, [0, 1], data_distribution=np.full((2, 2), 0.25)
+)
+report = oee.evaluate(problem, {"mine": [0, 1]}, confidence=0.9, seed=0)
+narrowed = oee.evaluate(problem, [0, 1], lower_ratio=0.5, upper_ratio=2.0)
+chosen = oee.evaluate(problem, [[0, 1], [1, 1]], estimators=["oee", "model-based"])
+own = oee.evaluate(problem, [0, 1], estimators={"mine": weighted})
+function = oee.evaluate(problem, [0, 1], estimators=[lambda problem, policy: 0.0])
+best_policy = oee.report.contest(problem, {"a": [0, 1], "b": [1, 1]}, seed=0)
+table: pd.DataFrame = report.table
+report.to_html("page.html")
+sure = oee.interval(problem, [0, 1], method="likelihood", confidence=0.9)
+inside: bool = 0.5 in sure
+width: float = sure.width
+range_ = oee.value_range(small, [0, 1], 0.5, 2.0)
+plan = oee.plan_data_collection(problem, {"mine": [0, 1]}, n=100)
+
+# ratios
+fit = oee.density_ratio([1, 2], [2, 2], lower=0.1, upper=10.0, ridge=0.1)
+zeta = oee.transition_ratio(log, small)
+boxed = oee.transition_ratio(log, small, method="conditional", lower=0.5, upper=2.0)
+quotient = oee.transition_ratio(log, small, method=oee.ratio.Quotient(normalized=False))
+tied = oee.transition_ratio(counts, small, method="conditional", ridge=0.1)
+model: oee.FiniteMDP = zeta.target_model(small)
+true = oee.true_ratio(noisy, small)
+
+# errors and warnings
+try:
+    oee.tasks.gridworld(4, slip=2.0)
+except ArgumentError as error:
+    argument: str = error.argument
+kinds: list[type[OeeWarning]] = [DataWarning]
+verdicts = oee.testing.check_estimator(weighted)
