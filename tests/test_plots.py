@@ -539,3 +539,13 @@ def test_a_state_that_is_over_lies_beneath_the_one_at_its_place():
         [0.3, 0.3, 0.4, 0, 0], found, Figure().subplots(), over=[0, 0, 0, 0, 1]
     )
     assert words_at(drawn) == {(0, 0): "30", (0, 1): "30", (1, 1): "40"}
+
+
+@pytest.mark.parametrize(("value", "marker"), [(-50.0, "<"), (50.0, ">")])
+def test_a_value_outside_is_an_arrow_that_points_to_it(value, marker):
+    ax = plots.plot_intervals(
+        ["in", "out"], [0.0, value], [-1.0, np.nan], [1.0, np.nan], limits=(-2.0, 2.0)
+    )
+    arrows = [line.get_marker() for line in ax.get_lines()]
+    assert marker in arrows
+    pyplot.close(ax.figure)

@@ -1,6 +1,4 @@
-"""Curves: value against a parameter, error against n, variance against the horizon;
-their names at the ends of lines.
-"""
+"""Curves: values against a parameter, errors against n, variances against the horizon."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from oee_tabular.plots.style import (
     series,
     shorten,
 )
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, RealArrayLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,25 +27,48 @@ SPACE = 1.25  # between two of them, in letters' heights
 
 
 def plot_curves(
-    x: object,
-    curves: Mapping[str, object],
+    x: RealArrayLike,
+    curves: Mapping[str, RealArrayLike],
     ax: Axes | None = None,
     *,
-    bands: Mapping[str, tuple[object, object]] | None = None,
-    truth: object = None,
+    bands: Mapping[str, tuple[RealArrayLike, RealArrayLike]] | None = None,
+    truth: RealArrayLike | None = None,
     xlabel: str = "parameter",
     ylabel: str = "value (discounted sum of rewards)",
 ) -> Axes:
-    """Draw curves against a parameter, each with its band; the truth is a dashed line.
+    """Draw curves against a parameter, each with its band, and the truth.
 
     Parameters
     ----------
-    x : (k,) the parameter (delta, a slip, n)
-    curves : name -> (k,); nan where there is no value
-    ax : matplotlib Axes; None makes them
-    bands : name -> (lower, upper), each (k,): quantiles, or an interval's ends
-    truth : None, a number, or (k,)
-    xlabel, ylabel : with units
+    x : RealArrayLike of shape (k,)
+        The parameter: a probability, a slip, a number of transitions.
+    curves : mapping of str to RealArrayLike of shape (k,)
+        Name and values of each curve; nan where there is no value.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    bands : mapping of str to pair of RealArrayLike of shape (k,), optional
+        Lower and upper ends beside some of the curves: quantiles, or an interval.
+    truth : float or RealArrayLike of shape (k,), optional
+        True values, drawn as a dashed line.
+    xlabel : str
+        What the parameter is, with its unit.
+    ylabel : str
+        What the values are, with their unit.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing to draw, or lengths differ.
+
+    See Also
+    --------
+    plot_errors : The same on logarithmic axes.
+    label_ends : Names at the ends of the lines in place of a legend.
 
     Examples
     --------
@@ -101,24 +122,48 @@ def plot_curves(
 
 
 def plot_errors(
-    n: object,
-    errors: Mapping[str, object],
+    n: RealArrayLike,
+    errors: Mapping[str, RealArrayLike],
     ax: Axes | None = None,
     *,
-    bands: Mapping[str, tuple[object, object]] | None = None,
+    bands: Mapping[str, tuple[RealArrayLike, RealArrayLike]] | None = None,
     slope: float | None = -0.5,
     xlabel: str = "transitions of the target, n",
     ylabel: str = "mean L1 error",
 ) -> Axes:
-    """Draw errors against n on logarithmic axes, with a line of ``slope`` (None: none)
-    from the first curve's first point.
+    """Draw errors against n on logarithmic axes, with a line of a given slope.
 
     Parameters
     ----------
-    n : (k,) positive
-    errors : name -> (k,) nonnegative (a 0 is left out)
-    ax, bands, xlabel, ylabel : as in ``plot_curves``
-    slope : of the line on logarithmic axes, -1/2 for a parametric rate; None: no line
+    n : RealArrayLike of shape (k,)
+        Positive numbers of transitions.
+    errors : mapping of str to RealArrayLike of shape (k,)
+        Name and nonnegative errors of each curve; a 0 is left out.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    bands : mapping of str to pair of RealArrayLike of shape (k,), optional
+        Lower and upper ends beside some of the curves.
+    slope : float or None, default -0.5
+        Slope of a dotted line from the first curve's first point; -1/2 is that of a
+        parametric rate. None draws no line.
+    xlabel : str
+        What n counts.
+    ylabel : str
+        What the errors are, with their unit.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If an n is not positive, an error is negative, or there is nothing to draw.
+
+    See Also
+    --------
+    plot_curves : The same on linear axes.
 
     Examples
     --------
@@ -148,20 +193,41 @@ def plot_errors(
 
 
 def plot_variance_growth(
-    variances: Mapping[str, object],
+    variances: Mapping[str, RealArrayLike],
     ax: Axes | None = None,
     *,
-    horizons: object = None,
+    horizons: RealArrayLike | None = None,
     xlabel: str = "horizon T (number of rewards)",
     ylabel: str = "variance (squared units of the return)",
 ) -> Axes:
-    """Draw variances against the horizon, the variance on a logarithmic axis.
+    """Draw variances against the horizon, on a logarithmic axis.
 
     Parameters
     ----------
-    variances : name -> (k,) nonnegative
-    ax, xlabel, ylabel : as in ``plot_curves``
-    horizons : (k,); None: 1..k
+    variances : mapping of str to RealArrayLike of shape (k,)
+        Name and nonnegative variances of each curve, in squared units of the return.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    horizons : RealArrayLike of shape (k,), optional
+        Numbers of rewards; None means 1 to k.
+    xlabel : str
+        What the horizon counts.
+    ylabel : str
+        What the variances are, with their unit.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If a variance is negative, lengths differ, or there is nothing to draw.
+
+    See Also
+    --------
+    plot_curves : Curves on linear axes.
 
     Examples
     --------
@@ -187,13 +253,16 @@ def plot_variance_growth(
 
 def _check_curves(
     x: object,
-    curves: Mapping[str, object],
+    curves: Mapping[str, Any],
     x_name: str,
     name: str,
     *,
     is_logarithmic: bool = False,
 ) -> tuple[Array, dict[str, Array]]:
-    """x and the curves as arrays; without zeros, which a logarithmic axis cannot show."""
+    """Return x and the curves as arrays, checked.
+
+    A logarithmic axis cannot show a zero: it becomes nan.
+    """
     where = _checks.float_array(x, x_name, ndim=1)
     _checks.require_finite(where, x_name)
     arrays = {}
@@ -214,6 +283,7 @@ def _check_curves(
 
 
 def _check_like(values: object, where: Array, name: str) -> Array:
+    """Return values as an array that has one for each point."""
     array = _checks.float_array(values, name, ndim=1)
     if len(array) != len(where):
         raise ArgumentError(
@@ -223,15 +293,30 @@ def _check_like(values: object, where: Array, name: str) -> Array:
 
 
 def label_ends(ax: Axes) -> Axes:
-    """Write each line's name to the right of the axes, at the height of its last point
-    and in its colour; no legend.
+    """Write each line's name to the right of the axes, in place of a legend.
 
-    Names that would overlap are moved apart, no more than it takes. To be called last:
-    limits and scales stay as they are.
+    A name stands at the height of the line's last point and has its colour. Names that
+    would overlap are moved apart, no more than it takes. Call it last: limits and
+    scales stay as they are.
 
     Parameters
     ----------
-    ax : with lines that have labels
+    ax : matplotlib.axes.Axes
+        Axes with lines that have labels.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The same axes.
+
+    Raises
+    ------
+    ValueError
+        If ``ax`` are no axes.
+
+    See Also
+    --------
+    plot_curves : Draws curves with a legend.
 
     Examples
     --------

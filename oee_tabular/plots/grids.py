@@ -1,5 +1,4 @@
-"""Maps of the states that lie on a grid: values, ratios, what the log has recorded,
-where a policy goes.
+"""Maps of states that lie on a grid: values, ratios, recorded and expected visits.
 
 A ``Map`` says where the states lie: the cells of a grid, from the layout of an MDP or
 from its transitions.
@@ -19,10 +18,11 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP
 from oee_tabular.plots import style
 from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, IntArray, RealArrayLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
 
 # up to which each cell of a map is a shape of its own; beyond, the map is an image
 N_VECTOR_CELLS = 1600
@@ -35,15 +35,18 @@ CLOSE = 1e-6  # of a cell, by which a place may miss its middle
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Cells of a grid, row 0 on top, and the states in them; what ``plot_grid`` and its
-    like take for a shape.
+    """Hold the cells of a grid, row 0 on top, and the states in them.
 
-    Attributes
+    ``plot_grid`` and its like take it for a shape.
+
+    Parameters
     ----------
-    rows, columns : the coordinates of the rows and of the columns, as they are written
-        on the axes
-    cell : (S,) where each state is, row * columns + column; -1 for one that is not
-        drawn
+    rows : tuple of float
+        Coordinates of the rows, as they are written on the axis.
+    columns : tuple of float
+        Coordinates of the columns, as they are written on the axis.
+    cell : ndarray of int, shape (S,)
+        Where each state is: row * columns + column; -1 for a state that is not drawn.
 
     Examples
     --------
@@ -59,7 +62,20 @@ class Map:
 
     @classmethod
     def of_shape(cls, rows: int, columns: int) -> Map:
-        """A state in each cell, numbered row * columns + column."""
+        """Make the map that has a state in each cell, numbered row * columns + column.
+
+        Parameters
+        ----------
+        rows : int
+            Number of rows.
+        columns : int
+            Number of columns.
+
+        Returns
+        -------
+        Map
+            The map of rows * columns states.
+        """
         shape = (
             _checks.positive_integer(rows, "rows"),
             _checks.positive_integer(columns, "columns"),
@@ -73,11 +89,22 @@ class Map:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
+        """Return the numbers of rows and columns."""
         return len(self.rows), len(self.columns)
 
-    def spread(self, values: Any) -> Array:
-        """(rows * columns,) of (S,): what is in each cell, nan where no state is."""
+    def spread(self, values: RealArrayLike) -> Array:
+        """Return what is in each cell, nan where no state is.
+
+        Parameters
+        ----------
+        values : RealArrayLike of shape (S,)
+            A number for each state.
+
+        Returns
+        -------
+        ndarray of shape (rows * columns,)
+            A number for each cell.
+        """
         given = _checks.float_array(values, "values", ndim=1)
         if len(given) != len(self.cell):
             raise ArgumentError(
@@ -89,7 +116,18 @@ class Map:
         return cells
 
     def place(self, state: int) -> tuple[float, float] | None:
-        """The coordinates of a state's row and column; None where it is not drawn."""
+        """Return the coordinates of a state's row and column.
+
+        Parameters
+        ----------
+        state : int
+            Number of the state.
+
+        Returns
+        -------
+        tuple of two floats, or None
+            Row and column; None for a state that is not drawn.
+        """
         if not _checks.is_integer(state) or not 0 <= state < len(self.cell):
             raise ArgumentError(
                 "state",
@@ -103,20 +141,30 @@ class Map:
 
 
 def map_of(mdp: FiniteMDP) -> Map | None:
-    """The map of an MDP whose states lie on a grid, or None.
+    """Return the map of an MDP whose states lie on a grid, or None.
 
     ``mdp.layout`` of two columns, (row, column), with even steps puts the states there;
-    holes stay blank. A state that is over and lies where another does is not drawn.
-    Without such a layout: ``detect_grid``.
+    holes stay blank. A terminal state that lies where another state does is not drawn.
+    Without such a layout ``detect_grid`` is asked.
 
     Parameters
     ----------
     mdp : FiniteMDP
+        The model whose states are placed.
+
+    Returns
+    -------
+    Map or None
+        None where two states that can be left share a place, and where fewer than one
+        cell in fifty is a state.
+
+    See Also
+    --------
+    detect_grid : Finds a grid in the transitions alone.
 
     Notes
     -----
-    None where two states that can be left share a place, and where fewer than one cell
-    in fifty is a state. O(S log S + nnz).
+    Costs O(S log S + nnz).
 
     Examples
     --------
@@ -135,9 +183,7 @@ def map_of(mdp: FiniteMDP) -> Map | None:
 
 
 def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
-    """The map of places on a grid with even steps, from the least coordinate to the
-    largest; None where there is none.
-    """
+    """Return the map of places on a grid with even steps, or None."""
     coordinates = []
     numbers = []
     for place in layout.T:
@@ -163,15 +209,13 @@ def _from_places(layout: Array, is_over: BoolArray) -> Map | None:
     order = np.argsort(is_over, kind="stable")  # those that can be left come first
     is_hidden = np.ones(len(cell), dtype=np.bool_)
     is_hidden[order[np.unique(cell[order], return_index=True)[1]]] = False
-    return (
-        None
-        if (is_hidden & ~is_over).any()
-        else Map(rows, columns, np.where(is_hidden, -1, cell))
-    )
+    if (is_hidden & ~is_over).any():
+        return None
+    return Map(rows, columns, np.where(is_hidden, -1, cell))
 
 
 def as_map(shape: tuple[int, int] | Map) -> Map:
-    """A map, or that of (rows, columns); ValueError for anything else."""
+    """Return a map, or that of (rows, columns); refuse anything else."""
     if isinstance(shape, Map):
         return shape
     try:
@@ -187,16 +231,29 @@ def as_map(shape: tuple[int, int] | Map) -> Map:
 
 
 def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
-    """(rows, columns) of a gridworld whose states are numbered row * columns + column,
-    or None where it is none.
+    """Find the rows and columns of a gridworld in its transitions.
 
-    A gridworld's transitions stay, go to the neighbour on the left or right (never
-    around an edge), or to the one above or below; a jump back to a first state (as from
-    CliffWalking's cliff) is allowed. O(nnz).
+    A gridworld's states are numbered row * columns + column. Its transitions stay, go to
+    the neighbour on the left or right (never around an edge), or to the one above or
+    below. A jump back to an initial state (as from CliffWalking's cliff) is allowed.
 
     Parameters
     ----------
     mdp : FiniteMDP
+        The model whose transitions are read.
+
+    Returns
+    -------
+    tuple of two ints, or None
+        Numbers of rows and columns; None where it is no gridworld.
+
+    See Also
+    --------
+    map_of : Reads the layout of the model first.
+
+    Notes
+    -----
+    Costs O(nnz).
 
     Examples
     --------
@@ -223,31 +280,59 @@ def detect_grid(mdp: FiniteMDP) -> tuple[int, int] | None:
 
 
 def plot_grid(
-    values: object,
+    values: RealArrayLike,
     shape: tuple[int, int] | Map,
     ax: Axes | None = None,
     *,
     label: str,
-    norm: Any = None,
+    norm: Normalize | None = None,
     colormap: str = style.SEQUENTIAL,
     text: Sequence[object] | None = None,
-    crossed: object = None,
-    ticks: Any = None,
+    crossed: RealArrayLike | None = None,
+    ticks: RealArrayLike | None = None,
 ) -> Axes:
-    """Draw a heat map of one number a state; row 0 is on top. A cell without a state
-    stays blank.
+    """Draw a heat map of one number a state, row 0 on top.
+
+    A cell without a state stays blank.
 
     Parameters
     ----------
-    values : (S,), or (rows, columns); nan for a cell without colour
-    shape : (rows, columns) of states numbered row * columns + column; or a ``Map``, as
-        ``map_of`` makes it
-    ax : matplotlib Axes; None makes them
-    label : of the colour bar, with the unit
-    norm, colormap : matplotlib's; None: linear
-    text : (S,) words to write into the cells (left out beyond 12 rows or columns)
-    crossed : (S,) mask of cells to cross out
-    ticks : of the colour bar; None: matplotlib's
+    values : RealArrayLike of shape (S,) or (rows, columns)
+        A number for each state; nan for a cell without colour.
+    shape : tuple of two ints, or Map
+        Numbers of rows and columns, of states numbered row * columns + column; or the
+        map that ``map_of`` makes.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    label : str
+        What the numbers are, with the unit; it stands beside the colour bar.
+    norm : matplotlib.colors.Normalize, optional
+        Scale of the colours; None means linear.
+    colormap : str, default "cividis"
+        Name of a colour map of matplotlib.
+    text : sequence of str, optional
+        A word for each state, written into its cell (left out beyond 12 rows or
+        columns).
+    crossed : array_like of bool, shape (S,), optional
+        States to cross out.
+    ticks : RealArrayLike, optional
+        Ticks of the colour bar; None means matplotlib's.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If a length is not that of the grid, the colour map is unknown, or there is
+        nothing to draw.
+
+    See Also
+    --------
+    map_of : Makes a shape from a model.
+    plot_ratio : Heat map of ratios.
 
     Examples
     --------
@@ -274,11 +359,12 @@ def plot_grid(
         _checks.instance(
             norm, matplotlib.colors.Normalize, "norm", "norm of matplotlib"
         )
-    words = (
-        []
-        if text is None
-        else [*map(shorten, _checks.collection(text, "text", "words, one a state"))]
-    )
+    words: list[str] = []
+    if text is not None:
+        words = [
+            shorten(word)
+            for word in _checks.collection(text, "text", "words, one a state")
+        ]
     marks = None if ticks is None else _checks.float_array(ticks, "ticks", ndim=1)
     ax = style.check_axes(ax, (5.4, 4.2))
     cells = np.ma.masked_invalid(places.spread(number).reshape(rows, columns))
@@ -294,6 +380,22 @@ def plot_grid(
     ax.set(
         xlim=(0, columns), ylim=(rows, 0), aspect="equal", xlabel="column", ylabel="row"
     )
+    _cross_out(ax, places, is_crossed, is_image)
+    if max(rows, columns) <= N_TEXT_CELLS:
+        _write(ax, mesh, cells, places, words)
+    _label_axes(ax, places)
+    ax.spines[:].set_visible(False)
+    bar = ax.figure.colorbar(
+        mesh, ax=ax, fraction=0.05, pad=0.03, ticks=marks, format="%g", label=label
+    )
+    bar.minorticks_off()
+    bar.outline.set_visible(False)
+    return ax
+
+
+def _cross_out(ax: Axes, places: Map, is_crossed: BoolArray, is_image: bool) -> None:
+    """Draw a cross over each state of the mask."""
+    rows, columns = places.shape
     row, column = np.divmod(places.cell[is_crossed & (places.cell >= 0)], columns)
     size = min(9.0, 120.0 / max(rows, columns))
     # a halo, so that it is seen on every shade
@@ -307,35 +409,52 @@ def plot_grid(
             mew=width,
             rasterized=is_image,
         )
-    if max(rows, columns) <= N_TEXT_CELLS:
-        _write(ax, mesh, cells, places, words)
+
+
+def _label_axes(ax: Axes, places: Map) -> None:
+    """Write at most ten coordinates along each axis of a map."""
     for axis, called in ((ax.xaxis, places.columns), (ax.yaxis, places.rows)):
         shown = range(0, len(called), -(-len(called) // 10))
         axis.set_ticks([k + 0.5 for k in shown], [f"{called[k]:.6g}" for k in shown])
         axis.set_tick_params(length=0)
-    ax.spines[:].set_visible(False)
-    bar = ax.figure.colorbar(
-        mesh, ax=ax, fraction=0.05, pad=0.03, ticks=marks, format="%g", label=label
-    )
-    bar.minorticks_off()
-    bar.outline.set_visible(False)
-    return ax
 
 
 def plot_ratio(
-    values: object,
+    values: RealArrayLike,
     shape: tuple[int, int] | Map,
     ax: Axes | None = None,
     *,
     label: str = "ratio P_target / P_simulator",
 ) -> Axes:
-    """Draw a heat map of ratios, logarithmic around 1: a colour for more often than in
-    the simulator, one for less often.
+    """Draw a heat map of ratios, logarithmic around 1.
+
+    One colour means more often than in the simulator, the other less often.
 
     Parameters
     ----------
-    values : (S,) nonnegative, nan where there is none; a 0 is drawn as the smallest
-    shape, ax, label : as in ``plot_grid``
+    values : RealArrayLike of shape (S,)
+        Nonnegative ratios, nan where there is none; a 0 is drawn as the smallest.
+    shape : tuple of two ints, or Map
+        Numbers of rows and columns, of states numbered row * columns + column; or the
+        map that ``map_of`` makes.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    label : str
+        What the ratios are; it stands beside the colour bar.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If a ratio is negative, or the number of states is not that of the grid.
+
+    See Also
+    --------
+    plot_grid : Heat map of any number.
 
     Examples
     --------
@@ -363,21 +482,44 @@ def plot_ratio(
 
 
 def plot_coverage(
-    counts: object,
+    counts: RealArrayLike,
     shape: tuple[int, int] | Map,
     ax: Axes | None = None,
     *,
-    over: object = None,
+    over: RealArrayLike | None = None,
     label: str = "recorded transitions from the state (logarithmic)",
 ) -> Axes:
-    """Draw how many transitions the log has from each state, logarithmic; states
-    without any are crossed out.
+    """Draw how many transitions the log has from each state, logarithmic.
+
+    States without any are crossed out.
 
     Parameters
     ----------
-    counts : (S,) or (S, A), summed over actions
-    shape, ax, label : as in ``plot_grid``
-    over : (S,) mask of terminal states (left blank, "end")
+    counts : RealArrayLike of shape (S,) or (S, A)
+        Recorded transitions, which are summed over actions.
+    shape : tuple of two ints, or Map
+        Numbers of rows and columns, of states numbered row * columns + column; or the
+        map that ``map_of`` makes.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    over : array_like of bool, shape (S,), optional
+        Terminal states, which are left blank and named "end".
+    label : str
+        What the counts are; it stands beside the colour bar.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If a count is negative, or the number of states is not that of the grid.
+
+    See Also
+    --------
+    plot_occupancy : Where a policy spends its time.
 
     Examples
     --------
@@ -410,22 +552,46 @@ def plot_coverage(
 
 
 def plot_occupancy(
-    time: object,
+    time: RealArrayLike,
     shape: tuple[int, int] | Map,
     ax: Axes | None = None,
     *,
-    unrecorded: object = None,
-    over: object = None,
+    unrecorded: RealArrayLike | None = None,
+    over: RealArrayLike | None = None,
     label: str = "share of the policy's discounted time (%)",
 ) -> Axes:
-    """Draw where a policy spends its time; ``unrecorded`` states are crossed out.
+    """Draw where a policy spends its time; unrecorded states are crossed out.
 
     Parameters
     ----------
-    time : (S,) shares that sum to at most 1
-    shape, ax, label : as in ``plot_grid``
-    unrecorded : (S,) mask of states to cross out
-    over : (S,) mask of terminal states (left blank, "end")
+    time : RealArrayLike of shape (S,)
+        Shares of discounted time, which sum to at most 1.
+    shape : tuple of two ints, or Map
+        Numbers of rows and columns, of states numbered row * columns + column; or the
+        map that ``map_of`` makes.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    unrecorded : array_like of bool, shape (S,), optional
+        States to cross out.
+    over : array_like of bool, shape (S,), optional
+        Terminal states, which are left blank and named "end".
+    label : str
+        What the shares are; it stands beside the colour bar.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If the number of states is not that of the grid.
+
+    See Also
+    --------
+    plot_coverage : Where the log has transitions.
+    plot_states : The states with most time, ranked.
 
     Examples
     --------
@@ -440,10 +606,11 @@ def plot_occupancy(
     crossed = _check_mask(unrecorded, places, "unrecorded") & ~is_over
     share = np.where(is_over, np.nan, 100.0 * _check_states(time, places, "time"))
     most = float(np.max(share, where=np.isfinite(share), initial=0.0))
-    text = [
-        "end" if e else "" if c else _percent_text(s)
-        for s, e, c in zip(share, is_over, crossed, strict=True)
-    ]
+    text = [_percent_text(s) for s in share]
+    for k in np.flatnonzero(crossed):
+        text[k] = ""
+    for k in np.flatnonzero(is_over):
+        text[k] = "end"
     return plot_grid(
         share,
         shape,
@@ -465,36 +632,39 @@ def _write(ax: Axes, mesh: Any, cells: Any, places: Map, words: Sequence[str]) -
     }
     for cell, word in zip(places.cell, words, strict=False):
         if cell >= 0 and word:
-            color = (
-                INK
-                if np.ma.getmaskarray(cells).flat[cell]
-                else "#000000"
-                if shades[cell] > 0.45
-                else "#ffffff"
-            )
+            color = "#000000" if shades[cell] > 0.45 else "#ffffff"
+            if np.ma.getmaskarray(cells).flat[cell]:
+                color = INK
             row, column = divmod(int(cell), cells.shape[1])
             disable_math([ax.text(column + 0.5, row + 0.5, word, color=color, **style)])
 
 
 def _count_text(count: float) -> str:
+    """Return a count in at most four letters, nothing for 0."""
+    if count == 0:
+        return ""
     if count < 1000:
-        return f"{count:.3g}" if count else ""
-    return (
-        f"{count / 1000:.2g}k"
-        if count < 1e4
-        else f"{count / 1000:.0f}k"
-        if count < 1e6
-        else f"{count:.0e}"
-    )
+        return f"{count:.3g}"
+    if count < 1e4:
+        return f"{count / 1000:.2g}k"
+    if count < 1e6:
+        return f"{count / 1000:.0f}k"
+    return f"{count:.0e}"
 
 
 def _percent_text(share: float) -> str:
-    return "" if share < 0.05 else f"{share:.1f}" if share < 9.95 else f"{share:.0f}"
+    """Return a share in percent, empty where it is next to nothing."""
+    if share < 0.05:
+        return ""
+    if share < 9.95:
+        return f"{share:.1f}"
+    return f"{share:.0f}"
 
 
 def _check_states(
     values: object, places: Map, name: str, *, allow_blank: bool = False
 ) -> Any:
+    """Return one number for each state, checked."""
     array = _checks.float_array(values, name).reshape(-1)
     if array.size != len(places.cell):
         raise ArgumentError(
@@ -510,9 +680,6 @@ def _check_states(
 
 
 def _check_mask(mask: object, places: Map, name: str) -> Any:
-    return (
-        _check_states(
-            np.zeros(len(places.cell)) if mask is None else mask, places, name
-        )
-        != 0
-    )
+    """Return a mask over the states; None means that no state is in it."""
+    given = np.zeros(len(places.cell)) if mask is None else mask
+    return _check_states(given, places, name) != 0

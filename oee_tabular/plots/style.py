@@ -1,6 +1,4 @@
-"""Colours, markers and lines that colour-blind readers can tell apart; new axes;
-figures as a PNG or as an SVG for a page.
-"""
+"""Colours, markers and lines that colour-blind readers can tell apart; figures as files."""
 
 from __future__ import annotations
 
@@ -89,8 +87,9 @@ _SVG_STYLE: dict[Any, Any] = {
 
 
 def series(k: int) -> dict[str, Any]:
-    """Colour, marker and line of the k-th series; from the ninth on other markers,
-    hollow, for the same colours.
+    """Return colour, marker and line of the k-th series.
+
+    From the ninth on the colours come again with other markers, which are hollow.
     """
     again = 3 * (k // len(COLORS))
     style = {
@@ -102,8 +101,9 @@ def series(k: int) -> dict[str, Any]:
 
 
 def places(names: Sequence[str]) -> list[int]:
-    """The series of each name: its own for one of ``ESTIMATORS``, in every picture;
-    others take what is left, in order.
+    """Return the series of each name, the same one in every picture.
+
+    A name in ``ESTIMATORS`` has its own; others take what is left, in order.
 
     >>> places(["model-based", "mine", "oee", "mine"]), places(["a", "b"])
     ([4, 0, 1, 0], [0, 1])
@@ -117,9 +117,7 @@ def places(names: Sequence[str]) -> list[int]:
 
 
 def shorten(name: object, longest: int = 36) -> str:
-    """A name as a picture can hold it: no control characters, at most ``longest``
-    letters.
-    """
+    """Return a name as a picture can hold it: printable, and not too long."""
     whole = (
         str(name)
         if isinstance(name, str | int | float | np.generic)
@@ -144,7 +142,7 @@ def label_rows(ax: Axes, labels: Any) -> None:
 
 
 def check_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.8)) -> Axes:
-    """``ax``, or for None the axes of a new pyplot figure of ``size`` inches."""
+    """Return ``ax``, or new pyplot axes of ``size`` inches for None."""
     if ax is None:
         from matplotlib import pyplot
 
@@ -158,13 +156,13 @@ def check_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.8)) -> Axes:
 
 
 def check_texts(**texts: object) -> None:
-    """Titles and labels are text."""
+    """Refuse titles and labels that are not text."""
     for name, text in texts.items():
         _checks.instance(text, str, name, "text")
 
 
 def check_pair(pair: object, name: str) -> tuple[float, float]:
-    """Two finite numbers."""
+    """Return two finite numbers, or raise an error that names the argument."""
     ends = _checks.float_array(pair, name)
     if ends.shape != (2,) or not np.isfinite(ends).all():
         raise ArgumentError(
@@ -176,13 +174,30 @@ def check_pair(pair: object, name: str) -> tuple[float, float]:
 def figure_png(
     draw: Callable[[Axes], object], *, size: tuple[float, float] = (9.0, 4.8)
 ) -> bytes:
-    """The picture that ``draw`` makes on one axis, as the bytes of a PNG (no display,
-    no global state).
+    """Return the picture that ``draw`` makes on one axis, as the bytes of a PNG.
+
+    No display and no global state of matplotlib are used.
 
     Parameters
     ----------
-    draw : a function of the Axes
-    size : (width, height) in inches
+    draw : callable
+        Function of a ``matplotlib.axes.Axes``, on which it draws.
+    size : tuple of two floats, default (9.0, 4.8)
+        Width and height in inches, each from 0.1 to 100.
+
+    Returns
+    -------
+    bytes
+        The content of a PNG file.
+
+    Raises
+    ------
+    ValueError
+        If ``draw`` is no function, or a size is out of range.
+
+    See Also
+    --------
+    figure_svg : The same as SVG text for a page.
 
     Examples
     --------
@@ -200,8 +215,7 @@ def figure_svg(
     description: str,
     size: tuple[float, float] = (4.4, 3.2),
 ) -> str:
-    """The picture that ``draw`` makes on one axis, as an ``<svg>`` to stand inside a
-    page.
+    """Return the picture that ``draw`` makes on one axis, as SVG text for a page.
 
     Its ids start with ``name``. Its colours are the page's CSS variables --ink,
     --quiet, --paper and --series-0 to --series-7 where it has them. The same call gives
@@ -209,10 +223,30 @@ def figure_svg(
 
     Parameters
     ----------
-    draw : a function of the Axes
-    name : of the picture, unique on its page
-    title, description : its text alternative
-    size : (width, height) in inches
+    draw : callable
+        Function of a ``matplotlib.axes.Axes``, on which it draws.
+    name : str
+        Name of the picture, unique on its page.
+    title : str
+        Title of the text alternative.
+    description : str
+        Description of the text alternative.
+    size : tuple of two floats, default (4.4, 3.2)
+        Width and height in inches, each from 0.1 to 100.
+
+    Returns
+    -------
+    str
+        An ``<svg>`` element.
+
+    Raises
+    ------
+    ValueError
+        If ``draw`` is no function, a text is none, or a size is out of range.
+
+    See Also
+    --------
+    figure_png : The same as the bytes of a PNG.
 
     Examples
     --------
@@ -258,6 +292,7 @@ def _save(
     form: str,
     metadata: dict[str, Any],
 ) -> bytes:
+    """Return the file that a backend makes of what ``draw`` draws."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure

@@ -1,6 +1,4 @@
-"""Values and their intervals, a line each, by policy; and the states where a policy
-spends its time, ranked.
-"""
+"""Values with their intervals, by policy; the states where a policy spends its time."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from oee_tabular import _checks
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.plots import style
 from oee_tabular.plots.style import COLORS, INK, check_texts, disable_math, shorten
-from oee_tabular.typing import Array
+from oee_tabular.typing import Array, RealArrayLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,18 +33,36 @@ def plot_values(
     unit: str = "",
     limits: tuple[float, float] | None = None,
 ) -> Axes:
-    """Draw the values of a report with their intervals: policies one below the other, a
-    line for each estimator.
+    """Draw the values of a report with their intervals, a line for each estimator.
 
-    Exact values in the target are dashed lines.
+    Policies stand one below the other. Exact values in the target are dashed lines.
 
     Parameters
     ----------
-    records : a Report's ``records()``
-    ax : matplotlib Axes; None makes them
-    title : what the picture shows, in a sentence
-    unit : what a value is, below the axis
-    limits : of the axis, as in ``plot_intervals``
+    records : sequence of mappings
+        What ``Report.records()`` returns.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    title : str, default ""
+        What the picture shows, in a sentence.
+    unit : str, default ""
+        What a value is; it is written below the axis.
+    limits : tuple of two floats, optional
+        Ends of the axis, as in ``plot_intervals``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If the records are not a report's, or there is nothing to draw.
+
+    See Also
+    --------
+    plot_intervals : The same from arrays.
 
     Examples
     --------
@@ -93,9 +109,9 @@ def plot_values(
 
 def plot_intervals(
     names: Sequence[str],
-    values: object,
-    lower: object,
-    upper: object,
+    values: RealArrayLike,
+    lower: RealArrayLike,
+    upper: RealArrayLike,
     ax: Axes | None = None,
     *,
     groups: Sequence[str] | None = None,
@@ -105,24 +121,51 @@ def plot_intervals(
     xlabel: str = "value (discounted sum of rewards)",
     title: str = "",
 ) -> Axes:
-    """Draw a forest plot: one line a name, from the top, with its value and interval;
-    the truth as a dashed line.
+    """Draw a forest plot: one line a name, with its value and its interval.
+
+    Lines begin at the top. The truth is a dashed line.
 
     Parameters
     ----------
-    names : k names
-    values, lower, upper : (k,); an end that is nan leaves the interval out, a nan value
-        with an interval the marker
-    ax : matplotlib Axes; None makes them
-    groups : k names (of policies): lines of one group stand together, under its name;
-        None: one group without a name
-    truth : number, or group -> number; None: not known
-    truth_label : what ``truth`` is
-    limits : of the axis; None: what truths and intervals span. Values and ends that are
-        far outside (estimates that explode) do not stretch it. A value outside is an
-        open marker at the edge, with its number
-    xlabel : what the value is, with its unit
-    title : what the picture shows, in a sentence
+    names : sequence of str
+        Names of the k lines.
+    values : RealArrayLike of shape (k,)
+        Values; with nan an interval is drawn without a marker.
+    lower : RealArrayLike of shape (k,)
+        Lower ends; nan leaves the interval out.
+    upper : RealArrayLike of shape (k,)
+        Upper ends; nan leaves the interval out.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    groups : sequence of str, optional
+        A name for each line, such as its policy: neighbouring lines of one group stand
+        together under its name. None means one group without a name.
+    truth : float or mapping of str to float, optional
+        The true value, or that of each group. None means that it is not known.
+    truth_label : str, default "true value"
+        What the truth is called.
+    limits : tuple of two floats, optional
+        Ends of the axis. None means what truths and intervals span: values and ends
+        that are far outside (estimates that explode) do not stretch it. A value outside
+        is an open marker that points out of the picture, with its number.
+    xlabel : str
+        What a value is, with its unit.
+    title : str, default ""
+        What the picture shows, in a sentence.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If lengths differ, limits are in the wrong order, or there is nothing to draw.
+
+    See Also
+    --------
+    plot_values : The same from a report.
 
     Examples
     --------
@@ -136,11 +179,9 @@ def plot_intervals(
         _checks.float_array(array, name, ndim=1) for name, array in given.items()
     ]
     names = _checks.collection(names, "names", "names, one a line")
-    called = (
-        [""] * len(names)
-        if groups is None
-        else _checks.collection(groups, "groups", "names, one a line")
-    )
+    called: Sequence[str] = [""] * len(names)
+    if groups is not None:
+        called = _checks.collection(groups, "groups", "names, one a line")
     group = np.array([*map(shorten, called)], dtype=object)
     check_texts(truth_label=truth_label, xlabel=xlabel, title=title)
     sizes = [len(column) for column in (names, *arrays, group)]
@@ -155,22 +196,11 @@ def plot_intervals(
             "must have a finite number, or lower and upper an interval; there is"
             " nothing to draw",
         )
-    truths = (
-        truth
-        if isinstance(truth, Mapping)
-        else {}
-        if truth is None
-        else dict.fromkeys(group, truth)
-    )
-    exact = {
-        shorten(name): float(_checks.float_array(x, "truth", ndim=0))
-        for name, x in truths.items()
-    }
-    span = (
-        _span(value, low, high, group, [*exact.values()])
-        if limits is None
-        else style.check_pair(limits, "limits")
-    )
+    exact = _check_truths(truth, group)
+    if limits is None:
+        span = _span(value, low, high, group, [*exact.values()])
+    else:
+        span = style.check_pair(limits, "limits")
     left, right = span
     if not left < right:
         raise ArgumentError(
@@ -178,46 +208,23 @@ def plot_intervals(
         )
 
     # the lines from the top; above each group one for its name and the truth's
-    starts = (
-        [k for k in range(len(names)) if k == 0 or group[k] != group[k - 1]]
-        if exact or groups is not None
-        else []
-    )
-    y = np.arange(len(names)) + np.searchsorted(
-        starts, np.arange(len(names)), side="right"
-    )
-    labels = np.insert(
-        np.array([*map(shorten, names)], dtype=object), starts, group[starts]
-    )
+    starts: list[int] = []
+    if exact or groups is not None:
+        starts = [k for k in range(len(names)) if k == 0 or group[k] != group[k - 1]]
+    line = np.arange(len(names))
+    y = line + np.searchsorted(starts, line, side="right")
+    short = np.array([*map(shorten, names)], dtype=object)
+    labels = np.insert(short, starts, group[starts])
     ax = style.check_axes(ax, (6.4, 1.1 + 0.28 * len(labels)))
     for k, series in enumerate(style.places(names)):
         marks = style.series(series) | {"linestyle": "none"}
-        _draw_interval(
-            ax, y[k], value[k], np.clip([low[k], high[k]], *span), span, marks
-        )
+        ends = np.clip([low[k], high[k]], *span)
+        _draw_interval(ax, y[k], value[k], ends, span, marks)
     for start, end in zip(starts, [*starts[1:], len(names)], strict=False):
         x = exact.get(group[start], math.nan)
-        top = y[start] - 1
         if left <= x <= right:
-            ax.plot(
-                [x, x],
-                [top + 0.35, y[end - 1] + 0.4],
-                color=INK,
-                lw=1.2,
-                ls=(0, (4, 2)),
-                zorder=1,
-            )
-            side = ("left", "center", "center", "right", "right")[
-                int(4.0 * (x - left) / (right - left))
-            ]
-            ax.text(
-                x,
-                top,
-                f"{truth_label} {_text_of(x)}",
-                ha=side,
-                va="center",
-                fontsize="small",
-            )
+            heights = (y[start] - 1, y[end - 1])
+            _draw_truth(ax, x, heights, span, f"{truth_label} {_text_of(x)}")
     ax.set_xlim(left, right)
     style.label_rows(ax, labels)
     for start in starts:
@@ -233,11 +240,42 @@ def plot_intervals(
     return ax
 
 
+def _check_truths(
+    truth: float | Mapping[str, float] | None, group: Array
+) -> dict[str, float]:
+    """Return the true value of each group that has one, by its shortened name."""
+    if truth is None:
+        return {}
+    given = truth if isinstance(truth, Mapping) else dict.fromkeys(group, truth)
+    return {
+        shorten(name): float(_checks.float_array(x, "truth", ndim=0))
+        for name, x in given.items()
+    }
+
+
+def _draw_truth(
+    ax: Axes,
+    x: float,
+    heights: tuple[float, float],
+    span: tuple[float, float],
+    text: str,
+) -> None:
+    """Draw the true value of a group as a dashed line, with its text above."""
+    top, bottom = heights
+    dashes = (0, (4, 2))
+    ax.plot([x, x], [top + 0.35, bottom + 0.4], color=INK, lw=1.2, ls=dashes, zorder=1)
+    quarter = int(4.0 * (x - span[0]) / (span[1] - span[0]))
+    side = ("left", "center", "center", "right", "right")[quarter]
+    ax.text(x, top, text, ha=side, va="center", fontsize="small")
+
+
 def _draw_interval(
     ax: Axes, y: float, value: float, ends: Array, span: tuple[float, float], marks: Any
 ) -> None:
-    """Draw an interval and its value; a value outside the axis as an open marker at the
-    edge, with its number.
+    """Draw an interval and its value.
+
+    A value outside the axis is an open triangle at the edge that points to where the
+    value lies, with its number.
     """
     has_interval = np.isfinite(ends).all()
     if has_interval:
@@ -251,16 +289,15 @@ def _draw_interval(
     elif not math.isnan(value) or not has_interval:
         is_right = math.isfinite(value) and value > span[1]
         edge, shift, side = (span[1], -8, "right") if is_right else (span[0], 8, "left")
-        ax.plot(edge, y, ms=7, clip_on=False, **marks | {"markerfacecolor": "none"})
+        arrow = {"markerfacecolor": "none", "marker": ">" if is_right else "<"}
+        ax.plot(edge, y, ms=7, clip_on=False, **marks | arrow)
         _write_beside(ax, _text_of(value), (edge, y), shift, ha=side)
 
 
 def _write_beside(
     ax: Axes, text: str, place: tuple[float, float], shift: float, **options: Any
 ) -> None:
-    """Write a text some points to the right of a place, to the left where the shift is
-    negative.
-    """
+    """Write a text some points beside a place: right, or left for a negative shift."""
     ax.annotate(
         text,
         place,
@@ -273,14 +310,17 @@ def _write_beside(
 
 
 def _text_of(value: float) -> str:
+    """Return a number as it stands in a picture."""
     return f"{value:.3g}".replace("-", "−") if math.isfinite(value) else "no value"
 
 
 def _span(
     value: Array, low: Array, high: Array, group: Array, truth: list[float]
 ) -> tuple[float, float]:
-    """The ends of an axis for the truths, in each group the narrower half of the
-    intervals, and what is near to them.
+    """Return the ends of an axis that shows truths and typical intervals.
+
+    It spans the truths, in each group the narrower half of the intervals, and what is
+    near to them.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         width = high - low
@@ -312,26 +352,47 @@ def _span(
 
 
 def plot_states(
-    time: object,
-    recorded: object,
+    time: RealArrayLike,
+    recorded: RealArrayLike,
     ax: Axes | None = None,
     *,
     top: int = 20,
     names: Sequence[str] | None = None,
     xlabel: str = "share of the policy's discounted time (%)",
 ) -> Axes:
-    """Draw bars of the states where a policy spends most time, each in the part that
-    the log has recorded and the rest.
+    """Draw bars of the states in which a policy spends most of its time.
+
+    Each bar has the part of the time that the log has recorded, and the rest.
 
     Parameters
     ----------
-    time : (S,) or (S, A) shares, which sum to at most 1
-    recorded : of the same shape: how many transitions the log has of each state or (s,
-        a); the sum stands beside the bar
-    ax : matplotlib Axes; None makes them
-    top : how many states to show; those without time are left out
-    names : of the states; None: their numbers
-    xlabel : what the bars are, with the unit
+    time : RealArrayLike of shape (S,) or (S, A)
+        Shares of discounted time, which sum to at most 1.
+    recorded : RealArrayLike of the same shape
+        How many transitions the log has from each state or state-action pair; the sum
+        stands beside the bar.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw. None makes a new figure.
+    top : int, default 20
+        How many states to show; those without time are left out.
+    names : sequence of str, optional
+        Names of the states; None means their numbers.
+    xlabel : str
+        What the bars are, with the unit.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes that were drawn on.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, or there is no state.
+
+    See Also
+    --------
+    plot_occupancy : The same on a map of the states.
 
     Examples
     --------
@@ -383,9 +444,9 @@ def plot_states(
         y, np.where(good < every, every - good, np.nan), left=good, height=0.72, **rest
     )
     for place, state in enumerate(order):
-        count = (
-            f"{total[state]:,.0f}".replace(",", "\u202f") if total[state] else "none"
-        )
+        count = "none"
+        if total[state]:
+            count = f"{total[state]:,.0f}".replace(",", "\u202f")
         _write_beside(ax, f"{count} recorded", (every[place], place), 4, color=INK)
     style.label_rows(
         ax, [f"state {s}" if names is None else shorten(called[s]) for s in order]
