@@ -1,39 +1,50 @@
-"""Exact dynamic programming: values, occupancies, moments, efficiency bounds, gradients
-and optimal policies of finite MDPs.
+"""Exact dynamic programming for finite MDPs.
+
+Values, occupancies, moments, efficiency bounds, gradients and optimal policies.
 
 Objects (eq. 3.4). P[s, a, s'] is a csr matrix (S*A, S) with row s*A + a, r[s, a] has
 shape (S, A), mu_0 (S,), a policy pi[s, a] (S, A); P_pi = sum_a pi[s, a] P[s, a, .] is
 (S, S), r_pi = sum_a pi[s, a] r[s, a] is (S,); gamma is the discount, T the horizon.
+Each formula is followed by the module that computes it.
 
-    J(pi) = E[sum_t gamma^t r_t] = mu_0 . V                                     (eq. 3.1)   values
-    d(s, a) = (1 - gamma) sum_t gamma^t Pr(s_t = s, a_t = a)                    (eq. 3.2)   occupancy
-    d(s, a, s') = d(s, a) P(s' | s, a)                                          (eq. 3.3)   occupancy
-    J(pi) = sum_{s, a} d(s, a) r(s, a) / (1 - gamma)                                        occupancy
-    V = r_pi + gamma P_pi V,    Q(s, a) = r(s, a) + gamma sum_{s'} P V(s')      (eq. 4.1)   values
-    V_t = r_pi + gamma P_pi V_{t+1},    V_T = 0                                 horizon T   finite
-    V*(s) = max_a [r(s, a) + gamma sum_{s'} P(s' | s, a) V*(s')]                            planning
-    dJ / dP(s' | s, a) = d(s, a) [r(s, a, s') + gamma V(s')] / (1 - gamma)                  occupancy
+    J(pi) = E[sum_t gamma^t r_t] = mu_0 . V                                 (eq. 3.1)
+        values
+    d(s, a) = (1 - gamma) sum_t gamma^t Pr(s_t = s, a_t = a)                (eq. 3.2)
+        occupancy
+    d(s, a, s') = d(s, a) P(s' | s, a)                                      (eq. 3.3)
+        occupancy
+    J(pi) = sum_{s, a} d(s, a) r(s, a) / (1 - gamma)
+        occupancy
+    V = r_pi + gamma P_pi V,    Q(s, a) = r(s, a) + gamma sum_{s'} P V(s')  (eq. 4.1)
+        values
+    V_t = r_pi + gamma P_pi V_{t+1},    V_T = 0
+        finite (horizon T)
+    V*(s) = max_a [r(s, a) + gamma sum_{s'} P(s' | s, a) V*(s')]
+        planning
+    dJ / dP(s' | s, a) = d(s, a) [r(s, a, s') + gamma V(s')] / (1 - gamma)
+        occupancy
 
 Moments of returns and of importance-weighted returns satisfy equations of the same form
-with kernels sum_a pi w P and sum_a pi w^2 P (moments, recursions); from them follow
-efficiency bounds and the growth of weights (efficiency, walks). A model whose
+with kernels sum_a pi w P and sum_a pi w^2 P (moments, recursions). Efficiency bounds
+and the growth of weights follow from them (efficiency, walks). A model whose
 transitions are a ratio times the simulator's, zeta P, is a ``ReweightedModel``
 (reweighted).
 
-With a horizon sums are carried out as they stand. Without one, values and occupancies
-solve M x = b and M^T x = b with M = I - gamma P_pi (system, linear), by LAPACK, value
-iteration, LU in a band, SuperLU or BiCGSTAB: those that suit the graph of P_pi are
-tried one after the other until one is within rounding (``solvers`` has the order).
+With a horizon, sums are carried out as they stand. Without one, values and occupancies
+solve M x = b and M^T x = b with M = I - gamma P_pi (system, solvers), by LAPACK, value
+iteration, LU in a band, SuperLU or BiCGSTAB. The solvers that suit the graph of P_pi
+are tried one after the other until one is within rounding (``solvers`` has the order).
 
-Guarantees. ``error_bound`` bounds |V - V*|_inf, for transposed systems the sum |x -
-x*|_1, for the numbers as they are stored:
+Guarantees. ``error_bound`` bounds the largest error |V - V*|_inf, for transposed
+systems the sum |x - x*|_1, for the numbers as they are stored:
 
-    |x - x*| <= |M^-1| (|b - M x| + rounding),    |M^-1|_inf <= max(h) / c for any h > 0 with M h >= c > 0,
+    |x - x*| <= |M^-1| (|b - M x| + rounding)
+    |M^-1|_inf <= max(h) / c    for any h > 0 with M h >= c > 0,
 
 h = 1 and c = 1 - gamma where rows sum to 1. Where no such h exists (discount 1 without
 absorption, unnormalised kernels with a spectral radius of 1 / gamma or more) the sum
-diverges: ``DivergentKernelError``. An optimal policy is certified by exact evaluation:
-no action is better by more than rounding.
+diverges, and the functions raise ``DivergentKernelError``. An optimal policy is
+certified by exact evaluation: no action is better by more than rounding.
 
 References: Puterman, Markov Decision Processes, 1994; Berman and Plemmons, Nonnegative
 Matrices in the Mathematical Sciences, 1994.

@@ -1,10 +1,8 @@
-"""Means and covariances of weighted returns, backward in time; weights and returns so
-far, forward.
+"""Kernels for the moments of weighted returns, backward and forward in time.
 
 Actions are drawn from ``act`` and transitions from ``prob``; a step multiplies the
-weight by
-f = u(s, a) w(s, a, s'). Every X is the second part of a pair (L, X) that a matrix
-carries back by a step:
+weight by f = u(s, a) w(s, a, s'). Every X is the second part of a pair (L, X) that a
+matrix A carries back by a step:
 
     L_t = l L_{t+1},   X_t = e L_{t+1} + f (gamma_t X_{t+1} - k_t(s'))
     per decision   l = 1, L = 1,   e = u r(s, a)  or  f r(s, a, s')
@@ -17,22 +15,22 @@ carries back by a step:
 
 Per decision under a policy and rewards that do not depend on time, the actions are
 merged, which is 6 to 10 times as fast. In state s, transitions to s' by several actions
-give X = e + b y: b the weight and e the reward of action and transition, and y = gamma
-X' - k of what follows s'. Over the actions that lead there, of probability q together,
-X has the mean
-z = b_mean y + e_mean and the variance
+give X = e + b y: b is the weight and e the reward of action and transition, and y =
+gamma X' - k belongs to what follows s'. Over the actions that lead there, of
+probability q together, X has the mean z = b_mean y + e_mean and the variance
 
-    (c (y + rho)^2 + the residual of e on b) / q,     c = q Var b, rho = Cov(b, e) / Var b;
+    (c (y + rho)^2 + the residual of e on b) / q,
+    c = q Var b,    rho = Cov(b, e) / Var b;
 
-between the s' it has sum q (z - mean)^2. All are squares. The last is had from the
+between the s' it has sum q (z - mean)^2. All are squares. The last one follows from the
 differences d to the first entry's z, sum q d^2 - (sum q d)^2, of which at most a share
 1 - q cancels: the first has at least half of the largest probability.
 
-States are taken LANES at a time, those with equally many s' together, and an entry's
+States are taken LANES at a time, states with equally many s' together, and an entry's
 numbers stand side by side for such a strip: its arithmetic is done by vector
 instructions, with every sum in the order of its state. Entries are in the order in
-which actions have them: in grids those of a strip lead mostly to consecutive states and
-are read as such.
+which actions have them: in grids the entries of a strip lead mostly to consecutive
+states and are read as such.
 """
 
 from collections import namedtuple
@@ -41,8 +39,8 @@ import numpy as np
 from numba import njit
 
 LANES = 32  # states of a strip
-SMALLEST_VARIANCE = 1e-280  # of b, times q: what is less has lost its digits
 PARTS = 5  # numbers of an entry: q, b_mean, e_mean, c, rho
+SMALLEST_VARIANCE = 1e-280  # the least q Var b; what is less has lost its digits
 
 # where each strip's entries begin; where an entry leads, and whether its lanes lead
 # side by side; its numbers; probabilities and residuals of the states; the states by
@@ -52,12 +50,15 @@ Strips = namedtuple("Strips", "offsets columns aligned numbers fixed order")
 
 @njit(cache=True, error_model="numpy")
 def backward(walk, discounts, offsets, is_trajectory, keep):
-    """(5, S): E L, E X, Var L, Cov(L, X), Var X of the first step; each step's own
-    Cov(A m' | s) if ``keep``.
+    """Compute means and covariances of (L, X), backward in time, action by action.
 
-    The latter is (T, 1, S), of X alone, or for a trajectory (T, 3, S): Var L, Cov(L,
-    X), Var X. ``discounts`` (T,) are gamma_t, ``offsets`` (1 or T, S) k_t. A trajectory
-    with rewards r(s, a) leaves the last w out: T rewards, T - 1 transitions.
+    m_t = E[A m_{t+1}], C_t = E[A C_{t+1} A^T] + Cov(A m_{t+1} | s).
+
+    Returns (5, S): E L, E X, Var L, Cov(L, X), Var X of the first step, and each step's
+    own Cov(A m' | s) if ``keep``: (T, 1, S), of X alone, or for a trajectory (T, 3, S),
+    Var L, Cov(L, X), Var X. ``discounts`` (T,) are gamma_t, ``offsets`` (1 or T, S)
+    k_t. A trajectory with rewards r(s, a) leaves the last w out: T rewards, T - 1
+    transitions.
     """
     indptr, indices, prob, w, act, u, by_transition, rewards, initial, _ = walk
     horizon = len(discounts)
@@ -68,6 +69,7 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
     here[0] = 1.0
     ahead[0] = 1.0
     local = np.empty((horizon if keep else 0, 3 if is_trajectory else 1, n_states))
+    # arrays with one row hold for every step
     for t in range(horizon - 1, -1, -1):
         t_act = t if len(act) > 1 else 0
         t_reward = t if len(rewards) > 1 else 0
@@ -84,7 +86,7 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
             own_cov = 0.0
             own_x = 0.0
             length = 0.0
-            # means and what is carried, then the spread around these means
+            # first means and E[A C A^T], then the spread around these means
             for is_spread in range(2):
                 for row in range(s * n_actions, (s + 1) * n_actions):
                     share = act[t_act, row]
@@ -140,11 +142,11 @@ def backward(walk, discounts, offsets, is_trajectory, keep):
 
 @njit(cache=True, error_model="numpy")
 def forward(walk, horizon, power, with_returns):
-    """(T + 1, 3 or 1, S): E[W^p G^i 1{s_t = s}], p = ``power``, i = 0, 1, 2, G the
-    discounted return before t.
+    """Compute E[W^p G^i 1{s_t = s}], p = ``power``, forward in time.
 
-    W holds the factors of the steps before t. Without ``with_returns`` only i = 0 is
-    there.
+    W_{t+1} = W_t f, G_{t+1} = G_t + gamma^t r_t: W has the factors and G the discounted
+    rewards of the steps before t. Returns (T + 1, 3, S) for i = 0, 1, 2, or (T + 1, 1,
+    S) for i = 0 alone without ``with_returns``.
     """
     indptr, indices, prob, w, act, u, by_transition, rewards, initial, gamma = walk
     n_states = len(initial)
@@ -152,6 +154,7 @@ def forward(walk, horizon, power, with_returns):
     n_actions = act.shape[1] // n_states
     out[0, 0] = initial
     discount = 1.0
+    # each step adds what the entries carry from s to j
     for t in range(horizon):
         t_act = t if len(act) > 1 else 0
         for s in range(n_states):
@@ -182,8 +185,11 @@ def forward(walk, horizon, power, with_returns):
 
 @njit(cache=True, error_model="numpy")
 def merge(walk):
-    """The transitions of each state merged by where they lead, as CSR with ``PARTS``
-    numbers an entry; residuals.
+    """Merge the transitions of each state by where they lead.
+
+    q = sum pi P, b_mean = sum pi P f / q, e_mean = sum pi P e / q, c = q Var b, rho =
+    Cov(b, e) / Var b over the actions that lead to s'. Returns a CSR matrix with
+    ``PARTS`` numbers an entry, and each state's residual of e on b.
     """
     indptr, indices, prob, w, acts, us, by_transition, rewards, initial, _ = walk
     n_states = len(initial)
@@ -198,7 +204,7 @@ def merge(walk):
     residual = np.zeros(n_states)
     for s in range(n_states):
         begin = filled
-        # means, then variances and covariances, then what they leave
+        # three passes: means, then variances and covariances, then the residual
         for turn in range(3):
             for row in range(s * n_actions, (s + 1) * n_actions):
                 for k in range(indptr[row], indptr[row + 1]):
@@ -240,7 +246,10 @@ def merge(walk):
 
 @njit(cache=True)
 def strip_offsets(lengths, order):
-    """Where each strip's entries begin: it has as many as the longest of its states."""
+    """Compute where each strip's entries begin.
+
+    A strip has as many entries as the longest of its states.
+    """
     offsets = np.zeros((len(order) + LANES - 1) // LANES + 1, np.int64)
     for strip in range(len(offsets) - 1):
         offsets[strip + 1] = (
@@ -251,15 +260,16 @@ def strip_offsets(lengths, order):
 
 @njit(cache=True)
 def lay_strips(starts, columns, numbers, residual):
-    """The ``Strips`` of merged transitions, the first of each state one of large
-    probability.
+    """Lay merged transitions out as ``Strips``.
+
+    The first entry of each state has at least half of its largest probability.
     """
     n_states = len(residual)
     n_filled = len(columns)
     lengths = np.diff(starts.astype(np.int64))
     states = np.arange(n_states)
     offsets = strip_offsets(lengths, states)
-    # too much padding: states of one length go together
+    # where that pads too much, states of one length go together
     if offsets[-1] * LANES > 1.25 * n_filled:
         states = np.argsort(lengths, kind="mergesort")
         offsets = strip_offsets(lengths, states)
@@ -271,6 +281,7 @@ def lay_strips(starts, columns, numbers, residual):
     to = np.full(offsets[-1] * LANES, size, np.uint32)
     laid = np.zeros(offsets[-1] * LANES * PARTS)
     fixed = np.zeros(2 * size)
+    # the entries of state s in its lane, one of large probability in front
     for i in range(n_states):
         s = states[i]
         first = offsets[i // LANES]
@@ -292,6 +303,7 @@ def lay_strips(starts, columns, numbers, residual):
             to[at * LANES + lane] = lane_of[columns[source]]
             for part in range(PARTS):
                 laid[(at * PARTS + part) * LANES + lane] = numbers[source, part]
+    # whether an entry leads from all lanes to consecutive states
     aligned = np.ones(offsets[-1], np.bool_)
     for entry in range(len(aligned)):
         for lane in range(1, LANES):
@@ -303,12 +315,13 @@ def lay_strips(starts, columns, numbers, residual):
 
 @njit(cache=True, error_model="numpy")
 def step_back(strips, factor, offset, here, there, local, room, lanes):
-    """All strips, one step back: y, v -> factor X - offset, factor^2 Var X; ``local``
-    takes each state's own variance.
+    """Carry all strips one step back: y, v -> factor X - offset, factor^2 Var X.
 
-    The last LANES of y and v are room for what an entry leads to where that does not
-    stand side by side. ``lanes`` is LANES: a short loop over a number known beforehand
-    would be unrolled before it is made of vector instructions, and not be.
+    X(s) = sum q (b_mean y + e_mean), Var X(s) = sum (q b_mean^2 + c) v + the state's
+    own variance, which ``local`` takes. The last LANES of y and v are room for what an
+    entry leads to where that does not stand side by side. ``lanes`` is LANES: a short
+    loop over a number known beforehand would be unrolled before it is made of vector
+    instructions, and not be.
     """
     offsets, columns, aligned, numbers, fixed, _ = strips
     (y, v) = here
@@ -320,6 +333,7 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
     four = one * np.uint64(4)
     for strip in range(len(offsets) - 1):
         for entry in range(offsets[strip], offsets[strip + 1]):
+            # j is where y and v of what the lanes lead to begin
             at = np.uint64(entry) * one
             if aligned[entry]:
                 j = np.uint64(columns[at])
@@ -330,6 +344,7 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
                     y[tail + i] = y[x]
                     v[tail + i] = v[x]
             at *= np.uint64(PARTS)
+            # the first entry's z, from which the others' differences are taken
             if entry == offsets[strip]:
                 for i in range(one):
                     b = numbers[at + one + i]
@@ -340,6 +355,7 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
                     room[two + i] = c * off * off
                     room[three + i] = (numbers[at + i] * b * b + c) * v[j + i]
                 continue
+            # sums of q d, of the squares, and of what v carries
             for i in range(one):
                 q = numbers[at + i]
                 b = numbers[at + one + i]
@@ -349,6 +365,7 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
                 room[one + i] += q * d
                 room[two + i] += q * d * d + c * off * off
                 room[three + i] += (q * b * b + c) * v[j + i]
+        # the means and variances of the strip's states
         at = np.uint64(strip) * one
         both = at * np.uint64(2)
         for i in range(lanes):
@@ -368,16 +385,17 @@ def step_back(strips, factor, offset, here, there, local, room, lanes):
 
 @njit(cache=True, error_model="numpy")
 def backward_merged(strips, discounts, offsets, keep):
-    """E X, Var X (N,) of the first step and, if ``keep``, each step's own variance (T,
-    N), by places.
+    """Compute E X and Var X (N,) of the first step by places, actions merged.
 
-    ``discounts`` (T,) are gamma_t, ``offsets`` (T, N) k_t, or (0, N) where they are 0.
+    X_t = sum q (b_mean (gamma_t X_{t+1} - k_t) + e_mean). Returns also each step's own
+    variance (T, N) if ``keep``. ``discounts`` (T,) are gamma_t, ``offsets`` (T, N) are
+    k_t, or (0, N) where they are 0.
     """
     horizon = len(discounts)
     size = len(strips.order)
-    # z of the first entry; sums of q d, of squares, of what v carries
+    # per lane: z of the first entry; sums of q d, of squares, of what v carries
     room = np.zeros(4 * LANES)
-    # behind the states 0, which padding reads, and room
+    # y and v have a 0 behind the states, which padding reads, and then room
     lanes = np.uint64(len(room) // 4)
     length = size + 1 + LANES
     here = (np.zeros(length), np.zeros(length))

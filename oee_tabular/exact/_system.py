@@ -1,8 +1,7 @@
-"""Loops over a policy's system: its kernel from the rows s*A + a, residuals, and the
-graph of the kernel.
+"""Kernels for a policy's system: its rows, residuals, and the graph of the kernel.
 
-Of the graph: a breadth-first order, whether it expands, and what an elimination fills,
-before anything is solved.
+The graph is searched for a breadth-first order, for whether it expands, and for what an
+elimination fills, before anything is solved.
 """
 
 import numpy as np
@@ -11,8 +10,9 @@ from numba import njit
 
 @njit(cache=True)
 def add_entry(columns, values, place, begin, filled, column, value):
-    """Add to the row from ``begin`` on, or append to it; where it ends then. ``place``
-    has each column's last entry.
+    """Add a value to the row from ``begin`` on, or append it; return the row's end.
+
+    ``place`` has each column's last entry.
     """
     at = place[column]
     if begin <= at and at < filled and columns[at] == column:
@@ -26,12 +26,13 @@ def add_entry(columns, values, place, begin, filled, column, value):
 
 @njit(cache=True)
 def average_rows(rows, policy, states, number, columns, values):
-    """sum_a policy[s, a] K(s' | s, a) as CSR without zeros; a row's entries in the
-    order in which its actions have them.
+    """Compute P_pi(s' | s) = sum_a policy[s, a] K(s' | s, a) as CSR without zeros.
 
-    ``states`` : those whose rows are made, of which ``number`` has 1 + the new number
-    of each that follows; or none: all rows. ``columns`` (uint32) and ``values`` have
-    room for all entries; in numpy's memory, whose large pages save time.
+    A row's entries stand in the order in which its actions have them. ``states`` are
+    the states whose rows are made, and ``number`` has 1 + the new number of each state
+    that follows; if they are empty, all rows are made. ``columns`` (uint32) and
+    ``values`` have room for all entries, in numpy's memory, whose large pages save
+    time.
     """
     indptr, indices, data = rows
     n_rows = len(policy)
@@ -47,6 +48,7 @@ def average_rows(rows, policy, states, number, columns, values):
     for i in range(n_rows):
         begin = filled
         state = np.int64(states[i]) if is_part else i
+        # the rows of the actions that are taken, merged by their columns
         for action in range(n_actions):
             weight = policy[state, action]
             if weight == 0.0:
@@ -66,8 +68,9 @@ def average_rows(rows, policy, states, number, columns, values):
 
 @njit(cache=True)
 def average_rewards(policy, rewards):
-    """sum_a policy[s, a] r(s, a), and the largest sum of the magnitudes: what its
-    rounding is measured by.
+    """Compute r_pi(s) = sum_a policy[s, a] r(s, a), and the scale of its rounding.
+
+    The scale is the largest sum of the magnitudes.
     """
     total = np.zeros(len(policy))
     largest = 0.0
@@ -83,8 +86,9 @@ def average_rewards(policy, rewards):
 
 @njit(cache=True)
 def largest_magnitude(numbers):
-    """The largest absolute value, 0 of nothing; numpy's needs several passes, which few
-    states feel.
+    """Return the largest absolute value, 0 of nothing.
+
+    numpy needs several passes, which problems of few states feel.
     """
     largest = 0.0
     for i in range(len(numbers)):
@@ -95,8 +99,9 @@ def largest_magnitude(numbers):
 
 @njit(cache=True)
 def range_of_sums(kernel, n_roundings):
-    """The smallest sum of a row, the largest with its rounding and ``n_roundings`` an
-    entry, the middle of the two.
+    """Return the smallest row sum, the largest, and the middle of the two.
+
+    The largest includes its rounding and ``n_roundings`` in each entry.
     """
     indptr = kernel.indptr
     data = kernel.data
@@ -118,7 +123,10 @@ def range_of_sums(kernel, n_roundings):
 
 @njit(cache=True)
 def multiply(kernel, transpose, x, out):
-    """out = K x, or K^T x by scattering, which no row of uneven length holds up."""
+    """Compute out = K x, or K^T x by scattering.
+
+    Scattering is not held up by rows of uneven length.
+    """
     indptr, indices, data, _ = kernel
     if transpose:
         out[:] = 0.0
@@ -136,18 +144,21 @@ def multiply(kernel, transpose, x, out):
 
 @njit(cache=True)
 def residual(kernel, transpose, b, x, n_roundings):
-    """b - M x with M = I - discount K or its transpose, its largest magnitude, a bound,
-    and the largest rounding.
+    """Compute the residual b - M x and bounds on it.
 
-    Each term of an entry meets at most (entries of the row + 4) roundings, and
-    ``n_roundings`` more in the kernel itself. The bound is on the largest magnitude
-    with its rounding, transposed on the sum of them.
+    M = I - discount K, or its transpose.
+
+    Returns the residual, its largest magnitude, a bound on the exact one, and the
+    largest rounding. Each term of an entry meets at most (entries of the row + 4)
+    roundings, and ``n_roundings`` more in the kernel itself. The bound is on the
+    largest magnitude with its rounding, transposed on the sum of them.
     """
     indptr, indices, data, discount = kernel
     n = len(b)
     missed = np.zeros(n)
     size = np.zeros(n)
     count = np.zeros(n)
+    # K x, the sums of the magnitudes of its terms, and their numbers
     for i in range(n):
         total = 0.0
         magnitude = 0.0
@@ -170,6 +181,7 @@ def residual(kernel, transpose, b, x, n_roundings):
     largest = 0.0
     bound = 0.0
     rounding = 0.0
+    # b - M x, and a bound on its rounding
     for i in range(n):
         missed[i] = b[i] + (discount * missed[i] - x[i])
         scale = discount * size[i] + abs(x[i]) + abs(b[i])
@@ -193,8 +205,9 @@ def residual(kernel, transpose, b, x, n_roundings):
 
 @njit(cache=True)
 def transpose_rows(indptr, indices, data, n_columns):
-    """The CSR of the transposed matrix; within a row in the order of the rows that they
-    came from.
+    """Transpose a CSR matrix by counting its columns.
+
+    The entries of a new row stand in the order of the rows that they came from.
     """
     starts = np.zeros(n_columns + 1, dtype=np.uint32)
     for k in range(len(indices)):
@@ -213,17 +226,16 @@ def transpose_rows(indptr, indices, data, n_columns):
     return starts, columns, values
 
 
-N_FREE = 1000  # entries that a count may begin with before it is held to its limit
+N_FREE = 1000  # entries by which a count may exceed its limit at the beginning
 
 
 @njit(cache=True)
 def breadth_first(kernel, back, widest):
-    """The states in breadth-first order, later trees before earlier ones, and each
-    state's place.
+    """Find the states in breadth-first order, and each state's place in it.
 
-    Along the rows; where ``back``, the transposed rows, has any, along both. Empty
-    where states stand more than ``widest`` places behind the state that led to them, on
-    average.
+    Later trees stand before earlier ones. The search goes along the rows; where
+    ``back``, the transposed rows, has any, along both. The result is empty where states
+    stand more than ``widest`` places behind the state that led to them, on average.
     """
     n = len(kernel.indptr) - 1
     place = np.empty(n, dtype=np.uint32)
@@ -240,6 +252,7 @@ def breadth_first(kernel, back, widest):
         is_seen[root] = True
         head = 0
         tail = 1
+        # one tree: the states that the root leads to
         while head < tail:
             state = queue[head]
             for k in range(kernel.indptr[state], kernel.indptr[state + np.uint32(1)]):
@@ -260,6 +273,7 @@ def breadth_first(kernel, back, widest):
             head += 1
             if distance > widest * (n_done + tail) + N_FREE:
                 return queue[:0], place[:0]
+        # it stands before the trees that were found earlier
         free -= tail
         n_done += tail
         for i in range(tail):
@@ -272,11 +286,10 @@ def breadth_first(kernel, back, widest):
 
 @njit(cache=True)
 def expands(kernel):
-    """Whether twice as many steps lead to 9 times as many states, more than in lattices
-    of up to three dimensions.
+    """Return whether twice as many steps lead to 9 times as many states.
 
-    By five searches of at most 32 steps each, from states that lie far from each other
-    in the numbering.
+    This is more than in lattices of up to three dimensions. Five searches of at most 32
+    steps each start from states that lie far from each other in the numbering.
     """
     indptr, indices, _, _ = kernel
     n = len(indptr) - 1
@@ -290,6 +303,7 @@ def expands(kernel):
         seen_by[root] = search
         head = 0
         tail = 1
+        # the number of states within so many steps
         for step in range(1, 33):
             level = tail
             while head < level:
@@ -314,11 +328,12 @@ def expands(kernel):
 
 @njit(cache=True)
 def find_envelope(kernel, place):
-    """The order of elimination, the reverse of ``place``; the first linked state of
-    each; where its row begins.
+    """Find the envelope of M in the reverse of the order ``place``.
 
-    Row i of the factor L and column i of U begin with the first state that i is linked
-    to, either way; only what lies between is filled [1].
+    first_i = min {j : M_ij or M_ji is not 0}, j <= i. Row i of the factor L and column
+    i of U begin with the first state that i is linked to, either way; only what lies
+    between is filled [1]. Returns the order of elimination, the first linked state of
+    each, and where its row begins.
 
     Reference: [1] George and Liu, Computer Solution of Large Sparse Positive Definite
     Systems, 1981, chapter 4.
@@ -341,11 +356,11 @@ def find_envelope(kernel, place):
 
 @njit(cache=True)
 def fills_little(kernel, back, order, place, most):
-    """Whether factors of M + M^T have up to ``most`` entries a state below the
-    diagonal, in the reverse of the order.
+    """Return whether factors of M + M^T have up to ``most`` entries a state.
 
-    Row i has an entry in column k where k is on the way from one of its entries to i in
-    the elimination tree [1].
+    Entries below the diagonal are counted, in the reverse of the order. Row i has an
+    entry in column k where k is on the way from one of its entries to i in the
+    elimination tree [1].
 
     Reference: [1] Liu, The role of elimination trees in sparse factorization, SIAM J.
     Matrix Anal. Appl. 11 (1990).
@@ -357,6 +372,7 @@ def fills_little(kernel, back, order, place, most):
     for i in range(n):
         state = order[n - 1 - i]
         mark[i] = i
+        # along the row and along the column, up the tree to what is marked
         for half in range(2):
             rows = kernel.indptr if half == 0 else back.indptr
             columns = kernel.indices if half == 0 else back.indices

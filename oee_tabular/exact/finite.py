@@ -1,6 +1,7 @@
-"""Finite horizons, carried out as they stand.
+"""Values and occupancies of finite horizons, carried out as they stand.
 
-    V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0;    d_{t+1} = P_pi^T d_t, d_0 = mu_0;    J = mu_0 . V_0 = sum_t gamma^t d_t . r_pi
+    V_t = r_pi + gamma P_pi V_{t+1}, V_T = 0;    d_{t+1} = P_pi^T d_t, d_0 = mu_0
+    J = mu_0 . V_0 = sum_t gamma^t d_t . r_pi
 
 Where only J is wanted, T rewards can depend on no more than the states that T - 1
 transitions reach: rows of P_pi are made for these alone (the light cone of the support
@@ -31,16 +32,15 @@ from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import limit_horizon
 from oee_tabular.typing import Array, PolicyLike
 
-# terms of a long sum that are added before the sum of these sums: rounding grows with n
-# / 128
-CHUNK = 128
+# a long sum is a sum of sums of so many terms each: its rounding grows with n / 128
+N_CHUNK_TERMS = 128
 
 
 class Cone(NamedTuple):
-    """States in the order in which they are first reached, with their rows and rewards
-    under these numbers.
+    """The light cone of the first states: states, rows and rewards under new numbers.
 
-    In at most k transitions the first ends[k] of them are reached.
+    The states stand in the order in which they are first reached; at most k transitions
+    reach the first ends[k] of them.
     """
 
     states: Any
@@ -51,22 +51,18 @@ class Cone(NamedTuple):
 
 
 def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
-    """The states that ``horizon`` rewards of a stationary policy can depend on, with
-    their rows and rewards.
-    """
-    # numpy's zeros cost nothing until they are touched, the kernel's own would be
-    # written
+    """Find the states that ``horizon`` rewards of a stationary policy can depend on."""
     rows = rows_of(model.csr)
+    # numpy's zeros cost nothing until they are touched; a kernel would write its own
     place = np.zeros(model.n_states, np.uint32)
     ends = np.zeros(horizon, np.int64)
     states, n_entries = reach_forward(
         rows, as_readonly(policy), as_readonly(model.initial), place, ends
     )
-    # of the others no transition counts any more
+    # states that are reached last give a reward, but their transitions do not count
     leaving = states[: ends[-2] if horizon > 1 else 0]
-    kernel = Kernel(
-        *average_rows_of(leaving, rows, policy, place, n_entries), model.discount
-    )
+    averaged = average_rows_of(leaving, rows, policy, place, n_entries)
+    kernel = Kernel(*averaged, model.discount)
     rewards, _ = average_rewards(policy[states], model.rewards[states])
     return Cone(states, ends, kernel, rewards, model.initial[states[: ends[0]]])
 
@@ -74,8 +70,9 @@ def light_cone(model: Model, policy: Array, horizon: int) -> Cone:
 def values_by_horizon(
     model: Model, policy: Array, horizon: int, *, is_each: bool = True
 ) -> Array:
-    """(T + 1,): J of 0 .. T rewards, of a policy that has been checked; the last alone
-    unless ``is_each``.
+    """Compute J of 0 .. T rewards, (T + 1,), for a policy that has been checked.
+
+    Unless ``is_each``, the last entry alone is filled in for a stationary policy.
     """
     if policy.ndim == 3:
         return _sum_forward(model, policy, np.zeros((0, 0)))
@@ -83,12 +80,15 @@ def values_by_horizon(
 
 
 def initial_mean(model: Model, values: Array) -> float:
-    """mu_0 . V over the states where episodes start (the others may be infinite)."""
+    """Compute mu_0 . V over the states where episodes start.
+
+    The values of the other states may be infinite.
+    """
     return float(dot(model.initial, values, len(values)))
 
 
 def visits(model: Model, policy: Array, horizon: int) -> Array:
-    """(S, A): sum_{t<T} gamma^t Pr(s_t = s, a_t = a)."""
+    """Compute sum_{t<T} gamma^t Pr(s_t = s, a_t = a), of shape (S, A)."""
     pairs = np.zeros((model.n_states, model.n_actions))
     if policy.ndim == 2:
         cone = light_cone(model, policy, horizon)
@@ -99,15 +99,24 @@ def visits(model: Model, policy: Array, horizon: int) -> Array:
 
 
 def _sum_forward(model: Model, policy: Array, pairs: Array) -> Array:
-    read = as_readonly(model.rewards), as_readonly(policy), as_readonly(model.initial)
-    return np.asarray(step_forward(rows_of(model.csr), *read, model.discount, pairs))
+    """Compute J of 0 .. T rewards forward in time, for a policy (T, S, A)."""
+    values = step_forward(
+        rows_of(model.csr),
+        as_readonly(model.rewards),
+        as_readonly(policy),
+        as_readonly(model.initial),
+        model.discount,
+        pairs,
+    )
+    return np.asarray(values)
 
 
 def values_to_go(
     model: Model, policy: Array, horizon: int, *, is_each: bool = True
 ) -> Array:
-    """(T + 1, S): V_t of a stationary policy that has been checked, T - t rewards to
-    go; or V_0 alone, (1, S).
+    """Compute V_t (T + 1, S) of a stationary policy that has been checked.
+
+    Row t has T - t rewards to go. Unless ``is_each``, V_0 alone is returned, (1, S).
     """
     out = np.zeros((horizon + 1 if is_each else 2, model.n_states))
     rewards, _ = average_rewards(np.ascontiguousarray(policy), model.rewards)
@@ -118,13 +127,15 @@ def values_to_go(
 def gradient_to_horizon(
     model: Model, valued: Model, policy: Array, horizon: int
 ) -> Array:
-    """sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], alpha of
-    ``model``, on the entries of ``valued``.
+    """Compute the gradient of J for a horizon, on the entries of ``valued``.
+
+    sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], alpha of ``model``, r
+    and V of ``valued``.
     """
     back = Kernel(*policy_system(model, policy).back, 1.0)
-    rewards = as_readonly(
-        np.zeros(0) if valued.reward_data is None else valued.reward_data
-    )
+    # empty where rewards do not depend on s'
+    data = np.zeros(0) if valued.reward_data is None else valued.reward_data
+    rewards = as_readonly(data)
     to_go = values_to_go(valued, policy, horizon)
     out = np.zeros(valued.transitions.nnz)
     add_flows(
@@ -137,9 +148,8 @@ def gradient_to_horizon(
         rewards,
         out,
     )
-    return np.asarray(
-        out * np.repeat(policy.reshape(-1), np.diff(valued.transitions.indptr))
-    )
+    lengths = np.diff(valued.transitions.indptr)
+    return np.asarray(out * np.repeat(policy.reshape(-1), lengths))
 
 
 def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) -> Array:
@@ -147,25 +157,34 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
 
     Parameters
     ----------
-    mdp : FiniteMDP (or a ReweightedModel, whose rows may have any sum)
-    policy : (S, A), or (T, S, A): J_t is then of its first t steps
-    horizon : T, a positive int
+    mdp : FiniteMDP or ReweightedModel
+        The model in which the policy is evaluated. The rows of a ReweightedModel may
+        have any sum.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or (T, S, A): J_t is then the value of its
+        first t steps.
+    horizon : int
+        The largest number of rewards T.
 
     Returns
     -------
-    (T + 1,) array
+    ndarray of shape (T + 1,)
         J_0 = 0, ..., J_T; entry t is ``policy_value(mdp, policy, horizon=t)``.
 
     Raises
     ------
     ValueError
-        Bad arguments.
+        If an argument is bad.
+
+    See Also
+    --------
+    policy_value : J of one horizon, or of the infinite sum.
 
     Notes
     -----
-    Cost: O(T nnz) over the states that are reached in t transitions, whatever the
-    number of the others. A stationary policy's are the values at the first states
-    during one backward sweep, any other's are summed forward.
+    Costs O(T nnz) over the states that are reached in t transitions, whatever the
+    number of the others. For a stationary policy these are the values at the first
+    states during one backward sweep; any other policy's rewards are summed forward.
 
     Examples
     --------
@@ -182,7 +201,7 @@ def policy_values_by_horizon(mdp: Model, policy: PolicyLike, *, horizon: int) ->
 
 @njit(cache=True)
 def backup(kernel, rewards, ahead, out, first, last):
-    """out = rewards + gamma K ahead on the rows first .. last - 1 (uint64)."""
+    """Compute out = rewards + gamma K ahead on the rows first .. last - 1 (uint64)."""
     indptr, indices, data, gamma = kernel
     one = np.uint64(1)
     four = np.uint64(4)
@@ -190,7 +209,8 @@ def backup(kernel, rewards, ahead, out, first, last):
     for s in range(first, last):
         end = np.uint64(indptr[s + one])
         total = 0.0
-        while x + four <= end:  # one addition after the other all the same
+        # four entries at a time, but one addition after the other all the same
+        while x + four <= end:
             total += data[x] * ahead[indices[x]]
             total += data[x + one] * ahead[indices[x + one]]
             total += data[x + np.uint64(2)] * ahead[indices[x + np.uint64(2)]]
@@ -204,7 +224,10 @@ def backup(kernel, rewards, ahead, out, first, last):
 
 @njit(cache=True)
 def dot(x, y, size):
-    """x . y over the first ``size`` entries; where x is 0, y may be infinite."""
+    """Compute x . y over the first ``size`` entries.
+
+    Where x is 0, y may be infinite.
+    """
     total = 0.0
     part = 0.0
     terms = 0
@@ -212,7 +235,7 @@ def dot(x, y, size):
         if x[i] != 0.0:
             part += x[i] * y[i]
             terms += 1
-            if terms == CHUNK:
+            if terms == N_CHUNK_TERMS:
                 total = total + part
                 part = 0.0
                 terms = 0
@@ -221,8 +244,9 @@ def dot(x, y, size):
 
 @njit(cache=True)
 def sweep(kernel, rewards, horizon, out):
-    """V_t = r + gamma K V_{t+1}, V_T = 0, in row t % len(out) of ``out``, which begins
-    with zeros.
+    """Compute V_t = r + gamma K V_{t+1}, V_T = 0, for t = T-1 .. 0.
+
+    V_t stands in row t % len(out) of ``out``, which begins with zeros.
     """
     k = len(out)
     for t in range(horizon - 1, -1, -1):
@@ -238,15 +262,16 @@ def sweep(kernel, rewards, horizon, out):
 
 @njit(cache=True)
 def reach_forward(rows, policy, initial, place, ends):
-    """The states that len(ends) - 1 transitions reach, in the order in which they are;
-    the entries of rows that count.
+    """Find the states that len(ends) - 1 transitions reach, as they are discovered.
 
-    ``ends`` takes how many of them k transitions reach, ``place`` (S,), zeros before, 1
-    + each state's number; what is not reached is not read.
+    R_0 = support of mu_0, R_{t+1} = R_t and what its rows lead to. ``ends`` takes how
+    many of them k transitions reach, ``place`` (S,), zeros before, 1 + each state's
+    number; what is not reached is not read. Returns the states, and how many entries
+    their rows have.
     """
     indptr, indices, data = rows
     n_actions = policy.shape[1]
-    # only what is filled becomes memory
+    # the first states; only what is filled becomes memory
     states = np.empty(len(place), np.uint32)
     count = 0
     n_done = 0
@@ -260,6 +285,7 @@ def reach_forward(rows, policy, initial, place, ends):
             count += 1
             place[s] = count
     ends[0] = count
+    # ring by ring: what the states lead to that were reached last
     for t in range(1, len(ends)):
         for i in range(n_done, ends[t - 1]):
             row = np.int64(states[i]) * n_actions
@@ -280,8 +306,10 @@ def reach_forward(rows, policy, initial, place, ends):
 
 @njit(cache=True)
 def sweep_cone(cone, is_each):
-    """(T + 1,): J of 0 .. T rewards, a ring of the cone left out at each step; the last
-    alone unless ``is_each``.
+    """Compute J of 0 .. T rewards, (T + 1,), on a light cone.
+
+    V_k = r + gamma K V_{k-1} with k rewards to go, J_k = mu_0 . V_k; each step leaves a
+    ring of the cone out. Unless ``is_each``, the last entry alone is filled in.
     """
     ends = cone.ends
     horizon = len(ends)
@@ -306,8 +334,9 @@ def sweep_cone(cone, is_each):
 
 @njit(cache=True)
 def visit_cone(cone):
-    """sum_{t<T} gamma^t Pr(s_t = s) of the cone's states: d_{t+1} = K^T d_t as far as t
-    transitions reach.
+    """Compute sum_{t<T} gamma^t Pr(s_t = s) for the states of a light cone.
+
+    d_{t+1} = K^T d_t, as far as t transitions reach.
     """
     ends = cone.ends
     indptr, indices, data, gamma = cone.kernel
@@ -331,11 +360,11 @@ def visit_cone(cone):
 
 @njit(cache=True)
 def step_forward(rows, rewards, policy, initial, gamma, pairs):
-    """(T + 1,): J of 0 .. T rewards of a policy (T, S, A), which is read as a whole
-    before, so that S a step costs nothing.
+    """Compute J of 0 .. T rewards, (T + 1,), of a policy (T, S, A), forward in time.
 
     d_{t+1}(s') = sum_{s, a} d_t(s) policy_t(s, a) K(s' | s, a), J_{t+1} = J_t + gamma^t
-    d_t . r. Where ``pairs`` (S, A) has room, sum_t gamma^t Pr(s_t = s, a_t = a) is
+    d_t . r. The policy is read as a whole before, so that S numbers a step cost
+    nothing. Where ``pairs`` (S, A) has room, sum_t gamma^t Pr(s_t = s, a_t = a) is
     added to it.
     """
     indptr, indices, data = rows
@@ -371,12 +400,11 @@ def step_forward(rows, rewards, policy, initial, gamma, pairs):
 
 @njit(cache=True)
 def add_flows(to_go, gamma, back, initial, rows, policy, rewards, out):
-    """out[k] += sum_t gamma^t d_t(s) (r[k] + gamma V_{t+1}(s')) for the entries k of
-    the actions that are taken.
+    """Add sum_t gamma^t d_t(s) (r[k] + gamma V_{t+1}(s')) to out[k] for each entry k.
 
-    ``to_go`` (T + 1, S) is V; ``back`` is the transposed kernel that d is of, with
-    discount 1; ``rows`` (S*A, S) has the entries, ``rewards`` r(s, a, s') is aligned
-    with them or empty.
+    d_{t+1} = K^T d_t. Only entries of actions that are taken count. ``to_go`` (T + 1,
+    S) is V; ``back`` is the transposed kernel of d, with discount 1; ``rows`` (S*A, S)
+    has the entries, and ``rewards`` r(s, a, s') is aligned with them or empty.
     """
     indptr, columns, _ = rows
     n_states, n_actions = policy.shape

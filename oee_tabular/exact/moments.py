@@ -1,10 +1,10 @@
 """Exact means and variances of returns and of weighted returns, by dynamic programming.
 
 The estimators are averages over n independent episodes of X; ``Moments`` has the mean
-and the variance of one X (so that the estimator's variance is ``variance / n``).
-Recursions in ``recursions``; definitions in each function. Reward timing: a reward r(s,
-a) at t carries the ratios of the transitions before it, zeta_1 .. zeta_t, a reward r(s,
-a, s') also that of its own transition. In an absorbing state, where an episode has
+and the variance of one X (so that the estimator's variance is ``variance / n``). The
+recursions are in ``recursions``; each function defines its X. A reward r(s, a) at t
+carries the ratios of the transitions before it, zeta_1 .. zeta_t, a reward r(s, a, s')
+also the ratio of its own transition. In an absorbing state, where an episode has
 ended, weights are constant.
 
 Sources: the recursions of the second moment are Sobel's [1]; self-normalised estimators
@@ -31,11 +31,12 @@ from oee_tabular.exact.recursions import (
     per_decision_moments,
     scale_moments,
 )
+from oee_tabular.exact.reweighted import RatioLike
 from oee_tabular.exact.system import as_readonly, exponent
 from oee_tabular.exact.walks import walk_of
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
-from oee_tabular.typing import PolicyLike
+from oee_tabular.typing import PolicyLike, RealArrayLike
 
 KINDS = ("per_decision", "trajectory")
 Kind = Literal["per_decision", "trajectory"]
@@ -49,7 +50,7 @@ def _check_arguments(
     kind: object = "per_decision",
     **flags: bool,
 ) -> tuple[int | None, dict[str, bool]]:
-    """The horizon, and the options of ``compute_moments``."""
+    """Check what the functions share; return the horizon and the options."""
     _checks.instance(model, FiniteMDP, name)
     _checks.one_of(kind, "kind", KINDS)
     for flag, value in flags.items():
@@ -69,33 +70,58 @@ def return_moments(
 ) -> Moments:
     """Compute mean and variance of the return G = sum_t gamma^t r_t of one episode.
 
-    Var G = Var V_0(s_0) + sum_t gamma^2t E Var[r_t + gamma V_{t+1}(s_{t+1}) | s_t].
-
     Parameters
     ----------
     mdp : FiniteMDP
-    policy : (S, A), or (T, S, A) with a horizon T
-    horizon : positive int or None (discount below 1)
-    sources : whether ``by_step`` (finite horizon) and ``by_state`` are filled in
+        The model in which the policy is evaluated.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or (T, S, A) with a horizon T; other forms
+        as in ``check_policy``.
+    horizon : int, optional
+        Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
+    sources : bool, default False
+        Whether ``by_state`` and, with a horizon, ``by_step`` are filled in.
+
+    Returns
+    -------
+    Moments
+        Mean and variance of G.
+
+    Raises
+    ------
+    ValueError
+        If an argument is bad, or at discount 1 without a horizon.
+
+    See Also
+    --------
+    weighted_return_moments : Moments of returns that are weighted by ratios.
+    policy_value : The mean alone.
+
+    Notes
+    -----
+    Var G = Var V_0(s_0) + sum_t gamma^2t E Var[r_t + gamma V_{t+1}(s_{t+1}) | s_t].
+    Costs O(T nnz) with a horizon, two sparse solves without.
 
     Examples
     --------
+    A fair coin, and half another, have the variance 1/4 + 1/16:
+
     >>> import numpy as np
-    >>> coin = FiniteMDP(np.full((2, 1, 2), 0.5), np.array([0.0, 1.0]), np.array([0.5, 0.5]), 0.5)
-    >>> return_moments(coin, np.ones((2, 1)), horizon=2)  # a fair coin, and half another: 1/4 + 1/16
+    >>> half = np.array([0.5, 0.5])
+    >>> coin = FiniteMDP(np.full((2, 1, 2), 0.5), np.array([0.0, 1.0]), half, 0.5)
+    >>> return_moments(coin, np.ones((2, 1)), horizon=2)
     Moments(mean=0.75, variance=0.3125, bias=0.0)
     """
     length, options = _check_arguments(
         mdp, "mdp", horizon, self_normalized=False, sources=sources
     )
-    return compute_moments(
-        walk_of(mdp, check_policy(policy, mdp, horizon=length)), length, **options
-    )
+    pi = check_policy(policy, mdp, horizon=length)
+    return compute_moments(walk_of(mdp, pi), length, **options)
 
 
 def weighted_return_moments(
     simulator: FiniteMDP,
-    zeta: object,
+    zeta: RatioLike,
     policy: PolicyLike,
     *,
     kind: Kind = "per_decision",
@@ -103,50 +129,72 @@ def weighted_return_moments(
     self_normalized: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Compute mean and variance of the paper's product of ratios on one rollout, W_t =
-    zeta_1 ... zeta_t.
+    """Compute mean and variance of the paper's product of ratios on one rollout.
 
-    In absorbing states with reward 0, where an episode has ended, W_t is constant.
-
-    per_decision: X = sum_t gamma^t W_t r_t; trajectory: X = W_{T-1} G (W_T where
-    rewards depend on s').
+    With W_t = zeta_1 ... zeta_t, per decision X = sum_t gamma^t W_t r_t, and for the
+    trajectory X = W_{T-1} G, with W_T where rewards depend on s'. In absorbing states
+    with reward 0, where an episode has ended, W_t is constant.
 
     Parameters
     ----------
-    simulator, policy, horizon : as in ``return_moments``
-    zeta : csr (S*A, S) or an object with such ``values``, on the simulator's support
-    kind : "per_decision" | "trajectory" (finite horizon only: its weight has no limit)
-    self_normalized : divide by the sum of the weights, per step for per_decision
-    sources : as in ``return_moments``
+    simulator : FiniteMDP
+        The simulator that the rollout is from.
+    zeta : sparse array of shape (S*A, S), or an object with such ``values``
+        The ratio of transition probabilities, row s*A + a, on the simulator's support.
+        An entry that is not stored is 0.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or (T, S, A) with a horizon T; other forms
+        as in ``check_policy``.
+    kind : {'per_decision', 'trajectory'}, default 'per_decision'
+        What is averaged. "trajectory" needs a horizon, because its weight has no limit.
+    horizon : int, optional
+        Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
+    self_normalized : bool, default False
+        Whether sums are divided by the sum of their weights, separately for each step
+        if ``kind`` is "per_decision".
+    sources : bool, default False
+        Whether ``by_state`` and, with a horizon, ``by_step`` are filled in.
+
+    Returns
+    -------
+    Moments
+        Mean and variance of X. For a self-normalised estimator, its limit, its
+        asymptotic variance and its leading bias.
 
     Raises
     ------
     ValueError
-        Bad arguments; without a horizon, if the second moment does not exist: the
-        spectral radius of gamma^2 (P zeta^2) under the policy is not below 1 (it is
-        given).
+        If an argument is bad; without a horizon, if the second moment does not exist
+        because the spectral radius of gamma^2 (P zeta^2) under the policy is not below
+        1 (the error gives it).
+
+    See Also
+    --------
+    policy_is_moments : Moments of importance sampling over policies.
+    doubly_robust_moments : Moments of the doubly robust estimator.
+    sample_returns : Samples of X.
 
     Notes
     -----
-    The mean per decision is J of the model zeta * P. Cost: O(T nnz), or two sparse
+    The mean per decision is J of the model zeta * P. Costs O(T nnz), or two sparse
     solves.
 
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
-    >>> moments = weighted_return_moments(simulator, oee.true_ratio(target, simulator), [[1.0]] * 2)
-    >>> round(moments.mean, 6), round(moments.variance, 4)  # unbiased: J in the target is 1.1
+    >>> simulator = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    >>> target = oee.FiniteMDP([[[0.4, 0.6]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    >>> zeta = oee.true_ratio(target, simulator)
+    >>> moments = weighted_return_moments(simulator, zeta, [[1.0]] * 2)
+    >>> round(moments.mean, 6), round(moments.variance, 4)  # J in the target is 1.1
     (1.1, 0.4251)
     """
     flags = {"self_normalized": self_normalized, "sources": sources}
     length, options = _check_arguments(
         simulator, "simulator", horizon, kind=kind, **flags
     )
-    walk = walk_of(
-        simulator, check_policy(policy, simulator, horizon=length), ratio=zeta
-    )
-    return compute_moments(walk, length, **options)
+    pi = check_policy(policy, simulator, horizon=length)
+    return compute_moments(walk_of(simulator, pi, ratio=zeta), length, **options)
 
 
 def policy_is_moments(
@@ -159,22 +207,49 @@ def policy_is_moments(
     self_normalized: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Compute mean and variance of policy importance sampling (eq. 3.5) on one episode
-    of ``behavior_policy``.
+    """Compute mean and variance of policy importance sampling on one episode (eq. 3.5).
 
-    rho_t = prod_{k <= t} policy / behavior; per_decision: X = sum_t gamma^t rho_t r_t;
-    trajectory: X = rho_{T-1} G. rho_t is constant after an episode's end.
+    The episode is from ``behavior_policy``. With rho_t = prod_{k <= t} policy /
+    behavior, per decision X = sum_t gamma^t rho_t r_t, and for the trajectory X =
+    rho_{T-1} G. rho_t is constant after an episode's end.
 
     Parameters
     ----------
-    mdp : FiniteMDP, the environment that the episodes are from
-    behavior_policy, policy : (S, A), or (T, S, A) with a horizon T
-    kind, horizon, self_normalized, sources : as in ``weighted_return_moments``
+    mdp : FiniteMDP
+        The environment that the episode is from.
+    behavior_policy : PolicyLike
+        The policy that acted, of shape (S, A), or (T, S, A) with a horizon T.
+    policy : PolicyLike
+        The evaluated policy, of shape (S, A), or (T, S, A) with a horizon T.
+    kind : {'per_decision', 'trajectory'}, default 'per_decision'
+        What is averaged. "trajectory" needs a horizon, because its weight has no limit.
+    horizon : int, optional
+        Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
+    self_normalized : bool, default False
+        Whether sums are divided by the sum of their weights, separately for each step
+        if ``kind`` is "per_decision".
+    sources : bool, default False
+        Whether ``by_state`` and, with a horizon, ``by_step`` are filled in.
+
+    Returns
+    -------
+    Moments
+        Mean and variance of X. For a self-normalised estimator, its limit, its
+        asymptotic variance and its leading bias.
+
+    Raises
+    ------
+    ValueError
+        As in ``weighted_return_moments``.
+
+    See Also
+    --------
+    weighted_return_moments : Moments of the product of ratios of transitions.
 
     Notes
     -----
     If the behaviour policy never takes an action that the policy takes, the mean is not
-    J.
+    J. Costs O(T nnz), or two sparse solves.
 
     Examples
     --------
@@ -188,6 +263,7 @@ def policy_is_moments(
         behavior_policy, mdp, name="behavior_policy", horizon=length
     )
     pi = check_policy(policy, mdp, horizon=length)
+    # where one of them is stationary, it is repeated for each step
     if behavior.ndim != pi.ndim:
         shape = (behavior if behavior.ndim == 3 else pi).shape
         behavior = np.broadcast_to(behavior, shape)
@@ -197,44 +273,72 @@ def policy_is_moments(
 
 def doubly_robust_moments(
     simulator: FiniteMDP,
-    zeta: object,
+    zeta: RatioLike,
     policy: PolicyLike,
     *,
-    baseline: object = None,
+    baseline: RealArrayLike | None = None,
     horizon: int,
     action_baseline: bool = False,
     sources: bool = False,
 ) -> Moments:
-    """Compute mean and variance of the doubly robust estimator on one rollout of the
-    simulator.
+    """Compute mean and variance of the doubly robust estimator on one rollout.
 
-    D_t = r_t + gamma [m_t(s_t, a_t) + zeta_{t+1} (D_{t+1} - U_{t+1}(s_{t+1}))], m_t(s,
-    a) = sum_s' zeta P U_{t+1}(s'); for rewards r(s, a, s'), r(s, a, s') + gamma U takes
-    the place of gamma U and m_t has E[zeta r] in it. Its mean is J of zeta * P for
-    every U.
+    The rollout is from the simulator. D_t = r_t + gamma [m_t(s_t, a_t) + zeta_{t+1}
+    (D_{t+1} - U_{t+1}(s_{t+1}))], m_t(s, a) = sum_s' zeta P U_{t+1}(s').
 
     Parameters
     ----------
-    simulator, zeta, policy : as in ``weighted_return_moments``
-    baseline : U, (T + 1, S) values to go at t (row T is not used); None: those of the
-        simulator
-    horizon : T
-    action_baseline : whether m and the reward are replaced by their mean over the
-        policy's actions; with U the true values that leaves Var V_0(s_0) alone
-    sources : as in ``return_moments``
+    simulator : FiniteMDP
+        The simulator that the rollout is from.
+    zeta : sparse array of shape (S*A, S), or an object with such ``values``
+        The ratio of transition probabilities, row s*A + a, on the simulator's support.
+        An entry that is not stored is 0.
+    policy : PolicyLike
+        Stationary action probabilities of shape (S, A); other forms as in
+        ``check_policy``.
+    baseline : array_like of shape (T + 1, S), optional
+        U, values to go at t (row T is not used). None means the simulator's values.
+    horizon : int
+        Number of rewards T, at t = 0..T-1.
+    action_baseline : bool, default False
+        Whether m and the reward are replaced by their mean over the policy's actions.
+        If U has the true values, Var V_0(s_0) alone is left.
+    sources : bool, default False
+        Whether ``by_state`` and, with a horizon, ``by_step`` are filled in.
+
+    Returns
+    -------
+    Moments
+        Mean and variance of D_0.
+
+    Raises
+    ------
+    ValueError
+        If an argument is bad.
+
+    See Also
+    --------
+    weighted_return_moments : The same with U = 0, per decision.
 
     Notes
     -----
-    With U = 0 the per-decision estimator. Cost: O(T nnz).
+    For rewards r(s, a, s'), r(s, a, s') + gamma U takes the place of gamma U and m_t
+    has E[zeta r] in it. The mean is J of zeta * P for every U. With U = 0 this is the
+    per-decision estimator. Costs O(T nnz).
 
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
-    >>> known = simulator, oee.true_ratio(target, simulator), [[1.0]] * 2
-    >>> robust, product = doubly_robust_moments(*known, horizon=3), weighted_return_moments(*known, horizon=3)
-    >>> round(robust.mean, 6), round(product.mean, 6), round(robust.variance, 4), round(product.variance, 4)
-    (0.95, 0.95, 0.25, 0.3823)
+    >>> simulator = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    >>> target = oee.FiniteMDP([[[0.4, 0.6]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    >>> zeta = oee.true_ratio(target, simulator)
+    >>> known = simulator, zeta, [[1.0]] * 2
+    >>> robust = doubly_robust_moments(*known, horizon=3)
+    >>> product = weighted_return_moments(*known, horizon=3)
+    >>> round(robust.mean, 6), round(product.mean, 6)
+    (0.95, 0.95)
+    >>> round(robust.variance, 4), round(product.variance, 4)
+    (0.25, 0.3823)
     """
     _check_arguments(
         simulator, "simulator", None, action_baseline=action_baseline, sources=sources
@@ -254,6 +358,7 @@ def doubly_robust_moments(
             f" has {u.shape}",
         )
     _checks.require_finite(u, "baseline")
+    # rewards and values are scaled so that their squares stay within floats
     shift = exponent(np.concatenate([walk.rewards.ravel(), u.ravel()]))
     ahead = walk.discount * np.ldexp(u[1:], -shift)
     rewards = np.ldexp(walk.rewards[0], -shift)
@@ -261,16 +366,16 @@ def doubly_robust_moments(
     weighted = walk.row_matrix(walk.prob * walk.w)
     if walk.by_transition:
         rewards = row_sums(weighted, weighted.data * rewards)
-    # (T, S*A): of each step, what the baseline knows
+    # (T, S*A): for each step, the mean m that the baseline gives
     known = np.array([weighted @ x for x in ahead]) + rewards
     discounts = np.full(length, walk.discount)
-    if not action_baseline:  # D = known + w (gamma D' - gamma U')
+    if not action_baseline:
+        # D = known + w (gamma D' - gamma U')
         walk = walk._replace(by_transition=False, rewards=as_readonly(known))
-        return scale_moments(
-            per_decision_moments(walk, discounts, offsets=ahead, sources=sources), shift
-        )
-    # D = its mean over actions + w (gamma D' - gamma U'): without that mean, it is of
-    # D' and U' that theirs is left out
+        moments = per_decision_moments(walk, discounts, offsets=ahead, sources=sources)
+        return scale_moments(moments, shift)
+    # D = its mean over actions + w (gamma D' - gamma U'). The mean is no part of the
+    # recursion: it is taken out of D' and U', and added at the start
     mean = walk.sum_actions(walk.act * known)
     ahead[:-1] -= walk.discount * mean[1:]
     walk = walk._replace(rewards=as_readonly(np.zeros_like(walk.rewards)))

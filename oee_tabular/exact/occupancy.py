@@ -1,6 +1,8 @@
-"""Discounted occupancies d(s), d(s, a), d(s, a, s'), the paper's equations for d_P^pi,
-normalised to sum to 1; and what they make of values: the derivative of J with respect
-to each transition probability, which carries sampling error from a model to J.
+"""Discounted occupancies, and the gradient of J in the transition probabilities.
+
+Occupancies are d(s), d(s, a) and d(s, a, s'), the paper's d_P^pi, normalised to sum to
+1. Together with the values they give the derivative of J with respect to each
+transition probability, which carries sampling error from a model to J.
 """
 
 from __future__ import annotations
@@ -9,7 +11,6 @@ from dataclasses import replace
 from typing import Literal, overload
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._sparse import csr_on_pattern, row_of_entry
@@ -20,7 +21,7 @@ from oee_tabular.exact.values import policy_rewards, solve, state_values
 from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import optional_horizon_length
-from oee_tabular.typing import Array, PolicyLike
+from oee_tabular.typing import Array, Csr, PolicyLike
 
 
 @overload
@@ -38,7 +39,7 @@ def occupancy(
     *,
     horizon: int | None = ...,
     of: Literal["transition"],
-) -> sparse.csr_array: ...
+) -> Csr: ...
 
 
 def occupancy(
@@ -47,24 +48,44 @@ def occupancy(
     *,
     horizon: int | None = None,
     of: Literal["state", "state_action", "transition"] = "state_action",
-) -> Array | sparse.csr_array:
-    """Compute the share of discounted time in each state, state-action pair or
-    transition (eq. 3.2, 3.3).
+) -> Array | Csr:
+    """Compute the discounted occupancy of states, pairs or transitions (eq. 3.2, 3.3).
 
     d(s, a) = sum_t gamma^t Pr(s_t = s, a_t = a) / sum_t gamma^t, over t = 0..T-1 or
     over all t.
 
     Parameters
     ----------
-    mdp : FiniteMDP
-    policy : (S, A), or (T, S, A) with a horizon T
-    horizon : positive int or None (discount below 1)
-    of : "state" -> (S,), "state_action" -> (S, A), "transition" -> csr of shape (S*A,
-        S) aligned with mdp.transitions
+    mdp : FiniteMDP or ReweightedModel
+        The model in which the policy is evaluated.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or (T, S, A) with a horizon T; other forms
+        as in ``check_policy``.
+    horizon : int, optional
+        Number of steps, at t = 0..horizon-1. None means all steps (discount below 1).
+    of : {'state', 'state_action', 'transition'}, default 'state_action'
+        What the occupancy is of.
+
+    Returns
+    -------
+    ndarray or csr_array
+        The occupancy, which sums to 1: of shape (S,) for states, (S, A) for
+        state-action pairs, and a csr_array of shape (S*A, S), aligned with
+        ``mdp.transitions``, for transitions.
+
+    Raises
+    ------
+    ValueError
+        If an argument is bad, or at discount 1 without a horizon.
+
+    See Also
+    --------
+    transition_gradient : The derivative of J in each transition probability.
+    policy_value : J, which is d . r * sum_t gamma^t.
 
     Notes
     -----
-    It sums to 1, and J = d . r * sum_t gamma^t. Cost: O(T * nnz), or one sparse solve.
+    J = d . r * sum_t gamma^t. Costs O(T nnz) with a horizon, one sparse solve without.
 
     Examples
     --------
@@ -89,10 +110,8 @@ def occupancy(
         pairs = (1.0 - mdp.discount) * infinite_visits(mdp, pi)[:, None] * pi
     else:
         pi = check_policy(policy, mdp, horizon=steps)
-        pairs = (
-            visits(mdp, pi, steps)
-            / (mdp.discount ** np.arange(steps, dtype=np.float64)).sum()
-        )
+        total = (mdp.discount ** np.arange(steps, dtype=np.float64)).sum()
+        pairs = visits(mdp, pi, steps) / total
     if of == "state":
         return np.asarray(pairs.sum(axis=1))
     if of == "state_action":
@@ -102,28 +121,32 @@ def occupancy(
 
 
 def infinite_visits(model: Model, policy: Array) -> Array:
-    """(S,): sum_t gamma^t Pr(s_t = s) over all t; at discount 1 it is 0 in states that
-    the policy never leaves, where V is 0.
+    """Compute sum_t gamma^t Pr(s_t = s) over all t, of shape (S,), by one sparse solve.
 
-    DivergentKernelError at discount 1 where the policy is not absorbed in states with
-    reward 0. Cost: one sparse solve.
+    At discount 1 it is 0 in states that the policy never leaves, where V is 0, and a
+    DivergentKernelError is raised where the policy is not absorbed in states with
+    reward 0.
     """
     system = policy_system(model, policy)
-    over = np.zeros(model.n_states, dtype=np.bool_)
+    recurrent = np.zeros(model.n_states, dtype=np.bool_)
     if model.discount == 1.0:
-        over = recurrent_states(system, policy_rewards(model, policy), model.names)
-        system = drop_states(system, over)
+        rewards = policy_rewards(model, policy)
+        recurrent = recurrent_states(system, rewards, model.names)
+        system = drop_states(system, recurrent)
     visits = solve(replace(system, transpose=True), model.initial).x
-    return np.where(over, 0.0, np.maximum(visits, 0.0))
+    # rounding may leave a visit a little below 0
+    return np.where(recurrent, 0.0, np.maximum(visits, 0.0))
 
 
 def time_in_pairs(model: Model, policy: Array, horizon: int | None) -> Array:
-    """``occupancy`` of state-action pairs; at discount 1 without a horizon shares of
-    the time until the policy is absorbed.
+    """Compute the share of time in each state-action pair, of shape (S, A).
+
+    This is the ``occupancy``, but at discount 1 without a horizon the shares of the
+    time until the policy is absorbed.
     """
     if horizon is None and model.discount == 1.0:
         visits = infinite_visits(model, policy)[:, None] * policy
-        # 0 where all is over at once
+        # all shares are 0 where the policy is absorbed at once
         return np.asarray(visits / (float(visits.sum()) or 1.0))
     return occupancy(model, policy, horizon=horizon)
 
@@ -140,31 +163,54 @@ def transition_gradient(
     """Compute dJ / dP(s' | s, a), aligned with ``model.transitions.data``.
 
     sum_t gamma^t alpha_t(s, a) [r(s, a, s') + gamma V_{t+1}(s')], where alpha_t is the
-    distribution of (s_t, a_t); r stands there only where rewards depend on s'. Defined
-    up to a constant in each row (rows sum to 1).
+    distribution of (s_t, a_t); r stands there only where rewards depend on s'. The
+    gradient is defined up to a constant in each row, because rows sum to 1.
 
     Parameters
     ----------
-    model : FiniteMDP (or a ReweightedModel)
-    policy : (S, A), stationary
-    horizon : positive int or None
-    values_of : the model whose V and rewards are used; the result is aligned with its
-        ``transitions.data``. None: ``model``
-    values : (S,) that V, where it is known; not used with a horizon
-    time : (S, A) ``occupancy(model, policy)``, where it is known; used below discount 1
-        without a horizon
+    model : FiniteMDP or ReweightedModel
+        The model at whose transition probabilities the gradient is taken.
+    policy : PolicyLike
+        Stationary action probabilities of shape (S, A); other forms as in
+        ``check_policy``.
+    horizon : int, optional
+        Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
+    values_of : FiniteMDP or ReweightedModel, optional
+        The model whose V and rewards are used; the result is aligned with its
+        ``transitions.data``. None means ``model``.
+    values : ndarray of shape (S,), optional
+        V of that model, where it is known. It is not used with a horizon.
+    time : ndarray of shape (S, A), optional
+        ``occupancy(model, policy)``, where it is known. It is used below discount 1
+        without a horizon.
+
+    Returns
+    -------
+    ndarray of shape (nnz,)
+        The derivative in each stored transition probability, in units of J.
+
+    Raises
+    ------
+    ValueError
+        If an argument is bad, or if the infinite sum does not exist.
+
+    See Also
+    --------
+    occupancy : The distribution alpha, summed over time.
+    efficiency_bound : The variance that follows from the gradient.
 
     Notes
     -----
-    Cost: O(T * nnz) time and O(T * S) memory, or two sparse solves. At discount 1
-    without a horizon the policy must be absorbed in states with reward 0; the
-    derivative is 0 there.
+    Costs O(T nnz) time and O(T S) memory, or two sparse solves. At discount 1 without a
+    horizon the policy must be absorbed in states with reward 0; the derivative is 0
+    there.
 
     Examples
     --------
     >>> import oee_tabular as oee
     >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
-    >>> transition_gradient(coin, [[1.0]] * 2).round(6).tolist()  # 0.5 V(s'), V = (0.5, 1.5), in each row
+    >>> gradient = transition_gradient(coin, [[1.0]] * 2)
+    >>> gradient.round(6).tolist()  # 0.5 V(s'), V = (0.5, 1.5), in each row
     [0.25, 0.75, 0.25, 0.75]
     """
     require_model(model, "model")

@@ -1,11 +1,11 @@
-"""Optimal policies: modified policy iteration, then policy iteration with exact values,
-which certifies.
+"""Optimal policies by modified policy iteration, certified by policy iteration.
 
-Modified policy iteration sweeps over all actions, and over those that were best [1,
-6.5]. Only differences between states matter to actions, so that it is the spread of the
-changes that has to fall: the change that all states share is left out, and the discount
-does not slow it down. In the end it is summed: the values of the last actions are what
-is left plus gamma / (1 - gamma) of it.
+Modified policy iteration sweeps over all actions, and then over the best actions [1,
+6.5]. Only differences between states matter to actions, so that it is the spread of
+the changes that has to fall: the change that all states share is left out, and the
+discount does not slow the iteration down. In the end it is summed: the values of the
+last actions are what is left plus gamma / (1 - gamma) of it. Policy iteration with
+exact values follows, and certifies the policy.
 
 Reference: [1] Puterman, Markov Decision Processes, 1994.
 """
@@ -24,25 +24,26 @@ from oee_tabular.mdp import FiniteMDP, uniform_policy
 from oee_tabular.mdp.horizons import limit_horizon
 from oee_tabular.typing import Array
 
-N_TURNS = 100  # of modified policy iteration, at most
-# where a graph is narrow: exact evaluation is then as quick as some sweeps
-N_TURNS_NARROW = 3
+MAX_TURNS = 100  # turns of modified policy iteration
+# fewer turns where a graph is narrow: exact evaluation is as quick as some sweeps there
+MAX_TURNS_NARROW = 3
 
 
 def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
-    """Compute a deterministic optimal policy: (S, A), or (T, S, A) for a horizon T.
-
-    Modified policy iteration until the greedy policy is stable, then policy iteration
-    (Puterman, Markov Decision Processes, 1994, sections 6.5 and 6.4) with exact
-    evaluation. An action changes only if another one is better by more than rounding
-    (1e-11 of the largest value, less if 1 - discount is below 1e-5; the loss is below a
-    millionth of that value up to discount 1 - 1e-8). Of equally good actions the first
-    is taken. With a horizon, backward induction.
+    """Compute a deterministic optimal policy.
 
     Parameters
     ----------
     mdp : FiniteMDP
-    horizon : T, a positive int, or None
+        The model.
+    horizon : int, optional
+        Number of rewards T, at t = 0..T-1. None means the infinite discounted sum.
+
+    Returns
+    -------
+    ndarray of shape (S, A) or (T, S, A)
+        Action probabilities, 0 or 1: a stationary policy without a horizon, one policy
+        for each step with a horizon. Of equally good actions the first is taken.
 
     Raises
     ------
@@ -50,13 +51,33 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
         At discount 1 without a horizon, if the iteration reaches a policy that is not
         absorbed.
 
+    See Also
+    --------
+    action_values : Q of a policy, by which actions are compared.
+
+    Notes
+    -----
+    Modified policy iteration runs until the greedy policy is stable, then policy
+    iteration (Puterman, Markov Decision Processes, 1994, sections 6.5 and 6.4) with
+    exact evaluation. An action changes only if another one is better by more than
+    rounding (1e-11 of the largest value, less if 1 - discount is below 1e-5; the loss
+    is below a millionth of that value up to discount 1 - 1e-8). With a horizon,
+    backward induction costs O(T nnz).
+
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> mdp = oee.FiniteMDP([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1.0, 0.0], [2.0, 2.0]], [1, 0], 0.9)
-    >>> optimal_policy(mdp).argmax(axis=1).tolist()  # leave state 0, for 2 a step from then on
+    >>> rows = [[[1, 0], [0, 1]], [[0, 1], [0, 1]]]
+    >>> mdp = oee.FiniteMDP(rows, [[1.0, 0.0], [2.0, 2.0]], [1, 0], 0.9)
+
+    Leave state 0, for a reward of 2 a step from then on:
+
+    >>> optimal_policy(mdp).argmax(axis=1).tolist()
     [1, 0]
-    >>> optimal_policy(mdp, horizon=3).argmax(axis=2).tolist()  # but not when there is no time left
+
+    But not when there is no time left:
+
+    >>> optimal_policy(mdp, horizon=3).argmax(axis=2).tolist()
     [[1, 0], [0, 0], [0, 0]]
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
@@ -67,26 +88,26 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
             steps, 1.0, work=mdp.transitions.nnz, kept=mdp.rewards.size
         )
         return np.asarray(np.eye(mdp.n_actions)[induce_backward(model, length)])
-    # a greedy start may never be absorbed; the uniform policy is, if any is
+    # at discount 1 a greedy start may never be absorbed; the uniform policy is absorbed
+    # if any policy is
     if mdp.discount == 1.0:
         actions = action_values(mdp, uniform_policy(mdp)).argmax(axis=1)
         values = None
     else:
-        n_turns = N_TURNS_NARROW if is_narrow(mdp) else N_TURNS
+        n_turns = MAX_TURNS_NARROW if is_narrow(mdp) else MAX_TURNS
         actions, values = iterate_modified(model, 1e-9, n_turns)
-    rounding = (
-        1e-11
-        if mdp.discount == 1.0
-        else min(max(1e-6 * (1.0 - mdp.discount), 1e-14), 1e-11)
-    )
-    met: set[bytes] = set()
+    rounding = 1e-11
+    if mdp.discount < 1.0:
+        # near discount 1 a small loss a step adds up to a large one
+        rounding = min(max(1e-6 * (1.0 - mdp.discount), 1e-14), rounding)
+    earlier: set[bytes] = set()
     choices: Array = np.eye(mdp.n_actions)
     while True:
-        met.add(actions.tobytes())
+        earlier.add(actions.tobytes())
         policy = choices[actions]
         values = finite_values(infinite_values(mdp, policy, near=values))
         first, actions = find_better_actions(model, values, actions, rounding)
-        if actions.tobytes() not in met:
+        if actions.tobytes() not in earlier:
             continue
         # among equals the first; at discount 1 an equal action may never be absorbed,
         # so the one evaluated stays
@@ -94,21 +115,20 @@ def optimal_policy(mdp: FiniteMDP, *, horizon: int | None = None) -> Array:
 
 
 def is_narrow(mdp: FiniteMDP) -> bool:
-    """Whether LU in a band is quick for the values of most policies."""
+    """Return whether LU in a band is quick for the values of most policies."""
     if mdp.n_states <= 100:
         return False
-    # those of a state side by side lead wherever its actions do
+    # every A-th row pointer joins the rows of a state, which lead where its actions do
     rows = rows_of(mdp.csr)
-    if _system.expands(
-        Kernel(as_readonly(rows.indptr[:: mdp.n_actions]), rows.indices, rows.data, 1.0)
-    ):
+    pointers = as_readonly(rows.indptr[:: mdp.n_actions])
+    if _system.expands(Kernel(pointers, rows.indices, rows.data, 1.0)):
         return False
     return EnvelopeLU(is_narrow=True).suits(policy_system(mdp, uniform_policy(mdp)))
 
 
 @njit(cache=True)
 def action_value(model, values, state, action):
-    """Q(s, a) = r(s, a) + gamma sum_s' P(s' | s, a) V(s')."""
+    """Compute Q(s, a) = r(s, a) + gamma sum_s' P(s' | s, a) V(s')."""
     (indptr, indices, data), rewards, discount = model
     row = np.uint64(state * rewards.shape[1] + action)
     total = 0.0
@@ -119,8 +139,9 @@ def action_value(model, values, state, action):
 
 @njit(cache=True)
 def improve(model, values, new, actions):
-    """The best actions, the first of equals, for these values; new = max_a Q; the
-    spread of new - values, the largest value.
+    """Compute new = max_a Q, and the best actions, the first of equals.
+
+    Returns the spread of new - values over the states, and the largest value.
     """
     low = np.inf
     high = -np.inf
@@ -144,7 +165,10 @@ def improve(model, values, new, actions):
 
 @njit(cache=True)
 def sweep_actions(model, actions, values, new):
-    """new = r + gamma P values for these actions; the least and the largest change."""
+    """Compute new = r + gamma P values for these actions.
+
+    Returns the least and the largest change of a state.
+    """
     low = np.inf
     high = -np.inf
     for state in range(len(actions)):
@@ -157,7 +181,10 @@ def sweep_actions(model, actions, values, new):
 
 @njit(cache=True)
 def induce_backward(model, horizon):
-    """(T, S): the best actions with T - t rewards to go."""
+    """Compute the best actions (T, S) with T - t rewards to go.
+
+    V_t = max_a [r + gamma P V_{t+1}], V_T = 0.
+    """
     n = len(model[1])
     value = np.zeros(n)
     ahead = np.zeros(n)
@@ -170,14 +197,16 @@ def induce_backward(model, horizon):
 
 @njit(cache=True)
 def iterate_modified(model, relative, n_turns):
-    """(S,) actions, after at most so many turns or where they stand, and about their
-    values.
+    """Find actions (S,) by modified policy iteration, and approximate their values.
 
-    The values are swept to rounding while four sweeps halve what is missing, as they do
-    where a graph mixes.
+    V <- max_a [r + gamma P V], then V <- r_pi + gamma P_pi V up to 20 times, for at
+    most ``n_turns`` turns or until the spread of the changes is ``relative`` of the
+    values. The values are then swept to rounding while four sweeps halve the residual,
+    as they do where a graph mixes.
     """
     n = len(model[1])
     discount = model[2]
+    # turns of modified policy iteration: the best actions, then sweeps of their values
     values = np.zeros(n)
     new = np.empty(n)
     actions = np.zeros(n, dtype=np.int64)
@@ -191,6 +220,7 @@ def iterate_modified(model, relative, n_turns):
             values, new = new, values
             if high - low <= 0.1 * spread:
                 break
+    # the values of the last actions, until four sweeps leave more than half of the spread
     factor = discount / (1.0 - discount)
     allowed = np.inf
     for turn in range(200):
@@ -208,8 +238,11 @@ def iterate_modified(model, relative, n_turns):
 
 @njit(cache=True)
 def find_better_actions(model, values, actions, relative):
-    """For values of these actions: each state's first best one, up to rounding; these,
-    or that where it is better by more.
+    """Find each state's first best action up to rounding, and the actions that improve.
+
+    Q = r + gamma P V for the values of ``actions``. The second result has ``actions``,
+    but the first best action where it is better by more than ``relative`` of the
+    largest Q.
     """
     n_states, n_actions = model[1].shape
     q = np.empty((n_states, n_actions))

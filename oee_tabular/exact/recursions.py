@@ -1,11 +1,11 @@
-"""Mean and variance of sums along a walk: per decision, over the whole trajectory, for
-ever, self-normalised.
+"""Mean and variance of weighted sums along a walk.
 
-Sums go backward in time with the law of total variance, so that nothing cancels
-(``_moments``): X = p L + q R with the pair (L, R) of the kernels. By steps and states,
-the variance is Var X_0(s_0) plus what each step adds given the path before it, E[(p_t,
-q_t) C_t (p_t, q_t)^T], (p_t, q_t) = (p, q) A_0 ... A_{t-1} and C_t the step's own
-covariance.
+The sums are weighted per decision or over the whole trajectory, with a horizon or for
+ever, and may be self-normalised. They go backward in time with the law of total
+variance, so that nothing cancels (``_moments``): X = p L + q R with the pair (L, R) of
+the kernels. By steps and states, the variance is Var X_0(s_0) plus what each step adds
+given the path before it, E[(p_t, q_t) C_t (p_t, q_t)^T], where (p_t, q_t) = (p, q) A_0
+... A_{t-1} and C_t is the step's own covariance.
 """
 
 from __future__ import annotations
@@ -28,27 +28,35 @@ from oee_tabular.typing import Array
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Mean and variance of one episode's X; for a self-normalised estimator, what n
-    episodes have to first order.
+    """Mean and variance of one episode's X.
+
+    For a self-normalised estimator, what n episodes have to first order. Overflow gives
+    inf or nan, with a warning.
 
     Attributes
     ----------
-    mean : E[X]; self-normalised: the limit of the estimator
-    variance : Var[X]; self-normalised: lim n * variance of the estimator
-    bias : 0; self-normalised: lim n * (expectation of the estimator - mean)
-        Overflow gives inf or nan, with a warning.
-    by_step : (T + 1,) parts of the variance: that of the start, then of each step; None
-        unless asked for
-    by_state : (S,) parts of the variance by the state that the step was taken from
-        (without the start's); None unless asked for
+    mean : float
+        E[X]; self-normalised: the limit of the estimator.
+    variance : float
+        Var[X]; self-normalised: lim n * variance of the estimator.
+    bias : float
+        0; self-normalised: lim n * (expectation of the estimator - mean).
+    by_step : ndarray of shape (T + 1,) or None
+        Parts of the variance, first of the start, then of each step; None unless asked
+        for.
+    by_state : ndarray of shape (S,) or None
+        Parts of the variance by the state that the step was taken from (without the
+        start's); None unless asked for.
 
     Examples
     --------
     >>> import oee_tabular as oee
     >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
     >>> moments = oee.return_moments(coin, [[1.0]] * 2, horizon=2, sources=True)
-    >>> moments, moments.by_step.tolist()  # the first state's chance, the first transition's, the last's
-    (Moments(mean=0.75, variance=0.3125, bias=0.0), [0.25, 0.0625, 0.0])
+    >>> moments
+    Moments(mean=0.75, variance=0.3125, bias=0.0)
+    >>> moments.by_step.tolist()  # of the first state, the first transition, the last
+    [0.25, 0.0625, 0.0]
     """
 
     mean: float
@@ -56,21 +64,21 @@ class Moments:
     bias: float = 0.0
     by_step: Array | None = field(default=None, repr=False)
     by_state: Array | None = field(default=None, repr=False)
-    # where the variance leaves the range of floats
+    # the standard deviation, where the variance leaves the range of floats
     _deviation: float | None = field(default=None, repr=False)
 
     @property
     def standard_deviation(self) -> float:
-        """sqrt(variance), also where the variance is too large or too small for a
-        float.
+        """Return sqrt(variance), even where the variance is beyond floats.
+
+        The variance may be too large or too small for a float while its root is not.
         """
-        return (
-            float(np.sqrt(self.variance))
-            if self._deviation is None
-            else self._deviation
-        )
+        if self._deviation is None:
+            return float(np.sqrt(self.variance))
+        return self._deviation
 
     def _repr_html_(self) -> str:
+        """Return a table of the moments for notebooks."""
         rows: list[tuple[str, object]] = [
             ("mean", f"{self.mean:.6g}"),
             ("variance (squared units)", f"{self.variance:.6g}"),
@@ -88,19 +96,21 @@ def compute_moments(
     self_normalized: bool,
     sources: bool,
 ) -> Moments:
-    """Of the product of ratios on one walk, with one weight for the whole return or one
-    for each reward.
+    """Compute the moments of the product of ratios on one walk.
+
+    There is one weight for the whole return (``is_trajectory``) or one for each reward.
     """
     shift = exponent(walk.rewards)
-    if shift != 0:  # rewards that are never reached may be of any size
-        taken = (walk.act.max(axis=0) > 0.0) & np.repeat(
-            walk.reachable_states(), walk.act.shape[1] // walk.n_states
-        )
-        shift = exponent(
-            walk.rewards[0, taken[walk.rows] if walk.by_transition else taken]
-        )
+    if shift != 0:
+        # only rewards that are reached count: the others may be of any size
+        n_actions = walk.act.shape[1] // walk.n_states
+        is_reached = np.repeat(walk.reachable_states(), n_actions)
+        is_reached &= walk.act.max(axis=0) > 0.0
+        if walk.by_transition:
+            is_reached = is_reached[walk.rows]
+        shift = exponent(walk.rewards[0, is_reached])
         walk = walk._replace(rewards=as_readonly(np.ldexp(walk.rewards, -shift)))
-    # of weights: scale_moments warns
+    # weights may overflow: scale_moments warns of it
     with np.errstate(over="ignore", invalid="ignore"):
         if horizon is None:
             if is_trajectory or self_normalized:
@@ -123,8 +133,9 @@ def compute_moments(
 
 
 def limit_walk(walk: Walk, horizon: int, is_lasting: bool, sources: bool) -> int:
-    """The steps of a horizon that are carried out; weights that grow faster than the
-    discount, or stay, keep all of them.
+    """Return the number of steps of a horizon that are carried out.
+
+    Weights that grow faster than the discount, or stay, keep all of them.
     """
     if horizon <= SHORT_HORIZON or len(walk.act) > 1:
         return horizon
@@ -147,16 +158,17 @@ def per_decision_moments(
     q: float = 1.0,
     start: Array | float = 0.0,
 ) -> Moments:
-    """Of q X_0 + start(s_0), X_t = u r + w (gamma_t X_{t+1} - k_t), k_t the ``offsets``
-    (1 or T, 1 or S).
+    """Compute the moments of q X_0 + start(s_0) with one weight for each reward.
+
+    X_t = u r + w (gamma_t X_{t+1} - k_t), where k_t are the ``offsets`` (1 or T, 1 or
+    S).
     """
     if len(walk.act) == len(walk.rewards) == 1:
         out, local = _merged_backward(walk, discounts, offsets, sources)
     else:
-        shape = (1, walk.n_states) if offsets is None else (len(offsets), walk.n_states)
-        shifts = as_readonly(
-            np.broadcast_to(0.0 if offsets is None else offsets, shape)
-        )
+        given = np.zeros((1, 1)) if offsets is None else offsets
+        shape = (len(given), walk.n_states)
+        shifts = as_readonly(np.broadcast_to(given, shape))
         out, local = _moments.backward(walk, discounts, shifts, False, sources)
     out[1] += start / q
     return _combine(walk, discounts, out, local, 0.0, q)
@@ -165,7 +177,7 @@ def per_decision_moments(
 def _merged_backward(
     walk: Walk, discounts: Array, offsets: Array | None, keep: bool
 ) -> tuple[Array, Array]:
-    """The same of merged actions."""
+    """Run the backward recursion with the actions of each state merged."""
     n = walk.n_states
     strips = _moments.lay_strips(*_moments.merge(walk))
     order = strips.order[:n]
@@ -185,7 +197,10 @@ def _merged_backward(
 def trajectory_moments(
     walk: Walk, discounts: Array, self_normalized: bool, sources: bool
 ) -> Moments:
-    """X = W G, or W (G - its mean) / E W where it is self-normalised."""
+    """Compute the moments of X = W G.
+
+    If self-normalised, X = W (G - its mean) / E W.
+    """
     out, local = _moments.backward(
         walk, discounts, as_readonly(np.zeros((1, walk.n_states))), True, sources
     )
@@ -203,8 +218,9 @@ def trajectory_moments(
 
 
 def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Moments:
-    """sum_t gamma^t (sum_i W_it r_it) / (sum_i W_it): to first order the mean of sum_t
-    gamma^t W_t (r_t - j_t) / E W_t.
+    """Compute the moments of sum_t gamma^t (sum_i W_it r_it) / (sum_i W_it).
+
+    To first order this is the mean of sum_t gamma^t W_t (r_t - j_t) / E W_t.
     """
     horizon = len(discounts)
     (mass, rewards), (square, square_rewards) = (
@@ -217,9 +233,9 @@ def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Mome
     bias = -dot(factor, (square_rewards - level * square) / mass**2)
     # of X_t E W_t, so that a step multiplies by gamma E W_t / E W_{t+1}
     discounts = discounts * np.append(mass[:-1] / mass[1:], 1.0)
-    # w (r - j) where the reward carries the weight of its own step,
+    # where the reward carries the weight of its own step, X has w (r - j)
     offsets = level[:, None]
-    # r - j where it does not: j is then the next step's
+    # where it does not, X has r - j, and j is the level of the next step
     if not walk.by_transition and np.all(walk.u == 1.0):
         offsets = discounts[:, None] * np.append(level[1:], 0.0)[:, None]
     moments = per_decision_moments(
@@ -231,7 +247,7 @@ def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Mome
 
 
 def _step_weights(walk: Walk, horizon: int, power: int) -> tuple[Array, Array]:
-    """E[W^power] and E[W^power r_t] of the weight that each step's reward carries."""
+    """Compute E[W^power] and E[W^power r_t] of the weight of each step's reward."""
     before = walk.weights_by_state(horizon, power=power)[:horizon, 0]
     chance = walk.act * walk.u**power
     mass = np.ones(walk.act.shape[1])
@@ -250,10 +266,12 @@ def _step_weights(walk: Walk, horizon: int, power: int) -> tuple[Array, Array]:
 def _combine(
     walk: Walk, discounts: Array, out: Array, local: Array, p: float, q: float
 ) -> Moments:
-    """Of X = p L + q R, with -Cov(L, X) as its ``bias``; by step and state where the
-    kernel kept what each step adds.
+    """Combine the kernel's output into the moments of X = p L + q R.
+
+    -Cov(L, X) stands as the ``bias``. The variance is split by step and state where the
+    kernel kept what each step adds (``local``).
     """
-    # what other states have must not count, even infinite
+    # values of the other states must not count, since they may be infinite
     begin = np.flatnonzero(walk.initial)
     initial = walk.initial[begin]
     mean_l, mean_r, var_l, cov, var_r = out[:, begin]
@@ -267,16 +285,26 @@ def _combine(
         variance += p * p * var_l + 2.0 * p * q * cov
         bias = -dot(initial, (mean_l - length) * off + p * var_l + q * cov)
     start = dot(initial, off**2)
-    result = Moments(
-        q * total + p * length, start + max(dot(initial, variance), 0.0), bias
-    )
+    mean = q * total + p * length
+    whole = start + max(dot(initial, variance), 0.0)
     if len(local) == 0:
-        return result
+        return Moments(mean, whole, bias)
+    shares = _variance_shares(walk, discounts, local, p, q)
+    by_step = np.concatenate([[start], shares.sum(axis=1)])
+    return Moments(mean, whole, bias, by_step, shares.sum(axis=0))
+
+
+def _variance_shares(
+    walk: Walk, discounts: Array, local: Array, p: float, q: float
+) -> Array:
+    """Compute what each step adds to Var X in each state, of shape (T, S).
+
+    It is E[(p_t, q_t) C_t (p_t, q_t)^T] with q_t = factor W, p_t = W (p + q G) and the
+    step's own covariance C_t (``local``).
+    """
     is_trajectory = local.shape[1] == 3
-    before = walk.weights_by_state(len(discounts), power=2, with_returns=is_trajectory)[
-        :-1
-    ]
-    # q_t = factor W, p_t = W (p + q G)
+    weights = walk.weights_by_state(len(discounts), power=2, with_returns=is_trajectory)
+    before = weights[:-1]
     factor = (q * np.cumprod(np.append(1.0, discounts[:-1])))[:, None]
     shares = factor**2 * before[:, 0] * local[:, -1]
     if is_trajectory:
@@ -285,12 +313,14 @@ def _combine(
         b2 = before[:, 2]
         shares += (p * p * b0 + 2.0 * p * q * b1 + q * q * b2) * local[:, 0]
         shares += 2.0 * factor * (p * b0 + q * b1) * local[:, 1]
-    by_step = np.concatenate([[start], shares.sum(axis=1)])
-    return Moments(result.mean, result.variance, bias, by_step, shares.sum(axis=0))
+    return np.asarray(shares)
 
 
 def infinite_moments(walk: Walk, sources: bool) -> Moments:
-    """Two linear systems; DivergentKernelError where a moment does not exist."""
+    """Compute the moments of the infinite sum by two linear systems.
+
+    A DivergentKernelError is raised where a moment does not exist.
+    """
     first, second = (walk.weighted_kernel(power) for power in (1, 2))
     gamma = walk.discount
     n = walk.n_states
@@ -305,13 +335,11 @@ def infinite_moments(walk: Walk, sources: bool) -> Moments:
     f = walk.u[0][rows]
     state = rows // (walk.act.shape[1] // n)
     rewards = walk.w * walk.rewards[0] if walk.by_transition else walk.rewards[0][rows]
-    mean = solve_policy_system(
-        first, np.bincount(state, chance * f * rewards, n).astype(np.float64), gamma
-    ).x
+    expected = np.bincount(state, chance * f * rewards, n).astype(np.float64)
+    mean = solve_policy_system(first, expected, gamma).x
     value = f * (rewards + gamma * walk.w * mean[walk.indices])
-    own: Array = np.bincount(state, chance * (value - mean[state]) ** 2, n).astype(
-        np.float64
-    )
+    squares = chance * (value - mean[state]) ** 2
+    own: Array = np.bincount(state, squares, n).astype(np.float64)
     try:
         variance = solve_policy_system(second, own, gamma**2).x
     except DivergentKernelError as error:
@@ -330,8 +358,9 @@ def infinite_moments(walk: Walk, sources: bool) -> Moments:
 
 
 def scale_moments(moments: Moments, shift: int) -> Moments:
-    """The moments of 2^shift X from those of X, with a warning where they are not
-    finite.
+    """Return the moments of 2^shift X, given those of X.
+
+    A warning says where they are not finite, or the variance is beyond floats.
     """
     if shift != 0:
         with np.errstate(over="ignore", under="ignore"):
@@ -345,19 +374,18 @@ def scale_moments(moments: Moments, shift: int) -> Moments:
                 for x in (moments.by_step, moments.by_state)
             )
             moments = Moments(mean, variance, bias, by_step, by_state, deviation)
-        if (
-            moments.variance < np.finfo(float).tiny < deviation
-            or moments.variance == np.inf > deviation
-        ):
+        is_too_small = moments.variance < np.finfo(float).tiny < deviation
+        is_too_large = moments.variance == np.inf > deviation
+        if is_too_small or is_too_large:
             _checks.warn(
                 f"the variance {moments.variance:g} is beyond floats;"
                 " standard_deviation has its root",
                 NumericalWarning,
             )
     if not np.isfinite([moments.mean, moments.standard_deviation]).all():
-        what = (
-            "beyond the largest float: the weights or the rewards are too large; or all"
-            " weights of a step are 0"
+        _checks.warn(
+            "a moment is beyond the largest float: the weights or the rewards are too"
+            " large; or all weights of a step are 0",
+            NumericalWarning,
         )
-        _checks.warn(f"a moment is {what}", NumericalWarning)
     return moments

@@ -1,6 +1,4 @@
-"""A policy's linear system M x = b, M = I - gamma K, as arrays that compiled loops
-read.
-"""
+"""A policy's linear system M x = b, M = I - gamma K, as arrays for compiled loops."""
 
 from __future__ import annotations
 
@@ -18,21 +16,23 @@ from oee_tabular._sparse import row_of_entry, row_sums
 from oee_tabular.exact import _system
 from oee_tabular.exact.reweighted import Model
 from oee_tabular.exceptions import ArgumentError, DivergentKernelError
+from oee_tabular.mdp.arrays import CsrArrays
 from oee_tabular.mdp.naming import NAMELESS, Names
-from oee_tabular.typing import Array, BoolArray, IntArray
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 
-# entries of a state in the envelope, on average, up to which LU in it is asked
-# (solvers/direct.py)
-WIDEST = 48.0
+# entries of a state in the envelope, on average, up to which LU in it is tried
+# (solvers/direct.py says where that was measured)
+MAX_ENVELOPE_WIDTH = 48.0
 
-# x = solve(b, relative): until the residual of x is below ``relative`` times that of 0,
-# which direct solvers need not read; None where the solver gives up
+# x = solve(b, relative): the residual of x is below ``relative`` times the residual of 0
+# (direct solvers need not read it); None where the solver gives up
 Solve: TypeAlias = Callable[[Array, float], Array | None]
 
 
-class Csr(NamedTuple):
-    """A CSR matrix as kernels read it: indices of 32 bits, unsigned (signed ones cost
-    twice the time), all read-only.
+class KernelRows(NamedTuple):
+    """A CSR matrix as kernels read it, in read-only arrays.
+
+    Indices have 32 bits and are unsigned, because signed ones cost twice the time.
     """
 
     indptr: Any
@@ -41,7 +41,7 @@ class Csr(NamedTuple):
 
 
 class Kernel(NamedTuple):
-    """The rows of K, and gamma."""
+    """The rows of K in CSR form, and the discount gamma."""
 
     indptr: Any
     indices: Any
@@ -49,9 +49,11 @@ class Kernel(NamedTuple):
     discount: float
 
 
-def rows_of(matrix: sparse.csr_array) -> Csr:
-    """The arrays of the matrix itself where they have 32 bits, so that each kernel is
-    compiled for one kind of array.
+def rows_of(matrix: CsrArrays | Csr) -> KernelRows:
+    """Return a matrix as the arrays that kernels read.
+
+    They are views where the matrix has 32 bits, and copies of 32 bits elsewhere, so
+    that each kernel is compiled for one kind of array.
     """
     indptr = matrix.indptr
     indices = matrix.indices
@@ -64,7 +66,7 @@ def rows_of(matrix: sparse.csr_array) -> Csr:
             )
         indptr = indptr.astype(np.uint32)
         indices = indices.astype(np.uint32)
-    return Csr(
+    return KernelRows(
         as_readonly(indptr).view(np.uint32),
         as_readonly(indices).view(np.uint32),
         as_readonly(data),
@@ -72,8 +74,8 @@ def rows_of(matrix: sparse.csr_array) -> Csr:
 
 
 def as_readonly(array: Any) -> Any:
-    """The array, or a contiguous view of it, that cannot be written through."""
-    # of an array that is broadcast a copy, whose flags may be asked for
+    """Return the array, or a contiguous view of it, that cannot be written through."""
+    # a broadcast array is copied: reading its flags would warn
     contiguous = np.ascontiguousarray(array)
     if not contiguous.flags.writeable:
         return contiguous
@@ -83,24 +85,26 @@ def as_readonly(array: Any) -> Any:
 
 
 NO_STATES: Any = np.zeros(0, dtype=np.uint32)
-NO_ROWS = Csr(
-    *map(
-        as_readonly,
-        (np.zeros(1, dtype=np.uint32), np.zeros(0, dtype=np.uint32), np.zeros(0)),
-    )
+NO_ROWS = KernelRows(
+    as_readonly(np.zeros(1, dtype=np.uint32)),
+    as_readonly(np.zeros(0, dtype=np.uint32)),
+    as_readonly(np.zeros(0)),
 )
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """M = I - gamma K, or its transpose.
+    """The linear system of M = I - gamma K, or of its transpose.
 
     Attributes
     ----------
-    kernel : K and gamma
-    transpose : whether M^T x = b is meant
-    n_roundings : counts the roundings in the entries of K, where K stands for a kernel
-        that is not rounded
+    kernel : Kernel
+        K and gamma.
+    transpose : bool
+        Whether the system is M^T x = b.
+    n_roundings : int
+        Number of roundings in each entry of K, where K stands for a kernel that is not
+        rounded.
     """
 
     kernel: Kernel
@@ -109,13 +113,14 @@ class System:
 
     @property
     def n_states(self) -> int:
-        """S."""
+        """Return the number of states S."""
         return len(self.kernel.indptr) - 1
 
     @cached_property
     def row_sums(self) -> tuple[float, float, float]:
-        """Of K the smallest, the largest with its rounding, and half way between them,
-        without rounding.
+        """Return the smallest row sum of K, the largest, and their mid-point.
+
+        The largest includes its rounding; the mid-point does not.
         """
         smallest, largest, middle = _system.range_of_sums(
             self.kernel, float(self.n_roundings)
@@ -124,56 +129,59 @@ class System:
 
     @property
     def shared_sum(self) -> float | None:
-        """The sum of each row of K, where all have one and gamma times it is below 1."""
+        """Return the sum that all rows of K share, or None.
+
+        It is None where rows differ or where gamma times the sum is not below 1.
+        """
         smallest, largest, middle = self.row_sums
-        has_one = (
-            largest - smallest <= 1e-8 and self.kernel.discount * largest < 1.0 - 1e-9
-        )
-        return middle if has_one else None
+        is_shared = largest - smallest <= 1e-8
+        is_convergent = self.kernel.discount * largest < 1.0 - 1e-9
+        return middle if is_shared and is_convergent else None
 
     @cached_property
-    def back(self) -> Csr:
-        """K transposed."""
-        return Csr(
-            *map(as_readonly, _system.transpose_rows(*self.kernel[:3], self.n_states))
-        )
+    def back(self) -> KernelRows:
+        """Return the rows of K transposed."""
+        parts = _system.transpose_rows(*self.kernel[:3], self.n_states)
+        return KernelRows(*(as_readonly(part) for part in parts))
 
     @cached_property
     def expands(self) -> bool:
-        """Whether a few steps lead almost everywhere in the graph."""
+        """Return whether a few steps lead almost everywhere in the graph."""
         return bool(_system.expands(self.kernel))
 
     @cached_property
     def order(self) -> tuple[Any, Any]:
-        """The states in breadth-first order along the rows, and each one's place."""
+        """Return the states in breadth-first order along the rows, and their places."""
         return tuple(_system.breadth_first(self.kernel, NO_ROWS, np.inf))
 
     @cached_property
     def envelope(self) -> tuple[Any, ...] | None:
-        """Places in a breadth-first order, and the envelope of M in the reverse of it,
-        where that is narrow.
+        """Return the envelope of M in a breadth-first order, or None where it is wide.
 
-        Both the order along the rows and the one along the rows and back are tried: the
+        The tuple has the place of each state and what ``find_envelope`` returns. Both
+        the order along the rows and the order along the rows and back are tried: the
         first suits graphs in which all states lead back to one, the second layers. The
-        latter ends as soon as it is wider than ``WIDEST`` entries a state.
+        search for the second ends as soon as it is wider than ``MAX_ENVELOPE_WIDTH``
+        entries a state.
         """
-        # an envelope has half of them at least
-        if len(self.kernel.indices) > (2.0 * WIDEST + 1.0) * self.n_states:
+        # an envelope has at least half of the entries
+        if len(self.kernel.indices) > (2.0 * MAX_ENVELOPE_WIDTH + 1.0) * self.n_states:
             return None
-        for along_both in (False, True):
-            _, place = (
-                _system.breadth_first(self.kernel, self.back, WIDEST)
-                if along_both
-                else self.order
-            )
+        for is_along_both in (False, True):
+            if is_along_both:
+                _, place = _system.breadth_first(
+                    self.kernel, self.back, MAX_ENVELOPE_WIDTH
+                )
+            else:
+                _, place = self.order
             if len(place):
                 order, first, starts = _system.find_envelope(self.kernel, place)
-                if starts[-1] <= WIDEST * self.n_states:
+                if starts[-1] <= MAX_ENVELOPE_WIDTH * self.n_states:
                     return place, order, first, starts
         return None
 
-    def csr(self) -> sparse.csr_array:
-        """K, for a library."""
+    def csr(self) -> Csr:
+        """Return K as a scipy matrix."""
         kind = np.int32 if len(self.kernel.data) < 2**31 else np.int64
         indptr, indices = (part.astype(kind) for part in self.kernel[:2])
         return sparse.csr_array(
@@ -181,45 +189,53 @@ class System:
         )
 
 
-def average_rows(rows: Csr, policy: Array) -> Csr:
-    """sum_a policy[s, a] K(s' | s, a) of the rows s*A + a, without zeros, a row's
-    entries in the order of its actions.
+def average_rows(rows: KernelRows, policy: Array) -> KernelRows:
+    """Compute sum_a policy[s, a] K(s' | s, a) from the rows s*A + a.
+
+    Zeros are left out; the entries of a row stand in the order of its actions.
     """
     return average_rows_of(NO_STATES, rows, policy, NO_STATES, len(rows.data))
 
 
 def average_rows_of(
-    states: Any, rows: Csr, policy: Array, number: Any, n_entries: int
-) -> Csr:
-    """The same of these states, those that follow under a new number less 1; they have
-    ``n_entries`` in all.
+    states: Any, rows: KernelRows, policy: Array, number: Any, n_entries: int
+) -> KernelRows:
+    """Compute the rows of ``average_rows`` for some states only.
+
+    ``number`` has 1 + the new number of each state that follows. The rows of these
+    states have ``n_entries`` entries in all.
     """
-    room = np.empty(n_entries, dtype=np.uint32), np.empty(n_entries)
-    averaged = Csr(
-        *_system.average_rows(rows, np.ascontiguousarray(policy), states, number, *room)
+    columns = np.empty(n_entries, dtype=np.uint32)
+    values = np.empty(n_entries)
+    averaged = KernelRows(
+        *_system.average_rows(
+            rows, np.ascontiguousarray(policy), states, number, columns, values
+        )
     )
+    # all arrays are read-only, so that sweeps are compiled for one kind of array
     for part in averaged:
-        # so that sweeps are compiled for one kind of array
         part.flags.writeable = False
     return averaged
 
 
 def policy_system(model: Model, policy: Array) -> System:
-    """M = I - gamma P_pi, P_pi = sum_a policy[s, a] K(s' | s, a)."""
+    """Make M = I - gamma P_pi with P_pi = sum_a policy[s, a] K(s' | s, a)."""
     rows = average_rows(rows_of(model.csr), policy)
     return System(Kernel(*rows, model.discount), n_roundings=model.n_actions)
 
 
-def policy_kernel(model: Model, policy: Array) -> sparse.csr_array:
-    """(S, S): sum_a policy[s, a] K(s' | s, a)."""
+def policy_kernel(model: Model, policy: Array) -> Csr:
+    """Compute P_pi = sum_a policy[s, a] K(s' | s, a) as csr (S, S)."""
     return policy_system(model, policy).csr().sorted_indices()
 
 
 def recurrent_states(
     system: System, rewards: Array, names: Names = NAMELESS
 ) -> BoolArray:
-    """(S,) mask of the closed classes at discount 1, which must have reward 0; the
-    other states are solved for.
+    """Find the states of the closed classes at discount 1, as a mask (S,).
+
+    Their reward must be 0, or a DivergentKernelError is raised. The system is solved
+    for the other states.
     """
     kernel = system.csr()
     _, component = csgraph.connected_components(
@@ -229,22 +245,22 @@ def recurrent_states(
     crossing = (kernel.data > 0) & (component[rows] != component[kernel.indices])
     closed = np.ones(component.max() + 1, dtype=np.bool_)
     closed[component[rows[crossing]]] = False
-    # a kernel may lose mass
+    # a class that loses mass is left at some time, as well as one with a way out
     closed[component[row_sums(kernel) < 1.0 - 2.0 * _checks.SUM_TOLERANCE]] = False
     recurrent = np.asarray(closed[component])
-    paying: IntArray = np.flatnonzero(recurrent & (rewards != 0.0))
-    if paying.size:
+    rewarded: IntArray = np.flatnonzero(recurrent & (rewards != 0.0))
+    if rewarded.size:
         raise DivergentKernelError(
             "horizon must be given: at discount 1 the infinite sum exists only where"
             " the policy is absorbed in states with reward 0; it stays for ever among"
-            f" states of which s={names.state(paying[0])} has reward"
-            f" {rewards[paying[0]]:g} ({paying.size} such states in all)"
+            f" states of which s={names.state(rewarded[0])} has reward"
+            f" {rewards[rewarded[0]]:g} ({rewarded.size} such states in all)"
         )
     return recurrent
 
 
 def drop_states(system: System, dropped: BoolArray) -> System:
-    """The system in which these states lead nowhere."""
+    """Return the system in which the dropped states lead nowhere."""
     entries = np.repeat(dropped, np.diff(system.kernel.indptr.astype(np.int64)))
     kernel = system.kernel._replace(
         data=as_readonly(np.where(entries, 0.0, system.kernel.data))
@@ -253,24 +269,21 @@ def drop_states(system: System, dropped: BoolArray) -> System:
 
 
 def exponent(numbers: Array) -> int:
-    """That of the largest number, where its square may leave the range of floats; else
-    0.
+    """Return the exponent of the largest number if squares may overflow, else 0.
+
+    Numbers between 1e-100 and 1e100 have squares within the range of floats.
     """
-    largest = float(
-        _system.largest_magnitude(
-            np.ascontiguousarray(numbers, dtype=np.float64).reshape(-1)
-        )
-    )
-    return (
-        0
-        if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf
-        else int(np.frexp(largest)[1])
-    )
+    flat = np.ascontiguousarray(numbers, dtype=np.float64).reshape(-1)
+    largest = float(_system.largest_magnitude(flat))
+    if largest == 0.0 or 1e-100 < largest < 1e100 or not largest < np.inf:
+        return 0
+    return int(np.frexp(largest)[1])
 
 
-def spectral_radius(kernel: sparse.csr_array, discount: float = 1.0) -> float:
-    """The spectral radius of discount * K for a nonnegative K, by the power method (a
-    mean over 1000 steps).
+def spectral_radius(kernel: Csr, discount: float = 1.0) -> float:
+    """Compute the spectral radius of discount * K, K >= 0, by the power method.
+
+    It is a mean over 1000 steps.
     """
     vector = np.ones(kernel.shape[0])
     growth = []
@@ -281,5 +294,5 @@ def spectral_radius(kernel: sparse.csr_array, discount: float = 1.0) -> float:
             return 0.0
         vector /= size
         growth.append(np.log(size))
-    # the mean, for kernels that are periodic
+    # kernels may be periodic: the mean growth, not the last
     return float(np.exp(np.mean(growth[1000:])))

@@ -1,11 +1,11 @@
-"""Values of a policy: V(s), Q(s, a) and J = mu_0 . V (the paper's equation for
-J_P(pi)).
+"""Values of a policy: V(s), Q(s, a) and J = mu_0 . V (the paper's J_P(pi)).
 
-A horizon T means the rewards at t = 0, ..., T-1; None the infinite discounted sum.
-``normalized=True`` multiplies by (1 - discount), for both kinds of horizon.
+A horizon T means the rewards at t = 0, ..., T-1; None means the infinite discounted
+sum. ``normalized=True`` multiplies by (1 - discount), for both kinds of horizon.
 
-Each policy system, (I - gamma P) x = b or its transpose, is solved with a bound on the error: |x - x*|_inf <= |M^-1|_inf
-|residual|_inf, rounding included. ``solvers`` says which solver is asked, and where the norm of the inverse comes from.
+Each policy system, (I - gamma P) x = b or its transpose, is solved with a bound on the
+error, |x - x*|_inf <= |M^-1|_inf |residual|_inf, rounding included. ``solvers`` says
+which solver is used, and where the norm of the inverse comes from.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from oee_tabular import _checks
 from oee_tabular._sparse import check_csr
@@ -33,7 +32,7 @@ from oee_tabular.exact.system import (
 from oee_tabular.exceptions import ArgumentError, NumericalWarning
 from oee_tabular.mdp import check_policy
 from oee_tabular.mdp.horizons import horizon_length, optional_horizon_length
-from oee_tabular.typing import Array, PolicyLike
+from oee_tabular.typing import Array, Csr, PolicyLike, RealArrayLike, SparseLike
 
 
 @dataclass(frozen=True)
@@ -42,14 +41,21 @@ class LinearSolution:
 
     Attributes
     ----------
-    x : (S,)
-    error_bound : of |x - x*|_inf (of |x - x*|_1 for a transposed system), rounding
-        included
-    method : "dense LU", "LU in a band", "value iteration", "BiCGSTAB" or "sparse LU"
+    x : ndarray of shape (S,)
+        The solution.
+    error_bound : float
+        A bound on the largest error |x - x*|_inf, rounding included. For a transposed
+        system it bounds the sum of the errors, |x - x*|_1.
+    method : str
+        The solver: "dense LU", "LU in a band", "value iteration", "BiCGSTAB" or "sparse
+        LU".
 
     Examples
     --------
-    >>> solution = solve_policy_system(sparse.csr_array([[0.5, 0.5], [0.0, 1.0]]), np.array([1.0, 0.0]), 0.5)
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> kernel = sparse.csr_array([[0.5, 0.5], [0.0, 1.0]])
+    >>> solution = solve_policy_system(kernel, np.array([1.0, 0.0]), 0.5)
     >>> solution.x.round(4).tolist(), solution.error_bound < 1e-12, solution.method
     ([1.3333, 0.0], True, 'dense LU')
     """
@@ -60,38 +66,53 @@ class LinearSolution:
 
 
 def solve_policy_system(
-    kernel: sparse.csr_array, b: Array, discount: float, *, transpose: bool = False
+    kernel: SparseLike, b: RealArrayLike, discount: float, *, transpose: bool = False
 ) -> LinearSolution:
-    """Solve (I - discount K) x = b, or the transposed system, for a nonnegative kernel
-    K.
+    """Solve (I - discount K) x = b, or the transposed system, for a nonnegative K.
 
     Parameters
     ----------
-    kernel : csr (S, S), nonnegative; its rows may have any sum
-    b : (S,)
-    discount : float in [0, 1]
-    transpose : whether (I - discount K)^T x = b is solved: occupancies instead of
-        values
+    kernel : sparse array of shape (S, S)
+        The nonnegative kernel K. Its rows may have any sum.
+    b : array_like of shape (S,)
+        The right side.
+    discount : float
+        The discount, in [0, 1].
+    transpose : bool, default False
+        Whether (I - discount K)^T x = b is solved, which gives occupancies in place of
+        values.
+
+    Returns
+    -------
+    LinearSolution
+        The solution, a bound on its error and the solver that found it.
 
     Raises
     ------
     ValueError
-        A kernel that is not square, sparse, finite and nonnegative, a right side of
-        another length or not finite.
+        If the kernel is not square, sparse, finite and nonnegative, or the right side
+        has another length or is not finite.
     DivergentKernelError
-        A ValueError: the spectral radius of discount * K is not below 1.
+        If the spectral radius of discount * K is not below 1. It is a ValueError.
+
+    See Also
+    --------
+    evaluate_policy : Values of a policy of a model, with the same bound.
 
     Notes
     -----
-    Cost: O(S^3) up to 100 states; one pass where few states can reach each other
-    (layered models); else a few dozen sparse sweeps.
+    Costs O(S^3) up to 100 states, one pass where few states can reach each other
+    (layered models), and a few dozen sparse sweeps for all other kernels.
 
     Examples
     --------
     The share of discounted time in each state, from state 0:
 
+    >>> import numpy as np
+    >>> from scipy import sparse
     >>> kernel = sparse.csr_array([[0.5, 0.5], [0.0, 1.0]])
-    >>> solve_policy_system(kernel, np.array([0.5, 0.0]), 0.5, transpose=True).x.round(4).tolist()
+    >>> start = np.array([0.5, 0.0])
+    >>> solve_policy_system(kernel, start, 0.5, transpose=True).x.round(4).tolist()
     [0.6667, 0.3333]
     """
     _checks.boolean(transpose, "transpose")
@@ -109,10 +130,10 @@ def solve_policy_system(
 def solve(
     system: System, b: Array, *, rounding: float = 0.0, near: Array | None = None
 ) -> LinearSolution:
-    """M x = b where every number has been checked; each entry of b is ``rounding`` from
-    what it stands for, at most.
+    """Solve M x = b for arguments that have been checked.
 
-    ``near`` : about x, to begin with.
+    Each entry of b differs from what it stands for by at most ``rounding``, which
+    counts in the error bound. ``near`` is an approximation of x to begin with.
     """
     norm = solvers.inverse_norm(system)
     shift = exponent(b)
@@ -121,18 +142,19 @@ def solve(
         return LinearSolution(
             solution.x, float(norm * (solution.bound + rounding)), solution.method
         )
-    # dot products would leave the range of floats
+    # numbers are scaled because dot products would leave the range of floats
     solution = solvers.answer(system, np.ldexp(b, -shift))
     with np.errstate(over="ignore", under="ignore"):
         x = np.ldexp(solution.x, shift)
         bound = float(np.ldexp(norm * solution.bound, shift))
-    bound += norm * rounding + len(x) * 5e-324  # what is subnormal is rounded once more
+    # subnormal numbers are rounded once more
+    bound += norm * rounding + len(x) * 5e-324
     return LinearSolution(x, bound if np.isfinite(x).all() else np.inf, solution.method)
 
 
-def _check_kernel(kernel: Any) -> sparse.csr_array:
-    """The kernel as the solvers read it."""
-    if not sparse.issparse(kernel):
+def _check_kernel(kernel: Any) -> Csr:
+    """Return the kernel as csr, or raise an error that names its first bad entry."""
+    if not _checks.is_sparse(kernel):
         raise ArgumentError(
             "kernel", f"must be a sparse matrix; got {type(kernel).__name__}"
         )
@@ -143,28 +165,36 @@ def _check_kernel(kernel: Any) -> sparse.csr_array:
     rows = check_csr(kernel, "kernel")
     bad = np.flatnonzero(~(np.isfinite(rows.data) & (rows.data >= 0.0)))
     if bad.size:
-        place = (
-            int(np.searchsorted(rows.indptr, bad[0], side="right")) - 1,
-            int(rows.indices[bad[0]]),
-        )
+        first = bad[0]
+        row = int(np.searchsorted(rows.indptr, first, side="right")) - 1
+        column = int(rows.indices[first])
         raise ArgumentError(
             "kernel",
-            f"must be finite and nonnegative; kernel[{place[0]}, {place[1]}] is"
-            f" {rows.data[bad[0]]}",
+            f"must be finite and nonnegative; kernel[{row}, {column}] is"
+            f" {rows.data[first]}",
         )
     return rows
 
 
-EPS = float(np.finfo(float).eps)
+EPS = float(np.finfo(float).eps)  # the relative spacing of floats at 1
 
 
 @dataclass(frozen=True)
 class PolicyValues:
-    """V and J of a policy.
+    """Values of a policy, V and J, with a bound on the error of V.
 
-    ``error_bound`` bounds |V - V*|_inf, from the residual of the linear system (0 for a
-    finite horizon, where the sums are carried out as they stand); ``method`` names the
-    solver.
+    Attributes
+    ----------
+    values : ndarray of shape (S,)
+        V(s), not normalised.
+    value : float
+        J = mu_0 . V.
+    error_bound : float
+        A bound on the largest error |V - V*|_inf, from the residual of the linear
+        system. It is 0 for a finite horizon, where the sums are carried out as they
+        stand.
+    method : str
+        The solver.
     """
 
     values: Array
@@ -174,7 +204,7 @@ class PolicyValues:
 
 
 def policy_rewards(model: Model, policy: Array) -> Array:
-    """(S,): sum_a policy[s, a] r(s, a)."""
+    """Compute r_pi(s) = sum_a policy[s, a] r(s, a), of shape (S,)."""
     return np.asarray(
         _system.average_rewards(np.ascontiguousarray(policy), model.rewards)[0]
     )
@@ -190,29 +220,41 @@ def evaluate_policy(
 
     Parameters
     ----------
-    model : FiniteMDP (or a ReweightedModel, whose rows may have any sum)
-    policy : (S, A), or (T, S, A) with a horizon T
-    horizon : positive int or None
+    model : FiniteMDP or ReweightedModel
+        The model in which the policy is evaluated. The rows of a ReweightedModel may
+        have any sum.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or (T, S, A) with a horizon T; other forms
+        as in ``check_policy``.
+    horizon : int, optional
+        Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
 
     Returns
     -------
     PolicyValues
-        ``values`` (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf and ``method``.
-        V* is the exact solution for the numbers as they are stored: transitions, policy
-        and ``rewards`` (S, A), the rounded expectation of r(s, a, s').
+        ``values`` of shape (S,), ``value`` (J), ``error_bound`` of |V - V*|_inf and
+        ``method``. V* is the exact solution for the numbers as they are stored:
+        transitions, policy and ``rewards`` (S, A), the rounded expectation of r(s, a,
+        s').
 
     Raises
     ------
     ValueError
-        Bad arguments; without a horizon, a sum that does not exist (discount 1 and a
-        policy that is not absorbed in states without reward, or a kernel whose spectral
-        radius times the discount is not below 1).
+        If an argument is bad; without a horizon, if the sum does not exist (discount 1
+        and a policy that is not absorbed in states without reward, or a kernel whose
+        spectral radius times the discount is not below 1).
+
+    See Also
+    --------
+    policy_value : J alone.
+    state_values : V alone.
+    solve_policy_system : The solution of any such linear system.
 
     Notes
     -----
-    With a horizon the recursion goes backward over all states. Cost: O(T * nnz), or one
-    sparse solve. Values beyond the largest float are infinite, and the error bound then
-    is.
+    With a horizon the recursion goes backward over all states. Costs O(T nnz) with a
+    horizon, one sparse solve without. Values beyond the largest float are infinite, and
+    so is the error bound then.
 
     Examples
     --------
@@ -237,10 +279,10 @@ def evaluate_policy(
 def infinite_values(
     model: Model, policy: Array, near: Array | None = None
 ) -> PolicyValues:
-    """V of the infinite sum; the bound on its error counts the rounding of the policy's
-    kernel and rewards.
+    """Compute V and J of the infinite sum for a policy that has been checked.
 
-    ``near`` (S,): about V, to begin with.
+    The bound on the error counts the rounding of the policy's kernel and rewards.
+    ``near`` (S,) is an approximation of V to begin with.
     """
     rewards, largest = _system.average_rewards(
         np.ascontiguousarray(policy), model.rewards
@@ -251,6 +293,7 @@ def infinite_values(
         if recurrent.all():
             return PolicyValues(np.zeros(len(rewards)), 0.0, 0.0, "absorbed")
         system = drop_states(system, recurrent)
+    # a reward is a sum of A products, each rounded, and may be subnormal
     rounding = (model.n_actions + 1) * (EPS * largest + 5e-324)
     solution = solve(system, rewards, rounding=rounding, near=near)
     return PolicyValues(
@@ -262,7 +305,7 @@ def infinite_values(
 
 
 def warn_if_not_finite(values: Any) -> Any:
-    """The same values, with a warning where one is not finite."""
+    """Return the values, and warn where one is not finite."""
     if not np.isfinite(values).all():
         _checks.warn(
             "a value is beyond the largest float: it is infinite, or not a number",
@@ -272,27 +315,26 @@ def warn_if_not_finite(values: Any) -> Any:
 
 
 def finite_values(solution: PolicyValues) -> Array:
-    """V, with a warning where a value is not finite."""
-    is_finite = isfinite(solution.error_bound)  # which it is of finite values alone
-    return (
-        solution.values
-        if is_finite
-        else np.asarray(warn_if_not_finite(solution.values))
-    )
+    """Return V of a solution, and warn where a value is not finite."""
+    # the bound is finite only where all values are
+    if isfinite(solution.error_bound):
+        return solution.values
+    return np.asarray(warn_if_not_finite(solution.values))
 
 
 def _backward(model: Model, policy: Array, steps: int) -> Array:
-    """V with the last ``steps`` of a policy's steps to go."""
+    """Compute V (S,) for the last ``steps`` steps of a policy by backward recursion."""
     if policy.ndim == 2:
         return np.asarray(finite.values_to_go(model, policy, steps, is_each=False)[0])
     value = np.zeros(model.n_states)
+    # a policy of T steps is followed from step T - steps on
     for act in policy[len(policy) - steps :][::-1]:
         value = np.einsum("sa,sa->s", act, backup(model, value))
     return value
 
 
 def backup(model: Model, value: Array) -> Array:
-    """(S, A): r(s, a) + gamma sum_s' K(s' | s, a) V(s')."""
+    """Compute Q(s, a) = r(s, a) + gamma sum_s' K(s' | s, a) V(s'), of shape (S, A)."""
     following = np.empty(model.rewards.size)
     _system.multiply(Kernel(*rows_of(model.csr), 1.0), False, value, following)
     return np.asarray(
@@ -311,11 +353,36 @@ def policy_value(
 
     Parameters
     ----------
-    mdp : FiniteMDP (or a ReweightedModel)
-    policy, horizon : as in ``evaluate_policy``, whose errors are these, and its cost;
-        with a horizon it sums over the light cone: only the states that are reached
-        within it cost anything
-    normalized : whether J is multiplied by (1 - discount); an error at discount 1
+    mdp : FiniteMDP or ReweightedModel
+        The model in which the policy is evaluated.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or (T, S, A) with a horizon T; other forms
+        as in ``check_policy``.
+    horizon : int, optional
+        Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
+    normalized : bool, default False
+        Whether J is multiplied by (1 - discount). This is an error at discount 1.
+
+    Returns
+    -------
+    float
+        J, in units of the discounted sum of rewards.
+
+    Raises
+    ------
+    ValueError
+        As in ``evaluate_policy``, and if ``normalized`` is True at discount 1.
+
+    See Also
+    --------
+    evaluate_policy : V and J with a bound on their error.
+    policy_values_by_horizon : J of every horizon up to T in one pass.
+
+    Notes
+    -----
+    Costs as much as ``evaluate_policy``. With a horizon the sum runs over the light
+    cone of the first states, so that states that are not reached within it cost
+    nothing.
 
     Examples
     --------
@@ -339,29 +406,49 @@ def policy_value(
     else:
         steps = horizon_length(horizon, mdp, policy)
         pi = check_policy(policy, mdp, horizon=steps)
-        value = factor * float(
-            finite.values_by_horizon(mdp, pi, steps, is_each=False)[-1]
-        )
+        sums = finite.values_by_horizon(mdp, pi, steps, is_each=False)
+        value = factor * float(sums[-1])
     return value if isfinite(value) else float(warn_if_not_finite(value))
 
 
 def state_values(
     mdp: Model, policy: PolicyLike, *, horizon: int | None = None
 ) -> Array:
-    """Compute V(s) = E[sum_t gamma^t r_t | s_0 = s], shape (S,); not normalised (eq.
-    4.1).
+    """Compute V(s) = E[sum_t gamma^t r_t | s_0 = s], not normalised (eq. 4.1).
 
     Parameters
     ----------
-    mdp : FiniteMDP (or a ReweightedModel)
-    policy, horizon : as in ``evaluate_policy``, whose errors and cost are these
+    mdp : FiniteMDP or ReweightedModel
+        The model in which the policy is evaluated.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or (T, S, A) with a horizon T; other forms
+        as in ``check_policy``.
+    horizon : int, optional
+        Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
+
+    Returns
+    -------
+    ndarray of shape (S,)
+        The value of each state.
+
+    Raises
+    ------
+    ValueError
+        As in ``evaluate_policy``.
+
+    See Also
+    --------
+    action_values : The values of all state-action pairs.
+    evaluate_policy : The same values with a bound on their error.
 
     Examples
     --------
     >>> import oee_tabular as oee
     >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
-    >>> state_values(coin, [[1.0]] * 2).round(6).tolist(), state_values(coin, [[1.0]] * 2, horizon=2).tolist()
-    ([0.5, 1.5], [0.25, 1.25])
+    >>> state_values(coin, [[1.0]] * 2).round(6).tolist()
+    [0.5, 1.5]
+    >>> state_values(coin, [[1.0]] * 2, horizon=2).tolist()
+    [0.25, 1.25]
     """
     require_model(mdp)
     return finite_values(evaluate_policy(mdp, policy, horizon=horizon))
@@ -370,19 +457,41 @@ def state_values(
 def action_values(
     mdp: Model, policy: PolicyLike, *, horizon: int | None = None
 ) -> Array:
-    """Compute Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], shape (S, A); with a horizon,
-    V has one step less to go.
+    """Compute Q(s, a) = r(s, a) + gamma E[V(s_1) | s, a], not normalised.
+
+    With a horizon T, V is the value of the T - 1 rewards that follow.
 
     Parameters
     ----------
-    mdp : FiniteMDP (or a ReweightedModel)
-    policy, horizon : as in ``evaluate_policy``, whose errors and cost are these
+    mdp : FiniteMDP or ReweightedModel
+        The model in which the policy is evaluated.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or (T, S, A) with a horizon T; other forms
+        as in ``check_policy``.
+    horizon : int, optional
+        Number of rewards, at t = 0..horizon-1. None means the infinite discounted sum.
+
+    Returns
+    -------
+    ndarray of shape (S, A)
+        The value of each state-action pair.
+
+    Raises
+    ------
+    ValueError
+        As in ``evaluate_policy``.
+
+    See Also
+    --------
+    state_values : The values of all states.
 
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> mdp = oee.FiniteMDP([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1.0, 0.0], [2.0, 2.0]], [1, 0], 0.9)
-    >>> action_values(mdp, [[1, 0], [1, 0]]).round(6).tolist()  # for ever 1, or 2 from the next step on
+    >>> rows = [[[1, 0], [0, 1]], [[0, 1], [0, 1]]]
+    >>> mdp = oee.FiniteMDP(rows, [[1.0, 0.0], [2.0, 2.0]], [1, 0], 0.9)
+    >>> stay = [[1, 0], [1, 0]]  # for ever 1, or 2 from the next step on
+    >>> action_values(mdp, stay).round(6).tolist()
     [[10.0, 18.0], [20.0, 20.0]]
     """
     require_model(mdp)

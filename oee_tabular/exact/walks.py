@@ -1,6 +1,4 @@
-"""Weighted paths: how they are drawn and weighted, where they lead, and how fast their
-weights grow.
-"""
+"""Weighted paths: how they are drawn and weighted, and how fast their weights grow."""
 
 from __future__ import annotations
 
@@ -12,28 +10,36 @@ from scipy import sparse
 from oee_tabular import _checks
 from oee_tabular._parallel import one_thread
 from oee_tabular.exact import _moments
-from oee_tabular.exact.reweighted import entries_of_ratio
+from oee_tabular.exact.reweighted import RatioLike, entries_of_ratio
 from oee_tabular.exact.system import as_readonly, rows_of, spectral_radius
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import limit_horizon
-from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike
+from oee_tabular.typing import Array, BoolArray, Csr, IntArray, PolicyLike
 
 
 class Walk(NamedTuple):
-    """How paths are drawn, weighted and rewarded, as the kernels read it.
+    """How paths are drawn, weighted and rewarded, in arrays for kernels.
 
     Actions are drawn from ``act`` and transitions from ``prob``; a step multiplies the
     weight by u(s, a) and w(s, a, s').
 
     Attributes
     ----------
-    indptr, indices, prob : the rows of P
-    w : aligned with its entries
-    act, u : (1 or T, S*A)
-    by_transition : whether rewards are r(s, a, s')
-    rewards : (1 or T, .), aligned with the entries of P, or with its rows unless
-        ``by_transition``
-    initial, discount : of the MDP
+    indptr, indices, prob : ndarray
+        The rows of P in CSR form.
+    w : ndarray of shape (nnz,)
+        Factor of each entry of P.
+    act, u : ndarray of shape (1 or T, S*A)
+        Probability and factor of each state-action pair.
+    by_transition : bool
+        Whether rewards are r(s, a, s').
+    rewards : ndarray of shape (1 or T, nnz or S*A)
+        Rewards aligned with the entries of P, or with its rows unless
+        ``by_transition``.
+    initial : ndarray of shape (S,)
+        The initial distribution of the MDP.
+    discount : float
+        The discount of the MDP.
     """
 
     indptr: Any
@@ -49,35 +55,34 @@ class Walk(NamedTuple):
 
     @property
     def n_states(self) -> int:
-        """S."""
+        """Return the number of states S."""
         return len(self.initial)
 
     @property
     def rows(self) -> IntArray:
-        """The row s*A + a of each entry."""
+        """Return the row s*A + a of each entry."""
         return np.repeat(np.arange(self.act.shape[1]), np.diff(self.indptr))
 
     def sum_actions(self, numbers: Array) -> Array:
-        """(., S): sums over the actions of (., S*A)."""
+        """Sum numbers of shape (n, S*A) over the actions, to shape (n, S)."""
         return np.asarray(numbers.reshape(len(numbers), self.n_states, -1).sum(axis=2))
 
-    def row_matrix(self, data: Array) -> sparse.csr_array:
-        """(S*A, S) with these values on the transitions."""
+    def row_matrix(self, data: Array) -> Csr:
+        """Make the csr matrix (S*A, S) with these values on the transitions."""
         kind = np.int32 if self.indptr.dtype == np.uint32 else np.int64
         shape = self.act.shape[1], self.n_states
         return sparse.csr_array(
             (data, self.indices.view(kind), self.indptr.view(kind)), shape=shape
         )
 
-    def state_matrix(self, data: Array) -> sparse.csr_array:
-        """(S, S) with the sums over the actions of these values on the transitions."""
+    def state_matrix(self, data: Array) -> Csr:
+        """Sum values on the transitions over the actions, as csr (S, S)."""
         n = self.n_states
-        return sparse.csr_array(
-            (data, (self.rows // (self.act.shape[1] // n), self.indices)), shape=(n, n)
-        )
+        states = self.rows // (self.act.shape[1] // n)
+        return sparse.csr_array((data, (states, self.indices)), shape=(n, n))
 
-    def weighted_kernel(self, power: int) -> sparse.csr_array:
-        """(S, S): sum_a act u^power sum P w^power."""
+    def weighted_kernel(self, power: int) -> Csr:
+        """Compute sum_a act u^power sum P w^power as csr (S, S)."""
         rows = self.rows
         return self.state_matrix(
             self.act[0][rows] * self.u[0][rows] ** power * self.prob * self.w**power
@@ -86,18 +91,20 @@ class Walk(NamedTuple):
     def weights_by_state(
         self, horizon: int, *, power: int, with_returns: bool = False
     ) -> Array:
-        """(T + 1, 3 or 1, S): E[W^power G^i 1{s_t = s}]; without ``with_returns`` i = 0
-        alone.
+        """Compute E[W_t^power G_t^i 1{s_t = s}], of shape (T + 1, 3 or 1, S).
+
+        i is 0, 1, 2 with returns and 0 alone without.
         """
         return np.asarray(_moments.forward(self, horizon, power, with_returns))
 
     def reachable_states(self, horizon: int | None = None) -> BoolArray:
-        """(S,): whether a path may be there at some t below the horizon."""
+        """Find the states (S,) where a path may be at some t below the horizon."""
         graph = self.state_matrix(self.act.max(axis=0)[self.rows] * self.prob).T
         reached = self.initial > 0.0
-        for _ in range(
-            self.n_states if horizon is None else min(horizon - 1, self.n_states)
-        ):
+        n_steps = self.n_states
+        if horizon is not None:
+            n_steps = min(horizon - 1, n_steps)
+        for _ in range(n_steps):
             ahead = reached | (graph @ reached > 0.0)
             if (ahead == reached).all():
                 break
@@ -109,77 +116,103 @@ def walk_of(
     mdp: FiniteMDP,
     behavior: Array,
     *,
-    ratio: object = None,
+    ratio: RatioLike | None = None,
     policy: Array | None = None,
 ) -> Walk:
-    """Paths of ``behavior`` in ``mdp`` weighted by ``ratio`` on transitions or by
-    policy / behavior on actions.
+    """Make the paths of ``behavior`` in ``mdp`` with their weights.
 
-    The weights are constant in absorbing states. Behaviour policies without support are
-    the callers' concern.
+    The weights are ``ratio`` on transitions, or policy / behavior on actions. They are
+    constant in absorbing states. Callers check behaviour policies for their support.
     """
     matrix = mdp.csr
     absorbing = mdp.absorbing()
-    w = (
-        np.ones(matrix.nnz)
-        if ratio is None
-        else transition_factors(mdp, ratio, absorbing)
-    )
-    act = np.atleast_2d(behavior.reshape(-1, mdp.n_states * mdp.n_actions))
+    if ratio is None:
+        w = np.ones(matrix.nnz)
+    else:
+        w = transition_factors(mdp, ratio, absorbing)
+    n_pairs = mdp.n_states * mdp.n_actions
+    act = np.atleast_2d(behavior.reshape(-1, n_pairs))
     u = np.ones_like(act)
     if policy is not None:
-        evaluated = np.broadcast_to(
-            policy.reshape(-1, mdp.n_states * mdp.n_actions), act.shape
-        )
+        evaluated = np.broadcast_to(policy.reshape(-1, n_pairs), act.shape)
         u = np.divide(evaluated, act, out=np.zeros_like(act), where=act > 0)
         u = np.where(np.repeat(absorbing, mdp.n_actions), 1.0, u)
-    by_transition = mdp.reward_data is not None
-    rewards = (
-        mdp.reward_data if mdp.reward_data is not None else mdp.rewards.reshape(-1)
-    )
-    drawn = as_readonly(w), as_readonly(act), as_readonly(u)
+    rewards = mdp.reward_data
+    by_transition = rewards is not None
+    if rewards is None:
+        rewards = mdp.rewards.reshape(-1)
+    rows = rows_of(matrix)
     return Walk(
-        *rows_of(matrix),
-        *drawn,
-        by_transition,
-        as_readonly(rewards[None]),
-        mdp.initial,
-        mdp.discount,
+        indptr=rows.indptr,
+        indices=rows.indices,
+        prob=rows.data,
+        w=as_readonly(w),
+        act=as_readonly(act),
+        u=as_readonly(u),
+        by_transition=by_transition,
+        rewards=as_readonly(rewards[None]),
+        initial=mdp.initial,
+        discount=mdp.discount,
     )
 
 
-def transition_factors(mdp: FiniteMDP, ratio: object, absorbing: BoolArray) -> Array:
-    """(entries,) zeta on the transitions; 1 in absorbing states."""
+def transition_factors(mdp: FiniteMDP, ratio: RatioLike, absorbing: BoolArray) -> Array:
+    """Return zeta on the transitions (nnz,), and 1 in absorbing states."""
     entries = np.diff(mdp.csr.indptr[:: mdp.n_actions])
-    return np.where(
-        np.repeat(absorbing, entries), 1.0, entries_of_ratio(mdp, ratio, "zeta")
-    )
+    zeta = entries_of_ratio(mdp, ratio, "zeta")
+    return np.where(np.repeat(absorbing, entries), 1.0, zeta)
 
 
 def weight_moments(
-    simulator: FiniteMDP, zeta: object, policy: PolicyLike, *, horizon: int
+    simulator: FiniteMDP, zeta: RatioLike, policy: PolicyLike, *, horizon: int
 ) -> tuple[Array, Array]:
-    """Compute E[W_t] and E[W_t^2] for t = 0..T, W_t = zeta_1 ... zeta_t: two (T + 1,)
-    arrays.
+    """Compute E[W_t] and E[W_t^2] for t = 0..T, where W_t = zeta_1 ... zeta_t.
 
     In absorbing states with reward 0, where an episode has ended, W_t is constant.
 
-    E[W_t] = 1 for every t where the rows of zeta * P sum to 1; log E[W_t^2] / t ->
-    ``weight_growth``.
-
     Parameters
     ----------
-    simulator, zeta : as in ``weighted_return_moments``
-    policy : (S, A) or (T, S, A)
-    horizon : T, a positive int
+    simulator : FiniteMDP
+        The simulator that paths are drawn from.
+    zeta : sparse array of shape (S*A, S), or an object with such ``values``
+        The ratio of transition probabilities, row s*A + a, on the simulator's support.
+        An entry that is not stored is 0.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or (T, S, A).
+    horizon : int
+        Number of transitions T.
+
+    Returns
+    -------
+    first : ndarray of shape (T + 1,)
+        E[W_t], which is 1 for every t where the rows of zeta * P sum to 1.
+    second : ndarray of shape (T + 1,)
+        E[W_t^2].
+
+    Raises
+    ------
+    ValueError
+        If an argument is bad.
+
+    See Also
+    --------
+    weight_growth : The limit of log E[W_t^2] / t.
+
+    Notes
+    -----
+    Costs O(T nnz).
 
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
-    >>> first, second = weight_moments(simulator, oee.true_ratio(target, simulator), [[1.0]] * 2, horizon=3)
-    >>> first.round(6).tolist(), second.round(4).tolist()  # 1.04^t
-    ([1.0, 1.0, 1.0, 1.0], [1.0, 1.04, 1.0816, 1.1249])
+    >>> simulator = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    >>> target = oee.FiniteMDP([[[0.4, 0.6]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    >>> zeta = oee.true_ratio(target, simulator)
+    >>> first, second = weight_moments(simulator, zeta, [[1.0]] * 2, horizon=3)
+    >>> first.round(6).tolist()
+    [1.0, 1.0, 1.0, 1.0]
+    >>> second.round(4).tolist()  # 1.04^t
+    [1.0, 1.04, 1.0816, 1.1249]
     """
     _checks.instance(simulator, FiniteMDP, "simulator")
     length = _checks.positive_integer(horizon, "horizon")
@@ -194,33 +227,59 @@ def weight_moments(
     return first, second
 
 
-def radius_of(matrix: sparse.csr_array) -> float:
-    """The spectral radius, by its eigenvalues where there are few."""
+def radius_of(matrix: Csr) -> float:
+    """Compute the spectral radius, by the eigenvalues where there are few."""
     if not np.isfinite(matrix.data).all():
-        return np.inf  # of squares beyond the largest float
+        return np.inf  # the kernel has squares beyond the largest float
+    # up to here eigenvalues take less time than 2000 products
     if matrix.shape[0] <= 400:
         return float(np.abs(np.linalg.eigvals(matrix.toarray())).max())
     return spectral_radius(matrix)
 
 
 @one_thread
-def weight_growth(simulator: FiniteMDP, zeta: object, policy: PolicyLike) -> float:
-    """Compute the log of the spectral radius of (P zeta^2) under the policy: the rate
-    at which E[W_t^2] grows, nats a step.
+def weight_growth(simulator: FiniteMDP, zeta: RatioLike, policy: PolicyLike) -> float:
+    """Compute the rate at which E[W_t^2] grows, in nats a step.
 
-    Nonnegative where rows of zeta * P sum to 1, 0 only where zeta = 1 on the
-    transitions that recur. Of a reducible chain the largest over all classes.
+    It is the log of the spectral radius of (P zeta^2) under the policy.
 
     Parameters
     ----------
-    simulator, zeta : as in ``weighted_return_moments``
-    policy : (S, A)
+    simulator : FiniteMDP
+        The simulator that paths are drawn from.
+    zeta : sparse array of shape (S*A, S), or an object with such ``values``
+        The ratio of transition probabilities, row s*A + a, on the simulator's support.
+        An entry that is not stored is 0.
+    policy : PolicyLike
+        Stationary action probabilities of shape (S, A); other forms as in
+        ``check_policy``.
+
+    Returns
+    -------
+    float
+        The growth rate; -inf where weights become 0.
+
+    Raises
+    ------
+    ValueError
+        If an argument is bad.
+
+    See Also
+    --------
+    weight_moments : E[W_t] and E[W_t^2] for each t.
+
+    Notes
+    -----
+    It is nonnegative where rows of zeta * P sum to 1, and 0 only where zeta = 1 on the
+    transitions that recur. For a reducible chain it is the largest over all classes.
 
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> simulator, target = (oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.5) for p in (0.5, 0.6))
-    >>> round(weight_growth(simulator, oee.true_ratio(target, simulator), [[1.0]] * 2), 4)  # log 1.04
+    >>> simulator = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    >>> target = oee.FiniteMDP([[[0.4, 0.6]]] * 2, [0, 1], [0.5, 0.5], 0.5)
+    >>> zeta = oee.true_ratio(target, simulator)
+    >>> round(weight_growth(simulator, zeta, [[1.0]] * 2), 4)  # log 1.04
     0.0392
     """
     _checks.instance(simulator, FiniteMDP, "simulator")

@@ -13,15 +13,18 @@ distribution S_0 (S,) and discount gamma, under a policy pi (S, A):
 An episode ends with its horizon T, or on entering an absorbing state with reward 0; one
 that begins there has one step.
 
-    ``sample_episodes``     the episodes as a log                                                  ``sampler``
-    ``sample_transitions``  n independent (s, a) ~ d (S, A) with s' ~ P(. | s, a)                  ``sampler``
-    ``sample_returns``      of each of n episodes sums alone, weighted by ratios zeta (4.2)        ``returns``
+* ``sample_episodes`` gives the episodes as a log (``sampler``).
+* ``sample_transitions`` gives n independent (s, a) ~ d (S, A) with s' ~ P(. | s, a)
+  (``sampler``).
+* ``sample_returns`` gives sums along each of n episodes alone, weighted by ratios zeta
+  (4.2) (``returns``).
 
 Sums along an episode, with W_0 = 1 and a ratio zeta(s, a, s') for each transition:
 
     G <- G + gamma^t r_t
     W_{t+1} = W_t zeta(s_t, a_t, s_{t+1})
-    X <- X + gamma^t W_t r(s_t, a_t),    or    X <- X + gamma^t W_{t+1} r(s_t, a_t, s_{t+1})
+    X <- X + gamma^t W_t r(s_t, a_t),    or
+    X <- X + gamma^t W_{t+1} r(s_t, a_t, s_{t+1})
 
 so that X estimates J of the target in which zeta P is the dynamics (per decision), as
 does the last weight times G (trajectory). Its exact mean and variance are

@@ -1,12 +1,11 @@
-"""Kernels of sampling: alias tables, random numbers by counters, and the episodes that
-are drawn from both.
+"""Kernels of sampling: alias tables, random numbers by counters, and episodes.
 
 Alias tables [1] in whole numbers: one random word gives one of a state's outcomes, in
 O(1). A state with n outcomes has 2^k >= n slots. The low k bits of a word of 62 bits
 choose a slot; the others are compared with the slot's threshold: below it the outcome
-is the slot's own, else that of the slot's alias. Threshold and alias share one number,
-``threshold * 2^k + alias``. Probabilities are whole numbers of units 2^-62, laid out
-over the slots without rounding.
+is the slot's own, else the outcome of the slot's alias. Threshold and alias share one
+number, ``threshold * 2^k + alias``. Probabilities are whole numbers of units 2^-62,
+laid out over the slots without rounding.
 
 Every trajectory has a stream of its own: Philox4x32-10 [2] keyed by the seed, its
 counter made of (block, stream, trajectory), so that the bits are the same for any
@@ -43,8 +42,10 @@ _TERMINAL = np.uint64(128)
 
 @njit(cache=True)
 def list_outcomes(state, indptr, prob, policy, chance, entry):
-    """p(x) = policy(a | s) P(x) / sum P(. | s, a) of the entries x of a state's rows:
-    rows of P sum to 1 only to 1e-8.
+    """List the entries x of a state's rows with their probabilities.
+
+    p(x) = policy(a | s) P(x) / sum P(. | s, a): rows of P sum to 1 only to 1e-8.
+    Returns the number of outcomes.
     """
     n = 0
     n_actions = policy.shape[1]
@@ -63,8 +64,10 @@ def list_outcomes(state, indptr, prob, policy, chance, entry):
 
 @njit(cache=True)
 def round_to_units(chance, n, mass):
-    """mass(x) = round(2^62 p(x) / sum p); the most probable outcome takes what the
-    others leave: their sum is 2^62.
+    """Round probabilities to whole units: mass(x) = round(2^62 p(x) / sum p).
+
+    The most probable outcome, which is returned, takes what the others leave: their sum
+    is 2^62.
     """
     total = 0.0
     most = np.argmax(chance[:n])
@@ -81,8 +84,10 @@ def round_to_units(chance, n, mass):
 
 @njit(cache=True)
 def pair_slots(mass, k, word, small, large):
-    """threshold_i = mass_i, alias_i = j, mass_j -= 2^(62 - k) - mass_i: while a slot
-    lacks units, another one has too many.
+    """Pair the slots that lack units with slots that have too many.
+
+    threshold_i = mass_i, alias_i = j, mass_j -= 2^(62 - k) - mass_i, while a slot lacks
+    units.
     """
     room = _WHOLE >> k
     n_small = 0
@@ -110,8 +115,9 @@ def pair_slots(mass, k, word, small, large):
 
 @njit(cache=True)
 def fill_table(indptr, prob, policy, first, size, word, entry):
-    """Slots of all states, state s from ``first[s]`` on: threshold and alias, and the
-    entry that the slot stands for.
+    """Fill the slots of all states, state s from ``first[s]`` on.
+
+    A slot has its threshold and alias, and the entry that it stands for.
     """
     widest = 1 << np.max(size)
     chance = np.empty(widest)
@@ -130,8 +136,9 @@ def fill_table(indptr, prob, policy, first, size, word, entry):
 
 @njit(cache=True, inline="always")
 def philox(c0, c1, c2, c3, k0, k1):
-    """Ten rounds of Philox4x32 on words of 32 bits held in uint64 (between rounds only
-    their low 32 bits count).
+    """Compute ten rounds of Philox4x32 on words of 32 bits held in uint64.
+
+    Between rounds only their low 32 bits count.
     """
     for _ in range(10):
         p0 = _M0 * (c0 & _LOW)
@@ -147,8 +154,9 @@ def philox(c0, c1, c2, c3, k0, k1):
 
 @njit(cache=True)
 def fill_words(key, stream, trajectory, block, words):
-    """(2, blocks) words of 62 bits, which alias tables read, of the next blocks: side
-    by side, so that they are vectorised.
+    """Compute the words (2, blocks) of 62 bits of the next blocks, for alias tables.
+
+    The blocks stand side by side, so that they are vectorised.
     """
     k0 = key & _LOW
     k1 = key >> _SHIFT
@@ -162,8 +170,9 @@ def fill_words(key, stream, trajectory, block, words):
 
 @njit(cache=True, inline="always")
 def choose_slot(code, x, word):
-    """The slot whose outcome the word x gives in the state of that code: its own below
-    the threshold, else the alias.
+    """Return the slot whose outcome the word x gives in the state of that code.
+
+    The outcome is the slot's own below the threshold, else the alias.
     """
     base = code >> _PLACE
     low = (_ONE << (code & _SIZE)) - _ONE
@@ -187,14 +196,14 @@ def draw_episodes(
     last,
     path,
 ):
-    """G += gamma^t r_t, X += gamma^t W r_t, W_{t+1} = W_t zeta_{t+1}, for the
-    trajectories begin .. end - 1.
+    """Draw the trajectories begin .. end - 1 and the sums along them.
 
-    ``sums`` (4, n): G; X, where a reward has the weight W_t, or W_{t+1}
-    ``by_transition``; the weight of the whole; the largest that a reward has.
-    ``lengths`` (n,) steps, ``last`` (n,) the last step's entry of P, ``path`` the
-    entries of all steps in a row, unless it is empty. Returns the first trajectory that
-    ``path`` has no room for, and how much of it is used.
+    G += gamma^t r_t, X += gamma^t W r_t, W_{t+1} = W_t zeta_{t+1}. ``sums`` (4, n): G;
+    X, where a reward has the weight W_t, or W_{t+1} ``by_transition``; the weight of
+    the whole; the largest weight of a reward. ``lengths`` (n,) takes the steps,
+    ``last`` (n,) the last step's entry of P, ``path`` the entries of all steps in a
+    row, unless it is empty. Returns the first trajectory that ``path`` has no room for,
+    and how much of it is used.
     """
     code, word, following, reward, factor, entry = table
     weighted = len(factor) > 0
@@ -262,9 +271,11 @@ def write_columns(
     numbers,
     flags,
 ):
-    """The columns of a log, row by row of its path: ``integers`` (5, n) state, action,
-    next state, timestep, episode; ``numbers`` (2, n) reward, behaviour probability;
-    ``flags`` (2, n) terminated, truncated, which begin as zeros.
+    """Write the columns of a log, row by row of its path.
+
+    ``integers`` (5, n) takes state, action, next state, timestep and episode;
+    ``numbers`` (2, n) reward and behaviour probability; ``flags`` (2, n), which begin
+    as zeros, terminated and truncated.
     """
     n_actions = policy.shape[1]
     i = 0

@@ -1,4 +1,4 @@
-"""Returns and weights of sampled episodes that are not written down (4.2)."""
+"""Returns and weights of sampled episodes that are not stored (4.2)."""
 
 from __future__ import annotations
 
@@ -19,17 +19,24 @@ KINDS = ("per_decision", "trajectory")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledReturns:
-    """The result of ``sample_returns``: a number for each of n episodes.
+    """Returns and weights of n sampled episodes, the result of ``sample_returns``.
 
     Attributes
     ----------
-    values : (n,) X, whose mean estimates J; without zeta the returns
-    returns : (n,) G = sum_t gamma^t r_t, unweighted
-    weights : (n,) W of the whole episode; without zeta 1
-    lengths : (n,) steps
-    final_state : (n,) the state after the last step
-    log : the same episodes written out, where asked for
-    kind : what X is
+    values : ndarray of shape (n,)
+        X, whose mean estimates J; without zeta the returns.
+    returns : ndarray of shape (n,)
+        G = sum_t gamma^t r_t, unweighted.
+    weights : ndarray of shape (n,)
+        W of the whole episode; without zeta 1.
+    lengths : ndarray of shape (n,)
+        Number of steps.
+    final_state : ndarray of shape (n,)
+        The state after the last step.
+    log : Transitions or None
+        The same episodes as a log, where asked for.
+    kind : str
+        What X is: "per_decision" or "trajectory".
 
     Examples
     --------
@@ -49,9 +56,13 @@ class SampledReturns:
     kind: str = "per_decision"
 
     def __len__(self) -> int:
+        """Return the number of episodes."""
+
         return len(self.values)
 
     def __repr__(self) -> str:
+        """Return the size, the mean and its standard error in a line."""
+
         what = "" if self.values is self.returns else f", weighted {self.kind}"
         return (
             f"SampledReturns({len(self)} episodes, {int(self.lengths.sum())}"
@@ -60,6 +71,8 @@ class SampledReturns:
         )
 
     def _repr_html_(self) -> str:
+        """Return a table of the main numbers for notebooks."""
+
         rows: list[tuple[str, object]] = [
             ("episodes", len(self)),
             ("transitions", int(self.lengths.sum())),
@@ -71,13 +84,14 @@ class SampledReturns:
 
     @property
     def mean(self) -> float:
-        """Of ``values``."""
+        """Return the mean of ``values``."""
         return float(self.values.mean())
 
     @property
     def standard_error(self) -> float:
-        """Standard error of the mean, from the values' spread; nan for a single
-        episode. Heavy weights make it too small.
+        """Return the standard error of the mean, from the spread of the values.
+
+        It is nan for a single episode. Heavy weights make it too small.
         """
         n = len(self.values)
         return float(self.values.std(ddof=1) / np.sqrt(n)) if n > 1 else float("nan")
@@ -94,32 +108,47 @@ def sample_returns(
     kind: Literal["per_decision", "trajectory"] = "per_decision",
     record: bool = False,
 ) -> SampledReturns:
-    """Sample returns of episodes and, with ``zeta``, their products of ratios, without
-    storing the episodes.
+    """Sample returns of episodes and, with ``zeta``, their products of ratios.
 
-    W_t = zeta_1 ... zeta_t. per_decision: X = sum_t gamma^t W_t r_t; trajectory: X =
-    W_{T-1} G; where rewards are r(s, a, s'), W_{t+1} and W_T: the X of
+    The episodes are not stored. With W_t = zeta_1 ... zeta_t, per decision X = sum_t
+    gamma^t W_t r_t, and for the trajectory X = W_{T-1} G; where rewards are r(s, a,
+    s'), W_{t+1} and W_T take the places of W_t and W_{T-1}: the X of
     ``weighted_return_moments``. Episodes begin and end as in ``sample_episodes``.
 
     Parameters
     ----------
-    mdp : FiniteMDP; with ``zeta`` the simulator
-    policy : (S, A)
-    n_episodes, horizon : positive int
-    seed : anything that ``numpy.random.default_rng`` takes; a Generator is advanced
-    zeta : csr (S*A, S) or an object with such ``values``, on the support of ``mdp``;
-        None: no weights
-    kind : "per_decision" | "trajectory"
-    record : whether the episodes are also given as a log
+    mdp : FiniteMDP
+        The model that episodes are drawn from; with ``zeta`` the simulator.
+    policy : PolicyLike
+        Action probabilities of shape (S, A); other forms as in ``check_policy``.
+    n_episodes : int
+        Number of episodes n.
+    horizon : int
+        Largest number of steps T of an episode.
+    seed : Seed
+        Anything that ``numpy.random.default_rng`` takes. A Generator is advanced.
+    zeta : sparse array of shape (S*A, S), or an object with such ``values``, optional
+        The ratio of transition probabilities, row s*A + a, on the support of ``mdp``.
+        None means no weights.
+    kind : {'per_decision', 'trajectory'}, default 'per_decision'
+        What is estimated by X.
+    record : bool, default False
+        Whether the episodes are also returned as a log.
 
     Returns
     -------
     SampledReturns
+        The returns, weights and lengths of the episodes.
 
     Raises
     ------
     ValueError
-        Bad arguments.
+        If an argument is bad.
+
+    See Also
+    --------
+    sample_episodes : Episodes as a log.
+    weighted_return_moments : The exact mean and variance of X.
 
     Notes
     -----
@@ -134,8 +163,11 @@ def sample_returns(
     >>> import oee_tabular as oee
     >>> mdp = oee.tasks.gridworld(10, slip=0.3)
     >>> policy = oee.uniform_policy(mdp)
-    >>> sample_returns(mdp, policy, 20_000, horizon=200, seed=6)
-    SampledReturns(20000 episodes, 3684503 transitions: mean -197.777, standard error 0.28)
+    >>> drawn = sample_returns(mdp, policy, 20_000, horizon=200, seed=6)
+    >>> len(drawn), int(drawn.lengths.sum())
+    (20000, 3684503)
+    >>> round(drawn.mean, 3), round(drawn.standard_error, 2)
+    (-197.777, 0.28)
     >>> round(oee.policy_value(mdp, policy, horizon=200), 3)
     -197.914
     """

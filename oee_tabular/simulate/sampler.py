@@ -1,6 +1,4 @@
-"""The one engine of sampling (4.2) and its logs: episodes by alias tables, as sums
-along them and as their transitions.
-"""
+"""The sampler: episodes by alias tables, as sums along them and as logs (4.2)."""
 
 from __future__ import annotations
 
@@ -26,17 +24,25 @@ CHUNK = 1 << 10  # episodes that a thread takes at a time
 
 
 class AliasTable(NamedTuple):
-    """One table for all states; the draw of the first state is one state more, whose
-    outcomes are entries after those of P.
+    """One alias table for all states.
+
+    The draw of the first state is one state more, whose outcomes are entries after the
+    entries of P.
 
     Attributes
     ----------
-    code : (S + 1,) first slot * 2^8 + terminal * 2^7 + k of each state
-    word : threshold and alias of each slot, as in ``_rollout``
-    following : code of the state that a slot leads to
-    reward, factor : r and zeta of a slot's transition; ``factor`` is empty without
-        weights
-    entry : the entry of P that a slot stands for
+    code : ndarray of shape (S + 1,)
+        First slot * 2^8 + terminal * 2^7 + k of each state.
+    word : ndarray of shape (slots,)
+        Threshold and alias of each slot, as in ``_rollout``.
+    following : ndarray of shape (slots,)
+        Code of the state that a slot leads to.
+    reward : ndarray of shape (slots,)
+        r of a slot's transition.
+    factor : ndarray of shape (slots,) or (0,)
+        zeta of a slot's transition; empty without weights.
+    entry : ndarray of shape (slots,)
+        The entry of P that a slot stands for.
     """
 
     code: Any
@@ -49,21 +55,29 @@ class AliasTable(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What is summed along each of n episodes; all (n,).
+    """Sums along each of n episodes, and the paths of recorded ones.
 
     Attributes
     ----------
-    returns : G = sum_t gamma^t r_t
-    weighted : X = sum_t gamma^t W r_t, W the weight that r_t carries: W_t, or W_{t+1}
-        for r(s, a, s')
-    weights : that of the last of ``horizon`` steps; constant after the end of an
-        episode
-    largest : of the weights that the rewards carry
-    lengths : steps
-    final_state : the state after the last step
-    path : the entry of P that each step takes, one episode after the other; empty where
-        it is not recorded
-    ratio : zeta of each entry of P; empty without weights
+    returns : ndarray of shape (n,)
+        G = sum_t gamma^t r_t.
+    weighted : ndarray of shape (n,)
+        X = sum_t gamma^t W r_t, where W is the weight that r_t carries: W_t, or W_{t+1}
+        for r(s, a, s').
+    weights : ndarray of shape (n,)
+        The weight of the last of ``horizon`` steps; constant after the end of an
+        episode.
+    largest : ndarray of shape (n,)
+        The largest of the weights that the rewards carry.
+    lengths : ndarray of shape (n,)
+        Number of steps.
+    final_state : ndarray of shape (n,)
+        The state after the last step.
+    path : ndarray of int
+        The entry of P that each step takes, one episode after the other; empty where it
+        is not recorded.
+    ratio : ndarray of shape (nnz,) or (0,)
+        zeta of each entry of P; empty without weights.
     """
 
     returns: Array
@@ -77,7 +91,10 @@ class Drawn:
 
     @property
     def whole(self) -> Array:
-        """W G; a return of 0 is 0 under any weight, even an infinite one."""
+        """Return W G of each episode.
+
+        A return of 0 is 0 under any weight, even an infinite one.
+        """
         with np.errstate(over="ignore"):
             return np.multiply(
                 self.weights,
@@ -88,7 +105,7 @@ class Drawn:
 
     @property
     def starts(self) -> IntArray:
-        """(n + 1,) where each episode begins in ``path``."""
+        """Return where each episode begins in ``path``, of shape (n + 1,)."""
         return np.concatenate([[0], np.cumsum(self.lengths)])
 
 
@@ -105,11 +122,11 @@ def draw(
     stream: np.uint64 = RETURN_STREAM,
     name: str = "n_episodes",
 ) -> Drawn:
-    """n episodes of a checked policy: sums along each, weighted by ``zeta`` if given,
-    and its path if it is to be recorded.
+    """Draw n episodes of a checked policy, with the sums along each.
 
-    ``pairs`` (S*A,): the distribution of the first pair, for episodes of one step whose
-    states are pairs; ``policy`` is then (S*A, 1). ``name``: what n is called.
+    Sums are weighted by ``zeta`` if it is given, and paths are kept to ``record`` them.
+    ``pairs`` (S*A,) is the distribution of the first pair, for episodes of one step
+    whose states are pairs; ``policy`` is then (S*A, 1). ``name`` is what errors call n.
     """
     import numba
 
@@ -169,8 +186,9 @@ def draw(
 def alias_table(
     mdp: FiniteMDP, policy: Array, initial: Array, terminal: BoolArray, ratio: Array
 ) -> AliasTable:
-    """Of every state's (a, s') under ``policy`` (S, A), and of the first state; or
-    (S*A, 1): of every pair's s'.
+    """Make the alias table of every state's (a, s'), and of the first state.
+
+    ``policy`` is (S, A). With a policy (S*A, 1), states are pairs, and the outcomes are every pair's s'.
     """
     from oee_tabular.simulate._rollout import fill_table
 
@@ -206,7 +224,7 @@ def alias_table(
 
 
 def entry_rewards(mdp: FiniteMDP) -> Array:
-    """The reward of each entry of P: r(s, a, s'), or r(s, a)."""
+    """Return the reward of each entry of P: r(s, a, s'), or r(s, a)."""
     return (
         mdp.rewards.reshape(-1)[row_of_entry(mdp.transitions)]
         if mdp.reward_data is None
@@ -220,15 +238,20 @@ def sample_episodes(
     """Sample episodes from the initial distribution, each of at most ``horizon`` steps.
 
     An episode terminates on entering an absorbing state with reward 0; one that reaches
-    the horizon is
-    truncated. Rewards are r(s, a, s') if the MDP has them, else r(s, a).
+    the horizon is truncated. Rewards are r(s, a, s') if the MDP has them, else r(s, a).
 
     Parameters
     ----------
     mdp : FiniteMDP
-    policy : (S, A)
-    n_episodes, horizon : positive int
-    seed : anything that ``numpy.random.default_rng`` takes; a Generator is advanced
+        The model that episodes are drawn from.
+    policy : PolicyLike
+        Action probabilities of shape (S, A); other forms as in ``check_policy``.
+    n_episodes : int
+        Number of episodes.
+    horizon : int
+        Largest number of steps of an episode.
+    seed : Seed
+        Anything that ``numpy.random.default_rng`` takes. A Generator is advanced.
 
     Returns
     -------
@@ -236,9 +259,19 @@ def sample_episodes(
         With episodes, timesteps and the behaviour probabilities of ``policy``. An
         episode whose first state is already absorbing has one step.
 
+    Raises
+    ------
+    ValueError
+        If an argument is bad.
+
+    See Also
+    --------
+    sample_transitions : Independent transitions.
+    sample_returns : Returns of episodes that are not stored.
+
     Notes
     -----
-    O(1) a step, after O(nnz) for the alias table; nothing is padded.
+    Costs O(1) a step, after O(nnz) for the alias table; nothing is padded.
 
     Examples
     --------
@@ -262,11 +295,11 @@ def sample_episodes(
 def episodes_holding(
     mdp: FiniteMDP, policy: PolicyLike, n: int, horizon: int, *, seed: Seed
 ) -> Transitions:
-    """Whole episodes that together have at least n transitions.
+    """Sample whole episodes that together have at least n transitions.
 
-    As many as would do if none ended early, and more where they do. A Generator draws
-    afresh at each try;
-    of any other seed the episodes tried before stay.
+    As many are drawn as would do if none ended early, and more where episodes do. A
+    Generator draws afresh at each try; with any other seed the episodes tried before
+    stay.
     """
     count = max(1, -(-n // horizon))
     while len(log := sample_episodes(mdp, policy, count, horizon, seed=seed)) < n:
@@ -277,8 +310,7 @@ def episodes_holding(
 def sample_transitions(
     mdp: FiniteMDP, distribution: object, n: int, *, seed: Seed
 ) -> Transitions:
-    """Sample n independent transitions: (s, a) from ``distribution`` (S, A), s' from
-    P(. | s, a).
+    """Sample n independent transitions: (s, a) ~ ``distribution``, s' ~ P(. | s, a).
 
     There are no episodes and no termination: absorbing states are sampled like any
     other.
@@ -286,24 +318,39 @@ def sample_transitions(
     Parameters
     ----------
     mdp : FiniteMDP
-    distribution : (S, A), sums to 1; (S0, A) of the environment's own states does too,
-        where the MDP has twins
-    n : positive int
-    seed : as in ``sample_episodes``
+        The model that next states are drawn from.
+    distribution : array_like of shape (S, A)
+        How state-action pairs are drawn. It sums to 1. Where the MDP has twins, the
+        shape (S0, A) of the environment's own states does too.
+    n : int
+        Number of transitions.
+    seed : Seed
+        Anything that ``numpy.random.default_rng`` takes. A Generator is advanced.
 
     Returns
     -------
     Transitions
+        The transitions with their rewards, without episodes.
+
+    Raises
+    ------
+    ValueError
+        If an argument is bad.
+
+    See Also
+    --------
+    sample_episodes : Episodes of a policy.
 
     Notes
     -----
-    O(1) a transition, after O(nnz) for the alias table.
+    Costs O(1) a transition, after O(nnz) for the alias table.
 
     Examples
     --------
     >>> import oee_tabular as oee
     >>> coin = oee.FiniteMDP([[[0.5, 0.5]]] * 2, [0.0, 1.0], [0.5, 0.5], 0.5)
-    >>> sample_transitions(coin, [[0.5], [0.5]], 1000, seed=0).counts(2, 1).toarray().tolist()
+    >>> log = sample_transitions(coin, [[0.5], [0.5]], 1000, seed=0)
+    >>> log.counts(2, 1).toarray().tolist()
     [[255.0, 247.0], [241.0, 257.0]]
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
@@ -338,8 +385,9 @@ def sample_transitions(
 
 
 def episode_log(mdp: FiniteMDP, drawn: Drawn, policy: Array) -> Transitions:
-    """Recorded episodes as a log, column by column: what was drawn here needs no
-    checks, which take longer than drawing.
+    """Make a log of recorded episodes, column by column.
+
+    What was drawn here needs no checks, which take longer than drawing.
     """
     from oee_tabular.simulate._rollout import write_columns
 

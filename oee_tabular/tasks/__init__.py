@@ -1,5 +1,6 @@
-"""Tasks that become finite MDPs: the paper's gridworld, Gymnasium's toy text, and those
-of ``oee_tabular.continuous``.
+"""Tasks as finite MDPs: the paper's gridworld, Gymnasium's toy text, continuous tasks.
+
+The continuous tasks are in ``oee_tabular.continuous``.
 """
 
 from __future__ import annotations

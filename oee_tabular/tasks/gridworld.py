@@ -34,19 +34,36 @@ def gridworld(
     pay: Literal["next", "current"] = "next",
     discount: float = 0.99,
 ) -> FiniteMDP:
-    """The gridworld of ``size`` x ``size`` cells as a FiniteMDP.
+    """Make the gridworld of ``size`` x ``size`` cells as a FiniteMDP.
 
     Parameters
     ----------
-    size : int of at least 2
-    slip : float in [0, 1]
-        Probability of not moving in the intended direction (the paper's epsilon: 0.3
-        simulated, 0.1 real).
-    pay : "next" | "current"
-        Whether the reward is that of the cell which a step enters, r(s, a, s') = -0.2
+    size : int
+        Number of cells in a row, at least 2.
+    slip : float
+        Probability, in [0, 1], of not going in the intended direction (the paper's
+        epsilon: 0.3 simulated, 0.1 real).
+    pay : {'next', 'current'}, default 'next'
+        Whether the reward depends on the cell which a step enters, r(s, a, s') = -0.2
         distance(s'), or leaves, r(s) = -0.2 distance(s). The two differ by one step of
         discounting and the first reward.
-    discount : float in [0, 1]
+    discount : float, default 0.99
+        The discount, in [0, 1].
+
+    Returns
+    -------
+    FiniteMDP
+        The gridworld, of size^2 states and 4 actions.
+
+    Raises
+    ------
+    ValueError
+        If an argument is bad.
+
+    See Also
+    --------
+    gridworld_expert : The paper's expert.
+    gridworld_policy : The paper's mixed policies.
 
     Examples
     --------
@@ -83,11 +100,21 @@ def gridworld(
 
 
 def gridworld_expert(size: int) -> Array:
-    """The paper's expert, (S, 4): raise the row until the last one, then the column.
+    """Make the paper's expert: raise the row until the last one, then the column.
 
     Parameters
     ----------
     size : int
+        Number of cells in a row of the gridworld.
+
+    Returns
+    -------
+    ndarray of shape (S, 4)
+        Action probabilities, 0 or 1.
+
+    See Also
+    --------
+    gridworld_policy : The expert mixed with the uniform policy.
 
     Examples
     --------
@@ -101,12 +128,23 @@ def gridworld_expert(size: int) -> Array:
 
 
 def gridworld_policy(size: int, delta: float) -> Array:
-    """pi_delta = delta * expert + (1 - delta) * uniform, (S, 4).
+    """Make pi_delta = delta * expert + (1 - delta) * uniform.
 
     Parameters
     ----------
     size : int
-    delta : float in [0, 1]: the share of the expert
+        Number of cells in a row of the gridworld.
+    delta : float
+        The share of the expert, in [0, 1].
+
+    Returns
+    -------
+    ndarray of shape (S, 4)
+        Action probabilities.
+
+    See Also
+    --------
+    gridworld_expert : The expert alone.
 
     Examples
     --------
@@ -121,18 +159,26 @@ def gridworld_policy(size: int, delta: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """The default problem of ``oee evaluate``: the 10 x 10 grid at n = 3162 (the
-    paper's Figure 1 b, c, d), and its target.
+    """The default problem of ``oee evaluate``, with its target.
+
+    It is the 10 x 10 grid at n = 3162 (the paper's Figure 1 b, c, d).
 
     Attributes
     ----------
-    simulator, target : FiniteMDP
-    log : 3162 transitions, drawn from ``episodes`` without replacement
-    episodes : 50 whole episodes of ``behavior_policy``, for importance sampling
-    behavior_policy : (S, A), uniform
-    policies : name -> (S, A), whose values are asked: the expert's with a probability,
-        else uniform
-    horizon : number of rewards of a value
+    simulator : FiniteMDP
+        The gridworld with slip 0.3.
+    target : FiniteMDP
+        The gridworld with slip 0.1.
+    log : Transitions
+        3162 transitions of the target, drawn from ``episodes`` without replacement.
+    episodes : Transitions
+        50 whole episodes of ``behavior_policy``, for importance sampling.
+    behavior_policy : ndarray of shape (S, A)
+        The uniform policy.
+    policies : dict of str to ndarray of shape (S, A)
+        The evaluated policies by name: the expert with a probability, else uniform.
+    horizon : int
+        Number of rewards of a value.
 
     Examples
     --------
@@ -150,12 +196,23 @@ class Embedded:
 
 
 def embedded_default(*, seed: int, discount: float = 0.99) -> Embedded:
-    """Make the default problem: slip 0.3 simulated, 0.1 real.
+    """Make the default problem: slip 0.3 in the simulator, 0.1 in the target.
 
     Parameters
     ----------
-    seed : of the log
-    discount : float in [0, 1]
+    seed : int
+        Seed of the log.
+    discount : float, default 0.99
+        The discount, in [0, 1].
+
+    Returns
+    -------
+    Embedded
+        Simulator, target, log and policies.
+
+    See Also
+    --------
+    gridworld : The gridworld of any size and slip.
 
     Examples
     --------

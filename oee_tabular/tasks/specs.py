@@ -1,6 +1,6 @@
-"""Simulators by name, as on the command line: ``gridworld:10,slip=0.3``,
-``FrozenLake-v1:map_name=8x8``, ``file.npz``.
+"""Simulators by name, as on the command line.
 
+For example ``gridworld:10,slip=0.3``, ``FrozenLake-v1:map_name=8x8`` or ``file.npz``.
 Continuous ones, ``cartpole:gravity=10``, are in ``oee_tabular.continuous.command``,
 which is imported where one may be named.
 """
@@ -31,14 +31,23 @@ class NamedTask:
 
     Attributes
     ----------
-    name : str, as it was given
+    name : str
+        The name as it was given.
     mdp : FiniteMDP
-    expert : () -> (S, A), a task's own expert, else the optimal policy
-    environment : () -> Gymnasium environment, None for tasks that are not Gymnasium's
-    grid : size of a square gridworld of ours, else None
-    continuous : the ContinuousSimulator, None for tasks whose states are numbered
-    discretization : of a continuous simulator by its default configuration; its ``mdp``
-        is this one
+        The simulator.
+    expert : callable
+        A function without arguments that returns a policy (S, A): a task's own expert,
+        else the optimal policy.
+    environment : callable or None
+        A function without arguments that makes the Gymnasium environment; None for
+        tasks that are not Gymnasium's.
+    grid : int or None
+        Size of a square gridworld of ours, else None.
+    continuous : ContinuousSimulator or None
+        The continuous simulator; None for tasks whose states are numbered.
+    discretization : Discretization or None
+        The continuous simulator on cells by its default configuration; its ``mdp`` is
+        this one.
 
     Examples
     --------
@@ -57,23 +66,34 @@ class NamedTask:
 
 
 def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
-    """The task that ``spec`` names.
-
-    ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task of
-    ours ("gridworld"; "cartpole" on its default grid), a Gymnasium id with a toy-text
-    table, or of a continuous environment (``Pendulum-v1:g=9``, on its grid), or the
-    path of an npz that ``FiniteMDP.save`` wrote. Values are Python literals or words.
+    """Make the task that ``spec`` names.
 
     Parameters
     ----------
     spec : str
-    discount : float in [0, 1], in place of the task's own; None: the task's
+        ``NAME``, ``NAME:value`` or ``NAME:value,key=value,...``, where NAME is a task
+        of ours ("gridworld"; "cartpole" on its default grid), a Gymnasium id with a
+        toy-text table, or of a continuous environment (``Pendulum-v1:g=9``, on its
+        grid); or the path of an npz that ``FiniteMDP.save`` wrote. Values are Python
+        literals or words.
+    discount : float, optional
+        The discount, in [0, 1]. None means the task's own.
+
+    Returns
+    -------
+    NamedTask
+        The simulator with its expert and, for a task of Gymnasium's, its environment.
 
     Raises
     ------
     ValueError
-        A name that is unknown (with the nearest ids), arguments that the task does not
-        take, a file that is no MDP.
+        If the name is unknown (with the nearest ids), the task does not take the
+        arguments, or the file has no MDP.
+
+    See Also
+    --------
+    gridworld : The gridworld by its arguments.
+    toy_text : A toy-text environment by its arguments.
 
     Examples
     --------
@@ -121,7 +141,7 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
 
 
 def _plan(mdp: FiniteMDP) -> Array:
-    """The best policy; what it compiles with is imported only here."""
+    """Return the optimal policy; what it compiles with is imported only here."""
     from oee_tabular.exact import optimal_policy
 
     return optimal_policy(mdp)

@@ -1,5 +1,6 @@
-"""Gymnasium's toy-text environments, by id and keyword arguments; logs by stepping one
-through its own ``step``.
+"""Gymnasium's toy-text environments as finite MDPs, and logs of any environment.
+
+Logs are made by stepping an environment through its own ``step``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ from oee_tabular.typing import Array, PolicyLike, Seed
 
 
 def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
-    """A ValueError with the nearest ids, or names of ``others``, for an unknown one."""
+    """Raise a ValueError for an unknown id.
+
+    The error has the nearest ids, or names of ``others``.
+    """
     from gymnasium.envs.registration import registry
 
     _checks.instance(identifier, str, "identifier")
@@ -39,18 +43,29 @@ def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
 
 
 def make_environment(identifier: str, **kwargs: Any) -> Any:
-    """``gymnasium.make`` with errors that name what was asked for.
+    """Make a Gymnasium environment, with errors that name what was asked for.
 
     Parameters
     ----------
-    identifier : a Gymnasium id
-    kwargs : of the environment
+    identifier : str
+        A Gymnasium id.
+    **kwargs : Any
+        Arguments of the environment.
+
+    Returns
+    -------
+    gymnasium.Env
+        The environment that ``gymnasium.make`` makes.
 
     Raises
     ------
     ValueError
-        An unknown id (with the nearest ones), or arguments that the environment does
-        not take.
+        If the id is unknown (with the nearest ones), or the environment does not take
+        the arguments.
+
+    See Also
+    --------
+    toy_text : A toy-text environment as a FiniteMDP.
 
     Examples
     --------
@@ -84,13 +99,30 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
 
 
 def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: object) -> FiniteMDP:
-    """The FiniteMDP of a Gymnasium toy-text environment.
+    """Make the FiniteMDP of a Gymnasium toy-text environment.
 
     Parameters
     ----------
-    identifier : a Gymnasium id
-    discount : in [0, 1]
-    kwargs : of the environment
+    identifier : str
+        A Gymnasium id.
+    discount : float, default 0.99
+        The discount, in [0, 1].
+    **kwargs : Any
+        Arguments of the environment.
+
+    Returns
+    -------
+    FiniteMDP
+        The environment's transitions and rewards.
+
+    Raises
+    ------
+    ValueError
+        If the environment cannot be made, or is no finite MDP.
+
+    See Also
+    --------
+    make_environment : The environment itself.
 
     Examples
     --------
@@ -123,30 +155,45 @@ def record_episodes(
     max_steps: int | None = None,
     seed: Seed = None,
 ) -> Transitions:
-    """Step ``env`` under ``policy`` and write down what it does.
+    """Step an environment under a policy, and record its transitions.
 
     Nothing of our own sampler is used: the log is evidence about the environment
     itself.
 
     Parameters
     ----------
-    env : Gymnasium environment with discrete observations and actions
-    policy : (S, A), or an action for each observation, a mapping, or a function of the
-        observation (``mdp.check_policy``) Rows sum to 1; S at least the number of
-        observations (twins of a FiniteMDP may follow).
-    n_transitions, n_episodes : positive int
-        Exactly one of them. With n_transitions the last episode is truncated where the
-        log ends.
-    max_steps : positive int, optional
-        Truncate episodes here, besides the environment's own limit (some have none).
-    seed : anything that ``numpy.random.default_rng`` takes
-        For the actions and for the first ``env.reset``.
+    env : gymnasium.Env
+        A Gymnasium environment with discrete observations and actions.
+    policy : PolicyLike
+        Action probabilities of shape (S, A), or an action for each observation, a
+        mapping, or a function of the observation (``check_policy``). Rows sum to 1; S
+        is at least the number of observations (twins of a FiniteMDP may follow).
+    n_transitions : int, optional
+        Number of transitions. The last episode is truncated where the log ends. Exactly
+        one of ``n_transitions`` and ``n_episodes`` must be given.
+    n_episodes : int, optional
+        Number of episodes.
+    max_steps : int, optional
+        Number of steps after which episodes are truncated, besides the environment's
+        own limit (some have none).
+    seed : Seed, optional
+        Anything that ``numpy.random.default_rng`` takes, for the actions and for the
+        first ``env.reset``.
 
     Returns
     -------
     Transitions
         With rewards, termination, truncation, episodes and the probabilities of the
         actions taken.
+
+    Raises
+    ------
+    ValueError
+        If an argument is bad.
+
+    See Also
+    --------
+    sample_episodes : Episodes of a FiniteMDP.
 
     Examples
     --------
@@ -205,7 +252,7 @@ def record_episodes(
 
 
 def _count(env: object, name: str) -> int:
-    """The number of observations, or of actions."""
+    """Return the number of observations, or of actions, of an environment."""
     space: object = getattr(env, name, None)
     if not hasattr(space, "n") or int(getattr(space, "start", 0)) != 0:
         raise ArgumentError(f"env.{name}", f"must be Discrete, from 0; it is {space}")
@@ -219,8 +266,9 @@ def _step(
     longest: int | None,
     generator: np.random.Generator,
 ) -> Iterator[tuple[int, int, int, float, bool, bool, int]]:
-    """Rows s, a, s', r, terminated, truncated, episode: those of so many ``episodes``,
-    or without an end.
+    """Step an environment and yield s, a, s', r, terminated, truncated and episode.
+
+    There are ``episodes`` episodes, or no end.
     """
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]

@@ -338,7 +338,9 @@ def test_an_answer_from_near_by_leaves_its_share(name, transpose, monkeypatch):
         lambda b, relative: asked.append((b, relative)),
         lambda b, relative: 0.5 * b,
     ):
-        monkeypatch.setattr(solvers, "STEADY", [Stub("poor", poor), LAPACK(700)])
+        monkeypatch.setattr(
+            solvers, "EARLY_STOP_SOLVERS", [Stub("poor", poor), LAPACK(700)]
+        )
         assert solvers.answer(system, b, near, 1e-3).largest <= 0.1 * missed
     assert_array_equal(asked[0][0], measure(system, b, near, "").missed)
     assert asked[0][1] == 1e-3

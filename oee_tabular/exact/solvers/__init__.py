@@ -1,22 +1,20 @@
-"""Solvers of M x = b, M = I - gamma K, tried in this order until the residual is within
-rounding.
+"""Solvers of M x = b, M = I - gamma K, tried in order until the residual is small.
 
-===================
-===================================================================================================
-``LAPACK(100)``      up to 100 states: dense
-``ValueIteration``   rows of one sum that mix, while four sweeps leave at most .45 of
-the change's spread ``EnvelopeLU(..)``   narrow graphs, whatever the order of their
-states: rings, chains, queues, layers ``SuperLU(8)``       other graphs in which
-elimination fills little: trees
-``PlainBiCGStab``    graphs that expand: constants taken out, no preconditioner
-``BiCGStab``         all others: an independent set eliminated, a modified DILU in
-breadth-first order ``EnvelopeLU``       where that takes more than 72 steps and the
-graph is not too wide
-``LAPACK(400)``      up to 400 states, where those before fall short: dense
-``SuperLU()``        the same for any number of states, unless the graph expands: sparse
-``LAPACK(3000)``     the last resort, up to 3000 states: dense
-===================
-===================================================================================================
+Small means within its own rounding. The order, with the systems that suit each solver:
+
+* ``LAPACK(100)``: up to 100 states; dense.
+* ``ValueIteration``: rows of one sum that mix, while four sweeps leave at most .45 of
+  the change's spread.
+* ``EnvelopeLU(is_narrow=True)``: narrow graphs, whatever the order of their states:
+  rings, chains, queues, layers.
+* ``SuperLU(8)``: other graphs in which elimination fills little, as trees.
+* ``PlainBiCGStab``: graphs that expand; constants taken out, no preconditioner.
+* ``BiCGStab``: all others; an independent set eliminated, a modified DILU in
+  breadth-first order.
+* ``EnvelopeLU``: where that takes more than 72 steps and the graph is not too wide.
+* ``LAPACK(400)``: up to 400 states, where the solvers before fall short; dense.
+* ``SuperLU()``: the same for any number of states, unless the graph expands; sparse.
+* ``LAPACK(3000)``: the last resort, up to 3000 states; dense.
 
 A new solver is such a class (``Solver``) with a place in ``SOLVERS``;
 tests/exact/test_solvers.py holds every one to the same laws. Answers are refined on the
@@ -40,7 +38,12 @@ import numpy as np
 from oee_tabular import _checks
 from oee_tabular.exact import _system
 from oee_tabular.exact.solvers.bicgstab import BiCGStab
-from oee_tabular.exact.solvers.direct import LAPACK, LAST_RESORT, EnvelopeLU, SuperLU
+from oee_tabular.exact.solvers.direct import (
+    LAPACK,
+    MAX_DENSE_STATES,
+    EnvelopeLU,
+    SuperLU,
+)
 from oee_tabular.exact.solvers.mixing import PlainBiCGStab, ValueIteration
 from oee_tabular.exact.system import Solve, System, spectral_radius
 from oee_tabular.exceptions import DivergentKernelError, NumericalWarning
@@ -48,21 +51,21 @@ from oee_tabular.typing import Array
 
 
 class Solver(Protocol):
-    """What ``SOLVERS`` is made of; transposed systems as well."""
+    """A solver of policy systems, transposed ones as well: a member of ``SOLVERS``."""
 
     @property
     def name(self) -> str:
-        """What users read as the method."""
+        """Return what users read as the method."""
 
     @property
     def is_direct(self) -> bool:
-        """Whether its answer stands where the residual is not within rounding."""
+        """Return whether its answer stands even where its residual is too large."""
 
     def suits(self, system: System) -> bool:
-        """Whether it is asked; ``prepare`` is for these systems only."""
+        """Return whether it is tried on a system; others are never prepared."""
 
     def prepare(self, system: System) -> Solve:
-        """The solver of any right side; it answers None where it gives up."""
+        """Return the solver of any right side, which gives None if it gives up."""
 
 
 SOLVERS: tuple[Solver, ...] = (
@@ -75,15 +78,32 @@ SOLVERS: tuple[Solver, ...] = (
     EnvelopeLU(),
     LAPACK(400),
     SuperLU(),
-    LAPACK(LAST_RESORT),
+    LAPACK(MAX_DENSE_STATES),
 )
-# sweeps stop by the size of x
-STEADY = tuple(solver for solver in SOLVERS if not isinstance(solver, ValueIteration))
+# for answers that may keep a share of the residual; value iteration stops by the size of x
+EARLY_STOP_SOLVERS = tuple(
+    solver for solver in SOLVERS if not isinstance(solver, ValueIteration)
+)
 
 
 class Iterate(NamedTuple):
-    """x; b - M x, its largest magnitude, a bound on the exact one (transposed: on its
-    sum), the largest rounding in it.
+    """An approximation x of the solution, with its residual.
+
+    Attributes
+    ----------
+    x : ndarray of shape (S,)
+        The approximation.
+    missed : ndarray of shape (S,)
+        The residual b - M x.
+    largest : float
+        Its largest magnitude.
+    bound : float
+        A bound on the largest magnitude of the exact residual; transposed, on the sum
+        of its magnitudes.
+    rounding : float
+        The largest rounding in the residual.
+    method : str
+        The solver.
     """
 
     x: Array
@@ -97,26 +117,28 @@ class Iterate(NamedTuple):
 def answer(
     system: System, b: Array, near: Array | None = None, share: float = 0.0
 ) -> Iterate:
-    """x, by one solver after the other that suits, each from where those before it got
-    to, until rounding is what is left.
+    """Find x by the solvers that suit, one after the other, to rounding.
 
-    ``near`` : what to begin with, where it is better than 0.
-    ``share`` : of what ``near`` misses about this much may be left, and never more than
-    a tenth. For systems that change a
-        little from one to the next: on grids of 100 x 100 a share of .001 takes .3 of an exact solution's time.
+    Each begins where the solvers before it got to. ``near`` is what to begin with,
+    where it is better than 0. ``share`` is the share of the residual of ``near`` that
+    may be left; never more than a tenth is. It is for systems that change a little from
+    one to the next: on grids of 100 x 100 a share of .001 takes .3 of an exact
+    solution's time.
     """
     best = Iterate(np.zeros(len(b)), b, np.inf, np.inf, 0.0, "none")
     allowed = 0.0
     if near is not None:
         start = measure(system, b, near, "none")
         size = np.abs(b).max()
-        best = start if start.largest < size else best
+        if start.largest < size:
+            best = start
         allowed = 0.1 * min(start.largest, size) if share > 0.0 else 0.0
-    for solver in STEADY if share > 0.0 else SOLVERS:
+    for solver in EARLY_STOP_SOLVERS if share > 0.0 else SOLVERS:
         if best.largest <= best.rounding:
             return best
         if solver.suits(system):
             best = refine(system, b, solver, best, share, allowed)
+            # a few roundings more than the least are no reason for another solver
             if solver.is_direct or best.largest <= max(allowed, 64.0 * best.rounding):
                 return best
     if not best.largest <= 1e-9 * np.abs(b).max():
@@ -130,7 +152,7 @@ def answer(
 
 
 def measure(system: System, b: Array, x: Array, method: str) -> Iterate:
-    """x and what it misses."""
+    """Return x with its residual and the bounds on it."""
     n_roundings = float(system.n_roundings)
     missed, largest, bound, rounding = _system.residual(
         system.kernel, system.transpose, b, x, n_roundings
@@ -146,8 +168,9 @@ def refine(
     share: float = 0.0,
     allowed: float = 0.0,
 ) -> Iterate:
-    """Solve for what is missed until that is within rounding, or what is allowed, or
-    stops falling.
+    """Solve for the residual again until it is small enough or stops falling.
+
+    Small enough is within rounding, or within ``allowed``.
     """
     solve = solver.prepare(system)
     for _ in range(9):
@@ -157,6 +180,7 @@ def refine(
         candidate = measure(system, b, best.x + step, solver.name)
         if not candidate.largest < best.largest:
             break
+        # a step that does not halve the residual has reached its rounding
         is_stalled = candidate.largest > 0.5 * best.largest
         best = candidate
         if is_stalled or best.largest <= max(allowed, 0.25 * best.rounding):
@@ -165,9 +189,11 @@ def refine(
 
 
 def inverse_norm(system: System) -> float:
-    """An upper bound on |(I - discount K)^-1|_inf, from a certificate; an error where
-    there is none.
+    """Return an upper bound on |(I - discount K)^-1|_inf, from a certificate.
+
+    A DivergentKernelError is raised where there is none.
     """
+    # rows whose sums times gamma are below 1 are certified by h = 1
     carried = system.kernel.discount * system.row_sums[1]
     if carried <= 1.0 - 1e-9:
         return (1.0 + 1e-14) / (1.0 - carried)

@@ -1,5 +1,4 @@
-"""BiCGSTAB for (I - gamma K) x = b, on what an independent set of states leaves, with a
-modified diagonal incomplete LU.
+"""BiCGSTAB with elimination of an independent set and a modified incomplete LU.
 
 With E a set of states without an entry between them, x_e = (b_e + gamma sum_c K_ec x_c)
 / (1 - gamma K_ee), and what is left is a system I - K' of the same kind (a Schur
@@ -32,14 +31,16 @@ from oee_tabular.exact._system import add_entry, multiply, transpose_rows
 from oee_tabular.exact.system import Kernel, Solve, System
 from oee_tabular.typing import Array
 
-FLOOR = 2e-15  # of the residual relative to y, which is a good deal smaller than x
-STEPS = 500
-# within which a twentieth has to be left, where fewer than STEPS are allowed
-PROBE_STEPS = 16
-# where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at .99 and up to
+# the least residual relative to y, which is a good deal smaller than x
+RESIDUAL_FLOOR = 2e-15
+MAX_STEPS = 500
+# steps after which at most a twentieth of the residual may be left, where fewer than
+# MAX_STEPS are allowed
+N_PROBE_STEPS = 16
+# steps where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at .99 and up to
 # 39 at .9999, small worlds of 500 states 53 at .999, random bands 67 at .99 and up to
 # 500
-FEW_STEPS = 72
+MAX_STEPS_NARROW = 72
 
 # row pointers of L and U, their columns and values, D - 2; D~
 Factors = namedtuple("Factors", "lower upper columns values diagonal modified")
@@ -47,28 +48,29 @@ Factors = namedtuple("Factors", "lower upper columns values diagonal modified")
 
 @dataclass(frozen=True)
 class BiCGStab:
-    """For every sparse system: a few dozen sweeps, in memory of a few vectors.
+    """Preconditioned BiCGSTAB, for every sparse system.
 
-    None of E is eliminated where what is left would have more than 2.5 times as many
-    entries. On grids of 300 x 300 its elimination makes this 1.9 to 4.5 times as fast
-    for policies that get somewhere (a random walk: 1 to 1.7), at 100 x 100 1.2 to 1.9
-    times.
+    It takes a few dozen sweeps, in memory of a few vectors. No independent set is
+    eliminated where what is left would have more than 2.5 times as many entries. On
+    grids of 300 x 300 the elimination makes this 1.9 to 4.5 times as fast for policies
+    that get somewhere (a random walk: 1 to 1.7), at 100 x 100 1.2 to 1.9 times.
     """
 
     name: str = "BiCGSTAB"
     is_direct: bool = False
 
     def suits(self, system: System) -> bool:
-        """All systems."""
+        """Return True: all systems suit it."""
         return True
 
     def prepare(self, system: System) -> Solve:
-        """The reduced system and its factors."""
+        """Compute the reduced system and its factors."""
         kernel = system.kernel
         transpose = system.transpose
-        (order, _) = system.order
+        order, _ = system.order
         inverse, room = find_independent(kernel, order)
         if room > 2.5 * len(kernel.indices):
+            # elimination would fill too much: every state is left
             inverse = np.zeros(system.n_states)
             room = len(kernel.indices)
         rest, states = eliminate(kernel, order, inverse, room)
@@ -76,13 +78,14 @@ class BiCGStab:
         # iteration is steadier in a drift
         weight = 1.0 - min(0.1, max(0.001, 0.15 * np.sqrt(1.0 - kernel.discount)))
         factors = factorise(rest, transpose, weight)
-        steps = STEPS if system.envelope is None else FEW_STEPS
+        steps = MAX_STEPS if system.envelope is None else MAX_STEPS_NARROW
 
         def solve(b: Array, relative: float) -> Array | None:
-            """M_CC y + M_CE x_e = b_c with x_e = M_EE^-1 (b_e - M_EC y)."""
+            """Solve M_CC y + M_CE x_e = b_c with x_e = M_EE^-1 (b_e - M_EC y)."""
             ahead = np.empty(len(b))
             multiply(kernel, transpose, inverse * b, ahead)
-            y = iterate(factors, (b + kernel.discount * ahead)[states], relative, steps)
+            right = (b + kernel.discount * ahead)[states]
+            y = iterate(factors, right, relative, steps)
             if y is None:
                 return None
             x = np.zeros(len(b))
@@ -95,14 +98,17 @@ class BiCGStab:
 
 @njit(cache=True)
 def find_independent(kernel, order):
-    """1 / (1 - gamma K_ee) of the states of E, found greedily in the given order, else
-    0; room that K' may need.
+    """Find an independent set E greedily, in the given order.
+
+    Returns 1 / (1 - gamma K_ee) for the states of E and 0 for the others, and how much
+    room K' may need.
     """
     indptr, indices, data, discount = kernel
     n = len(order)
     is_free = np.ones(n, dtype=np.bool_)
     inverse = np.zeros(n)
     room = np.int64(0)
+    # a state joins E unless an entry links it to one that has joined
     for q in range(n):
         state = order[q]
         diagonal = 1.0
@@ -115,6 +121,7 @@ def find_independent(kernel, order):
             inverse[state] = 1.0 / diagonal
             for k in range(indptr[state], indptr[state + np.uint32(1)]):
                 is_free[indices[k]] = False
+    # an entry into E becomes as many entries as the row of that state has
     for state in range(n):
         if inverse[state] == 0.0:
             for k in range(indptr[state], indptr[state + 1]):
@@ -129,8 +136,10 @@ def find_independent(kernel, order):
 
 @njit(cache=True)
 def eliminate(kernel, order, inverse, room):
-    """K' in the given order of the states that are left, with discount 1; and these
-    states.
+    """Eliminate the independent set: K' = gamma K_CC + gamma K_CE M_EE^-1 gamma K_EC.
+
+    Returns K', with discount 1, in the given order of the states that are left, and
+    these states.
     """
     indptr, indices, data, discount = kernel
     states = order[inverse[order] == 0.0]
@@ -143,6 +152,7 @@ def eliminate(kernel, order, inverse, room):
     values = np.empty(room)
     starts = np.zeros(len(states) + 1, dtype=np.uint32)
     filled = np.uint64(0)
+    # a row of K', where each entry into E is replaced by a multiple of that state's row
     for row in range(len(states)):
         begin = filled
         state = states[row]
@@ -172,11 +182,11 @@ def eliminate(kernel, order, inverse, room):
 
 @njit(cache=True)
 def modified_diagonal(kernel, weight):
-    """D~_i = M_ii - weight sum_{j<i} M_ij s_j with s_j = sum_{k>j} M_jk / D~_j; the
-    plain diagonal where that is too small.
+    """Compute the modified diagonal D~ of the incomplete LU.
 
-    With weight 1, (D~ + L) D~^-1 (D~ + U) has the row sums of M. The same D~ serves the
-    transposed system.
+    D~_i = M_ii - weight sum_{j<i} M_ij s_j with s_j = sum_{k>j} M_jk / D~_j; the plain
+    diagonal where that is too small. With weight 1, (D~ + L) D~^-1 (D~ + U) has the row
+    sums of M. The same D~ serves the transposed system.
     """
     indptr, indices, data, _ = kernel
     n = len(indptr) - 1
@@ -205,7 +215,10 @@ def modified_diagonal(kernel, weight):
 
 @njit(cache=True)
 def factorise(kernel, transpose, weight):
-    """L, U and D of D~^-1 (I - K), or of the transposed matrix; the discount is in K."""
+    """Compute L, U and D of D~^-1 (I - K), or of the transposed matrix.
+
+    The discount is in K.
+    """
     modified = modified_diagonal(kernel, weight)
     indptr, indices, data, _ = kernel
     n = len(modified)
@@ -243,15 +256,20 @@ def factorise(kernel, transpose, weight):
 
 @njit(cache=True)
 def iterate(factors, b, relative, steps):
-    """x = (I + U)^-1 y; None where fewer than ``STEPS`` steps are allowed and do not
-    do.
+    """Solve the preconditioned system by BiCGSTAB: x = (I + U)^-1 y.
+
+    A = (I + L)^-1 (L + D + U) (I + U)^-1; rho = first . r, alpha = rho / (first . A p),
+    s = r - alpha A p, omega = (s . A s) / |A s|^2, y += alpha p + omega s, r = s -
+    omega A s, p = r + beta (p - omega A p).
 
     It stops where the largest entry of the preconditioned residual is below relative *
-    (its first) or below ``FLOOR`` times the largest entry of y. Values hold the negated
-    L and U (they are nonnegative).
+    (its first) or below ``RESIDUAL_FLOOR`` times the largest entry of y. It returns
+    None where fewer than ``MAX_STEPS`` steps are allowed and do not do. Values hold the
+    negated L and U (they are nonnegative).
     """
     lower, upper, columns, values, diagonal, modified = factors
     n = len(b)
+    # the first residual, r = (I + L)^-1 D~^-1 b
     r = np.empty(n)
     first = np.empty(n)
     size = 0.0
@@ -279,7 +297,7 @@ def iterate(factors, b, relative, steps):
     while True:
         largest = 0.0
         largest_y = 0.0
-        # finishes the step before, and t = (I + U)^-1 p for the new p
+        # this finishes the step before, and t = (I + U)^-1 p for the new p
         for i in range(n - 1, -1, -1):
             y_i = y[i] + (alpha * p[i] + omega * r[i])
             r_i = r[i] - omega * w[i]
@@ -293,12 +311,13 @@ def iterate(factors, b, relative, steps):
             for k in range(upper[i + 1], upper[i]):
                 total += values[k] * t[columns[k]]
             t[i] = total
-        is_slow = steps < STEPS and taken == PROBE_STEPS and largest > 0.05 * size
-        if is_slow or taken == steps < STEPS:
+        is_slow = steps < MAX_STEPS and taken == N_PROBE_STEPS and largest > 0.05 * size
+        if is_slow or taken == steps < MAX_STEPS:
             return None
-        if not largest > max(goal, FLOOR * largest_y) or taken == steps:
+        if not largest > max(goal, RESIDUAL_FLOOR * largest_y) or taken == steps:
             break
         taken += 1
+        # v = A p, by z = (I + L)^-1 (p + (D - 2) t) and v = z + t
         along = 0.0
         for i in range(n):
             total = p[i] + diagonal[i] * t[i]
@@ -311,7 +330,8 @@ def iterate(factors, b, relative, steps):
         if along == 0.0 or not np.isfinite(along):
             break
         alpha = rho / along
-        # r holds the half step's residual from here to the next sweep upwards
+        # r holds the half step's residual s from here to the next backward sweep, and t =
+        # (I + U)^-1 s
         for i in range(n - 1, -1, -1):
             s_i = r[i] - alpha * v[i]
             r[i] = s_i
@@ -319,6 +339,7 @@ def iterate(factors, b, relative, steps):
             for k in range(upper[i + 1], upper[i]):
                 total += values[k] * t[columns[k]]
             t[i] = total
+        # w = A s, in the same way as v
         ws = 0.0
         ww = 0.0
         first_w = 0.0
@@ -337,15 +358,15 @@ def iterate(factors, b, relative, steps):
             first_s += first[i] * s_i
         omega = ws / ww if ww > 0.0 else 0.0
         new = first_s - omega * first_w
-        if (
-            omega == 0.0 or rho == 0.0 or not (np.isfinite(new) and abs(new) > 0.0)
-        ):  # nowhere to go: start anew from here
+        # nowhere to go: start anew from here
+        if omega == 0.0 or rho == 0.0 or not (np.isfinite(new) and abs(new) > 0.0):
             if np.isfinite(alpha) and np.isfinite(omega):
                 for i in range(n):
                     y[i] += alpha * p[i] + omega * r[i]
             break
         beta = (new / rho) * (alpha / omega)
         rho = new
+    # x = (I + U)^-1 y
     for i in range(n - 1, -1, -1):
         total = y[i]
         for k in range(upper[i + 1], upper[i]):

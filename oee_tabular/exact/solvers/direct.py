@@ -1,9 +1,10 @@
-"""LU of M = I - gamma K, three ways: dense by LAPACK, within an envelope, sparse by
-SuperLU.
+"""LU of M = I - gamma K: dense by LAPACK, within an envelope, and sparse by SuperLU.
 
 Within the envelope states are eliminated in a given order and without pivoting:
 
-    L_ij = (M_ij - sum_k L_ik U_kj) / U_jj,    U_ji = M_ji - sum_k L_jk U_ki   (j < i),    U_ii = M_ii - sum_k L_ik U_ki
+    L_ij = (M_ij - sum_k L_ik U_kj) / U_jj        (j < i)
+    U_ji = M_ji - sum_k L_jk U_ki                 (j < i)
+    U_ii = M_ii - sum_k L_ik U_ki
 
 All U_ii > 0 if and only if M is an M-matrix that is not singular, which needs no
 pivoting.
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -21,21 +23,22 @@ from scipy.linalg import lapack
 from scipy.sparse import linalg as sparse_linalg
 
 from oee_tabular.exact import _system
-from oee_tabular.exact.system import Csr, Solve, System
+from oee_tabular.exact.system import KernelRows, Solve, System
 from oee_tabular.typing import Array
 
-LAST_RESORT = 3000  # states: 72 MB and a second
+# of the last resort: a dense LU of 3000 states takes 72 MB and a second
+MAX_DENSE_STATES = 3000
 
-# states in the order of elimination, the first linked one of each, where its row
+# states in the order of elimination, the first linked state of each, where its row
 # begins; rows of L, columns of U, U's diagonal
 Envelope = namedtuple("Envelope", "order first starts lower upper diagonal")
 
 
 @dataclass(frozen=True)
 class LAPACK:
-    """Dense, O(S^3), for up to ``most`` states.
+    """Dense LU, O(S^3), for up to ``most`` states.
 
-    Of 100 states it takes as long as the best of the others, of fewer less, and it
+    With 100 states it takes as long as the best of the others, with fewer less, and it
     needs next to nothing compiled.
     """
 
@@ -44,29 +47,28 @@ class LAPACK:
     is_direct: bool = True
 
     def suits(self, system: System) -> bool:
-        """By the number of states."""
+        """Return whether the states are few enough."""
         return system.n_states <= self.most
 
     def prepare(self, system: System) -> Solve:
-        """Gives up on a singular system."""
-        matrix = dense_matrix(system.kernel).T  # in the order of Fortran's arrays
+        """Factorise the dense matrix; a singular system is given up."""
+        # the transposed matrix is in the order of Fortran's arrays: LAPACK copies nothing
+        matrix = dense_matrix(system.kernel).T
         factors, place, is_singular = lapack.dgetrf(matrix, overwrite_a=True)
 
         def solve(b: Array, relative: float) -> Array | None:
-            return (
-                None
-                if is_singular
-                else np.asarray(
-                    lapack.dgetrs(factors, place, b, trans=not system.transpose)[0]
-                )
-            )
+            """Solve by the factors, unless the system is singular."""
+            if is_singular:
+                return None
+            x, _ = lapack.dgetrs(factors, place, b, trans=not system.transpose)
+            return np.asarray(x)
 
         return solve
 
 
 @njit(cache=True)
 def dense_matrix(kernel):
-    """(S, S): I - discount K."""
+    """Make the dense matrix (S, S) of I - discount K."""
     indptr, indices, data, discount = kernel
     matrix = np.eye(len(indptr) - 1)
     for i in range(len(matrix)):
@@ -77,13 +79,14 @@ def dense_matrix(kernel):
 
 @dataclass(frozen=True)
 class EnvelopeLU:
-    """O(S w^2) for an envelope of w entries a state: rings, chains, queues, layers,
-    whatever the order of their states.
+    """LU within an envelope of w entries a state, O(S w^2).
 
-    Up to ``WIDEST`` this is .8 to 6 times as fast as SuperLU
+    It suits rings, chains, queues and layers, whatever the order of their states. Up to
+    ``MAX_ENVELOPE_WIDTH`` it is .8 to 6 times as fast as SuperLU
     (tests/benchmarks/values.py). ``is_narrow``: only up to 10 entries a state, or twice
-    those of K, where it is 2 to 6 times as fast; between that and ``WIDEST`` lie grids
-    of up to 60 x 60, which BiCGSTAB solves in few steps, and random bands.
+    the entries of K, where it is 2 to 6 times as fast; between that and
+    ``MAX_ENVELOPE_WIDTH`` lie grids of up to 60 x 60, which BiCGSTAB solves in few
+    steps, and random bands.
     """
 
     is_narrow: bool = False
@@ -91,38 +94,45 @@ class EnvelopeLU:
     is_direct: bool = True
 
     def suits(self, system: System) -> bool:
-        """Graphs that a breadth-first search walks through in narrow fronts."""
+        """Return whether a breadth-first search goes in narrow fronts."""
         if (self.is_narrow and system.expands) or system.envelope is None:
             return False
+        if not self.is_narrow:
+            return True
         n_filled = system.envelope[-1][-1]
         n_entries = len(system.kernel.indices)
-        return not self.is_narrow or bool(
-            n_filled <= max(10 * system.n_states, 2 * n_entries)
-        )
+        return bool(n_filled <= max(10 * system.n_states, 2 * n_entries))
 
     def prepare(self, system: System) -> Solve:
-        """Gives up where a pivot is not positive: then M is no M-matrix."""
+        """Factorise within the envelope; give up where a pivot is not positive.
+
+        M is no M-matrix then.
+        """
         assert system.envelope is not None
         factors, is_regular = factorise(system.kernel, *system.envelope)
 
         def solve(b: Array, relative: float) -> Array | None:
-            return (
-                np.asarray(substitute(factors, system.transpose, b))
-                if is_regular
-                else None
-            )
+            """Solve by the factors, unless a pivot is not positive."""
+            if not is_regular:
+                return None
+            return np.asarray(substitute(factors, system.transpose, b))
 
         return solve
 
 
 @njit(cache=True)
 def factorise(kernel, place, order, first, starts):
-    """The factors, and whether all pivots are positive."""
+    """Factorise M = L U within the envelope.
+
+    L_ij = (M_ij - sum_k L_ik U_kj) / U_jj, U_ji = M_ji - sum_k L_jk U_ki for j < i.
+    Returns the factors, and whether all pivots are positive.
+    """
     indptr, indices, data, discount = kernel
     n = len(order)
     lower = np.zeros(starts[n])
     upper = np.zeros(starts[n])
     diagonal = np.ones(n)
+    # the entries of M within the envelope
     for state in range(n):
         i = n - 1 - np.int64(place[state])
         for k in range(indptr[state], indptr[state + 1]):
@@ -134,6 +144,7 @@ def factorise(kernel, place, order, first, starts):
                 upper[starts[j] + i - first[j]] -= value
             else:
                 diagonal[i] -= value
+    # row i of L and column i of U, from the first linked state on
     for i in range(n):
         own = starts[i] - first[i]  # where column 0 would be
         for j in range(first[i], i):
@@ -153,12 +164,16 @@ def factorise(kernel, place, order, first, starts):
 
 @njit(cache=True)
 def substitute(factors, transpose, b):
-    """x of L U x = b, or of U^T L^T x = b."""
+    """Solve L U x = b, or U^T L^T x = b.
+
+    y_i = b_i - sum_{j<i} L_ij y_j, x_i = (y_i - sum_{j>i} U_ij x_j) / U_ii.
+    """
     order, first, starts, lower, upper, diagonal = factors
     n = len(b)
     y = np.empty(n)
     x = np.empty(n)
     ahead, behind = (upper, lower) if transpose else (lower, upper)
+    # forward by the rows of one factor, then backward by the columns of the other
     for i in range(n):
         total = b[order[i]]
         for k in range(starts[i], starts[i + 1]):
@@ -176,11 +191,11 @@ def substitute(factors, transpose, b):
 
 @dataclass(frozen=True)
 class SuperLU:
-    """Sparse, eliminated in the order of minimum degree.
+    """Sparse LU, eliminated in the order of minimum degree.
 
-    ``most`` : entries a state that an elimination in the reverse of a breadth-first
-    order may fill, which is counted first: with 8 trees; None for the last resort,
-    which any graph that does not expand suits.
+    ``most`` is the number of entries a state that an elimination in the reverse of a
+    breadth-first order may fill, which is counted first: with 8 trees. None is for the
+    last resort, which any graph that does not expand suits.
     """
 
     most: float | None = None
@@ -188,27 +203,26 @@ class SuperLU:
     is_direct: bool = True
 
     def suits(self, system: System) -> bool:
-        """By the count, first along the rows alone, which spares a transpose; graphs
-        that expand fill up in any order.
+        """Return whether elimination fills little.
+
+        It is counted first along the rows alone, which spares a transpose; graphs that
+        expand fill up in any order.
         """
         if self.most is None:
             return not system.expands
-        rows = Csr(*system.kernel[:3])
-        along_rows = _system.fills_little(system.kernel, rows, *system.order, self.most)
-        return bool(
-            along_rows
-            and _system.fills_little(
-                system.kernel, system.back, *system.order, self.most
-            )
-        )
+        kernel = system.kernel
+        rows = KernelRows(*kernel[:3])
+        order = system.order
+        if not _system.fills_little(kernel, rows, *order, self.most):
+            return False
+        return bool(_system.fills_little(kernel, system.back, *order, self.most))
 
     def prepare(self, system: System) -> Solve:
-        """Gives up on a singular system, as far as SuperLU sees it."""
+        """Factorise; a system that SuperLU finds singular is given up."""
         kernel = system.csr()
-        rows = sparse.csr_array(
-            sparse.eye_array(system.n_states, format="csr")
-            - system.kernel.discount * kernel
-        )
+        identity = sparse.eye_array(system.n_states, format="csr")
+        rows = sparse.csr_array(identity - system.kernel.discount * kernel)
+        # SuperLU takes columns: the rows of M as columns are the transposed matrix
         transposed = sparse.csc_array(
             (rows.data, rows.indices, rows.indptr), shape=rows.shape
         )
@@ -221,7 +235,10 @@ class SuperLU:
         except RuntimeError:  # singular
             return lambda b, relative: None
 
+        which: Literal["N", "T"] = "N" if system.transpose else "T"
+
         def solve(b: Array, relative: float) -> Array:
-            return np.asarray(factors.solve(b, "N" if system.transpose else "T"))
+            """Solve by the factors."""
+            return np.asarray(factors.solve(b, which))
 
         return solve

@@ -1,17 +1,19 @@
-"""Value iteration and BiCGSTAB without a preconditioner, for rows K of one sum s, on
-graphs where a few steps lead far.
+"""Value iteration and plain BiCGSTAB, for graphs where a few steps lead far.
 
-Value iteration goes on until the change is the same in all states, which is then
-summed:
+The rows of K have one sum s. Value iteration goes on until the change is the same in
+all states, which is then summed [1, 6.6.3]:
 
-    x_{n+1} = b + gamma K x_n;    x* = x_{n+1} + c / (1 - c) (x_{n+1} - x_n),    c = gamma s [1, 6.6.3].
+    x_{n+1} = b + gamma K x_n
+    x* = x_{n+1} + c / (1 - c) (x_{n+1} - x_n),    c = gamma s.
 
-The transposed sweeps keep the sum of what x misses, so that they begin with an x of the
-right sum: sum(x*) = sum(b) / (1 - c).
+The transposed sweeps keep the sum of the residual of x, so that they begin with an x of
+the right sum: sum(x*) = sum(b) / (1 - c).
 
-BiCGSTAB [2] is given the system from which the eigenvalue 1 - c is taken:
+BiCGSTAB [2] is given the system from which the eigenvalue 1 - c is taken, M' = M + c
+11^T / n:
 
-    M' = M + c 11^T / n:    M' y = b  ->  x = y + c mean(y) / (1 - c);    M'^T x = b + c sum(b) / (1 - c) / n:
+    M' y = b  ->  x = y + c mean(y) / (1 - c)
+    M'^T x = b + c sum(b) / (1 - c) / n
 
 M 1 = (1 - c) 1, so that constants are solved for at once, and the discount does not
 matter. 1^T M'^T = 1^T: transposed systems begin with y = b, whose residual has the sum
@@ -34,52 +36,54 @@ from numba import njit
 from oee_tabular.exact._system import multiply
 from oee_tabular.exact.system import Solve, System
 
-FLOOR = 4e-16  # of the residual relative to x
+PLAIN_RESIDUAL_FLOOR = 4e-16  # the least residual relative to x
 # steps in which the residual is to fall to a tenth: small worlds near discount 1 take
 # 100
-WINDOW = 150
+N_WINDOW_STEPS = 150
 
 
 @dataclass(frozen=True)
 class ValueIteration:
-    """Some dozen sweeps over a graph that mixes: of random MDPs with 5 next states .6
-    of the time of plain BiCGSTAB.
+    """Value iteration: some dozen sweeps over a graph that mixes.
 
-    Measured on 10 000 states with the policies of tests/benchmarks/values.py. It gives
-    up as soon as four sweeps leave more than .45 of what the states' changes differ by;
-    from there on plain BiCGSTAB is as fast.
+    Random MDPs with 5 next states take .6 of the time of plain BiCGSTAB, measured on 10
+    000 states with the policies of tests/benchmarks/values.py. It gives up as soon as
+    four sweeps leave more than .45 of the spread of the states' changes; from there on
+    plain BiCGSTAB is as fast.
     """
 
     name: str = "value iteration"
     is_direct: bool = False
 
     def suits(self, system: System) -> bool:
-        """Rows of one sum, so that a constant stays constant."""
+        """Return whether rows have one sum, so that constants stay constant."""
         return system.shared_sum is not None
 
     def prepare(self, system: System) -> Solve:
-        """Nothing is worked out before."""
+        """Return the sweeps; nothing is computed before."""
         return partial(sweep, system.kernel, system.shared_sum, system.transpose)
 
 
 @njit(cache=True)
 def sweep(kernel, mass, transpose, b, relative):
-    """x, for rows with the sum ``mass``; None where four sweeps leave more than .45 of
-    the spread of the change.
+    """Solve by x_{n+1} = b + gamma K x_n, for rows with the sum ``mass``.
+
+    Returns None where four sweeps leave more than .45 of the spread of the change.
     """
     n = len(b)
     carried = kernel.discount * mass
     over = carried / (1.0 - carried)
-    # term by term: numpy's own differs from the compiled one in the last bit
+    # term by term: numpy's own mean differs from the compiled one in the last bit
     mean = 0.0
     for i in range(n):
         mean += b[i]
     mean /= n
     x = b + (over * mean if transpose else 0.0)
     new = np.empty(n)
-    # rounding grows with a row
+    # rounding grows with the entries of a row
     allowed = np.inf
     floor = 8e-16 * max(1.0, 0.125 * np.sqrt(len(kernel.indices) / n))
+    # a sweep, the range of its changes, and whether they still get closer to each other
     for turn in range(200):
         multiply(kernel, transpose, x, new)
         low = np.inf
@@ -97,7 +101,7 @@ def sweep(kernel, mass, transpose, b, relative):
         shift = 0.0 if transpose else over * (0.5 * (low + high))
         failing = turn % 4 == 0 and not spread <= allowed
         near = max(relative, floor) * max(largest, abs(shift))
-        # rounding keeps it from falling any more
+        # the spread is small, or rounding keeps it from falling any more
         if spread <= near or (failing and spread <= 64.0 * near):
             return x + shift
         if failing:
@@ -109,23 +113,23 @@ def sweep(kernel, mass, transpose, b, relative):
 
 @dataclass(frozen=True)
 class PlainBiCGStab:
-    """For graphs where a few steps lead everywhere, of whose inverse an incomplete LU
-    has next to nothing.
+    """BiCGSTAB without a preconditioner, for graphs where a few steps lead everywhere.
 
-    Random graphs of 10 000 states that value iteration leaves (2 next states; blocks
-    that seldom meet) take a third of the time of ``BiCGStab``, near discount 1 down to
-    a hundredth. It gives up where the residual does not fall to a tenth in 150 steps.
+    An incomplete LU has next to nothing of the inverse of such a graph. Random graphs
+    of 10 000 states that value iteration leaves (2 next states; blocks that seldom
+    meet) take a third of the time of ``BiCGStab``, near discount 1 down to a hundredth.
+    It gives up where the residual does not fall to a tenth in 150 steps.
     """
 
     name: str = "BiCGSTAB"
     is_direct: bool = False
 
     def suits(self, system: System) -> bool:
-        """By a breadth-first search that ends early."""
+        """Return whether the graph expands, by a search that ends early."""
         return system.expands
 
     def prepare(self, system: System) -> Solve:
-        """Nothing is worked out before."""
+        """Return the iteration; nothing is computed before."""
         return partial(
             solve,
             system.kernel,
@@ -136,7 +140,10 @@ class PlainBiCGStab:
 
 @njit(cache=True)
 def product(kernel, transpose, constant, p, first, out):
-    """out = M p + constant, or M^T p + constant; first . out, p . out, out . out."""
+    """Compute out = M p + constant, or M^T p + constant.
+
+    Returns the dot products first . out, p . out and out . out.
+    """
     multiply(kernel, transpose, p, out)
     with_first = 0.0
     with_p = 0.0
@@ -152,8 +159,12 @@ def product(kernel, transpose, constant, p, first, out):
 
 @njit(cache=True)
 def bicgstab(kernel, transpose, shared, b, relative):
-    """y, its residual below ``relative`` times b's or the floor; None where it does not
-    fall to a tenth in 150 steps.
+    """Solve M' y = b by BiCGSTAB.
+
+    With rho = first . r: alpha = rho / (first . M' p), s = r - alpha M' p, omega = (s .
+    M' s) / |M' s|^2, y += alpha p + omega s, r = s - omega M' s, p = r + beta (p -
+    omega M' p). It ends when the residual is below ``relative`` times b's, or below the
+    floor. Returns None where it does not fall to a tenth in 150 steps.
     """
     n = len(b)
     part = shared / len(b)
@@ -161,6 +172,7 @@ def bicgstab(kernel, transpose, shared, b, relative):
     first = b.copy()
     v = np.empty(n)
     w = np.empty(n)
+    # transposed systems begin with y = b, all others with y = 0
     if transpose:
         product(kernel, transpose, part * b.sum(), b, first, v)
         x = first
@@ -179,8 +191,8 @@ def bicgstab(kernel, transpose, shared, b, relative):
         goal = max(goal, relative * abs(b[i]))
         largest = max(largest, abs(r[i]))
         largest_x = max(largest_x, abs(x[i]))
-    while largest > max(goal, FLOOR * largest_x):
-        if steps % WINDOW == 0:
+    while largest > max(goal, PLAIN_RESIDUAL_FLOOR * largest_x):
+        if steps % N_WINDOW_STEPS == 0:
             if not largest <= allowed:
                 return None
             allowed = 0.1 * largest
@@ -195,10 +207,11 @@ def bicgstab(kernel, transpose, shared, b, relative):
             r[i] -= alpha * v[i]  # the half step's residual
             sum_s += r[i]
             first_s += first[i] * r[i]
+        # w = M' s, and the step that makes the residual least along it
         first_w, ws, ww = product(kernel, transpose, part * sum_s, r, first, w)
         omega = ws / ww if ww > 0.0 else 0.0
         new = first_s - omega * first_w
-        # nowhere to go: what was found stands, and is refined
+        # beta is 0 where there is nowhere to go: y stands, and is refined
         beta = (new / rho) * (alpha / omega) if omega != 0.0 and rho != 0.0 else 0.0
         rho = new
         largest = 0.0
@@ -218,7 +231,10 @@ def bicgstab(kernel, transpose, shared, b, relative):
 
 @njit(cache=True)
 def solve(kernel, shared, transpose, b, relative):
-    """x, for ``shared`` = gamma s, or 0 where rows differ in their sums."""
+    """Solve M x = b by ``bicgstab`` and add the constant that was taken out.
+
+    ``shared`` is gamma s, or 0 where rows differ in their sums.
+    """
     over = shared / (1.0 - shared)
     if transpose:
         return bicgstab(kernel, True, shared, b + over * b.mean(), relative)
