@@ -55,8 +55,8 @@ def rows_of(matrix: CsrArrays | Csr) -> KernelRows:
     They are views where the matrix has 32 bits, and copies of 32 bits elsewhere, so
     that each kernel is compiled for one kind of array.
     """
-    indptr = matrix.indptr
-    indices = matrix.indices
+    indptr: Any = matrix.indptr
+    indices: Any = matrix.indices
     data = matrix.data
     if indptr.dtype != np.int32 or indices.dtype != np.int32:
         if indptr[-1] >= 2**32:
@@ -288,7 +288,7 @@ def spectral_radius(kernel: Csr, discount: float = 1.0) -> float:
     vector = np.ones(kernel.shape[0])
     growth = []
     for _ in range(2000):
-        vector = discount * (kernel @ vector)
+        vector = discount * np.asarray(kernel @ vector)
         size = float(vector.max(initial=0.0))
         if size == 0.0:
             return 0.0

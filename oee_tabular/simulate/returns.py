@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -14,7 +14,11 @@ from oee_tabular.mdp.horizons import horizon_length
 from oee_tabular.simulate.sampler import draw, episode_log
 from oee_tabular.typing import Array, IntArray, PolicyLike, Seed
 
+if TYPE_CHECKING:
+    from oee_tabular.exact.reweighted import RatioLike
+
 KINDS = ("per_decision", "trajectory")
+Kind: TypeAlias = Literal["per_decision", "trajectory"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,16 +57,14 @@ class SampledReturns:
     lengths: IntArray
     final_state: IntArray
     log: Transitions | None = field(default=None)
-    kind: str = "per_decision"
+    kind: Kind = "per_decision"
 
     def __len__(self) -> int:
         """Return the number of episodes."""
-
         return len(self.values)
 
     def __repr__(self) -> str:
         """Return the size, the mean and its standard error in a line."""
-
         what = "" if self.values is self.returns else f", weighted {self.kind}"
         return (
             f"SampledReturns({len(self)} episodes, {int(self.lengths.sum())}"
@@ -72,7 +74,6 @@ class SampledReturns:
 
     def _repr_html_(self) -> str:
         """Return a table of the main numbers for notebooks."""
-
         rows: list[tuple[str, object]] = [
             ("episodes", len(self)),
             ("transitions", int(self.lengths.sum())),
@@ -104,8 +105,8 @@ def sample_returns(
     horizon: int,
     *,
     seed: Seed,
-    zeta: object = None,
-    kind: Literal["per_decision", "trajectory"] = "per_decision",
+    zeta: RatioLike | None = None,
+    kind: Kind = "per_decision",
     record: bool = False,
 ) -> SampledReturns:
     """Sample returns of episodes and, with ``zeta``, their products of ratios.
@@ -176,23 +177,20 @@ def sample_returns(
     _checks.boolean(record, "record")
     n = _checks.positive_integer(n_episodes, "n_episodes")
     pi = check_policy(policy, mdp)
-    drawn = draw(
-        mdp, pi, n, horizon_length(horizon, mdp), seed=seed, zeta=zeta, record=record
-    )
-    values = (
-        drawn.returns
-        if zeta is None
-        else drawn.weighted
-        if kind == "per_decision"
-        else drawn.whole
-    )
-    log = episode_log(mdp, drawn, pi) if record else None
+    steps = horizon_length(horizon, mdp)
+    drawn = draw(mdp, pi, n, steps, seed=seed, zeta=zeta, record=record)
+    if zeta is None:
+        values = drawn.returns
+    elif kind == "per_decision":
+        values = drawn.weighted
+    else:
+        values = drawn.whole
     return SampledReturns(
-        values,
-        drawn.returns,
-        drawn.weights,
-        drawn.lengths,
-        drawn.final_state,
-        log,
-        kind,
+        values=values,
+        returns=drawn.returns,
+        weights=drawn.weights,
+        lengths=drawn.lengths,
+        final_state=drawn.final_state,
+        log=episode_log(mdp, drawn, pi) if record else None,
+        kind=kind,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,14 +13,24 @@ from oee_tabular._sparse import row_of_entry
 from oee_tabular.data import Transitions
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.horizons import horizon_length
-from oee_tabular.typing import Array, BoolArray, IntArray, PolicyLike, Seed
+from oee_tabular.typing import (
+    Array,
+    BoolArray,
+    IntArray,
+    PolicyLike,
+    RealArrayLike,
+    Seed,
+)
 
-# one seed, three different samples
+if TYPE_CHECKING:
+    from oee_tabular.exact.reweighted import RatioLike
+
+# streams of random numbers, so that one seed gives three different samples
 LOG_STREAM, RETURN_STREAM, BAG_STREAM = (np.uint64(number) for number in range(3))
 # shorter runs, of some milliseconds, stay on the calling thread
-N_THREADED_STEPS = 1 << 20
-N_RECORDED_STEPS = 1 << 24  # room for a path at first; it doubles
-CHUNK = 1 << 10  # episodes that a thread takes at a time
+MIN_THREADED_STEPS = 1 << 20
+MAX_FIRST_PATH_STEPS = 1 << 24  # room for a path at first; it doubles
+N_CHUNK_EPISODES = 1 << 10  # episodes that a thread takes at a time
 
 
 class AliasTable(NamedTuple):
@@ -116,7 +126,7 @@ def draw(
     horizon: int,
     *,
     seed: Seed,
-    zeta: object = None,
+    zeta: RatioLike | None = None,
     record: bool = False,
     pairs: Array | None = None,
     stream: np.uint64 = RETURN_STREAM,
@@ -128,59 +138,72 @@ def draw(
     ``pairs`` (S*A,) is the distribution of the first pair, for episodes of one step
     whose states are pairs; ``policy`` is then (S*A, 1). ``name`` is what errors call n.
     """
-    import numba
-
     # not at import: logs do without
     from oee_tabular.exact.walks import transition_factors
-    from oee_tabular.simulate._rollout import draw_episodes
 
     _checks.require_memory(9.0 * n, name, n)
-    terminal = (
-        mdp.absorbing() if pairs is None else np.zeros(len(pairs), dtype=np.bool_)
-    )
+    if pairs is None:
+        terminal = mdp.absorbing()
+        initial = mdp.initial
+    else:
+        terminal = np.zeros(len(pairs), dtype=np.bool_)
+        initial = pairs
     ratio = np.zeros(0) if zeta is None else transition_factors(mdp, zeta, terminal)
-    table = alias_table(
-        mdp, policy, mdp.initial if pairs is None else pairs, terminal, ratio
-    )
+    table = alias_table(mdp, policy, initial, terminal, ratio)
     key = np.uint64(_checks.generator(seed).integers(0, 2**64, dtype=np.uint64))
     sums = np.empty((4, n))
-    (lengths, last) = np.empty((2, n), dtype=np.int64)
-    options = (
-        key,
-        stream,
-        horizon,
-        mdp.discount,
-        mdp.reward_data is not None,
-        table,
-        sums,
-        lengths,
-        last,
-    )
-    pieces = [np.empty(0, dtype=np.int64)]
-    done = 0
-    room = min(n * horizon, N_RECORDED_STEPS)
-    while record and done < n:
-        _checks.require_memory(2.0 * room, name, n)
-        done, used = draw_episodes(
-            done, n, *options, path := np.empty(room, dtype=np.int64)
-        )
-        pieces.append(path[:used])
-        room *= 2
-    if not record and n * horizon < N_THREADED_STEPS:
-        draw_episodes(0, n, *options, pieces[0])
-    elif not record:
-        with ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS) as pool:  # type: ignore[attr-defined]
-            list(
-                pool.map(
-                    lambda i: draw_episodes(i, min(i + CHUNK, n), *options, pieces[0]),
-                    range(0, n, CHUNK),
-                )
-            )
-    # of all transitions: not copied without need
-    path = pieces[-1] if len(pieces) <= 2 else np.concatenate(pieces)
+    lengths, last = np.empty((2, n), dtype=np.int64)
+    by_transition = mdp.reward_data is not None
+    # the arguments of the kernel between the episodes' numbers and the path
+    model = (horizon, mdp.discount, by_transition, table)
+    options = (key, stream, *model, sums, lengths, last)
+    if record:
+        path = _run_recorded(n, horizon, options, name)
+    else:
+        path = np.empty(0, dtype=np.int64)
+        _run(n, horizon, options, path)
     returns, weighted, weights, largest = sums
     final_state = mdp.transitions.indices[last].astype(np.int64)
     return Drawn(returns, weighted, weights, largest, lengths, final_state, path, ratio)
+
+
+def _run_recorded(
+    n: int, horizon: int, options: tuple[Any, ...], name: str
+) -> IntArray:
+    """Draw n episodes on this thread and return their paths, one after the other."""
+    from oee_tabular.simulate._rollout import draw_episodes
+
+    pieces = []
+    done = 0
+    room = min(n * horizon, MAX_FIRST_PATH_STEPS)
+    # an episode that the path has no room for is drawn again, into a longer one
+    while done < n:
+        _checks.require_memory(2.0 * room, name, n)
+        path = np.empty(room, dtype=np.int64)
+        done, used = draw_episodes(done, n, *(*options, path))
+        pieces.append(path[:used])
+        room *= 2
+    # a path has all transitions: it is not copied without need
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+
+
+def _run(n: int, horizon: int, options: tuple[Any, ...], path: IntArray) -> None:
+    """Draw n episodes whose paths are not recorded, on threads where that takes long."""
+    import numba
+
+    from oee_tabular.simulate._rollout import draw_episodes
+
+    arguments = (*options, path)
+    if n * horizon < MIN_THREADED_STEPS:
+        draw_episodes(0, n, *arguments)
+        return
+
+    def draw_chunk(first: int) -> None:
+        """Draw the episodes from ``first`` on that a thread takes at a time."""
+        draw_episodes(first, min(first + N_CHUNK_EPISODES, n), *arguments)
+
+    with ThreadPoolExecutor(numba.config.NUMBA_NUM_THREADS) as pool:  # type: ignore[attr-defined]
+        list(pool.map(draw_chunk, range(0, n, N_CHUNK_EPISODES)))
 
 
 def alias_table(
@@ -194,42 +217,41 @@ def alias_table(
 
     matrix = mdp.transitions
     begin = np.flatnonzero(initial)
-    indptr = np.append(
-        matrix.indptr, np.full(policy.shape[1], matrix.nnz + len(begin))
-    ).astype(np.int64)
+    # the draw of the first state is one state more, all of whose entries are in its first
+    # row
+    ends_of_begin = np.full(policy.shape[1], matrix.nnz + len(begin))
+    indptr = np.append(matrix.indptr, ends_of_begin).astype(np.int64)
     indices = np.append(matrix.indices, begin)
     prob = np.append(matrix.data, initial[begin])
     pi = np.concatenate([policy, np.eye(1, policy.shape[1])])
     n_outcomes = (np.diff(indptr).reshape(pi.shape) * (pi > 0.0)).sum(axis=1)
-    # the least k with 2^k slots for them
+    # the least k with 2^k slots for the outcomes
     size = np.frexp(n_outcomes - 1)[1].astype(np.int64)
     ends = np.cumsum(1 << size)
     first = ends - (1 << size)
     word, entry = np.empty((2, ends[-1]), dtype=np.int64)
     fill_table(indptr, prob, pi, first, size, word, entry)
     code = first << 8 | np.append(terminal, False) * 128 | size
-    reward, factor = (
-        np.append(x, np.ones(len(begin)))[entry] if len(x) else x
-        for x in (entry_rewards(mdp), ratio)
-    )
+    # rewards and factors of the first draw are not read
+    padding = np.ones(len(begin))
+    reward = np.append(entry_rewards(mdp), padding)[entry]
+    factor = np.append(ratio, padding)[entry] if len(ratio) else ratio
     following = code[indices[entry]]
     return AliasTable(
-        code.view(np.uint64),
-        word.view(np.uint64),
-        following.view(np.uint64),
-        reward,
-        factor,
-        entry,
+        code=code.view(np.uint64),
+        word=word.view(np.uint64),
+        following=following.view(np.uint64),
+        reward=reward,
+        factor=factor,
+        entry=entry,
     )
 
 
 def entry_rewards(mdp: FiniteMDP) -> Array:
     """Return the reward of each entry of P: r(s, a, s'), or r(s, a)."""
-    return (
-        mdp.rewards.reshape(-1)[row_of_entry(mdp.transitions)]
-        if mdp.reward_data is None
-        else mdp.reward_data
-    )
+    if mdp.reward_data is not None:
+        return mdp.reward_data
+    return np.asarray(mdp.rewards.reshape(-1)[row_of_entry(mdp.transitions)])
 
 
 def sample_episodes(
@@ -282,10 +304,12 @@ def sample_episodes(
                 states 0..8, actions 0..2; rewards -0.6 to 0; behaviour probabilities)
     """
     n = _checks.positive_integer(n_episodes, "n_episodes")
-    _checks.require_memory(9.0 * n, "n_episodes", n)  # a row each, at least
+    # an episode has at least a row
+    _checks.require_memory(9.0 * n, "n_episodes", n)
     _checks.instance(mdp, FiniteMDP, "mdp")
     steps = _checks.positive_integer(horizon, "horizon")
-    if steps > 10**6 / n:  # no log of a million transitions is cut
+    # a horizon is limited only where the log may have more than a million transitions
+    if steps > 10**6 / n:
         steps = max(horizon_length(horizon, mdp), 10**6 // n)
     pi = check_policy(policy, mdp)
     drawn = draw(mdp, pi, n, steps, seed=seed, stream=LOG_STREAM, record=True)
@@ -301,14 +325,14 @@ def episodes_holding(
     Generator draws afresh at each try; with any other seed the episodes tried before
     stay.
     """
-    count = max(1, -(-n // horizon))
+    count = max(1, -(-n // horizon))  # n / horizon, rounded up
     while len(log := sample_episodes(mdp, policy, count, horizon, seed=seed)) < n:
         count = int(np.ceil(1.2 * count * n / len(log))) + 1
     return log
 
 
 def sample_transitions(
-    mdp: FiniteMDP, distribution: object, n: int, *, seed: Seed
+    mdp: FiniteMDP, distribution: RealArrayLike, n: int, *, seed: Seed
 ) -> Transitions:
     """Sample n independent transitions: (s, a) ~ ``distribution``, s' ~ P(. | s, a).
 
@@ -356,20 +380,17 @@ def sample_transitions(
     _checks.instance(mdp, FiniteMDP, "mdp")
     size = _checks.positive_integer(n, "n")
     weights = _checks.float_array(distribution, "distribution", ndim=2)
-    own = len(mdp.terminal_state)
-    # of the environment's own shape: twins are not drawn from
-    if weights.shape == (own, mdp.n_actions):
-        weights = np.concatenate(
-            [weights, np.zeros((mdp.n_states - own, mdp.n_actions))]
-        )
-    weights = _checks.distribution(
-        weights, "distribution", (mdp.n_states, mdp.n_actions)
-    )
-    pairs = weights.reshape(-1)
-    every = np.ones((weights.size, 1))
-    path = draw(
+    n_own = len(mdp.terminal_state)
+    # a distribution of the environment's own states: twins are not drawn
+    if weights.shape == (n_own, mdp.n_actions):
+        n_twins = mdp.n_states - n_own
+        weights = np.concatenate([weights, np.zeros((n_twins, mdp.n_actions))])
+    shape = (mdp.n_states, mdp.n_actions)
+    pairs = _checks.distribution(weights, "distribution", shape).reshape(-1)
+    # episodes of one step, whose states are pairs and which have one action
+    drawn = draw(
         mdp,
-        every,
+        np.ones((len(pairs), 1)),
         size,
         1,
         seed=seed,
@@ -377,11 +398,11 @@ def sample_transitions(
         pairs=pairs,
         stream=BAG_STREAM,
         name="n",
-    ).path
-    state, action = np.divmod(row_of_entry(mdp.transitions)[path], mdp.n_actions)
-    return Transitions(
-        state, action, mdp.transitions.indices[path], entry_rewards(mdp)[path]
     )
+    path = drawn.path
+    state, action = np.divmod(row_of_entry(mdp.transitions)[path], mdp.n_actions)
+    next_state = mdp.transitions.indices[path]
+    return Transitions(state, action, next_state, entry_rewards(mdp)[path])
 
 
 def episode_log(mdp: FiniteMDP, drawn: Drawn, policy: Array) -> Transitions:
@@ -392,34 +413,33 @@ def episode_log(mdp: FiniteMDP, drawn: Drawn, policy: Array) -> Transitions:
     from oee_tabular.simulate._rollout import write_columns
 
     n = len(drawn.path)
-    indices = mdp.transitions.indices
     integers = np.empty((5, n), dtype=np.int64)
     numbers = np.empty((2, n))
     flags = np.zeros((2, n), dtype=np.bool_)
-    entries = row_of_entry(mdp.transitions), indices, entry_rewards(mdp)
     write_columns(
         drawn.path,
         drawn.lengths,
-        *entries,
+        row_of_entry(mdp.transitions),
+        mdp.transitions.indices,
+        entry_rewards(mdp),
         policy,
         mdp.absorbing(),
         integers,
         numbers,
         flags,
     )
-    columns = dict(
-        zip(
-            ("state", "action", "next_state", "timestep", "episode"),
-            integers,
-            strict=True,
-        )
-    )
-    columns |= {
+    columns = {
+        "state": integers[0],
+        "action": integers[1],
+        "next_state": integers[2],
+        "timestep": integers[3],
+        "episode": integers[4],
         "reward": numbers[0],
         "behavior_probability": numbers[1],
         "terminated": flags[0],
         "truncated": flags[1],
     }
+    # without __init__, which would check every column
     log = object.__new__(Transitions)
     for field in fields(Transitions):
         column = columns.get(field.name)

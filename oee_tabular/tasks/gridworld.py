@@ -23,8 +23,8 @@ from oee_tabular.mdp.policies import deterministic_policy
 from oee_tabular.simulate import sample_episodes
 from oee_tabular.typing import Array
 
-MOVES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-STATE_BYTES = 1800.0  # that are taken for each state while an MDP is made, measured
+DIRECTIONS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])  # of row and column
+BYTES_PER_STATE = 1800.0  # memory while an MDP is made, measured
 
 
 def gridworld(
@@ -71,32 +71,37 @@ def gridworld(
     FiniteMDP(100 states, 4 actions, 1576 transitions, rewards r(s, a, s'), discount 0.99)
     """
     n = _checks.positive_integer(size, "size")
-    _checks.require_memory(STATE_BYTES * n * n, "size", n, size=1)
+    _checks.require_memory(BYTES_PER_STATE * n * n, "size", n, size=1)
     if n < 2:
         raise ArgumentError("size", f"must be at least 2; it is {n}")
     wrong = _checks.number_in(slip, "slip", 0.0, 1.0)
     _checks.one_of(pay, "pay", ("next", "current"))
     cells = np.stack(np.divmod(np.arange(n * n), n), axis=1)
-    # (S, 4), walls included
-    row, column = np.clip(cells[:, None] + MOVES, 0, n - 1).transpose(2, 0, 1)
-    # for each action, the four directions
+    # (S, 4): where each direction leads; a step into a wall stays in place
+    row, column = np.clip(cells[:, None] + DIRECTIONS, 0, n - 1).transpose(2, 0, 1)
+    # each action has four entries, one for each direction
     next_cells = np.repeat(row * n + column, 4, axis=0)
     weights = np.full((4, 4), wrong / 3.0)
     np.fill_diagonal(weights, 1.0 - wrong)
     weights = np.tile(weights, (n * n, 1))
-    # the goal's first direction, into a wall; a sum of four need not be exactly 1
+    # the goal stays in place by its first direction, into a wall: the sum of its four
+    # probabilities need not be exactly 1
     weights[-4:] = [1.0, 0.0, 0.0, 0.0]
     pointers = np.arange(0, 16 * n * n + 1, 4)
     transitions = sparse.csr_array(
         (weights.ravel(), next_cells.ravel(), pointers), shape=(4 * n * n, n * n)
     )
-    rewards: Array | sparse.csr_array = 0.2 * (cells.sum(axis=1) - (2 * n - 2))
-    if pay == "next":
-        transitions.sum_duplicates()
-        transitions.eliminate_zeros()
-        entries = rewards[transitions.indices], transitions.indices, transitions.indptr
-        rewards = sparse.csr_array(entries, transitions.shape)
-    return FiniteMDP(transitions, rewards, np.eye(1, n * n)[0], discount, layout=cells)
+    initial = np.eye(1, n * n)[0]
+    cell_rewards = 0.2 * (cells.sum(axis=1) - (2 * n - 2))
+    if pay == "current":
+        return FiniteMDP(transitions, cell_rewards, initial, discount, layout=cells)
+    transitions.sum_duplicates()
+    transitions.eliminate_zeros()
+    rewards = sparse.csr_array(
+        (cell_rewards[transitions.indices], transitions.indices, transitions.indptr),
+        shape=transitions.shape,
+    )
+    return FiniteMDP(transitions, rewards, initial, discount, layout=cells)
 
 
 def gridworld_expert(size: int) -> Array:
@@ -152,9 +157,8 @@ def gridworld_policy(size: int, delta: float) -> Array:
     [0.85, 0.05, 0.05, 0.05]
     """
     expert = gridworld_expert(size)
-    return mix(
-        expert, np.full_like(expert, 0.25), _checks.number_in(delta, "delta", 0.0, 1.0)
-    )
+    uniform = np.full_like(expert, 0.25)
+    return mix(expert, uniform, _checks.number_in(delta, "delta", 0.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +224,8 @@ def embedded_default(*, seed: int, discount: float = 0.99) -> Embedded:
     >>> len(default.log), list(default.policies)
     (3162, ['10% expert', '50% expert', '90% expert'])
     """
-    simulator, target = (gridworld(10, slip, discount=discount) for slip in (0.3, 0.1))
+    simulator = gridworld(10, 0.3, discount=discount)
+    target = gridworld(10, 0.1, discount=discount)
     generator = _checks.generator(seed)
     behavior = uniform_policy(target)
     episodes = sample_episodes(target, behavior, 50, 1000, seed=generator)

@@ -11,8 +11,9 @@ import importlib
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from oee_tabular import _checks
 from oee_tabular._arguments import arguments, parse_spec
@@ -20,6 +21,10 @@ from oee_tabular.mdp import FiniteMDP
 from oee_tabular.tasks.gridworld import gridworld, gridworld_expert
 from oee_tabular.tasks.toy_text import environment_exists, make_environment, toy_text
 from oee_tabular.typing import Array
+
+if TYPE_CHECKING:
+    from oee_tabular.continuous.discretized import Discretization
+    from oee_tabular.continuous.simulator import ContinuousSimulator
 
 # tasks of numbered states that ``named_task`` knows, beside Gymnasium's
 FINITE = ("gridworld",)
@@ -61,8 +66,8 @@ class NamedTask:
     expert: Callable[[], Array]
     environment: Callable[[], Any] | None = None
     grid: int | None = None
-    continuous: Any = None
-    discretization: Any = None
+    continuous: ContinuousSimulator | None = None
+    discretization: Discretization | None = None
 
 
 def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
@@ -106,37 +111,51 @@ def named_task(spec: str, *, discount: float | None = None) -> NamedTask:
     given = {} if discount is None else {"discount": discount}
     if Path(spec).suffix.lower() == ".npz":
         mdp = FiniteMDP.load(spec)
-        mdp = mdp if discount is None else mdp.with_discount(discount)
-        return NamedTask(spec, mdp, lambda: _plan(mdp))
+        if discount is not None:
+            mdp = mdp.with_discount(discount)
+        return NamedTask(spec, mdp, partial(_plan, mdp))
     if name == "gridworld":
-        positional, keywords = arguments(rest)
-        try:
-            bound = inspect.signature(gridworld).bind(*positional, **(keywords | given))
-        except TypeError as error:
-            raise ValueError(
-                f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}"
-            ) from None
-        size = bound.arguments["size"]
-        return NamedTask(
-            spec,
-            gridworld(*bound.args, **bound.kwargs),
-            lambda: gridworld_expert(size),
-            grid=size,
-        )
-    wing = importlib.import_module("oee_tabular.continuous.command")
-    if wing.is_continuous(spec):
-        simulator = wing.continuous_simulator(spec)
-        model = simulator.discretize(**({"discount": 0.99} | given))
-        expert = lambda: model.policy(simulator.policy("expert"))  # noqa: E731
-        return NamedTask(
-            spec, model.mdp, expert, continuous=simulator, discretization=model
-        )
-    environment_exists(name, (*FINITE, *wing.CONTINUOUS))
+        return _gridworld_task(spec, rest, given)
+    # imported here because the core loads without continuous tasks
+    command = importlib.import_module("oee_tabular.continuous.command")
+    if command.is_continuous(spec):
+        simulator = command.continuous_simulator(spec)
+        return _continuous_task(spec, simulator, {"discount": 0.99} | given)
+    environment_exists(name, (*FINITE, *command.CONTINUOUS))
     _, keywords = parse_spec(spec)
     mdp = toy_text(name, **(keywords | given))
+    # the discount is the model's; the environment has none
     keywords.pop("discount", None)
+    environment = partial(make_environment, name, **keywords)
+    return NamedTask(spec, mdp, partial(_plan, mdp), environment)
+
+
+def _gridworld_task(spec: str, rest: str, given: dict[str, float]) -> NamedTask:
+    """Make the gridworld that ``rest``, the part of ``spec`` after its name, asks for."""
+    positional, keywords = arguments(rest)
+    try:
+        bound = inspect.signature(gridworld).bind(*positional, **(keywords | given))
+    except TypeError as error:
+        raise ValueError(
+            f"simulator {spec!r} must be like 'gridworld:10,slip=0.3'; {error}"
+        ) from None
+    size = bound.arguments["size"]
+    mdp = gridworld(*bound.args, **bound.kwargs)
+    return NamedTask(spec, mdp, partial(gridworld_expert, size), grid=size)
+
+
+def _continuous_task(
+    spec: str, simulator: ContinuousSimulator, options: dict[str, Any]
+) -> NamedTask:
+    """Make a continuous task on the cells of its default configuration."""
+    model = simulator.discretize(**options)
+
+    def expert() -> Array:
+        """Return the task's own expert on the cells."""
+        return model.policy(simulator.policy("expert"))
+
     return NamedTask(
-        spec, mdp, lambda: _plan(mdp), lambda: make_environment(name, **keywords)
+        spec, model.mdp, expert, continuous=simulator, discretization=model
     )
 
 

@@ -9,7 +9,7 @@ import difflib
 import itertools
 from collections.abc import Iterable, Iterator
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,6 +20,24 @@ from oee_tabular.exceptions import ArgumentError
 from oee_tabular.mdp import FiniteMDP, check_policy
 from oee_tabular.mdp.policies import count_dimensions
 from oee_tabular.typing import Array, PolicyLike, Seed
+
+
+class Environment(Protocol):
+    """Describe an environment with Gymnasium's interface."""
+
+    @property
+    def observation_space(self) -> Any:
+        """Return the space of observations."""
+
+    @property
+    def action_space(self) -> Any:
+        """Return the space of actions."""
+
+    def reset(self, *, seed: int | None = None) -> Any:
+        """Begin an episode; return its first observation, and information."""
+
+    def step(self, action: Any, /) -> Any:
+        """Take an action; return observation, reward, two flags, and information."""
 
 
 def environment_exists(identifier: str, others: Iterable[str] = ()) -> None:
@@ -98,7 +116,7 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
         ) from None
 
 
-def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: object) -> FiniteMDP:
+def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: Any) -> FiniteMDP:
     """Make the FiniteMDP of a Gymnasium toy-text environment.
 
     Parameters
@@ -134,11 +152,10 @@ def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: object) -> Fi
     try:
         return FiniteMDP.from_gymnasium(env, discount=gamma)
     except ValueError as error:
-        options = (
-            f" with {', '.join(f'{name}={value!r}' for name, value in kwargs.items())}"
-            if kwargs
-            else ""
-        )
+        options = ""
+        if kwargs:
+            given = ", ".join(f"{name}={value!r}" for name, value in kwargs.items())
+            options = f" with {given}"
         raise ValueError(
             f"environment {identifier!r}{options} is no finite MDP: {error}"
         ) from None
@@ -147,7 +164,7 @@ def toy_text(identifier: str, *, discount: float = 0.99, **kwargs: object) -> Fi
 
 
 def record_episodes(
-    env: object,
+    env: Environment,
     policy: PolicyLike,
     *,
     n_transitions: int | None = None,
@@ -205,40 +222,32 @@ def record_episodes(
     """
     if (n_transitions is None) == (n_episodes is None):
         raise ValueError("one of n_transitions and n_episodes must be given")
-    limit = (
-        None
-        if n_transitions is None
-        else _checks.positive_integer(n_transitions, "n_transitions")
-    )
+    limit = _positive_or_none(n_transitions, "n_transitions")
     _checks.require_memory(8.0 * (limit or 0), "n_transitions", limit)
-    episodes = (
-        None
-        if n_episodes is None
-        else _checks.positive_integer(n_episodes, "n_episodes")
-    )
-    longest = (
-        None if max_steps is None else _checks.positive_integer(max_steps, "max_steps")
-    )
-    sizes = [_count(env, name) for name in ("observation_space", "action_space")]
+    episodes = _positive_or_none(n_episodes, "n_episodes")
+    longest = _positive_or_none(max_steps, "max_steps")
+    n_observations = _count(env, "observation_space")
+    n_actions = _count(env, "action_space")
+    # a policy may have more rows than the environment: twins of its states follow
     n_rows = len(policy) if count_dimensions(policy) == 2 else 0  # type: ignore[arg-type]
     numbered = SimpleNamespace(
-        n_states=max(n_rows, sizes[0]),
-        n_actions=sizes[1],
-        terminal_state=np.arange(sizes[0]),
+        n_states=max(n_rows, n_observations),
+        n_actions=n_actions,
+        terminal_state=np.arange(n_observations),
     )
     pi = check_policy(policy, numbered)
     rows = []
     progress = progress_bar("recording", total=limit or episodes)
-    for row in itertools.islice(
-        _step(env, pi, episodes, longest, _checks.generator(seed)), limit
-    ):
+    steps = _step(env, pi, episodes, longest, _checks.generator(seed))
+    for row in itertools.islice(steps, limit):
         rows.append(row)
         progress.update(1 if episodes is None else int(row[4] or row[5]))
     progress.close()
     states, actions, next_states, rewards, terminated, truncated, episode = map(
         np.array, zip(*rows, strict=True)
     )
-    truncated[-1] = True  # unless it terminated
+    # the log ends here, also where the last episode neither terminated nor was cut
+    truncated[-1] = True
     return Transitions(
         states,
         actions,
@@ -251,6 +260,11 @@ def record_episodes(
     )
 
 
+def _positive_or_none(value: int | None, name: str) -> int | None:
+    """Check an optional positive integer."""
+    return None if value is None else _checks.positive_integer(value, name)
+
+
 def _count(env: object, name: str) -> int:
     """Return the number of observations, or of actions, of an environment."""
     space: object = getattr(env, name, None)
@@ -260,7 +274,7 @@ def _count(env: object, name: str) -> int:
 
 
 def _step(
-    env: Any,
+    env: Environment,
     pi: Array,
     episodes: int | None,
     longest: int | None,
@@ -272,6 +286,7 @@ def _step(
     """
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
+    # only the first reset is seeded: later episodes go on with the environment's numbers
     first_seed: int | None = int(generator.integers(2**31))
     for episode in itertools.count() if episodes is None else range(episodes):
         state = int(env.reset(seed=first_seed)[0])
@@ -279,9 +294,8 @@ def _step(
         steps = 0
         first_seed = None
         while not has_ended:
-            action = int(
-                np.searchsorted(cumulative[state], generator.random(), side="right")
-            )
+            number = generator.random()
+            action = int(np.searchsorted(cumulative[state], number, side="right"))
             next_state, reward, terminated, truncated, _ = env.step(action)
             steps += 1
             truncated = bool(truncated) or steps == longest

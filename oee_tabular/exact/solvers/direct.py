@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -226,6 +226,8 @@ class SuperLU:
         transposed = sparse.csc_array(
             (rows.data, rows.indices, rows.indptr), shape=rows.shape
         )
+        # scipy-stubs does not know the second argument of ``solve``
+        factors: Any
         try:
             factors = sparse_linalg.splu(
                 transposed,
@@ -235,7 +237,7 @@ class SuperLU:
         except RuntimeError:  # singular
             return lambda b, relative: None
 
-        which: Literal["N", "T"] = "N" if system.transpose else "T"
+        which = "N" if system.transpose else "T"
 
         def solve(b: Array, relative: float) -> Array:
             """Solve by the factors."""
