@@ -220,7 +220,7 @@ def iterate_modified(model, relative, n_turns):
             values, new = new, values
             if high - low <= 0.1 * spread:
                 break
-    # the values of the last actions, until four sweeps leave more than half of the spread
+    # the values of the last actions, until four sweeps leave over half of the spread
     factor = discount / (1.0 - discount)
     allowed = np.inf
     for turn in range(200):

@@ -24,8 +24,8 @@ from oee_tabular.typing import Array, BoolArray, Csr, IntArray
 # (solvers/direct.py says where that was measured)
 MAX_ENVELOPE_WIDTH = 48.0
 
-# x = solve(b, relative): the residual of x is below ``relative`` times the residual of 0
-# (direct solvers need not read it); None where the solver gives up
+# x = solve(b, relative): the residual of x is below ``relative`` times the residual of
+# 0 (direct solvers need not read it); None where the solver gives up
 Solve: TypeAlias = Callable[[Array, float], Array | None]
 
 

@@ -32,8 +32,8 @@ _ONE = np.uint64(1)
 _TWO = np.uint64(2)
 # blocks drawn at once: 7.6 ns a step; with 8 blocks 12.6, with one 14.5
 N_BLOCKS = 16
-# episodes in step, whose waits for memory overlap: 8.1 ns a step on a 30 x 30 grid, with
-# one lane 11.3
+# episodes in step, whose waits for memory overlap: 8.1 ns a step on a 30 x 30 grid,
+# with one lane 11.3
 N_LANES = 4
 # a state's code: first slot * 2^8 + terminal * 2^7 + k
 _PLACE = np.uint64(8)

@@ -155,16 +155,32 @@ def draw(
     lengths, last = np.empty((2, n), dtype=np.int64)
     by_transition = mdp.reward_data is not None
     # the arguments of the kernel between the episodes' numbers and the path
-    model = (horizon, mdp.discount, by_transition, table)
-    options = (key, stream, *model, sums, lengths, last)
+    options = (
+        key,
+        stream,
+        horizon,
+        mdp.discount,
+        by_transition,
+        table,
+        sums,
+        lengths,
+        last,
+    )
     if record:
         path = _run_recorded(n, horizon, options, name)
     else:
         path = np.empty(0, dtype=np.int64)
         _run(n, horizon, options, path)
-    returns, weighted, weights, largest = sums
-    final_state = mdp.transitions.indices[last].astype(np.int64)
-    return Drawn(returns, weighted, weights, largest, lengths, final_state, path, ratio)
+    return Drawn(
+        returns=sums[0],
+        weighted=sums[1],
+        weights=sums[2],
+        largest=sums[3],
+        lengths=lengths,
+        final_state=mdp.transitions.indices[last].astype(np.int64),
+        path=path,
+        ratio=ratio,
+    )
 
 
 def _run_recorded(
@@ -188,7 +204,7 @@ def _run_recorded(
 
 
 def _run(n: int, horizon: int, options: tuple[Any, ...], path: IntArray) -> None:
-    """Draw n episodes whose paths are not recorded, on threads where that takes long."""
+    """Draw n episodes without their paths, on threads where that takes long."""
     import numba
 
     from oee_tabular.simulate._rollout import draw_episodes
@@ -211,14 +227,15 @@ def alias_table(
 ) -> AliasTable:
     """Make the alias table of every state's (a, s'), and of the first state.
 
-    ``policy`` is (S, A). With a policy (S*A, 1), states are pairs, and the outcomes are every pair's s'.
+    ``policy`` is (S, A). With a policy (S*A, 1), states are pairs, and the outcomes are
+    every pair's s'.
     """
     from oee_tabular.simulate._rollout import fill_table
 
     matrix = mdp.transitions
     begin = np.flatnonzero(initial)
-    # the draw of the first state is one state more, all of whose entries are in its first
-    # row
+    # the draw of the first state is one state more, all of whose entries are in its
+    # first row
     ends_of_begin = np.full(policy.shape[1], matrix.nnz + len(begin))
     indptr = np.append(matrix.indptr, ends_of_begin).astype(np.int64)
     indices = np.append(matrix.indices, begin)

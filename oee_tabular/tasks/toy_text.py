@@ -91,7 +91,7 @@ def make_environment(identifier: str, **kwargs: Any) -> Any:
     Discrete(16)
     >>> make_environment("FrozenLak-v1")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    ValueError: environment must be a task or a Gymnasium id; 'FrozenLak-v1' is neither; near: FrozenLake-v1...
+    oee_tabular.exceptions.ArgumentError: environment must be ... near: FrozenLake-v1...
     """
     import gymnasium
 
@@ -286,7 +286,7 @@ def _step(
     """
     cumulative = np.cumsum(pi, axis=1)
     cumulative /= cumulative[:, -1:]
-    # only the first reset is seeded: later episodes go on with the environment's numbers
+    # only the first reset is seeded: later episodes go on with its random numbers
     first_seed: int | None = int(generator.integers(2**31))
     for episode in itertools.count() if episodes is None else range(episodes):
         state = int(env.reset(seed=first_seed)[0])

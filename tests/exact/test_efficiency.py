@@ -30,8 +30,9 @@ def shares(rng, mdp, zeros=0.0):
 
 @given(rngs)
 def test_41_the_bound_is_the_variance_of_the_numeric_gradient(rng):
-    """sum_x Var_{P'}[dJ/dP'] / d_log by central differences of J; and the closed form
-    for r(s, a).
+    """The bound is sum_x Var_{P'}[dJ/dP'] / d_log by central differences of J.
+
+    For r(s, a) it equals the closed form.
     """
     mdp = random_mdp(rng, n_states=int(rng.integers(1, 5)), discount=0.9)
     policy = random_policy(rng, mdp)
@@ -134,8 +135,10 @@ def test_data_that_never_show_what_matters():
 
 @given(rngs)
 def test_the_tree_bound_is_the_variance_of_doubly_robust_with_the_truth(rng):
-    """Kallus and Uehara: equality for DR with true Q and V; Markov, by alpha^2 / beta
-    Var[r + gamma V], is at most that.
+    """The tree bound is the variance of doubly robust with the true Q and V.
+
+    Kallus and Uehara proved it. The Markov bound, by alpha^2 / beta Var[r + gamma V],
+    is at most that.
     """
     mdp = random_mdp(rng, n_states=3, n_actions=2)
     behavior = random_policy(rng, mdp, zeros=0)
@@ -231,8 +234,10 @@ def test_finite_horizons_of_the_ratio_of_ratios(rng):
 
 @given(rngs)
 def test_the_four_quotients_against_a_delta_method(rng):
-    """lim n Var of J as a function of the four samples' frequencies, by central
-    differences: no formula of the package's.
+    """The four variances equal the delta method's, by central differences.
+
+    lim n Var of J as a function of the four samples' frequencies uses no formula of the
+    package.
     """
     size = int(rng.integers(2, 4))
     simulator = oee.FiniteMDP(
@@ -251,8 +256,10 @@ def test_the_four_quotients_against_a_delta_method(rng):
     moves = [share[:, :, None] * p, other[:, :, None] * q]
 
     def value(a, b, c, d, normalised):
-        """From frequencies of moves (a of the log's, b of the simulator's) and those
-        behind the (s, a) ratio (c, d).
+        """Compute J from the frequencies of four samples.
+
+        a and b are the transitions of the log and of the simulator; c and d are behind
+        the (s, a) ratio.
         """
         kernel = (a / b) / (c.sum(axis=2) / d.sum(axis=2))[:, :, None] * q
         if normalised:
@@ -305,8 +312,9 @@ def test_the_four_quotients_against_a_delta_method(rng):
 
 
 def fisher_bound(mdp, behavior, policy, horizon):
-    """g' I^-1 g: I the information of all paths in the rows' free coordinates (moves
-    with probability, less one a row).
+    """Compute g' I^-1 g, I the information of all paths in the rows' free coordinates.
+
+    A row has as many coordinates as transitions with probability, less one.
     """
     transitions, _ = dense(mdp)
     free = [
@@ -371,8 +379,9 @@ SHARE = np.array([[0.1, 0.2], [0.15, 0.05], [0.3, 0.2]])
 
 @pytest.mark.parametrize("form", [1, 2, 3])
 def test_the_leading_bias_is_that_of_second_differences(form):
-    """1/2 sum_x sum_s' P' D^2 J in the direction e_s' - P'(x), over
-    data_distribution(x).
+    """The leading bias is 1/2 sum_x sum_s' P' D^2 J / data_distribution(x).
+
+    D^2 J is the second difference in the direction e_s' - P'(x).
     """
     _, target = environments(form)
     base = Dense(target)
@@ -399,8 +408,10 @@ def test_the_leading_bias_is_that_of_second_differences(form):
 
 
 def test_only_actions_within_reach_must_be_taken():
-    """A corridor: the behaviour policy lacks action 1 in its third state, which two
-    transitions reach and one does not.
+    """The behaviour policy must take an action only where the horizon reaches.
+
+    In a corridor it lacks action 1 in the third state, which two transitions reach and
+    one does not.
     """
     rows = np.zeros((4, 2, 4))
     rows[[0, 1, 2, 3], :, [1, 2, 3, 0]] = 1.0

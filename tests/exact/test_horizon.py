@@ -1,6 +1,4 @@
-"""Finite horizons: light cone, forward sums and plain sweeps give one answer, that of
-the definition.
-"""
+"""Finite horizons: light cone, forward sums and plain sweeps equal the definition."""
 
 import numpy as np
 import pytest
@@ -29,13 +27,11 @@ def backward(model, policy, steps):
     """V_0, V_1: the definition, with library products on the rows as they stand."""
     value = following = np.zeros(model.n_states)
     for t in range(steps - 1, -1, -1):
-        pairs = model.rewards + model.discount * (model.transitions @ value).reshape(
-            model.rewards.shape
-        )
-        value, following = (
-            ((policy if policy.ndim == 2 else policy[t]) * pairs).sum(axis=1),
-            value,
-        )
+        ahead = (model.transitions @ value).reshape(model.rewards.shape)
+        pairs = model.rewards + model.discount * ahead
+        act = policy if policy.ndim == 2 else policy[t]
+        following = value
+        value = (act * pairs).sum(axis=1)
     return value, following
 
 
@@ -51,8 +47,9 @@ def forward(model, policy, steps):
 
 
 def some_model(rng, **options):
-    """An MDP, in half of the cases with its kernel multiplied by anything, zeros among
-    it.
+    """Draw an MDP, in half of the cases with its kernel multiplied by anything.
+
+    Zeros are among the factors.
     """
     mdp = random_mdp(rng, n_states=int(rng.integers(1, 30)), **options)
     if rng.random() < 0.5:
@@ -105,8 +102,9 @@ def test_all_ways_give_the_sum_of_the_definition(rng, steps, stationary):
 
 @given(rngs, horizons, st.booleans())
 def test_the_values_by_horizon_are_those_of_each(rng, steps, stationary):
-    """J_0 = 0; J_t - J_{t-1} = gamma^(t-1) E[r_{t-1}]; J_t is that of policy_value and
-    evaluate_policy.
+    """J_0 = 0, J_t - J_{t-1} = gamma^(t-1) E[r_{t-1}]; J_t is the value of horizon t.
+
+    ``policy_value`` and ``evaluate_policy`` give the same.
     """
     model = some_model(rng)
     policy = some_policy(rng, model, steps, stationary)
@@ -132,8 +130,9 @@ def test_the_values_by_horizon_are_those_of_each(rng, steps, stationary):
 
 @given(rngs, st.one_of(st.none(), st.integers(1, 5)))
 def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
-    """sum_t gamma^t alpha_t (r + gamma V'_t+1) on the other model's entries, alpha of
-    the first, V' of the other.
+    """The gradient is sum_t gamma^t alpha_t (r + gamma V'_t+1) on the other's entries.
+
+    alpha is of the first model, V' of the other.
     """
     model, valued = (
         random_mdp(rng, n_states=5, n_actions=2, discount=0.9) for _ in range(2)
@@ -161,8 +160,9 @@ def test_the_gradient_is_the_sum_of_its_definition(rng, steps):
 # ---- merged sweeps are those of a policy in time; each step and state has its own
 # share of the variance
 def check_in_time(mdp, zeta, policy, behavior, horizon):
-    """A policy for each step that is always the same: entry by entry what the merged
-    sweeps give.
+    """Check that one policy for all steps, given for each, changes nothing.
+
+    Its moments are computed entry by entry, the stationary policy's by merged sweeps.
     """
     calls = [
         lambda pi, **options: oee.return_moments(mdp, pi, **options),
@@ -209,7 +209,9 @@ def test_merged_sweeps_are_those_of_a_policy_in_time(rng):
 @settings(max_examples=15)
 @given(rngs)
 def test_rings_and_rows_of_very_different_lengths(rng):
-    """A ring's entries lead to consecutive states; in the other, one state leads
+    """Strips are right for a ring and for rows of very different lengths.
+
+    A ring's entries lead to consecutive states; in the other graph one state leads
     everywhere, the rest to three.
     """
     n = int(rng.integers(70, 200))

@@ -1,5 +1,6 @@
-"""Exact moments against the enumeration of every path; statements named in brackets
-(notebooks/statements.md).
+"""Exact moments equal the enumeration of every path.
+
+Statements are named in brackets (notebooks/statements.md).
 """
 
 import warnings
@@ -38,8 +39,10 @@ def values_to_go(mdp, policy, horizon):
 
 
 def enumerated(mdp, drawn, u, w, horizon, kind):
-    """(probability, X, last weight, return, weights of the rewards, weighted rewards)
-    of every path.
+    """Enumerate every path with its probability.
+
+    Each has (probability, X, last weight, return, weights of the rewards, weighted
+    rewards).
     """
     by_move = mdp.transition_rewards is not None
     over = mdp.absorbing()
@@ -85,8 +88,10 @@ def check(found, probability, x):
 
 
 def check_sources(found, mdp, drawn, x, horizon):
-    """Var E[X | path to s_t+1] - Var E[X | path to s_t], the start's part first, and
-    the steps' by their states s_t.
+    """Check Var E[X | path to s_t+1] - Var E[X | path to s_t] against ``sources``.
+
+    The start's part comes first; the parts of the steps are also summed by their states
+    s_t.
     """
     every = paths(mdp, drawn, horizon)
     probability = np.array([p for p, _ in every])
@@ -117,8 +122,10 @@ def check_sources(found, mdp, drawn, x, horizon):
 @settings(max_examples=200)
 @given(rngs, st.sampled_from(KINDS))
 def test_19_products_of_ratios_equal_enumeration(rng, kind):
-    """[19, 42] to 1e-10 of E X^2, with r(s), r(s, a) and r(s, a, s'), any zeta; one
-    policy, or one for each step.
+    """Products of ratios equal enumeration to 1e-10 of E X^2 [19, 42].
+
+    Rewards are r(s), r(s, a) and r(s, a, s'), zeta is any ratio, and there is one
+    policy or one for each step.
     """
     simulator = random_mdp(
         rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3))
@@ -168,8 +175,9 @@ def test_19_policy_importance_sampling_equals_enumeration(rng, kind):
 @settings(max_examples=60)
 @given(rngs, st.sampled_from(KINDS))
 def test_self_normalised_limits_variances_and_biases(rng, kind):
-    """Bias -(E[W^2 G] - J E[W^2]) / N, N * MSE -> E[W^2 (G - J)^2], weights scaled to
-    mean 1.
+    """The bias is -(E[W^2 G] - J E[W^2]) / N, and N * MSE -> E[W^2 (G - J)^2].
+
+    Weights are scaled to mean 1.
     """
     simulator = random_mdp(rng, n_states=int(rng.integers(1, 4)), n_actions=2)
     policy = random_policy(rng, simulator)
@@ -218,8 +226,9 @@ def test_self_normalised_limits_variances_and_biases(rng, kind):
 @settings(max_examples=60)
 @given(rngs, st.booleans(), st.booleans())
 def test_22_42_doubly_robust_moments_equal_enumeration(rng, action_baseline, own):
-    """The mean is J(zeta P) for every baseline; the variance that of the recursion's
-    definition on each path.
+    """The mean is J(zeta P) for every baseline.
+
+    The variance is the variance of the recursion's definition on each path.
     """
     simulator = random_mdp(
         rng, n_states=int(rng.integers(1, 4)), n_actions=int(rng.integers(1, 3))
@@ -277,8 +286,9 @@ def test_22_42_doubly_robust_moments_equal_enumeration(rng, action_baseline, own
 
 @given(rngs)
 def test_23_with_the_true_values_only_the_start_varies(rng):
-    """DR is exact for any zeta whose rows sum to 1 ... here the true one; with the
-    action baseline Var = Var V_0(s_0).
+    """With the true values doubly robust is exact for any zeta whose rows sum to 1.
+
+    Here zeta is the true one; with the action baseline Var = Var V_0(s_0).
     """
     simulator = random_mdp(rng)
     target = random_mdp(rng, like=simulator)
@@ -335,8 +345,9 @@ def test_an_infinite_sum_without_a_variance_names_the_radius():
 
 @given(rngs)
 def test_10_12_26_moments_of_the_weight(rng):
-    """E W_t = 1 for the true ratio, |alpha_t|_1 for any; E W_t^2 does not fall, and
-    grows at weight_growth; 1 if P = P'.
+    """E W_t = 1 for the true ratio, and |alpha_t|_1 for any ratio.
+
+    E W_t^2 does not fall, and grows at weight_growth; it is 1 if P = P'.
     """
     simulator = random_mdp(rng, n_states=3)
     target = random_mdp(rng, like=simulator)
@@ -372,8 +383,9 @@ def test_10_12_26_moments_of_the_weight(rng):
 
 @given(rngs)
 def test_25_the_law_of_total_variance(rng):
-    """Var G = Var V_0 + sum gamma^2t E Var_a Q_t + gamma^(2t+2) E Var V_{t+1}, for r(s,
-    a).
+    """The variance of the return follows the law of total variance, for r(s, a).
+
+    Var G = Var V_0 + sum gamma^2t E Var_a Q_t + gamma^(2t+2) E Var V_{t+1}.
     """
     mdp = random_mdp(rng, form=2)
     policy = random_policy(rng, mdp)
@@ -405,8 +417,9 @@ def test_25_the_law_of_total_variance(rng):
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.filterwarnings("ignore:a moment is beyond the largest float")
 def test_variances_beyond_floats():
-    """E[W_t^2] = 1.64^t: there is no finite variance, the mean keeps its digits, and
-    nothing ends in an error of arithmetic.
+    """E[W_t^2] = 1.64^t: there is no finite variance, but the mean keeps its digits.
+
+    Nothing ends in an error of arithmetic.
     """
     simulator, target = (
         oee.FiniteMDP([[[1 - p, p]]] * 2, [0, 1], [0.5, 0.5], 0.999) for p in (0.5, 0.9)
@@ -451,8 +464,9 @@ def test_worked_example_the_survival_chain():
 
 
 def test_no_cancellation():
-    """Rewards 1e8 plus a coin: the coin's variance keeps its digits; E X^2 - (E X)^2
-    would have none.
+    """With rewards of 1e8 plus a coin, the coin's variance keeps its digits.
+
+    E X^2 - (E X)^2 would have none.
     """
     coin = np.array([1e8, 1e8 + 0.5])
     mdp = oee.FiniteMDP(np.full((2, 1, 2), 0.5), coin, [1, 0], 0.5)

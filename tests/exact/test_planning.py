@@ -63,8 +63,9 @@ def test_near_discount_one_an_action_of_less_value_is_no_tie(left, less):
 
 
 def test_discount_one_on_frozen_lake():
-    """The best chance of reaching the goal on the 4 x 4 map is 14/17 (Gymnasium's
-    documentation: 0.82).
+    """The best chance of reaching the goal on the 4 x 4 map is 14/17.
+
+    Gymnasium's documentation says 0.82.
     """
     lake = oee.tasks.toy_text("FrozenLake-v1", map_name="4x4", discount=1.0)
     assert_allclose(
@@ -74,8 +75,9 @@ def test_discount_one_on_frozen_lake():
 
 @pytest.mark.parametrize("name", ["forest", "frozen_lake", "gridworld"])
 def test_peers_agree(name):
-    """QuantEcon and MDPToolbox (hiive): optimal values, and values of the optimal
-    policy, on three named MDPs.
+    """QuantEcon and MDPToolbox (hiive) find the same optimal values.
+
+    Three named MDPs are solved; the values of the optimal policy agree as well.
     """
     import hiive.mdptoolbox.example
     import hiive.mdptoolbox.mdp
@@ -117,8 +119,10 @@ def test_peers_agree(name):
 
 
 def test_at_discount_one_the_plan_starts_from_a_policy_that_is_absorbed():
-    """Action 0 stays for nothing, action 1 costs 1 and leads out, where 5 are paid on
-    the way: out, not for ever.
+    """The plan leads out of a state where staying for nothing is not absorbed.
+
+    Action 0 stays for nothing, action 1 costs 1 and leads out, where the reward is 5 on
+    the way.
     """
     rows = np.array(
         [
@@ -136,8 +140,9 @@ def test_at_discount_one_the_plan_starts_from_a_policy_that_is_absorbed():
 
 
 def test_with_a_horizon_the_first_of_equal_actions_and_the_discount():
-    """A delayed 10 against 6 at once: with discount 0.5 the latter; at the last step
-    only what is paid at once counts.
+    """With discount 0.5, a reward of 6 at once is better than 10 later.
+
+    At the last step only the reward at once counts.
     """
     rows = np.array([[[0.0, 1.0], [0.0, 1.0], [0.0, 1.0]], [[0.0, 1.0]] * 3])
     rows[0, 0] = [1.0, 0.0]
@@ -170,8 +175,10 @@ def check_plan(mdp):
 @pytest.mark.large
 @pytest.mark.parametrize("discount", [0.5, 0.9, 0.999, 0.99999])
 def test_plans_cannot_be_improved(discount):
-    """Of a random MDP; of a queue with two rates of service and a ring with two drifts,
-    from a greedy start.
+    """No action improves on the plan of a random MDP, a queue or a ring.
+
+    The queue has two rates of service, the ring two drifts; all begin from a greedy
+    policy.
     """
     check_plan(
         random_mdp(

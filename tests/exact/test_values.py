@@ -194,8 +194,9 @@ def test_the_radius_of_a_periodic_kernel():
 # where kernels are not compiled
 @pytest.mark.filterwarnings("ignore:overflow encountered")
 def test_values_beyond_floats_are_infinite_and_their_bound_is():
-    """In a state that is never reached they do not matter to J, by any of the ways to
-    it.
+    """Values beyond floats are infinite, and so is the bound on their error.
+
+    In a state that is never reached they do not matter to J, however it is computed.
     """
     never = FiniteMDP(
         [[[0.5, 0.5, 0]], [[0.5, 0.5, 0]], [[0, 0, 1.0]]],
@@ -245,7 +246,9 @@ def test_warnings_about_a_value():
 
 
 def test_discount_one_names_the_states_that_pay_for_ever():
-    """Two closed classes, one of which pays; a transient state that pays is no
+    """At discount 1 the error names a state that has a reward for ever.
+
+    Of two closed classes one has a reward; a transient state with a reward is no
     obstacle.
     """
     rows = np.zeros((5, 1, 5))
@@ -284,8 +287,9 @@ def test_reweighting_takes_a_ratio_or_its_matrix():
 
 @pytest.mark.parametrize("which", ["kernel", "rewards"])
 def test_the_error_bound_counts_the_rounding_of_the_policys_rows(which):
-    """Thousands of actions: sums over them are rounded before the system is solved. 40
-    states that stay where they are.
+    """Sums over thousands of actions are rounded before the system is solved.
+
+    The error bound counts it, for 40 states that stay where they are.
     """
     n = 40
     n_actions = 2000

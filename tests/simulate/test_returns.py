@@ -1,6 +1,4 @@
-"""Sampled returns: the bits, the sums along recorded paths, and exact moments within
-standard errors.
-"""
+"""Sampled returns: the bits, the sums along recorded paths, and exact moments."""
 
 import numpy as np
 import pytest
@@ -61,9 +59,7 @@ def test_an_episode_does_not_depend_on_how_many_there_are_nor_on_what_is_compute
 
 
 def test_one_seed_gives_independent_samples_of_each_kind():
-    """A log and the returns that are to be compared with it must not be drawn from the
-    same random numbers.
-    """
+    """A log and the returns to be compared with it are drawn from different numbers."""
     log = oee.sample_episodes(GRID, UNIFORM, 2000, 1, seed=3)
     other = oee.sample_returns(GRID, UNIFORM, 2000, 1, seed=3, record=True).log
     expected = (
@@ -76,8 +72,9 @@ def test_one_seed_gives_independent_samples_of_each_kind():
 @settings(max_examples=40)
 @given(rngs)
 def test_sums_along_the_recorded_paths(rng):
-    """Every form of rewards, every kind, horizons within and beyond a block of random
-    words: step by step from the log.
+    """Sums equal what the log gives step by step, for every form of rewards and kind.
+
+    Horizons are within and beyond a block of random words.
     """
     mdp = random_mdp(rng)
     policy = random_policy(rng, mdp)
@@ -241,8 +238,9 @@ def test_a_log_is_one_that_passes_every_check(rng):
 
 
 def test_transitions_follow_the_distribution_and_the_model():
-    """Chi-square of 100 000 transitions against P(s' | s, a) d(s, a); impossible ones
-    never happen.
+    """100 000 transitions agree with P(s' | s, a) d(s, a) by a chi-square test.
+
+    Impossible transitions never happen.
     """
     rng = np.random.default_rng(4)
     mdp = random_mdp(rng, n_states=5, n_actions=3)
@@ -309,9 +307,7 @@ def test_a_long_horizon_is_followed_where_episodes_end():
 
 
 def test_twins_of_terminal_states_are_not_drawn_from():
-    """A distribution over the environment's own states is one over all, with nothing on
-    the twins.
-    """
+    """A distribution over the environment's own states leaves nothing for the twins."""
     rows = np.array(
         [
             [[0.5, 0.5, 0.0, 0.0]],

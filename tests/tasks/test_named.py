@@ -61,8 +61,9 @@ def test_bad_names(spec, text):
 
 
 def test_recording_steps_the_environment_itself():
-    """Frequencies of the log against the table, chi-square; structure against the time
-    limit.
+    """The frequencies of a recorded log agree with the table by a chi-square test.
+
+    Its structure agrees with the time limit.
     """
     env = gymnasium.make(
         "FrozenLake-v1", map_name="4x4", success_rate=0.6, max_episode_steps=20
@@ -111,8 +112,9 @@ def test_recording_refuses():
 
 # ---- the grid
 def test_the_exact_ratio_takes_three_values():
-    """paper/README: 9/7 (intended), 1/3 (not intended), 7/6 (staying put in a corner
-    under an action into a wall).
+    """The ratio is 9/7 (intended), 1/3 (not intended) or 7/6, as paper/README says.
+
+    7/6 is for staying put in a corner under an action into a wall.
     """
     ratio = oee.true_ratio(gridworld(10, 0.1), gridworld(10, 0.3))
     # the goal's four moves, zeta = 1, come last
@@ -125,8 +127,9 @@ def test_the_exact_ratio_takes_three_values():
 
 
 def test_the_trivial_estimate_scores_0570():
-    """paper/README: zeta = 1 has a mean absolute error of 0.570 on the support, goal
-    left out.
+    """zeta = 1 has a mean absolute error of 0.570 on the support, as paper/README says.
+
+    The goal is left out.
     """
     ratio = oee.true_ratio(gridworld(10, 0.1), gridworld(10, 0.3))
     assert_allclose(np.abs(ratio.values.data[:1572] - 1).mean(), 0.570, atol=5e-4)
@@ -150,8 +153,9 @@ def test_without_slip_the_support_shrinks():
 
 
 def test_paying_for_the_next_or_the_current_cell():
-    """J_next at T equals (J_current at T + 1 - first reward) / discount: the same
-    payments one step later.
+    """J_next at T equals (J_current at T + 1 - first reward) / discount.
+
+    The same rewards come one step later.
     """
     following = gridworld(5, 0.2)
     current = gridworld(5, 0.2, pay="current")

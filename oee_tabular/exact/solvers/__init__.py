@@ -80,7 +80,8 @@ SOLVERS: tuple[Solver, ...] = (
     SuperLU(),
     LAPACK(MAX_DENSE_STATES),
 )
-# for answers that may keep a share of the residual; value iteration stops by the size of x
+# for answers that may keep a share of the residual; value iteration stops by the size
+# of x
 EARLY_STOP_SOLVERS = tuple(
     solver for solver in SOLVERS if not isinstance(solver, ValueIteration)
 )

@@ -37,9 +37,9 @@ MAX_STEPS = 500
 # steps after which at most a twentieth of the residual may be left, where fewer than
 # MAX_STEPS are allowed
 N_PROBE_STEPS = 16
-# steps where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at .99 and up to
-# 39 at .9999, small worlds of 500 states 53 at .999, random bands 67 at .99 and up to
-# 500
+# steps where a direct solver can follow: grids of up to 60 x 60 take 6 to 16 at discount
+# .99 and up to 39 at .9999, small worlds of 500 states 53 at .999, random bands 67 at
+# .99 and up to 500
 MAX_STEPS_NARROW = 72
 
 # row pointers of L and U, their columns and values, D - 2; D~
@@ -330,8 +330,8 @@ def iterate(factors, b, relative, steps):
         if along == 0.0 or not np.isfinite(along):
             break
         alpha = rho / along
-        # r holds the half step's residual s from here to the next backward sweep, and t =
-        # (I + U)^-1 s
+        # r holds the half step's residual s from here to the next backward sweep, and
+        # t = (I + U)^-1 s
         for i in range(n - 1, -1, -1):
             s_i = r[i] - alpha * v[i]
             r[i] = s_i

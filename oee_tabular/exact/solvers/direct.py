@@ -52,7 +52,7 @@ class LAPACK:
 
     def prepare(self, system: System) -> Solve:
         """Factorise the dense matrix; a singular system is given up."""
-        # the transposed matrix is in the order of Fortran's arrays: LAPACK copies nothing
+        # the transposed matrix is in Fortran's order, so that LAPACK copies nothing
         matrix = dense_matrix(system.kernel).T
         factors, place, is_singular = lapack.dgetrf(matrix, overwrite_a=True)
 
