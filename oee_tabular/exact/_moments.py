@@ -238,7 +238,7 @@ def merge(walk):
                     numbers[at, 2] /= numbers[at, 0]
                 elif turn == 1 and numbers[at, 3] > SMALLEST_VARIANCE:
                     numbers[at, 4] /= numbers[at, 3]
-                elif turn == 1:  # all of e is residual
+                elif turn == 1:  # b does not vary: all of e is residual
                     numbers[at, 3] = numbers[at, 4] = 0.0
         starts[s + 1] = filled
     return starts, columns[:filled], numbers[:filled], residual

@@ -142,7 +142,8 @@ def leading_bias(
     gamma = target.discount
     matrix = target.transitions
     kernel = policy_kernel(target, pi).toarray()
-    visits = np.linalg.inv(np.eye(target.n_states) - gamma * kernel)  # (s', s)
+    # (s', s): the expected discounted number of visits to s from s'
+    visits = np.linalg.inv(np.eye(target.n_states) - gamma * kernel)
     values = state_values(target, pi)
     rows = row_of_entry(matrix)
     state = rows // target.n_actions
@@ -358,7 +359,7 @@ def trajectory_efficiency_bound(
         gradient = transition_gradient(mdp, pi, horizon=length)
         variances = row_variances(matrix, matrix.data, gradient)
         return _divide_and_sum(variances, visits.reshape(-1))
-    weights = _step_weights(mdp, behavior, pi, length, is_tree=model == "tree")
+    weights = _pair_weights(mdp, behavior, pi, length, is_tree=model == "tree")
     values = values_to_go(mdp, pi, length)
     total = dot(mdp.initial, (values[0] - dot(mdp.initial, values[0])) ** 2)
     rewards = 0.0 if mdp.reward_data is None else mdp.reward_data
@@ -369,7 +370,7 @@ def trajectory_efficiency_bound(
     return total
 
 
-def _step_weights(
+def _pair_weights(
     mdp: FiniteMDP, behavior: Array, policy: Array, horizon: int, *, is_tree: bool
 ) -> Array:
     """Compute weight_t(x) of ``trajectory_efficiency_bound``, of shape (T, S*A)."""

@@ -223,15 +223,14 @@ def self_normalized_moments(walk: Walk, discounts: Array, sources: bool) -> Mome
     To first order this is the mean of sum_t gamma^t W_t (r_t - j_t) / E W_t.
     """
     horizon = len(discounts)
-    (mass, rewards), (square, square_rewards) = (
-        _step_weights(walk, horizon, power) for power in (1, 2)
-    )
+    mass, rewards = _step_weights(walk, horizon, 1)
+    square, square_rewards = _step_weights(walk, horizon, 2)
     if np.any(mass == 0.0):
         return Moments(float("nan"), float("nan"), float("nan"))
     level = rewards / mass
     factor = walk.discount ** np.arange(horizon, dtype=np.float64)
     bias = -dot(factor, (square_rewards - level * square) / mass**2)
-    # of X_t E W_t, so that a step multiplies by gamma E W_t / E W_{t+1}
+    # the recursion is that of X_t E W_t: a step multiplies by gamma E W_t / E W_{t+1}
     discounts = discounts * np.append(mass[:-1] / mass[1:], 1.0)
     # where the reward carries the weight of its own step, X has w (r - j)
     offsets = level[:, None]
@@ -256,11 +255,9 @@ def _step_weights(walk: Walk, horizon: int, power: int) -> tuple[Array, Array]:
         weighted = walk.row_matrix(walk.prob * walk.w**power)
         mass = row_sums(weighted)
         rewards = row_sums(weighted, weighted.data * rewards)
-    weight, total = (
-        np.asarray((before * walk.sum_actions(chance * x)).sum(axis=1))
-        for x in (mass, rewards)
-    )
-    return weight, total
+    weight = (before * walk.sum_actions(chance * mass)).sum(axis=1)
+    total = (before * walk.sum_actions(chance * rewards)).sum(axis=1)
+    return np.asarray(weight), np.asarray(total)
 
 
 def _combine(
@@ -321,7 +318,8 @@ def infinite_moments(walk: Walk, sources: bool) -> Moments:
 
     A DivergentKernelError is raised where a moment does not exist.
     """
-    first, second = (walk.weighted_kernel(power) for power in (1, 2))
+    first = walk.weighted_kernel(1)
+    second = walk.weighted_kernel(2)
     gamma = walk.discount
     n = walk.n_states
     rows = walk.rows
@@ -365,15 +363,14 @@ def scale_moments(moments: Moments, shift: int) -> Moments:
     if shift != 0:
         with np.errstate(over="ignore", under="ignore"):
             deviation = float(np.ldexp(moments.standard_deviation, shift))
-            mean, bias = (
-                float(np.ldexp(x, shift)) for x in (moments.mean, moments.bias)
+            moments = Moments(
+                mean=float(np.ldexp(moments.mean, shift)),
+                variance=float(np.ldexp(moments.variance, 2 * shift)),
+                bias=float(np.ldexp(moments.bias, shift)),
+                by_step=_scale_parts(moments.by_step, 2 * shift),
+                by_state=_scale_parts(moments.by_state, 2 * shift),
+                _deviation=deviation,
             )
-            variance = float(np.ldexp(moments.variance, 2 * shift))
-            by_step, by_state = (
-                None if x is None else np.ldexp(x, 2 * shift)
-                for x in (moments.by_step, moments.by_state)
-            )
-            moments = Moments(mean, variance, bias, by_step, by_state, deviation)
         is_too_small = moments.variance < np.finfo(float).tiny < deviation
         is_too_large = moments.variance == np.inf > deviation
         if is_too_small or is_too_large:
@@ -389,3 +386,8 @@ def scale_moments(moments: Moments, shift: int) -> Moments:
             NumericalWarning,
         )
     return moments
+
+
+def _scale_parts(parts: Array | None, shift: int) -> Array | None:
+    """Return 2^shift times the parts of a variance, where there are some."""
+    return None if parts is None else np.ldexp(parts, shift)

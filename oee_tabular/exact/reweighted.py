@@ -149,7 +149,7 @@ def entries_of_ratio(mdp: FiniteMDP, ratio: Any, name: str) -> Array:
     The ratio is csr of shape (S*A, S) or an object with such ``values``; ``name`` is
     what errors call it.
     """
-    # the arrays have all of a matrix that is read here
+    # ``ratio_on`` reads only what these arrays have of a matrix
     zeta = ratio_on(cast("Csr", mdp.csr), ratio, name)
     if not 0.0 <= zeta.min() <= zeta.max() < np.inf:
         bad = int(np.flatnonzero(~(np.isfinite(zeta) & (zeta >= 0)))[0])

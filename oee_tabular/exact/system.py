@@ -75,7 +75,7 @@ def rows_of(matrix: CsrArrays | Csr) -> KernelRows:
 
 def as_readonly(array: Any) -> Any:
     """Return the array, or a contiguous view of it, that cannot be written through."""
-    # a broadcast array is copied: reading its flags would warn
+    # a broadcast array is copied, so that its flags may be read
     contiguous = np.ascontiguousarray(array)
     if not contiguous.flags.writeable:
         return contiguous

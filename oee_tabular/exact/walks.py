@@ -231,7 +231,7 @@ def radius_of(matrix: Csr) -> float:
     """Compute the spectral radius, by the eigenvalues where there are few."""
     if not np.isfinite(matrix.data).all():
         return np.inf  # the kernel has squares beyond the largest float
-    # up to here eigenvalues take less time than 2000 products
+    # eigenvalues are exact to rounding, but cost O(S^3)
     if matrix.shape[0] <= 400:
         return float(np.abs(np.linalg.eigvals(matrix.toarray())).max())
     return spectral_radius(matrix)

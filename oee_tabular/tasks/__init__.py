@@ -18,7 +18,7 @@ from oee_tabular.tasks.gridworld import (
 from oee_tabular.tasks.specs import NamedTask, named_task
 from oee_tabular.tasks.toy_text import make_environment, record_episodes, toy_text
 
-if TYPE_CHECKING:  # the rest is the wing's, imported on use
+if TYPE_CHECKING:  # continuous tasks are imported on use
     # isort: off
     from oee_tabular.continuous.cartpole import CartPole, cartpole_policy, train_expert
     from oee_tabular.continuous.correction import ParameterFit, fit_parameters
@@ -107,7 +107,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # the wing's package of the arm, under the name by which notebook 09 reads it
+    """Return a name of ``oee_tabular.continuous``, which is imported on use."""
+    # the package of the Kinova arm, under the name by which notebook 09 reads it
     if name == "kinova":
         return importlib.import_module("oee_tabular.continuous.kinova")
     if name in __all__:
@@ -116,4 +117,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
+    """List the public names, those that are imported on use as well."""
     return sorted({*__all__, *globals()})

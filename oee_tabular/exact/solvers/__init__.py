@@ -181,7 +181,7 @@ def refine(
         candidate = measure(system, b, best.x + step, solver.name)
         if not candidate.largest < best.largest:
             break
-        # a step that does not halve the residual has reached its rounding
+        # after a step that does not halve the residual, further ones gain little
         is_stalled = candidate.largest > 0.5 * best.largest
         best = candidate
         if is_stalled or best.largest <= max(allowed, 0.25 * best.rounding):
