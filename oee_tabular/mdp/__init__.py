@@ -1,16 +1,14 @@
 """Finite Markov decision processes (S, A, P, r, mu_0, gamma) and policies.
 
-=====================
-===================================================================================================
-P(s' | s, a)           (S*A, S), row s*A + a: nonnegative, rows sum to 1 to 1e-8 (the
-paper's eq. 3.4)
-r(s), r(s, a)          (S, A), of a step in s
-r(s, a, s')            (S*A, S) like P: belongs to the transition; undefined where
-neither P nor the caller defines it mu_0(s), gamma         (S,), a distribution; in [0,
-1]
-pi(a | s)              (S, A), rows sum to 1; (T, S, A) where a function has a horizon T
-=====================
-===================================================================================================
+A model has these arrays (the paper's eq. 3.4), each of which is checked once, on input,
+with errors that name argument, place, rule and value; then it is read-only::
+
+    P(s' | s, a)       (S*A, S), row s*A + a: nonnegative, rows sum to 1 to 1e-8
+    r(s), r(s, a)      (S, A), of a step in s
+    r(s, a, s')        (S*A, S) like P: belongs to the transition; undefined where
+                       neither P nor the caller defines it
+    mu_0(s), gamma     (S,), a distribution; in [0, 1]
+    pi(a | s)          (S, A), rows sum to 1; (T, S, A) where a function has a horizon T
 
 The value of a policy (eq. 3.1) is J(pi) = E[sum_t gamma^t r_t], s_0 ~ mu_0, a_t ~ pi(.
 | s_t), s_{t+1} ~ P(. | s_t, a_t). Where rewards depend on s',
@@ -27,29 +25,21 @@ appended to the environment's S0 states where s is also entered alive. A *layout
 gives states coordinates; displacements layout[s'] - layout[s] define which transitions
 are alike.
 
-Every array is checked once, on input, with errors that name argument, place, rule and
-value; then it is read-only.
-
-====================
-=====================================================================================================
-``finite_mdp``        ``FiniteMDP``: the model, its constructors, the MDPs that differ
-from it in one argument ``arrays``            rules of its arrays; the csr arrays of P
-and r(s, a, s')
-``support``           action noise, P_eps = (1 - eps) P + eps mean_b P(. | s, b);
-support for the transitions of a log ``policies``          pi in each form that people
-have it, as (S, A)
-``naming``            names of states and actions, and their numbers
-``gymnasium_table``   outcomes of actions as the arrays of an MDP; the P of a toy-text
-environment
-``empirical``         n(s, a, s') / n(s, a) of a log or an environment, how many samples
-there are of each pair, and the
-                      variance of mean rewards; ``Explorer`` steps to pairs with few samples
-``rows``              sums, means and exponential tilts over the rows of P;
-displacements
-``files``             the arrays of an npz file
-``horizons``          how many steps of a horizon a discount leaves visible
-====================
-=====================================================================================================
+- ``finite_mdp``: ``FiniteMDP``, the model, its constructors, and the MDPs that differ
+  from it in one argument
+- ``arrays``: rules of its arrays; the csr arrays of P and r(s, a, s')
+- ``support``: action noise, P_eps = (1 - eps) P + eps mean_b P(. | s, b); support for
+  the transitions of a log
+- ``policies``: pi in each form that people have it, as (S, A)
+- ``naming``: names of states and actions, and their numbers
+- ``gymnasium_table``: outcomes of actions as the arrays of an MDP; the P of a toy-text
+  environment
+- ``empirical``: n(s, a, s') / n(s, a) of a log or an environment, how many samples
+  there are of each pair, and the variance of mean rewards; ``Explorer`` steps to pairs
+  with few samples
+- ``rows``: sums, means and exponential tilts over the rows of P; displacements
+- ``files``: the arrays of an npz file
+- ``horizons``: how many steps of a horizon a discount leaves visible
 """
 
 from oee_tabular.mdp.finite_mdp import FiniteMDP

@@ -1,5 +1,6 @@
-"""The test that the rows of an array are distributions, in one pass: .2 us where numpy
-takes 6.4 (4 states, 2 actions).
+"""The test that the rows of an array are distributions, in one pass.
+
+It takes .2 us where numpy takes 6.4 (4 states, 2 actions).
 """
 
 from numba import njit
@@ -7,7 +8,7 @@ from numba import njit
 
 @njit(cache=True)
 def is_stochastic_matrix(rows, tolerance):
-    """min_x p_x >= 0 and abs(sum_x p_x - 1) <= tolerance in each row p."""
+    """Say whether min_x p_x >= 0 and abs(sum_x p_x - 1) <= tolerance in each row p."""
     for row in range(len(rows)):
         total = 0.0
         for x in range(rows.shape[1]):

@@ -1,5 +1,6 @@
-"""Arrays of an MDP: their rules, and P(s' | s, a) and r(s, a, s') as the entries of
-sparse rows s*A + a.
+"""Rules of an MDP's arrays, and P(s' | s, a) and r(s, a, s') as sparse entries.
+
+The entries are those of rows s*A + a.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ _SHAPES = (
 
 
 class CsrArrays(NamedTuple):
-    """The read-only arrays of a csr matrix, without scipy's object, which takes longer
-    to make than V of 4 states.
+    """Hold the read-only arrays of a csr matrix, without scipy's object.
+
+    scipy's object takes longer to make than V of 4 states.
     """
 
     indptr: IntArray
@@ -42,12 +44,12 @@ class CsrArrays(NamedTuple):
 
     @property
     def nnz(self) -> int:
-        """The number of entries."""
+        """Return the number of entries."""
         return len(self.data)
 
     @classmethod
     def from_dense(cls, rows: Array, mask: BoolArray | None = None) -> CsrArrays:
-        """The entries of (n, m) that are not 0, or those of ``mask``."""
+        """Take the entries of an (n, m) array that are not 0, or those of ``mask``."""
         row, column = (rows if mask is None else mask).nonzero()
         kind = np.int32 if max(len(row), *rows.shape) < 2**31 else np.int64
         indptr = row.searchsorted(np.arange(len(rows) + 1)).astype(kind)
@@ -60,11 +62,11 @@ class CsrArrays(NamedTuple):
 
     @classmethod
     def from_matrix(cls, matrix: sparse.csr_array) -> CsrArrays:
-        """The arrays of a canonical matrix."""
+        """Take the arrays of a canonical matrix."""
         return cls(matrix.indptr, matrix.indices, matrix.data, matrix.shape)
 
     def to_matrix(self) -> sparse.csr_array:
-        """scipy's matrix of these arrays."""
+        """Return scipy's matrix of these arrays."""
         matrix = csr_on_pattern(self, self.data, own=True)
         # scipy took views of them
         matrix.indptr = self.indptr
@@ -76,8 +78,9 @@ class CsrArrays(NamedTuple):
 def name_transition(
     matrix: Any, entry: int, n_actions: int, names: Names = NAMELESS
 ) -> str:
-    """``s=3, a=1 -> s'=7`` for an entry of rows s*A + a; names in place of numbers
-    where there are some.
+    """Describe an entry of rows s*A + a as ``s=3, a=1 -> s'=7``.
+
+    Names stand in place of numbers where there are some.
     """
     row = int(np.searchsorted(matrix.indptr, entry, side="right")) - 1
     return names.transition(*divmod(row, n_actions), matrix.indices[entry])
@@ -86,15 +89,16 @@ def name_transition(
 def csr_from_entries(
     rows: object, columns: object, data: Array, shape: tuple[int, int]
 ) -> sparse.csr_array:
-    """The csr of exactly these entries, explicit zeros included."""
+    """Make the csr of exactly these entries, explicit zeros included."""
     return canonical(
         sparse.csr_array((data, (rows, columns)), shape=shape), drop_zeros=False
     )
 
 
 def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
-    """Return the entries of P, S and A; what another MDP has checked (``CsrArrays``) is
-    taken as it is.
+    """Check P and return its entries, the number of states and the number of actions.
+
+    What another MDP has checked (``CsrArrays``) is taken as it is.
     """
     if isinstance(transitions, CsrArrays):
         csr = transitions
@@ -124,6 +128,7 @@ def check_transitions(transitions: Any) -> tuple[CsrArrays, int, int]:
 
 
 def _check_sparse_transitions(transitions: Any) -> CsrArrays:
+    """Check a sparse P of shape (S*A, S) and return its entries."""
     shape = transitions.shape
     if transitions.ndim != 2 or 0 in shape or shape[0] % shape[1]:
         raise ArgumentError("transitions", f"must {_SHAPES}; it has shape {shape}")
@@ -144,10 +149,10 @@ def _check_sparse_transitions(transitions: Any) -> CsrArrays:
 def check_rewards(
     rewards: Any, csr: CsrArrays, n_actions: int
 ) -> tuple[Array, Array | None, Any]:
-    """Return r(s, a); and of r(s, a, s') its values on the entries of P and its table,
-    where nan or no entry is undefined.
+    """Check rewards and return r(s, a), r(s, a, s') on the entries of P, and its table.
 
-    r(s, a) = sum_s' P(s' | s, a) r(s, a, s').
+    r(s, a) = sum_s' P(s' | s, a) r(s, a, s'). In the table a nan, or no entry, means
+    undefined; the last two are None where rewards do not depend on s'.
     """
     n_states = csr.shape[1]
     shape = n_states, n_actions, n_states
@@ -197,7 +202,7 @@ def check_rewards(
 def _check_sparse_rewards(
     rewards: Any, csr: CsrArrays, n_actions: int
 ) -> sparse.csr_array:
-    """The table with a 0 wherever P has an entry and it has none."""
+    """Check sparse rewards and add a 0 wherever P has an entry and they have none."""
     if rewards.shape != csr.shape:
         raise ArgumentError(
             "rewards",
@@ -221,7 +226,7 @@ def _check_sparse_rewards(
 
 
 def check_terminal_state(value: object, n_states: int) -> IntArray:
-    """Return (S0,) numbers of states."""
+    """Check ``terminal_state`` and return it as (S0,) numbers of states."""
     array = _checks.as_array(value, "terminal_state")
     if (
         array.ndim != 1
@@ -238,7 +243,7 @@ def check_terminal_state(value: object, n_states: int) -> IntArray:
 
 
 def require_numbers(values: Any, size: int, name: str, whose: str = "") -> None:
-    """Every one of (n,) integers is a number of ``size`` states or actions."""
+    """Raise an ArgumentError unless all of (n,) integers are in 0..size-1."""
     bad = np.flatnonzero((values < 0) | (values >= size))
     if bad.size:
         raise ArgumentError(
@@ -248,12 +253,12 @@ def require_numbers(values: Any, size: int, name: str, whose: str = "") -> None:
 
 
 def check_layout(value: object, n_states: int, name: str = "layout") -> Array:
-    """Return a new (S, c) array of coordinates: (S,) or (S, c) finite numbers, or a
-    grid's shape (height, width).
+    """Check coordinates of states and return them as a new (S, c) array.
 
-    In a grid state s lies in row s // width, column s % width. A tuple of two integers
-    is a grid's shape; of two states it may also be their coordinates, where its product
-    is not 2.
+    They are (S,) or (S, c) finite numbers, or a grid's shape (height, width). In a grid
+    state s lies in row s // width, column s % width. A tuple of two integers is a
+    grid's shape; of two states it may also be their coordinates, where its product is
+    not 2.
     """
     if (
         isinstance(value, tuple)

@@ -1,18 +1,18 @@
-"""Empirical MDPs: P(s' | s, a) = n(s, a, s') / n(s, a) of a log, or of an environment
-that is stepped.
+"""Empirical MDPs: P(s' | s, a) = n(s, a, s') / n(s, a) of a log or of an environment.
 
-The ``Explorer`` of an environment goes where state-action pairs have too few samples.
-With n(s, a) samples of each pair, N wanted, and the frequencies P_n, mu_n of what has
-been met so far, value iteration solves
+The ``Explorer`` of an environment that is stepped goes where state-action pairs have
+too few samples. With n(s, a) samples of each pair, N wanted, and the frequencies P_n,
+mu_n of what has been met so far, value iteration solves
 
     V(s) = max(gamma V_0, max_a Q(s, a)),    V_0 = sum_s mu_n(s) V(s),
-    Q(s, a) = 1 where n(s, a) < N (an action that was never taken among them), else gamma sum_s' P_n(s' | s, a) V(s'),
+    Q(s, a) = 1 where n(s, a) < N (an action that was never taken among them),
+              else gamma sum_s' P_n(s' | s, a) V(s'),
 
 with V_0 in place of V(s') where the episode terminates; gamma V_0 is what a reset is
-worth, so that traps are left. V is the largest E gamma^t, t the steps to the nearest
-pair that lacks samples. Each state that was met was reached from a first state: V > 0
-as long as a pair lacks. On a warehouse of 144 states and 3 actions each sample that is
-wanted takes 2.2 steps.
+worth, so that traps are left. V is the largest E gamma^t, t the number of steps to the
+nearest pair that lacks samples. Each state that was met was reached from a first state:
+V > 0 as long as a pair lacks samples. On a warehouse of 144 states and 3 actions each
+sample that is wanted takes 2.2 steps.
 """
 
 from __future__ import annotations
@@ -41,15 +41,19 @@ from oee_tabular.typing import Array, IntArray, Seed
 
 
 class Sampling(NamedTuple):
-    """Samples that an MDP of frequencies rests on.
+    """Hold the numbers of samples that an MDP of frequencies rests on.
 
     Attributes
     ----------
-    pairs : (S*A,) samples of each (s, a): inf of terminal states, 0 where none was
-        taken and the row was filled in
-    starts : first states that were sampled, inf if the initial distribution was given
-    reward_error : csr (S*A, S), the variance of the mean reward of each transition;
-        None where rewards were given
+    pairs : ndarray of shape (S*A,)
+        The samples of each (s, a): inf of terminal states, 0 where none was taken and
+        the row was filled in.
+    starts : float
+        The number of first states that were sampled, inf if the initial distribution
+        was given.
+    reward_error : csr_array of shape (S*A, S), or None
+        The variance of the mean reward of each transition; None where rewards were
+        given.
     """
 
     pairs: Array
@@ -65,8 +69,10 @@ def log_arguments(
     names: tuple[Any, Any],
     layout: object,
 ) -> dict[str, Any]:
-    """Return the arguments of ``FiniteMDP`` but for the discount;
-    ``FiniteMDP.from_log`` explains these.
+    """Return the arguments of ``FiniteMDP``, without the discount, from a log.
+
+    ``FiniteMDP.from_log`` explains these. ``sizes`` and ``names`` are of states and of
+    actions.
     """
     require_log(log)
     n_states, states, (state, following) = _resolve(
@@ -111,8 +117,7 @@ def log_arguments(
 def _resolve(
     log: Any, label: str, columns: tuple[str, ...], size: object, names: object
 ) -> tuple[int, tuple[Name, ...] | None, list[IntArray]]:
-    """Return the number of states or actions, their names, and the log's columns of
-    them in these numbers.
+    """Return the number of states or actions, their names, and the columns of them.
     """
     own = getattr(log, f"{label}_names")
     codes = [getattr(log, column) for column in columns]
@@ -145,7 +150,8 @@ def _resolve(
 def env_arguments(
     env: Any, samples_per_pair: object, seed: Seed, max_steps: object
 ) -> dict[str, Any]:
-    """Return the arguments of ``FiniteMDP`` but for the discount;
+    """Return the arguments of ``FiniteMDP``, without the discount, from an environment.
+
     ``FiniteMDP.from_env`` explains these.
     """
     n_wanted = _checks.positive_integer(samples_per_pair, "samples_per_pair")
@@ -239,7 +245,7 @@ def _empirical_arguments(
     rewards: Any,
     layout: object,
 ) -> dict[str, Any]:
-    """Return the arguments of the MDP of samples, and what they are known by.
+    """Return the arguments of the MDP of samples, and the numbers of samples.
 
     ``initial`` None: the frequencies of ``starts``. ``rewards`` None: the mean reward
     of each transition.
@@ -282,7 +288,8 @@ def _empirical_arguments(
 
 
 def _check_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
-    """Return given rewards, (S,), (S, A) or (S, A, S) of the log's own states, dense."""
+    """Check rewards (S,), (S, A) or (S, A, S) and return them dense.
+    """
     shape = n_states, n_actions, n_states
     given = (
         check_csr(rewards, "rewards").toarray() if sparse.issparse(rewards) else rewards
@@ -301,7 +308,7 @@ def _check_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
 def _fill_pairs(
     samples: Outcomes, initial: Array, n_actions: int, names: Names
 ) -> Outcomes:
-    """Return the samples, and others for pairs (s, a) that have none.
+    """Return the samples, with others for the pairs (s, a) that have none.
 
     An action never taken in a state does what the other actions did there; a state
     never left is absorbing with reward 0, but for those that are entered by termination
@@ -351,11 +358,10 @@ def _count_samples(
     *,
     has_rewards: bool,
 ) -> Sampling:
-    """Count the samples of each pair, and compute the variance of each transition's
-    mean reward where they have rewards.
+    """Count the samples of each pair, and estimate the variance of each mean reward.
 
     The variance of a mean of k rewards is s^2 / k, s^2 the transition's own, or the
-    pooled one where k = 1.
+    pooled one where k = 1. There is none without ``has_rewards``.
     """
     n_rows, n_states = shape
     row = samples.state * (n_rows // n_states) + samples.action
@@ -393,12 +399,20 @@ RESET = -1  # the action of leaving an episode; the next state where it terminat
 
 
 class Explorer:
-    """Samples of an environment: ``transitions`` (state, action, next state, reward,
-    terminated), and ``starts``.
+    """Draw samples of an environment until no reached state-action pair lacks them.
 
-    ``states``: the number of each observation, in the order in which they are met.
-    ``open``: those in which an episode can act; ``lacking``: their pairs (state,
-    action) with too few samples.
+    Attributes
+    ----------
+    transitions : list of tuple
+        The samples (state, action, next state, reward, terminated).
+    starts : list of int
+        The first state of each episode.
+    states : dict
+        The number of each observation, in the order in which they are met.
+    open : set of int
+        The states in which an episode can act.
+    lacking : set of tuple
+        The pairs (state, action) of open states with too few samples.
     """
 
     def __init__(
@@ -465,16 +479,17 @@ class Explorer:
         return following, bool(terminated or truncated)
 
     def _number(self, observation: object) -> int:
+        """Return the number of an observation, a new one if it was not met before."""
         return self.states.setdefault(to_plain(observation), len(self.states))
 
     def _actions_that_lack(self, state: int) -> list[int]:
+        """List the actions of a state that have too few samples."""
         return [
             a for a in range(self.n_actions) if self._counts[state, a] < self.n_wanted
         ]
 
     def _set_open(self, state: int, is_open: bool) -> None:
-        """Keep whether an episode can act in a state, so that its pairs are to have
-        samples.
+        """Keep whether an episode can act in a state and its pairs need samples.
         """
         if is_open and state not in self.open:
             self.open.add(state)
@@ -484,8 +499,7 @@ class Explorer:
             self.lacking.difference_update((state, a) for a in range(self.n_actions))
 
     def _choose(self, state: int, is_first: bool) -> int:
-        """Return a lacking action, the one that leads nearest to others; else what the
-        plan says.
+        """Return the lacking action that leads nearest to others, else the plan's action.
         """
         is_planned = state < len(self._values)
         if lacking := self._actions_that_lack(state):
@@ -502,8 +516,9 @@ class Explorer:
         )
 
     def _plan(self) -> None:
-        """Solve for V by value iteration from 0, and keep the best actions and gamma
-        sum_s' P_n V of each pair.
+        """Solve for V by value iteration from 0, and keep the best actions and values.
+
+        The values are gamma sum_s' P_n V of each pair.
         """
         n = len(self.states)
         is_lacking, is_taken = np.zeros((2, n, self.n_actions), dtype=np.bool_)

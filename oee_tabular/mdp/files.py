@@ -1,5 +1,4 @@
-"""A FiniteMDP as the plain arrays of an npz file: csr parts of P and r(s, a, s'), the
-others as they are.
+"""The arrays of an MDP's npz file, with P and r(s, a, s') as the parts of csr matrices.
 """
 
 from __future__ import annotations
@@ -20,8 +19,9 @@ _PARTS = ("data", "indices", "indptr")
 
 
 def file_arrays(mdp: Any, layout: object) -> dict[str, Any]:
-    """Return what a file holds; ``layout``: the one that was given, without the
-    coordinates of names.
+    """Return the arrays that the file of an MDP holds.
+
+    ``layout``: the one that was given, without the coordinates of names.
     """
     pairs, starts, error = mdp.sampling or (None, None, None)
     arrays = {
@@ -52,8 +52,9 @@ def file_arrays(mdp: Any, layout: object) -> dict[str, Any]:
 
 
 def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of ``FiniteMDP`` from what a file holds; KeyError or
-    ValueError for what is none.
+    """Return the arguments of ``FiniteMDP`` from the arrays of a file.
+
+    Raises KeyError or ValueError where they are not those of an MDP.
     """
     sizes = arrays["shape"]
     if sizes.shape != (2,) or sizes.dtype.kind not in "iu" or sizes.min() < 1:
@@ -89,11 +90,13 @@ def constructor_arguments(arrays: Mapping[str, Any]) -> dict[str, Any]:
 def _read_csr(
     arrays: Mapping[str, Any], name: str, shape: tuple[int, int]
 ) -> sparse.csr_array:
+    """Read the csr matrix of this name from its three arrays."""
     data, indices, indptr = (arrays[f"{name}_{part}"] for part in _PARTS)
     return csr_from_parts(data, indices, indptr, shape, name)
 
 
 def _read_sampling(arrays: Mapping[str, Any], shape: tuple[int, int]) -> Sampling:
+    """Read and check the numbers of samples of an MDP."""
     pairs = _checks.float_array(arrays["sampling_pairs"], "sampling_pairs", ndim=1)
     starts = float(
         _checks.float_array(arrays["sampling_starts"], "sampling_starts", ndim=0)

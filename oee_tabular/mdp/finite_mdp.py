@@ -1,5 +1,6 @@
-"""A finite MDP (S, A, P, r, mu_0, gamma), the model of the paper's eq. 3.4, on sparse
-rows s*A + a.
+"""The finite Markov decision process of the paper's eq. 3.4, (S, A, P, r, mu_0, gamma).
+
+Its transitions are sparse rows s*A + a.
 """
 
 from __future__ import annotations
@@ -40,60 +41,85 @@ KIND = "finite_mdp"
 
 
 class FiniteMDP:
-    """A finite Markov decision process, checked when it is made and immutable
-    afterwards.
+    """Describe a finite Markov decision process, checked when made and immutable.
 
     Parameters
     ----------
-    transitions : (S, A, S) array, or sparse of shape (S*A, S)
-        P(s' | s, a), in row ``s*A + a`` of the sparse form; nonnegative, rows sum to 1
-        (tolerance 1e-8; those of a dense single-precision array are scaled). A terminal
-        state leads to itself with reward 0.
-    rewards : (S,), (S, A) or (S, A, S) array, or sparse of shape (S*A, S)
-        r(s), r(s, a) or r(s, a, s'), finite. In a dense r(s, a, s') a nan outside the
-        support of P means "undefined". In a sparse one an absent entry is 0 on the
-        support and undefined elsewhere.
-    initial : (S,) array
-        Distribution mu_0 of the first state; or one state, by number or name, or a
-        mapping state -> probability.
-    discount : float in [0, 1]
-        gamma. At 1 an infinite horizon is defined only for policies that are absorbed
-        in states without reward.
-    terminal_state : (S0,) integers, optional
-        terminal_state[s] is the state that a transition which *terminates* on entering
-        s goes to, for s < S0, the number of the environment's own states. By default s
-        itself.
-    layout : (S,) or (S, c) array, or a grid's shape (height, width), optional
+    transitions : array_like of shape (S, A, S), or sparse of shape (S*A, S)
+        The probabilities P(s' | s, a), in row ``s*A + a`` of the sparse form. They are
+        nonnegative and each row sums to 1 (tolerance 1e-8; rows of a dense
+        single-precision array are scaled). A terminal state leads to itself with reward
+        0.
+    rewards : array_like of shape (S,), (S, A) or (S, A, S), or sparse of shape (S*A, S)
+        The finite rewards r(s), r(s, a) or r(s, a, s'). In a dense r(s, a, s') a nan
+        outside the support of P means "undefined". In a sparse one an absent entry is 0
+        on the support and undefined elsewhere.
+    initial : array_like of shape (S,), int, name, or mapping
+        The distribution mu_0 of the first state; or one state, by number or name; or a
+        mapping from states to probabilities.
+    discount : float
+        The discount gamma in [0, 1]. At 1 an infinite horizon is defined only for
+        policies that are absorbed in states without reward.
+    terminal_state : array_like of int of shape (S0,), optional
+        For s < S0, the number of the environment's own states, the state that a
+        transition which *terminates* on entering s leads to. None means s itself.
+    layout : array_like of shape (S,) or (S, c), or tuple (height, width), optional
         Finite coordinates of the states, for displacements (``mdp.displacements``) and
-        maps ((row, column) if c = 2). With a shape, whose product is S, state s lies in
-        row s // width. None: the coordinates in ``state_names`` if all are tuples of
-        numbers of one length, (3, 4); else none.
+        maps ((row, column) if c = 2). With a grid's shape, whose product is S, state s
+        lies in row s // width. None means the coordinates in ``state_names`` if all
+        names are tuples of numbers of one length, such as (3, 4), and otherwise no
+        layout.
+    state_names : sequence of S str or tuple, optional
+        Distinct names of the states, texts or tuples of texts and numbers; none reads
+        as a number. Logs and policies may use them.
+    action_names : sequence of A str or tuple, optional
+        Distinct names of the actions, by the same rules.
     sampling : Sampling, optional
-        The sample sizes of an MDP made of samples; ``from_log`` and ``from_env`` give
+        The sample sizes of an MDP made of samples. ``from_log`` and ``from_env`` set
         it, and intervals widen by it.
-    state_names, action_names : S, A texts or tuples of texts and numbers, optional
-        Distinct names of the states and the actions; none reads as a number. Logs and
-        policies may use them.
 
     Attributes
     ----------
-    n_states, n_actions : int
-    transitions : csr_array of shape (S*A, S), without explicit zeros
-    rewards : (S, A) expected reward
-    transition_rewards : csr_array of shape (S*A, S), an entry wherever r(s, a, s') is
-        defined, or None
-    initial, discount, terminal_state, layout ((S, c) or None), state_names,
-        action_names (tuples or None), sampling (or None)
-    csr : the arrays of ``transitions`` (indptr, indices, data, shape); scipy's matrix
-        is made when it is first asked for
-    reward_data : r(s, a, s') on the entries of ``transitions`` (aligned with
-        ``transitions.data``), None for r(s, a)
-    names : both, for sentences (``mdp.naming``)
+    n_states : int
+        The number S of states.
+    n_actions : int
+        The number A of actions.
+    transitions : csr_array of shape (S*A, S)
+        The probabilities P(s' | s, a), without explicit zeros. scipy's matrix is made
+        when it is first asked for.
+    csr : CsrArrays
+        The arrays of ``transitions`` (indptr, indices, data, shape).
+    rewards : ndarray of shape (S, A)
+        The expected rewards r(s, a).
+    transition_rewards : csr_array of shape (S*A, S), or None
+        The rewards r(s, a, s'), with an entry wherever they are defined.
+    reward_data : ndarray of shape (nnz,), or None
+        The rewards r(s, a, s') on the entries of ``transitions``, aligned with
+        ``transitions.data``; None if rewards are r(s, a).
+    initial : ndarray of shape (S,)
+        The distribution of the first state.
+    discount : float
+        The discount gamma.
+    terminal_state : ndarray of int of shape (S0,)
+        The state that a transition which terminates on entering s leads to.
+    layout : ndarray of shape (S, c), or None
+        The coordinates of the states.
+    state_names : tuple of length S, or None
+        The names of the states.
+    action_names : tuple of length A, or None
+        The names of the actions.
+    sampling : Sampling, or None
+        The sample sizes that the model rests on.
 
     Raises
     ------
     ValueError
-        With the argument, the place, the rule and the value.
+        If an argument breaks its rule; the error names the argument, the place, the
+        rule and the value.
+
+    See Also
+    --------
+    oee_tabular.tasks : Ready-made models, such as ``gridworld``.
 
     Examples
     --------
@@ -210,19 +236,22 @@ class FiniteMDP:
 
     @property
     def _reward_form(self) -> str:
+        """Return what the rewards depend on, "r(s, a)" or "r(s, a, s')"."""
         return "r(s, a)" if self.reward_data is None else "r(s, a, s')"
 
     @cached_property
     def transitions(self) -> sparse.csr_array:
-        """P(s' | s, a): csr of shape (S*A, S), sorted, without explicit zeros,
-        read-only.
+        """Return P(s' | s, a) as a read-only csr of shape (S*A, S).
+
+        Its indices are sorted, and it has no explicit zeros.
         """
         return self.csr.to_matrix()
 
     @cached_property
     def transition_rewards(self) -> sparse.csr_array | None:
-        """r(s, a, s') as csr of shape (S*A, S), an entry wherever it is defined; None
-        for r(s, a).
+        """Return r(s, a, s') as csr of shape (S*A, S), or None if rewards are r(s, a).
+
+        It has an entry wherever r(s, a, s') is defined.
         """
         if not isinstance(self._reward_table, np.ndarray):
             return self._reward_table
@@ -233,27 +262,55 @@ class FiniteMDP:
 
     @property
     def names(self) -> Names:
-        """The names of states and actions for sentences, which use numbers where there
-        are none.
+        """Return the names of states and actions for sentences.
+
+        Where there are no names, the sentences use numbers.
         """
         return Names(self.state_names, self.action_names)
 
     def absorbing(self) -> BoolArray:
-        """(S,) mask of the terminal states: closed, with reward 0."""
+        """Find the terminal states: those that are closed and have reward 0.
+
+        Returns
+        -------
+        ndarray of bool of shape (S,)
+            True for terminal states.
+        """
         return np.asarray(self.closed() & (self.rewards == 0.0).all(axis=1))
 
     def closed(self) -> BoolArray:
-        """(S,) mask of the states that every action leads back to."""
+        """Find the states that every action leads back to.
+
+        Returns
+        -------
+        ndarray of bool of shape (S,)
+            True for closed states, P(s | s, a) = 1 for each a.
+        """
         state = row_of_entry(self.csr) // self.n_actions
         leaves = np.zeros(self.n_states, dtype=np.bool_)
         leaves[state[self.csr.indices != state]] = True
         return ~leaves
 
     def with_transitions(self, new: object) -> Self:
-        """The same MDP under other dynamics (eq. 3.4); r(s, a, s') is averaged again.
+        """Return the same MDP with other transition probabilities (eq. 3.4).
 
-        Raises ValueError where ``new`` has a transition for which r(s, a, s') is not
-        defined.
+        Rewards r(s, a, s') are averaged again under the new probabilities.
+
+        Parameters
+        ----------
+        new : array_like of shape (S, A, S), or sparse of shape (S*A, S)
+            The new probabilities, in any of the constructor's forms.
+
+        Returns
+        -------
+        FiniteMDP
+            The new MDP; its ``sampling`` is None.
+
+        Raises
+        ------
+        ValueError
+            If ``new`` is for other numbers of states or actions, or has a transition
+            for which r(s, a, s') is not defined.
         """
         try:
             csr, *sizes = check_transitions(new)
@@ -279,19 +336,50 @@ class FiniteMDP:
         return self._replace(transitions=csr, sampling=None)
 
     def with_rewards(self, rewards: object) -> Self:
-        """The same dynamics with other rewards, in any of the constructor's forms."""
+        """Return the same MDP with other rewards.
+
+        Parameters
+        ----------
+        rewards : array_like of shape (S,), (S, A) or (S, A, S), or sparse (S*A, S)
+            The new rewards, in any of the constructor's forms.
+
+        Returns
+        -------
+        FiniteMDP
+            The new MDP; its rewards count as known exactly.
+        """
         return self._replace(
             rewards=rewards,
             sampling=self.sampling and self.sampling._replace(reward_error=None),
         )
 
     def with_discount(self, discount: float) -> Self:
-        """The same MDP with another discount."""
+        """Return the same MDP with another discount.
+
+        Parameters
+        ----------
+        discount : float
+            The new discount in [0, 1].
+
+        Returns
+        -------
+        FiniteMDP
+            The new MDP.
+        """
         return self._replace(discount=discount)
 
     def with_initial(self, initial: object) -> Self:
-        """The same MDP with another first state, or another distribution of it, in any
-        of the constructor's forms.
+        """Return the same MDP with another distribution of the first state.
+
+        Parameters
+        ----------
+        initial : array_like of shape (S,), int, name, or mapping
+            The new distribution or first state, in any of the constructor's forms.
+
+        Returns
+        -------
+        FiniteMDP
+            The new MDP; its first states count as known exactly.
         """
         return self._replace(
             initial=initial,
@@ -299,66 +387,151 @@ class FiniteMDP:
         )
 
     def with_layout(self, layout: ArrayLike | None) -> Self:
-        """The same MDP with other coordinates of its states; None: those in its names,
-        or none.
+        """Return the same MDP with other coordinates of its states.
+
+        Parameters
+        ----------
+        layout : array_like of shape (S,) or (S, c), or tuple (height, width), or None
+            The new coordinates, in any of the constructor's forms. None means those in
+            the states' names, or none.
+
+        Returns
+        -------
+        FiniteMDP
+            The new MDP.
         """
         return self._replace(layout=layout)
 
     def with_names(
         self, state_names: object = None, action_names: object = None
     ) -> Self:
-        """The same MDP with these names of its states and of its actions; None: with
-        none.
+        """Return the same MDP with other names of its states and actions.
+
+        Parameters
+        ----------
+        state_names : sequence of S str or tuple, optional
+            The new names of the states. None means that states have no names.
+        action_names : sequence of A str or tuple, optional
+            The new names of the actions. None means that actions have no names.
+
+        Returns
+        -------
+        FiniteMDP
+            The new MDP.
         """
         return self._replace(state_names=state_names, action_names=action_names)
 
     def with_action_noise(self, epsilon: float) -> Self:
-        """With probability epsilon the action is replaced by a uniform one (which may
-        be the same).
+        """Return the same MDP with actions replaced by uniform ones at random.
 
+        It gives a too deterministic simulator the support that a ratio needs.
+
+        Parameters
+        ----------
+        epsilon : float
+            The probability in [0, 1] with which the action is replaced by a uniform
+            one, which may be the same.
+
+        Returns
+        -------
+        FiniteMDP
+            The MDP with noisy actions.
+
+        See Also
+        --------
+        with_support_of : Allow only the transitions of a log.
+
+        Notes
+        -----
         P_eps(. | s, a) = (1 - eps) P(. | s, a) + eps mean_b P(. | s, b), and the
         rewards are those of the action that was carried out: r_eps(s, a, s') = E[r(s,
         b, s') | s, a, s'], or r_eps(s, a) = E[r(s, b) | s, a] where rewards do not
-        depend on s'. It gives a too deterministic simulator the support that a ratio
-        needs.
-        A state's value under (P_eps, policy) is its value under (P, (1 - eps) policy +
-        eps uniform).
+        depend on s'. A state's value under (P_eps, policy) is its value under (P, (1 -
+        eps) policy + eps uniform).
         """
         return self._replace(**add_action_noise(self, epsilon))
 
     def with_support_of(self, log: object, epsilon: float) -> Self:
-        """The same MDP with the log's impossible transitions made possible: P' = (1 -
-        eps) P + eps U in their pairs.
-
-        U is uniform over the log's transitions from (s, a) that P gives probability 0;
-        other pairs stay as they are. A new transition has the log's mean reward for it,
-        or r(s, a) if the log has none.
+        """Return the same MDP with a log's impossible transitions made possible.
 
         Parameters
         ----------
-        log : Transitions, or counts of shape (S*A, S)
-        epsilon : in (0, 1)
+        log : Transitions, or sparse counts of shape (S*A, S)
+            The log whose transitions are to have positive probability.
+        epsilon : float
+            The probability in (0, 1) that such transitions get together in their
+            state-action pair.
+
+        Returns
+        -------
+        FiniteMDP
+            The new MDP; itself if the log has no impossible transition.
+
+        See Also
+        --------
+        with_action_noise : Mix the actions of each state instead.
+
+        Notes
+        -----
+        In pairs (s, a) that the log has impossible transitions of, P' = (1 - eps) P +
+        eps U, where U is uniform over the log's transitions from (s, a) that P gives
+        probability 0; other pairs stay as they are. A new transition has the log's mean
+        reward for it, or r(s, a) if the log has none.
 
         Examples
         --------
         >>> import oee_tabular as oee
-        >>> line = oee.FiniteMDP([[[0.5, 0.5, 0]], [[0, 0, 1]], [[0, 0, 1]]], [1, 1, 0], 0, 0.9)
-        >>> line.with_support_of(oee.Transitions([0, 1], [0, 0], [2, 2]), 0.1).transitions.toarray().tolist()
+        >>> P = [[[0.5, 0.5, 0]], [[0, 0, 1]], [[0, 0, 1]]]
+        >>> line = oee.FiniteMDP(P, [1, 1, 0], 0, 0.9)
+        >>> log = oee.Transitions([0, 1], [0, 0], [2, 2])
+        >>> line.with_support_of(log, 0.1).transitions.toarray().tolist()
         [[0.45, 0.45, 0.1], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
         return self._replace(**add_support(self, log, epsilon))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write an npz of plain arrays; a failed save leaves no file."""
+        """Write the MDP to an npz file of plain arrays.
+
+        Parameters
+        ----------
+        path : path_like
+            The file; it appears whole or not at all.
+
+        See Also
+        --------
+        load : Read the file.
+        """
         _files.save_npz(path, KIND, self.arrays())
 
     def arrays(self) -> dict[str, Any]:
-        """The arrays of a file."""
+        """Return the arrays that a file of the MDP holds.
+
+        Returns
+        -------
+        dict of str to ndarray
+            The arrays by their names in the file.
+        """
         return file_arrays(self, self._own_layout)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read what ``save`` wrote; the same checks as in the constructor."""
+        """Read an MDP that ``save`` wrote, with the same checks as in the constructor.
+
+        Parameters
+        ----------
+        path : path_like
+            The npz file.
+
+        Returns
+        -------
+        FiniteMDP
+            The MDP in the file.
+
+        Raises
+        ------
+        ValueError
+            If the file is no FiniteMDP, or is damaged.
+        """
         hint = (
             "make one with FiniteMDP(transitions, rewards, initial,"
             " discount).save(path)"
@@ -369,9 +542,36 @@ class FiniteMDP:
 
     @classmethod
     def from_gymnasium(cls, env: object, discount: float = 0.99) -> Self:
-        """The MDP of a Gymnasium environment with a toy-text table ``env.unwrapped.P``
-        (FrozenLake, CliffWalking, Taxi).
+        """Read the MDP of a Gymnasium environment that has a table of its transitions.
 
+        Such are the toy-text environments with ``env.unwrapped.P`` (FrozenLake,
+        CliffWalking, Taxi).
+
+        Parameters
+        ----------
+        env : gymnasium.Env
+            The environment; it is not stepped.
+        discount : float, default 0.99
+            The discount gamma in [0, 1].
+
+        Returns
+        -------
+        FiniteMDP
+            The MDP of the table.
+
+        Raises
+        ------
+        ValueError
+            If there is no such table (Blackjack), or if the dynamics are not in it: a
+            fickle Taxi passenger, a wrapper that changes actions, observations or
+            rewards.
+
+        See Also
+        --------
+        from_env : Sample an environment that can only be stepped.
+
+        Notes
+        -----
         State numbers stay Gymnasium's. A state that is only entered by termination
         becomes terminal itself; otherwise a terminal twin is appended, and
         ``terminal_state[s]`` says where a terminated transition into s leads. Outcomes
@@ -380,13 +580,6 @@ class FiniteMDP:
         an environment on a map (``desc`` or ``shape``, a cell for each state)
         ``layout`` has row and column. Names are the environment's ``state_names``,
         ``action_names`` or ``get_action_meanings()``, else its module's (LEFT = 0).
-
-        Raises
-        ------
-        ValueError
-            Without such a table (Blackjack), or where the dynamics are not in it: a
-            fickle Taxi passenger, a wrapper that changes actions, observations or
-            rewards.
         """
         return cls(**read_table(env), discount=discount)
 
@@ -404,37 +597,66 @@ class FiniteMDP:
         action_names: object = None,
         layout: object = None,
     ) -> Self:
-        """The MDP of a log's frequencies, P(s' | s, a) = n(s, a, s') / n(s, a): a
-        simulator from its own log.
-
-        An action never recorded in a state gets the mean distribution of those recorded
-        there, weighted by their counts; a state without recorded actions is absorbing
-        with reward 0. A warning says how many such pairs there are. States in which
-        transitions terminated are terminal, as in ``from_gymnasium``.
+        """Estimate the MDP of a log's frequencies: a simulator from its own log.
 
         Parameters
         ----------
         log : Transitions
-        rewards : (S,), (S, A) or (S, A, S), S the log's own states; None: the log's
-            mean for each transition
-        initial : (S,), a state, or a mapping; None: how often episodes began in each
-            state (without episodes: all states)
-        n_states, n_actions : default one more than the largest of the log, or as many
-            as there are names
-        state_names, action_names : default the log's; given ones also order its numbers
-        discount, layout : as in the constructor
+            The log.
+        rewards : array_like of shape (S,), (S, A) or (S, A, S), or sparse, optional
+            The rewards, S the log's own states. None means the log's mean reward of
+            each transition.
+        discount : float, default 0.99
+            The discount gamma in [0, 1].
+        initial : array_like of shape (S,), int, name, or mapping, optional
+            The distribution of the first state, as in the constructor. None means how
+            often episodes began in each state (without episodes: the frequencies of all
+            states).
+        n_states : int, optional
+            The number of states. None means one more than the largest of the log, or as
+            many as there are names.
+        n_actions : int, optional
+            The number of actions, with the same default.
+        state_names : sequence of str or tuple, optional
+            The names of the states, which also order their numbers. None means the
+            log's.
+        action_names : sequence of str or tuple, optional
+            The names of the actions, which also order their numbers. None means the
+            log's.
+        layout : array_like of shape (S,) or (S, c), or tuple (height, width), optional
+            The coordinates of the states, as in the constructor.
+
+        Returns
+        -------
+        FiniteMDP
+            The MDP of the frequencies; its ``sampling`` has the numbers of samples.
 
         Raises
         ------
         ValueError
-            No log; no rewards at all; a state or an action outside the given numbers or
-            names; the constructor's errors.
+            If there is no log or no reward, if a state or an action is outside the
+            given numbers or names, or if the constructor refuses an argument.
+
+        See Also
+        --------
+        from_env : The same of an environment that is stepped.
+
+        Notes
+        -----
+        P(s' | s, a) = n(s, a, s') / n(s, a). An action never recorded in a state gets
+        the mean distribution of those recorded there, weighted by their counts; a state
+        without recorded actions is absorbing with reward 0. A warning says how many
+        such pairs there are. States in which transitions terminated are terminal, as in
+        ``from_gymnasium``.
 
         Examples
         --------
         >>> import oee_tabular as oee
-        >>> log = oee.Transitions([0, 0, 1], [0, 0, 0], [0, 1, 1], [0.0, 1.0, 0.0], terminated=[0, 0, 1])
-        >>> oee.FiniteMDP.from_log(log, discount=0.9).transitions.toarray().tolist()  # 2: where 1 -> 1 ended it
+        >>> log = oee.Transitions(
+        ...     [0, 0, 1], [0, 0, 0], [0, 1, 1], [0.0, 1.0, 0.0], terminated=[0, 0, 1]
+        ... )
+        >>> mdp = oee.FiniteMDP.from_log(log, discount=0.9)
+        >>> mdp.transitions.toarray().tolist()  # 2: where 1 -> 1 ended it
         [[0.5, 0.5, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
         """
         sizes = (n_states, n_actions)
@@ -454,39 +676,55 @@ class FiniteMDP:
         discount: float = 0.99,
         max_steps: int = 1_000_000,
     ) -> Self:
-        """The MDP of the frequencies of a Gymnasium environment that can only be
-        stepped.
+        """Estimate the MDP of a Gymnasium environment that can only be stepped.
 
+        Parameters
+        ----------
+        env : gymnasium.Env
+            The environment, with discrete observations and Discrete actions. It is
+            stepped and reset, not closed.
+        samples_per_pair : int
+            The number of samples wanted of each state-action pair.
+        seed : int, Generator or None, default None
+            Anything that ``numpy.random.default_rng`` takes, for the first
+            ``env.reset`` and for the actions.
+        discount : float, default 0.99
+            The discount gamma in [0, 1].
+        max_steps : int, default 1 000 000
+            The largest number of steps. If it does not suffice, a warning gives the
+            number of pairs with fewer samples, and names three.
+
+        Returns
+        -------
+        FiniteMDP
+            The MDP of the frequencies; its ``sampling`` has the numbers of samples, by
+            which intervals widen.
+
+        Raises
+        ------
+        ValueError
+            If observations or actions are continuous, or an argument breaks its rule.
+
+        See Also
+        --------
+        from_gymnasium : Read the table of a toy-text environment.
+
+        Notes
+        -----
         Episodes go to the nearest state-action pair with too few samples, by value
         iteration on the transitions so far (``mdp.empirical``), until every action of
         every state reached has been taken ``samples_per_pair`` times; an episode that
         cannot lead there is ended by ``env.reset``. Observations that are not Discrete
         (tuples, integer arrays, texts) become the states' names. States that no episode
-        reached are absorbing with reward 0. ``sampling`` keeps the numbers of samples:
-        intervals widen by it.
-
-        Parameters
-        ----------
-        env : with discrete observations and Discrete actions; it is stepped and reset,
-            not closed
-        samples_per_pair : positive int
-        seed : anything that ``numpy.random.default_rng`` takes; of the first
-            ``env.reset`` and of the actions
-        discount : gamma
-        max_steps : positive int, the most steps; a warning gives the number of pairs
-            with fewer samples, and names three
-
-        Raises
-        ------
-        ValueError
-            Continuous observations or actions; bad arguments.
+        reached are absorbing with reward 0.
 
         Examples
         --------
         >>> from oee_tabular.tasks import make_environment
         >>> lake = make_environment("FrozenLake-v1", is_slippery=False)
         >>> sampled = FiniteMDP.from_env(lake, samples_per_pair=1, seed=0)
-        >>> bool(abs(sampled.transitions - FiniteMDP.from_gymnasium(lake).transitions).max() == 0)
+        >>> exact = FiniteMDP.from_gymnasium(lake)
+        >>> bool(abs(sampled.transitions - exact.transitions).max() == 0)
         True
         """
         return cls(
@@ -494,7 +732,7 @@ class FiniteMDP:
         )
 
     def _arguments(self) -> dict[str, Any]:
-        """The arguments of the constructor that make it."""
+        """Return the constructor's arguments that make this MDP."""
         same = (
             "initial",
             "discount",
@@ -512,5 +750,5 @@ class FiniteMDP:
         } | {name: getattr(self, name) for name in same}
 
     def _replace(self, **changes: object) -> Self:
-        """The same MDP with other arguments of the constructor."""
+        """Return the same MDP with other arguments of the constructor."""
         return type(self)(**self._arguments() | changes)

@@ -1,5 +1,4 @@
-"""Outcomes of actions as the arrays of an MDP, and the table of them that a toy text of
-Gymnasium has.
+"""Outcomes of actions as the arrays of an MDP, and the tables of Gymnasium's toy texts.
 
 ``P[s][a]`` is a list of (probability, s', reward, terminated). Gymnasium itself is not
 imported: the environment that is handed over brings what is needed.
@@ -34,8 +33,9 @@ _HARMLESS = frozenset(
 
 
 class Outcomes(NamedTuple):
-    """What may follow, or did: six columns, (n,) each; the weight is a probability, or
-    a number of samples.
+    """Hold what may follow an action, or did: six columns, (n,) each.
+
+    The weight is a probability, or a number of samples.
     """
 
     state: IntArray
@@ -47,7 +47,8 @@ class Outcomes(NamedTuple):
 
 
 def read_table(env: Any) -> dict[str, Any]:
-    """Return the arguments of ``FiniteMDP`` but for the discount;
+    """Return the arguments of ``FiniteMDP``, but the discount, from a toy-text table.
+
     ``FiniteMDP.from_gymnasium`` explains them.
     """
     _refuse_changing_wrappers(env)
@@ -102,10 +103,10 @@ def build_arguments(
     state_names: tuple[Name, ...] | None = None,
     action_names: tuple[Name, ...] | None = None,
 ) -> dict[str, Any]:
-    """Return the arguments of an MDP in which outcomes that terminate lead to terminal
-    states; P has the sums of weights.
+    """Return the arguments of the MDP in which these outcomes follow.
 
-    A state that is only entered by termination is terminal itself; any other has a twin
+    Outcomes that terminate lead to terminal states, and P has the sums of weights. A
+    state that is only entered by termination is terminal itself; any other has a twin
     for it. Outcomes of one (s, a) that enter the same s' are merged: r(s, a, s') is
     their mean. ``rewards``: (S, A) of the own states, in place of theirs.
     """
@@ -161,6 +162,7 @@ def build_arguments(
 
 
 def _refuse_changing_wrappers(env: object) -> None:
+    """Raise an ArgumentError for a wrapper that may change what the table P says."""
     layer = env
     while hasattr(layer, "env") and layer is not getattr(layer, "unwrapped", layer):
         if type(layer).__name__ not in _HARMLESS:
@@ -174,8 +176,9 @@ def _refuse_changing_wrappers(env: object) -> None:
 
 
 def _map_layout(base: object, n_states: int) -> Array | None:
-    """Return (S, 2) row and column of the states of an environment on a map with a cell
-    a state.
+    """Return the (S, 2) row and column of the states of an environment on a map.
+
+    None where it has no map with a cell for each state.
     """
     shapes: tuple[Any, ...] = (
         getattr(getattr(base, "desc", None), "shape", None),
@@ -195,6 +198,7 @@ def _map_layout(base: object, n_states: int) -> Array | None:
 
 
 def _valid_names(given: object, size: int) -> tuple[Name, ...] | None:
+    """Return ``given`` as names, or None where they break a rule."""
     try:
         return None if given is None else check_names(given, "names", size)
     except ValueError:
@@ -202,8 +206,9 @@ def _valid_names(given: object, size: int) -> tuple[Name, ...] | None:
 
 
 def _action_names(base: object, n_actions: int) -> tuple[Name, ...] | None:
-    """Return what an environment calls its actions, or its module's constants (LEFT =
-    0) where they number them all.
+    """Return an environment's names of its actions, or its module's (LEFT = 0).
+
+    None where neither numbers them all.
     """
     meanings = getattr(base, "get_action_meanings", None)
     given = getattr(base, "action_names", None if meanings is None else meanings())

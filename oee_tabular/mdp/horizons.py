@@ -1,5 +1,4 @@
-"""Horizons: no further than the discount can show, and refused where the cost would be
-absurd.
+"""Horizons that are cut where the discount leaves nothing, or refused for their cost.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ ABSURD = 2e10
 def limit_horizon(
     horizon: int, rate: float, *, ahead: int = 0, work: float = 1.0, kept: float = 1.0
 ) -> int:
-    """Return min(horizon, max(10 000, ahead + t)) with rate^t = 2^-200, and warn where
-    that is less or takes long.
+    """Shorten a horizon to the steps that the discount leaves visible.
 
-    ``rate``: what a step multiplies the weight of all later rewards by, at most; from 1
-    on nothing fades. ``ahead``: steps before a reward may come at all (the number of
-    states). ``work``, ``kept``: multiply-adds of a step, and numbers that are kept of
-    it; ValueError above a million steps that cost more than 2e10 multiply-adds, or
-    where memory lacks.
+    Returns min(horizon, max(10 000, ahead + t)) with rate^t = 2^-200, and warns where
+    that is less or takes long. ``rate``: what a step multiplies the weight of all later
+    rewards by, at most; from 1 on nothing fades. ``ahead``: the steps before a reward
+    may come at all (the number of states). ``work``, ``kept``: the multiply-adds of a
+    step, and the numbers that are kept of it; ValueError above a million steps that
+    cost more than 2e10 multiply-adds, or where memory lacks.
 
     >>> limit_horizon(500, 0.9), limit_horizon(5000, 1.0, work=100.0)
     (500, 5000)
@@ -71,8 +70,10 @@ def limit_horizon(
 def horizon_length(
     horizon: object, model: Any, policy: PolicyLike | None = None, *, kept: float = 1.0
 ) -> int:
-    """Return a horizon as an int, limited in ``model`` (FiniteMDP or ReweightedModel);
-    with a policy (T, S, A) as it is.
+    """Check a horizon and return it as an int, limited by the discount of ``model``.
+
+    ``model`` is a FiniteMDP or a ReweightedModel. With a policy (T, S, A) the horizon
+    stays as it is.
     """
     length = _checks.positive_integer(horizon, "horizon")
     if length <= SHORT_HORIZON or count_dimensions(policy) == 3:

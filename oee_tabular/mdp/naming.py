@@ -1,5 +1,4 @@
-"""Names of states and actions: their rules, their numbers, their form in files and in
-sentences.
+"""Names of states and actions: their rules, numbers, and forms in files and sentences.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Name: TypeAlias = str | tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Names:
-    """The names of the states and of the actions; None where they have numbers alone.
+    """Hold the names of states and of actions; None where there are only numbers.
 
     >>> names = Names(("hall", ("room", 2)), ("left", "right"))
     >>> names.transition(0, 1, 1), Names().transition(0, 1, 1)
@@ -42,11 +41,11 @@ class Names:
         return name_text(self.actions, number)
 
     def pair(self, state: object, action: object) -> str:
-        """Return ``s=hall, a=left``."""
+        """Describe a state-action pair, ``s=hall, a=left``."""
         return f"s={self.state(state)}, a={self.action(action)}"
 
     def transition(self, state: object, action: object, next_state: object) -> str:
-        """Return ``s=hall, a=left -> s'=kitchen``."""
+        """Describe a transition, ``s=hall, a=left -> s'=kitchen``."""
         return f"{self.pair(state, action)} -> s'={self.state(next_state)}"
 
 
@@ -67,8 +66,9 @@ def name_text(names: tuple[Name, ...] | None, number: Any) -> str:
 
 
 def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
-    """Return ``value`` as ``size`` different names: texts that read as no number, or
-    tuples of texts and numbers.
+    """Check that ``value`` is ``size`` different names and return them as a tuple.
+
+    A name is a text that does not read as a number, or a tuple of texts and numbers.
 
     >>> check_names(["hall", (0, 1)], "state_names", 2)
     ('hall', (0, 1))
@@ -112,8 +112,9 @@ def check_names(value: object, name: str, size: int) -> tuple[Name, ...]:
 
 
 def to_plain(item: object, depth: int = 0) -> Any:
-    """Return a name without numpy's types; lists and arrays in it become tuples, but
-    for those that are too deep.
+    """Return a name without numpy's types, lists and arrays in it as tuples.
+
+    What is nested too deep stays as it is.
     """
     if isinstance(item, np.generic) or (
         isinstance(item, np.ndarray) and item.ndim == 0
@@ -125,8 +126,7 @@ def to_plain(item: object, depth: int = 0) -> Any:
 
 
 def is_name(item: object) -> bool:
-    """Say whether ``item`` is a text, or a tuple, not empty, of texts, numbers and such
-    tuples.
+    """Say whether ``item`` is a text, or a tuple of texts, numbers and such tuples.
     """
     if not isinstance(item, tuple):
         return isinstance(item, str)
@@ -137,9 +137,7 @@ def is_name(item: object) -> bool:
 
 
 def is_number_text(text: str) -> bool:
-    """Say whether a file's reader would take ``text`` for a number, or for none at all
-    (nan).
-    """
+    """Say whether a file's reader would take ``text`` for a number or for nan."""
     try:
         float(text)
     except ValueError:
@@ -148,7 +146,10 @@ def is_number_text(text: str) -> bool:
 
 
 def coordinates(names: tuple[Name, ...] | None) -> Array | None:
-    """Return (S, c) of names that are all tuples of c numbers, else None. O(S c)."""
+    """Return (S, c) coordinates where all names are tuples of c numbers, else None.
+
+    O(S c).
+    """
     if not names or any(
         isinstance(name, str) or any(not isinstance(x, int | float) for x in name)
         for name in names
@@ -166,8 +167,9 @@ _LOOKUPS: dict[int, tuple[tuple[Name, ...], dict[Hashable, int]]] = {}
 
 
 def numbers_of(names: tuple[Name, ...]) -> Mapping[Hashable, int]:
-    """Return name -> number; a tuple is there by its text as well, "(0, 1)" or "(0,1)".
-    Made once for a tuple of names.
+    """Return the mapping from names to numbers, made once for a tuple of names.
+
+    A name that is a tuple is there by its text as well, "(0, 1)" or "(0,1)".
     """
     known, numbers = _LOOKUPS.get(id(names), ((), {}))
     if known is not names:
@@ -193,8 +195,9 @@ def number_of(
     name: str,
     owner: str = "the MDP's",
 ) -> int:
-    """Return the number of a state or an action that is given by name or number;
-    ValueError with the nearest name.
+    """Return the number of a state or an action that is given by name or number.
+
+    Raises an ArgumentError with the nearest name where there is none.
 
     >>> number_of("lefft", ("left", "right"), 2, "action")
     Traceback (most recent call last):
@@ -245,8 +248,9 @@ def renumber(
     size: int,
     name: str,
 ) -> IntArray:
-    """Return numbers by a log's own names as numbers by an MDP's; ValueError with the
-    first row whose name it has not.
+    """Return numbers by a log's own names as numbers by an MDP's names.
+
+    Raises a ValueError with the first row whose name the MDP does not have.
     """
     known = {} if names is None else numbers_of(names)
     numbers = np.array([known.get(item, -1) for item in own], dtype=np.int64)[codes]
@@ -277,7 +281,7 @@ def to_text(names: Any) -> NDArray[Any]:
 
 
 def from_text(stored: NDArray[Any], name: str) -> tuple[Name, ...]:
-    """Return what ``to_text`` was given; ValueError for other arrays."""
+    """Return the names that ``to_text`` was given; ArgumentError for other arrays."""
     if stored.ndim != 1 or stored.dtype.kind != "U":
         raise ArgumentError(
             name, f"must be texts; it has {stored.dtype} of shape {stored.shape}"
@@ -293,8 +297,9 @@ def from_text(stored: NDArray[Any], name: str) -> tuple[Name, ...]:
 def initial_distribution(
     initial: Any, names: tuple[Name, ...] | None, n_states: int
 ) -> Any:
-    """Return a first state, or a mapping state -> probability, as a distribution (S,);
-    anything else as it is.
+    """Return a first state, or a mapping from states to probabilities, as (S,).
+
+    Anything else is returned as it is.
     """
     is_scalar = getattr(initial, "ndim", 1) == 0
     is_tuple = isinstance(initial, tuple) and names is not None

@@ -1,5 +1,6 @@
-"""Policies pi(a | s): in every form that people have them, checked and made (S, A), or
-(T, S, A) with a horizon.
+"""Policies pi(a | s) in every form that people have them, checked and made (S, A).
+
+With a horizon T they may be (T, S, A).
 """
 
 from __future__ import annotations
@@ -27,28 +28,41 @@ from oee_tabular.typing import Array, PolicyLike
 def check_policy(
     policy: PolicyLike, mdp: Any, *, name: str = "policy", horizon: int | None = None
 ) -> Array:
-    """Return ``policy`` as a new (S, A) array (or (T, S, A) where a horizon T is
-    given), rows summing to 1 to 1e-8.
+    """Check a policy in any of its forms and return it as a new array.
 
     A policy of the environment's own number of states is extended to the twins that
     termination appended, where any action does.
 
     Parameters
     ----------
-    policy : (S, A), or (T, S, A) with a horizon T; nonnegative. Rows in single
-        precision are scaled to sum to 1. Or (S,): an action for each state, by number
-        or name; a mapping state -> action, or its distribution ((A,), or a mapping
-        action -> probability), in which terminal states may be left out; a function of
-        a state that returns such. A function is given a state's name, or its number
-        where there are no names
-    mdp : FiniteMDP, or anything with ``n_states``, ``n_actions`` and ``terminal_state``
-    name : what errors call the policy
-    horizon : T; None: stationary policies only
+    policy : PolicyLike
+        Probabilities of shape (S, A), or (T, S, A) with a horizon T: nonnegative, each
+        row sums to 1 (tolerance 1e-8; rows in single precision are scaled). Or (S,): an
+        action for each state, by number or name. Or a mapping from states to actions,
+        or to their distributions ((A,), or a mapping from actions to probabilities), in
+        which terminal states may be left out. Or a function of a state that returns
+        such; it is given a state's name, or its number where there are no names.
+    mdp : FiniteMDP
+        The model, or anything with ``n_states``, ``n_actions`` and ``terminal_state``.
+    name : str, default 'policy'
+        What errors call the policy.
+    horizon : int, optional
+        The number T of rewards. None means that only stationary policies are allowed.
+
+    Returns
+    -------
+    ndarray of shape (S, A) or (T, S, A)
+        The probabilities of the actions; each row sums to 1.
 
     Raises
     ------
     ValueError
-        With the place, the rule and the value.
+        If the policy breaks a rule; the error has the place, the rule and the value.
+
+    See Also
+    --------
+    uniform_policy : The policy that takes each action equally often.
+    mix : A mixture of two policies.
 
     Examples
     --------
@@ -56,8 +70,10 @@ def check_policy(
     >>> mdp = oee.tasks.gridworld(2, slip=0.1)
     >>> check_policy([[1, 0, 0, 0]] * 4, mdp).shape
     (4, 4)
-    >>> check_policy([1, 1, 3, 0], mdp)[2].tolist(), check_policy(lambda state: [0.5, 0.5, 0, 0], mdp)[0].tolist()
-    ([0.0, 0.0, 0.0, 1.0], [0.5, 0.5, 0.0, 0.0])
+    >>> check_policy([1, 1, 3, 0], mdp)[2].tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    >>> check_policy(lambda state: [0.5, 0.5, 0, 0], mdp)[0].tolist()
+    [0.5, 0.5, 0.0, 0.0]
     >>> check_policy([[0.5, 0.4, 0, 0]] * 4, mdp)
     Traceback (most recent call last):
     ValueError: policy[0] must sum to 1 (tolerance 1e-08); it sums to 0.9 (4 such rows in all)
@@ -110,9 +126,7 @@ def _are_distributions(array: Array) -> bool:
 
 
 def _check_distributions(array: Array, given: object, name: str) -> Array:
-    """Return an array whose rows are distributions; rows that were ``given`` in single
-    precision are scaled.
-    """
+    """Check that rows are distributions; those given in single precision are scaled."""
     if _are_distributions(np.ascontiguousarray(array)):
         return array
     array = _checks.scale_if_single(array, given)
@@ -124,10 +138,10 @@ def _check_distributions(array: Array, given: object, name: str) -> Array:
 def check_policies(
     policies: Any, mdp: Any, *, name: str = "policies", alone: str = "policy"
 ) -> dict[str, Array]:
-    """Return name -> (S, A) from a policy (called ``alone``), a list of policies, or a
-    mapping name -> policy.
+    """Return a mapping from names to (S, A) policies.
 
-    A mapping all of whose keys are states is one policy.
+    ``policies`` is one policy (then called ``alone``), a list of policies, or a mapping
+    from names to policies. A mapping all of whose keys are states is one policy.
     """
     require_sized(mdp)
     several = split_policies(policies, mdp)
@@ -139,8 +153,7 @@ def check_policies(
 
 
 def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
-    """Return name -> policy of a mapping of policies, or of a list of them; None for
-    what is one policy.
+    """Return the names and policies of several policies; None for one policy.
     """
     # a dok_array is a mapping
     if isinstance(policies, Mapping) and not _checks.is_sparse(policies):
@@ -177,11 +190,17 @@ def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
 
 
 def uniform_policy(mdp: Any) -> Array:
-    """Return the (S, A) policy that takes each action with probability 1/A.
+    """Return the policy that takes each action with probability 1/A.
 
     Parameters
     ----------
-    mdp : FiniteMDP, or anything with ``n_states`` and ``n_actions``
+    mdp : FiniteMDP
+        The model, or anything with ``n_states``, ``n_actions`` and ``terminal_state``.
+
+    Returns
+    -------
+    ndarray of shape (S, A)
+        The probabilities, all of them 1/A.
 
     Examples
     --------
@@ -202,14 +221,33 @@ def deterministic_policy(actions: Any, n_actions: int, name: str = "actions") ->
 
 
 def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
-    """Return weight_of_a * policy_a + (1 - weight_of_a) * policy_b, action by action in
-    each state.
+    """Return weight_of_a * policy_a + (1 - weight_of_a) * policy_b.
+
+    The mixture is taken action by action in each state.
 
     Parameters
     ----------
-    policy_a, policy_b : (S, A) or (T, S, A), of one shape; rows sum to 1. One of them
-        may be (S,) integers
-    weight_of_a : float in [0, 1]
+    policy_a : array_like of shape (S, A) or (T, S, A)
+        Probabilities, each row of which sums to 1; or (S,) numbers of actions where the
+        other policy is (S, A).
+    policy_b : array_like of shape (S, A) or (T, S, A)
+        The other policy, of the same shape and by the same rules.
+    weight_of_a : float
+        The weight of ``policy_a`` in [0, 1].
+
+    Returns
+    -------
+    ndarray of shape (S, A) or (T, S, A)
+        The mixture; each row sums to 1.
+
+    Raises
+    ------
+    ValueError
+        If a policy or the weight breaks a rule, or the policies have different shapes.
+
+    See Also
+    --------
+    check_policy : Bring policies of other forms to an array.
 
     Examples
     --------
@@ -239,7 +277,7 @@ def mix(policy_a: Any, policy_b: Any, weight_of_a: float) -> Array:
 
 
 def read_policy_array(path: str, name: str) -> Array:
-    """Return the array that a .npy or .npz file holds."""
+    """Read the array that a .npy or .npz file holds."""
     arrays = _files.read_npz(path)
     kind = _files.npz_kind(arrays)
     if kind is not None:
@@ -256,7 +294,7 @@ def read_policy_array(path: str, name: str) -> Array:
 
 
 def require_sized(mdp: object) -> None:
-    """Raise a ValueError for what has no states and actions."""
+    """Raise an ArgumentError for what has no states and actions."""
     is_sized = (
         hasattr(mdp, "n_states")
         and hasattr(mdp, "n_actions")
@@ -267,8 +305,9 @@ def require_sized(mdp: object) -> None:
 
 
 def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
-    """Return actions, a mapping or a function as (S0, A) or (S, A); anything else, an
-    array among it, as it is.
+    """Return actions, a mapping or a function as (S0, A) or (S, A).
+
+    Anything else, arrays of probabilities among it, is returned as it is.
     """
     if isinstance(policy, str | bytes | int | np.integer) or policy is None:
         hint = (
@@ -297,8 +336,9 @@ def policy_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
 
 
 def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
-    """Return (S, A) of a mapping or a function of the environment's own states;
-    terminal ones may be left out.
+    """Return the (S, A) of a mapping or a function of the environment's own states.
+
+    Terminal states may be left out.
     """
     names = names_of(mdp)
     n_own = len(mdp.terminal_state)
@@ -331,8 +371,9 @@ def _choice_table(policy: Any, mdp: Any, name: str) -> Array:
 def _list_choices(
     policy: Any, states: Any, name: str
 ) -> Iterator[tuple[Any, Any, str]]:
-    """Each state of a mapping, or of ``states``, with its choice and what errors call
-    that.
+    """Yield each state with its choice and what errors call that.
+
+    The states are those of a mapping, or ``states``.
     """
     if isinstance(policy, Mapping):
         yield from (
@@ -358,7 +399,7 @@ def _list_choices(
 def _choice_row(
     choice: Any, names: tuple[Name, ...] | None, n_actions: int, name: str
 ) -> Array:
-    """Return an action, a mapping action -> probability, or A probabilities, as (A,)."""
+    """Return an action, a mapping from actions to probabilities, or a row, as (A,)."""
     row = np.zeros(n_actions)
     given = to_plain(choice)
     if isinstance(choice, Mapping):
@@ -380,8 +421,9 @@ def _choice_row(
 
 
 def _action_table(policy: PolicyLike, mdp: Any, name: str) -> Any:
-    """Return the (S, A) of an action for each state, by number or name; anything else
-    as it is.
+    """Return the (S, A) of an action for each state, by number or name.
+
+    Anything else is returned as it is.
     """
     names = names_of(mdp).actions
     n_actions = mdp.n_actions
@@ -422,7 +464,7 @@ def _is_action(action: object, names: tuple[Name, ...] | None) -> bool:
 
 
 def count_dimensions(value: Any) -> int:
-    """Return the dimensions of an array; 0 of anything else."""
+    """Return the number of dimensions of an array; 0 for anything else."""
     try:
         return 0 if isinstance(value, Mapping) else int(np.ndim(value))
     except (TypeError, ValueError):

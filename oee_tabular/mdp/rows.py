@@ -1,6 +1,4 @@
-"""The rows of a simulator, or some of them: their entries, sums over each row, and
-displacements.
-"""
+"""The rows of a simulator: their entries, sums over each row, and displacements."""
 
 from __future__ import annotations
 
@@ -30,20 +28,33 @@ DIGITS = 9  # displacements that differ by less than 1e-9 are one
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows s*A + a of a simulator, none of them empty.
+    """Hold all or some rows s*A + a of a simulator, none of them empty.
 
     Attributes
     ----------
-    number : (rows,), s*A + a; ``state``, ``action`` : (rows,)
-    arrival : (entries,), the next states
-    weights : (entries,) the simulator's probabilities, each row summing to 1
-    indptr : (rows + 1,), the entries of each row
-    entries : their places among the simulator's, a slice where they stand side by side
-    n_states, n_actions : int
+    number : ndarray of int of shape (rows,)
+        The number s*A + a of each row; ``state`` and ``action`` are its parts.
+    arrival : ndarray of int of shape (entries,)
+        The next states.
+    weights : ndarray of shape (entries,)
+        The simulator's probabilities, each row summing to 1.
+    indptr : ndarray of int of shape (rows + 1,)
+        Where the entries of each row begin, and the number of entries.
+    entries : ndarray of int or slice
+        The places of the entries among the simulator's, a slice where they are
+        adjacent.
+    n_states : int
+        The number of states of the simulator.
+    n_actions : int
+        The number of actions of the simulator.
 
+    Examples
+    --------
     >>> rows = Rows.of(FiniteMDP([[[0.5, 0.5]], [[0.0, 1.0]]], [0, 1], [1, 0], 0.9))
-    >>> rows.sums(np.array([1.0, 2.0, 3.0])).tolist(), rows.spread(np.array([7, 8])).tolist()
-    ([3.0, 3.0], [7, 7, 8])
+    >>> rows.sums(np.array([1.0, 2.0, 3.0])).tolist()
+    [3.0, 3.0]
+    >>> rows.spread(np.array([7, 8])).tolist()
+    [7, 7, 8]
     """
 
     number: IntArray
@@ -56,7 +67,7 @@ class Rows:
 
     @classmethod
     def of(cls, simulator: FiniteMDP) -> Rows:
-        """All rows of a simulator."""
+        """Return all rows of a simulator."""
         csr = simulator.csr
         indptr: IntArray = csr.indptr.astype(np.int64)
         weights = csr.data / np.repeat(
@@ -73,7 +84,7 @@ class Rows:
         )
 
     def select(self, mask: BoolArray) -> Rows:
-        """Those of ``mask`` (rows,)."""
+        """Return the rows of a mask (rows,)."""
         at = np.flatnonzero(mask)
         lengths = np.diff(self.indptr)[at]
         indptr: IntArray = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
@@ -83,8 +94,9 @@ class Rows:
         return self._part(at, inside, indptr)
 
     def blocks(self) -> Iterator[Rows]:
-        """All of them in turn, some ``BLOCK`` entries at a time: what is computed of a
-        block stays small.
+        """Yield all rows in turn, some ``BLOCK`` entries at a time.
+
+        What is computed of a block stays small.
         """
         n_blocks = max(1, round(int(self.indptr[-1]) / BLOCK))
         if n_blocks == 1:
@@ -104,7 +116,7 @@ class Rows:
     def _part(
         self, at: IntArray | slice, inside: IntArray | slice, indptr: IntArray
     ) -> Rows:
-        """The rows ``at``, which have the entries ``inside``."""
+        """Return the rows ``at``, which have the entries ``inside``."""
         if not isinstance(self.entries, slice):
             entries: IntArray | slice = self.entries[inside]
         elif isinstance(inside, slice):
@@ -127,17 +139,17 @@ class Rows:
 
     @cached_property
     def state(self) -> IntArray:
-        """(rows,)."""
+        """Return the (rows,) state of each row."""
         return self.number // self.n_actions
 
     @cached_property
     def action(self) -> IntArray:
-        """(rows,)."""
+        """Return the (rows,) action of each row."""
         return self.number % self.n_actions
 
     @property
     def transitions(self) -> tuple[IntArray, IntArray, IntArray]:
-        """(state, action, next state) of each entry."""
+        """Return the state, action and next state of each entry."""
         return (
             self.spread(self.state),
             self.spread(self.action),
@@ -145,20 +157,21 @@ class Rows:
         )
 
     def sums(self, values: Array) -> Array:
-        """The sum over each row of (entries,) or (entries, d) values."""
+        """Sum (entries,) or (entries, d) values over each row."""
         return np.asarray(np.add.reduceat(values, self.indptr[:-1], axis=0))
 
     def largest(self, values: Array) -> Array:
-        """The largest value of each row."""
+        """Return the largest value of each row."""
         return np.asarray(np.maximum.reduceat(values, self.indptr[:-1]))
 
     def spread(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Each row's value at each of its entries."""
+        """Repeat each row's value at each of its entries."""
         return np.repeat(values, np.diff(self.indptr), axis=0)
 
     def mean(self, model: Array, values: Array) -> Array:
-        """The mean over each row of (entries,) or (entries, d) values: sum_x model_x
-        values_x, ``model`` (entries,).
+        """Average (entries,) or (entries, d) values over each row.
+
+        The mean is sum_x model_x values_x, with ``model`` (entries,).
         """
         if values.ndim == 1 or values.size <= SMALL:
             return self.sums((model if values.ndim == 1 else model[:, None]) * values)
@@ -168,30 +181,31 @@ class Rows:
         )
 
     def variance(self, model: Array, values: Array) -> Array:
-        """The variance over each row of (entries,) values under ``model``."""
+        """Compute the variance over each row of (entries,) values under ``model``."""
         return self.mean(model, (values - self.spread(self.mean(model, values))) ** 2)
 
     def center(self, values: Array) -> Array:
-        """Values less their mean under the simulator in each row."""
+        """Subtract from values their mean under the simulator in each row."""
         return np.asarray(values - self.spread(self.mean(self.weights, values)))
 
     def tilt(self, exponent: Array) -> tuple[Array, Array]:
-        """Rows proportional to ``weights`` exp(exponent), and ln Z of each."""
+        """Return rows proportional to ``weights`` exp(exponent), and ln Z of each."""
         top = self.largest(exponent)
         raw = self.weights * np.exp(exponent - self.spread(top))
         total = self.sums(raw)
         return raw / self.spread(total), top + np.log(total)
 
     def frequencies(self, counts: Array) -> Array:
-        """(entries,) counts divided by their row's; 0 in rows without counts."""
+        """Divide (entries,) counts by the sum of their row; 0 in rows without counts.
+        """
         return np.asarray(counts / np.maximum(self.spread(self.sums(counts)), 1e-300))
 
 
 def distinct_rows(table: Array) -> tuple[Array, IntArray]:
-    """The distinct rows of a table (n, c) in order, and which of them each row is.
+    """Return the distinct rows of a table (n, c) in order, and the number of each row.
 
-    ``numpy.unique(table, axis=0, return_inverse=True)`` in a third to a twentieth of
-    its time (400 000 rows).
+    It is ``numpy.unique(table, axis=0, return_inverse=True)`` in a third to a twentieth
+    of its time (400 000 rows).
     """
     order = np.lexsort(table.T[::-1])
     ordered = table[order]
@@ -205,40 +219,48 @@ def distinct_rows(table: Array) -> tuple[Array, IntArray]:
 def displacements(
     mdp: FiniteMDP, *, layout: ArrayLike | None = None
 ) -> tuple[Array, IntArray]:
-    """Compute the displacement of each transition: layout[s'] - layout[s], or s' - s in
-    the states' numbers without a layout.
+    """Compute the displacement of each transition, layout[s'] - layout[s].
+
+    Without a layout it is s' - s in the states' numbers.
 
     Parameters
     ----------
     mdp : FiniteMDP
-    layout : (S,) or (S, c), in place of ``mdp.layout``
+        The model whose transitions have displacements.
+    layout : array_like of shape (S,) or (S, c), or tuple (height, width), optional
+        Coordinates of the states in place of ``mdp.layout``.
 
     Returns
     -------
-    kinds : (k, c) the displacements that occur, in the layout's units, rounded to 1e-9;
-        c = 1 without a layout. Sorted by the sum of P over their transitions, the
-        largest first; of equal ones the smaller displacement (by its first coordinate,
-        then its second, ...)
-    kind_of_entry : (nnz,) integers: the displacement of the transition at
-        ``mdp.transitions.data[j]`` is ``kinds[kind_of_entry[j]]``
+    kinds : ndarray of shape (k, c)
+        The displacements that occur, in the layout's units, rounded to 1e-9; c = 1
+        without a layout. They are sorted by the sum of P over their transitions, the
+        largest first; of equal ones the smaller displacement comes first (by its first
+        coordinate, then its second, ...).
+    kind_of_entry : ndarray of int of shape (nnz,)
+        The row of ``kinds`` that is the displacement of each transition: that of
+        ``mdp.transitions.data[j]`` is ``kinds[kind_of_entry[j]]``.
 
     Raises
     ------
     ValueError
-        A layout of another length, or with a place that is not finite.
+        If the layout has another length, or a place that is not finite.
 
     Notes
     -----
-    O(c nnz log nnz).
+    The cost is O(c nnz log nnz).
 
     Examples
     --------
     >>> import oee_tabular as oee
-    >>> line = oee.FiniteMDP([[[0.4, 0.6, 0]], [[0, 0.4, 0.6]], [[0, 0, 1]]], [0, 0, 0], [1, 0, 0], 0.9)
-    >>> kinds, kind = displacements(line)
+    >>> P = [[[0.4, 0.6, 0]], [[0, 0.4, 0.6]], [[0, 0, 1]]]
+    >>> kinds, kind = displacements(oee.FiniteMDP(P, [0, 0, 0], [1, 0, 0], 0.9))
     >>> kinds.tolist(), kind.tolist()  # 0 -> 0, 0 -> 1, 1 -> 1, 1 -> 2, 2 -> 2
     ([[0.0], [1.0]], [0, 1, 0, 1, 0])
-    >>> displacements(oee.tasks.gridworld(3, slip=0.3))[0].tolist()  # staying, then the directions; none leaves the goal
+
+    Staying, then the directions; none leaves the goal:
+
+    >>> displacements(oee.tasks.gridworld(3, slip=0.3))[0].tolist()
     [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]
     """
     _checks.instance(mdp, FiniteMDP, "mdp")
@@ -257,7 +279,8 @@ def displacements(
 
 
 def round_displacements(differences: Array) -> Array:
-    """Return differences of coordinates, those of less than 1e-9 made equal; + 0.0
-    makes -0.0 plain.
+    """Round differences of coordinates so that those within 1e-9 are equal.
+
+    Adding 0.0 turns -0.0 into 0.0.
     """
     return np.asarray(np.round(differences, DIGITS) + 0.0)

@@ -1,5 +1,4 @@
-"""Dynamics with more support: action noise, and the transitions of a log to which an
-MDP gives probability 0.
+"""More support: action noise, and transitions of a log that an MDP gives probability 0.
 """
 
 from __future__ import annotations
@@ -50,8 +49,9 @@ def add_action_noise(mdp: Any, epsilon: object) -> dict[str, Any]:
 
 
 def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
-    """Return the arguments that change where an MDP is to allow the log's transitions
-    (``FiniteMDP.with_support_of``).
+    """Return the arguments that change where an MDP is to allow the log's transitions.
+
+    ``FiniteMDP.with_support_of`` explains them.
     """
     eps = _checks.number_in(epsilon, "epsilon", 0.0, 1.0, open_ends=True)
     rows, columns, reward = _read_transitions(mdp, log)
@@ -92,8 +92,9 @@ def add_support(mdp: Any, log: object, epsilon: object) -> dict[str, Any]:
 
 
 def _read_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | None]:
-    """Rows, next states and rewards of a log's transitions, terminated ones led to
-    where that leads; or of counts.
+    """Return the rows, next states and rewards of a log's transitions, or of counts.
+
+    Terminated transitions lead to the terminal state of their next state.
     """
     shape = mdp.csr.shape
     if sparse.issparse(log):
@@ -120,8 +121,9 @@ def _read_transitions(mdp: Any, log: Any) -> tuple[IntArray, IntArray, Array | N
 
 
 def require_log(log: object) -> None:
-    """Raise ValueError for what is no log (``data``, which knows its class, stands
-    above).
+    """Raise an ArgumentError for what is no log.
+
+    ``data``, which knows the class of logs, stands above this room.
     """
     is_class = isinstance(log, type)
     if is_class or not (hasattr(log, "numbered") and hasattr(log, "episode_starts")):
