@@ -1,6 +1,4 @@
-"""Rows s*A + a in CSR form: canonical storage, look-up of one matrix on the pattern of
-another.
-"""
+"""Sparse rows s*A + a: canonical csr, its rules, and look-up on another's pattern."""
 
 from __future__ import annotations
 
@@ -15,8 +13,9 @@ from oee_tabular.typing import Array, BoolArray, IntArray
 
 
 def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
-    """A CSR copy with sorted indices, no duplicates, 32-bit indices where they fit, and
-    read-only arrays.
+    """Copy a matrix to csr with sorted indices, no duplicates and read-only arrays.
+
+    Indices have 32 bits where they fit.
     """
     csr = sparse.csr_array(matrix, dtype=np.float64, copy=True)
     csr.sum_duplicates()
@@ -30,13 +29,12 @@ def canonical(matrix: Any, *, drop_zeros: bool) -> sparse.csr_array:
 
 
 def check_csr(matrix: Any, name: str) -> sparse.csr_array:
-    """A sparse matrix that was given, in any of scipy's formats, as CSR of float64 (its
-    arrays may be the given ones).
+    """Check a sparse matrix in any of scipy's formats and return it as csr of float64.
 
-    Native code follows row pointers and indices wherever they lead, and scipy's
-    matrices may be edited after they were made: whoever takes one looks at all of it
-    here first. Costs O(entries). Raises ValueError, with the part and the place, for
-    what is no matrix of real numbers.
+    Its arrays may be the given ones. Native code follows row pointers and indices
+    wherever they lead, and scipy's matrices may be edited after they were made: whoever
+    takes one looks at all of it here first. Costs O(entries). Raises an ArgumentError,
+    with the part and the place, for what is no matrix of real numbers.
     """
     if not sparse.issparse(matrix):
         raise ArgumentError(
@@ -89,8 +87,10 @@ def check_csr(matrix: Any, name: str) -> sparse.csr_array:
 def csr_from_parts(
     data: Any, indices: Any, indptr: Any, shape: tuple[int, int], name: str
 ) -> sparse.csr_array:
-    """The CSR of these parts; a ValueError, with the part and the place, where they are
-    not those of a matrix.
+    """Make the csr of these parts.
+
+    Raises an ArgumentError, with the part and the place, where they are not those of a
+    matrix.
     """
     values = np.asarray(data)
     columns = np.asarray(indices)
@@ -153,7 +153,7 @@ def csr_from_parts(
 
 
 def freeze_csr(csr: sparse.csr_array) -> sparse.csr_array:
-    """The same matrix with read-only arrays."""
+    """Make the arrays of a matrix read-only and return it."""
     for array in (csr.data, csr.indices, csr.indptr):
         freeze(array)
     return csr
@@ -162,8 +162,9 @@ def freeze_csr(csr: sparse.csr_array) -> sparse.csr_array:
 def csr_on_pattern(
     pattern: sparse.csr_array, data: Array, *, own: bool = False
 ) -> sparse.csr_array:
-    """The matrix with the entries of ``pattern`` and the values ``data``, copied but
-    where they are its ``own``; zeros stay.
+    """Return the matrix with the entries of ``pattern`` and the values ``data``.
+
+    Zeros stay. The values are copied unless they are the matrix's ``own``.
     """
     values = data if own else np.array(data, dtype=np.float64)
     return freeze_csr(
@@ -172,14 +173,12 @@ def csr_on_pattern(
 
 
 def row_of_entry(csr: sparse.csr_array) -> IntArray:
-    """The row of each stored entry."""
+    """Return the row of each stored entry."""
     return np.repeat(np.arange(csr.shape[0], dtype=np.int64), np.diff(csr.indptr))
 
 
 def row_sums(csr: sparse.csr_array, data: Array | None = None) -> Array:
-    """Sums over the rows of the stored entries (of ``data`` on the same pattern, if
-    given).
-    """
+    """Sum the stored entries of each row, or ``data`` on the same pattern."""
     values = csr.data if data is None else data
     result = np.zeros(csr.shape[0])
     filled = np.diff(csr.indptr) > 0
@@ -189,16 +188,15 @@ def row_sums(csr: sparse.csr_array, data: Array | None = None) -> Array:
 
 
 def row_variances(csr: sparse.csr_array, probability: Array, values: Array) -> Array:
-    """Of each row the variance of ``values`` on its stored entries, which have these
-    probabilities.
-    """
+    """Compute the variance of ``values`` over each row with these probabilities."""
     mean = row_sums(csr, probability * values)
     return row_sums(csr, probability * (values - mean[row_of_entry(csr)]) ** 2)
 
 
 def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
-    """A ratio on the entries of ``pattern``: csr of its shape, or an object with such
-    ``values``; 0 where it has none.
+    """Return a ratio's values on the entries of ``pattern``, 0 where it has none.
+
+    The ratio is csr of the same shape, or an object with such ``values``.
     """
     values = getattr(ratio, "values", ratio)
     if not sparse.issparse(values) or values.shape != pattern.shape:
@@ -218,8 +216,9 @@ def ratio_on(pattern: sparse.csr_array, ratio: Any, name: str) -> Array:
 def find(
     csr: sparse.csr_array, rows: IntArray, columns: IntArray
 ) -> tuple[IntArray, BoolArray]:
-    """The position in ``csr.data`` of each (row, column), and whether it is stored
-    (position 0 where it is not).
+    """Return where each (row, column) is in ``csr.data``, and whether it is stored.
+
+    The position is 0 where an entry is not stored.
     """
     numbered = sparse.csr_array(
         (np.arange(1, csr.nnz + 1), csr.indices, csr.indptr), csr.shape
@@ -230,7 +229,7 @@ def find(
 
 
 def _has_same_pattern(one: sparse.csr_array, other: sparse.csr_array) -> bool:
-    """Whether two have the same entries in the same places."""
+    """Say whether two matrices have the same entries in the same places."""
     return all(
         np.array_equal(getattr(one, part), getattr(other, part))
         for part in ("indptr", "indices")
@@ -240,8 +239,9 @@ def _has_same_pattern(one: sparse.csr_array, other: sparse.csr_array) -> bool:
 def align(
     source: sparse.csr_array, pattern: sparse.csr_array
 ) -> tuple[Array, BoolArray]:
-    """The values of ``source`` on the entries of ``pattern`` (0 where it has none), and
-    where it has one; rows are sorted.
+    """Return the values of ``source`` on ``pattern``, and where it has entries.
+
+    Values are 0 where ``source`` has no entry. Rows are sorted.
     """
     if _has_same_pattern(source, pattern):
         return np.array(source.data, dtype=np.float64), np.ones(
@@ -256,8 +256,9 @@ def align(
 def align_to(
     source: sparse.csr_array, pattern: sparse.csr_array
 ) -> tuple[sparse.csr_array, Array]:
-    """``source``, and its values on the entries of ``pattern``; where it has the same
-    entries it takes the pattern's arrays.
+    """Return ``source``, and its values on the entries of ``pattern``.
+
+    Where it has the same entries it takes the pattern's arrays.
     """
     values = freeze(align(source, pattern)[0])
     return (

@@ -3,23 +3,29 @@
 A log is n transitions (s_i, a_i, s'_i), with what a recording may add, a column each,
 (n,)::
 
-    state, action, next_state     integers from 0, or names, which are matched to a simulator's
-    reward                        r_i, finite; nan if it is missing, and no column if all are
-    terminated                    the transition ended the task: all later rewards are 0
-    truncated                     it ended the recording alone: the task would have continued
-    episode, timestep             rows of an episode are consecutive, t = 0, 1, ...; s'_i = s_(i+1) inside of it
-    behavior_probability          mu(a_i | s_i), in [0, 1]
+    state, action, next_state   integers from 0, or names, which are matched to a
+                                simulator's
+    reward                      r_i, finite; nan if it is missing, and no column if all
+                                are
+    terminated                  the transition ended the task: all later rewards are 0
+    truncated                   it ended the recording alone: the task would have
+                                continued
+    episode, timestep           rows of an episode are consecutive, t = 0, 1, ...;
+                                s'_i = s_(i+1) inside of it
+    behavior_probability        mu(a_i | s_i), in [0, 1]
 
 Without episodes transitions are independent, and their states need not follow an MDP's
-initial distribution. Estimates use their counts alone, (S*A, S), row s*A + a::
+initial distribution. Estimates use their counts alone, (S*A, S), row s*A + a
+(``log.counts(n_states, n_actions)``)::
 
-    n(s, a, s') = #{i: s_i = s, a_i = a, s'_i = s'}            ``log.counts(n_states, n_actions)``
-    n_gamma(s, a, s') = sum_i gamma^t_i [s_i = s, ...]         with ``discount``: the paper's discounted d, times n
-    rbar(s, a, s') = sum_i r_i / #{i with a reward}            over the transitions that have one
+    n(s, a, s') = #{i: s_i = s, a_i = a, s'_i = s'}
+    n_gamma(s, a, s') = sum_i gamma^t_i [s_i = s, a_i = a, s'_i = s']
+    rbar(s, a, s') = sum_i r_i / #{i with a reward}
 
-Counts are sufficient for values, ratios, tests and intervals. ``Transitions.open``
-makes them of files of any size, in the memory of the counts, with a sample of whole
-episodes for importance sampling.
+n_gamma, with ``discount``, is the paper's discounted d, times n; rbar is taken over the
+transitions that have a reward. Counts, with rewards, are sufficient for values, ratios,
+tests and intervals. ``Transitions.open`` makes them of files of any size, in the memory
+of the counts, with a sample of whole episodes for importance sampling.
 
 - ``transitions.py``, ``columns.py``: the class ``Transitions``, and what every log has
 - ``frames.py``: data frames of any library (narwhals), episodes as lists of steps,

@@ -1,4 +1,4 @@
-"""Columns, episodes and files of every log, of numbered states or not."""
+"""Columns, episodes and files of every log, of states as numbers or as vectors."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ from oee_tabular.typing import Array, BoolArray, Column, IntArray, Seed
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class LogColumns:
-    """The columns of a log, (n,) or, where states are vectors, (n, d); those of
-    ``Transitions`` are described there.
+    """Hold the columns of a log, (n,) or, where states are vectors, (n, d).
+
+    ``Transitions`` describes them.
     """
 
     FILES: ClassVar[files.Format]
@@ -95,8 +96,9 @@ class LogColumns:
             object.__setattr__(self, name, None if column is None else freeze(column))
 
     def _check_episodes(self, columns: dict[str, Any]) -> None:
-        """Episodes stand together, in order, and end where they say; fills in timestep
-        and truncated.
+        """Check that episodes are consecutive, in order, and end where they say.
+
+        Fills in timestep and truncated.
         """
         episode = columns["episode"]
         starts = _episode_starts(episode)
@@ -126,16 +128,16 @@ class LogColumns:
     def _moves(
         state: ArrayLike, action: ArrayLike, next_state: ArrayLike
     ) -> dict[str, Column | None]:
-        """The three columns of a transition, checked each for itself."""
+        """Check the three columns of a transition, each for itself."""
         raise NotImplementedError
 
     @staticmethod
     def _differs(following: Column, state: Column) -> BoolArray:
-        """Row by row, whether a next state and the state that follows it differ."""
+        """Say row by row whether a next state and the state that follows it differ."""
         return np.asarray(following != state)
 
     def _show(self, state: Column) -> Any:
-        """One row's state, as errors show it."""
+        """Return one row's state as errors show it."""
         return state.tolist()
 
     def __len__(self) -> int:
@@ -143,19 +145,26 @@ class LogColumns:
 
     @property
     def episode_starts(self) -> IntArray | None:
-        """(n_episodes + 1,) row numbers at which episodes begin, and n at the end; None
-        without episodes.
+        """Return the rows at which episodes begin, with n at the end.
+
+        They are (n_episodes + 1,) integers; None without episodes.
         """
         return None if self.episode is None else _episode_starts(self.episode)
 
     @property
     def n_episodes(self) -> int | None:
-        """Number of episodes; None without episodes."""
+        """Return the number of episodes; None without episodes."""
         starts = self.episode_starts
         return None if starts is None else len(starts) - 1
 
     def columns(self) -> dict[str, Column]:
-        """The columns that the log has, in the order of the file formats."""
+        """Return the columns that the log has, in the order of the file formats.
+
+        Returns
+        -------
+        dict of str to ndarray
+            The columns by their labels.
+        """
         return {
             name: getattr(self, name)
             for name in COLUMNS
@@ -163,8 +172,24 @@ class LogColumns:
         }
 
     def select(self, rows: object) -> Self:
-        """The given rows (a mask or row numbers) as independent transitions: timesteps
-        are kept, episodes are not.
+        """Return the given rows as independent transitions.
+
+        Timesteps are kept, episodes are not.
+
+        Parameters
+        ----------
+        rows : array_like of bool or int
+            A mask of shape (n,), or row numbers.
+
+        Returns
+        -------
+        Transitions
+            The log of these rows, a log of the same class.
+
+        Raises
+        ------
+        ValueError
+            If ``rows`` is no mask and no row numbers of the log, or chooses no row.
         """
         try:
             asked = np.asarray(rows)
@@ -193,8 +218,22 @@ class LogColumns:
         )
 
     def first(self, n: int) -> Self:
-        """The first n rows with their episodes; the last episode is truncated where it
-        is cut.
+        """Return the first n rows with their episodes.
+
+        Parameters
+        ----------
+        n : int
+            The number of rows.
+
+        Returns
+        -------
+        Transitions
+            The log of these rows; its last episode is truncated where it is cut.
+
+        Raises
+        ------
+        ValueError
+            If the log has fewer rows.
         """
         size = self._check_size(n)
         columns = {
@@ -206,15 +245,29 @@ class LogColumns:
 
     @classmethod
     def concatenate(cls, logs: Sequence[Self]) -> Self:
-        """One log of several, in their order: episodes are numbered on; a column that
-        one of them lacks is dropped.
+        """Join several logs to one, in their order.
 
-        Rewards that one of them lacks are missing there, nan.
+        Parameters
+        ----------
+        logs : sequence of Transitions
+            The logs, of one class.
+
+        Returns
+        -------
+        Transitions
+            The joined log. Episodes are numbered on; a column that one of the logs
+            lacks is dropped, but rewards that one of them lacks are missing there, nan.
+
+        Raises
+        ------
+        ValueError
+            If there is no log, or something else among the logs.
 
         Examples
         --------
         >>> from oee_tabular import Transitions
-        >>> a, b = Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0]), Transitions([0], [1], [2], episode=[0])
+        >>> a = Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0])
+        >>> b = Transitions([0], [1], [2], episode=[0])
         >>> Transitions.concatenate([a, b]).episode
         array([0, 0, 1])
         """
@@ -245,14 +298,33 @@ class LogColumns:
         return cls(**{name: np.concatenate(part) for name, part in joined.items()})
 
     def draw(self, n: int, *, seed: Seed) -> Self:
-        """Draw n rows without replacement, as independent transitions: the paper's way
-        of sampling.
+        """Draw n rows without replacement, as independent transitions.
+
+        It is the paper's way of sampling.
+
+        Parameters
+        ----------
+        n : int
+            The number of rows.
+        seed : int, Generator or None
+            Anything that ``numpy.random.default_rng`` takes.
+
+        Returns
+        -------
+        Transitions
+            The log of the drawn rows.
+
+        Raises
+        ------
+        ValueError
+            If the log has fewer rows.
         """
         return self.select(
             _checks.generator(seed).permutation(len(self))[: self._check_size(n)]
         )
 
     def _check_size(self, n: object) -> int:
+        """Check a number of rows, of which the log must have as many."""
         size = _checks.positive_integer(n, "n")
         if size > len(self):
             raise ArgumentError(
@@ -261,24 +333,61 @@ class LogColumns:
         return size
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write .npz, .csv or .parquet; a log of numbered states also as a Minari data
-        set (which needs episodes and rewards).
+        """Write the log to a file, whole or not at all.
 
-        A Minari data set is a folder without suffix, or ``minari:namespace/name-v0``.
-        What is written appears whole or not at all; numbers survive each format to the
-        last bit.
+        Numbers survive each format to the last bit.
+
+        Parameters
+        ----------
+        path : path_like
+            A file that ends in .npz, .csv or .parquet. A log of numbered states with
+            episodes and rewards can also be written as a Minari data set: a folder
+            without suffix, or ``minari:namespace/name-v0``.
+
+        Raises
+        ------
+        ValueError
+            If the path has another ending, or the format cannot hold the log.
+
+        See Also
+        --------
+        load : Read the file.
         """
         files.save(self, self.FILES, path)
 
     @classmethod
     def load(cls, path: Any) -> Self:
-        """Read .npz, .csv, .parquet, a Minari folder or a Minari id that is on this
-        machine.
+        """Read a log from files.
 
-        Several files, a pattern or a folder of files are one log, in the order of their
-        names (``concatenate``). Columns of CSV and parquet are the constructor's names,
-        only state, action and next_state are required; those of vectors are state_0,
-        state_1, ..., next_state_0, ..., action or action_0, ...
+        Parameters
+        ----------
+        path : path_like, or iterable of path_like
+            A file .npz, .csv or .parquet, a Minari folder, or a Minari id that is on
+            this machine. Several files, a pattern or a folder of files are one log, in
+            the order of their names (``concatenate``).
+
+        Returns
+        -------
+        Transitions
+            The log.
+
+        Raises
+        ------
+        ValueError
+            If a file is no log; the error names the file, the column, the row and the
+            rule.
+        OSError
+            If a file is not there.
+
+        See Also
+        --------
+        save : Write such a file.
+
+        Notes
+        -----
+        Columns of CSV and parquet are the constructor's names, only state, action and
+        next_state are required; those of vectors are state_0, state_1, ...,
+        next_state_0, ..., action or action_0, ...
         """
         logs = []
         reported: set[str] = set()
@@ -290,7 +399,10 @@ class LogColumns:
 
 
 def _number_texts(episode: Any) -> Any:
-    """Episodes that have texts for numbers, in the order of their first rows."""
+    """Number episodes that are texts in the order of their first rows.
+
+    Other episodes are returned as they are.
+    """
     is_texts = (
         episode.ndim == 1 and episode.dtype.kind in "UO"
         if isinstance(episode, np.ndarray)
@@ -309,5 +421,6 @@ def _number_texts(episode: Any) -> Any:
 
 
 def _episode_starts(episode: IntArray) -> IntArray:
+    """Return the rows at which the episode changes, with 0 and n at the ends."""
     changes = np.flatnonzero(np.diff(episode)) + 1
     return np.concatenate([[0], changes, [len(episode)]]).astype(np.int64)

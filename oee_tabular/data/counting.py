@@ -1,10 +1,10 @@
 """One file of a log as counts, in one pass and in the memory of the counts.
 
 Of each piece of the file the values are checked (``rules.py``), rows that break a rule
-are noted, and the others are added to the sums of their (s, a, s', ended). Of whole
-episodes a sample is kept, for importance sampling: those first in the order of a hash
-of the file's name and the episode's number. It is uniform over the whole episodes, and
-the same wherever it is drawn.
+are noted, and the others are added to the sums of their (s, a, s', terminated). Of
+whole episodes a sample is kept, for importance sampling: those first in the order of a
+hash of the file's name and the episode's number. It is uniform over the whole episodes,
+and the same wherever it is drawn.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ WAY = " (bad_rows='drop', --bad-rows drop, leaves such rows out and counts them)
 
 
 class Limits(NamedTuple):
-    """What rows must keep to: numbers below ``sizes`` (states, actions), or names;
-    ``drop``: others are left out.
+    """Hold what rows must keep to: numbers below ``sizes`` (states, actions), or names.
+
+    ``drop``: whether other rows are left out. ``kept``: the transitions of the sample.
     """
 
     sizes: tuple[int, int] = (LARGEST, LARGEST)
@@ -50,16 +51,18 @@ class Limits(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """Rows of whole episodes, in their order, each with its episode's place in the
-    draw; all places are below ``limit``.
+    """Hold rows of whole episodes with each episode's place in the draw.
+
+    All places are below ``limit``.
     """
 
     rows: dict[str, Column] = {}  # noqa: RUF012
     limit: int = LAST_PLACE
 
     def join(self, other: Sample, kept: int) -> Sample:
-        """The episodes first in the draw of both; a reward that only one has is nan in
-        the other.
+        """Return the episodes first in the draw of both samples.
+
+        A reward that only one has is nan in the other.
         """
         limit = min(self.limit, other.limit)
         parts = [sample.rows for sample in (self, other) if sample.rows]
@@ -80,8 +83,9 @@ class Sample(NamedTuple):
 
 
 def cut_sample(rows: dict[str, Column], kept: int, limit: int) -> Sample:
-    """Those below ``limit`` first in the draw that have ``kept`` rows at most; the
-    first that is left out is the new limit.
+    """Return the episodes below ``limit`` first in the draw, of at most ``kept`` rows.
+
+    The first episode that is left out is the new limit.
     """
     rows = choose(rows, rows["place"] < np.uint64(limit))
     # an episode's rows stand together
@@ -96,9 +100,7 @@ def cut_sample(rows: dict[str, Column], kept: int, limit: int) -> Sample:
 
 
 class FileCounts(NamedTuple):
-    """What a file came to: its sums, how it was recorded, and the labels of its
-    columns.
-    """
+    """Hold the sums of a file, how it was recorded, and the labels of its columns."""
 
     sums: dict[str, Column] | None
     recording: Recording
@@ -108,7 +110,7 @@ class FileCounts(NamedTuple):
 
 
 def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
-    """Count one file; ``name`` is hashed for the sample."""
+    """Count one file; its ``name`` is hashed for the sample."""
     form = Transitions.FILES
     if file.suffix in (".csv", ".parquet"):
         table = open_table(file, form)
@@ -135,7 +137,7 @@ def count_file(file: LogFile, name: str, limits: Limits) -> FileCounts:
 
 
 class _FileCount:
-    """The sums of the pieces so far, what is wrong with them, and their episodes."""
+    """Hold the sums of the pieces so far, their faults, and their episodes."""
 
     def __init__(self, path: str, limits: Limits, name: str) -> None:
         self.path = path
@@ -158,8 +160,9 @@ class _FileCount:
         self.limit = LAST_PLACE
 
     def add_groups(self, table: Table) -> bool:
-        """The whole of a parquet file without episodes; False, and nothing added, where
-        a value is odd.
+        """Add the whole of a parquet file without episodes, summed by DuckDB.
+
+        Returns False, and adds nothing, where a value is odd.
         """
         groups = (
             sum_groups(self.path, table.known)
@@ -197,7 +200,7 @@ class _FileCount:
         return True
 
     def add(self, piece: Piece) -> None:
-        """One more piece."""
+        """Check one more piece and add its sums and episodes."""
         for row, words in piece.lost.items():
             self._note("fields", row, words)
         columns = {}
@@ -220,9 +223,7 @@ class _FileCount:
         add_sums(self.sums, good)
 
     def _check(self, raw: Column, label: str) -> tuple[Column, Fault | None]:
-        """The values of a column, names as the simulator's numbers, and what is wrong
-        with it.
-        """
+        """Return a column's values, names as the simulator's numbers, and its fault."""
         if label not in MOVE:
             return check_column(raw, label)
         is_action = label == "action"
@@ -234,18 +235,17 @@ class _FileCount:
         )
 
     def _note_fault(self, kind: str, fault: Fault, rows: IntArray) -> None:
+        """Note a fault of rows of a piece, whose numbers in the file are ``rows``."""
         row = int(rows[fault.rows[0]])
         self._note(kind, row, fault.describe(row), len(fault.rows))
 
     def _note(self, kind: str, row: int, words: str, n: int = 1) -> None:
-        """Keep the words for the first row of each kind of fault, and how many there
-        are.
-        """
+        """Keep the words for the first row of each kind of fault, and count rows."""
         first_row, first_words, before = self.faults.get(kind, (row, words, 0))
         self.faults[kind] = first_row, first_words, before + n
 
     def _follow(self, columns: dict[str, Column]) -> None:
-        """Where episodes begin, which are broken, and which rows may be in the sample."""
+        """Note where episodes begin, which are broken, and rows for the sample."""
         last = self.last or {label: column[:1] for label, column in columns.items()}
         before = {
             label: np.concatenate([last[label], column[:-1]])
@@ -285,7 +285,7 @@ class _FileCount:
             self._cut()
 
     def _cut(self) -> Sample:
-        """The episodes first in the draw, of those that are not broken so far."""
+        """Cut the sample to the unbroken episodes that are first in the draw."""
         rows = {
             label: np.concatenate([kept[label] for kept in self.kept])
             for label in self.kept[0]
@@ -297,8 +297,9 @@ class _FileCount:
         return sample
 
     def draw_episodes(self) -> Sample:
-        """A sample of the whole episodes, of which the rows stand together: no run has
-        the episode of another.
+        """Return a sample of the whole episodes whose rows are consecutive.
+
+        A run of rows is not whole where another run has the same episode.
         """
         names = np.concatenate(self.names)
         names = names.astype(str) if names.dtype.hasobject else names
@@ -317,8 +318,9 @@ class _FileCount:
         )
 
     def recording(self, sums: Mapping[str, Column] | None, table: Table) -> Recording:
-        """How the file was recorded, with the first row of each fault; ValueError where
-        rows are refused.
+        """Return how the file was recorded, with the first row of each fault.
+
+        Raises a ValueError where such rows are refused.
         """
         words = []
         for _, text, n in sorted(self.faults.values())[:N_REASONS]:
@@ -351,7 +353,7 @@ class _FileCount:
 
 
 def choose(columns: dict[str, Column], chosen: BoolArray) -> dict[str, Column]:
-    """The chosen rows of columns; the columns themselves where all are."""
+    """Return the chosen rows of columns; the columns themselves where all are."""
     return (
         columns
         if chosen.all()
@@ -360,7 +362,7 @@ def choose(columns: dict[str, Column], chosen: BoolArray) -> dict[str, Column]:
 
 
 def hash_places(number: IntArray, name: str) -> NDArray[np.uint64]:
-    """splitmix64 of number + a hash of the name: a place in the draw for each."""
+    """Return splitmix64 of number + a hash of the name as a place in the draw."""
     salt = np.uint64(
         int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
     )

@@ -1,8 +1,7 @@
-"""A log as counts: each distinct transition once, with its count and rewards; for logs
-beyond memory.
+"""A log as counts: each distinct transition once, for logs that memory does not hold.
 
-Counts are sufficient for values, ratios, tests and intervals. For what needs whole
-episodes (importance sampling) a sample of them can stand beside the counts.
+Counts, with rewards, are sufficient for values, ratios, tests and intervals. For what
+needs whole episodes (importance sampling) a sample of them can stand beside the counts.
 """
 
 from __future__ import annotations
@@ -29,11 +28,28 @@ N_REASONS = 5  # kinds of bad rows that are told with an example
 
 
 class Recording(NamedTuple):
-    """How counted transitions were recorded, and which were left out.
+    """Hold how counted transitions were recorded, and which were left out.
 
-    ``by_episodes``: whether transitions may depend on those before them. ``broken``:
-    episodes with a bad row. ``dropped``: rows left out, with the first of each kind in
-    words.
+    Attributes
+    ----------
+    by_episodes : bool
+        Whether transitions may depend on those before them.
+    episodes : int
+        The number of episodes.
+    shortest : int
+        The length of the shortest episode, in transitions.
+    longest : int
+        The length of the longest episode, in transitions.
+    truncated : int
+        The number of episodes that were truncated.
+    broken : int
+        The number of episodes with a bad row.
+    files : int
+        The number of files.
+    dropped : int
+        The number of rows left out.
+    reasons : tuple of str
+        The first dropped row of each kind, in words.
     """
 
     by_episodes: bool = True
@@ -47,7 +63,7 @@ class Recording(NamedTuple):
     reasons: tuple[str, ...] = ()
 
     def join(self, other: Recording) -> Recording:
-        """The two as one recording, which is of the ``other``'s kind."""
+        """Return the two as one recording, by episodes if the ``other`` is."""
         least = min(
             (length for length in (self.shortest, other.shortest) if length), default=0
         )
@@ -66,37 +82,55 @@ class Recording(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TransitionCounts:
-    """The distinct transitions of a log with their counts; checked when made and
-    immutable.
+    """Hold the distinct transitions of a log with their counts, immutable.
 
-    ``Transitions.open`` counts files of any size; ``Problem`` takes the result in place
-    of a log.
+    They are checked when made. ``Transitions.open`` counts files of any size;
+    ``Problem`` takes the result in place of a log.
 
     Parameters
     ----------
-    state, action, next_state : (K,) integers from 0
-    count : (K,) positive numbers; tests and intervals need whole ones
-    terminated : (K,) booleans, optional; one transition may stand twice, terminated and
-        not
-    reward_sum, reward_min, reward_max : (K,) finite numbers, optional: of the rewards
-        of a row's transitions
-    reward_count : (K,) numbers, how many of them have a reward; by default all. Least
-        and largest of none are nan
-    recording : how they were recorded; by default as episodes, whose bounds are valid
-        for independent transitions too
-    sample : Transitions, optional: whole episodes of the log, drawn uniformly, for
-        importance sampling
+    state : array_like of int of shape (K,)
+        The states, from 0.
+    action : array_like of int of shape (K,)
+        The actions, from 0.
+    next_state : array_like of int of shape (K,)
+        The next states, from 0.
+    count : array_like of shape (K,)
+        The positive number of times that each transition was recorded. Tests and
+        intervals need whole numbers.
+    terminated : array_like of bool of shape (K,), optional
+        Whether the transition ended the task; one transition may stand twice,
+        terminated and not. By default none did.
+    reward_sum : array_like of shape (K,), optional
+        The finite sum of the rewards of each row's transitions.
+    reward_min : array_like of shape (K,), optional
+        The least of these rewards, nan where there are none.
+    reward_max : array_like of shape (K,), optional
+        The largest of these rewards, nan where there are none.
+    reward_count : array_like of shape (K,), optional
+        The number of these transitions that have a reward. None means all.
+    recording : Recording, optional
+        How the transitions were recorded. By default as episodes, whose bounds are
+        valid for independent transitions too.
+    sample : Transitions, optional
+        Whole episodes of the log, drawn uniformly, for importance sampling.
 
     Raises
     ------
     ValueError
-        Names the column, the row, the rule and the value.
+        If a column breaks a rule; the error names the column, the row, the rule and the
+        value.
+
+    See Also
+    --------
+    Transitions : A log whose transitions stand one a row.
 
     Examples
     --------
     >>> from oee_tabular import Transitions
     >>> TransitionCounts([0, 1], [0, 0], [1, 2], [30, 12])
-    TransitionCounts(42 transitions, 2 different: 0 terminated, 0 truncated; states 0..2, actions 0..0)
+    TransitionCounts(42 transitions, 2 different: 0 terminated, 0 truncated;
+                     states 0..2, actions 0..0)
     """
 
     state: IntArray
@@ -170,7 +204,25 @@ class TransitionCounts:
 
     @classmethod
     def of(cls, matrix: object, n_actions: int) -> Self:
-        """Counts that are given as a matrix, sparse of shape (S*A, S), row s*A + a."""
+        """Make counts of a matrix of them.
+
+        Parameters
+        ----------
+        matrix : sparse of shape (S*A, S)
+            The counts, in row s*A + a.
+        n_actions : int
+            The number A of actions.
+
+        Returns
+        -------
+        TransitionCounts
+            The counts.
+
+        Raises
+        ------
+        ValueError
+            If it is no such matrix, or all counts are 0.
+        """
         actions = _checks.positive_integer(n_actions, "n_actions")
         csr = canonical(check_csr(matrix, "matrix"), drop_zeros=True)
         if csr.nnz == 0:
@@ -181,7 +233,7 @@ class TransitionCounts:
         return cls(state, action, csr.indices.astype(np.int64), csr.data)
 
     def __len__(self) -> int:
-        """How many transitions were counted."""
+        """Return how many transitions were counted."""
         return round(float(self.count.sum()))
 
     def __repr__(self) -> str:
@@ -197,14 +249,33 @@ class TransitionCounts:
 
     @property
     def by_episodes(self) -> bool:
-        """Whether transitions may depend on those before them."""
+        """Return whether transitions may depend on those before them."""
         return self.recording.by_episodes
 
     def counts(
         self, n_states: int, n_actions: int, *, discount: float | None = None
     ) -> sparse.csr_array:
-        """The counts of each (s, a, s'): csr of shape (S*A, S), row s*A + a; errors as
-        of ``Transitions.counts``.
+        """Return the counts of each (s, a, s').
+
+        Parameters
+        ----------
+        n_states : int
+            The number S of states.
+        n_actions : int
+            The number A of actions.
+        discount : None, optional
+            Must be left out, since counts have no timesteps; it is there because
+            ``Transitions.counts`` has it.
+
+        Returns
+        -------
+        csr_array of shape (S*A, S)
+            The counts, in row s*A + a.
+
+        Raises
+        ------
+        ValueError
+            If a discount is given, or a state or action is outside the given numbers.
         """
         if discount is not None:
             raise ArgumentError(
@@ -214,11 +285,23 @@ class TransitionCounts:
         return counts_of(self, self.count, n_states, n_actions)
 
     def moves(self) -> RowSums:
-        """The rows, with the count of each and its rewards."""
+        """Return the rows, with the count of each and its rewards.
+
+        Returns
+        -------
+        RowSums
+            The number and the rewards of each row.
+        """
         return RowSums(*(getattr(self, name) for name in COUNTED))
 
     def columns(self) -> dict[str, Column]:
-        """The columns that there are."""
+        """Return the columns that the counts have.
+
+        Returns
+        -------
+        dict of str to ndarray of shape (K,)
+            The columns by their labels.
+        """
         return {
             name: getattr(self, name)
             for name in (*KEY, *COUNTED)
@@ -226,7 +309,14 @@ class TransitionCounts:
         }
 
     def summary(self) -> dict[str, Any]:
-        """The counts' summary, as plain numbers and words."""
+        """Summarise the counts as plain numbers and words.
+
+        Returns
+        -------
+        dict
+            The numbers of transitions, episodes, states and so on, by name; None where
+            there is no such number.
+        """
         told = self.recording
         paid = self.reward_sum is not None
         return {
@@ -252,11 +342,27 @@ class TransitionCounts:
         }
 
     def describe(self) -> str:
-        """The summary in one line."""
+        """Return the summary in one line.
+
+        Returns
+        -------
+        str
+            The line, as ``repr`` has it in its parentheses.
+        """
         return describe_facts(self.summary())
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write .npz, whole or not at all, with a digest of its contents."""
+        """Write the counts to a file with a digest of its contents.
+
+        Parameters
+        ----------
+        path : path_like
+            The file, which ends in .npz.
+
+        See Also
+        --------
+        load : Read the file.
+        """
         arrays: dict[str, Column] = self.columns() | {
             "recording": np.array([int(value) for value in self.recording[:-1]]),
             "reasons": np.array(self.recording.reasons, dtype=np.str_),
@@ -270,8 +376,22 @@ class TransitionCounts:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TransitionCounts:
-        """Read what ``save`` wrote; a ValueError that names the file where it is
-        something else, or has changed since.
+        """Read counts that ``save`` wrote.
+
+        Parameters
+        ----------
+        path : path_like
+            The file.
+
+        Returns
+        -------
+        TransitionCounts
+            The counts.
+
+        Raises
+        ------
+        ValueError
+            If the file is something else, or has changed since; the error names it.
         """
         arrays = _files.load_npz(path, KIND)
         with _files.parts_of(path, "counts"):
@@ -279,11 +399,12 @@ class TransitionCounts:
 
 
 def holds_counts(path: str | os.PathLike[str]) -> bool:
-    """Whether a file holds counts. Reads the name of its kind alone."""
+    """Say whether a file holds counts, from the name of its kind alone."""
     return _files.kind_of(path) == KIND
 
 
 def _require(values: Array, name: str, is_good: BoolArray, rule: str) -> None:
+    """Raise an ArgumentError with the first value that is not good."""
     bad = np.flatnonzero(~is_good)
     if bad.size:
         raise ArgumentError(
@@ -292,7 +413,7 @@ def _require(values: Array, name: str, is_good: BoolArray, rule: str) -> None:
 
 
 def _from_arrays(arrays: dict[str, Column]) -> TransitionCounts:
-    """Counts from the parts of their file."""
+    """Make counts of the parts of their file."""
     parts = {name: column for name, column in arrays.items() if name != _files.KIND}
     numbers = parts.pop("recording").tolist()
     reasons = tuple(parts.pop("reasons").tolist())

@@ -40,7 +40,10 @@ Columns = dict[str, Column]
 
 
 class Format:
-    """Logs of numbered states as files; a log of other states overrides what differs."""
+    """Describe how logs of numbered states stand in files.
+
+    A log of other states overrides what differs.
+    """
 
     kind = "transitions"  # of an npz
     required = MOVE
@@ -48,11 +51,11 @@ class Format:
     writes_minari = True
 
     def is_known(self, label: str) -> bool:
-        """Whether a table's column is one of a log's."""
+        """Say whether a table's column is one of a log's."""
         return label in COLUMNS
 
     def to_table(self, columns: Columns) -> Columns:
-        """The columns of a table, each (n,); names as texts."""
+        """Return the columns of a table, each (n,), names as texts."""
         return {
             name: (
                 np.array([str(item) for item in column], dtype=object)
@@ -63,11 +66,11 @@ class Format:
         }
 
     def from_table(self, columns: Columns, name: str) -> Columns:
-        """The columns of a log, of those of the table ``name``."""
+        """Return the columns of a log from those of the table ``name``."""
         return columns
 
     def require(self, labels: Iterable[str], name: str) -> None:
-        """ValueError where a file with these columns is no log of this kind."""
+        """Raise an ArgumentError where these columns are no log of this kind."""
         way = (
             "; in Python, several to a state as well: Transitions.from_frame(frame,"
             " state='its name', ...).save('log.csv')"
@@ -75,7 +78,7 @@ class Format:
         require_columns(repr(name), self.required, labels, way=way)
 
     def check_episode(self, observations: Column, actions: Column, name: str) -> None:
-        """ValueError where a Minari episode is none of such a log."""
+        """Raise an ArgumentError where a Minari episode is none of such a log."""
         if (
             observations.ndim != 1
             or observations.dtype.kind not in "iu"
@@ -115,8 +118,9 @@ def save(log: Any, form: Format, path: str | os.PathLike[str]) -> None:
 
 
 def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
-    """The columns of a log in the format of the path's ending; warns of unknown ones
-    that are not ``reported``.
+    """Read the columns of a log in the format of the path's ending.
+
+    Warns of unknown columns that are not ``reported``.
     """
     name = _files.local(file.path)
     if file.suffix == ".npz":
@@ -157,8 +161,9 @@ def load(form: Format, file: LogFile, reported: set[str]) -> Columns:
 
 
 def _read_whole(file: LogFile, table: Table) -> Columns:
-    """The raw columns of a table, whole; ValueError for a line that has another number
-    of fields than its header.
+    """Read all raw columns of a table.
+
+    Raises a ValueError for a line that has another number of fields than its header.
     """
     if file.suffix == ".parquet":
         _checks.require_memory(
@@ -178,12 +183,11 @@ def _read_whole(file: LogFile, table: Table) -> Columns:
 
 
 def find_log_files(path: Paths) -> list[LogFile]:
-    """The files that a path, a folder, a pattern or a list of them names, in the order
-    of their names.
+    """Find the files that a path, a folder, a pattern or a list of them names.
 
-    Files and folders that begin with a dot or an underscore are left out, as writers of
-    folders mean them; folders ``column=value`` name a column [1]. A folder without any
-    is a Minari data set.
+    They are in the order of their names. Files and folders that begin with a dot or an
+    underscore are left out, as writers of folders mean them; folders ``column=value``
+    name a column [1]. A folder without any is a Minari data set.
 
     [1] Apache Hive.
     """
@@ -208,7 +212,7 @@ def find_log_files(path: Paths) -> list[LogFile]:
 
 
 def _files_at(name: str) -> list[LogFile]:
-    """The files of a folder, those that a pattern names, or the one of this name."""
+    """Find the files of a folder or a pattern, or the one of this name."""
     place = Path(name)
     if place.is_dir():
         files = [file for file in sorted(place.rglob("*")) if file.is_file()]
@@ -239,12 +243,13 @@ def _files_at(name: str) -> list[LogFile]:
 
 
 def _is_data_file(path: Path) -> bool:
+    """Say whether a file has the ending of a log and is not hidden."""
     is_hidden = any(step.startswith((".", "_")) for step in path.parts)
     return not is_hidden and path.name.lower().endswith(ENDINGS)
 
 
 def _parse_folders(path: Path) -> tuple[tuple[str, str], ...]:
-    """Columns that folders name, as Hive does."""
+    """Return the columns and values that folders name, as Hive does."""
     steps = (step.partition("=") for step in path.parts[:-1])
     return tuple(
         (label, value) for label, equals, value in steps if equals and label in COLUMNS
@@ -252,7 +257,10 @@ def _parse_folders(path: Path) -> tuple[tuple[str, str], ...]:
 
 
 def plain_name(file: LogFile, files: Sequence[LogFile]) -> str:
-    """A file's path below what all have in common: the same wherever a folder stands."""
+    """Return a file's path below the folder that all files have in common.
+
+    It is the same wherever that folder stands.
+    """
     common = os.path.commonpath(
         [os.path.dirname(os.path.abspath(one.path)) for one in files]
     )

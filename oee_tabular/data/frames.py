@@ -1,6 +1,4 @@
-"""Logs as people have them: data frames of any library, episodes as lists of steps,
-columns of names, Minari data sets.
-"""
+"""Logs from data frames of any library, lists of steps, names, and Minari data sets."""
 
 from __future__ import annotations
 
@@ -38,9 +36,7 @@ STEP = (
 
 
 def is_frame(value: object) -> bool:
-    """Whether ``value`` is a data frame of a library that narwhals knows, eager or
-    lazy.
-    """
+    """Say whether ``value`` is an eager or lazy data frame that narwhals knows."""
     if isinstance(value, np.ndarray | Sequence | Mapping):
         return False
     import narwhals as nw
@@ -53,11 +49,10 @@ def is_frame(value: object) -> bool:
 
 
 def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str, Any]:
-    """The columns of a log, by the constructor's names, of a data frame;
-    ``column_names``: what it calls them.
+    """Return the columns of a log, by the constructor's names, of a data frame.
 
-    Raises ValueError for what is no frame, for columns that it has not, and for the
-    first value that is none of a log's.
+    ``column_names``: what the frame calls them. Raises an ArgumentError for what is no
+    frame, for columns that it has not, and for the first value that is none of a log's.
     """
     for field in column_names:
         if field not in COLUMNS:
@@ -107,7 +102,7 @@ def frame_columns(frame: object, column_names: Mapping[str, object]) -> dict[str
 
 
 def _join_columns(table: Any, labels: list[str]) -> Column:
-    """A column's values, nan where it has none; tuples of several columns' values."""
+    """Return a column's values, or the tuples of several columns' values."""
     columns = []
     for label in labels:
         values = np.asarray(table[label].to_numpy())
@@ -120,8 +115,9 @@ def _join_columns(table: Any, labels: list[str]) -> Column:
 
 
 def eager(frame: Any) -> Any:
-    """A frame as narwhals has it, its rows read; ValueError for what is none, or has a
-    column twice.
+    """Return a frame as narwhals has it, its rows read.
+
+    Raises an ArgumentError for what is no frame, or has a column twice.
     """
     import narwhals as nw
 
@@ -146,7 +142,7 @@ def eager(frame: Any) -> Any:
 
 
 def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
-    """The frame's labels of one field: one, or several of which a name is made."""
+    """Return the frame's labels of one field, several where they make a name."""
     group = (
         [given]
         if isinstance(given, str)
@@ -167,7 +163,8 @@ def _find_labels(field: str, given: object, labels: list[str]) -> list[str]:
 
 
 def episode_columns(episodes: object) -> dict[str, Any]:
-    """The columns of a log, of a list of episodes, each a list of steps;
+    """Return the columns of a log from a list of episodes, each a list of steps.
+
     ``Transitions.from_episodes`` has the forms.
     """
     given = _checks.collection(
@@ -203,7 +200,7 @@ def episode_columns(episodes: object) -> dict[str, Any]:
 
 
 def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
-    """The items of a list or tuple; a mapping has no order that tells a step's parts."""
+    """Return the items of a list or tuple; a mapping is refused, as it has no order."""
     if isinstance(value, Mapping):
         keys = ", ".join(map(str, value))
         raise ArgumentError(
@@ -215,8 +212,9 @@ def _parts(value: object, name: str, rule: str) -> tuple[Any, ...]:
 
 
 def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
-    """(state, action, reward, next_state, terminated) of each step, without next_state
-    where nothing says where it led.
+    """Return (state, action, reward, next_state, terminated) of each step.
+
+    A step has no next_state where nothing says where it led.
     """
     steps = [
         _parts(step, f"episodes[{episode}][{t}]", f"a step, {STEP}")
@@ -253,8 +251,9 @@ def _moves_of(given: tuple[Any, ...], episode: int) -> list[tuple[Any, ...]]:
 def number_in_order(
     items: Sequence[Any], first: dict[Any, int] | None = None
 ) -> tuple[IntArray, dict[Any, int]]:
-    """Numbers of the different items in the order in which they first stand there,
-    behind those that ``first`` has.
+    """Number the different items in the order in which they first stand there.
+
+    The numbers follow those that ``first`` has.
     """
     number = {} if first is None else first
     return (
@@ -268,8 +267,9 @@ def number_in_order(
 def encode_names(
     columns: dict[str, Any], given: object, name: str
 ) -> tuple[list[Any], tuple[Name, ...] | None]:
-    """Columns of names as numbers, with the names; columns of numbers as they are, with
-    the names that were given.
+    """Return columns of names as numbers, with the names.
+
+    Columns of numbers stay as they are, with the names that were given.
     """
     found = {
         column: items
@@ -297,8 +297,9 @@ def encode_names(
 
 
 def _names_in(value: object, name: str) -> list[Any] | None:
-    """The items of a column of names; None for a column of anything else, which its own
-    reader judges.
+    """Return the items of a column of names, or None for a column of anything else.
+
+    The column's own reader judges what is no name.
     """
     array = value if isinstance(value, list | tuple) else _checks.as_array(value, name)
     if isinstance(array, np.ndarray) and (
@@ -334,8 +335,9 @@ FOLDER = "MINARI_DATASETS_PATH"  # the variable that says where Minari has its d
 
 
 def is_minari(name: str) -> bool:
-    """Whether ``name`` is a Minari folder or id rather than a file; FileNotFoundError
-    where it can be neither.
+    """Say whether ``name`` is a Minari folder or id rather than a file.
+
+    Raises FileNotFoundError where it can be neither.
     """
     suffix = Path(name).suffix.lower()
     if (
@@ -354,7 +356,7 @@ def is_minari(name: str) -> bool:
 
 
 def require_minari() -> None:
-    """ImportError that names the extra where Minari is missing."""
+    """Raise an ImportError that names the extra where Minari is missing."""
     if importlib.util.find_spec("minari") is None:
         raise ImportError(
             "minari is not installed; in a clone: pip install '.[minari]'"
@@ -362,8 +364,9 @@ def require_minari() -> None:
 
 
 def find_folder(identifier: str) -> Path:
-    """The folder of a Minari id; a ValueError, before any folder is made, for what is
-    none.
+    """Return the folder of a Minari id.
+
+    Raises an ArgumentError, before any folder is made, for what is none.
     """
     from minari.dataset.minari_dataset import parse_dataset_id
     from minari.storage.datasets_root_dir import get_dataset_path
@@ -418,6 +421,7 @@ def save_minari(log: Any, name: str) -> None:
 
 
 def _write_minari(log: Any, identifier: str) -> None:
+    """Write the episodes of a log as a Minari data set."""
     import minari
     from gymnasium import spaces
     from minari.data_collector import EpisodeBuffer
@@ -452,7 +456,7 @@ def _write_minari(log: Any, identifier: str) -> None:
 
 
 def minari_episodes(name: str) -> list[Any]:
-    """The episodes of a Minari folder or id, as Minari gives them."""
+    """Return the episodes of a Minari folder or id, as Minari gives them."""
     require_minari()
     from minari.dataset.minari_dataset import MinariDataset
 
@@ -487,8 +491,9 @@ def minari_episodes(name: str) -> list[Any]:
 def minari_columns(
     name: str, check: Callable[[Column, Column, str], None]
 ) -> dict[str, Column]:
-    """A Minari data set as columns; ``check(observations, actions, name)`` refuses an
-    episode that is none of the log's.
+    """Return a Minari data set as columns.
+
+    ``check(observations, actions, name)`` refuses an episode that is none of the log's.
     """
     parts: list[dict[str, Column]] = []
     for number, episode in enumerate(minari_episodes(name)):

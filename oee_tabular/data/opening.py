@@ -1,7 +1,7 @@
-"""Files of any size as counts: each is summed alone, and the sums are added in the
-order of the files' names.
+"""Files of any size as counts: each is summed alone, and the sums are added in order.
 
-So one process, several, and a cluster give the same bits.
+The order is that of the files' names, so that one process, several, and a cluster give
+the same bits.
 """
 
 from __future__ import annotations
@@ -38,50 +38,67 @@ def open_log(
     dask: str | None = None,
     progress: bool = False,
 ) -> TransitionCounts:
-    """Count a log of any size, in memory of the size of its counts; ``Problem`` takes
-    the result.
+    """Count a log of any size, in memory of the size of its counts.
+
+    ``Problem`` takes the result.
 
     Parameters
     ----------
-    path : file (.parquet, .csv, .csv.gz, .npz), folder (with all inside,
-        ``column=value`` folders as columns), pattern, Minari data set, or a list of
-        these
-    simulator : FiniteMDP, optional: states and actions outside it are bad; the log may
-        use its names
-    n_states, n_actions : int, optional, in its place: larger states and actions are bad
-    bad_rows : "refuse" | "drop": raise at the first invalid row, or leave such rows out
-        and give their number; the other transitions of a broken episode are still
-        counted
-    kept_moves : int, 200 000: whole episodes of so many transitions are kept for
-        importance sampling, drawn by a hash
-    output : .npz to write the counts to, whole or not at all
-    jobs : processes on this machine, -1: one a core; dask : address of a scheduler
-        whose workers see the files
-    progress : whether to show a bar
+    path : path_like, or iterable of path_like
+        A file (.parquet, .csv, .csv.gz, .npz), a folder (with all inside,
+        ``column=value`` folders as columns), a pattern, a Minari data set, or several
+        of these.
+    simulator : FiniteMDP, optional
+        The model. States and actions outside it are bad; the log may use its names.
+    n_states : int, optional
+        The number of states in place of a simulator; larger states are bad.
+    n_actions : int, optional
+        The number of actions in place of a simulator; larger actions are bad.
+    bad_rows : {'refuse', 'drop'}, default 'refuse'
+        Raise at the first invalid row, or leave such rows out and give their number.
+        The other transitions of a broken episode are still counted.
+    kept_moves : int, default 200 000
+        The number of transitions of which whole episodes are kept for importance
+        sampling, drawn by a hash.
+    output : path_like, optional
+        The .npz file to write the counts to, whole or not at all.
+    jobs : int, default 1
+        The number of processes on this machine; -1 means one a core.
+    dask : str, optional
+        The address of a scheduler whose workers see the files.
+    progress : bool, default False
+        Whether to show a bar.
+
+    Returns
+    -------
+    TransitionCounts
+        The counts, with a sample of whole episodes.
 
     Raises
     ------
     ValueError
-        Names the file, the row or the column, the rule and the value: files that are no
-        tables or have other columns than the first; invalid rows if they are refused.
-        Rewards alone may be missing.
+        If a file is no table or has other columns than the first (rewards alone may be
+        missing), or has invalid rows that are refused. The error names the file, the
+        row or the column, the rule and the value.
     OSError
-        A file that is not there; no scheduler at the address.
+        If a file is not there, or there is no scheduler at the address.
 
     Notes
     -----
-    Cost: O(rows) time, memory of the different transitions of a file and of the
-    episodes' names. Serial, processes and cluster give the same bits.
+    The cost is O(rows) time, and memory of the different transitions of a file and of
+    the episodes' names. Serial, processes and cluster give the same bits.
 
     Examples
     --------
     >>> import tempfile, pathlib
     >>> folder = pathlib.Path(tempfile.mkdtemp())
+    >>> log = Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0])
     >>> for k in range(2):
-    ...     Transitions([0, 1], [0, 0], [1, 2], episode=[0, 0]).save(folder / f"part-{k}.csv")
+    ...     log.save(folder / f"part-{k}.csv")
     >>> Transitions.open(folder)
-    TransitionCounts(4 transitions, 2 different, of 2 files in 2 episodes of 2 steps: 0 terminated, 2 truncated;
-                     states 0..2, actions 0..0; 2 whole episodes kept)
+    TransitionCounts(4 transitions, 2 different, of 2 files in 2 episodes of 2 steps:
+                     0 terminated, 2 truncated; states 0..2, actions 0..0;
+                     2 whole episodes kept)
     """
     _checks.boolean(progress, "progress")
     if isinstance(path, str | os.PathLike) and holds_counts(path):
@@ -124,8 +141,9 @@ def open_log(
 
 
 def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
-    """All files have the same of a log's columns as the first; rewards alone may be
-    missing in some.
+    """Raise a ValueError where a file has other columns of a log than the first.
+
+    Rewards alone may be missing in some files.
     """
     first = next(iter(columns))
     differ = sorted((columns[first] ^ columns[path]) - {"reward"})
@@ -140,8 +158,9 @@ def _check_same_columns(columns: dict[str, frozenset[str]], path: str) -> None:
 def _to_counts(
     sums: dict[str, Column], recording: Recording, sample: Sample
 ) -> TransitionCounts:
-    """Counts in the order of s, a, s', ended, with their sample; without rewards where
-    there are none.
+    """Make counts in the order of s, a, s', terminated, with their sample.
+
+    They have no rewards where there are none.
     """
     order = np.lexsort([sums[label] for label in reversed(KEY)])
     has_rewards = sums["reward_count"].any()
@@ -162,6 +181,7 @@ def _to_counts(
 def _limits(
     simulator: FiniteMDP | None, n_states: int | None, n_actions: int | None
 ) -> Limits:
+    """Return what states and actions must keep to: a simulator's, or given numbers."""
     if simulator is not None:
         _checks.instance(simulator, FiniteMDP, "simulator")
         if n_states is not None or n_actions is not None:
@@ -182,7 +202,7 @@ def _limits(
 def read_log(
     source: Any, simulator: FiniteMDP, name: str = "log"
 ) -> Transitions | TransitionCounts:
-    """What was recorded, in the simulator's numbers, of whatever form it has.
+    """Return what was recorded, in the simulator's numbers, of whatever form it has.
 
     ``source``: Transitions, counts, a data frame, episodes as lists of steps, a path,
     or a list of paths, a pattern or a folder. ``name``: what errors call it.

@@ -1,5 +1,4 @@
-"""The columns of a log: their labels, and what each must hold, by one check for arrays,
-tables and counts.
+"""Columns of a log: their labels, and what each must hold in arrays, tables and counts.
 
 A check returns the values and, where some break the rule, a ``Fault``: all such rows,
 and the words for the first. Whoever asks raises it, or leaves the rows out. A value is
@@ -49,10 +48,10 @@ FLAG_TEXTS = {
 
 
 class Fault(NamedTuple):
-    """The rows of a column that break its rule, in their order, with the value in the
-    first.
+    """Hold the rows of a column that break its rule, with the value in the first.
 
-    ``shift``: -1 where the value is that of the row before.
+    The rows are in their order. ``shift``: -1 where the value is that of the row
+    before.
     """
 
     label: str
@@ -63,8 +62,9 @@ class Fault(NamedTuple):
     shift: int = 0
 
     def describe(self, row: int | None = None) -> str:
-        """The place, the rule and the value; ``row``: the number of the first row,
-        where it has another in its file.
+        """Return the place, the rule and the value in words.
+
+        ``row``: the number of the first row, where it has another in its file.
         """
         place = f"{self.label}[{(self.rows[0] if row is None else row) + self.shift}]"
         if is_missing(self.value):
@@ -79,22 +79,23 @@ class Fault(NamedTuple):
 
 
 def as_objects(items: Sequence[Any]) -> Column:
-    """Names as an array of them, tuples whole."""
+    """Return names as an array of objects, tuples whole."""
     array = np.empty(len(items), dtype=object)
     array[:] = items
     return array
 
 
 def is_missing(value: Any) -> bool:
-    """Whether a value is none."""
+    """Say whether a value is None or nan."""
     return value is None or (isinstance(value, float) and math.isnan(value))
 
 
 def find_fault(
     label: str, raw: Column, rules: Mapping[str, BoolArray], *, has_names: bool = False
 ) -> Fault | None:
-    """The fault of the rows that break one of the rules, if any; ``rules``: by the
-    words of each, the rows that break it.
+    """Return the fault of the rows that break one of the rules, or None.
+
+    ``rules``: by the words of each rule, the rows that break it.
     """
     rows = np.flatnonzero(np.any(list(rules.values()), axis=0))
     if not rows.size:
@@ -120,7 +121,7 @@ def find_fault(
 
 
 def to_numbers(raw: Column) -> Column:
-    """Numbers; of texts those that they write, and nan for a text that writes none."""
+    """Return numbers; a text becomes the number that it writes, or nan."""
     if raw.dtype.kind in "iuf":
         return raw
     numbers = np.array([_parse_number(item) for item in raw.tolist()])
@@ -132,7 +133,10 @@ def to_numbers(raw: Column) -> Column:
 
 
 def _parse_number(item: Any) -> int | float:
-    """An int where it is written as one, for a float does not hold it from 2**53 on."""
+    """Return the number that an item is or writes, or nan.
+
+    An int stays one, since a float does not hold all from 2**53 on.
+    """
     item = item.item() if isinstance(item, np.generic) else item
     if not isinstance(item, str):
         return (
@@ -149,8 +153,9 @@ def _parse_number(item: Any) -> int | float:
 
 
 def check_array(value: object, label: str) -> Column:
-    """A column that is given as an array or a list; ValueError with the row, the rule
-    and the value found.
+    """Check a column that is given as an array or a list.
+
+    Raises an ArgumentError with the row, the rule and the value.
     """
     kind = KINDS[label]
     if kind == "numbers":
@@ -173,8 +178,9 @@ def check_array(value: object, label: str) -> Column:
 
 
 def check_table(columns: Mapping[str, Column], source: str) -> dict[str, Column]:
-    """The values of a table's columns, names and the texts of episodes as they are;
-    ValueError for the first fault.
+    """Return the values of a table's columns; names and episodes may be texts.
+
+    Raises a ValueError for the first fault.
     """
     values = {}
     for label, raw in columns.items():
@@ -187,19 +193,18 @@ def check_table(columns: Mapping[str, Column], source: str) -> dict[str, Column]
 
 
 def count_others(fault: Fault) -> str:
-    """How many rows break the rule, in words, where more than one does."""
+    """Return how many rows break the rule, in words, where more than one does."""
     return f" ({len(fault.rows)} such rows in all)" if len(fault.rows) > 1 else ""
 
 
 def check_column(
     raw: Column, label: str, *, high: int = 2**63, names: tuple[Name, ...] | None = None
 ) -> tuple[Column, Fault | None]:
-    """The values of a column by its label, and what is wrong with them; labels that a
-    log does not know are numbers.
+    """Return the values of a column by its label, and its fault or None.
 
-    ``high``: integers are below it. ``names``: those that may stand in place of
-    numbers, which they become; empty: any, which stay, as the texts of episodes do;
-    None: none.
+    Labels that a log does not know are numbers. ``high``: integers are below it.
+    ``names``: those that may stand in place of numbers, which they become; empty: any,
+    which stay, as the texts of episodes do; None: none.
     """
     kind = KINDS.get(label, "numbers")
     raw = raw.astype(str) if raw.dtype.kind in "Mm" else raw  # dates are no numbers
@@ -228,7 +233,7 @@ def check_column(
 def _check_integers(
     raw: Column, label: str, high: int
 ) -> tuple[IntArray, Fault | None]:
-    """Integers below ``high``, from 0 but for episodes, and 0 in place of what is none."""
+    """Check integers from 0 (of episodes any) and below ``high``; others become 0."""
     low = -(2**63) if label == "episode" else 0
     if raw.dtype == np.int64 and raw.size and raw.min() >= low and raw.max() < high:
         return raw, None
@@ -254,7 +259,7 @@ def _check_integers(
 
 
 def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
-    """Finite numbers, probabilities from 0 to 1; a reward may be missing."""
+    """Check finite numbers, probabilities from 0 to 1; a reward may be missing."""
     low, high = (0.0, 1.0) if label == "behavior_probability" else (-np.inf, np.inf)
     numbers = to_numbers(raw).astype(np.float64, copy=False)
     is_good = np.isfinite(numbers) & (numbers >= low) & (numbers <= high)
@@ -269,7 +274,7 @@ def _check_numbers(raw: Column, label: str) -> tuple[Array, Fault | None]:
 
 
 def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
-    """Booleans, 0 and 1, or texts of these."""
+    """Check booleans, 0 and 1, or texts of these."""
     if raw.dtype.kind == "b":
         return raw, None
     if raw.dtype.kind in "iuf":
@@ -285,7 +290,7 @@ def _check_flags(raw: Column, label: str) -> tuple[BoolArray, Fault | None]:
 def _match_names(
     raw: Column, label: str, names: tuple[Name, ...]
 ) -> tuple[Column, Fault | None]:
-    """Names as their numbers; numbers as texts are none of them."""
+    """Return names as their numbers; numbers as texts are none of them."""
     missing = np.array([is_missing(item) for item in raw.tolist()], dtype=np.bool_)
     if not names:
         return raw, find_fault(label, raw, {"must have a value": missing})
@@ -304,8 +309,9 @@ def _match_names(
 
 
 def find_repeat(names: Column, rows: IntArray) -> tuple[int, str] | None:
-    """The first row, of ``rows`` where episodes of these names begin, whose episode
-    began before, and the words for it.
+    """Return the first row in which an episode begins again, and the words for it.
+
+    ``rows``: where episodes of these ``names`` begin.
     """
     unique, index = np.unique(names, return_index=True)
     if len(unique) == len(names):
@@ -324,17 +330,22 @@ def find_order_faults(
     differs: Callable[[Any, Any], Any] = np.not_equal,
     show: Callable[[Any], Any] = operator.methodcaller("tolist"),
 ) -> list[Fault]:
-    """The rows that do not continue the episode of the row before them.
+    """Return the faults of the rows that do not continue the episode of the row before.
 
     Parameters
     ----------
-    columns : state and episode, and of timestep, terminated and truncated those that
-        there are
-    before : the same and next_state, of the row before each
-    is_first, follows : (n,) whether a row begins an episode, and whether it goes on
-        with the one of the row before; neither where nothing is known of that row
-    differs : whether a next_state and the state after it differ; ``show``: a state as
-        errors print it
+    columns : mapping of str to ndarray
+        State and episode, and of timestep, terminated and truncated those that there
+        are.
+    before : mapping of str to ndarray
+        The same and next_state, of the row before each.
+    is_first, follows : ndarray of bool of shape (n,)
+        Whether a row begins an episode, and whether it goes on with the one of the row
+        before; neither where nothing is known of that row.
+    differs : callable
+        Says whether a next_state and the state after it differ.
+    show : callable
+        Returns a state as errors print it.
     """
     faults = []
     if "timestep" in columns:
@@ -373,10 +384,10 @@ def find_order_faults(
 def require_columns(
     name: str, required: Sequence[str], labels: Iterable[str], *, way: str = ""
 ) -> None:
-    """ValueError where a required column is missing, with the separator or the spelling
-    that was probably meant.
+    """Raise an ArgumentError where a required column is missing.
 
-    ``way``: what else helps, where that cannot be said.
+    It has the separator or the spelling that was probably meant. ``way``: what else
+    helps, where that cannot be said.
     """
     given = list(labels)
     if set(required) <= set(given):
@@ -391,8 +402,9 @@ def require_columns(
 
 
 def suggest_columns(required: Sequence[str], labels: Sequence[str]) -> str:
-    """What is to be changed: the separator, or how a label is written; empty where that
-    cannot be said.
+    """Return what is to be changed: the separator, or how a label is written.
+
+    Empty where that cannot be said.
     """
     for mark, word in SEPARATORS.items():
         if any(
@@ -412,7 +424,7 @@ def suggest_columns(required: Sequence[str], labels: Sequence[str]) -> str:
 
 
 def _plain(labels: Iterable[str]) -> list[str]:
-    """Labels in lower case, with one underscore for what parts their words."""
+    """Return labels in lower case, with one underscore for what parts their words."""
     return [
         "_".join(label.strip(" \t\"'\ufeff").lower().replace("-", " ").split())
         for label in labels
@@ -438,7 +450,7 @@ def warn_left_out(name: str, unknown: Sequence[str], known: Sequence[str]) -> No
 def suggest(
     label: object, known: Sequence[str], *, quotes: bool = False, likeness: float = 0.6
 ) -> str:
-    """What was probably meant, in words; empty where nothing is near."""
+    """Return what was probably meant, in words; empty where nothing is near."""
     text = label if isinstance(label, str) else _checks.show(label)
     near = difflib.get_close_matches(text[:80], known, n=1, cutoff=likeness)
     return (

@@ -1,10 +1,13 @@
-"""Sums over the transitions of each (s, a, s', ended), each of which stands once, in
-the order of its first row.
+"""Sums over the transitions of each (s, a, s', terminated), in the order of first rows.
 
 Of the transitions i of each, and of their rewards, there are the number n, and the sum,
 least, largest and number m::
 
-    n += n_i,  total += total_i,  least = min(least, least_i),  largest = max(largest, largest_i),  m += m_i
+    n += n_i
+    total += total_i
+    least = min(least, least_i)
+    largest = max(largest, largest_i)
+    m += m_i
 
 A row i is a transition (n_i = 1) or itself such a sum. nan is a least or largest of no
 reward.
@@ -29,8 +32,20 @@ N_APART = 2**20  # entries that are not joined yet
 
 
 class RowSums(NamedTuple):
-    """Of each row of a log: how many transitions it stands for, and of their rewards
-    the sum, least, largest and number.
+    """Hold the number of transitions of each row, and the sums of their rewards.
+
+    Attributes
+    ----------
+    number : ndarray of shape (n,)
+        The number of transitions that each row stands for.
+    reward_sum : ndarray of shape (n,), or None
+        The sum of their rewards.
+    reward_min : ndarray of shape (n,), or None
+        The least of their rewards.
+    reward_max : ndarray of shape (n,), or None
+        The largest of their rewards.
+    reward_count : ndarray of shape (n,), or None
+        The number of them that have a reward.
     """
 
     number: Array
@@ -41,7 +56,7 @@ class RowSums(NamedTuple):
 
     @classmethod
     def of_transitions(cls, n: int, reward: Array | None) -> RowSums:
-        """The sums of n rows that are a transition each; a reward that is nan is none."""
+        """Return the sums of n rows that are a transition each, nan as no reward."""
         if reward is None:
             return cls(np.ones(n), None, None, None, None)
         is_paid = ~np.isnan(reward)
@@ -55,8 +70,9 @@ class RowSums(NamedTuple):
 
 
 def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Sum transitions, as the columns of a log, or sums; those of one (s, a, s', ended)
-    in the order of their rows.
+    """Sum the rows of each (s, a, s', terminated) in the order of their first rows.
+
+    The rows are transitions, as the columns of a log, or sums.
     """
     import pandas as pd
 
@@ -83,8 +99,9 @@ def sum_rows(columns: Mapping[str, Column]) -> dict[str, Column]:
 
 
 def _encode(key: list[IntArray]) -> IntArray:
-    """One number for each row of a key, in whose order it is; parts are numbered anew
-    where 64 bits do not hold them.
+    """Return one number for each row of a key, in whose order the numbers are.
+
+    Parts are numbered anew where 64 bits do not hold them.
     """
     code = np.zeros(len(key[0]), dtype=np.int64)
     size = 1
@@ -101,8 +118,10 @@ def _encode(key: list[IntArray]) -> IntArray:
 
 
 def add_sums(parts: list[dict[str, Column]], columns: Mapping[str, Column]) -> None:
-    """Append the sums of ``columns`` to ``parts``, which are joined when the later are
-    as long as the first: O(n log n).
+    """Append the sums of ``columns`` to ``parts``.
+
+    Parts are joined when the later are as long as the first, so that all take O(n log
+    n).
     """
     if len(columns["state"]):
         parts.append(sum_rows(columns))
@@ -113,7 +132,7 @@ def add_sums(parts: list[dict[str, Column]], columns: Mapping[str, Column]) -> N
 
 
 def join_sums(parts: Sequence[Mapping[str, Column]]) -> dict[str, Column]:
-    """The sums of all parts, added in their order."""
+    """Return the sums of all parts, added in their order."""
     return sum_rows(
         {label: np.concatenate([part[label] for part in parts]) for label in parts[0]}
     )
@@ -122,8 +141,9 @@ def join_sums(parts: Sequence[Mapping[str, Column]]) -> dict[str, Column]:
 def counts_of(
     log: Any, weights: Array, n_states: int, n_actions: int
 ) -> sparse.csr_array:
-    """The sums of the weights of the rows of each (s, a, s'): csr of shape (S*A, S);
-    ValueError for numbers out of range.
+    """Sum the weights of the rows of each (s, a, s') to a csr of shape (S*A, S).
+
+    Raises an ArgumentError for numbers out of range.
     """
     _checks.positive_integer(n_states, "n_states")
     _checks.positive_integer(n_actions, "n_actions")

@@ -1,11 +1,11 @@
-"""CSV and parquet files of a log, read in pieces: the raw values of some thousand rows
-at a time, in the order of the file.
+"""CSV and parquet files of a log, read in pieces of raw values.
 
-pandas reads CSV, in half of the time of DuckDB's reader (10^6 rows of 6 columns: 0.17 s
-of CPU, 0.29 s), and Python what is small. DuckDB reads parquet in one thread, so that
-the same file gives the same bits; it may open that file alone and loads no extension.
-Parquet of our own has a digest of all its other bytes, which no page of parquet has, in
-its metadata. ``rules.py`` says which values are those of a log.
+A piece has some thousand rows, in the order of the file. pandas reads CSV, in half of the time of DuckDB's reader
+(10^6 rows of 6 columns: 0.17 s of CPU, 0.29 s), and Python what is small. DuckDB reads
+parquet in one thread, so that the same file gives the same bits; it may open that file
+alone and loads no extension. Parquet of our own has a digest of all its other bytes,
+which no page of parquet has, in its metadata. ``rules.py`` says which values are those
+of a log.
 """
 
 from __future__ import annotations
@@ -48,21 +48,20 @@ TAIL = 2**20  # bytes at the end of a file, in which parquet keeps its metadata
 
 
 class LogFile(NamedTuple):
-    """A file of a log, and the columns that its folders name, ``column=value``."""
+    """Hold a log's file, and the columns that its folders name, ``column=value``."""
 
     path: str
     fixed: tuple[tuple[str, str], ...] = ()
 
     @property
     def suffix(self) -> str:
-        """.csv, .parquet or .npz; .csv of a compressed one."""
+        """Return .csv, .parquet or .npz; .csv of a compressed one."""
         path = Path(self.path.lower())
         return Path(path.stem).suffix if path.suffix == ".gz" else path.suffix
 
 
 class Piece(NamedTuple):
-    """Rows that follow each other: the raw values by label, and the numbers of the rows
-    in the file.
+    """Hold adjacent rows: raw values by label, and the rows' numbers in the file.
 
     ``lost``: the lines of a CSV file that have another number of fields than its
     header, in words, by the number of the row.
@@ -75,8 +74,9 @@ class Piece(NamedTuple):
 
 @dataclass
 class Table:
-    """A log's rows: ``labels`` of all columns, ``known`` those of a log, which
-    ``pieces`` gives.
+    """Hold a log's rows: all ``labels``, and the ``pieces`` of ``known`` columns.
+
+    ``known`` are the labels of a log's columns.
     """
 
     labels: list[str]
@@ -85,8 +85,10 @@ class Table:
 
 
 def open_table(file: LogFile, form: Any) -> Table:
-    """The table in a file, its header read; ValueError that names it for what is none
-    of a log of this ``files.Format``.
+    """Return the table in a file, its header read.
+
+    Raises an ArgumentError that names the file where it has no log of this
+    ``files.Format``.
     """
     is_parquet = file.suffix == ".parquet"
     if is_parquet:
@@ -121,6 +123,7 @@ def open_table(file: LogFile, form: Any) -> Table:
     read = _read_parquet if is_parquet else _read_csv
 
     def pieces() -> Iterator[Piece]:
+        """Yield the pieces of the file with the columns that its folders name."""
         for piece in read(
             file.path, labels, [label for label in known if label in labels]
         ):
@@ -135,7 +138,7 @@ def open_table(file: LogFile, form: Any) -> Table:
 
 
 def read_labels(path: str) -> list[str]:
-    """The labels of a table's columns; ValueError for another file."""
+    """Return the labels of a table's columns; ArgumentError for another file."""
     return (
         _parquet_labels(path)
         if path.lower().endswith(".parquet")
@@ -148,7 +151,10 @@ def read_labels(path: str) -> list[str]:
 
 @contextmanager
 def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
-    """``run(query)`` in which ``$path`` is the file."""
+    """Open a connection that reads this file alone, and give ``run(query)``.
+
+    ``$path`` is the file in a query.
+    """
     import duckdb
 
     name = os.path.abspath(_files.local(path))  # "://" cannot stand in it
@@ -182,8 +188,9 @@ def open_duckdb(path: str) -> Iterator[Callable[[str], Any]]:
 
 
 def _parquet_labels(path: str) -> list[str]:
-    """The names of the columns, without those inside of others: parquet lists a tree in
-    depth-first order.
+    """Return the names of the columns, without those inside of others.
+
+    parquet lists a tree in depth-first order.
     """
     with open_duckdb(path) as run:
         schema = run("SELECT name, num_children FROM parquet_schema($path)").fetchall()
@@ -197,17 +204,17 @@ def _parquet_labels(path: str) -> list[str]:
 
 
 def count_parquet_rows(path: str) -> int:
-    """The number of rows of a parquet file."""
+    """Return the number of rows of a parquet file."""
     with open_duckdb(path) as run:
         return int(run("SELECT count(*) FROM read_parquet($path)").fetchone()[0])
 
 
 def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
-    """The columns of ``sum_rows`` of a parquet file, truncated or not apart; of its
-    others least, largest and number in each.
+    """Return the columns of ``sum_rows`` of a parquet file, summed by DuckDB.
 
-    In half of the time of the pieces. None where DuckDB cannot compute them, which a
-    look at the values will explain.
+    Truncated transitions are apart; of other columns there are least, largest and
+    number in each. It takes half of the time of the pieces. None where DuckDB cannot
+    compute them, which a look at the values will explain.
     """
     import duckdb
 
@@ -235,6 +242,7 @@ def sum_groups(path: str, labels: Sequence[str]) -> dict[str, Column] | None:
 
 
 def _read_parquet(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece]:
+    """Yield the pieces of a parquet file."""
     columns = ", ".join('"' + label.replace('"', '""') + '"' for label in chosen)
     source = (
         "read_parquet($path, file_row_number = true, hive_partitioning = false,"
@@ -254,7 +262,7 @@ def _read_parquet(path: str, labels: list[str], chosen: list[str]) -> Iterator[P
 
 
 def _fill_missing(column: Any) -> Column:
-    """A column of DuckDB's: nan, or None among objects, where a value is missing."""
+    """Return a column of DuckDB's with nan or None for missing values."""
     if not np.ma.is_masked(column):
         return np.asarray(np.ma.getdata(column))
     is_number = column.dtype.kind in "iuf"
@@ -293,9 +301,7 @@ def write_parquet(path: str, columns: Mapping[str, Column]) -> None:
 
 
 def check_digest(path: str) -> None:
-    """ValueError where a parquet file of this package has other bytes than it was
-    written with.
-    """
+    """Raise an ArgumentError where a parquet file of this package has changed."""
     stored, digest, _ = _read_digest(path)
     if stored != digest:
         raise ArgumentError(
@@ -307,8 +313,10 @@ def check_digest(path: str) -> None:
 
 
 def _read_digest(path: str) -> tuple[bytes, bytes, int]:
-    """The digest in a file, that of its bytes (SHA-256, zeros where it stands), its
-    place; twice nothing of others' files.
+    """Return the digest in a file, that of its bytes, and the place of the digest.
+
+    It is SHA-256 of the file with zeros where the digest stands. Of other programs'
+    files both are empty.
     """
     with open(path, "rb") as handle:
         n_before = max(os.fstat(handle.fileno()).st_size - TAIL, 0)
@@ -325,7 +333,7 @@ def _read_digest(path: str) -> tuple[bytes, bytes, int]:
 
 
 def quote_text(text: str) -> str:
-    """Text as SQL has it."""
+    """Return text as SQL has it."""
     return "'" + text.replace("'", "''") + "'"
 
 
@@ -333,7 +341,7 @@ def quote_text(text: str) -> str:
 
 
 def _open_csv(path: str, encoding: str | None = None) -> Any:
-    """A file, or what is compressed in it: bytes, or text of an encoding."""
+    """Open a file, or what is compressed in it, as bytes or as text of an encoding."""
     opener: Any = gzip.open if path.lower().endswith(".gz") else open
     return (
         opener(path, "rb")
@@ -344,7 +352,7 @@ def _open_csv(path: str, encoding: str | None = None) -> Any:
 
 @contextmanager
 def _csv_errors(path: str) -> Iterator[None]:
-    """ValueError that names the file, of whatever cannot be read."""
+    """Turn whatever cannot be read into an ArgumentError that names the file."""
     try:
         yield
     except UnicodeDecodeError:
@@ -366,7 +374,7 @@ def _csv_errors(path: str) -> Iterator[None]:
 
 
 def _csv_header(path: str) -> tuple[list[str], list[str], str]:
-    """The labels, the first values and the encoding."""
+    """Return the labels, the first values and the encoding of a CSV file."""
     with _csv_errors(path):
         with _open_csv(path) as handle:
             mark = handle.read(3)
@@ -386,7 +394,7 @@ def _csv_header(path: str) -> tuple[list[str], list[str], str]:
 
 
 def _csv_lines(path: str, encoding: str) -> Iterator[tuple[int, list[str]]]:
-    """The fields of each line that is not empty, and the number of the line."""
+    """Yield the number of each line that is not empty, and its fields."""
     with _csv_errors(path), _open_csv(path, encoding) as handle:
         reader = csv.reader(handle)
         line = 1
@@ -397,8 +405,9 @@ def _csv_lines(path: str, encoding: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece]:
-    """The values that pandas makes of the fields; names stay texts. Of a small or an
-    odd file the fields, by Python.
+    """Yield the values that pandas makes of the fields; names stay texts.
+
+    Of a small or an odd file they are the fields, read by Python.
     """
     _, first, encoding = _csv_header(path)
     if os.path.getsize(path) < SMALL or _has_odd_lines(path, len(labels), encoding):
@@ -430,8 +439,9 @@ def _read_csv(path: str, labels: list[str], chosen: list[str]) -> Iterator[Piece
 
 
 def _has_odd_lines(path: str, n: int, encoding: str) -> bool:
-    """Whether a line has another number of fields than n: by its commas alone, where
-    there are no quotes.
+    """Say whether a line has another number of fields than n.
+
+    It counts commas, and reads the fields only where that does not tell.
     """
     line = b"," * (n - 1) + b"\n"
     with _csv_errors(path), _open_csv(path) as handle:
@@ -447,7 +457,7 @@ def _has_odd_lines(path: str, n: int, encoding: str) -> bool:
 def _read_lines(
     path: str, labels: list[str], chosen: list[str], encoding: str
 ) -> Iterator[Piece]:
-    """The fields of the lines as texts."""
+    """Yield the fields of the lines as texts."""
     n = len(labels)
     places = {label: labels.index(label) for label in chosen}
     lines = enumerate(itertools.islice(_csv_lines(path, encoding), 1, None))
@@ -469,8 +479,9 @@ def _read_lines(
 
 
 def csv_frame(path: str) -> Any:
-    """A CSV file with a header as a DataFrame, its numbers to the last bit; ValueError
-    for another file.
+    """Read a CSV file with a header as a DataFrame, its numbers to the last bit.
+
+    Raises an ArgumentError for another file.
     """
     name = _files.local(path)
     encoding = _csv_header(name)[2]
@@ -479,8 +490,9 @@ def csv_frame(path: str) -> Any:
 
 
 def _call_pandas(handle: IO[bytes], **options: Any) -> Any:
-    """What pandas makes of a CSV file, numbers to the last bit; ValueError where it has
-    more fields than its header names.
+    """Return what pandas makes of a CSV file, numbers to the last bit.
+
+    Raises a ValueError where a line has more fields than the header names.
     """
     import pandas as pd
 

@@ -1,4 +1,4 @@
-"""A log of transitions (s, a, s'), with rewards, episodes and other optional columns.
+"""Logs of transitions (s, a, s') with rewards, episodes and other optional columns.
 
 Episodes are ragged: a flat table with an episode number for each row, never padded. A
 *terminated* transition ends the task (all later rewards are 0); a *truncated* one ends
@@ -29,42 +29,65 @@ from oee_tabular.typing import Column, IntArray
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Transitions(LogColumns):
-    """Logged transitions of the target environment, one a row; checked when made and
-    immutable.
+    """Hold logged transitions of the target, checked when made and immutable.
 
     Parameters
     ----------
-    state, action, next_state : (n,) integers from 0, or names
-        Names are texts, or tuples of texts and numbers, none of which reads as a
-        number. They are numbered in the order of their first appearance
-        (``state_names[state]``); ``numbered(simulator)`` matches them to a simulator's,
-        which ``Problem`` and ``transition_ratio`` do by themselves.
-    reward : (n,) finite numbers, optional; nan if one is missing (without any,
-        ``log.reward`` is None)
-    terminated : (n,) booleans, optional
-        The transition ended the task. Default: none did.
-    episode : (n,) integers or texts, optional
-        Rows of one episode are consecutive and in order; each row's next_state is the
-        following row's state, and a terminated or truncated row is the last of its
-        episode. Without episodes the transitions are independent.
-    timestep : (n,) integers from 0, optional
-        t of each row; within an episode 0, 1, 2, ... (the default there).
-    behavior_probability : (n,) numbers in [0, 1], optional
-        Probability with which the behaviour policy took the recorded action.
-    truncated : (n,) booleans, optional
-        The recording stopped after this transition, but not the task. Default: the last
-        row of every episode that did not terminate.
-    state_names, action_names : names of the numbers in state and next_state, in action;
-        None: they are a simulator's numbers
+    state : array_like of shape (n,)
+        The states s_i, integers from 0 or names. Names are texts, or tuples of texts
+        and numbers, none of which reads as a number. They are numbered in the order of
+        their first appearance (``state_names[state]``); ``numbered(simulator)`` matches
+        them to a simulator's, which ``Problem`` and ``transition_ratio`` do by
+        themselves.
+    action : array_like of shape (n,)
+        The actions a_i, by the same rules.
+    next_state : array_like of shape (n,)
+        The next states s'_i, by the same rules.
+    reward : array_like of shape (n,), optional
+        The finite rewards r_i, nan where one is missing. Without any, ``log.reward`` is
+        None.
+    terminated : array_like of bool of shape (n,), optional
+        Whether the transition ended the task. None means that none did.
+    episode : array_like of shape (n,), optional
+        The episodes, integers or texts. Rows of one episode are consecutive and in
+        order; each row's next_state is the following row's state, and a terminated or
+        truncated row is the last of its episode. None means that the transitions are
+        independent.
+    timestep : array_like of int of shape (n,), optional
+        The time t of each row, from 0; within an episode 0, 1, 2, ... (the default
+        there).
+    behavior_probability : array_like of shape (n,), optional
+        The probability in [0, 1] with which the behaviour policy took the recorded
+        action.
+    truncated : array_like of bool of shape (n,), optional
+        Whether the recording stopped after this transition, but not the task. None
+        means the last row of every episode that did not terminate.
+    state_names : sequence of str or tuple, optional
+        The names of the numbers in ``state`` and ``next_state``. None means that they
+        are a simulator's numbers.
+    action_names : sequence of str or tuple, optional
+        The names of the numbers in ``action``. None means a simulator's numbers.
 
     Raises
     ------
     ValueError
-        Names the column, the row, the rule and the value.
+        If a column breaks a rule; the error names the column, the row, the rule and the
+        value.
+
+    See Also
+    --------
+    TransitionCounts : Counts of the transitions of a log that memory does not hold.
 
     Examples
     --------
-    >>> log = Transitions([0, 1, 0], [0, 0, 1], [1, 2, 0], [0.0, 1.0, 0.0], terminated=[0, 1, 0], episode=[0, 0, 1])
+    >>> log = Transitions(
+    ...     [0, 1, 0],
+    ...     [0, 0, 1],
+    ...     [1, 2, 0],
+    ...     [0.0, 1.0, 0.0],
+    ...     terminated=[0, 1, 0],
+    ...     episode=[0, 0, 1],
+    ... )
     >>> log
     Transitions(3 transitions in 2 episodes of 1 to 2 steps: 1 terminated, 1 truncated;
                 states 0..2, actions 0..1; rewards 0 to 1)
@@ -132,7 +155,7 @@ class Transitions(LogColumns):
                 )
 
     def _names(self) -> dict[str, tuple[Name, ...]]:
-        """The names of the numbers in a column, of those columns that have names."""
+        """Return the names of the numbers in each column that has names."""
         names = {
             "state": self.state_names,
             "action": self.action_names,
@@ -144,10 +167,12 @@ class Transitions(LogColumns):
     def _moves(
         state: ArrayLike, action: ArrayLike, next_state: ArrayLike
     ) -> dict[str, Column | None]:
+        """Check the three columns of numbers of a transition."""
         numbers = {"state": state, "action": action, "next_state": next_state}
         return {name: check_array(column, name) for name, column in numbers.items()}
 
     def _show(self, state: Column) -> Any:
+        """Return one row's state as errors show it, by its name if it has one."""
         return (
             state.tolist()
             if self.state_names is None
@@ -155,8 +180,13 @@ class Transitions(LogColumns):
         )
 
     def columns(self) -> dict[str, Column]:
-        """The columns that the log has, in the order of the file formats; names where
-        it has names.
+        """Return the columns that the log has, in the order of the file formats.
+
+        Returns
+        -------
+        dict of str to ndarray of shape (n,)
+            The columns by their labels; states and actions are names where they have
+            names.
         """
         names = {column: as_objects(own) for column, own in self._names().items()}
         columns = super().columns()
@@ -170,31 +200,56 @@ class Transitions(LogColumns):
         simulator: FiniteMDP | None = None,
         **column_names: object,
     ) -> Self:
-        """A log from a data frame of pandas, polars, arrow, or what else narwhals
-        reads; its index is ignored.
+        """Make a log of a data frame of pandas, polars, arrow, or another library.
 
         Parameters
         ----------
-        frame : data frame, one transition a row
+        frame : FrameLike
+            The frame, one transition a row, of any library that narwhals reads. Its index, and columns that a log does not
+            have, are left out.
         simulator : FiniteMDP, optional
-            Names of states and actions are matched to its names at once; otherwise the
-            log keeps them (``numbered``).
-        column_names : the frame's own names of the columns of a log: ``state="from",
-            next_state="to"``; by default the same. Several, ``state=["row",
-            "column"]``, make tuples of their values: names. Episodes may be texts.
-            Other columns are left out.
+            The model to whose names those of states and actions are matched at once.
+            None means that the log keeps the names (``numbered``).
+        state : str or sequence of str, optional
+            The frame's own name of the column of states, ``"state"`` by default.
+            Several names, ``["row", "column"]``, make tuples of their values, which are
+            names.
+        action : str or sequence of str, optional
+            The frame's name, or names, of the column of actions.
+        next_state : str or sequence of str, optional
+            The frame's name, or names, of the column of next states.
+        reward : str, optional
+            The frame's name of the column of rewards.
+        terminated : str, optional
+            The frame's name of the column of terminations.
+        truncated : str, optional
+            The frame's name of the column of truncations.
+        episode : str, optional
+            The frame's name of the column of episodes, which may be texts.
+        timestep : str, optional
+            The frame's name of the column of times.
+        behavior_probability : str, optional
+            The frame's name of the column of the recorded actions' probabilities.
+
+        Returns
+        -------
+        Transitions
+            The log.
 
         Raises
         ------
         ValueError
-            No data frame; missing columns (with those present); a row without a value;
-            a name that is not the simulator's (with the nearest one); and the
-            constructor's errors.
+            If it is no data frame, lacks a column (the error has those present), has a
+            row without a value, or has a name that is not the simulator's (the error
+            has the nearest one); and where the constructor refuses a column.
 
         Examples
         --------
         >>> import pandas as pd
-        >>> frame = pd.DataFrame({"place": ["hall", "hall"], "action": ["go", "stay"], "to": ["dock", "hall"]})
+        >>> frame = pd.DataFrame(
+        ...     [("hall", "go", "dock"), ("hall", "stay", "hall")],
+        ...     columns=["place", "action", "to"],
+        ... )
         >>> log = Transitions.from_frame(frame, state="place", next_state="to")
         >>> log.state_names, log.next_state.tolist()
         (('hall', 'dock'), [1, 0])
@@ -213,25 +268,39 @@ class Transitions(LogColumns):
     def from_episodes(
         cls, episodes: object, *, simulator: FiniteMDP | None = None
     ) -> Self:
-        """A log from episodes as lists of (state, action, reward) steps; states and
-        actions are numbers or names.
+        """Make a log of episodes that are lists of (state, action, reward) steps.
 
         Parameters
         ----------
-        episodes : list of episodes, each a list of steps
-            A step is (state, action, reward): it led to the next step's state. An
-            episode ends with its last state, (state,), or (state, terminated) with
+        episodes : list of list of tuple
+            The episodes, each a list of steps whose states and actions are numbers or
+            names. A step is (state, action, reward): it led to the next step's state.
+            An episode ends with its last state, (state,), or (state, terminated) with
             whether the task ended; without it the next state of the last step is
             unknown, and the step is left out with a warning. Steps may also be (state,
             action, reward, next_state), (state, action, reward, next_state,
             terminated), or with truncated after these, as a loop over a Gymnasium
             environment's ``step`` has them: an episode that ends without being
             terminated is truncated.
-        simulator : FiniteMDP, optional; names are matched to its names
+        simulator : FiniteMDP, optional
+            The model to whose names those of the steps are matched at once.
+
+        Returns
+        -------
+        Transitions
+            The log.
+
+        Raises
+        ------
+        ValueError
+            If a step has another form, no next state is known, or the constructor
+            refuses a column.
 
         Examples
         --------
-        >>> Transitions.from_episodes([[("hall", "go", -1.0), ("door", "go", 5.0), ("dock", True)]])
+        >>> Transitions.from_episodes(
+        ...     [[("hall", "go", -1.0), ("door", "go", 5.0), ("dock", True)]]
+        ... )
         Transitions(2 transitions in 1 episode of 2 steps: 1 terminated, 0 truncated;
                     3 named states, 1 named actions; rewards -1 to 5)
         """
@@ -239,11 +308,25 @@ class Transitions(LogColumns):
         return log if simulator is None else log.numbered(simulator, "episodes")
 
     def numbered(self, simulator: FiniteMDP, name: str = "log") -> Self:
-        """The log in the numbers of ``simulator``'s states and actions, matched by
-        their names; itself if it has none.
+        """Return the log in the numbers of a simulator's states and actions.
 
-        Raises a ValueError with the first row whose name is not the simulator's, and
-        the nearest name.
+        Parameters
+        ----------
+        simulator : FiniteMDP
+            The model to whose names the log's are matched.
+        name : str, default 'log'
+            What errors call the log.
+
+        Returns
+        -------
+        Transitions
+            The log in numbers; itself if it has no names.
+
+        Raises
+        ------
+        ValueError
+            If a name is not the simulator's; the error has the first such row and the
+            nearest name.
         """
         if not self._names():
             return self
@@ -274,11 +357,29 @@ class Transitions(LogColumns):
     def counts(
         self, n_states: int, n_actions: int, *, discount: float | None = None
     ) -> sparse.csr_array:
-        """The counts of each (s, a, s'): csr of shape (S*A, S), row s*A + a.
+        """Count the transitions of each (s, a, s').
 
-        With ``discount`` each transition has weight discount**timestep, the paper's
-        discounted d (needs timesteps). Raises a ValueError if a state or action is
-        outside the given numbers.
+        Parameters
+        ----------
+        n_states : int
+            The number S of states.
+        n_actions : int
+            The number A of actions.
+        discount : float, optional
+            The discount in [0, 1]. Each transition then has weight discount**timestep,
+            the paper's discounted d, for which the log must have timesteps. None means
+            weight 1.
+
+        Returns
+        -------
+        csr_array of shape (S*A, S)
+            The counts, in row s*A + a.
+
+        Raises
+        ------
+        ValueError
+            If a state or action is outside the given numbers, the log has names, or it
+            has no timesteps to discount by.
         """
         if self._names():
             raise ArgumentError(
@@ -300,16 +401,33 @@ class Transitions(LogColumns):
         return counts_of(self, weights, n_states, n_actions)
 
     def moves(self) -> RowSums:
-        """Each transition with count 1 and its reward."""
+        """Return each transition with count 1 and its reward.
+
+        Returns
+        -------
+        RowSums
+            The number and the rewards of each row.
+        """
         return RowSums.of_transitions(len(self), self.reward)
 
     @property
     def by_episodes(self) -> bool:
-        """Whether transitions may depend on those before them."""
+        """Return whether transitions may depend on those before them."""
         return self.episode is not None
 
     def summary(self) -> dict[str, Any]:
-        """The log's contents as plain numbers. Cost: O(n)."""
+        """Summarise the log's contents as plain numbers.
+
+        Returns
+        -------
+        dict
+            The numbers of transitions, episodes, states and so on, by name; None where
+            there is no such number.
+
+        Notes
+        -----
+        The cost is O(n).
+        """
         import pandas as pd
 
         states = pd.unique(np.concatenate([self.state, self.next_state]))
@@ -322,7 +440,7 @@ class Transitions(LogColumns):
         }
 
     def _facts(self) -> dict[str, Any]:
-        """The part of the summary that one line prints."""
+        """Return the part of the summary that one line prints."""
         starts = self.episode_starts
         lengths = None if starts is None else np.diff(starts)
         return {
@@ -347,15 +465,22 @@ class Transitions(LogColumns):
         }
 
     def describe(self) -> str:
-        """The summary in one line."""
+        """Return the summary in one line.
+
+        Returns
+        -------
+        str
+            The line, as ``repr`` has it in its parentheses.
+        """
         return describe_facts(
             self._facts(), state_names=self.state_names, action_names=self.action_names
         )
 
 
 def describe_facts(facts: dict[str, Any], **names: tuple[Name, ...] | None) -> str:
-    """A log's summary in one line; ``names``: of its states and actions, where they
-    have names.
+    """Return a log's summary in one line.
+
+    ``names`` are those of its states and actions, where they have names.
     """
     text = f"{facts['transitions']} transitions"
     if facts.get("different"):

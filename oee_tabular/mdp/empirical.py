@@ -117,8 +117,7 @@ def log_arguments(
 def _resolve(
     log: Any, label: str, columns: tuple[str, ...], size: object, names: object
 ) -> tuple[int, tuple[Name, ...] | None, list[IntArray]]:
-    """Return the number of states or actions, their names, and the columns of them.
-    """
+    """Return the number of states or actions, their names, and their columns."""
     own = getattr(log, f"{label}_names")
     codes = [getattr(log, column) for column in columns]
     called = (
@@ -288,8 +287,7 @@ def _empirical_arguments(
 
 
 def _check_rewards(rewards: Any, n_states: int, n_actions: int) -> Array:
-    """Check rewards (S,), (S, A) or (S, A, S) and return them dense.
-    """
+    """Check rewards (S,), (S, A) or (S, A, S) and return them dense."""
     shape = n_states, n_actions, n_states
     given = (
         check_csr(rewards, "rewards").toarray() if sparse.issparse(rewards) else rewards
@@ -489,8 +487,7 @@ class Explorer:
         ]
 
     def _set_open(self, state: int, is_open: bool) -> None:
-        """Keep whether an episode can act in a state and its pairs need samples.
-        """
+        """Keep whether an episode can act in a state, so that it needs samples."""
         if is_open and state not in self.open:
             self.open.add(state)
             self.lacking.update((state, a) for a in self._actions_that_lack(state))
@@ -499,8 +496,7 @@ class Explorer:
             self.lacking.difference_update((state, a) for a in range(self.n_actions))
 
     def _choose(self, state: int, is_first: bool) -> int:
-        """Return the lacking action that leads nearest to others, else the plan's action.
-        """
+        """Return the lacking action nearest to others, else the plan's action."""
         is_planned = state < len(self._values)
         if lacking := self._actions_that_lack(state):
             ahead = self._values[state] if is_planned else [0.0] * self.n_actions

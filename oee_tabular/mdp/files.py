@@ -1,5 +1,4 @@
-"""The arrays of an MDP's npz file, with P and r(s, a, s') as the parts of csr matrices.
-"""
+"""The arrays of an MDP's npz file, P and r(s, a, s') as the parts of csr matrices."""
 
 from __future__ import annotations
 

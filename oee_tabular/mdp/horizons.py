@@ -1,5 +1,4 @@
-"""Horizons that are cut where the discount leaves nothing, or refused for their cost.
-"""
+"""Horizons, cut where the discount leaves nothing and refused for their cost."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Names of states and actions: their rules, numbers, and forms in files and sentences.
-"""
+"""Names of states and actions: rules, numbers, and forms in files and sentences."""
 
 from __future__ import annotations
 
@@ -126,8 +125,7 @@ def to_plain(item: object, depth: int = 0) -> Any:
 
 
 def is_name(item: object) -> bool:
-    """Say whether ``item`` is a text, or a tuple of texts, numbers and such tuples.
-    """
+    """Say whether ``item`` is a text, or a tuple of texts, numbers and tuples."""
     if not isinstance(item, tuple):
         return isinstance(item, str)
     return bool(item) and all(

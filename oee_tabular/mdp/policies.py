@@ -153,8 +153,7 @@ def check_policies(
 
 
 def split_policies(policies: Any, mdp: Any) -> dict[str, Any] | None:
-    """Return the names and policies of several policies; None for one policy.
-    """
+    """Return the names and policies of several policies; None for one policy."""
     # a dok_array is a mapping
     if isinstance(policies, Mapping) and not _checks.is_sparse(policies):
         known = numbers_of(names_of(mdp).states or ())

@@ -196,8 +196,7 @@ class Rows:
         return raw / self.spread(total), top + np.log(total)
 
     def frequencies(self, counts: Array) -> Array:
-        """Divide (entries,) counts by the sum of their row; 0 in rows without counts.
-        """
+        """Divide (entries,) counts by the sum of their row; rows without any get 0."""
         return np.asarray(counts / np.maximum(self.spread(self.sums(counts)), 1e-300))
 
 

@@ -1,5 +1,4 @@
-"""More support: action noise, and transitions of a log that an MDP gives probability 0.
-"""
+"""More support: action noise, and transitions of a log that P gives probability 0."""
 
 from __future__ import annotations
 
